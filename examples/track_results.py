@@ -102,13 +102,13 @@ def track(folder: Path) -> dict:
     markers = _rows(folder / "reference.csv")
     names = tuple(row["marker"] for row in markers)
     tracker = tr.Tracker(
-        mesh,
-        [_place(row) for row in markers],
-        fitted_prior(mesh, largest_mm=3.0),
-        tr.read_targets(folder / "targets.csv"),
+        tr.Registrar(
+            mesh,
+            tr.Markers([_place(row) for row in markers], std=STD_MM, names=names),
+            fitted_prior(mesh, largest_mm=3.0),
+            tr.read_targets(folder / "targets.csv"),
+        ),
         simulator=physics,
-        std=STD_MM,
-        names=names,
     )
     truth = {}
     if (folder / "truth.csv").exists():

@@ -63,7 +63,7 @@ SUPPORTS_INTRODUCTION = """## Partly wrong supports
 
 Dome, phantom and half ellipsoid with a hole again, each with eight further events. The user states that the whole base
 is held. In truth only an outer *ring* of it is held, or its *middle*, or three *patches*, or a *band* of the skin above
-it as well; otherwise the body is as the user believes. *perhaps*: `register(..., held="perhaps")`, for supports that
+it as well; otherwise the body is as the user believes. *perhaps*: `Body(mesh, held="perhaps")`, for supports that
 the user doubts; *sure*: `held="sure"`. The test half was registered once more, with a version in which some sixty cells
 of the base hold or give way one by one. On the development half, where it was worked out, it reduced the error from
 0.28 to 0.24 mm; on the test half it raised it from 0.32 to 0.35 mm (coverage 92 %), and it was rejected. The figures of

@@ -41,7 +41,9 @@ def small(threads: int) -> None:
     mesh = tr.Mesh(nodes, tets, {"fixed": np.flatnonzero(nodes[:, 2] < 1e-9)})
     places = nodes[np.setdiff1d(mesh.surface_nodes, mesh.fixed_nodes)[:6]]
     seen = places + np.array([0.5, 0.0, 0.0])
-    tr.register(mesh, tr.Markers(places, seen, std=NOISE_MM), surface=seen, threads=threads)
+    tr.register(
+        mesh, tr.Markers(places, seen, std=NOISE_MM), surface=seen, settings=tr.RegisterSettings(threads=threads)
+    )
 
 
 def registered(mesh, truth, threads: int, labels: dict, **given) -> dict:
@@ -50,7 +52,9 @@ def registered(mesh, truth, threads: int, labels: dict, **given) -> dict:
 
     import tissuereg as tr
 
-    spent, result = seconds_of(lambda: tr.register(mesh, seed=0, threads=threads, **given))
+    spent, result = seconds_of(
+        lambda: tr.register(mesh, seed=0, settings=tr.RegisterSettings(threads=threads), **given)
+    )
     off = np.linalg.norm(result.displacement - truth, axis=1).mean()
     return {
         **labels,

@@ -30,10 +30,8 @@ def run(mesh: tr.Mesh, path: Path, element: str = "tet10") -> dict[str, Any]:
     before, after = (np.array([places[name][i] for name in names]) for i in (0, 1))
     seen = np.where(np.isin(names, beam.FITTED)[:, None], after, np.nan)
     result = tr.register(
-        mesh,
+        tr.Body(mesh, material=tr.Material(263.8, beam.POISSON, density=beam.DENSITY_G_PER_CM3), element=element),
         tr.Markers(before, seen, beam.MARKER_STD_MM, names),
-        material=tr.Material(263.8, beam.POISSON, density=beam.DENSITY_G_PER_CM3),
-        element=element,
     )
     found = result.unseen[beam.HELD_OUT]
     return {

@@ -81,14 +81,11 @@ def run(folder: Path, n_markers: int, seed: int, n_targets: int = N_TARGETS) -> 
     before, after = beads.targets
     started = perf_counter()
     result = tr.register(
-        gel(),
+        tr.Body(gel(), stiffness="graded", element="tet4-averaged", material=tr.Material(1.0, 0.45)),
         markers,
         targets={f"{i}": place for i, place in enumerate(before)},
-        frame="drifts",
-        stiffness="graded",
-        element="tet4-averaged",
-        material=tr.Material(1.0, 0.45),
         seed=seed,
+        settings=tr.RegisterSettings(tracker="drifts"),
     )
     spent = perf_counter() - started
     found = list(result.targets.values())

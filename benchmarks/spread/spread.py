@@ -115,7 +115,7 @@ def event(mesh: tr.Mesh, truth: np.ndarray, simulation: np.ndarray | None, seed:
 
 def registered(mesh: tr.Mesh, model: Any, *, simulated: bool = True, decode_all: bool = False) -> Method:
     """Return `tissuereg.register` with a model as a method."""
-    settings = tr.RegisterSettings(decode_all=decode_all)
+    settings = tr.RegisterSettings(smoother=tr.SmootherSettings(decode_all=decode_all))
 
     def method(one: Event) -> Answer:
         result = tr.register(
@@ -124,8 +124,7 @@ def registered(mesh: tr.Mesh, model: Any, *, simulated: bool = True, decode_all:
             model=model,
             simulation=one.simulation if simulated else None,
             targets={str(i): place for i, place in enumerate(one.targets)},
-            threads=1,
-            settings=settings,
+            settings=replace(settings, threads=1),
         )
         found = [result.target(str(i)) for i in range(N_TARGETS)]
         return Answer(
@@ -293,7 +292,9 @@ def alarms(mesh: tr.Mesh, model: Any, events: list[Event], simulated: list[Event
     def fired(reference: np.ndarray, measured: np.ndarray, simulation: np.ndarray | None = None) -> bool:
         markers = tr.Markers(reference, measured, std=STD)
         try:
-            return not tr.register(mesh, markers, model=model, simulation=simulation, threads=1).trust.ok
+            return not tr.register(
+                mesh, markers, model=model, simulation=simulation, settings=tr.RegisterSettings(threads=1)
+            ).trust.ok
         except tr.MarkerError:
             return True
 

@@ -160,7 +160,11 @@ def study(truth: tuple[Any, Any], seed: int, threads: int, tell: Callable[[str],
     """Return the rows of one set of markers, by method."""
     motion = Motion(truth, seed, threads)
     everything = range(len(motion.shares))
-    how = {"std": STD_MM, "threads": threads, "settings": tr.RegisterSettings(n_members=100)}
+    how = {
+        "std": STD_MM,
+        "threads": threads,
+        "settings": tr.RegisterSettings(smoother=tr.SmootherSettings(n_members=100)),
+    }
     registrar = tr.Registrar(motion.mesh, motion.places, "phantom", {"lesion": LESION}, **how)
     table = table_of(motion)
     inner = registrar.attached.targets
@@ -202,7 +206,7 @@ def replayed_trackers(motion: Motion, threads: int) -> dict[str, Callable[[], tr
     """Return makers of the trackers that are timed, by name."""
     targets = {"lesion": LESION}
     how = {"std": STD_MM, "threads": threads}
-    few = {**how, "settings": tr.RegisterSettings(n_members=100)}
+    few = {**how, "settings": tr.RegisterSettings(smoother=tr.SmootherSettings(n_members=100))}
 
     def of(model: Any, simulator: Any) -> tr.Tracker:
         registrar = tr.Registrar(motion.mesh, motion.places, model, targets, **few)
@@ -216,7 +220,9 @@ def replayed_trackers(motion: Motion, threads: int) -> dict[str, Callable[[], tr
         "network, table": lambda: of("phantom", table_of(motion)),
         "fitted prior, FEM": lambda: of(fitted(), motion.fem),
         "fitted prior, table": lambda: of(fitted(), table_of(motion)),
-        "contacts": lambda: tr.Tracker(motion.mesh, motion.places, None, targets, material=motion.material, **how),
+        "contacts": lambda: tr.Tracker(
+            tr.Registrar(tr.Body(motion.mesh, material=motion.material), motion.places, None, targets), **how
+        ),
     }
 
 

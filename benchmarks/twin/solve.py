@@ -9,10 +9,10 @@ import time as clock
 
 import numpy as np
 import skfem
-
 from blind.generator.base import Springs
 from blind.generator.laws import Law
 from blind.generator.solver import TIE, Body, Physics, Run
+
 from tissuereg.phantom.breast import breast_mesh
 from twin.rig import points
 

@@ -13,10 +13,12 @@ from tissuereg._version import __version__
 
 if TYPE_CHECKING:
     from tissuereg import errors, phantom, tracking
+    from tissuereg._base.clock import Progress
     from tissuereg.body.load import Load
     from tissuereg.body.markers import Markers
     from tissuereg.body.material import Fibre, Material
     from tissuereg.body.mesh import Mesh
+    from tissuereg.body.surface import SurfacePoints
     from tissuereg.body.triangles import Triangles
     from tissuereg.diagnosis import diagnose
     from tissuereg.diagnosis.many import diagnose_many
@@ -31,11 +33,17 @@ if TYPE_CHECKING:
     from tissuereg.io.tables import read_markers, read_surface, read_targets
     from tissuereg.meshing import FilledMesh, tetrahedralize
     from tissuereg.registration.advise import MarkerAdvice, advise_markers
+    from tissuereg.registration.body import Body
+    from tissuereg.registration.contacts.result import ContactRegistration
+    from tissuereg.registration.contacts.settings import ContactSettings
     from tissuereg.registration.frame import register_frame
+    from tissuereg.registration.inputs import SimulationVariants
+    from tissuereg.registration.learned.result import LearnedRegistration
     from tissuereg.registration.many import register_many
-    from tissuereg.registration.register import RegisterSettings, register
+    from tissuereg.registration.register import register
     from tissuereg.registration.registrar import Registrar
     from tissuereg.registration.result import Registration
+    from tissuereg.registration.settings import RegisterSettings, SmootherSettings
     from tissuereg.simulation import Simulation, Simulator, simulate
     from tissuereg.simulation.believed import simulate_experiment
     from tissuereg.simulation.fine import FineModel
@@ -72,7 +80,15 @@ _MODULES = {
     "advise_markers": "tissuereg.registration.advise",
     "register_frame": "tissuereg.registration.frame",
     "register_many": "tissuereg.registration.many",
-    "RegisterSettings": "tissuereg.registration.register",
+    "Body": "tissuereg.registration.body",
+    "ContactRegistration": "tissuereg.registration.contacts.result",
+    "ContactSettings": "tissuereg.registration.contacts.settings",
+    "LearnedRegistration": "tissuereg.registration.learned.result",
+    "Progress": "tissuereg._base.clock",
+    "RegisterSettings": "tissuereg.registration.settings",
+    "SimulationVariants": "tissuereg.registration.inputs",
+    "SmootherSettings": "tissuereg.registration.settings",
+    "SurfacePoints": "tissuereg.body.surface",
     "register": "tissuereg.registration.register",
     "Registrar": "tissuereg.registration.registrar",
     "Registration": "tissuereg.registration.result",
@@ -89,20 +105,28 @@ _MODULES = {
 _ROOMS = ("effects", "errors", "phantom", "tracking")
 
 __all__ = [
+    "Body",
+    "ContactRegistration",
+    "ContactSettings",
     "Experiment",
     "Fibre",
     "FilledMesh",
     "FineModel",
+    "LearnedRegistration",
     "Load",
     "MarkerAdvice",
     "Markers",
     "Material",
     "Mesh",
+    "Progress",
     "RegisterSettings",
     "Registrar",
     "Registration",
     "Simulation",
+    "SimulationVariants",
     "Simulator",
+    "SmootherSettings",
+    "SurfacePoints",
     "TissueRegError",
     "Tracker",
     "Triangles",

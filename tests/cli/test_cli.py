@@ -447,7 +447,7 @@ def test_register_takes_variants_of_the_simulation(tmp_path, capsys):
     words = ["register", tmp_path / "mesh.vtu", tmp_path / "markers.csv", "--model", "phantom"]
     code, said, _ = run_json(capsys, *words, "--variants", tmp_path / "variants.npz", "--out", tmp_path / "out")
     assert code in (0, 4)
-    expected = tr.register(event.mesh, event.markers, model="phantom", variants=fields)
+    expected = tr.register(event.mesh, event.markers, model="phantom", simulation=tr.SimulationVariants(fields))
     assert said["markers"]["after_rms_mm"] == pytest.approx(expected.markers.after_rms_mm, rel=1e-4)
     assert (said["fallback"] is None) is said["trust"]["ok"]
     code, said, _ = run_json(capsys, *words[:3], "--variants", tmp_path / "variants.npz", "--out", tmp_path / "other")

@@ -233,7 +233,7 @@ def test_a_believed_weight_explains_a_body_that_sags(capsys, tmp_path):
     assert lighter["markers"]["before_rms_mm"] == pytest.approx(sag / 6.0, rel=0.1)
     material = tr.Material(young=6.0, poisson=0.4, density=1.2)
     load = tr.Load(body_force=material.weight((-1.0, 0.0, 0.0)))
-    result = tr.register(mesh, markers, targets=TARGETS, material=material, load=load)
+    result = tr.register(tr.Body(mesh, material=material), markers, targets=TARGETS, load=load)
     assert said["targets"] == result.to_json()["targets"]
 
 

@@ -72,9 +72,10 @@ def recorded():
 
 
 def tracker(**changed):
-    settings = tr.RegisterSettings(n_members=40)
-    how = {"names": NAMES, "settings": settings, **changed}
-    return tr.Tracker(BODY, PLACES, SMALL_MODEL, {"lesion": (5.0, 5.0, 20.0)}, **how)
+    settings = tr.RegisterSettings(smoother=tr.SmootherSettings(n_members=40))
+    targets = {"lesion": (5.0, 5.0, 20.0)}
+    registrar = tr.Registrar(BODY, tr.Markers(PLACES, names=NAMES), SMALL_MODEL, targets, settings=settings)
+    return tr.Tracker(registrar, **changed)
 
 
 def test_the_answers_are_those_of_a_tracker(inputs, capsys):

@@ -53,7 +53,7 @@ def test_without_model_or_load_the_body_is_found_from_markers_alone(block_mesh, 
 
 def test_a_believed_load_gives_the_simulation_and_a_better_answer(block_mesh, leaned, seen):
     truth, believed = leaned
-    result = tr.register(block_mesh, seen, load=believed, material=tr.Material(8.0, 0.45), targets=INNER)
+    result = tr.register(tr.Body(block_mesh, material=tr.Material(8.0, 0.45)), seen, load=believed, targets=INNER)
     simulated = np.linalg.norm(
         np.array([t.simulation - true_place(block_mesh, truth, t.reference) for t in result.targets.values()]), axis=1
     )
@@ -65,7 +65,10 @@ def test_a_believed_load_gives_the_simulation_and_a_better_answer(block_mesh, le
 
 
 def test_the_same_seed_gives_the_same_bits_at_any_thread_count(block_mesh, seen):
-    one, two = (tr.register(block_mesh, seen, targets=INNER, seed=3, threads=threads) for threads in (1, 2))
+    one, two = (
+        tr.register(block_mesh, seen, targets=INNER, seed=3, settings=tr.RegisterSettings(threads=threads))
+        for threads in (1, 2)
+    )
     assert np.array_equal(one.displacement, two.displacement)
     assert np.array_equal(one.std, two.std)
     assert np.array_equal(one.target("deep").covariance, two.target("deep").covariance)
@@ -155,7 +158,7 @@ def test_gauss_newton_registers_the_phantom_as_the_ensemble_does():
             model=SMALL_MODEL,
             simulation=simulation,
             targets={"lesion": LESION_MM},
-            settings=tr.RegisterSettings(update=update),
+            settings=tr.RegisterSettings(smoother=tr.SmootherSettings(update=update)),
         )
         for update in ("esmda", "gauss-newton")
     }
@@ -178,7 +181,7 @@ def test_with_a_model_gauss_newton_drops_a_wrong_marker_and_names_it():
     measured = event.markers.measured.copy()
     measured[3] += (0.0, 1.5, 1.5)
     seen = tr.Markers(event.markers.reference, measured, 0.1)
-    settings = tr.RegisterSettings(update="gauss-newton")
+    settings = tr.RegisterSettings(smoother=tr.SmootherSettings(update="gauss-newton"))
     result = tr.register(event.mesh, seen, model=SMALL_MODEL, simulation=simulation, settings=settings)
     name = seen.names[3]
     assert result.markers.dropped == ((name, "wrong"),)

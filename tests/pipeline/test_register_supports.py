@@ -5,7 +5,7 @@ import pytest
 
 import tissuereg as tr
 from support.meshes import block
-from tissuereg.errors import MaterialError, SupportError
+from tissuereg.errors import ArgumentError, MaterialError
 from tissuereg.registration.contacts.frame import Frame
 
 SILICONE = tr.Material(8.0, 0.45)
@@ -77,7 +77,7 @@ def held_where(body, inside):
     targets = {str(node): body.nodes[node] for node in inner}
     markers = seen(body, places)
     # The elements of the truth: what is in question here are the supports.
-    return places, [tr.register(body, markers, targets=targets, held=held, element="tet4") for held in HELD]
+    return places, [tr.register(tr.Body(body, held=held, element="tet4"), markers, targets=targets) for held in HELD]
 
 
 def coverage(result, places):
@@ -109,7 +109,10 @@ def test_supports_that_hold_at_two_corners_are_found_in_part(body):
 def test_a_tracker_that_drifts_is_distinguished_from_a_pull(body):
     places = body.nodes + pulled(body, np.flatnonzero(body.nodes[:, 2] == 0.0))
     drifted = turned(0.5, (0.6, -0.45, 0.2)).apply(places)
-    known, drifts = (tr.register(body, seen(body, drifted), frame=frame) for frame in ("known", "drifts"))
+    known, drifts = (
+        tr.register(body, seen(body, drifted), settings=tr.RegisterSettings(tracker=tracker))
+        for tracker in ("fixed", "drifts")
+    )
     assert error(drifts, drifted) < 0.15
     assert error(drifts, drifted) < 0.6 * error(known, drifted)
 
@@ -118,15 +121,15 @@ def test_a_body_softer_at_its_top_is_found_so(body):
     height = body.nodes[body.tets].mean(axis=1)[:, 2] / 24.0
     graded = tr.Material(8.0 * np.exp(2.0 - 4.0 * height), 0.45)
     places = body.nodes + pulled(body, np.flatnonzero(body.nodes[:, 2] == 0.0), graded.scaled(0.5))
-    uniform, found = (tr.register(body, seen(body, places), stiffness=kind) for kind in ("believed", "graded"))
+    uniform, found = (tr.register(tr.Body(body, stiffness=kind), seen(body, places)) for kind in ("believed", "graded"))
     assert error(found, places) < error(uniform, places)
 
 
-def test_words_for_frame_and_stiffness_are_checked(body):
+def test_words_for_tracker_and_stiffness_are_checked(body):
     markers = seen(body, body.nodes)
-    with pytest.raises(SupportError, match="one of known, drifts, got 'moves'"):
-        tr.register(body, markers, frame="moves")
+    with pytest.raises(ArgumentError, match="one of fixed, drifts, got 'moves'"):
+        tr.RegisterSettings(tracker="moves")
     with pytest.raises(MaterialError, match="one of believed, graded, got 'soft'"):
-        tr.register(body, markers, stiffness="soft")
+        tr.Body(body, stiffness="soft")
     with pytest.raises(MaterialError, match="a load or none"):
-        tr.register(body, markers, stiffness="graded", simulation=np.zeros_like(body.nodes))
+        tr.register(tr.Body(body, stiffness="graded"), markers, simulation=np.zeros_like(body.nodes))

@@ -55,7 +55,7 @@ def held_by_regions(result, mesh, truth):
 
 def test_points_alone_bring_the_body_there(block_mesh, leaned):
     points = cloud(block_mesh, leaned, 300, np.random.default_rng(1), 0.05)
-    result = tr.register(block_mesh, surface=points, surface_std=0.05, targets=INNER)
+    result = tr.register(block_mesh, surface=tr.SurfacePoints(points, 0.05), targets=INNER)
     assert off(result, leaned) < 0.15 * motion(leaned)
     assert held_by_regions(result, block_mesh, leaned)
     assert result.trust.ok, result.trust.reasons
@@ -68,7 +68,7 @@ def test_points_alone_bring_the_body_there(block_mesh, leaned):
 
 def test_half_of_the_surface_is_enough_with_wider_regions(block_mesh, leaned):
     points = cloud(block_mesh, leaned, 200, np.random.default_rng(2), 0.05, seen_from=(1.0, 0.6, 0.4))
-    result = tr.register(block_mesh, surface=points, surface_std=0.05, targets=INNER)
+    result = tr.register(block_mesh, surface=tr.SurfacePoints(points, 0.05), targets=INNER)
     assert off(result, leaned) < 0.3 * motion(leaned)
     assert held_by_regions(result, block_mesh, leaned)
 
@@ -79,7 +79,7 @@ def test_points_and_markers_together_are_no_worse_than_either(block_mesh, leaned
     measured = (block_mesh.nodes + leaned)[nodes] + 0.05 * rng.standard_normal((5, 3))
     markers = tr.Markers(block_mesh.nodes[nodes], measured, 0.05)
     points = cloud(block_mesh, leaned, 200, rng, 0.05)
-    both = tr.register(block_mesh, markers, surface=points, surface_std=0.05, targets=INNER)
+    both = tr.register(block_mesh, markers, surface=tr.SurfacePoints(points, 0.05), targets=INNER)
     few = tr.register(block_mesh, markers, targets=INNER)
     assert off(both, leaned) < max(0.1 * motion(leaned), off(few, leaned))
     assert len(both.markers.used) == 5
@@ -101,7 +101,7 @@ def test_points_of_something_else_do_not_bend_the_body_and_are_listed(block_mesh
     points = cloud(block_mesh, leaned, 300, rng, 0.05)
     wrong = rng.choice(300, 24, replace=False)
     points[wrong] += rng.normal(size=(24, 3)) + np.array([9.0, 4.0, 6.0])
-    result = tr.register(block_mesh, surface=points, surface_std=0.05)
+    result = tr.register(block_mesh, surface=tr.SurfacePoints(points, 0.05))
     assert off(result, leaned) < 0.2 * motion(leaned)
     listed = set(result.surface.outliers.tolist())
     assert len(listed & set(wrong.tolist())) >= 18  # some lie on another part of the surface by chance
@@ -112,7 +112,7 @@ def test_tangential_motion_is_not_determined_by_points_and_regions_show_it(block
     # The top slides over itself: points of the flat top alone determine its height, and nothing along it.
     rng = np.random.default_rng(5)
     top = np.column_stack([rng.uniform(6, 24, 120), rng.uniform(4, 16, 120), 40.0 + 0.05 * rng.standard_normal(120)])
-    result = tr.register(block_mesh, surface=top, surface_std=0.05, targets={"top": (15.0, 10.0, 39.0)})
+    result = tr.register(block_mesh, surface=tr.SurfacePoints(top, 0.05), targets={"top": (15.0, 10.0, 39.0)})
     covariance = result.target("top").covariance
     assert covariance[0, 0] > 2.0 * covariance[2, 2]
     assert covariance[1, 1] > 2.0 * covariance[2, 2]
@@ -126,7 +126,7 @@ def test_a_free_body_is_found_by_its_points(block_mesh, leaned):
     true = turn.apply(block_mesh.nodes + 0.3 * leaned)
     free = tr.Mesh(block_mesh.nodes, block_mesh.tets)
     points = turn.apply(cloud(block_mesh, 0.3 * leaned, 300, rng, 0.05))
-    result = tr.register(free, surface=points, surface_std=0.05)
+    result = tr.register(free, surface=tr.SurfacePoints(points, 0.05))
     # A block slides in its own skin by nothing, but its centre is not determined exactly.
     assert np.linalg.norm(result.mesh.nodes + result.displacement - true, axis=1).mean() < 0.5
 
@@ -138,20 +138,23 @@ def test_a_far_pull_is_followed(block_mesh):
     ).displacement
     assert np.linalg.norm(truth, axis=1).max() > 0.25 * block_mesh.extent
     points = cloud(block_mesh, truth, 300, np.random.default_rng(7), 0.1)
-    result = tr.register(block_mesh, surface=points, element="tet4")
+    result = tr.register(tr.Body(block_mesh, element="tet4"), surface=points)
     assert off(result, truth) < 0.15 * motion(truth)
 
 
 def test_the_same_seed_gives_the_same_bits_at_any_thread_count(block_mesh, leaned):
     points = cloud(block_mesh, leaned, 160, np.random.default_rng(1), 0.05)
-    one, two = (tr.register(block_mesh, surface=points, targets=INNER, threads=threads) for threads in (1, 2))
+    one, two = (
+        tr.register(block_mesh, surface=points, targets=INNER, settings=tr.RegisterSettings(threads=threads))
+        for threads in (1, 2)
+    )
     assert np.array_equal(one.displacement, two.displacement)
     assert np.array_equal(one.target("deep").covariance, two.target("deep").covariance)
 
 
 def test_more_than_five_hundred_points_are_thinned_and_work_is_bounded(block_mesh, leaned, tmp_path):
     points = cloud(block_mesh, leaned, 900, np.random.default_rng(8), 0.05)
-    result = tr.register(block_mesh, surface=points, surface_std=0.05, targets=INNER)
+    result = tr.register(block_mesh, surface=tr.SurfacePoints(points, 0.05), targets=INNER)
     assert (result.surface.points, result.surface.thinned_from) == (500, 900)
     # 150 and 500 points once, their projections in each further pass.
     assert result.work["right_hand_sides"] <= 650 + 60 * result.work["passes"]

@@ -148,12 +148,12 @@ def test_registrations_of_a_cluster_are_those_of_register(cluster, block_mesh):
     top = block_mesh.nodes[block_mesh.nodes[:, 2] == block_mesh.nodes[:, 2].max()][::4]
     measured = top + np.array([[[0.5, 0.0, 0.0]], [[np.nan] * 3], [[0.0, 0.4, 0.1]]])
     few = ContactSettings(n_chains=2, n_chains_first=2, max_passes=1, n_kept=1, powers=(1.0,), n_draws=2)
-    settings = tr.RegisterSettings(contacts=few)
+    settings = tr.RegisterSettings(threads=1, contacts=few)
     found = list(tr.register_many(block_mesh, (top, top), measured, executor=cluster, settings=settings))
     assert isinstance(found[1], Failed)
     assert isinstance(found[1].error, MarkerError)
     for number in (0, 2):
-        alone = tr.register(block_mesh, (top, measured[number]), settings=settings, threads=1)
+        alone = tr.register(block_mesh, (top, measured[number]), settings=settings)
         assert np.array_equal(found[number].displacement, alone.displacement)
         assert np.array_equal(found[number].node_covariance, alone.node_covariance)
 

@@ -53,7 +53,7 @@ def registered(mesh, calibration):
     reference = mesh.nodes[free]
     markers = tr.Markers(reference, reference + truth[free], 0.05)
     targets = {"t": mesh.nodes[target]}
-    return tr.register(mesh, markers, model=model, targets=targets, threads=1), target
+    return tr.register(mesh, markers, model=model, targets=targets, settings=tr.RegisterSettings(threads=1)), target
 
 
 def test_the_whole_field_is_that_of_the_points(mesh, calibration):
@@ -105,7 +105,9 @@ def phantom():
     reference = body.nodes[chosen]
     markers = tr.Markers(reference, reference + 1.5 * simulation[chosen], 0.05)
     targets = {"t": body.nodes[target]}
-    result = tr.register(body, markers, model=model, simulation=simulation, targets=targets, threads=1)
+    result = tr.register(
+        body, markers, model=model, simulation=simulation, targets=targets, settings=tr.RegisterSettings(threads=1)
+    )
     return simulation, result, target
 
 
@@ -160,7 +162,7 @@ def test_markers_of_another_body_are_a_reason(mesh, calibration):
     free = np.setdiff1d(np.unique(mesh.surface), mesh.fixed_nodes)[::2][:24]
     for off, trusted in ((0.0, True), (0.07 * mesh.extent, False)):
         places = mesh.nodes[free] + off * rng.uniform(-1.0, 1.0, (24, 3))
-        registrar = tr.Registrar(mesh, places, model, std=0.05)
+        registrar = tr.Registrar(mesh, tr.Markers(places, std=0.05), model)
         reasons = registrar.register(places + 0.05 * rng.standard_normal((24, 3))).trust.reasons
         kinds = [reason.split(":")[0] for reason in reasons]
         assert ("places" in kinds) is not trusted, reasons

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import tissuereg as tr
+from support import doors
 from support.pushes import MATERIAL, push
 from tissuereg.errors import ConvergenceError
 
@@ -12,7 +13,7 @@ LEFT_OUT = "the believed load was left out: "
 
 def registered(**options):
     options = {"material": MATERIAL, "element": "tet4", "threads": 1, **options}
-    return tr.register(push().mesh, push().markers(), **options)
+    return doors.registered(push().mesh, push().markers(), **options)
 
 
 def moved():

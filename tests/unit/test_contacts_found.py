@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import tissuereg as tr
+from support import doors
 from support.pushes import ELEMENT, MATERIAL, push
 from tissuereg.errors import ModelError
 from tissuereg.registration.contacts.tangent import forget_rest
@@ -20,7 +21,7 @@ def result():
 
 
 def registered(markers, **options):
-    return tr.register(push().mesh, markers, **{"material": MATERIAL, "element": ELEMENT, "threads": 1, **options})
+    return doors.registered(push().mesh, markers, **{"material": MATERIAL, "element": ELEMENT, "threads": 1, **options})
 
 
 def moved():

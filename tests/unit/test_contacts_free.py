@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import tissuereg as tr
+from support import doors
 from support.pushes import ELEMENT, MATERIAL, push
 from tissuereg.registration.contacts.frame import Frame
 from tissuereg.registration.contacts.spread import linear_fields
@@ -21,7 +22,7 @@ def registered(frame: Frame) -> tr.Registration:
     markers = push().markers()
     seen = tr.Markers(markers.reference, frame.apply(markers.measured), 0.03)
     options: dict[str, Any] = {"material": MATERIAL, "element": ELEMENT, "threads": 1, "targets": INNER}
-    return tr.register(tr.Mesh(push().mesh.nodes, push().mesh.tets), seen, **options)
+    return doors.registered(tr.Mesh(push().mesh.nodes, push().mesh.tets), seen, **options)
 
 
 @pytest.fixture(scope="module")

@@ -14,7 +14,7 @@ from tissuereg.registration.contacts.tangent import tangent_at
 @pytest.fixture(scope="module")
 def result():
     settings = tr.RegisterSettings(contacts=tr.RegisterSettings().contacts.__class__(n_draws=1500))
-    return tr.register(push().mesh, push().markers(), material=MATERIAL, settings=settings, threads=1)
+    return tr.register(tr.Body(push().mesh, material=MATERIAL), push().markers(), settings=replace(settings, threads=1))
 
 
 @pytest.fixture(scope="module")
@@ -145,7 +145,8 @@ def test_drawn_coefficients_have_the_mean_and_the_gain_of_the_moments(spread):
 @pytest.mark.parametrize("doubt", [{"held": "perhaps"}, {"stiffness": "graded"}])
 def test_what_was_sought_of_supports_or_stiffness_stays_uncertain_in_the_regions(doubt):
     target = {"deep": (40.0, 20.0, 9.0)}
-    found = tr.register(push().mesh, push().markers(), material=MATERIAL, threads=1, targets=target, **doubt)
+    body = tr.Body(push().mesh, MATERIAL, **doubt)
+    found = tr.register(body, push().markers(), targets=target, settings=tr.RegisterSettings(threads=1))
     draw = found.draw
     alone = Spread(draw.fit, draw.material, draw.spread._settings, 1)
     nodes = free_nodes(10)

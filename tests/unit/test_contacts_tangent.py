@@ -92,8 +92,8 @@ def test_what_is_remembered_is_limited():
 
 
 def test_the_second_call_on_a_mesh_factors_less_and_answers_alike():
-    options = {"material": MATERIAL, "element": "tet4", "threads": 1}
-    first, second = (tr.register(push().mesh, push().markers(), **options) for _ in range(2))
+    body, settings = tr.Body(push().mesh, MATERIAL, "tet4"), tr.RegisterSettings(threads=1)
+    first, second = (tr.register(body, push().markers(), settings=settings) for _ in range(2))
     assert second.work["factorisations"] == first.work["factorisations"] - 1
     assert second.work["right_hand_sides"] == first.work["right_hand_sides"] - 48
     assert np.array_equal(first.displacement, second.displacement)
@@ -133,7 +133,11 @@ def test_a_step_that_ends_otherwise_than_predicted_is_linearised_anew(monkeypatc
     def fit(margin):
         forget_rest()
         monkeypatch.setattr("tissuereg.registration.contacts.fit._AS_PREDICTED", margin)
-        return tr.register(push().mesh, push().markers(), material=MATERIAL, element="tet4", threads=1)
+        return tr.register(
+            tr.Body(push().mesh, material=MATERIAL, element="tet4"),
+            push().markers(),
+            settings=tr.RegisterSettings(threads=1),
+        )
 
     kept, anew = fit(100.0), fit(-100.0)
     assert anew.work["factorisations"] == kept.work["factorisations"] + 1

@@ -9,6 +9,7 @@ import pytest
 from scipy.stats import chi2, norm
 
 import tissuereg as tr
+from support import doors
 from support.pushes import ELEMENT, MATERIAL, push
 from tissuereg.body.observe import MarkerObservation
 from tissuereg.registration.contacts.answer import Answer, _chance
@@ -19,7 +20,7 @@ COVARIANCE = np.array([[1.0, 0.6, -0.3], [0.6, 2.0, 0.5], [-0.3, 0.5, 0.7]])
 
 def registered(markers: tr.Markers, **options: Any) -> tr.Registration:
     options = {"material": MATERIAL, "element": ELEMENT, "threads": 1, **options}
-    return tr.register(push().mesh, markers, **options)
+    return doors.registered(push().mesh, markers, **options)
 
 
 @pytest.fixture(scope="module")

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import tissuereg as tr
+from support import doors
 from support.meshes import block
 from tissuereg.baselines import LinearElastic, Setting
 from tissuereg.body.observe import TargetObservation
@@ -43,7 +44,7 @@ def torn(places, seed=0):
 def registered(mesh, places, measured, **how):
     given = {"std": 0.1, "material": MATERIAL, "threads": 1, "targets": {"t": TARGET}, **how}
     std = given.pop("std")
-    return tr.register(mesh, tr.Markers(places, measured, std), **given)
+    return doors.registered(mesh, tr.Markers(places, measured, std), **given)
 
 
 def linear_elastic(mesh, places, measured, simulation=None, std=0.1):
@@ -64,7 +65,9 @@ def test_it_is_linear_elasticity_about_the_simulation(mesh, places, moved):
 
 
 def test_without_a_simulation_it_is_about_rest_and_takes_the_noise_of_the_moment(mesh, places):
-    registrar = tr.Registrar(mesh, places, std=0.1, material=MATERIAL, threads=1)
+    registrar = tr.Registrar(
+        tr.Body(mesh, material=MATERIAL), tr.Markers(places, std=0.1), settings=tr.RegisterSettings(threads=1)
+    )
     found = registrar.register(tr.Markers(places, torn(places), 2.0, registrar.markers.names))
     other = registrar.register(torn(places))
     for result, std in ((found, 2.0), (other, 0.1)):
@@ -83,7 +86,9 @@ def test_a_result_that_can_be_trusted_has_none_and_costs_nothing(mesh, places, m
         init(self, *given, **named)
 
     monkeypatch.setattr(fallbacks.ElasticBody, "__init__", counted)
-    registrar = tr.Registrar(mesh, places, std=0.1, material=MATERIAL, threads=1)
+    registrar = tr.Registrar(
+        tr.Body(mesh, material=MATERIAL), tr.Markers(places, std=0.1), settings=tr.RegisterSettings(threads=1)
+    )
     good = registrar.register(places + 0.05 * np.random.default_rng(3).standard_normal(places.shape))
     assert good.trust.ok
     assert good.fallback is None
@@ -126,12 +131,12 @@ def test_a_large_body_has_none(mesh, places, monkeypatch):
 
 
 def test_it_is_in_the_json_and_comes_with_many_moments(mesh, places, moved, tmp_path):
-    how = {"material": MATERIAL, "threads": 1, "targets": {"t": TARGET}, "simulation": moved}
+    how = {"settings": tr.RegisterSettings(threads=1), "targets": {"t": TARGET}, "simulation": moved}
     alone = registered(mesh, places, torn(places), simulation=moved)
     said = alone.to_json()["fallback"]
     assert said["method"] == "linear elastic"
     np.testing.assert_array_equal(said["targets_mm"]["t"], alone.fallback.targets["t"])
-    (many,) = tr.register_many(mesh, [tr.Markers(places, torn(places), 0.1)], **how)
+    (many,) = tr.register_many(tr.Body(mesh, MATERIAL), [tr.Markers(places, torn(places), 0.1)], **how)
     np.testing.assert_array_equal(many.fallback.displacement, alone.fallback.displacement)
     (line,) = [line for line in summary(alone.to_json(), "out").splitlines() if "linear elasticity" in line]
     place = ", ".join(f"{x:.2f}" for x in said["targets_mm"]["t"])

@@ -14,7 +14,7 @@ from tissuereg.simulation.behaviour import (
     Springs,
     Swelling,
 )
-from tissuereg.simulation.frames import Pad, solve_frames
+from tissuereg.simulation.frames import Acting, FrameSettings, Pad, Similar, solve_frames
 
 SOFT = tr.Material(young=8.0, poisson=0.4)
 WEIGHT = np.array([0.0, 0.0, -9.81e-3])
@@ -50,7 +50,7 @@ def push(mesh, *z):
 
 def test_an_elastic_body_has_the_answer_of_a_single_solve_in_every_frame():
     mesh = block()
-    found = solve_frames(mesh, SOFT, [0, 1, 2], pads=[push(mesh, 0.0, -2.0, -5.0)])
+    found = solve_frames(mesh, SOFT, [0, 1, 2], Acting(pads=[push(mesh, 0.0, -2.0, -5.0)]))
     held = np.concatenate([mesh.fixed_nodes, mesh.node_sets["top"]])
     prescribed = np.zeros((len(held), 3))
     prescribed[len(mesh.fixed_nodes) :, 2] = -5.0
@@ -69,7 +69,9 @@ def test_a_held_pad_relaxes_as_its_series_says(element):
     times = np.array([0.0, 0.5, 4.0, 60.0])
     behaviour = Behaviour(relaxation=Relaxation([0.3, 0.2], [1.0, 5.0]))
     pad = push(mesh, *[-3.0] * 4)
-    found = solve_frames(mesh, SOFT, times, pads=[pad], behaviour=behaviour, element=element)
+    found = solve_frames(
+        mesh, SOFT, times, Acting(pads=[pad]), behaviour=behaviour, settings=FrameSettings(element=element)
+    )
     left = 0.5 + 0.3 * np.exp(-times / 1.0) + 0.2 * np.exp(-times / 5.0)
     force = found.pad_forces["top"][:, 2]
     np.testing.assert_allclose(force / force[0], left, rtol=1e-6)
@@ -78,7 +80,7 @@ def test_a_held_pad_relaxes_as_its_series_says(element):
 def test_a_pad_that_leaves_frees_its_nodes():
     mesh = block()
     pad = Pad("top", mesh.node_sets["top"], [[np.nan] * 3, [1.0, 0, -4.0], [np.nan] * 3])
-    found = solve_frames(mesh, SOFT, [0, 1, 2], pads=[pad], weight=WEIGHT)
+    found = solve_frames(mesh, SOFT, [0, 1, 2], Acting(pads=[pad], weight=WEIGHT))
     assert np.isnan(found.pad_forces["top"][[0, 2]]).all()
     np.testing.assert_allclose(found.displacement[2], found.displacement[0], atol=1e-6)
     moved = found.displacement[1] - found.displacement[0]
@@ -88,7 +90,7 @@ def test_a_pad_that_leaves_frees_its_nodes():
 def test_every_behaviour_reaches_the_solver():
     mesh = block(2)
     pad = push(mesh, 0.0, -4.0, -1.0)
-    elastic = solve_frames(mesh, SOFT, [0, 1, 2], pads=[pad]).pad_forces["top"][:, 2]
+    elastic = solve_frames(mesh, SOFT, [0, 1, 2], Acting(pads=[pad])).pad_forces["top"][:, 2]
     for behaviour in (
         Behaviour(relaxation=Relaxation([0.4], [1.0], part="isochoric")),
         Behaviour(rate=Rate(2.0)),
@@ -97,14 +99,16 @@ def test_every_behaviour_reaches_the_solver():
         Behaviour(drainage=Drainage(0.5, 1.0)),
         Behaviour(swelling=Swelling(0.1, 0.0, 2.0)),
     ):
-        force = solve_frames(mesh, SOFT, [0, 1, 2], pads=[pad], behaviour=behaviour).pad_forces["top"][:, 2]
+        force = solve_frames(mesh, SOFT, [0, 1, 2], Acting(pads=[pad]), behaviour=behaviour).pad_forces["top"][:, 2]
         assert abs(force[2] - elastic[2]) > 0.01 * abs(elastic[2]), behaviour
 
 
 def test_a_body_on_springs_sinks_by_weight_over_stiffness():
     mesh = block(2)
     bed = Springs(facets(mesh, mesh.nodes[:, 2] < 1e-9), 0.3, 0.1)
-    found = solve_frames(mesh, tr.Material(young=1e3, poisson=0.3), [0.0], springs=[bed], held_nodes=[], weight=WEIGHT)
+    found = solve_frames(
+        mesh, tr.Material(young=1e3, poisson=0.3), [0.0], Acting(springs=[bed], held_nodes=[], weight=WEIGHT)
+    )
     np.testing.assert_allclose(found.spring_forces[0, 0], -WEIGHT * 27000.0, atol=1e-5)
     sunk = found.displacement[0][mesh.node_sets["fixed"], 2]
     np.testing.assert_allclose(sunk, WEIGHT[2] * 30.0 / 0.3, rtol=2e-2)
@@ -115,19 +119,23 @@ def test_a_mesh_given_under_its_weight_stays_where_it_is(element):
     mesh = block()
     weight = -2 * WEIGHT
     found = solve_frames(
-        mesh, SOFT, [0, 1], pads=[push(mesh, 0.0, 2.0)], weight=weight, in_reference=True, element=element
+        mesh,
+        SOFT,
+        [0, 1],
+        Acting(pads=[push(mesh, 0.0, 2.0)], weight=weight, in_reference=True),
+        settings=FrameSettings(element=element),
     )
     assert np.abs(found.displacement[0]).max() < 1.01e-6
     assert np.abs(found.rest_nodes - mesh.nodes).max() > 0.5
     np.testing.assert_allclose(found.displacement[1][mesh.node_sets["top"], 2], 2.0, atol=1e-5)
     hung = tr.Mesh(found.rest_nodes, mesh.tets, mesh.node_sets)
-    again = solve_frames(hung, SOFT, [0], weight=weight, element=element)
+    again = solve_frames(hung, SOFT, [0], Acting(weight=weight), settings=FrameSettings(element=element))
     np.testing.assert_allclose(found.rest_nodes + again.displacement[0], mesh.nodes, atol=2e-6)
 
 
 def test_a_frame_without_equilibrium_is_a_row_of_nan_and_the_history_goes_on():
     mesh = block(2)
-    found = solve_frames(mesh, SOFT, [0, 1, 2], pads=[push(mesh, -1.0, -40.0, -2.0)])
+    found = solve_frames(mesh, SOFT, [0, 1, 2], Acting(pads=[push(mesh, -1.0, -40.0, -2.0)]))
     assert [frame for frame, _ in found.failed] == [1]
     assert "no equilibrium" in found.failed[0][1]
     assert np.isnan(found.displacement[1]).all()
@@ -145,15 +153,15 @@ def test_what_does_not_fit_is_named():
     mesh = block(2)
     pad = push(mesh, -1.0, -2.0)
     with pytest.raises(tr.errors.ShapeError, match="motion of pad 'top'"):
-        solve_frames(mesh, SOFT, [0, 1, 2], pads=[pad])
+        solve_frames(mesh, SOFT, [0, 1, 2], Acting(pads=[pad]))
     with pytest.raises(tr.errors.LoadError, match="different names"):
-        solve_frames(mesh, SOFT, [0, 1], pads=[pad, pad])
+        solve_frames(mesh, SOFT, [0, 1], Acting(pads=[pad, pad]))
     with pytest.raises(tr.errors.LoadError, match="all axes or none, not so in frame 1"):
-        solve_frames(mesh, SOFT, [0, 1], pads=[Pad("p", [26], [[0, 0, 0], [np.nan, 0, 0]])])
+        solve_frames(mesh, SOFT, [0, 1], Acting(pads=[Pad("p", [26], [[0, 0, 0], [np.nan, 0, 0]])]))
     with pytest.raises(tr.errors.LoadError, match="one load per frame, got 1 for 2"):
-        solve_frames(mesh, SOFT, [0, 1], loads=[tr.Load()])
+        solve_frames(mesh, SOFT, [0, 1], Acting(loads=[tr.Load()]))
     with pytest.raises(tr.errors.LoadError, match="only where `weight` is given"):
-        solve_frames(mesh, SOFT, [0], in_reference=True)
+        solve_frames(mesh, SOFT, [0], Acting(in_reference=True))
     with pytest.raises(tr.errors.LoadError, match="must not run backwards"):
         solve_frames(mesh, SOFT, [1, 0])
     with pytest.raises(tr.errors.MaterialError, match=r"`relaxation\.g` must be"):
@@ -161,11 +169,11 @@ def test_what_does_not_fit_is_named():
     with pytest.raises(tr.errors.TissueRegError, match="`part` must be"):
         solve_frames(mesh, SOFT, [0], behaviour=Behaviour(relaxation=Relaxation([0.5], [1.0], part="half")))
     with pytest.raises(tr.errors.SupportError, match="translation x"):
-        solve_frames(mesh, SOFT, [0], held_nodes=[])
+        solve_frames(mesh, SOFT, [0], Acting(held_nodes=[]))
     with pytest.raises(tr.errors.ConvergenceError, match="no unloaded shape"):
-        solve_frames(mesh, SOFT, [0], weight=[0, 0, -5.0], in_reference=True)
+        solve_frames(mesh, SOFT, [0], Acting(weight=[0, 0, -5.0], in_reference=True))
     with pytest.raises(tr.errors.ConvergenceError, match="some frame must find equilibrium"):
-        solve_frames(mesh, SOFT, [0], pads=[push(mesh, -40.0)])
+        solve_frames(mesh, SOFT, [0], Acting(pads=[push(mesh, -40.0)]))
 
 
 def test_a_similar_body_and_a_kept_rig_change_nothing_but_the_work():
@@ -173,9 +181,9 @@ def test_a_similar_body_and_a_kept_rig_change_nothing_but_the_work():
     pads = [push(mesh, 0.0, -2.0, -4.0, -4.0, -4.0, -2.0)]
     rigs = {}
 
-    def solved(share, **more):
+    def solved(share, **left):
         behaviour = Behaviour(relaxation=Relaxation(g=[share], tau_s=[2.0]))
-        return solve_frames(mesh, SOFT, times, pads=pads, behaviour=behaviour, **more)
+        return solve_frames(mesh, SOFT, times, Acting(pads=pads), behaviour=behaviour, similar=Similar(**left))
 
     def work(frames):
         return sum(report["iterations"] for report in frames.reports)
@@ -194,8 +202,10 @@ def test_a_similar_body_and_a_kept_rig_change_nothing_but_the_work():
     unknown[2:4] = np.nan
     np.testing.assert_allclose(solved(0.32, near=unknown).displacement, plain.displacement, atol=1e-7)
     # The modulus is not remembered.
-    stiff = solve_frames(mesh, tr.Material(young=16.0, poisson=0.4), times, pads=pads, rigs=rigs)
-    soft = solve_frames(mesh, SOFT, times, pads=pads, rigs=rigs)
+    stiff = solve_frames(
+        mesh, tr.Material(young=16.0, poisson=0.4), times, Acting(pads=pads), similar=Similar(rigs=rigs)
+    )
+    soft = solve_frames(mesh, SOFT, times, Acting(pads=pads), similar=Similar(rigs=rigs))
     np.testing.assert_allclose(stiff.pad_forces["top"], 2.0 * soft.pad_forces["top"], rtol=1e-9, atol=1e-9)
 
 
@@ -203,12 +213,18 @@ def test_a_rig_is_kept_for_its_own_mesh_alone():
     rigs = {}
     for size in (30.0, 33.0):
         mesh = block(size=size)
-        found = solve_frames(mesh, SOFT, [0, 1], pads=[push(mesh, 0.0, -2.0)], rigs=rigs)
-        new = solve_frames(mesh, SOFT, [0, 1], pads=[push(mesh, 0.0, -2.0)])
+        found = solve_frames(mesh, SOFT, [0, 1], Acting(pads=[push(mesh, 0.0, -2.0)]), similar=Similar(rigs=rigs))
+        new = solve_frames(mesh, SOFT, [0, 1], Acting(pads=[push(mesh, 0.0, -2.0)]))
         np.testing.assert_array_equal(found.displacement, new.displacement)
 
 
 def test_a_similar_body_has_as_many_frames_and_nodes():
     mesh = block()
     with pytest.raises(tr.errors.ShapeError, match="near"):
-        solve_frames(mesh, SOFT, [0, 1], pads=[push(mesh, 0.0, -2.0)], near=np.zeros((1, mesh.n_nodes, 3)))
+        solve_frames(
+            mesh,
+            SOFT,
+            [0, 1],
+            Acting(pads=[push(mesh, 0.0, -2.0)]),
+            similar=Similar(near=np.zeros((1, mesh.n_nodes, 3))),
+        )

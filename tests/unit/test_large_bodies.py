@@ -113,7 +113,12 @@ def test_every_simulator_refuses_where_one_factor_does_not_fit(monkeypatch, bloc
 @pytest.mark.usefixtures("afresh")
 def test_the_size_is_told_after_the_analysis_and_before_any_factor(block_mesh, moved):
     said = []
-    tr.register(block_mesh, moved, threads=1, tell=lambda *words: said.append(words))
+    tr.register(
+        block_mesh,
+        moved,
+        progress=lambda one: said.append((one.kind, one.words)),
+        settings=tr.RegisterSettings(threads=1),
+    )
     kinds = [words if kind == "stage" else kind for kind, words in said]
     assert kinds.index("body") < kinds.index("size") < kinds.index("linearise") < kinds.index("sample")
     assert kinds.count("size") == 1
@@ -128,7 +133,12 @@ def test_a_registration_that_does_not_fit_is_refused_before_anything_is_factored
     monkeypatch.setenv(_machine.LIMIT, "0.001")
     said = []
     with pytest.raises(LargeBodyError, match=_machine.LIMIT):
-        tr.register(block_mesh, moved, threads=1, tell=lambda *words: said.append(words))
+        tr.register(
+            block_mesh,
+            moved,
+            progress=lambda one: said.append((one.kind, one.words)),
+            settings=tr.RegisterSettings(threads=1),
+        )
     assert ("stage", "linearise") not in said
 
 
@@ -174,13 +184,13 @@ def test_a_second_way_of_many_right_hand_sides_has_the_same_bits(monkeypatch, bl
 
 @pytest.mark.usefixtures("afresh")
 def test_a_large_tangent_at_rest_is_not_kept_and_answers_are_the_same(monkeypatch, block_mesh, moved):
-    first = tr.register(block_mesh, moved, threads=1)
-    again = tr.register(block_mesh, moved, threads=1)
+    first = tr.register(block_mesh, moved, settings=tr.RegisterSettings(threads=1))
+    again = tr.register(block_mesh, moved, settings=tr.RegisterSettings(threads=1))
     assert again.work["factorisations"] == first.work["factorisations"] - 1
     forget_rest()
     monkeypatch.setattr(tangent, "MOST_KEPT_ENTRIES", 0)
     for _ in range(2):
-        large = tr.register(block_mesh, moved, threads=1)
+        large = tr.register(block_mesh, moved, settings=tr.RegisterSettings(threads=1))
         assert large.work["factorisations"] == first.work["factorisations"]
         np.testing.assert_array_equal(large.displacement, first.displacement)
 
@@ -201,7 +211,7 @@ def test_passes_hold_no_more_factors_than_the_estimate_says(monkeypatch, block_m
     monkeypatch.setattr(fit.Passes, "_ended", lambda *_: False)
     settings = tr.RegisterSettings()
     settings = replace(settings, contacts=replace(settings.contacts, max_passes=5))
-    tr.register(block_mesh, moved, threads=1, settings=settings)
+    tr.register(block_mesh, moved, settings=replace(settings, threads=1))
     assert len(alive) >= 5
     assert max(alive) <= expected_work(60, 3, 64, matched=False).factors_held
 

@@ -8,7 +8,7 @@ import pytest
 import tissuereg as tr
 from tissuereg import _core
 from tissuereg.errors import LockingWarning
-from tissuereg.simulation.frames import Pad, solve_frames
+from tissuereg.simulation.frames import Acting, FrameSettings, Pad, solve_frames
 
 PULL = np.array([0.0, 0.0, 20.0])
 
@@ -38,7 +38,7 @@ def many(mesh, element, poisson):
 def frames(mesh, element, poisson):
     top = np.flatnonzero(mesh.nodes[:, 2] > mesh.nodes[:, 2].max() - 1e-6)
     push = Pad("top", top, [[0.0, 0.0, -0.1], [0.0, 0.0, -0.2]])
-    solve_frames(mesh, soft(poisson), [0.0, 1.0], pads=[push], element=element)
+    solve_frames(mesh, soft(poisson), [0.0, 1.0], Acting(pads=[push]), settings=FrameSettings(element=element))
 
 
 def core(mesh, element, poisson):

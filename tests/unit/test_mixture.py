@@ -257,8 +257,7 @@ def test_regions_of_heavy_tailed_events_hold_their_share_of_targets(calibrated):
             tr.Markers(reference, reference + field[near] + 0.05 * rng.standard_normal((8, 3)), std=0.05),
             model=model,
             targets={"t": mesh.nodes[target]},
-            settings=tr.RegisterSettings(n_members=40, n_steps=2),
-            threads=1,
+            settings=tr.RegisterSettings(threads=1, smoother=tr.SmootherSettings(n_members=40, n_steps=2)),
         )
         found = result.target("t")
         off = found.mean - mesh.nodes[target] - field[target]

@@ -270,7 +270,12 @@ def test_without_a_simulation_the_registrar_is_given_none(rig, mesh):
     believed = Believed(rig, mesh, 1)
     markers, simulation = measured(rig, PLAIN, 0)[11], believed.simulation_mm("motion")[11]
     found = NetworkAlone(believed.setting(PLAIN, model, None, 0)).register(markers, simulation)
-    registrar = tr.Registrar(mesh, rig.reference_mm, model, std=0.1, material=contests.BELIEVED, threads=1)
+    registrar = tr.Registrar(
+        tr.Body(mesh, material=contests.BELIEVED),
+        tr.Markers(rig.reference_mm, std=0.1),
+        model,
+        settings=tr.RegisterSettings(threads=1),
+    )
     np.testing.assert_array_equal(found.displacement_mm, registrar.register(markers).displacement)
 
 

@@ -1,5 +1,7 @@
 """A registrar: what does not change is made once, and every registration is that of `register`."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -24,7 +26,7 @@ def simulation(event):
 
 
 def settings(**changed):
-    return tr.RegisterSettings(**{"n_members": 100, **changed})
+    return tr.RegisterSettings(smoother=tr.SmootherSettings(**{"n_members": 100, **changed}))
 
 
 def said(result):
@@ -73,9 +75,9 @@ def test_every_registration_is_that_of_register_bit_for_bit(event, simulation, u
 
 def test_threads_change_no_bit(event, simulation):
     found = [
-        tr.Registrar(event.mesh, event.markers, "phantom", TARGETS, settings=settings(), threads=threads).register(
-            event.markers.measured, simulation
-        )
+        tr.Registrar(
+            event.mesh, event.markers, "phantom", TARGETS, settings=replace(settings(), threads=threads)
+        ).register(event.markers.measured, simulation)
         for threads in (1, 3)
     ]
     assert said(found[0]) == said(found[1])
@@ -141,11 +143,11 @@ def test_the_model_is_read_and_cut_once_for_the_same_places(event, monkeypatch):
     monkeypatch.setattr(NetworkModel, "__init__", lambda self, *a, **k: read.append(1) or plain_read(self, *a, **k))
     monkeypatch.setattr(PointModel, "__init__", lambda self, *a, **k: cut.append(1) or plain_cut(self, *a, **k))
     # A number of threads that no other test uses: a model that is kept is not read again.
-    registrar = tr.Registrar(event.mesh, event.markers, "phantom", settings=settings(), threads=5)
+    registrar = tr.Registrar(event.mesh, event.markers, "phantom", settings=replace(settings(), threads=5))
     for _ in range(3):
         registrar.register(event.markers.measured)
     assert (read, cut) == ([1], [1])
-    tr.register(event.mesh, event.markers, model="phantom", settings=settings(), threads=5)
+    tr.register(event.mesh, event.markers, model="phantom", settings=replace(settings(), threads=5))
     assert read == [1]
 
 
@@ -167,7 +169,7 @@ def test_markers_are_examined_at_first_and_where_the_answer_is_in_doubt(event, s
     # The first is not plausible, so the second is examined as well; the third is not; the last is in doubt.
     assert counts == [1, 2, 2, 3]
     assert found[3].reasons == found[0].reasons
-    always = tr.Registrar(event.mesh, event.markers, "phantom", settings=settings(), readings="always")
+    always = tr.Registrar(event.mesh, event.markers, "phantom", settings=replace(settings(), readings="always"))
     for measured in moments[1:3]:
         always.register(measured, simulation)
     assert len(examined) == 5
@@ -201,7 +203,7 @@ def test_without_a_model_a_registrar_gives_the_registrations_by_contacts(block_m
     places = places[places[:, 2] > 20.0][:4]
     measured = places + np.array([0.4, 0.1, 0.0])
     how = {"settings": tr.RegisterSettings(contacts=few), "seed": 2}
-    registrar = tr.Registrar(block_mesh, places, std=0.2, **how)
+    registrar = tr.Registrar(block_mesh, tr.Markers(places, std=0.2), **how)
     alone = tr.register(block_mesh, tr.Markers(places, measured, 0.2), **how)
     for _ in range(2):
         assert said(registrar.register(measured)) == said(alone)
@@ -217,7 +219,7 @@ def test_what_does_not_fit_is_refused_by_name(event):
     with pytest.raises(ModelError, match="no-model"):
         tr.Registrar(event.mesh, event.markers.reference, "no-model")
     with pytest.raises(ArgumentError, match="element"):
-        tr.Registrar(event.mesh, event.markers.reference, element="tet5")
+        tr.Registrar(tr.Body(event.mesh, element="tet5"), event.markers.reference)
     registrar = tr.Registrar(event.mesh, event.markers.reference, "phantom")
     with pytest.raises(ShapeError, match="measured_mm"):
         registrar.register(event.markers.measured[:3])

@@ -18,7 +18,7 @@ PLACES = np.array([[30.0, 10.0, 40.0], [0.0, 10.0, 40.0], [15.0, 0.0, 30.0]])
 MEASURED = PLACES + np.array([[[0.5, 0.0, 0.0]], [[0.0, 0.4, 0.1]], [[np.nan] * 3], [[-0.3, 0.2, 0.0]]])
 
 FEW = ContactSettings(n_chains=2, n_chains_first=2, max_passes=1, n_kept=1, powers=(1.0,), n_draws=2)
-OPTIONS = {"targets": {"deep": (15.0, 10.0, 20.0)}, "settings": tr.RegisterSettings(contacts=FEW), "seed": 3}
+OPTIONS = {"targets": {"deep": (15.0, 10.0, 20.0)}, "settings": tr.RegisterSettings(threads=1, contacts=FEW), "seed": 3}
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +35,7 @@ def markers():
 def singly(body, markers):
     """The registrations one by one; None where there is none."""
     moments = [tr.Markers(PLACES, one, 0.2, markers.names) for one in MEASURED]
-    return [None if np.isnan(one.measured).all() else tr.register(body, one, threads=1, **OPTIONS) for one in moments]
+    return [None if np.isnan(one.measured).all() else tr.register(body, one, **OPTIONS) for one in moments]
 
 
 def bits(result):
@@ -68,7 +68,7 @@ def test_moments_may_have_markers_of_their_own_and_are_taken_as_they_are_needed(
             taken.append(number)
             yield tr.Markers(PLACES, MEASURED[number], 0.2, ["a", "b", "c"])
 
-    run = tr.register_many(body, moments(), threads=1, **OPTIONS)
+    run = tr.register_many(body, moments(), **OPTIONS)
     assert bits(next(run)) == bits(singly[0])
     assert taken == [0]
     assert [bits(one) for one in run] == [bits(singly[1]), bits(singly[3])]
@@ -96,7 +96,7 @@ def test_what_is_wrong_for_all_moments_is_raised_and_what_cannot_be_sent_named(b
     with pytest.raises(ArgumentError, match="many moments"):
         tr.register_many(body, markers)
     with pytest.raises(ArgumentError, match="element"):
-        list(tr.register_many(body, markers, MEASURED, element="tet5"))
+        list(tr.register_many(tr.Body(body, element="tet5"), markers, MEASURED))
     with pytest.raises(ModelError, match="no-model"):
         list(tr.register_many(body, markers, MEASURED, model="no-model"))
     with pytest.raises(ArgumentError, match="by its folder"):

@@ -133,7 +133,7 @@ def test_many_points_are_thinned_evenly_and_their_rows_are_known():
     [
         ([[0, 0, 0], [1, 1, 1]], 0.1, r"at least 3 points, got 2"),
         ([[0, 0, np.inf], [1, 1, 1], [2, 2, 2]], 0.1, r"must be finite"),
-        (np.zeros((4, 3)), 0.0, r"`surface_std` must be positive"),
+        (np.zeros((4, 3)), 0.0, r"`std` must be positive"),
     ],
 )
 def test_bad_points_are_refused(points, std, message):

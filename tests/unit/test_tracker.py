@@ -45,9 +45,13 @@ def truth(share):
 
 
 @cache
-def registrar(**changed):
-    how = {"threads": 1, "std": STD, "settings": tr.RegisterSettings(n_members=60), **changed}
-    return tr.Registrar(MESH, PLACES, prior(), TARGETS, **how)
+def registrar():
+    settings = tr.RegisterSettings(threads=1, smoother=tr.SmootherSettings(n_members=60))
+    return tr.Registrar(MESH, tr.Markers(PLACES, std=STD), prior(), TARGETS, settings=settings)
+
+
+def contact_registrar():
+    return tr.Registrar(tr.Body(MESH, BELIEVED), tr.Markers(PLACES, std=STD), None, TARGETS, settings=quick_contacts())
 
 
 def measured(share, rng):
@@ -66,7 +70,7 @@ def square_error(result, share):
 
 def quick_contacts():
     few = ContactSettings(n_chains=4, n_chains_first=4, n_kept=2, powers=(0.1, 1.0, 1.0), n_draws=4)
-    return tr.RegisterSettings(contacts=few)
+    return tr.RegisterSettings(threads=1, contacts=few)
 
 
 def said(result):
@@ -158,7 +162,9 @@ def test_a_fitted_prior_is_made_once_for_all_frames_and_markers(monkeypatch):
     plain = fitted.random_changes
     monkeypatch.setattr(fitted, "random_changes", lambda *a, **k: made.append(1) or plain(*a, **k))
     model = fitted_prior(MESH, BELIEVED, largest_mm=3.0, n_events=20, n_latent=6, threads=1)
-    tracker = tr.Tracker(MESH, PLACES, model, TARGETS, simulator=physics(), threads=1)
+    tracker = tr.Tracker(
+        tr.Registrar(MESH, PLACES, model, TARGETS, settings=tr.RegisterSettings(threads=1)), simulator=physics()
+    )
     rng = np.random.default_rng(5)
     for k, share in enumerate((0.2, 0.5, 0.8, 1.0)):
         seen = measured(share, rng)
@@ -224,8 +230,8 @@ def test_an_actuator_without_a_simulator_and_options_beside_a_registrar_are_refu
     seen = measured(1.0, np.random.default_rng(10))
     with pytest.raises(ArgumentError, match="simulator"):
         tr.Tracker(registrar()).step(seen, 0.0, actuator=1.0)
-    with pytest.raises(ArgumentError, match="`std` must be left out"):
-        tr.Tracker(registrar(), std=0.3)
+    with pytest.raises(ArgumentError, match="`targets` must be left out"):
+        tr.Tracker(registrar(), targets=TARGETS)
     with pytest.raises(ArgumentError, match="restart"):
         tr.Tracker(registrar(), restart="never")
     with pytest.raises(MarkerError, match="reference_mm"):
@@ -309,8 +315,7 @@ def test_a_replay_goes_on_after_a_frame_that_cannot_be_registered_if_it_is_told_
 
 
 def test_chains_that_go_on_do_not_repeat_their_random_numbers():
-    how = {"threads": 1, "settings": quick_contacts(), "std": STD, "material": BELIEVED}
-    alone = tr.Registrar(MESH, PLACES, None, TARGETS, **how)
+    alone = contact_registrar()
     seen, places = measured(1.0, np.random.default_rng(16)), []
     for _ in range(2):
         result, path = None, []
@@ -325,9 +330,8 @@ def test_chains_that_go_on_do_not_repeat_their_random_numbers():
 
 def test_contacts_go_on_from_the_last_frame_with_less_work():
     rng = np.random.default_rng(14)
-    how = {"threads": 1, "settings": quick_contacts(), "std": STD, "material": BELIEVED}
-    tracker = tr.Tracker(MESH, PLACES, None, TARGETS, temporal=False, **how)
-    alone = tr.Registrar(MESH, PLACES, None, TARGETS, **how)
+    alone = contact_registrar()
+    tracker = tr.Tracker(contact_registrar(), temporal=False)
     work = {"tracked": [], "alone": []}
     errors = {"tracked": [], "alone": []}
     for k, share in enumerate((0.8, 0.85, 0.9, 0.95, 1.0, 1.0)):
@@ -344,9 +348,9 @@ def test_contacts_go_on_from_the_last_frame_with_less_work():
 
 def test_contacts_are_carried_on_in_place_of_the_registered_shape():
     rng = np.random.default_rng(16)
-    how = {"threads": 1, "settings": quick_contacts(), "std": STD, "material": BELIEVED}
+    alone = contact_registrar()
     solver = physics()
-    tracker = tr.Tracker(MESH, PLACES, None, TARGETS, simulator=solver, **how)
+    tracker = tr.Tracker(alone, simulator=solver)
     for k, share in enumerate((0.8, 1.0)):
         result = tracker.step(measured(share, rng), FRAME_S * k, actuator=share)
         # The simulation alone, to the solver's tolerance; the contacts explain what it lacks.
@@ -357,10 +361,10 @@ def test_contacts_are_carried_on_in_place_of_the_registered_shape():
 
 def test_contacts_of_a_frame_are_of_no_use_after_a_jump_and_all_places_are_searched():
     rng = np.random.default_rng(15)
-    how = {"threads": 1, "settings": quick_contacts(), "std": STD, "material": BELIEVED}
-    tracker = tr.Tracker(MESH, PLACES, None, TARGETS, temporal=False, **how)
+    alone = contact_registrar()
+    tracker = tr.Tracker(contact_registrar(), temporal=False)
     tracker.step(measured(0.1, rng), 0.0)
     seen = measured(1.0, rng)
     result = tracker.step(seen, FRAME_S)
-    alone = tr.Registrar(MESH, PLACES, None, TARGETS, **how).register(seen)
+    alone = alone.register(seen)
     assert result.markers.after_rms_mm < 2.0 * alone.markers.after_rms_mm

@@ -1,5 +1,7 @@
 """The answer to "can I trust this?" under known misfits."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy.stats import chi2
@@ -95,6 +97,16 @@ def test_one_marker_alone_is_not_trusted_unless_points_are_there():
     assert judge(("P0",), np.zeros((1, 3)), noise, 0.2 * noise, 0.0, 0.8, [], (40.0, 40)).ok
 
 
+def test_an_answer_of_no_marker_is_not_trusted_unless_points_are_there():
+    none, nothing = np.empty((0, 0)), np.empty((0, 3))
+    trust = judge((), nothing, none, none, 0.0, 0.8, [])
+    assert trust.reasons == ["few markers: none was used"]
+    assert (trust.ok, trust.p_value) == (False, 1.0)
+    assert judge((), nothing, none, none, 0.0, 0.8, [], (40.0, 40)).ok
+    shown = SimpleNamespace(row=np.zeros(4), marker_rows=np.empty(0), marker_misfits=np.empty(0))
+    assert judge_by_rehearsal((), nothing, none, Events(), shown, 0.8, []).reasons == ["few markers: none was used"]
+
+
 class Events:
     """Honest events of which a share of exp(-sign) looks as bad, and of all signs together four times the least."""
 
@@ -110,9 +122,8 @@ def compared(misfit=0.5, markers=None, distance=1.0, unrelated=0.0, min_det_f=0.
     markers = np.ones(8) if markers is None else markers
     signs = -np.log([misfit, markers.min(), distance, np.exp(-unrelated)])
     noise = 0.01 * np.eye(24)
-    return judge_by_rehearsal(
-        NAMES, np.zeros((8, 3)), noise, Events(), signs, -np.log(markers), np.full(8, 9.0), min_det_f, list(notes)
-    )
+    shown = SimpleNamespace(row=signs, marker_rows=-np.log(markers), marker_misfits=np.full(8, 9.0))
+    return judge_by_rehearsal(NAMES, np.zeros((8, 3)), noise, Events(), shown, min_det_f, list(notes))
 
 
 def test_what_honest_events_show_as_well_is_trusted():

@@ -104,7 +104,14 @@ def test_the_answer_is_bayes_rule_on_what_the_variants_and_the_model_say(mesh, v
     truth, markers = measured(mesh, variants)
     _, target = places(mesh)
     model = calibrated(mesh, 0.3)
-    found = tr.register(mesh, markers, model=model, variants=variants, targets={"t": mesh.nodes[target]}, threads=1)
+    found = tr.register(
+        mesh,
+        markers,
+        model=model,
+        targets={"t": mesh.nodes[target]},
+        settings=tr.RegisterSettings(threads=1),
+        simulation=tr.SimulationVariants(variants),
+    )
     # Factors are what the variants say, so that their probabilities add up: 0.1 + 0.3 and 0.2 + 0.4.
     middle, covariance, whole = closed_form(mesh, variants, markers, 0.3, (1.0, 1.5), (0.4, 0.6))
     at_target = found.target("t")
@@ -121,7 +128,14 @@ def test_the_spread_of_nodes_is_that_of_targets(mesh, variants):
     _, markers = measured(mesh, variants)
     _, target = places(mesh)
     model = calibrated(mesh, 0.3, widening=2.0)
-    found = tr.register(mesh, markers, model=model, variants=variants, targets={"t": mesh.nodes[target]}, threads=1)
+    found = tr.register(
+        mesh,
+        markers,
+        model=model,
+        targets={"t": mesh.nodes[target]},
+        settings=tr.RegisterSettings(threads=1),
+        simulation=tr.SimulationVariants(variants),
+    )
     # Variances of three components from 64 draws: each is known to a sixth, their sum to a tenth or so.
     assert found.std[target] ** 2 == pytest.approx(np.trace(found.target("t").covariance), rel=0.45)
     _, covariance, _ = closed_form(mesh, variants, markers, 0.3, (1.0, 1.5), (0.4, 0.6))
@@ -131,11 +145,15 @@ def test_the_spread_of_nodes_is_that_of_targets(mesh, variants):
 def test_the_answer_is_compared_with_the_simulation_and_starts_from_the_mean(mesh, variants):
     _, markers = measured(mesh, variants)
     _, target = places(mesh)
-    how = {"model": calibrated(mesh, 0.3), "targets": {"t": mesh.nodes[target]}, "threads": 1}
-    plain = tr.register(mesh, markers, variants=variants, **how)
+    how = {
+        "model": calibrated(mesh, 0.3),
+        "targets": {"t": mesh.nodes[target]},
+        "settings": tr.RegisterSettings(threads=1),
+    }
+    plain = tr.register(mesh, markers, simulation=tr.SimulationVariants(variants), **how)
     assert plain.model["variants"] == 10
     assert "variants" not in tr.register(mesh, markers, simulation=variants[0], **how).model
-    with_own = tr.register(mesh, markers, variants=variants, simulation=0.5 * variants[0], **how)
+    with_own = tr.register(mesh, markers, simulation=tr.SimulationVariants(variants, 0.5 * variants[0]), **how)
     np.testing.assert_array_equal(plain.displacement, with_own.displacement)
     at_mean, at_own = variants.mean(axis=0)[target], 0.5 * variants[0][target]
     np.testing.assert_allclose(plain.target("t").simulation - mesh.nodes[target], at_mean, atol=1e-12)
@@ -146,7 +164,13 @@ def test_a_marker_that_is_not_seen_is_predicted_from_the_variants(mesh, variants
     truth, markers = measured(mesh, variants)
     gone = markers.measured.copy()
     gone[3] = np.nan
-    found = tr.register(mesh, (markers.reference, gone), model=calibrated(mesh, 0.05), variants=variants, threads=1)
+    found = tr.register(
+        mesh,
+        (markers.reference, gone),
+        model=calibrated(mesh, 0.05),
+        settings=tr.RegisterSettings(threads=1),
+        simulation=tr.SimulationVariants(variants),
+    )
     (name,) = found.unseen
     seen, _ = places(mesh)
     off = found.unseen[name].mean - markers.reference[3] - truth[seen[3]]
@@ -158,16 +182,32 @@ def test_variants_of_another_event_are_ruled_out(mesh, variants):
     _, markers = measured(mesh, variants)
     measured_mm = markers.reference - 30.0 * (markers.measured - markers.reference)
     model = calibrated(mesh, 0.05, unrelated_mm=500.0)
-    found = tr.register(mesh, (markers.reference, measured_mm), model=model, variants=variants, threads=1)
+    found = tr.register(
+        mesh,
+        (markers.reference, measured_mm),
+        model=model,
+        settings=tr.RegisterSettings(threads=1),
+        simulation=tr.SimulationVariants(variants),
+    )
     assert any("moved against it" in reason for reason in found.trust.reasons)
 
 
 def test_a_registrar_and_many_moments_take_variants(mesh, variants):
     _, markers = measured(mesh, variants)
     model = calibrated(mesh, 0.3)
-    alone = tr.register(mesh, markers, model=model, variants=variants, threads=1)
-    again = tr.Registrar(mesh, markers, model, threads=1).register(markers, variants=variants)
-    (many,) = tr.register_many(mesh, [markers], model=model, variants=variants, threads=1)
+    alone = tr.register(
+        mesh, markers, model=model, settings=tr.RegisterSettings(threads=1), simulation=tr.SimulationVariants(variants)
+    )
+    again = tr.Registrar(mesh, markers, model, settings=tr.RegisterSettings(threads=1)).register(
+        markers, tr.SimulationVariants(variants)
+    )
+    (many,) = tr.register_many(
+        mesh,
+        [markers],
+        model=model,
+        settings=tr.RegisterSettings(threads=1),
+        simulation=tr.SimulationVariants(variants),
+    )
     for other in (again, many):
         np.testing.assert_array_equal(other.displacement, alone.displacement)
 
@@ -177,20 +217,28 @@ def test_a_tracked_frame_takes_variants_from_their_own_simulations(mesh, variant
     model = calibrated(mesh, 0.3)
     several = [lambda share, field=field: share * field for field in variants]
     tracker = tr.Tracker(
-        mesh, markers.reference, model, simulator=several[0], variants=several, temporal=False, std=STD, threads=1
+        tr.Registrar(mesh, tr.Markers(markers.reference, std=STD), model, settings=tr.RegisterSettings(threads=1)),
+        simulator=several[0],
+        variants=several,
+        temporal=False,
     )
-    registrar = tr.Registrar(mesh, markers.reference, model, std=STD, threads=1)
+    registrar = tr.Registrar(
+        mesh, tr.Markers(markers.reference, std=STD), model, settings=tr.RegisterSettings(threads=1)
+    )
     for number, share in enumerate((0.5, 1.0)):
         seen = markers.reference + share * markers.displacement
         found = tracker.step(seen, 0.025 * number, actuator=share)
-        expected = registrar.register(seen, share * variants[0], variants=share * variants)
+        expected = registrar.register(seen, tr.SimulationVariants(share * variants, share * variants[0]))
         np.testing.assert_array_equal(found.displacement, expected.displacement)
     with pytest.raises(ShapeError, match="variants"):
-        tr.Tracker(mesh, markers.reference, model, variants=[lambda _: variants[0][:-1]] * 4, threads=1).step(
-            markers.measured, 0.0, actuator=1.0
-        )
+        tr.Tracker(
+            tr.Registrar(mesh, markers.reference, model, settings=tr.RegisterSettings(threads=1)),
+            variants=[lambda _: variants[0][:-1]] * 4,
+        ).step(markers.measured, 0.0, actuator=1.0)
     with pytest.raises(ArgumentError, match="`variants` must have a method `field` or be a function"):
-        tr.Tracker(mesh, markers.reference, model, variants=[None] * 4, threads=1)
+        tr.Tracker(
+            tr.Registrar(mesh, markers.reference, model, settings=tr.RegisterSettings(threads=1)), variants=[None] * 4
+        )
 
 
 @pytest.mark.parametrize(
@@ -216,7 +264,9 @@ def test_variants_that_cannot_be_used_are_refused(mesh, variants, changed, error
     models = {None: None, "no pairs": calibrated(mesh, 0.3, pairs=False)}
     model = models[changed["model"]] if "model" in changed else calibrated(mesh, 0.3)
     with pytest.raises(error, match=said):
-        tr.register(mesh, markers, model=model, variants=given, threads=1)
+        tr.register(
+            mesh, markers, model=model, settings=tr.RegisterSettings(threads=1), simulation=tr.SimulationVariants(given)
+        )
 
 
 def test_components_keep_a_quarter_of_the_general_variance_and_no_factor(mesh, variants):
@@ -265,7 +315,9 @@ def test_an_ensemble_of_simulations_is_updated_by_bayes_rule(mesh, variants):
 def test_the_network_with_variants_is_that_of_a_registrar(mesh, variants):
     _, markers = measured(mesh, variants)
     model = calibrated(mesh, 0.3)
-    expected = tr.Registrar(mesh, markers, model, threads=1).register(markers, variants=variants)
+    expected = tr.Registrar(mesh, markers, model, settings=tr.RegisterSettings(threads=1)).register(
+        markers, tr.SimulationVariants(variants)
+    )
     found = VariedNetwork(setting_of(mesh, markers, model)).register(markers.measured, variants_mm=variants)
     np.testing.assert_array_equal(found.displacement_mm, expected.displacement)
     with pytest.raises(ArgumentError, match="`variants_mm` must be given for the method 'tissuereg, network with"):

@@ -104,17 +104,17 @@ def fields():
 @cache
 def quick():
     few = ContactSettings(n_chains=2, n_chains_first=2, max_passes=1, n_kept=1, powers=(1.0,), n_draws=2)
-    return tr.RegisterSettings(contacts=few)
+    return tr.RegisterSettings(threads=1, contacts=few)
 
 
 @cache
 def registered():
-    return tr.register(mesh(), markers(), targets={"deep": (15.0, 10.0, 20.0)}, settings=quick(), threads=1)
+    return tr.register(mesh(), markers(), targets={"deep": (15.0, 10.0, 20.0)}, settings=quick())
 
 
 @cache
 def registrar():
-    return tr.Registrar(mesh(), markers(), settings=quick(), threads=1)
+    return tr.Registrar(mesh(), markers(), settings=quick())
 
 
 def tracker():
@@ -139,7 +139,7 @@ def simulator():
 
 
 def registration(**changed):
-    given = {"mesh": mesh(), "markers": markers(), "settings": quick(), "threads": 1}
+    given = {"mesh": mesh(), "markers": markers(), "settings": quick()}
     return tr.register(**{**given, **changed})
 
 
@@ -313,42 +313,52 @@ CALLS = {
         lambda **given: simulator().internal_forces(**given),
         {"displacement": np.zeros((mesh().n_nodes, 3)), "material": tr.Material(), "springs": None},
     ),
+    "Body": (
+        tr.Body,
+        {
+            "mesh": mesh(),
+            "material": tr.Material(),
+            "element": "auto",
+            "held": "sure",
+            "stiffness": "believed",
+            "held_nodes": mesh().fixed_nodes,
+        },
+    ),
     "RegisterSettings": (
         tr.RegisterSettings,
         {
-            "update": "esmda",
-            "n_members": 9,
-            "n_steps": 2,
-            "decrease": 2.0,
-            "decode_all": False,
+            "threads": 1,
+            "tracker": "drifts",
             "contacts": quick().contacts,
+            "ensemble": 0,
+            "smoother": tr.SmootherSettings(),
+            "polish": False,
+            "readings": "doubtful",
         },
     ),
+    "SmootherSettings": (
+        tr.SmootherSettings,
+        {"update": "esmda", "n_members": 9, "n_steps": 2, "decrease": 2.0, "decode_all": False},
+    ),
+    "SimulationVariants": (
+        tr.SimulationVariants,
+        {"fields": fields(), "simulation": np.zeros((mesh().n_nodes, 3))},
+    ),
+    "SurfacePoints": (lambda **given: tr.SurfacePoints(**given), {"measured": mesh().nodes, "std": 0.1}),
     "ContactSettings": (ContactSettings, {"n_slots": 3, "odds": 0.8, "sizes": (0.1,), "weight": (0.1, 2.0)}),
     "register": (
         registration,
         {
-            "mesh": mesh(),
+            "mesh": tr.Body(mesh()),
             "markers": markers(),
             "surface": None,
-            "model": None,
-            "simulation": None,
-            "variants": None,
             "targets": {},
             "load": None,
-            "material": tr.Material(),
-            "element": "auto",
-            "held": "sure",
-            "held_nodes": None,
-            "frame": "known",
-            "stiffness": "believed",
+            "simulation": None,
+            "model": None,
             "seed": 0,
-            "threads": 1,
             "settings": quick(),
-            "polish": False,
-            "ensemble": 0,
             "progress": None,
-            "tell": None,
         },
     ),
     "register_many": (
@@ -361,50 +371,27 @@ CALLS = {
             "progress": None,
             "targets": {},
             "seed": 0,
-            "threads": 1,
             "settings": quick(),
-            "held": "sure",
         },
     ),
     "Registrar": (
-        lambda **given: tr.Registrar(**{"mesh": mesh(), "reference_mm": markers().reference, "threads": 1, **given}),
+        lambda **given: tr.Registrar(**{"mesh": mesh(), "reference_mm": markers().reference, **given}),
         {
             "mesh": mesh(),
             "reference_mm": markers().reference,
             "model": None,
             "targets": {},
-            "std": 0.1,
-            "names": None,
-            "readings": "doubtful",
             "load": None,
-            "material": tr.Material(),
-            "element": "auto",
-            "held": "sure",
-            "held_nodes": None,
-            "frame": "known",
-            "stiffness": "believed",
             "seed": 0,
-            "threads": 1,
             "settings": quick(),
-            "polish": False,
-            "ensemble": 0,
         },
     ),
     "Registrar.register": (
         lambda **given: registrar().register(**{"measured_mm": markers().measured, **given}),
-        {
-            "measured_mm": markers().measured,
-            "simulation": None,
-            "variants": None,
-            "after": None,
-            "progress": None,
-            "tell": None,
-        },
+        {"measured_mm": markers().measured, "simulation": None, "after": None, "progress": None},
     ),
     "Tracker": (
-        lambda **given: tr.Tracker(
-            **{"body": mesh(), "reference_mm": markers().reference, "settings": quick(), "threads": 1, **given}
-        ),
+        lambda **given: tr.Tracker(**{"body": mesh(), "reference_mm": markers().reference, **given}),
         {
             "body": mesh(),
             "reference_mm": markers().reference,
@@ -414,8 +401,6 @@ CALLS = {
             "variants": [],
             "restart": "forces",
             "temporal": True,
-            "std": 0.1,
-            "seed": 0,
         },
     ),
     "Tracker.step": (
@@ -485,8 +470,8 @@ CALLS = {
     "open_executor": (opened, {"address": "local:2", "task_limit": 900.0, "patience": 60.0}),
     "Processes": (processes, {"n": 2}),
     "register of a surface": (
-        lambda **given: registration(markers=None, **given),
-        {"surface": mesh().nodes[mesh().surface_nodes], "surface_std": 0.1},
+        lambda **given: tr.register(mesh(), settings=quick(), **given),
+        {"surface": mesh().nodes[mesh().surface_nodes]},
     ),
     "Registration.draws": (lambda **given: registered().draws(**given), {"count": 2}),
     "Registration.save": (saved, {"extra": {"seed": 3}, "deformed": True}),
@@ -521,8 +506,8 @@ CALLS = {
         {"experiment": None, "model": "plain", "element": "tet4", "threads": 1, "progress": None},
     ),
     "register_frame": (
-        lambda **given: tr.register_frame(**{"experiment": rig(), "settings": quick(), "threads": 1, **given}),
-        {"experiment": rig(), "case": "down", "time": 12.0, "element": "tet4", "threads": 1},
+        lambda **given: tr.register_frame(**{"experiment": rig(), "settings": quick(), **given}),
+        {"experiment": rig(), "case": "down", "time": 12.0, "element": "tet4", "settings": quick()},
     ),
     "Experiment.frame": (rig().frame, {"case": "down", "time": 12.0}),
     "Experiment.actuator": (rig().actuator, {"name": "top"}),
@@ -660,12 +645,13 @@ CALLED = {
     "schedule": "coefficients",
     "node_sets": "node set|`a`",
     "reference": "marker",
-    "measured": "marker",
+    "measured": "marker|surface",
     "std": "std",
     "case": "case",
     "shape": "`b`",
     "direction": "direction",
     "held_nodes": "held",
+    "fields": "variants",
     "nodes": "node",
     "indices": "node_sets",
     "body_force": "body force",

@@ -39,6 +39,6 @@ def test_a_marker_seen_in_one_component_is_judged_by_it_alone():
     axis = int(np.argmax(np.abs(off)))
     measured[marker] = np.nan
     measured[marker, axis] = before[axis] + 4.0 * off[axis]
-    result = tr.register(event.mesh(), event.but(measured=measured).markers(), threads=1)
+    result = tr.register(event.mesh(), event.but(measured=measured).markers(), settings=tr.RegisterSettings(threads=1))
     assert (name, "wrong") in result.markers.dropped
     assert any(f" {name} " in reason for reason in result.trust.reasons)

@@ -1,11 +1,33 @@
-"""Wall time per stage."""
+"""Wall time per stage, and what a long call says while it runs."""
 
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 
-#: Takes the kind of a message (``"size"``, ``"warning"``, ``"stage"``), and its text.
-Tell = Callable[[str, str], None]
+
+@dataclass(frozen=True)
+class Progress:
+    """What a long call says while it runs.
+
+    Attributes
+    ----------
+    kind : str
+        ``"stage"``: a stage begins, or goes on; ``"pass"``: a pass is finished; ``"size"``, ``"warning"``: a remark.
+    words : str
+        Name of the stage, on large bodies also with how much of it is done; or the remark.
+    done, most : int
+        Of a ``"pass"``: passes finished and passes at most; 0 otherwise.
+    """
+
+    kind: str
+    words: str
+    done: int = 0
+    most: int = 0
+
+
+#: Takes what a call says.
+Listener = Callable[[Progress], None]
 
 
 class Clock:
@@ -13,9 +35,8 @@ class Clock:
 
     Parameters
     ----------
-    tell : callable of (str, str), optional
-        The listener: called with ``"stage"`` and the name when a stage begins, and with every message that is passed to
-        the method `tell`.
+    listener : callable of Progress, optional
+        Called when a stage begins, when a pass is finished, and with every message that is passed to the method `tell`.
 
     Attributes
     ----------
@@ -23,14 +44,19 @@ class Clock:
         Wall time per stage, in the order in which the stages ended.
     """
 
-    def __init__(self, tell: Tell | None = None) -> None:
+    def __init__(self, listener: Listener | None = None) -> None:
         self.seconds: dict[str, float] = {}
-        self._tell = tell
+        self._listener = listener
 
     def tell(self, kind: str, words: str) -> None:
         """Pass a message to the listener, if there is one."""
-        if self._tell is not None:
-            self._tell(kind, words)
+        if self._listener is not None:
+            self._listener(Progress(kind, words))
+
+    def passed(self, done: int, most: int) -> None:
+        """Notify the listener of passes finished and passes at most."""
+        if self._listener is not None:
+            self._listener(Progress("pass", f"{done} of at most {most}", done, most))
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:

@@ -1,5 +1,6 @@
 """The package's own registrations among the methods: with the physics prior, and with a network."""
 
+from dataclasses import replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -7,10 +8,13 @@ import numpy as np
 from tissuereg._base.arguments import flag, maybe
 from tissuereg._base.arrays import FloatArray
 from tissuereg.baselines.rival import Estimate, Moment, Rival, Setting
-from tissuereg.registration.inputs import RegisterSettings
+from tissuereg.registration.body import Body
+from tissuereg.registration.contacts.result import ContactRegistration
+from tissuereg.registration.inputs import SimulationVariants
 from tissuereg.registration.learned.model import LatentModel
 from tissuereg.registration.registrar import Registrar
 from tissuereg.registration.result import Registration
+from tissuereg.registration.settings import RegisterSettings
 
 
 def spread_of(found: Registration) -> FloatArray:
@@ -18,10 +22,9 @@ def spread_of(found: Registration) -> FloatArray:
 
     Of a trained model only the length of a node's error is known, which is shared out evenly among the axes.
     """
-    covariance = found.node_covariance
-    if covariance is None:
-        return np.repeat(found.std[:, None] / np.sqrt(3.0), 3, axis=1)
-    return np.asarray(np.sqrt(np.einsum("nii->ni", covariance)))
+    if isinstance(found, ContactRegistration):
+        return np.asarray(np.sqrt(np.einsum("nii->ni", found.node_covariance)))
+    return np.repeat(found.std[:, None] / np.sqrt(3.0), 3, axis=1)
 
 
 class _Registered(Rival):
@@ -45,15 +48,14 @@ class _Registered(Rival):
     def __init__(self, setting: Setting, *, spread: bool = False, settings: RegisterSettings | None = None) -> None:
         super().__init__(setting)
         self._spread = flag("spread", spread)
+        how = maybe("settings", settings, RegisterSettings) or RegisterSettings()
         self._registrar = Registrar(
-            setting.mesh,
+            Body(setting.mesh, setting.material),
             setting.markers(np.full_like(setting.reference_mm, np.nan)),
             self._model,
             load=setting.load,
-            material=setting.material,
             seed=setting.seed,
-            threads=setting.threads,
-            settings=maybe("settings", settings, RegisterSettings),
+            settings=replace(how, threads=setting.threads),
         )
 
     @property
@@ -66,7 +68,8 @@ class _Registered(Rival):
 
     def registered(self, moment: Moment, variants_mm: Any = None) -> Estimate:
         """Return the registered body of a checked moment, with variants of its simulation (n, n_nodes, 3) in mm."""
-        found = self._registrar.register(moment.measured_mm, moment.simulation_mm, variants=variants_mm)
+        given = moment.simulation_mm if variants_mm is None else SimulationVariants(variants_mm, moment.simulation_mm)
+        found = self._registrar.register(moment.measured_mm, given)
         kept = {"trusted": found.trust.ok, "reasons": found.trust.reasons, "seconds": dict(found.seconds)}
         return Estimate(found.displacement, spread_of(found) if self._spread else None, kept)
 

@@ -21,8 +21,8 @@ class Markers:
     ----------
     reference : array_like of float, shape (n_markers, 3)
         Place on or near the undeformed surface in mm.
-    measured : array_like of float, shape (n_markers, 3)
-        Measured place in mm; NaN = not seen.
+    measured : array_like of float, shape (n_markers, 3), optional
+        Measured place in mm; NaN = not seen. Without it none was seen yet.
     std : float or array_like of float, shape (n_markers,) or (n_markers, 3)
         Standard deviation of a measured coordinate in mm, along x, y and z of the tracker if they differ. Infinite
         along an axis = that coordinate was not seen.
@@ -45,9 +45,11 @@ class Markers:
         coordinate is NaN.
     """
 
-    def __init__(self, reference: Any, measured: Any, std: Any = 0.1, names: Sequence[str] | None = None) -> None:
+    def __init__(
+        self, reference: Any, measured: Any = None, std: Any = 0.1, names: Sequence[str] | None = None
+    ) -> None:
         places = float_array("reference", reference, (None, 3))
-        seen = float_array("measured", measured, (len(places), 3))
+        seen = places * np.nan if measured is None else float_array("measured", measured, (len(places), 3))
         spread = _spread(std, len(places))
         titles = tuple(f"M{i + 1}" for i in range(len(places))) if names is None else _titles(names)
         _check_names(titles, len(places))

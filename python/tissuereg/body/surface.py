@@ -77,10 +77,10 @@ class SurfacePoints:
 def _positive(std: Any) -> float:
     """Return a checked standard deviation in mm; it must be so small that its square does not overflow."""
     try:
-        return real("surface_std", std, above=0.0, below=1e9, error=SurfaceError)
+        return real("std", std, above=0.0, below=1e9, error=SurfaceError)
     except SurfaceError:
-        message = f"`surface_std` must be positive, in mm, and below 1e9 mm, got {found(std)}"
-        raise SurfaceError(message, where="surface_std") from None
+        message = f"`std` must be positive, in mm, and below 1e9 mm, got {found(std)}"
+        raise SurfaceError(message, where="std") from None
 
 
 def evenly(places: FloatArray, count: int) -> IntArray:

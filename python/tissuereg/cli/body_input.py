@@ -2,7 +2,6 @@
 
 import argparse
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -17,23 +16,11 @@ if TYPE_CHECKING:
     from tissuereg.body.load import Load
     from tissuereg.body.material import Material
     from tissuereg.body.mesh import Mesh
-    from tissuereg.registration.inputs import RegisterSettings
+    from tissuereg.registration.body import Body
+    from tissuereg.registration.settings import RegisterSettings
 
 #: Accelerations below this, in mm/s^2, are refused: they were probably given in m/s^2.
 _LEAST_GRAVITY = 20.0
-
-
-class _FrameOption(argparse.Action):
-    """``--frame``: frame of the mesh; with its former values ``known`` and ``drifts`` it sets ``--tracker`` instead."""
-
-    def __call__(
-        self,
-        parser: argparse.ArgumentParser,
-        namespace: argparse.Namespace,
-        values: str | Sequence[Any] | None,
-        option_string: str | None = None,
-    ) -> None:
-        setattr(namespace, "tracker" if values in ("known", "drifts") else "frame", values)
 
 
 def add_body_options(more: Any, tables: str) -> None:
@@ -48,10 +35,9 @@ def add_body_options(more: Any, tables: str) -> None:
     """
     text = (
         "LPS or RAS: frame of MESH, of tables and of the answer; points of 3D Slicer in the other one are converted "
-        "(default: numbers as they are, and the frame of the first such file); the values of --tracker are accepted too"
+        "(default: numbers as they are, and the frame of the first such file)"
     )
-    choices = ["LPS", "RAS", "known", "drifts"]
-    more.add_argument("--frame", action=_FrameOption, choices=choices, metavar="LPS|RAS", help=text)
+    more.add_argument("--frame", choices=["LPS", "RAS"], help=text)
     text = f"frame of the tables {tables}, where it is not --frame"
     more.add_argument("--tables-frame", choices=["LPS", "RAS"], help=text)
     text = "table target,x_mm,y_mm,z_mm, or points of 3D Slicer: inner points in the undeformed body"
@@ -75,8 +61,8 @@ def add_belief_options(what: Any) -> None:
     """
     text = "whether the node set 'fixed' is held for sure, perhaps, or not at all (default: sure)"
     what.add_argument("--held", choices=["sure", "perhaps", "free"], help=text)
-    text = "whether the tracker is known to have kept its place relative to the supports, or drifts (default: known)"
-    what.add_argument("--tracker", choices=["known", "drifts"], help=text)
+    text = "whether the tracker kept its place relative to the supports, or may have drifted (default: fixed)"
+    what.add_argument("--tracker", choices=["fixed", "drifts"], help=text)
     text = "graded: softer towards one side, by an amount that is estimated from the markers (default: believed)"
     what.add_argument("--stiffness", choices=["believed", "graded"], help=text)
     text = "Young's modulus in kPa; it scales forces, and sets how far gravity bends the body"
@@ -123,25 +109,44 @@ def method_of(args: argparse.Namespace) -> dict[str, Any]:
     Returns
     -------
     dict
-        By name; those that were not given are left out.
+        ``model``, ``seed`` and ``settings``.
     """
-    chosen = {"held": args.held, "frame": args.tracker, "stiffness": args.stiffness}
-    return {
-        "model": args.model,
-        "polish": args.polish,
-        **{name: value for name, value in chosen.items() if value is not None},
-        "seed": args.seed or 0,
-        "threads": args.threads,
-        "settings": _settings(args),
-    }
+    return {"model": args.model, "seed": args.seed or 0, "settings": _settings(args)}
 
 
 def _settings(args: argparse.Namespace) -> "RegisterSettings":
-    from tissuereg.registration.inputs import RegisterSettings
+    from tissuereg.registration.settings import RegisterSettings, SmootherSettings
 
-    settings = RegisterSettings()
-    chosen = {"update": args.update, "n_members": args.members, "n_steps": args.steps}
-    return replace(settings, **{name: value for name, value in chosen.items() if value is not None})
+    smoother = _given(update=args.update, n_members=args.members, n_steps=args.steps)
+    chosen = _given(tracker=args.tracker, smoother=SmootherSettings(**smoother) if smoother else None)
+    return RegisterSettings(threads=args.threads, polish=args.polish, **chosen)
+
+
+def _given(**options: Any) -> dict[str, Any]:
+    """Return the options that were given."""
+    return {name: value for name, value in options.items() if value is not None}
+
+
+def believed_body(args: argparse.Namespace, mesh: "Mesh", material: "Material | None") -> "Body":
+    """Return what is believed of a body, given its mesh and material.
+
+    Parameters
+    ----------
+    args : argparse.Namespace
+        Parsed command line.
+    mesh : Mesh
+        Undeformed body.
+    material : Material or None
+        As `beliefs_of` returns it.
+
+    Returns
+    -------
+    Body
+        With the elements and supports of the options.
+    """
+    from tissuereg.registration.body import Body
+
+    return Body(mesh, material, args.element, **_given(held=args.held, stiffness=args.stiffness))
 
 
 def frames_of(args: argparse.Namespace, files: Sequence[str | Path | None]) -> dict[str, str | None]:
@@ -210,8 +215,8 @@ def read_body(args: argparse.Namespace, path: str) -> "Mesh":
     return mesh
 
 
-def beliefs_of(args: argparse.Namespace, simulation: str) -> dict[str, Any]:
-    """Return the believed material and load, as far as they are given.
+def beliefs_of(args: argparse.Namespace, simulation: str) -> "tuple[Material | None, Load | None]":
+    """Return the believed material and load.
 
     Parameters
     ----------
@@ -222,8 +227,8 @@ def beliefs_of(args: argparse.Namespace, simulation: str) -> dict[str, Any]:
 
     Returns
     -------
-    dict
-        ``material`` and ``load``, or less.
+    (Material or None, Load or None)
+        None where they are not given.
 
     Raises
     ------
@@ -237,10 +242,7 @@ def beliefs_of(args: argparse.Namespace, simulation: str) -> dict[str, Any]:
     if args.gravity is not None and getattr(args, simulation.strip("-")) is not None:
         refuse(f"--gravity must be left out with {simulation}, which holds what acts", "--gravity")
     material = _material(args)
-    beliefs: dict[str, Any] = {} if material is None else {"material": material}
-    if args.gravity is not None and material is not None:
-        beliefs["load"] = _weight(material, args.gravity)
-    return beliefs
+    return material, None if material is None or args.gravity is None else _weight(material, args.gravity)
 
 
 def refuse(message: str, where: str) -> NoReturn:

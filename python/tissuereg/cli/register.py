@@ -62,12 +62,7 @@ def run(args: argparse.Namespace) -> Outcome:
     given = registration_input(args)
     reading = clock.lap("read")
     with stage_lines(quiet=args.quiet) as shown:
-        result = register(
-            **{"element": args.element, **given},
-            **method_of(args),
-            progress=shown.progress,
-            tell=shown.tell,
-        )
+        result = register(**given, **method_of(args), progress=shown)
         clock.lap("register")
         stages = {name: spent for name, spent in result.seconds.items() if name != "total"}
         extra = {**envelope(args.threads), "seconds": {"read": reading, **stages, **_total(clock)}}
@@ -80,12 +75,13 @@ def run(args: argparse.Namespace) -> Outcome:
 
 def _write(result: "Registration", args: argparse.Namespace, extra: dict[str, Any], shown: Stages) -> None:
     """Write all files or none."""
+    from tissuereg._base.clock import Progress
     from tissuereg.io.atomic import atomic_folder
 
     with atomic_folder(args.out) as draft:
-        shown.tell("stage", "draws")
+        shown(Progress("stage", "draws"))
         _ = result.std  # computed when it is first read
-        shown.tell("stage", "files")
+        shown(Progress("stage", "files"))
         result.save(draft, extra, deformed=args.deformed)
         result.report(draft / "report.html")
 

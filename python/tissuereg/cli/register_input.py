@@ -1,6 +1,7 @@
 """Input of ``tissuereg register``: its options, and the arguments of `register` made from them."""
 
 import argparse
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from tissuereg._base.fields import number
@@ -8,6 +9,7 @@ from tissuereg.cli.body_input import (
     add_belief_options,
     add_body_options,
     beliefs_of,
+    believed_body,
     frames_of,
     read_body,
     refuse,
@@ -15,7 +17,7 @@ from tissuereg.cli.body_input import (
 from tissuereg.cli.options import Parser, add_option
 
 if TYPE_CHECKING:
-    from tissuereg.body.mesh import Mesh
+    from tissuereg.registration.body import Body
 
 
 def add_input_options(parser: Parser) -> None:
@@ -55,24 +57,27 @@ def registration_input(args: argparse.Namespace) -> dict[str, Any]:
     MaterialError
         If a modulus or a density is out of its range.
     """
+    from tissuereg.body.surface import SurfacePoints
     from tissuereg.io.experiments import is_experiment
     from tissuereg.io.problems import read_simulation, read_variants
     from tissuereg.io.tables import read_surface, read_targets
+    from tissuereg.registration.inputs import SimulationVariants
 
     frames = frames_of(args, [*args.markers, args.targets])
     given = _from_experiment(args) if is_experiment(args.path) else _from_files(args, frames)
+    body: Body = given["mesh"]
     if frames["frame"] is not None:
-        given["mesh"] = given["mesh"].in_frame(frames["frame"])
+        given["mesh"] = body = replace(body, mesh=body.mesh.in_frame(frames["frame"]))
     if args.targets is not None:
         given["targets"] = {**given["targets"], **read_targets(args.targets, **frames)}
     if args.simulation is not None:
-        given["simulation"] = read_simulation(args.simulation, given["mesh"].n_nodes)
+        given["simulation"] = read_simulation(args.simulation, body.mesh.n_nodes)
     if args.variants is not None:
-        given["variants"] = read_variants(args.variants, given["mesh"].n_nodes)
+        fields = read_variants(args.variants, body.mesh.n_nodes)
+        given["simulation"] = SimulationVariants(fields, given.get("simulation"))
     if args.surface is not None:
-        given["surface"] = read_surface(args.surface, **frames)
-        if args.surface_std is not None:
-            given["surface_std"] = args.surface_std
+        std = {} if args.surface_std is None else {"std": args.surface_std}
+        given["surface"] = SurfacePoints(read_surface(args.surface, **frames), **std)
     elif args.surface_std is not None:
         refuse("--surface-std must come with --surface", "--surface-std")
     return given
@@ -93,6 +98,8 @@ def _add_files(more: Any) -> None:
 
 
 def _from_files(args: argparse.Namespace, frames: dict[str, str | None]) -> dict[str, Any]:
+    from tissuereg.io.tables import read_markers
+
     if len(args.markers) > 1 or (not args.markers and args.surface is None):
         found = f"got {len(args.markers)} files"
         refuse(f"one MARKERS must be given with a mesh file (only an experiment brings its own), {found}", "MARKERS")
@@ -101,15 +108,10 @@ def _from_files(args: argparse.Namespace, frames: dict[str, str | None]) -> dict
     for name in ("case", "time"):
         if getattr(args, name) is not None:
             refuse(f"--{name} must be left out with a mesh file; it chooses a frame of an experiment", f"--{name}")
-    beliefs = beliefs_of(args, "--simulation")
-    return {**_with_markers(read_body(args, args.path), args, frames), **beliefs}
-
-
-def _with_markers(mesh: "Mesh", args: argparse.Namespace, frames: dict[str, str | None]) -> dict[str, Any]:
-    from tissuereg.io.tables import read_markers
-
+    material, load = beliefs_of(args, "--simulation")
+    body = believed_body(args, read_body(args, args.path), material)
     markers = read_markers(args.markers[0], args.std, measured=args.measured, **frames) if args.markers else None
-    return {"mesh": mesh, "markers": markers, "targets": {}}
+    return {"mesh": body, "markers": markers, "targets": {}, "load": load}
 
 
 def _from_experiment(args: argparse.Namespace) -> dict[str, Any]:
@@ -127,4 +129,6 @@ def _from_experiment(args: argparse.Namespace) -> dict[str, Any]:
     plain = "tet4" if args.element == "auto" else args.element
     given = frame_input(experiment, args.case, args.time, element=plain, threads=args.threads)
     # The registration uses the same elements as the simulation of the frame.
-    return {**given, "element": plain}
+    beliefs = {"held": args.held, "stiffness": args.stiffness}
+    known = {name: value for name, value in beliefs.items() if value is not None}
+    return {**given, "mesh": replace(given["mesh"], **known)}

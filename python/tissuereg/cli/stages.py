@@ -4,9 +4,12 @@ import contextlib
 import sys
 import time
 from collections.abc import Iterator
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from tissuereg.cli.common import note, paragraph
+
+if TYPE_CHECKING:
+    from tissuereg._base.clock import Progress
 
 #: Descriptions of the stages that may take long.
 _WORDS = {
@@ -42,7 +45,20 @@ class Stages:
         self._start = time.perf_counter()
         self._pass = ""
 
-    def progress(self, done: int, in_all: int) -> None:
+    def __call__(self, said: "Progress") -> None:
+        """Show what a registration says; for use as the argument `progress` of `tissuereg.register`."""
+        if said.kind == "pass":
+            self._passed(said.done, said.most)
+        elif said.kind == "stage" and not self._quiet:
+            self._began(said.words)
+        elif not self._quiet:
+            self._clear()
+            if said.kind == "warning":
+                print(paragraph(f"warning: {said.words}"), file=sys.stderr)
+            else:
+                note(said.words)
+
+    def _passed(self, done: int, in_all: int) -> None:
         """Show passes finished and passes at most."""
         if in_all > done:
             self._pass = f"pass {done + 1} of at most {in_all}: "
@@ -50,17 +66,8 @@ class Stages:
             self._bar.total = in_all
             self._bar.update(done - self._bar.n)
 
-    def tell(self, kind: str, words: str) -> None:
-        """Show a message; for use as the argument `tell` of `tissuereg.register`."""
-        if self._quiet:
-            return
-        if kind != "stage":
-            self._clear()
-            if kind == "warning":
-                print(paragraph(f"warning: {words}"), file=sys.stderr)
-            else:
-                note(words)
-            return
+    def _began(self, words: str) -> None:
+        """Show the stage that begins."""
         name, _, share = words.partition(" ")
         if name not in _WORDS:
             return

@@ -12,6 +12,7 @@ from tissuereg.cli.body_input import (
     add_body_options,
     add_method_options,
     beliefs_of,
+    believed_body,
     frames_of,
     method_of,
     read_body,
@@ -116,10 +117,11 @@ def run(args: argparse.Namespace) -> Outcome:
 def _read(args: argparse.Namespace) -> "tuple[Tracker, Recording, TablePhysics | None]":
     from tissuereg.io.recordings import read_recording
     from tissuereg.io.tables import read_reference, read_targets
+    from tissuereg.registration.registrar import Registrar
     from tissuereg.tracking import Tracker
 
     frames = frames_of(args, [args.reference, args.targets])
-    beliefs = beliefs_of(args, "--simulations")
+    material, load = beliefs_of(args, "--simulations")
     mesh = read_body(args, args.path)
     if frames["frame"] is not None:
         mesh = mesh.in_frame(frames["frame"])
@@ -127,8 +129,9 @@ def _read(args: argparse.Namespace) -> "tuple[Tracker, Recording, TablePhysics |
     recording = read_recording(args.recording, markers.names, **frames)
     targets = None if args.targets is None else read_targets(args.targets, **frames)
     simulations = None if args.simulations is None else _simulations(args, mesh.n_nodes, recording)
-    how = {"element": args.element, **beliefs, **method_of(args)}
-    return Tracker(mesh, markers, targets=targets, simulator=simulations, **how), recording, simulations
+    body = believed_body(args, mesh, material)
+    registrar = Registrar(body, markers, targets=targets, load=load, **method_of(args))
+    return Tracker(registrar, simulator=simulations), recording, simulations
 
 
 def _simulations(args: argparse.Namespace, n_nodes: int, recording: "Recording") -> "TablePhysics":

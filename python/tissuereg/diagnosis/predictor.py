@@ -11,7 +11,7 @@ from tissuereg.errors import ConvergenceError, ExperimentError, MaterialError, S
 from tissuereg.experiment.effects import ChainEffect, Effect, extended, seen_markers
 from tissuereg.experiment.experiment import Experiment
 from tissuereg.simulation.experiment import Simulators, solve_cases
-from tissuereg.simulation.frames import Rigs
+from tissuereg.simulation.frames import FrameSettings, Rigs, Similar
 from tissuereg.simulation.memory import goes_through_time
 
 #: Residual over load. The error is some 1e-6 mm and 1e-3 mN, 1e-4 mm at most: far below any noise.
@@ -133,12 +133,8 @@ class Predictor:
         solved = solve_cases(
             worked,
             cases,
-            element=self.element,
-            tolerance=TOLERANCE,
-            threads=threads,
-            simulators=self._simulators,
-            near=None if near is None else near.fields,
-            rigs=self._rigs,
+            settings=FrameSettings(self.element, TOLERANCE, threads),
+            similar=Similar(None if near is None else near.fields, self._rigs, self._simulators),
         )
         places, forces = {}, {}
         for case in cases:

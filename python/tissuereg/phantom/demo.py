@@ -14,6 +14,7 @@ from tissuereg.io.tables import write_markers, write_points
 from tissuereg.phantom.event import LESION_MM, PhantomEvent, make_event
 from tissuereg.registration.register import register
 from tissuereg.registration.result import Registration
+from tissuereg.registration.settings import RegisterSettings
 from tissuereg.simulation.solve import simulate
 
 
@@ -49,7 +50,7 @@ def run_demo(out: str | os.PathLike[str], *, seed: int = 0, threads: int = 0) ->
         simulation=simulation,
         targets={"lesion": LESION_MM},
         seed=seed,
-        threads=threads,
+        settings=RegisterSettings(threads=threads),
     )
     seconds = {**clock.seconds, **result.seconds}
     seconds["total"] += sum(clock.seconds.values())

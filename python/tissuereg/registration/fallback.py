@@ -16,8 +16,8 @@ from tissuereg.body.markers import Markers
 from tissuereg.body.material import Material
 from tissuereg.body.mesh import Mesh
 from tissuereg.body.observe import TargetObservation
+from tissuereg.registration.body import fitting_element
 from tissuereg.registration.contacts.elastic import ElasticBody
-from tissuereg.registration.contacts.registration import fitting_element
 from tissuereg.registration.linear_prior import LinearPrior, most_probable
 from tissuereg.registration.result import Fallback
 

@@ -5,17 +5,23 @@ from typing import Any
 
 import numpy as np
 
-from tissuereg._base.arguments import check_running, of_kind
+from tissuereg._base.arguments import check_running, maybe, of_kind
 from tissuereg._base.arrays import FloatArray
 from tissuereg._base.choice import check_choice
 from tissuereg.errors import ArgumentError, ConvergenceError
 from tissuereg.experiment.effects import extended, true_markers
 from tissuereg.experiment.experiment import Case, Experiment
+from tissuereg.registration.body import Body
 from tissuereg.registration.register import register
 from tissuereg.registration.result import Registration
+from tissuereg.registration.settings import RegisterSettings
 from tissuereg.simulation.experiment import believed_case
+from tissuereg.simulation.frames import FrameSettings
 from tissuereg.simulation.memory import goes_through_time, is_carried, solve_through_time
 from tissuereg.simulation.solve import ELEMENTS
+
+#: Arguments of `register` that an experiment leaves open.
+_OPTIONS = ("model", "simulation", "seed", "progress", "targets")
 
 
 def frame_input(
@@ -41,9 +47,9 @@ def frame_input(
     Returns
     -------
     dict
-        ``mesh``, ``markers``, ``targets``, ``load`` (gravity and actuators), ``material``, ``held_nodes``. With memory,
-        sliding supports, or a mesh that was imaged under gravity also ``simulation``; the prior around it is elastic
-        with held supports.
+        ``mesh`` (a `Body` of the experiment's material and these elements), ``markers``, ``targets``, ``load`` (gravity
+        and actuators). With memory, sliding supports, or a mesh that was imaged under gravity also ``simulation``; the
+        prior around it is elastic with held supports.
 
     Raises
     ------
@@ -64,17 +70,21 @@ def frame_input(
         given["simulation"] = _through_time(experiment, measured, frame.index, element, threads)
     return {
         **given,
-        "mesh": experiment.mesh,
+        "mesh": Body(experiment.mesh, experiment.material, element, held_nodes=believed.simulator.held_nodes),
         "markers": frame.markers,
         "targets": dict(experiment.targets),
         "load": believed.loads[frame.index],
-        "material": experiment.material,
-        "held_nodes": believed.simulator.held_nodes,
     }
 
 
 def register_frame(
-    experiment: Experiment, case: str, time: float, *, element: str = "tet4", threads: int = 0, **options: Any
+    experiment: Experiment,
+    case: str,
+    time: float,
+    *,
+    element: str = "tet4",
+    settings: RegisterSettings | None = None,
+    **options: Any,
 ) -> Registration:
     """Register one frame of an experiment, its gravity and actuators in simulation and prior.
 
@@ -88,10 +98,10 @@ def register_frame(
         Time in s on the experiment's clock.
     element : {"tet4", "tet4-averaged", "tet10"}
         Elements of the package's own simulations.
-    threads : int
-        Threads to use; 0 takes all cores.
+    settings : RegisterSettings, optional
+        As in `register`; its threads also solve the frame.
     **options
-        As in `register`: ``model``, ``simulation``, ``seed``, ``settings``, ``progress``.
+        As in `register`: ``model``, ``simulation``, ``seed``, ``progress``.
 
     Returns
     -------
@@ -105,15 +115,19 @@ def register_frame(
     MarkerError, ModelError, ConvergenceError, EnsembleError
         As in `register`.
     """
-    given = frame_input(experiment, case, time, element=element, threads=threads)
-    return register(**{**given, **options}, element=element, threads=threads)
+    for name in options:
+        check_choice("option", name, _OPTIONS, ArgumentError)
+    how = maybe("settings", settings, RegisterSettings) or RegisterSettings()
+    given = frame_input(experiment, case, time, element=element, threads=how.threads)
+    return register(**{**given, **options}, settings=how)
 
 
 def _through_time(experiment: Experiment, case: Case, frame: int, element: str, threads: int) -> FloatArray:
     """Return the displacement of a frame, by solving its case, or all cases, from the start."""
     carried = is_carried(experiment)
     before = [other for other in experiment.cases.values() if carried and other.times[0] < case.times[0]]
-    solved = solve_through_time(experiment, [*before, case], element=element, threads=threads)[case.name]
+    settings = FrameSettings(element, threads=threads)
+    solved = solve_through_time(experiment, [*before, case], settings=settings)[case.name]
     for lost, why in solved.failed:
         if lost == frame:
             message = f"frame {frame} of case '{case.name}' must find equilibrium: {why}"

@@ -1,70 +1,90 @@
-"""Input of a registration, checked once, and its settings."""
+"""Input of a registration, checked once."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tissuereg._base.arguments import flag, maybe, named, of_kind, real, whole
+from tissuereg._base.arguments import named
 from tissuereg._base.arrays import FloatArray, float_array
-from tissuereg._base.choice import check_choice
 from tissuereg.body.markers import Markers
 from tissuereg.body.mesh import Mesh
 from tissuereg.body.observe import MarkerObservation, TargetObservation
 from tissuereg.body.surface import SurfacePoints
-from tissuereg.errors import ArgumentError, MarkerError, ShapeError, SurfaceError
-from tissuereg.registration.contacts.settings import ContactSettings
+from tissuereg.errors import MarkerError, ShapeError, SurfaceError
+from tissuereg.registration.body import Body
+from tissuereg.registration.learned.variants import checked_variants
 from tissuereg.registration.readings import suspect
 from tissuereg.registration.readings.clouds import suspect_points
 from tissuereg.registration.readings.scatter import scattered
 from tissuereg.registration.readings.skin import skin_of
+from tissuereg.registration.settings import RegisterSettings
 
-#: How the latents of a trained model are found.
-UPDATES = ("esmda", "gauss-newton")
+if TYPE_CHECKING:
+    from tissuereg.registration.result import Registration
 
 
-@dataclass(frozen=True)
-class RegisterSettings:
-    """Settings of a registration.
+@dataclass(frozen=True, eq=False, init=False)
+class SimulationVariants:
+    """One moment simulated with other values of what is uncertain: moduli, supports, loads, poses of tools.
+
+    Taken in place of a simulation by a registration with a model that was calibrated with pairs. Two dozen or more say
+    how this body may differ from its simulation, where a model knows how bodies in general do. Registration starts from
+    their mean.
 
     Parameters
     ----------
-    update : {"esmda", "gauss-newton"}
-        How the latents of a trained model are found: by an ensemble, or as the most probable ones with the Gaussian
-        about them, which needs fewer decodes.
-    n_members, n_steps : int
-        Ensemble size N_e and number of assimilations N_a, with a trained model. With ``update="gauss-newton"`` so many
-        draws from the Gaussian stand for the posterior, and there are no steps.
-    decrease : float
-        Ratio of successive inflation coefficients.
-    decode_all : bool
-        Decode the ensemble before every update. By default a calibrated model, whose answer is found about the
-        ensemble's mean, decodes before the first and the last; between them predictions follow their regression.
-    contacts : ContactSettings
-        Prior and sampling of unknown contacts, without a model.
+    fields : array_like of float, shape (n_variants, n_nodes, 3)
+        Displacements, mm; four or more.
+    simulation : array_like of float, shape (n_nodes, 3), optional
+        The simulation that the answer is compared with, mm; by default their mean.
 
     Raises
     ------
-    ArgumentError
-        If a value is not a number or out of its range.
+    ShapeError
+        If an array has another shape, a field is not finite, or there are fewer than four.
+
+    Examples
+    --------
+    >>> SimulationVariants(np.zeros((24, 4258, 3)))
+    SimulationVariants(24 fields, 4258 nodes)
     """
 
-    update: str = "esmda"
-    n_members: int = 200
-    n_steps: int = 5
-    decrease: float = 2.0
-    decode_all: bool = False
-    contacts: ContactSettings = field(default_factory=ContactSettings)
+    fields: FloatArray
+    simulation: FloatArray | None
 
-    def __post_init__(self) -> None:
-        check_choice("update", self.update, UPDATES, ArgumentError)
-        whole("n_members", self.n_members, least=2)
-        whole("n_steps", self.n_steps, least=1)
-        real("decrease", self.decrease, above=0.0)
-        flag("decode_all", self.decode_all)
-        of_kind("contacts", self.contacts, ContactSettings)
+    def __init__(self, fields: Any, simulation: Any = None) -> None:
+        given = checked_variants(fields)
+        own = None if simulation is None else _finite_field(simulation, given.shape[1])
+        object.__setattr__(self, "fields", given)
+        object.__setattr__(self, "simulation", own)
+
+    def __repr__(self) -> str:
+        return f"SimulationVariants({len(self.fields)} fields, {self.fields.shape[1]} nodes)"
+
+
+@dataclass(frozen=True, eq=False)
+class MomentInput:
+    """What is known of one moment.
+
+    Attributes
+    ----------
+    markers : Markers
+        Measured, with the reference places that the registrar was made for.
+    surface : SurfacePoints or None
+        Points of the surface; without a model only.
+    simulation : array_like of float, shape (n_nodes, 3), SimulationVariants or None
+        Displacement of the moment, mm.
+    after : Registration or None
+        Of a moment shortly before; without a model only.
+    """
+
+    markers: Markers
+    surface: SurfacePoints | None = None
+    simulation: Any = None
+    after: "Registration | None" = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,8 +93,8 @@ class RegisterInput:
 
     Attributes
     ----------
-    mesh : Mesh
-        Undeformed body.
+    body : Body
+        What is believed of the undeformed body.
     markers : Markers
         Checked markers.
     observed : MarkerObservation
@@ -83,23 +103,32 @@ class RegisterInput:
         Inner points.
     settings : RegisterSettings
         Settings of the registration.
-    seed, threads : int
-        Seed of all random numbers; threads to use.
+    seed : int
+        Seed of all random numbers.
     suspicions : tuple of str
         Why the input may be misread, in sentences.
     surface : SurfacePoints or None
         Points of the surface.
     """
 
-    mesh: Mesh
+    body: Body
     markers: Markers
     observed: MarkerObservation
     targets: TargetObservation
     settings: RegisterSettings
     seed: int
-    threads: int
     suspicions: tuple[str, ...]
     surface: SurfacePoints | None = None
+
+    @property
+    def mesh(self) -> Mesh:
+        """The undeformed body."""
+        return self.body.mesh
+
+    @property
+    def threads(self) -> int:
+        """Threads to use; 0 takes all cores."""
+        return self.settings.threads
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,8 +137,8 @@ class Attachment:
 
     Attributes
     ----------
-    mesh : Mesh
-        Undeformed body.
+    body : Body
+        What is believed of the undeformed body.
     places : Markers
         Reference places, noise and names of the markers.
     observed : MarkerObservation
@@ -118,31 +147,25 @@ class Attachment:
         Inner points.
     settings : RegisterSettings
         Settings of the registration.
-    seed, threads : int
-        Seed of all random numbers; threads to use.
-    held : str
-        How the node set ``fixed`` is taken.
+    seed : int
+        Seed of all random numbers.
     """
 
-    mesh: Mesh
+    body: Body
     places: Markers
     observed: MarkerObservation
     targets: TargetObservation
     settings: RegisterSettings
     seed: int
-    threads: int
-    held: str
+
+    @property
+    def mesh(self) -> Mesh:
+        """The undeformed body."""
+        return self.body.mesh
 
     @classmethod
     def of(
-        cls,
-        mesh: Any,
-        markers: Any,
-        targets: Mapping[str, Any] | None,
-        settings: RegisterSettings | None,
-        seed: int,
-        threads: int,
-        held: str = "sure",
+        cls, body: Body, places: Markers, targets: Mapping[str, Any] | None, settings: RegisterSettings, seed: int
     ) -> "Attachment":
         """Check what was given, and attach markers and targets to the mesh.
 
@@ -151,25 +174,23 @@ class Attachment:
         ShapeError, MarkerError
             If something does not fit.
         """
-        body, places = as_mesh(mesh), as_markers(markers)
         try:
-            observed = MarkerObservation.of(body, places)
+            observed = MarkerObservation.of(body.mesh, places)
         except MarkerError as error:
             # Refused; state which other reading would fit.
-            found = suspect(body, places)
+            found = suspect(body.mesh, places)
             if found:
                 error.args = (f"{error}; {found[0].sentence}",)
             raise
-        inner = TargetObservation(body, named("targets", targets, error=MarkerError))
-        how = maybe("settings", settings, RegisterSettings) or RegisterSettings()
-        return cls(body, places, observed, inner, how, seed, threads, held)
+        inner = TargetObservation(body.mesh, named("targets", targets, error=MarkerError))
+        return cls(body, places, observed, inner, settings, seed)
 
     def suspicions(self, markers: Markers) -> tuple[str, ...]:
         """Return reasons why markers may be misread; see `tissuereg.registration.readings.suspect` for the cost."""
         if not len(markers):
             return ()
         found = suspect(self.mesh, markers, self.observed)
-        return tuple(one.sentence for one in found if self.held == "sure" or one.kind != "held")
+        return tuple(one.sentence for one in found if self.body.held == "sure" or one.kind != "held")
 
     @cached_property
     def astray(self) -> tuple[str, ...]:
@@ -195,15 +216,14 @@ class Attachment:
             message = f"at least one marker must have been seen; all {len(markers)} are missing"
             raise MarkerError(message, where="markers")
         if surface is not None:
-            suspicions = (*suspicions, *_points_suspected(self.mesh, surface, self.held))
+            suspicions = (*suspicions, *_points_suspected(self.mesh, surface, self.body.held))
         return RegisterInput(
-            self.mesh,
+            self.body,
             markers,
             self.observed,
             self.targets,
             self.settings,
             self.seed,
-            self.threads,
             suspicions,
             surface,
         )
@@ -216,16 +236,6 @@ def _points_suspected(mesh: Mesh, surface: SurfacePoints, held: str) -> tuple[st
     if found and found[0].kind in ("unit", "far from the surface"):
         raise SurfaceError(found[0].sentence, where="surface")
     return tuple(one.sentence for one in found)
-
-
-def as_mesh(mesh: Any) -> Mesh:
-    """Return a mesh, made from (nodes, tets, fixed_nodes) if necessary."""
-    if isinstance(mesh, Mesh):
-        return mesh
-    if not isinstance(mesh, tuple) or len(mesh) != 3:
-        message = f"`mesh` must be a Mesh or (nodes, tets, fixed_nodes), got {type(mesh).__name__}"
-        raise ShapeError(message, where="mesh")
-    return Mesh(mesh[0], mesh[1], {"fixed": mesh[2]})
 
 
 def as_markers(markers: Any) -> Markers:
@@ -242,7 +252,11 @@ def as_markers(markers: Any) -> Markers:
 
 def finite_field(simulation: Any, mesh: Mesh) -> FloatArray:
     """Return a displacement field (n_nodes, 3) checked."""
-    given = float_array("simulation", simulation, (mesh.n_nodes, 3))
+    return _finite_field(simulation, mesh.n_nodes)
+
+
+def _finite_field(simulation: Any, n_nodes: int) -> FloatArray:
+    given = float_array("simulation", simulation, (n_nodes, 3))
     if not np.isfinite(given).all():
         node = int(np.argmin(np.isfinite(given).all(axis=1)))
         message = f"`simulation` must be finite, got {given[node].tolist()} at node {node}"

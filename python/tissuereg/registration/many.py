@@ -9,23 +9,26 @@ import pickle
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
-from typing import Any, cast
+from typing import Any
 
-from tissuereg._base.arguments import called, check_running, found, of_kind
+from tissuereg._base.arguments import called, check_running, found, maybe, of_kind
 from tissuereg._base.arrays import FloatArray, float_array
 from tissuereg._base.choice import check_choice
 from tissuereg.body.markers import Markers
 from tissuereg.body.mesh import Mesh
 from tissuereg.errors import ArgumentError
 from tissuereg.parallel import Executor, Failed, Finished, InProcess, in_order
-from tissuereg.registration.inputs import as_markers, as_mesh
+from tissuereg.registration.body import Body
+from tissuereg.registration.contacts.result import ContactRegistration
+from tissuereg.registration.inputs import as_markers
 from tissuereg.registration.learned.registration import as_model
 from tissuereg.registration.register import register
 from tissuereg.registration.registrar import Registrar
 from tissuereg.registration.result import Registration
+from tissuereg.registration.settings import RegisterSettings
 
 #: Arguments of `register` that belong to one moment, or to a caller in the same process.
-_OF_ONE = {"mesh", "markers", "surface", "surface_std", "progress", "tell"}
+_OF_ONE = {"mesh", "markers", "surface", "progress"}
 _OPTIONS = tuple(name for name in inspect.signature(register).parameters if name not in _OF_ONE)
 
 #: What registers the last body of this process, by its fingerprint.
@@ -34,7 +37,7 @@ _KEEPING = threading.Lock()
 
 
 def register_many(
-    mesh: Mesh | tuple[Any, Any, Any],
+    mesh: Mesh | Body | tuple[Any, Any, Any],
     markers: Markers | tuple[Any, Any] | Iterable[Markers | tuple[Any, Any]],
     measured: Any = None,
     *,
@@ -46,7 +49,7 @@ def register_many(
 
     Parameters
     ----------
-    mesh : Mesh or (nodes, tets, fixed_nodes)
+    mesh : Mesh, Body or (nodes, tets, fixed_nodes)
         Undeformed body in mm.
     markers : iterable of Markers or (reference, measured); or Markers or (reference, measured) alone
         The markers of every moment, taken as they are needed. With `measured`, the markers of one moment, whose
@@ -58,10 +61,9 @@ def register_many(
     progress : callable of int, optional
         Called with the number of moments that are done.
     **options
-        Of `register`: ``model``, ``simulation``, ``targets``, ``load``, ``material``, ``element``, ``held``,
-        ``held_nodes``, ``frame``, ``stiffness``, ``seed``, ``threads``, ``settings``, ``polish``, ``ensemble``; the
-        same for every moment. ``threads`` is 1 where there is an `executor` and it is left out. Other processes take a
-        ``model`` by its folder.
+        Of `register`: ``model``, ``simulation``, ``targets``, ``load``, ``seed``, ``settings``; the same for every
+        moment. Where there is an `executor`, registrations on all cores (``threads`` 0) take one thread each. Other
+        processes take a ``model`` by its folder.
 
     Yields
     ------
@@ -93,12 +95,15 @@ def register_many(
     """
     for name in options:
         check_choice("option", name, _OPTIONS, ArgumentError)
-    check_running(seed=options.get("seed", 0), threads=options.get("threads", 0))
+    check_running(seed=options.get("seed", 0))
     called("progress", progress)
+    how = maybe("settings", options.get("settings"), RegisterSettings) or RegisterSettings()
     if executor is not None:
         of_kind("executor", executor, Executor)
-        options.setdefault("threads", 1)
-    run = _Moments(as_mesh(mesh), options)
+        how = replace(how, threads=how.threads or 1)
+    if options.get("model") is not None:
+        how = replace(how, readings="always")  # each moment is a first one
+    run = _Moments(Body.of(mesh), {**options, "settings": how})
     return _registered(run, _moments(markers, measured), executor, progress)
 
 
@@ -116,20 +121,20 @@ class _Moments:
 
     Parameters
     ----------
-    mesh : Mesh
-        Undeformed body.
+    body : Body
+        What is believed of the undeformed body.
     options : dict
-        Of `register`.
+        Of `register`, settings among them.
     """
 
-    def __init__(self, mesh: Mesh, options: dict[str, Any]) -> None:
-        self.mesh, self.options = mesh, options
+    def __init__(self, body: Body, options: dict[str, Any]) -> None:
+        self.body, self.options = body, options
         self._registrar: Registrar | None = None
 
     def packed(self) -> bytes:
         """Return it as bytes."""
         try:
-            return pickle.dumps((self.mesh, self.options), protocol=pickle.HIGHEST_PROTOCOL)
+            return pickle.dumps((self.body, self.options), protocol=pickle.HIGHEST_PROTOCOL)
         except (pickle.PicklingError, TypeError, AttributeError) as error:
             message = f"options must be values that other processes can be sent, a model by its folder; {error}"
             raise ArgumentError(message, where="options") from error
@@ -138,28 +143,30 @@ class _Moments:
         """Return the same with the model's files read, if there is a model."""
         if self.options.get("model") is None:
             return self
-        model = as_model(self.options["model"], self.mesh, self.options.get("threads", 0))
-        return _Moments(self.mesh, {**self.options, "model": model})
+        model = as_model(self.options["model"], self.body.mesh, self.options["settings"].threads)
+        return _Moments(self.body, {**self.options, "model": model})
 
     def register(self, markers: Markers) -> Registration:
         """Return the registration of one moment, by a registrar that is kept while the markers' places are the same."""
         if self._registrar is None:
-            options = {name: value for name, value in self.options.items() if name not in ("simulation", "variants")}
-            self._registrar = Registrar(self.mesh, markers, readings="always", **options)
+            options = {name: value for name, value in self.options.items() if name != "simulation"}
+            self._registrar = Registrar(self.body, markers, **options)
         self._registrar = self._registrar.made_for(markers)
-        simulation, variants = self.options.get("simulation"), self.options.get("variants")
-        return self._registrar.register(markers, simulation, variants=variants)
+        return self._registrar.register(markers, self.options.get("simulation"))
 
     def __call__(self, markers: Markers) -> Registration:
-        """Return a registration without its mesh, and without what only this process can hold."""
+        """Return a registration without its body, and without what only this process can hold."""
         result = self.register(markers)
-        linear = _Computed(result.fallback)
-        return replace(result, mesh=cast("Mesh", None), nodes=_Computed(result.nodes()), draw=None, linear=linear)
+        parts: dict[str, Any] = {"body": None, "nodes": _Computed(result.nodes()), "linear": _Computed(result.fallback)}
+        if isinstance(result, ContactRegistration):
+            parts["draw"] = None
+        return replace(result, **parts)
 
     def completed(self, result: Registration, markers: Markers) -> Registration:
-        """Return a registration with its mesh, and with draws where it has a load to draw."""
-        draw = None if result.forces is None else _Again(self, markers)
-        return replace(result, mesh=self.mesh, draw=draw)
+        """Return a registration with its body, and with draws where it has a load to draw."""
+        if isinstance(result, ContactRegistration):
+            return replace(result, body=self.body, draw=_Again(self, markers))
+        return replace(result, body=self.body)
 
 
 @dataclass(frozen=True)

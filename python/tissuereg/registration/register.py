@@ -7,49 +7,38 @@ paper's Algorithm 1 (`tissuereg.registration.learned.registration`). Either is o
 """
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 from tissuereg._base.arguments import called
-from tissuereg._base.clock import Clock
+from tissuereg._base.clock import Clock, Listener
 from tissuereg.body.load import Load
 from tissuereg.body.markers import Markers
-from tissuereg.body.material import Material
 from tissuereg.body.mesh import Mesh
 from tissuereg.body.surface import SurfacePoints
-from tissuereg.errors import MarkerError, ModelError
-from tissuereg.registration.inputs import RegisterSettings, as_markers, as_mesh
+from tissuereg.errors import MarkerError
+from tissuereg.registration.body import Body
+from tissuereg.registration.inputs import MomentInput, as_markers
 from tissuereg.registration.learned.model import LatentModel
 from tissuereg.registration.registrar import Registrar
 from tissuereg.registration.result import Registration
+from tissuereg.registration.settings import RegisterSettings
 
-__all__ = ["RegisterSettings", "register"]
+__all__ = ["register"]
 
 
 def register(
-    mesh: Mesh | tuple[Any, Any, Any],
+    mesh: Mesh | Body | tuple[Any, Any, Any],
     markers: Markers | tuple[Any, Any] | None = None,
     *,
     surface: Any = None,
-    surface_std: float = 0.1,
-    model: "str | os.PathLike[str] | LatentModel | None" = None,
-    simulation: Any = None,
-    variants: Any = None,
     targets: Mapping[str, Any] | None = None,
     load: Load | None = None,
-    material: Material | None = None,
-    element: str = "auto",
-    held: str = "sure",
-    held_nodes: Any = None,
-    frame: str = "known",
-    stiffness: str = "believed",
+    simulation: Any = None,
+    model: "str | os.PathLike[str] | LatentModel | None" = None,
     seed: int = 0,
-    threads: int = 0,
     settings: RegisterSettings | None = None,
-    polish: bool = False,
-    ensemble: int = 0,
-    progress: Callable[[int, int], None] | None = None,
-    tell: Callable[[str, str], None] | None = None,
+    progress: Listener | None = None,
 ) -> Registration:
     """Register a deformed body to a few measured markers, to points of its surface, or to both.
 
@@ -59,68 +48,41 @@ def register(
 
     Parameters
     ----------
-    mesh : Mesh or (nodes, tets, fixed_nodes)
+    mesh : Mesh, Body or (nodes, tets, fixed_nodes)
         Undeformed body in mm; its node set ``fixed`` is held, its node set ``perhaps_fixed`` may or may not be. A mesh
-        without either, or one whose sets are empty, is free: a rigid motion is then unknown as well.
+        without either, or one whose sets are empty, is free: a rigid motion is then unknown as well. A `Body` is a mesh
+        with all else that is believed of it: material, elements, how surely it is held.
     markers : Markers or (reference, measured), optional
         Reference and measured positions of the markers, mm; NaN = not seen, also in single components.
-    surface : array_like of float, shape (n, 3), optional
-        Unlabelled points on all or part of the deformed surface, mm. Only their distance from the surface along the
-        normal is used; matches are made anew in every pass. More than 500 are thinned evenly.
-    surface_std : float
-        Standard deviation of such a point along the normal, mm. Some may belong to something else.
-    model : path-like or LatentModel, optional
-        Folder of a trained model for this mesh, or ``"phantom"`` for the one that is shipped. Without it the answer is
-        an equilibrium under unknown contacts.
-    simulation : array_like of float, shape (n_nodes, 3), optional
-        Displacement of this moment by any simulator, mm. Without a model, the nodal forces that hold it in equilibrium
-        are the believed load.
-    variants : array_like of float, shape (n_variants, n_nodes, 3), optional
-        With a model: this moment simulated with other values of what is uncertain, mm: moduli, supports, loads, poses
-        of tools. Two dozen or more say how this body may differ from its simulation, where a model knows how bodies in
-        general do. Registration starts from their mean; `simulation` is then what the answer is compared with.
+    surface : SurfacePoints or array_like of float, shape (n, 3), optional
+        Unlabelled points on all or part of the deformed surface, mm; without a model only. Only their distance from the
+        surface along the normal is used; matches are made anew in every pass. More than 500 are thinned evenly.
     targets : mapping of str to array_like of float, shape (3,), optional
         Inner points of the undeformed body, mm.
     load : Load, optional
-        The believed load; its direction, size and place stay uncertain.
-    material : Material, optional
-        The believed material. Without a load its stiffness affects the forces alone.
-    element : {"auto", "tet4", "tet4-averaged", "tet10"}
-        Elements of the package's own solves. ``"auto"`` without a model: averaged ones on coarse meshes and near
-        incompressibility, where plain four-node tets are too stiff; otherwise ``"tet4"``.
-    held : {"sure", "perhaps", "free"}
-        Whether the node set ``fixed`` is surely held, may be held, or is free.
-    held_nodes : array_like of int, optional
-        Nodes that the load prescribes, if they differ from the set ``fixed``.
-    frame : {"known", "drifts"}
-        Whether the tracker stayed fixed relative to the body's supports, or may have drifted by a small rigid motion.
-        The answer is in the tracker's frame at the measurement.
-    stiffness : {"believed", "graded"}
-        Whether the stiffness is distributed as in `material`, or its logarithm has in addition an unknown slope along
-        each principal axis of the body, which is estimated from the markers.
+        The believed load; its direction, size and place stay uncertain. With a model it is simulated.
+    simulation : array_like of float, shape (n_nodes, 3), or SimulationVariants, optional
+        Displacement of this moment by any simulator, mm; it holds what acts, so that `load` is not used. Without a
+        model, the nodal forces that hold it in equilibrium are the believed load. With one, also variants: the moment
+        simulated with other values of what is uncertain.
+    model : path-like or LatentModel, optional
+        Folder of a trained model for this mesh, or ``"phantom"`` for the one that is shipped. Without it the answer is
+        an equilibrium under unknown contacts.
     seed : int
         Seed of all random numbers: the same seed gives the same result at any thread count.
-    threads : int
-        Threads to use; 0 takes all cores.
     settings : RegisterSettings, optional
-        Prior of contacts; ensemble size and steps with a model.
-    polish : bool
-        With a model: use its answer as the simulation of a registration by contacts, so that the body is in equilibrium
-        and meets the markers.
-    ensemble : int
-        Without a model: the number of posterior loads to solve for the covariance of every node, instead of linear
-        draws; for large motions, where the posterior is not Gaussian.
-    progress : callable of (int, int), optional
-        Called with passes finished and passes at most.
-    tell : callable of (str, str), optional
-        Called with a kind and words: ``"stage"`` with the name of each stage that begins, as in `Registration.seconds`,
-        on large bodies also with how much of it is done. Without a model ``"size"`` with one line of size, time and
-        memory as soon as the mesh is analysed, and ``"warning"`` where it takes longer than a minute.
+        All other settings: threads, whether the tracker drifts, the prior of contacts; ensemble size and steps with a
+        model.
+    progress : callable of Progress, optional
+        Called when a stage begins, by its name in `Registration.seconds`, and when a pass is finished; on large bodies
+        also with how much of a stage is done. Without a model also with one line of size, time and memory as soon as
+        the mesh is analysed, and with a warning where it takes longer than a minute.
 
     Returns
     -------
     Registration
-        Displacement, spread, targets with regions, contacts, markers, trust, times.
+        Displacement, spread, targets with regions, markers, trust, times. Without a model, or polished, it is a
+        `ContactRegistration`, which has contacts, forces and draws as well; otherwise a `LearnedRegistration`.
 
     Raises
     ------
@@ -129,15 +91,17 @@ def register(
     SurfaceError
         If points of the surface are in other units or lie far from the body.
     ModelError
-        If the model was trained for another mesh, or a file of it is corrupt, or points of a surface are given with it.
-    ShapeError, SupportError
-        If an array does not fit the mesh, or `held` or `frame` is none of these.
+        If the model was trained for another mesh, or a file of it is corrupt, or something is given that means nothing
+        with a model: points of a surface, or what is believed of the body or set for contacts alone.
+    ShapeError
+        If an array does not fit the mesh.
     ArgumentError
-        If another argument has the wrong type or is out of its range; the message names it.
+        If something is given that means nothing without a model, or another argument has the wrong type or is out of
+        its range; the message names it.
     LargeBodyError
         If the body would not fit into memory (``docs/large-bodies.md``); nothing has been factored then.
     MaterialError
-        If `stiffness` is none of these, or graded together with a `simulation`.
+        If the stiffness is graded and there is a `simulation`.
     ConvergenceError, EnsembleError
         If no equilibrium is found, or too few ensemble members survive.
 
@@ -164,34 +128,13 @@ def register(
     2
     """
     called("progress", progress)
-    called("tell", tell)
     if markers is None and surface is None:
         message = "markers or points of the surface must be given; there are neither"
         raise MarkerError(message, where="markers")
-    clock = Clock(tell)
+    clock = Clock(progress)
     with clock.stage("total"):
         with clock.stage("attach"):
-            if surface is not None and model is not None:
-                message = "points of a surface are registered without a trained model; leave out `model` or `surface`"
-                raise ModelError(message, where="surface")
-            points = None if surface is None else SurfacePoints(surface, surface_std)
-            body, measured = as_mesh(mesh), as_markers(markers)
-            registrar = Registrar(
-                body,
-                measured,
-                model,
-                targets,
-                load=load,
-                material=material,
-                element=element,
-                held=held,
-                held_nodes=held_nodes,
-                frame=frame,
-                stiffness=stiffness,
-                seed=seed,
-                threads=threads,
-                settings=settings,
-                polish=polish,
-                ensemble=ensemble,
-            )
-        return registrar.moment(measured, simulation, points, clock, progress, None, variants)
+            points = surface if surface is None or isinstance(surface, SurfacePoints) else SurfacePoints(surface)
+            body, measured = Body.of(mesh), as_markers(markers)
+            registrar = Registrar(body, measured, model, targets, load=load, seed=seed, settings=settings)
+        return registrar.registered(MomentInput(measured, points, simulation), clock)

@@ -1,35 +1,40 @@
 """One body, its markers and its targets, registered moment after moment: what does not change is made once."""
 
 import os
-from collections.abc import Callable, Mapping
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 from threadpoolctl import ThreadpoolController
 
-from tissuereg._base.arguments import MOST_COUNTED, called, check_running, flag, maybe, whole
+from tissuereg._base.arguments import called, check_running, found, maybe
 from tissuereg._base.arrays import FloatArray, float_array
-from tissuereg._base.choice import check_choice
-from tissuereg._base.clock import Clock
+from tissuereg._base.clock import Clock, Listener
 from tissuereg.body.load import Load
 from tissuereg.body.markers import Markers
-from tissuereg.body.material import Material
 from tissuereg.body.mesh import Mesh
-from tissuereg.body.surface import SurfacePoints
-from tissuereg.errors import ArgumentError, MarkerError, SupportError
-from tissuereg.registration.contacts.registration import ContactInput, fitting_element, register_by_contacts
+from tissuereg.errors import ArgumentError, MarkerError, ModelError, SupportError
+from tissuereg.registration.body import Body
+from tissuereg.registration.contacts.registration import ContactInput, register_by_contacts
 from tissuereg.registration.fallback import LARGEST, ElasticFallback
-from tissuereg.registration.inputs import Attachment, RegisterSettings, finite_field
+from tissuereg.registration.inputs import Attachment, MomentInput, RegisterInput, SimulationVariants, finite_field
 from tissuereg.registration.learned.model import LatentModel
 from tissuereg.registration.learned.points import PointModel
 from tissuereg.registration.learned.registration import as_model, register_by_model
 from tissuereg.registration.learned.variants import Variants
 from tissuereg.registration.result import Fallback, Registration
-from tissuereg.simulation.solve import ELEMENTS, Simulator
+from tissuereg.registration.settings import RegisterSettings
+from tissuereg.simulation.solve import Simulator
 
-#: When a registrar with a model examines how markers are read.
-READINGS = ("doubtful", "always")
+#: Settings that mean nothing without a trained model; those that mean nothing with one unless its answer is polished.
+_OF_MODELS, _OF_CONTACTS = ("smoother", "polish", "readings"), ("tracker", "contacts", "ensemble")
+
+#: Where something means something with a trained model after all.
+_WHERE = {
+    **dict.fromkeys(("element", "held_nodes"), " without a `load` to simulate or `polish`"),
+    **dict.fromkeys((*_OF_CONTACTS, "held"), " without `polish`"),
+}
 
 
 class Registrar:
@@ -40,8 +45,8 @@ class Registrar:
 
     Parameters
     ----------
-    mesh : Mesh or (nodes, tets, fixed_nodes)
-        Undeformed body in mm.
+    mesh : Mesh, Body or (nodes, tets, fixed_nodes)
+        Undeformed body in mm; a `Body` says more of what is believed of it.
     reference_mm : array_like of float, shape (n_markers, 3), or Markers
         Places of the markers on or near the undeformed body; of `Markers` their noise and names are taken as well.
     model : path-like or LatentModel, optional
@@ -49,25 +54,23 @@ class Registrar:
         unknown and the answer an equilibrium.
     targets : mapping of str to array_like of float, shape (3,), optional
         Inner points of the undeformed body, mm.
-    std : float or array_like of float, shape (n_markers,) or (n_markers, 3)
-        Standard deviation of a measured coordinate in mm, as in `Markers`.
-    names : sequence of str, optional
-        Of the markers; by default ``M1``, ``M2``, ...
-    load, material, element, held, held_nodes, frame, stiffness, seed, threads, settings, polish, ensemble
-        As in `register`.
-    readings : {"doubtful", "always"}
-        With a model: when markers are examined for other units, axes, motions and orders
-        (`tissuereg.registration.readings`), which
-        takes as long as several registrations. "doubtful": until a first moment is free of suspicion, and where the
-        answer cannot be trusted for another reason. Without a model, always; `register(after=)` then as "doubtful".
+    load : Load, optional
+        The believed load of every moment, as in `register`.
+    seed : int
+        Seed of all random numbers.
+    settings : RegisterSettings, optional
+        All other settings.
 
     Raises
     ------
     MarkerError
         If a marker or target lies far from the body.
     ModelError
-        If the model was trained for another mesh, a file of it is corrupt, or its weights are not those of its decoder.
-    ShapeError, ArgumentError, MeshError
+        If the model was trained for another mesh, a file of it is corrupt, or its weights are not those of its decoder;
+        or if something is given that means nothing with a model.
+    ArgumentError
+        If something is given that means nothing without a model, or an argument has the wrong type.
+    ShapeError, MeshError
         As in `register`.
 
     Notes
@@ -88,46 +91,33 @@ class Registrar:
 
     def __init__(
         self,
-        mesh: Mesh | tuple[Any, Any, Any],
+        mesh: Mesh | Body | tuple[Any, Any, Any],
         reference_mm: Any,
         model: "str | os.PathLike[str] | LatentModel | None" = None,
         targets: Mapping[str, Any] | None = None,
         *,
-        std: Any = 0.1,
-        names: Any = None,
         load: Load | None = None,
-        material: Material | None = None,
-        element: str = "auto",
-        held: str = "sure",
-        held_nodes: Any = None,
-        frame: str = "known",
-        stiffness: str = "believed",
         seed: int = 0,
-        threads: int = 0,
         settings: RegisterSettings | None = None,
-        polish: bool = False,
-        ensemble: int = 0,
-        readings: str = "doubtful",
     ) -> None:
-        check_running(seed=seed, threads=threads)
+        check_running(seed=seed)
+        how = maybe("settings", settings, RegisterSettings) or RegisterSettings()
         self._load = maybe("load", load, Load)
-        self._material = maybe("material", material, Material) or Material()
-        check_choice("element", element, ("auto", *ELEMENTS), ArgumentError)
-        check_choice("readings", readings, READINGS, ArgumentError)
-        self._element: str = element
-        self._examines = model is None or readings == "always"
+        body = Body.of(mesh)
+        if model is None:
+            _refuse_of_models(how)
+        else:
+            _refuse_with_model(body, self._load, how)
+        self._examines = model is None or how.readings == "always"
         self._plausible = False
-        self._polish = flag("polish", polish)
-        self._ensemble = whole("ensemble", ensemble, most=MOST_COUNTED)
-        self._held_nodes, self._frame, self._stiffness = held_nodes, frame, stiffness
         self._blas = ThreadpoolController().select(user_api="blas")
         if not isinstance(reference_mm, Markers):
-            places = float_array("reference_mm", reference_mm, (None, 3))
-            reference_mm = Markers(places, places * float("nan"), std, names)
+            reference_mm = Markers(float_array("reference_mm", reference_mm, (None, 3)))
         with self._blas.limit(limits=1):
-            self._attached = Attachment.of(mesh, reference_mm, targets, settings, seed, threads, held)
-            self._model = None if model is None else as_model(model, self._attached.mesh, threads)
-            self._points = self._points_of(self._attached)
+            self._attached = Attachment.of(body, reference_mm, targets, how, seed)
+            self._model = None if model is None else as_model(model, body.mesh, how.threads)
+            self._points = None if self._model is None else self._points_of(self._model)
+        self._solver = _Solver(body)
 
     @property
     def mesh(self) -> Mesh:
@@ -164,10 +154,8 @@ class Registrar:
         measured_mm: Any,
         simulation: Any = None,
         *,
-        variants: Any = None,
         after: Registration | None = None,
-        progress: Callable[[int, int], None] | None = None,
-        tell: Callable[[str, str], None] | None = None,
+        progress: Listener | None = None,
     ) -> Registration:
         """Register one moment.
 
@@ -176,29 +164,31 @@ class Registrar:
         measured_mm : array_like of float, shape (n_markers, 3), or Markers
             Measured places, in the order of the reference places; NaN = not seen. Of `Markers` the noise is taken as
             well; they must have the same names and reference places.
-        simulation : array_like of float, shape (n_nodes, 3), optional
-            Displacement of this moment by any simulator, mm.
-        variants : array_like of float, shape (n_variants, n_nodes, 3), optional
-            The same moment simulated with other values of what is uncertain, mm; see `register`.
+        simulation : array_like of float, shape (n_nodes, 3), or SimulationVariants, optional
+            Displacement of this moment by any simulator, mm; with a model also variants of it. See `register`.
         after : Registration, optional
-            Of a moment shortly before, by this registrar. Without a model its contacts are where the search begins, and
-            the stiffness of doubtful supports and of a graded body is kept: what was fitted once is not fitted again.
-        progress, tell : callable, optional
+            Of a moment shortly before, by this registrar; without a model only. Its contacts are where the search
+            begins, and the stiffness of doubtful supports and of a graded body is kept: what was fitted once is not
+            fitted again.
+        progress : callable of Progress, optional
             As in `register`.
 
         Returns
         -------
         Registration
-            The one that `register` gives, if it is not `after` another; see `readings` for the reasons in its trust.
+            The one that `register` gives, if it is not `after` another; see `RegisterSettings.readings` for the reasons
+            in its trust.
 
         Raises
         ------
         MarkerError
             If no marker was seen, or markers with other names or reference places are given.
         ShapeError
-            If an array has another shape, or `simulation` or `variants` are not finite.
+            If an array has another shape, or a simulation is not finite.
+        ModelError
+            If `after` is given with a model.
         ArgumentError
-            If there are `variants`, and no model that was calibrated with pairs of simulation and truth.
+            If there are variants, and no model that was calibrated with pairs of simulation and truth.
         ConvergenceError, EnsembleError
             If no equilibrium is found, or too few ensemble members survive.
         """
@@ -210,105 +200,101 @@ class Registrar:
             message = "`measured_mm` must be of the markers that the registrar was made for, got other names or places"
             raise MarkerError(message, where="measured_mm")
         called("progress", progress)
-        called("tell", tell)
-        clock = Clock(tell)
+        clock = Clock(progress)
         with clock.stage("total"):
-            after = maybe("after", after, Registration)
-            return self.moment(measured_mm, simulation, None, clock, progress, after, variants)
+            before = maybe("after", after, Registration)
+            return self.registered(MomentInput(measured_mm, None, simulation, before), clock)
 
     def made_for(self, markers: Markers) -> "Registrar":
         """Return a registrar for other markers of the same body; this one if they are its own."""
-        if self._attached.holds(markers):
-            return self
-        other = object.__new__(Registrar)
-        other.__dict__.update(self.__dict__)
         own = self._attached
+        if own.holds(markers):
+            return self
         targets = dict(zip(own.targets.names, own.targets.reference, strict=True))
-        other._attached = Attachment.of(own.mesh, markers, targets, own.settings, own.seed, own.threads, own.held)
-        other._points = self._points_of(other._attached)
-        other.__dict__.pop("_elastic", None)
+        how: dict[str, Any] = {"load": self._load, "seed": own.seed, "settings": own.settings}
+        other = Registrar(own.body, markers, self._model, targets, **how)
+        other._solver = self._solver  # analysed once for the body
         return other
 
-    def _points_of(self, attached: Attachment) -> PointModel | None:
-        return None if self._model is None else PointModel(self._model, attached.observed, attached.targets)
+    def _points_of(self, model: LatentModel) -> PointModel:
+        return PointModel(model, self._attached.observed, self._attached.targets)
 
-    def moment(
-        self,
-        markers: Markers,
-        simulation: Any,
-        surface: SurfacePoints | None,
-        clock: Clock,
-        progress: Callable[[int, int], None] | None = None,
-        after: Registration | None = None,
-        variants: Any = None,
-    ) -> Registration:
+    def registered(self, moment: MomentInput, clock: Clock) -> Registration:
         """Register one moment whose markers are those of this registrar; see `register`.
 
         Parameters
         ----------
-        markers : Markers
-            Measured.
-        simulation : array_like of float, shape (n_nodes, 3), or None
-            Displacement of the moment, mm.
-        surface : SurfacePoints or None
-            Points of the surface; without a model only.
+        moment : MomentInput
+            What was measured and simulated.
         clock : Clock
-            Records the times of the stages.
-        progress : callable of (int, int), optional
-            Called with passes finished and passes at most.
-        after : Registration, optional
-            Of a moment shortly before.
-        variants : array_like of float, shape (n_variants, n_nodes, 3), optional
-            Of the simulation, mm.
+            Records the times of the stages; its listener is told how far the registration is.
 
         Returns
         -------
         Registration
             The result.
         """
-        varied = None if variants is None else Variants.of(variants, self.mesh.n_nodes)
-        field = None if simulation is None else finite_field(simulation, self.mesh)
+        field, varied = self._simulated(moment)
         with self._blas.limit(limits=1):
             if field is None and varied is None and self._points is not None and self._load is not None:
                 with clock.stage("simulate"):
-                    solved = self._simulator.solve(self._load, self._material, threads=self._attached.threads)
-                    field = solved.displacement
-            found = self._registered(markers, field, varied, surface, clock, progress, after)
+                    solver, own = self._solver.simulator, self._attached
+                    field = solver.solve(self._load, own.body.material, threads=own.settings.threads).displacement
+            result = self._registered(moment, field, varied, clock)
         if varied is not None:
-            found = replace(found, model={**found.model, "variants": varied.count})
+            result = replace(result, model={**result.model, "variants": varied.count})
         start = field if field is not None or varied is None else varied.mean
-        return replace(found, linear=lambda: self._linear(markers, found.markers.used, start))
+        return replace(result, linear=lambda: self._linear(moment.markers, result.markers.used, start))
 
-    def _registered(
-        self,
-        markers: Markers,
-        field: FloatArray | None,
-        varied: Variants | None,
-        surface: SurfacePoints | None,
-        clock: Clock,
-        progress: Callable[[int, int], None] | None,
-        after: Registration | None,
-    ) -> Registration:
-        """Return the registration of a moment; see `moment`."""
-        with clock.stage("attach"):
-            always = self._examines and (after is None or self._points is not None)
-            examined = always or not self._plausible
-            given = self._attached.measured(markers, surface, examined)
-            self._plausible = self._plausible or not given.suspicions
-        if self._points is None:
-            if varied is not None:
+    def _simulated(self, moment: MomentInput) -> tuple[FloatArray | None, Variants | None]:
+        """Return the simulation of a moment and its variants, checked; refuse what does not go with the method."""
+        if self._points is not None and moment.surface is not None:
+            message = "points of a surface are registered without a trained model; leave out `model` or `surface`"
+            raise ModelError(message, where="surface")
+        if self._points is not None and moment.after is not None:
+            message = "`after` must be left out with a trained model, which registers every moment on its own"
+            raise ModelError(message, where="after")
+        own, varied = moment.simulation, None
+        if isinstance(own, SimulationVariants):
+            if self._points is None:
                 message = "`variants` are of a registration with a trained model; there is none"
                 raise ArgumentError(message, where="variants")
-            found = register_by_contacts(given, self._contacts(self._load, field, progress), clock, after)
-            return found if examined else self._judged(found, markers, clock)
+            varied, own = Variants.of(own.fields, self.mesh.n_nodes), own.simulation
+        return (None if own is None else finite_field(own, self.mesh)), varied
+
+    def _registered(
+        self, moment: MomentInput, field: FloatArray | None, varied: Variants | None, clock: Clock
+    ) -> Registration:
+        """Return the registration of a moment; see `registered`."""
+        with clock.stage("attach"):
+            always = self._examines and (moment.after is None or self._points is not None)
+            examined = always or not self._plausible
+            given = self._attached.measured(moment.markers, moment.surface, examined)
+            self._plausible = self._plausible or not given.suspicions
+        if self._points is None:
+            result: Registration = register_by_contacts(given, ContactInput(self._load, field), clock, moment.after)
+            return result if examined else self._judged(result, moment.markers, clock)
         if not given.suspicions and self._attached.astray:
             given = replace(given, suspicions=self._attached.astray)
-        result = register_by_model(given, self._points, field, clock, varied)
+        return self._by_model(self._points, given, field, varied, clock, examined=examined)
+
+    def _by_model(
+        self,
+        points: PointModel,
+        given: RegisterInput,
+        field: FloatArray | None,
+        varied: Variants | None,
+        clock: Clock,
+        *,
+        examined: bool,
+    ) -> Registration:
+        """Return the registration of a moment with a trained model."""
+        result: Registration = register_by_model(given, points, field, clock, varied)
         if not examined:
-            result = self._judged(result, markers, clock)
-        if not self._polish:
+            result = self._judged(result, given.markers, clock)
+        if not given.settings.polish:
             return result
-        polished = register_by_contacts(given, self._contacts(None, result.displacement, progress), clock)
+        polished = register_by_contacts(given, ContactInput(None, result.displacement), clock)
         return replace(polished, model={**result.model, "polished": True})
 
     def _judged(self, result: Registration, markers: Markers, clock: Clock) -> Registration:
@@ -318,23 +304,6 @@ class Registrar:
         with clock.stage("judge"):
             reasons = [*self._attached.suspicions(markers), *result.trust.reasons]
             return replace(result, trust=replace(result.trust, reasons=reasons))
-
-    def _contacts(
-        self, load: Load | None, field: FloatArray | None, progress: Callable[[int, int], None] | None
-    ) -> ContactInput:
-        element, held = self._element, self._attached.held
-        return ContactInput(
-            load,
-            field,
-            self._material,
-            fitting_element(self.mesh, self._material) if element == "auto" else element,
-            held,
-            self._held_nodes,
-            self._frame,
-            self._stiffness,
-            progress,
-            self._ensemble,
-        )
 
     def _linear(self, markers: Markers, used: tuple[str, ...], start: FloatArray | None) -> Fallback | None:
         """Return where linear elasticity alone has the body; None where it can move freely or is too large."""
@@ -347,11 +316,43 @@ class Registrar:
         if not len(own.mesh.node_sets.get("fixed", ())) or own.mesh.n_nodes > LARGEST:
             return None
         try:
-            return ElasticFallback.of(own.mesh, self._material, own.places, own.targets, own.threads)
+            return ElasticFallback.of(own.mesh, own.body.material, own.places, own.targets, own.settings.threads)
         except SupportError:
             return None
 
+
+@dataclass(frozen=True, eq=False)
+class _Solver:
+    """The solver of a believed load with a model, made when it is first used."""
+
+    body: Body
+
     @cached_property
-    def _simulator(self) -> Simulator:
-        element = "tet4" if self._element == "auto" else self._element
-        return Simulator(self.mesh, element=element, held_nodes=self._held_nodes)
+    def simulator(self) -> Simulator:
+        element = "tet4" if self.body.element == "auto" else self.body.element
+        return Simulator(self.body.mesh, element=element, held_nodes=self.body.held_nodes)
+
+
+def _refuse_of_models(how: RegisterSettings) -> None:
+    """Refuse settings that mean nothing without a trained model."""
+    for name, value in how.changed(*_OF_MODELS).items():
+        message = f"`{name}` must be left out without a trained model, for which alone it means something; got "
+        raise ArgumentError(message + _in_short(value), where=name)
+
+
+def _refuse_with_model(body: Body, load: Load | None, how: RegisterSettings) -> None:
+    """Refuse what means nothing with a trained model."""
+    given: dict[str, Any] = {} if body.stiffness == "believed" else {"stiffness": body.stiffness}
+    if not how.polish:
+        given |= how.changed(*_OF_CONTACTS)
+        given |= {} if body.held == "sure" else {"held": body.held}
+        if load is None:
+            given |= {} if body.element == "auto" else {"element": body.element}
+            given |= {} if body.held_nodes is None else {"held_nodes": body.held_nodes}
+    for name, value in given.items():
+        message = f"`{name}` must be left out with a trained model, where it means nothing{_WHERE.get(name, '')}; got "
+        raise ModelError(message + _in_short(value), where=name)
+
+
+def _in_short(value: Any) -> str:
+    return found(value) if isinstance(value, str | int) else f"another {type(value).__name__} than the usual one"

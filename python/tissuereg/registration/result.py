@@ -1,22 +1,25 @@
-"""The result of a registration: the displaced body, its spread, targets with regions, and whether to trust it."""
+"""The result of a registration: the displaced body, its spread, targets with regions, and whether to trust it.
+
+What one method alone gives is in `tissuereg.registration.contacts.result` and `tissuereg.registration.learned.result`.
+"""
 
 import os
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from tissuereg._base.arguments import MOST_COUNTED, flag, named, place, real, text, whole
+from tissuereg._base.arguments import flag, found, named, place, real, text
 from tissuereg._base.arrays import FloatArray, float_array
 from tissuereg.body.markers import Markers
 from tissuereg.body.mesh import Mesh
 from tissuereg.errors import MarkerError, ModelError
-from tissuereg.registration.contacts.found import FoundContact
-from tissuereg.registration.contacts.surface_fit import SurfaceFit
+from tissuereg.registration.body import Body
 from tissuereg.registration.learned.spread_law import squared_radius
+from tissuereg.registration.settings import RegisterSettings
 from tissuereg.registration.trust import Trust
 
 #: Flag of a target of which the markers say too little.
@@ -160,18 +163,19 @@ class Fallback:
         return {"method": "linear elastic", "targets_mm": {name: at.tolist() for name, at in self.targets.items()}}
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Registration:
-    """The registered body.
+    """The registered body; what both methods give. `ContactRegistration` and `LearnedRegistration` say more.
 
     Attributes
     ----------
-    mesh : Mesh
-        Undeformed body.
+    body : Body
+        What was believed of the undeformed body.
     displacement : ndarray of float64, shape (n_nodes, 3)
-        Decoded from the posterior mean, mm.
+        Without a model that of the equilibrium under the mean of the posterior load; with one decoded from the mean of
+        the posterior latents. mm.
     nodes : callable
-        Returns the covariance of every node, or their standard deviations: see `node_covariance` and `std`.
+        Returns the covariance of every node, or their standard deviations: see `std`.
     targets : dict of str to Target
         Inner points.
     unseen : dict of str to Target
@@ -189,29 +193,19 @@ class Registration:
     trust : Trust
         Whether the result can be trusted, and the reasons if not.
     model : dict
-        Kind, source, members and test errors of the latent model; ``variants``, how many were given, if any.
+        Kind and source of the model; of a trained one also members and test errors, and ``variants``, how many were
+        given, if any.
+    settings : RegisterSettings
+        All settings of the registration.
     seconds : dict of str to float
         Wall time per stage.
     seed : int
         Seed of all random numbers.
-    dropped_members : list of (int, str)
-        Ensemble members that were lost, with the reason.
-    contacts : tuple of FoundContact
-        Places where the body is probably pushed or pulled; empty with a trained model.
-    surface : SurfaceFit or None
-        Fit of the points of the surface; None if none were given.
-    work : dict of str to int
-        Factorisations, right-hand sides, solves, sweeps; empty with a trained model.
-    forces : ndarray of float64, shape (n_nodes, 3), or None
-        Nodal forces of the estimated load in mN at the believed modulus, including the believed load but not its body
-        force; None with a trained model.
-    draw : callable of int, optional
-        Returns posterior displacement fields; see `draws`.
     linear : callable, optional
         Returns where linear elasticity alone has the body; see `fallback`.
     """
 
-    mesh: Mesh
+    body: Body
     displacement: FloatArray
     nodes: Callable[[], FloatArray]
     targets: dict[str, Target]
@@ -223,15 +217,15 @@ class Registration:
     inverted_tets: int
     trust: Trust
     model: dict[str, Any]
+    settings: RegisterSettings
     seconds: dict[str, float]
     seed: int
-    dropped_members: list[tuple[int, str]]
-    contacts: tuple[FoundContact, ...] = ()
-    surface: SurfaceFit | None = None
-    work: dict[str, int] = field(default_factory=dict)
-    forces: FloatArray | None = None
-    draw: Callable[[int], FloatArray] | None = None
     linear: Callable[[], Fallback | None] | None = None
+
+    @property
+    def mesh(self) -> Mesh:
+        """The undeformed body's mesh."""
+        return self.body.mesh
 
     @cached_property
     def fallback(self) -> Fallback | None:
@@ -245,58 +239,26 @@ class Registration:
         return None if self.trust.ok or self.linear is None else self.linear()
 
     @cached_property
-    def node_covariance(self) -> FloatArray | None:
-        """Covariance of every node, ndarray of float64, shape (n_nodes, 3, 3), mm^2; None with a trained model.
-
-        Cost: computed when it, or `std`, is first read; one right-hand side for each of 64 draws.
-        """
-        found = self._of_nodes
-        return found if found.ndim == 3 else None
-
-    @cached_property
     def std(self) -> FloatArray:
         """Root of the trace of every node's covariance, ndarray of float64, shape (n_nodes,), mm."""
-        found = self._of_nodes
-        return found if found.ndim == 1 else np.asarray(np.sqrt(np.trace(found, axis1=1, axis2=2)))
-
-    @cached_property
-    def _of_nodes(self) -> FloatArray:
         return self.nodes()
 
     def draws(self, count: int) -> FloatArray:
-        """Return displacement fields drawn from the posterior, each in equilibrium.
-
-        Parameters
-        ----------
-        count : int
-            Number of fields.
-
-        Returns
-        -------
-        ndarray of float64, shape (count, n_nodes, 3)
-            mm. The same at every call. Cost: one solve each, started from the registered state.
+        """Return displacement fields drawn from the posterior, each in equilibrium; see `ContactRegistration.draws`.
 
         Raises
         ------
         ModelError
             If the registration used a trained model, whose ensemble is not in equilibrium.
-        ConvergenceError
-            If a drawn load finds no equilibrium.
         """
-        if self.draw is None:
-            message = "draws need a registration by contacts; this one used a trained model"
-            raise ModelError(message, where="draws")
-        if whole("count", count, least=-MOST_COUNTED, error=ModelError) < 1:
-            message = f"`count` must be at least 1, got {count}"
-            raise ModelError(message, where="count")
-        return self.draw(count)
+        message = f"draws need a registration by contacts; this one used a trained model, got `count` {found(count)}"
+        raise ModelError(message, where="draws")
 
     def __repr__(self) -> str:
         used, trusted = len(self.markers.used), "trusted" if self.trust.ok else "not to be trusted"
         return (
-            f"Registration({self.mesh.n_nodes} nodes, {used} marker{'' if used == 1 else 's'}, {len(self.targets)} "
-            f"target{'' if len(self.targets) == 1 else 's'}, {len(self.contacts)} "
-            f"contact{'' if len(self.contacts) == 1 else 's'}, {trusted})"
+            f"{type(self).__name__}({self.mesh.n_nodes} nodes, {used} marker{'' if used == 1 else 's'}, "
+            f"{len(self.targets)} target{'' if len(self.targets) == 1 else 's'}, {self._found_words()}{trusted})"
         )
 
     @property
@@ -317,13 +279,22 @@ class Registration:
             raise MarkerError(message, where=name)
         return self.targets[name]
 
+    def _found_words(self) -> str:
+        """Return what a method found beside the fit, for `repr`."""
+        return ""
+
+    def _found_json(self) -> dict[str, Any]:
+        """Return the entries of a method's own; the other's are empty."""
+        return {"surface": None, "contacts": [], "work": {}, "dropped_members": []}
+
     def to_json(self) -> dict[str, Any]:
         """Return the content of ``registration.json``: plain numbers, lists and strings."""
-        fit = self.markers
+        fit, own = self.markers, self._found_json()
         return {
             "schema": "tissuereg.registration/1",
             "seed": self.seed,
             "frame": self.mesh.frame,
+            "tracker": self.settings.tracker,
             "markers": {
                 "used": list(fit.used),
                 "dropped": [{"marker": name, "reason": reason} for name, reason in fit.dropped],
@@ -331,7 +302,7 @@ class Registration:
                 "after_rms_mm": fit.after_rms_mm,
                 "residual_mm": {name: _row_json(row) for name, row in fit.residual_mm.items()},
             },
-            "surface": None if self.surface is None else self.surface.to_json(),
+            "surface": own["surface"],
             "targets": {name: target.to_json() for name, target in self.targets.items()},
             "unseen_markers": {name: target.to_json() for name, target in self.unseen.items()},
             "body": {
@@ -350,10 +321,11 @@ class Registration:
             },
             "fallback": None if self.fallback is None else self.fallback.to_json(),
             "model": dict(self.model),
-            "contacts": [contact.to_json() for contact in self.contacts],
-            "work": dict(self.work),
-            "dropped_members": [{"member": index, "reason": reason} for index, reason in self.dropped_members],
+            "contacts": own["contacts"],
+            "work": own["work"],
+            "dropped_members": own["dropped_members"],
             "seconds": dict(self.seconds),
+            "provenance": {"settings": {**self.settings.to_json(), "body": self.body.to_json()}},
         }
 
     def save(

@@ -95,15 +95,15 @@ def judge(
     n_obs = len(seen) + points[1]
     data_misfit = float(flat[seen] @ np.linalg.solve(noise[np.ix_(seen, seen)], flat[seen])) + points[0]
     total = data_misfit + prior_misfit
-    p_value = float(chi2.sf(total, n_obs))
+    p_value = float(chi2.sf(total, n_obs)) if n_obs else 1.0
     reasons = list(notes)
     if p_value < LEVEL:
         reasons.append(
             f"misfit: {_data(len(names), points[1])} and model disagree, {total:.1f} where {n_obs} is expected "
             f"(p = {p_value:.2g}); the noise is larger than stated, the prior too narrow, or the model misses something"
         )
-    if len(names) == 1 and not points[1]:
-        reasons.append(f"few markers: {names[0]} alone was used, and nothing else could contradict it")
+    if not points[1]:
+        reasons += _too_few(names)
     # Markers are taken for independent here: a spread estimated from an ensemble is not consistent enough with the
     # noise to take out what correlated errors share.
     own = np.kron(np.eye(len(names)), np.ones((3, 3)))
@@ -114,6 +114,25 @@ def judge(
     if min_det_f <= 0:
         reasons.append(f"inverted tets: the registered body turns tets inside out, smallest det F {min_det_f:.3g}")
     return Trust(not reasons, p_value, total, data_misfit, n_obs, reasons)
+
+
+class Shown(Protocol):
+    """Test statistics of a registration; see `tissuereg.registration.learned.signs.Signs`."""
+
+    @property
+    def row(self) -> FloatArray:
+        """Misfit, wrong marker, unfamiliar, simulation, (4,)."""
+        ...
+
+    @property
+    def marker_rows(self) -> FloatArray:
+        """The second of them, of each marker, (n_markers,)."""
+        ...
+
+    @property
+    def marker_misfits(self) -> FloatArray:
+        """Squared misfit of each marker to the others in its own standard deviations, (n_markers,)."""
+        ...
 
 
 class Compared(Protocol):
@@ -133,9 +152,7 @@ def judge_by_rehearsal(
     residual: FloatArray,
     noise: FloatArray,
     honest: Compared,
-    signs: FloatArray,
-    marker_signs: FloatArray,
-    marker_misfits: FloatArray,
+    shown: Shown,
     min_det_f: float,
     notes: list[str],
 ) -> Trust:
@@ -153,10 +170,8 @@ def judge_by_rehearsal(
         Covariance of the tracker's noise, mm^2.
     honest : Compared
         Honest events.
-    signs : ndarray of float64, shape (4,)
-        Misfit, wrong marker, unfamiliar, simulation; see `tissuereg.registration.learned.honest.SIGNS`.
-    marker_signs, marker_misfits : ndarray of float64, shape (n_markers,)
-        The second sign of each marker, and its squared misfit to the others in its own standard deviations.
+    shown : Shown
+        Test statistics of the registration.
     min_det_f : float
         Smallest volume ratio of the registered body.
     notes : list of str
@@ -169,6 +184,7 @@ def judge_by_rehearsal(
     """
     flat = residual.ravel()
     data = float(flat @ np.linalg.solve(noise, flat))
+    signs = shown.row
     p_value, reasons = honest.p_value(signs), list(notes)
     if p_value < LEVEL:
         shares = honest.shares(signs)
@@ -180,10 +196,10 @@ def judge_by_rehearsal(
                 f"(p = {shares[0]:.2g}); the noise is larger than stated, or the body does what the model never saw"
             )
         if marker:
-            for index, sign in enumerate(marker_signs):
+            for index, sign in enumerate(shown.marker_rows):
                 if honest.shares(np.array([signs[0], sign, *signs[2:]]))[1] > limit:
                     continue
-                off = np.sqrt(marker_misfits[index])
+                off = np.sqrt(shown.marker_misfits[index])
                 reasons.append(
                     f"wrong marker: {names[index]} does not fit the others, {off:.1f} standard deviations off"
                 )
@@ -193,11 +209,18 @@ def judge_by_rehearsal(
             )
         if simulation:
             reasons.append("simulation: another event than the simulated one explains the markers better")
-    if len(names) == 1:
-        reasons.append(f"few markers: {names[0]} alone was used, and nothing else could contradict it")
+    reasons += _too_few(names)
     if min_det_f <= 0:
         reasons.append(f"inverted tets: the registered body turns tets inside out, smallest det F {min_det_f:.3g}")
     return Trust(not reasons, p_value, data, data, len(flat), reasons)
+
+
+def _too_few(names: tuple[str, ...]) -> list[str]:
+    """Return the reason against an answer from one marker or none."""
+    if len(names) > 1:
+        return []
+    used = f"{names[0]} alone was used, and nothing else could contradict it" if names else "none was used"
+    return [f"few markers: {used}"]
 
 
 def _in_words(p_value: float) -> str:

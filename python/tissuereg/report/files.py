@@ -10,6 +10,7 @@ from tissuereg.io.json import write_json
 from tissuereg.io.meshes import write_vtu
 from tissuereg.io.mrk_json import write_mrk_json
 from tissuereg.io.tables import write_targets
+from tissuereg.registration.contacts.result import ContactRegistration
 
 if TYPE_CHECKING:
     from tissuereg.registration.result import Registration
@@ -48,7 +49,7 @@ def save_registration(result: "Registration", folder: Path, extra: dict[str, Any
     """
     mesh = result.mesh
     fields = {"displacement_mm": result.displacement, "std_mm": result.std}
-    if result.forces is not None:
+    if isinstance(result, ContactRegistration):
         fields["contact_force_mN"] = result.forces
     held = np.zeros(mesh.n_nodes, dtype=np.int8)
     held[mesh.node_sets.get("fixed", np.empty(0, np.int64))] = 1

@@ -5,6 +5,7 @@ import textwrap
 from typing import TYPE_CHECKING, Any
 
 from tissuereg.report import scene
+from tissuereg.report.found import contacts_of, surface_of
 from tissuereg.report.words import counted, silent, start_word, verdict
 
 if TYPE_CHECKING:
@@ -63,7 +64,7 @@ def _wrapped(text: str, first: str = "", later: str = "") -> list[str]:
 
 def _met(result: "Registration") -> list[str]:
     """Return how far the data lay from the body before and after."""
-    fit, surface, words, start = result.markers, result.surface, [], start_word(result.starts_simulated)
+    fit, surface, words, start = result.markers, surface_of(result), [], start_word(result.starts_simulated)
     if fit.used:
         words.append(
             f"{counted(len(fit.used), 'marker')}: {fit.before_rms_mm:.2f} mm {start}, "
@@ -99,14 +100,14 @@ def _signs(result: "Registration") -> list[tuple[str, str, dict[str, Any]]]:
             ("marker, registered", scene.FITTED, {"marker": "o", "ms": 4.5}),
             ("marker, measured", scene.MEASURED, {"marker": "o", "ms": 7, "mfc": "none"}),
         ]
-    if result.surface is not None:
+    if surface_of(result) is not None:
         signs.append(("surface points", scene.MEASURED, {"marker": ".", "ms": 4}))
     reasons = {reason for _, reason in result.markers.dropped}
     if "wrong" in reasons:
         signs.append(("wrong marker, not used", scene.WRONG, {"marker": "X", "ms": 8}))
     if "not seen" in reasons:
         signs.append(("not seen: where it must be", "dimgray", {"marker": "$?$", "ms": 7}))
-    if result.contacts:
+    if contacts_of(result):
         signs.append(("contact: force on the body", scene.CONTACT, {"marker": r"$\rightarrow$", "ms": 12}))
     flags = {target.flag is not None for target in result.targets.values()}
     if False in flags:

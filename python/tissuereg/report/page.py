@@ -9,6 +9,8 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.io.atomic import atomic_file
+from tissuereg.registration.contacts.result import ContactRegistration
+from tissuereg.report.found import contacts_of, surface_of
 from tissuereg.report.markup import document, escape, table
 from tissuereg.report.scene import Surface, contact_verb
 from tissuereg.report.words import counted, fallback_lines, silent, start_word, verdict
@@ -77,7 +79,7 @@ def _summary(result: "Registration") -> str:
 
 def _met(result: "Registration") -> str:
     """Return how far the data lie from the registered body, in sentences."""
-    fit, surface, words = result.markers, result.surface, []
+    fit, surface, words = result.markers, surface_of(result), []
     if fit.used:
         words.append(
             f"{counted(len(fit.used), 'marker')}: {fit.after_rms_mm:.2f} mm (rms) from the registered body, "
@@ -99,11 +101,11 @@ def _picture(result: "Registration") -> str:
 
 
 def _contacts(result: "Registration") -> str:
-    if not result.contacts:
+    if not contacts_of(result):
         return ""
     surface = Surface.of(result)
     rows = []
-    for contact in result.contacts:
+    for contact in contacts_of(result):
         node = surface.nearest(contact.centre_mm, result.mesh.nodes)
         rows.append(
             (
@@ -176,7 +178,7 @@ def _markers(result: "Registration") -> str:
 
 
 def _surface(result: "Registration") -> str:
-    surface = result.surface
+    surface = surface_of(result)
     if surface is None:
         return ""
     rows = [
@@ -198,7 +200,7 @@ def _model(result: "Registration") -> str:
 
 
 def _work(result: "Registration") -> str:
-    if not result.work:
+    if not isinstance(result, ContactRegistration):
         return ""
     rows = [(name.replace("_", " "), f"{count:,}") for name, count in result.work.items()]
     return "<h2>Work</h2>" + table(("", "count"), rows)

@@ -6,6 +6,7 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.report import scene
+from tissuereg.report.found import contacts_of
 from tissuereg.report.heading import write_heading, write_legend
 from tissuereg.report.inset import MOST_PANELS, draw_panels, round_length
 from tissuereg.report.labels import on_page, place_labels
@@ -159,9 +160,10 @@ def _colour_bar(figure: Any, colours: Any, right: float) -> None:
 
 def _azimuths(result: "Registration") -> tuple[float, float]:
     """Return azimuths that show the most probable contact from both views."""
-    if not result.contacts:
+    contacts = contacts_of(result)
+    if not contacts:
         return _AZIMUTHS
-    x, y, _ = result.contacts[0].centre_mm - result.mesh.nodes.mean(axis=0)
+    x, y, _ = contacts[0].centre_mm - result.mesh.nodes.mean(axis=0)
     towards = float(np.degrees(np.arctan2(y, x)))
     return towards + _ASIDE[0], towards + _ASIDE[1]
 

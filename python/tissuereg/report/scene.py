@@ -8,6 +8,7 @@ import numpy as np
 from tissuereg._base.arrays import FloatArray
 from tissuereg.body.mesh import Mesh
 from tissuereg.registration.contacts.patches import surface_of_nodes
+from tissuereg.report.found import contacts_of, surface_of
 
 if TYPE_CHECKING:
     from tissuereg.registration.contacts.found import FoundContact
@@ -130,8 +131,9 @@ def draw_body(view: View, result: "Registration", surface: Surface, colours: Any
 
 def draw_surface_points(view: View, result: "Registration") -> None:
     """Draw the points of the deformed surface that were seen."""
-    if result.surface is not None:
-        view.axes.scatter(*result.surface.places.T, s=4, c=MEASURED, depthshade=False, zorder=6)
+    surface = surface_of(result)
+    if surface is not None:
+        view.axes.scatter(*surface.places.T, s=4, c=MEASURED, depthshade=False, zorder=6)
 
 
 def draw_markers(view: View, result: "Registration", surface: Surface) -> None:
@@ -182,8 +184,8 @@ def _draw_dropped(view: View, result: "Registration", index: Any, reason: str, f
 
 def draw_contacts(view: View, result: "Registration", surface: Surface) -> None:
     """Draw every contact: the border of its patch, an arrow along the force on the body, its figures."""
-    largest = max((contact.force_mN for contact in result.contacts), default=0.0)
-    for contact in result.contacts:
+    largest = max((contact.force_mN for contact in contacts_of(result)), default=0.0)
+    for contact in contacts_of(result):
         node = surface.nearest(contact.centre_mm, result.mesh.nodes)
         centre, normal = surface.places[node], surface.normals[node]
         faint = 1.0 if normal @ view.towards > -0.1 else _FAR_ALPHA

@@ -4,7 +4,7 @@ If the model is elastic a frame depends on its own load alone, and all frames of
 memory, sliding supports, or a mesh that was imaged under gravity they are solved one after another (`memory`).
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +15,7 @@ from tissuereg.body.observe import MarkerObservation, TargetObservation
 from tissuereg.errors import ConvergenceError
 from tissuereg.experiment.effects import extended, seen_markers
 from tissuereg.experiment.experiment import Actuator, Case, Experiment
-from tissuereg.simulation.frames import Rigs
+from tissuereg.simulation.frames import FrameSettings, Similar
 from tissuereg.simulation.loading import distinct_states, first_frames, hangs_already, pads_of, traction_of, weight_of
 from tissuereg.simulation.memory import SolvedCase, goes_through_time, solve_through_time
 from tissuereg.simulation.solve import Simulator
@@ -160,9 +160,8 @@ def simulate_plain(
     experiment = extended(experiment, element)
     markers = MarkerObservation(experiment.mesh, experiment.marker_reference, experiment.marker_names)
     targets = TargetObservation(experiment.mesh, experiment.targets)
-    solved = solve_cases(
-        experiment, list(experiment.cases.values()), element=element, threads=threads, progress=progress
-    )
+    settings = FrameSettings(element, threads=threads)
+    solved = solve_cases(experiment, list(experiment.cases.values()), settings=settings, progress=progress)
     answers = {}
     for name, case in experiment.cases.items():
         field = solved[name].displacement
@@ -183,12 +182,8 @@ def solve_cases(
     experiment: Experiment,
     cases: Sequence[Case],
     *,
-    element: str = "tet4",
-    tolerance: float = 1e-9,
-    threads: int = 0,
-    simulators: Simulators | None = None,
-    near: Mapping[str, FloatArray] | None = None,
-    rigs: Rigs | None = None,
+    settings: FrameSettings | None = None,
+    similar: Similar | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> dict[str, SolvedCase]:
     """Return the equilibria of cases: elastic frames in parallel, frames with memory in order.
@@ -199,18 +194,10 @@ def solve_cases(
         With effects applied (`tissuereg.experiment.effects.extended`).
     cases : sequence of Case
         Some of its cases.
-    element : {"tet4", "tet4-averaged", "tet10"}
-        Elements to use.
-    tolerance : float
-        Norm of the residual over the norm of the load.
-    threads : int
-        Threads to use; 0 takes all cores. The result does not depend on it.
-    simulators : dict, optional
-        As in `believed_case`, of elastic models.
-    near : mapping of str to ndarray of float64, shape (n_frames, n_element_nodes, 3), optional
-        `SolvedCase.all_displacement` of a similar model by case, of models that go through time (`solve_frames`).
-    rigs : dict, optional
-        As in `solve_frames`, of the same models.
+    settings : FrameSettings, optional
+        Elements, tolerance, threads. The result does not depend on the threads.
+    similar : Similar, optional
+        Solutions of similar models to begin from: by case of those that go through time; solvers of elastic ones.
     progress : callable of (int, int), optional
         Called with frames done and frames in all.
 
@@ -227,21 +214,13 @@ def solve_cases(
     in_all = sum(len(case.times) for case in cases)
     if goes_through_time(experiment):
         through = None if progress is None else (lambda n: progress(n, in_all))
-        return solve_through_time(
-            experiment,
-            cases,
-            element=element,
-            tolerance=tolerance,
-            threads=threads,
-            near=near,
-            rigs=rigs,
-            progress=through,
-        )
+        return solve_through_time(experiment, cases, settings=settings, similar=similar, progress=through)
+    how, simulators = settings or FrameSettings(), None if similar is None else similar.simulators
     done, solved = 0, {}
     for case in cases:
         report = None if progress is None else (lambda n, before=done: progress(before + n, in_all))
-        believed = believed_case(experiment, case, element=element, threads=threads, simulators=simulators)
-        solved[case.name] = _solve_elastic(experiment, case, believed, tolerance, threads, report)
+        believed = believed_case(experiment, case, element=how.element, threads=how.threads, simulators=simulators)
+        solved[case.name] = _solve_elastic(experiment, case, believed, how, report)
         done += len(case.times)
     return solved
 
@@ -250,8 +229,7 @@ def _solve_elastic(
     experiment: Experiment,
     case: Case,
     believed: Believed,
-    tolerance: float,
-    threads: int,
+    how: FrameSettings,
     progress: Callable[[int], None] | None,
 ) -> SolvedCase:
     """Return the frames of a case, solved independently and in parallel."""
@@ -260,7 +238,7 @@ def _solve_elastic(
     loads = [believed.loads[frame] for frame in first_frames(state_of)]
     report = None if progress is None else (lambda n: progress(n * len(state_of) // len(loads)))
     materials = [experiment.material] * len(loads)
-    found = simulator.solve_many(loads, materials, tolerance=tolerance, threads=threads, progress=report)
+    found = simulator.solve_many(loads, materials, tolerance=how.tolerance, threads=how.threads, progress=report)
     if len(found.failed) == len(loads):
         message = f"case '{case.name}' must have a frame that finds equilibrium; none does: {found.failed[0][1]}"
         raise ConvergenceError(message, where=case.name)

@@ -102,23 +102,93 @@ MOST_RIGS = 12
 Rigs = dict[tuple[object, ...], KeptRig]
 
 
+@dataclass(frozen=True, eq=False)
+class Acting:
+    """What acts on a body through its frames, and what carries it.
+
+    Parameters
+    ----------
+    loads : Load or sequence of Load, optional
+        The same in all frames, or one per frame. Prescribed rows are those of the held nodes.
+    pads : sequence of Pad
+        Patches that are held in some frames.
+    springs : sequence of Springs
+        Springs under the surface; they can support the body without held nodes.
+    weight : array_like of float, shape (3,), optional
+        Body force in all frames, mN/mm^3, added to that of the loads; `Material.weight` gives gravity's.
+    in_reference : bool
+        Whether the mesh is given in its shape under `weight`. The unloaded shape is then found first.
+    held_nodes : array_like of int, optional
+        Nodes whose displacement is given by the loads (zero where absent); by default the node set ``fixed``.
+
+    Raises
+    ------
+    LoadError
+        If a mesh hangs in a weight that is not given.
+    """
+
+    loads: Load | Sequence[Load] | None = None
+    pads: Sequence[Pad] = ()
+    springs: Sequence[Springs] = ()
+    weight: Any = None
+    in_reference: bool = False
+    held_nodes: Any = None
+
+    def __post_init__(self) -> None:
+        if self.in_reference and self.weight is None:
+            message = "a mesh can hang in its weight only where `weight` is given"
+            raise LoadError(message, where="weight")
+
+
+@dataclass(frozen=True)
+class FrameSettings:
+    """How frames are solved.
+
+    Parameters
+    ----------
+    element : {"tet4", "tet4-averaged", "tet10"}
+        Four-node tets, or ten-node tets on the same edges.
+    tolerance : float
+        Norm of the residual over the norm of the load.
+    threads : int
+        Threads to use; 0 takes all cores. The result does not depend on it.
+    """
+
+    element: str = "tet4"
+    tolerance: float = 1e-9
+    threads: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class Similar:
+    """What solutions of similar bodies left: saves work, and changes no answer beyond the tolerance.
+
+    Parameters
+    ----------
+    near : array_like of float, shape (n_frames, n_element_nodes, 3), or mapping of case to such an array, optional
+        `Frames.all_displacement` of a similar body, or by case `SolvedCase.all_displacement`, mm; the initial guess of
+        a frame is the last frame plus the change of that body. NaN where unknown. Of bodies that go through time.
+    rigs : dict, optional
+        Cached rigs of the same mesh, whose analyses and factors are reused; new ones are added. For many
+        histories that differ in material and behaviour; rigs with springs or `in_reference` are made anew.
+    simulators : dict, optional
+        Solvers of elastic models by element and held nodes, as in `tissuereg.simulation.experiment.believed_case`.
+    """
+
+    near: Any = None
+    rigs: Rigs | None = None
+    simulators: dict[tuple[str, bytes], Simulator] | None = None
+
+
 def solve_frames(
     mesh: Mesh,
     material: Material,
     times: Any,
+    acting: Acting | None = None,
     *,
-    loads: Load | Sequence[Load] | None = None,
-    pads: Sequence[Pad] = (),
     behaviour: Behaviour | None = None,
-    springs: Sequence[Springs] = (),
-    weight: Any = None,
-    in_reference: bool = False,
-    element: str = "tet4",
-    held_nodes: Any = None,
-    near: Any = None,
-    rigs: Rigs | None = None,
-    tolerance: float = 1e-9,
-    threads: int = 0,
+    settings: FrameSettings | None = None,
+    similar: Similar | None = None,
     progress: Callable[[int], object] | None = None,
 ) -> Frames:
     """Return the equilibria of a body in successive time frames.
@@ -129,37 +199,19 @@ def solve_frames(
     Parameters
     ----------
     mesh : Mesh
-        Reference shape; its node set ``fixed`` is held unless `held_nodes` is given.
+        Reference shape; its node set ``fixed`` is held unless other nodes are.
     material : Material
         The elastic law; instantaneous moduli where the stress relaxes.
     times : array_like of float, shape (n_frames,)
         s, never decreasing.
-    loads : Load or sequence of Load, optional
-        The same in all frames, or one per frame. Prescribed rows are those of the held nodes.
-    pads : sequence of Pad
-        Patches that are held in some frames.
+    acting : Acting, optional
+        Loads, pads and supports.
     behaviour : Behaviour, optional
         Inelastic behaviour of the material.
-    springs : sequence of Springs
-        Springs under the surface; they can support the body without held nodes.
-    weight : array_like of float, shape (3,), optional
-        Body force in all frames, mN/mm^3, added to that of the loads; `Material.weight` gives gravity's.
-    in_reference : bool
-        Whether the mesh is given in its shape under `weight`. The unloaded shape is then found first.
-    element : {"tet4", "tet4-averaged", "tet10"}
-        Four-node tets, or ten-node tets on the same edges.
-    held_nodes : array_like of int, optional
-        Nodes whose displacement is given by the loads (zero where absent).
-    near : array_like of float, shape (n_frames, n_element_nodes, 3), optional
-        `Frames.all_displacement` of a similar body, mm; the initial guess of a frame is the last frame plus the change
-        of that body. NaN where unknown. Saves most of the work if the bodies are similar.
-    rigs : dict, optional
-        Cached rigs of the same mesh, whose analyses and factors are reused; new ones are added. For many
-        histories that differ in material and behaviour; rigs with springs or `in_reference` are made anew.
-    tolerance : float
-        Norm of the residual over the norm of the load.
-    threads : int
-        Threads to use; 0 takes all cores. The result does not depend on it.
+    settings : FrameSettings, optional
+        Elements, tolerance, threads.
+    similar : Similar, optional
+        Solutions of similar bodies to begin from.
     progress : callable of int, optional
         Called with the number of frames done.
 
@@ -186,22 +238,19 @@ def solve_frames(
     --------
     >>> block = Mesh([[0, 0, 0], [9, 0, 0], [0, 9, 0], [0, 0, 9]], [[0, 1, 2, 3]], {"fixed": [0, 1, 2]})
     >>> push = Pad("tip", [3], [[0, 0, -1.0], [0, 0, -1.0], [np.nan] * 3])
-    >>> frames = solve_frames(block, Material(young=10.0), [0.0, 1.0, 2.0], pads=[push])
+    >>> frames = solve_frames(block, Material(young=10.0), [0.0, 1.0, 2.0], Acting(pads=[push]))
     >>> bool(frames.pad_forces["tip"][1, 2] < 0), bool(abs(frames.displacement[2]).max() < 1e-6)
     (True, True)
     """
     times = float_array("times", times, (None,))
-    n = len(times)
-    each = _one_a_frame(loads, n)
+    acting, settings, similar = acting or Acting(), settings or FrameSettings(), similar or Similar()
+    n, pads, springs = len(times), acting.pads, tuple(acting.springs)
+    each = _one_a_frame(acting.loads, n)
     motions = _motions(pads, n)
-    held = mesh.fixed_nodes if held_nodes is None else index_array("held_nodes", held_nodes, (None,))
-    body_force = None if weight is None else float_array("weight", weight, (3,))
-    if in_reference and body_force is None:
-        message = "a mesh can hang in its weight only where `weight` is given"
-        raise LoadError(message, where="weight")
-    plan = _Plan(mesh, element, held, pads, tuple(springs), tolerance, threads)
-    if in_reference or springs:
-        rigs = None
+    held = mesh.fixed_nodes if acting.held_nodes is None else index_array("held_nodes", acting.held_nodes, (None,))
+    body_force = None if acting.weight is None else float_array("weight", acting.weight, (3,))
+    plan = _Plan(mesh, held, pads, springs, settings)
+    rigs = None if acting.in_reference or springs else similar.rigs
     old = None if rigs is None else rigs.get(plan.key)
     if old is not None and old.mesh is mesh:
         spreader = old.spreader
@@ -209,14 +258,14 @@ def solve_frames(
         rig = old.rig.again(young, poisson, law=material.core_law(), behaviour=_core_behaviour(behaviour))
     else:
         # Distributes tractions over nodes and holds the moduli; it never solves.
-        spreader = Simulator(mesh, element=element, held_nodes=np.arange(mesh.n_nodes))
-        rig = plan.build(spreader, material, behaviour, body_force if in_reference else None)
+        spreader = Simulator(mesh, element=settings.element, held_nodes=np.arange(mesh.n_nodes))
+        rig = plan.build(spreader, material, behaviour, body_force if acting.in_reference else None)
     if rigs is not None:
         rigs.pop(plan.key, None)
         rigs[plan.key] = KeptRig(mesh, spreader, rig)
         for oldest in list(rigs)[:-MOST_RIGS]:
             rigs.pop(oldest, None)
-    guides = None if near is None else float_array("near", near, (n, spreader.body.n_nodes, 3))
+    guides = None if similar.near is None else float_array("near", similar.near, (n, spreader.body.n_nodes, 3))
     last = -1
     answer = _empty(times, mesh.n_nodes, spreader.body.n_nodes, len(held), [pad.name for pad in pads], len(springs))
     for frame, (time, load) in enumerate(zip(times, each, strict=True)):
@@ -247,18 +296,16 @@ class _Plan:
     """The parts of a rig other than its material."""
 
     mesh: Mesh
-    element: str
     held: IntArray
     pads: Sequence[Pad]
     springs: tuple[Springs, ...]
-    tolerance: float
-    threads: int
+    settings: FrameSettings
 
     @property
     def key(self) -> tuple[object, ...]:
         """Cache key of rigs without springs on one mesh."""
         patches = tuple((pad.name, np.asarray(pad.nodes).tobytes()) for pad in self.pads)
-        return (self.element, self.held.tobytes(), patches, self.tolerance, self.threads)
+        return (self.held.tobytes(), patches, self.settings)
 
     def build(
         self, spreader: Simulator, material: Material, behaviour: Behaviour | None, hangs_in: FloatArray | None
@@ -269,7 +316,7 @@ class _Plan:
             self.mesh.nodes,
             self.mesh.tets,
             self.held,
-            element=self.element,
+            element=self.settings.element,
             springs=[one.as_tuple() for one in self.springs],
             rests=len(self.springs) > 0,
         )
@@ -281,8 +328,8 @@ class _Plan:
             pads=[index_array(f"nodes of pad '{pad.name}'", pad.nodes, (None,)) for pad in self.pads],
             behaviour=_core_behaviour(behaviour),
             hangs_in=hangs_in,
-            tolerance=self.tolerance,
-            threads=self.threads,
+            tolerance=self.settings.tolerance,
+            threads=self.settings.threads,
         )
 
 

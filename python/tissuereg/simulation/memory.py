@@ -6,7 +6,7 @@ all cases on their common clock, together with fading memory, which decays over 
 """
 
 import itertools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -18,7 +18,7 @@ from tissuereg.experiment.effects import Drainage, Relaxation, Set, Sliding, Sof
 from tissuereg.experiment.effects.history import Memory
 from tissuereg.experiment.experiment import Case, Experiment
 from tissuereg.simulation import behaviour
-from tissuereg.simulation.frames import Pad, Rigs, solve_frames
+from tissuereg.simulation.frames import Acting, FrameSettings, Pad, Similar, solve_frames
 from tissuereg.simulation.loading import distinct_states, first_frames, hangs_already, pads_of, traction_of, weight_of
 
 #: Relaxation times per step, in the four steps in which a loaded body comes to rest before the first frame. A step
@@ -113,11 +113,8 @@ def solve_through_time(
     experiment: Experiment,
     cases: Sequence[Case],
     *,
-    element: str = "tet4",
-    tolerance: float = 1e-9,
-    threads: int = 0,
-    near: Mapping[str, FloatArray] | None = None,
-    rigs: Rigs | None = None,
+    settings: FrameSettings | None = None,
+    similar: Similar | None = None,
     progress: Callable[[int], object] | None = None,
 ) -> dict[str, SolvedCase]:
     """Return the equilibria of cases, solved frame after frame.
@@ -128,16 +125,10 @@ def solve_through_time(
         With the effects on body, supports and actuators applied.
     cases : sequence of Case
         The cases to solve: with softening, set or friction, every case from the first one on.
-    element : {"tet4", "tet4-averaged", "tet10"}
-        Elements to use.
-    tolerance : float
-        Norm of the residual over the norm of the load.
-    threads : int
-        Threads to use; 0 takes all cores.
-    near : mapping of str to ndarray of float64, shape (n_frames, n_element_nodes, 3), optional
-        `SolvedCase.all_displacement` of a similar model by case (`solve_frames`).
-    rigs : dict, optional
-        As in `solve_frames`.
+    settings : FrameSettings, optional
+        Elements, tolerance, threads.
+    similar : Similar, optional
+        Solutions of similar models to begin from, by case.
     progress : callable of int, optional
         Called with frames done.
 
@@ -154,18 +145,20 @@ def solve_through_time(
         If cases that depend on each other overlap in time.
     """
     groups = [sorted(cases, key=lambda case: float(case.times[0]))] if is_carried(experiment) else [[c] for c in cases]
-    growing = _growing(experiment, element, tolerance, threads)
+    settings, similar = settings or FrameSettings(), similar or Similar()
+    growing = _growing(experiment, settings)
     solved: dict[str, SolvedCase] = {}
     done = 0
     for group in groups:
         _refuse_overlap(group)
         frames = [frames_of_own(experiment, case) for case in group]
         fewer = [_only(case, first) for case, (first, _) in zip(group, frames, strict=True)]
-        guides = None
-        if near is not None:
-            guides = {case.name: near[case.name][first] for case, (first, _) in zip(group, frames, strict=True)}
+        guides = similar
+        if similar.near is not None:
+            near = {case.name: similar.near[case.name][first] for case, (first, _) in zip(group, frames, strict=True)}
+            guides = replace(similar, near=near)
         report = None if progress is None else _counting(progress, done, frames)
-        found = _solve_group(experiment, fewer, growing, element, tolerance, threads, guides, rigs, report)
+        found = _solve_group(experiment, fewer, growing, settings, guides, report)
         for case, (_, of_frame) in zip(group, frames, strict=True):
             solved[case.name] = found[case.name].at_every_frame(of_frame)
         done += sum(len(case.times) for case in group)
@@ -223,11 +216,8 @@ def _solve_group(
     experiment: Experiment,
     group: Sequence[Case],
     growing: "_Growing | None",
-    element: str,
-    tolerance: float,
-    threads: int,
-    near: Mapping[str, FloatArray] | None,
-    rigs: Rigs | None,
+    settings: FrameSettings,
+    similar: Similar,
     progress: Callable[[int], object] | None,
 ) -> dict[str, SolvedCase]:
     """Return cases that share one history."""
@@ -246,26 +236,26 @@ def _solve_group(
         done += range(done[-1] + 1, done[-1] + 1 + len(case.times))
     report = None if progress is None else (lambda n: progress(done[n]))
     guides = None
-    if near is not None:
-        guides = np.full((len(loads), *next(iter(near.values())).shape[1:]), np.nan)
+    if similar.near is not None:
+        guides = np.full((len(loads), *next(iter(similar.near.values())).shape[1:]), np.nan)
         for name, mine in rows.items():
-            guides[mine] = near[name]
+            guides[mine] = similar.near[name]
+    acting = Acting(
+        loads,
+        _pads(experiment, group, rows, len(loads), growing),
+        _springs(experiment),
+        weight=weight_of(experiment),
+        in_reference=hangs_already(experiment),
+        held_nodes=_held(experiment),
+    )
     found = solve_frames(
         experiment.mesh,
         experiment.material,
         np.concatenate(times),
-        loads=loads,
-        pads=_pads(experiment, group, rows, len(loads), growing),
+        acting,
         behaviour=behaviour_of(experiment),
-        springs=_springs(experiment),
-        weight=weight_of(experiment),
-        in_reference=hangs_already(experiment),
-        element=element,
-        held_nodes=_held(experiment),
-        near=guides,
-        rigs=rigs,
-        tolerance=tolerance,
-        threads=threads,
+        settings=settings,
+        similar=replace(similar, near=guides),
         progress=report,
     )
     answers = {}
@@ -312,7 +302,7 @@ class _Growing:
         return np.asarray((share - share[0])[:, None] * self.field[nodes].mean(axis=0))
 
 
-def _growing(experiment: Experiment, element: str, tolerance: float, threads: int) -> _Growing | None:
+def _growing(experiment: Experiment, settings: FrameSettings) -> _Growing | None:
     """Return the growth of a body whose pads follow it; None if pads hold their patches or nothing grows."""
     swelling = next((effect for effect in experiment.effects if isinstance(effect, Swelling)), None)
     if swelling is None or swelling.pads == "hold":
@@ -322,12 +312,9 @@ def _growing(experiment: Experiment, element: str, tolerance: float, threads: in
         experiment.mesh,
         experiment.material,
         np.array([swelling.from_time_s, swelling.to_time_s]),
-        loads=[Load(), Load()],
+        Acting([Load(), Load()], held_nodes=experiment.mesh.fixed_nodes),
         behaviour=behaviour_of(alone),
-        element=element,
-        held_nodes=experiment.mesh.fixed_nodes,
-        tolerance=tolerance,
-        threads=threads,
+        settings=settings,
     )
     return _Growing(swelling, found.displacement[1])
 

@@ -1,6 +1,5 @@
 """A tracked body: frame after frame, the registered state restarts the simulation (the loop of the paper's Fig. 1)."""
 
-import inspect
 import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -14,7 +13,8 @@ from tissuereg._base.arrays import FloatArray, float_array
 from tissuereg._base.choice import check_choice
 from tissuereg.body.mesh import Mesh
 from tissuereg.errors import ArgumentError, ConvergenceError, EnsembleError, MarkerError, TissueRegError
-from tissuereg.registration.inputs import finite_field
+from tissuereg.registration.body import Body
+from tissuereg.registration.inputs import SimulationVariants, finite_field
 from tissuereg.registration.registrar import Registrar
 from tissuereg.registration.result import Registration
 from tissuereg.tracking.frame import Layout, TrackedFrame
@@ -23,11 +23,6 @@ from tissuereg.tracking.lineage import Lineage
 from tissuereg.tracking.physics import Physics, as_physics
 from tissuereg.tracking.restart import RESTARTS, Restart, Simulated
 from tissuereg.tracking.temporal import TemporalPrior
-
-#: Options that a registrar takes beside body, markers, model and targets.
-_OPTIONS = tuple(
-    name for name in inspect.signature(Registrar).parameters if name not in ("mesh", "reference_mm", "model", "targets")
-)
 
 #: Errors of one frame that leave the tracker as it was: no marker was seen, or no equilibrium or ensemble was found.
 CANNOT_BE_REGISTERED = (MarkerError, ConvergenceError, EnsembleError)
@@ -53,8 +48,8 @@ class Tracker:
 
     Parameters
     ----------
-    body : Mesh, (nodes, tets, fixed_nodes) or Registrar
-        Undeformed body in mm; or a registrar, which has markers, model, targets and options already.
+    body : Registrar, Mesh, Body or (nodes, tets, fixed_nodes)
+        What registers each frame; or the undeformed body in mm, of which a registrar is made with all else as usual.
     reference_mm : array_like of float, shape (n_markers, 3), or Markers
         Places of the markers on the undeformed body.
     model : path-like or LatentModel, optional
@@ -72,8 +67,6 @@ class Tracker:
         and ``displacement`` are ``guess``: the contacts of the last frame are the forces that hold its shape.
     temporal : bool
         Whether frames are combined with the ones before.
-    **options
-        Of `Registrar`: ``std``, ``names``, ``load``, ``material``, ``settings``, ``seed``, ``threads``, ...
 
     Raises
     ------
@@ -100,7 +93,7 @@ class Tracker:
 
     def __init__(
         self,
-        body: Mesh | tuple[Any, Any, Any] | Registrar,
+        body: Registrar | Mesh | Body | tuple[Any, Any, Any],
         reference_mm: Any = None,
         model: Any = None,
         targets: Mapping[str, Any] | None = None,
@@ -109,12 +102,9 @@ class Tracker:
         variants: Any = (),
         restart: str = "guess",
         temporal: bool = True,
-        **options: Any,
     ) -> None:
-        for name in options:
-            check_choice("option", name, _OPTIONS, ArgumentError)
         check_choice("restart", restart, RESTARTS, ArgumentError)
-        self._registrar = _registrar(body, reference_mm, model, targets, options)
+        self._registrar = _registrar(body, reference_mm, model, targets)
         self._physics = physics = None if simulator is None else as_physics(simulator, "simulator")
         self._variants = [as_physics(one, "variants") for one in each("variants", variants, object)]
         self._noise_mm = float(np.sqrt(np.mean(self._registrar.markers.axis_std**2)))
@@ -292,9 +282,8 @@ class Tracker:
                 raise ArgumentError(message, where="time_s")
         simulated = self._simulated(actuator)
         field = None if simulated is None else finite_field(simulated.field, self._registrar.mesh)
-        after = None if self._last is None else self._last.alone
-        variants = self._varied(actuator)
-        alone = self._registrar.register(frame.measured_mm, field, variants=variants, after=after)
+        after = self._last.alone if self._last is not None and self._registrar.by_contacts else None
+        alone = self._registrar.register(frame.measured_mm, self._varied(actuator, field), after=after)
         result, gain = self._combined(alone, simulated, elapsed)
         widening = self._lineage.widening(self._layout.variance(alone), simulated)
         result = self._layout.widened(result, widening)
@@ -306,11 +295,11 @@ class Tracker:
                 self._restart.renew()
         return self._last
 
-    def _varied(self, actuator: Any) -> FloatArray | None:
-        """Return the variants of a frame (n_variants, n_nodes, 3); None without any."""
+    def _varied(self, actuator: Any, field: FloatArray | None) -> SimulationVariants | FloatArray | None:
+        """Return the simulation of a frame, with its variants if there are any."""
         shape = self._registrar.mesh.nodes.shape
         fields = [float_array("variants", one.field(actuator), shape) for one in self._variants]
-        return np.array(fields) if fields else None
+        return SimulationVariants(fields, field) if fields else field
 
     def _simulated(self, actuator: Any) -> Simulated | None:
         if self._restart is None:
@@ -345,14 +334,13 @@ def _each(frames: Any) -> Iterator[tuple[float, Any, Any]]:
         yield time_s, frame[1], frame[2] if len(frame) == 3 else None
 
 
-def _registrar(body: Any, reference_mm: Any, model: Any, targets: Any, options: dict[str, Any]) -> Registrar:
+def _registrar(body: Any, reference_mm: Any, model: Any, targets: Any) -> Registrar:
     if not isinstance(body, Registrar):
         if reference_mm is None:
             message = "`reference_mm` must be the places of the markers on the undeformed body, got None"
             raise MarkerError(message, where="reference_mm")
-        return Registrar(body, reference_mm, model, targets, **options)
-    given = {"reference_mm": reference_mm, "model": model, "targets": targets, **options}
-    for name, value in given.items():
+        return Registrar(body, reference_mm, model, targets)
+    for name, value in {"reference_mm": reference_mm, "model": model, "targets": targets}.items():
         if value is not None:
             message = f"`{name}` must be left out: the registrar has it already"
             raise ArgumentError(message, where=name)

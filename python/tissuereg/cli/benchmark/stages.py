@@ -21,6 +21,7 @@ from tissuereg.phantom import phantom_mesh, shipped_model_folder
 from tissuereg.phantom.event import LESION_MM, make_event
 from tissuereg.registration.contacts.body import forget_bodies
 from tissuereg.registration.register import register
+from tissuereg.registration.settings import RegisterSettings
 from tissuereg.simulation.sampling import EventSampler, linear_answers
 from tissuereg.simulation.solve import Simulator
 
@@ -168,7 +169,7 @@ def bench_register(settings: BenchSettings) -> list[Row]:
             simulation=simulation,
             targets={"lesion": LESION_MM},
             seed=settings.seed,
-            threads=settings.threads,
+            settings=RegisterSettings(settings.threads),
         )
         return _Run({name: spent for name, spent in result.seconds.items() if name != "total"})
 

@@ -22,10 +22,10 @@ from tissuereg.cli.benchmark.network import write_random_table2
 from tissuereg.errors import ModelError
 from tissuereg.phantom import phantom_mesh, shipped_model_folder
 from tissuereg.phantom.shipped import shipped_recipe
-from tissuereg.registration.inputs import RegisterSettings
 from tissuereg.registration.learned.card import read_card
 from tissuereg.registration.learned.network import kept_network
 from tissuereg.registration.registrar import Registrar
+from tissuereg.registration.settings import RegisterSettings, SmootherSettings
 from tissuereg.simulation.chunks import ChunkMaker
 from tissuereg.simulation.pairs import simulated_pairs
 from tissuereg.simulation.recipe import PairsRecipe
@@ -130,14 +130,14 @@ def _row(name: str, folder: Path, settings: StepSettings, weights: str) -> dict[
     mesh = _mesh_of(folder)
     network = kept_network(folder, mesh, threads)
     rng = np.random.default_rng([settings.seed, 8])
-    how = RegisterSettings(n_members=N_MEMBERS, n_steps=N_STEPS)
+    how = RegisterSettings(threads, smoother=SmootherSettings(n_members=N_MEMBERS, n_steps=N_STEPS))
     made, totals, decoded, stages, doubted = [], [], [], [], 0
     moments = list(zip(*_moments(mesh, settings.n_sets, settings.seed, threads), strict=True))
     for number in range(settings.n_sets):
         simulation, truth = moments[number % len(moments)]
         places, weights_of = _markers(mesh, rng)
         start = time.perf_counter()
-        registrar = Registrar(mesh, places, network, {"inside": _inside(mesh, rng)}, settings=how, threads=threads)
+        registrar = Registrar(mesh, places, network, {"inside": _inside(mesh, rng)}, settings=how)
         made.append(time.perf_counter() - start)
         for turn in range(N_WARM + settings.repeats):
             measured = places + weights_of @ truth + 0.1 * rng.standard_normal(places.shape)

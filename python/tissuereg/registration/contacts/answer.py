@@ -11,12 +11,13 @@ from tissuereg.registration.contacts.draws import Draws, NodesOfContacts
 from tissuereg.registration.contacts.fit import ContactFit
 from tissuereg.registration.contacts.found import find_contacts
 from tissuereg.registration.contacts.moment import Moment
+from tissuereg.registration.contacts.result import ContactRegistration
 from tissuereg.registration.contacts.seen import SeenMarkers
 from tissuereg.registration.contacts.spread import Points, Spread
 from tissuereg.registration.contacts.surface_fit import SurfaceFit
 from tissuereg.registration.contacts.surface_points import SeenPoints
 from tissuereg.registration.inputs import RegisterInput, rms_length
-from tissuereg.registration.result import NO_MARKER, MarkerFit, Registration, Target
+from tissuereg.registration.result import NO_MARKER, MarkerFit, Target
 from tissuereg.registration.trust import LEVEL, Trust, judge
 
 #: A target is flagged if the markers remove less than this share of its variance under unseen contacts.
@@ -96,7 +97,7 @@ class Answer:
     draw: Draws
     surface: SurfaceFit | None
 
-    def registration(self, clock: Clock) -> Registration:
+    def registration(self, clock: Clock) -> ContactRegistration:
         """Return the result."""
         given, fit, markers = self.given, self.fit, self.given.markers
         mesh, moment, names = given.mesh, fit.moment, given.markers.names
@@ -106,8 +107,8 @@ class Answer:
         some = np.asarray(np.isfinite(markers.measured).any(axis=1))
         start_displacement, ratios = self._start_displacement(), det_f(mesh, body)
         unseen = [self._unseen(k, start_displacement[i]) for k, i in enumerate(lost)]
-        return Registration(
-            mesh=mesh,
+        return ContactRegistration(
+            body=given.body,
             displacement=moment.frame.apply(mesh.nodes + body) - mesh.nodes,
             nodes=self.nodes,
             targets=self._targets(),
@@ -127,8 +128,8 @@ class Answer:
             surface=self.surface,
             model={"kind": "contacts", "source": "fitted here", "patches": fit.columns.n_patches},
             seconds=clock.seconds,
+            settings=given.settings,
             seed=given.seed,
-            dropped_members=[],
             contacts=find_contacts(fit),
             work=dict(fit.counters),
             forces=_forces(fit),

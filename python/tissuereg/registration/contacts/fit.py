@@ -7,7 +7,6 @@ labels are matched anew in every pass: first fewer of them, in more passes, then
 """
 
 from collections import Counter
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -156,9 +155,7 @@ class Passes:
     threads : int
         Threads to use; 0 takes all cores.
     clock : Clock
-        Records the times of the stages.
-    progress : callable of (int, int), optional
-        Called with passes finished and passes at most.
+        Records the times of the stages; notified of every pass.
     before : tuple of ndarray, optional
         Samples from which the first pass goes on, if the data are not matched anew.
     kept : Tangent, optional
@@ -172,7 +169,6 @@ class Passes:
     rng: np.random.Generator
     threads: int
     clock: Clock
-    progress: Callable[[int, int], None] | None = None
     before: Samples | None = None
     kept: Tangent | None = None
     counters: Counter[str] = field(default_factory=Counter)
@@ -267,9 +263,8 @@ class Passes:
             if closest is None or made.residual < closest.residual:
                 closest = made
             del made
-            if self.progress is not None:
-                most_passes = _COARSE_PASSES + _FINE_PASSES if self.seen.rematches else self.settings.max_passes
-                self.progress(min(self.counters["passes"], most_passes), most_passes)
+            most_passes = _COARSE_PASSES + _FINE_PASSES if self.seen.rematches else self.settings.max_passes
+            self.clock.passed(min(self.counters["passes"], most_passes), most_passes)
         assert closest is not None  # the loop runs once at least
         return closest, [one.residual for one in reached]
 

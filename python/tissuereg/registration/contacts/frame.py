@@ -5,11 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray
-from tissuereg._base.choice import check_choice
-from tissuereg.errors import SupportError
 
 #: How the tracker's frame may behave relative to a body that is held.
-FRAMES = ("known", "drifts")
+TRACKERS = ("fixed", "drifts")
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,18 +67,6 @@ class Frame:
         # x -> pivot + turn (x - pivot) + t, then this motion.
         move = pivot - turn @ pivot + coefficients[:3]
         return Frame(self.rotation @ turn, self.rotation @ move + self.shift)
-
-
-def drifts(frame: str) -> bool:
-    """Return whether the tracker's frame drifts.
-
-    Raises
-    ------
-    SupportError
-        If `frame` is neither "known" nor "drifts".
-    """
-    check_choice("frame", frame, FRAMES, SupportError)
-    return frame == "drifts"
 
 
 def _rotation(vector: FloatArray) -> FloatArray:

@@ -14,10 +14,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray
-from tissuereg._base.choice import check_choice
 from tissuereg.body.material import Material
 from tissuereg.body.mesh import Mesh
-from tissuereg.errors import MaterialError
 from tissuereg.registration.contacts.evidence import log_evidence
 from tissuereg.registration.contacts.fit import Passes
 from tissuereg.registration.contacts.frame import Frame
@@ -49,18 +47,6 @@ class Grading:
     rates: FloatArray
     std: FloatArray
     profiles: FloatArray
-
-
-def is_graded(stiffness: str) -> bool:
-    """Return whether a stiffness may change across the body.
-
-    Raises
-    ------
-    MaterialError
-        If `stiffness` is neither "believed" nor "graded".
-    """
-    check_choice("stiffness", stiffness, STIFFNESS, MaterialError)
-    return stiffness == "graded"
 
 
 def profiles_of(mesh: Mesh) -> FloatArray:
@@ -133,4 +119,4 @@ def _along(trial: _Trial, best: FloatArray, value: float, axis: int, step: float
     return best + shift * np.eye(3)[axis], highest, std
 
 
-__all__ = ["Grading", "grade", "is_graded", "profiles_of"]
+__all__ = ["Grading", "grade", "profiles_of"]

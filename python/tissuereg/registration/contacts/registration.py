@@ -1,9 +1,7 @@
 """Registration with an unknown load: the contacts that explain the markers, and the equilibrium under them."""
 
-from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -11,8 +9,8 @@ from tissuereg._base.arrays import FloatArray
 from tissuereg._base.clock import Clock
 from tissuereg.body.load import Load
 from tissuereg.body.material import Material
-from tissuereg.body.mesh import Mesh
 from tissuereg.errors import ConvergenceError, MaterialError
+from tissuereg.registration.body import fitting_element
 from tissuereg.registration.contacts.answer import Answer, known_of, surface_fit
 from tissuereg.registration.contacts.body import ContactBody
 from tissuereg.registration.contacts.carried import Carried
@@ -20,10 +18,11 @@ from tissuereg.registration.contacts.columns import Columns, spring_stiffness
 from tissuereg.registration.contacts.draws import Draws, NodesOfContacts
 from tissuereg.registration.contacts.evidence import support_stiffness
 from tissuereg.registration.contacts.fit import TOLERANCE, ContactFit, Passes, start_of
-from tissuereg.registration.contacts.frame import Frame, drifts
-from tissuereg.registration.contacts.graded import grade, is_graded
+from tissuereg.registration.contacts.frame import Frame
+from tissuereg.registration.contacts.graded import grade
 from tissuereg.registration.contacts.icp import closest_frame
 from tissuereg.registration.contacts.moment import Moment
+from tissuereg.registration.contacts.result import ContactRegistration
 from tissuereg.registration.contacts.seen import Seen, SeenMarkers
 from tissuereg.registration.contacts.settings import ContactSettings
 from tissuereg.registration.contacts.size import announce
@@ -35,9 +34,6 @@ from tissuereg.registration.result import Registration
 from tissuereg.simulation.sensitivity import Cause, Field, Parameter
 from tissuereg.simulation.solve import LoadParts
 
-#: Meshes with at most this many nodes get averaged elements, and so do materials with a larger Poisson's ratio.
-COARSE_NODES, STIFF_POISSON = 3000, 0.475
-
 #: The fit is repeated without the believed load if the markers' root mean square residual exceeds this many standard
 #: deviations; the belief is dropped if the residual is then less than this share.
 _UNMET, _MUCH_LESS = 3.0, 0.5
@@ -48,7 +44,7 @@ _MUCH_MORE = 1.5
 
 @dataclass(frozen=True, eq=False)
 class ContactInput:
-    """Believed load, material and supports.
+    """What is believed of the load.
 
     Attributes
     ----------
@@ -56,34 +52,10 @@ class ContactInput:
         Believed load.
     simulation : ndarray of float64, shape (n_nodes, 3), or None
         A displacement; the forces that hold it in equilibrium are the believed load.
-    material : Material
-        Material of the body.
-    element : str
-        Elements of the solver.
-    held : str
-        How the node set ``fixed`` is taken.
-    held_nodes : array_like of int or None
-        Nodes to use instead.
-    frame : str
-        Whether the tracker drifts.
-    stiffness : str
-        Whether the stiffness changes across the body.
-    progress : callable or None
-        Called with passes finished and passes at most.
-    ensemble : int
-        Number of posterior loads solved for the covariance of nodes; 0: linear draws.
     """
 
-    load: Load | None
-    simulation: FloatArray | None
-    material: Material
-    element: str
-    held: str
-    held_nodes: Any
-    frame: str
-    stiffness: str
-    progress: Callable[[int, int], None] | None
-    ensemble: int = 0
+    load: Load | None = None
+    simulation: FloatArray | None = None
 
     @property
     def any_load(self) -> bool:
@@ -93,7 +65,7 @@ class ContactInput:
 
 def register_by_contacts(
     given: RegisterInput, believed: ContactInput, clock: Clock, after: Registration | None = None
-) -> Registration:
+) -> ContactRegistration:
     """Register without a model.
 
     Parameters
@@ -101,7 +73,7 @@ def register_by_contacts(
     given : RegisterInput
         Checked input.
     believed : ContactInput
-        Believed load, material and supports.
+        Believed load.
     clock : Clock
         Records the times of the stages.
     after : Registration, optional
@@ -110,7 +82,7 @@ def register_by_contacts(
 
     Returns
     -------
-    Registration
+    ContactRegistration
         The equilibrium under the posterior mean of the load.
 
     Raises
@@ -125,8 +97,8 @@ def register_by_contacts(
         # Misread input is not worth many passes: the answer will not be trusted.
         settings = replace(settings, max_passes=1)
     with clock.stage("body"):
-        supports = Supports.of(given.mesh, believed.held, believed.held_nodes)
-        body = ContactBody.of(given.mesh, supports, believed.element)
+        supports = Supports.of(given.mesh, given.body.held, given.body.held_nodes)
+        body = ContactBody.of(given.mesh, supports, given.body.fitting_element)
     points = None if given.surface is None else SeenPoints.of(given.mesh, given.surface, settings.model_error)
     seen = Seen.of(SeenMarkers(given.observed, given.markers, settings.model_error), points)
     announce(body, seen, given, clock)
@@ -138,9 +110,9 @@ def register_by_contacts(
         known = known_of(given, found.fit, spread)
     draw = Draws(found.fit, spread, found.material, given.seed, given.threads, found.further, found.moments)
     fields = None
-    if believed.ensemble:
+    if given.settings.ensemble:
         with clock.stage("ensemble"):
-            fields = draw(believed.ensemble)
+            fields = draw(given.settings.ensemble)
     nodes = NodesOfContacts(spread, given.seed, fields)
     fared = surface_fit(given, points, found.start, found.fit.moment)
     return Answer(given, found.fit, found.start, believed.any_load, known, nodes, draw, fared).registration(clock)
@@ -191,12 +163,18 @@ class _Search:
 
     def found(self, believed: ContactInput) -> _Found:
         """Return the fit with the believed load."""
-        given, body, settings, clock, material = self.given, self.body, self.settings, self.clock, believed.material
+        given, body, settings, clock, material = (
+            self.given,
+            self.body,
+            self.settings,
+            self.clock,
+            self.given.body.material,
+        )
         with clock.stage("simulate"):
-            parts, field = _believed(body, believed, settings)
-            columns = Columns.of(body, material, parts, settings, drifts=drifts(believed.frame))
+            parts, field = _believed(body, material, believed, settings)
+            columns = Columns.of(body, material, parts, settings, drifts=given.settings.tracker == "drifts")
         rng = np.random.default_rng([given.seed, 7])
-        passes = Passes(columns, self.seen, material, settings, rng, given.threads, clock, believed.progress)
+        passes = Passes(columns, self.seen, material, settings, rng, given.threads, clock)
         frame = _first_frame(given, body.supports)
         if self.carried is not None:
             gone_on = self._gone_on(self.carried, passes, field, frame)
@@ -205,7 +183,7 @@ class _Search:
         further: list[tuple[Cause, float]] = []
         if body.base is not None and field is None:
             passes, further = _supported(passes, frame)
-        if is_graded(believed.stiffness):
+        if given.body.stiffness == "graded":
             passes, slopes = _graded(passes, frame, field)
             further += slopes
         with clock.stage("simulate"):
@@ -244,15 +222,11 @@ class _Search:
         return _Found(fit, start, carried.material, carried.further, carried.moments + 1)
 
 
-def fitting_element(mesh: Mesh, material: Material) -> str:
-    """Return the elements that suit a mesh: averaged ones where plain four-node tets would be much too stiff."""
-    coarse = mesh.n_nodes <= COARSE_NODES
-    return "tet4-averaged" if coarse or float(np.max(material.poisson_array)) > STIFF_POISSON else "tet4"
-
-
 def _carried(after: Registration | None, given: RegisterInput) -> Carried | None:
     """Return what a registration of the same markers leaves; None without one, or if it was made otherwise."""
-    if after is None or given.surface is not None or not isinstance(after.draw, Draws) or after.surface is not None:
+    if not isinstance(after, ContactRegistration) or not isinstance(after.draw, Draws):
+        return None
+    if given.surface is not None or after.surface is not None:
         return None
     names, seen = after.all_markers.names, np.isfinite(after.all_markers.measured).any(axis=1)
     now = np.isfinite(given.markers.measured).any(axis=1)
@@ -288,7 +262,7 @@ def _graded(passes: Passes, frame: Frame, simulation: FloatArray | None) -> tupl
 
 
 def _believed(
-    body: ContactBody, believed: ContactInput, settings: ContactSettings
+    body: ContactBody, material: Material, believed: ContactInput, settings: ContactSettings
 ) -> tuple[LoadParts, FloatArray | None]:
     """Return the parts of the believed load and, if it is known, the displacement under it."""
     simulator = body.simulator
@@ -299,8 +273,8 @@ def _believed(
     middles = simulator.body.mid_edges
     if len(middles):
         field[body.mesh.n_nodes :] = field[middles].mean(axis=1)
-    springs = spring_stiffness(body, believed.material, settings.support_stiffness)
-    forces = simulator.internal_forces(field, believed.material, springs=springs)
+    springs = spring_stiffness(body, material, settings.support_stiffness)
+    forces = simulator.internal_forces(field, material, springs=springs)
     forces[simulator.held_nodes] = 0.0
     parts: LoadParts = {"forces": forces, "body_force": None, "prescribed": field[simulator.held_nodes]}
     return parts, field

@@ -39,7 +39,7 @@ class ContactSettings:
     frame : tuple of float
         The same as `weight` for a rigid motion of a body that nothing surely holds.
     drift : tuple of float
-        The same for a drift of the tracker relative to a body that is held (``frame="drifts"``).
+        The same for a drift of the tracker relative to a body that is held (``tracker="drifts"``).
     wrong_odds : float
         Prior odds that a marker is wrong.
     wrong_share : float

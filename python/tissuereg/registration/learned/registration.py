@@ -31,9 +31,10 @@ from tissuereg.registration.learned.model import Gaussian, LatentModel
 from tissuereg.registration.learned.network import kept_network
 from tissuereg.registration.learned.points import PointModel, PointsAround
 from tissuereg.registration.learned.posterior import Posterior
+from tissuereg.registration.learned.result import LearnedRegistration
 from tissuereg.registration.learned.variants import Variants
 from tissuereg.registration.learned.widen import stated
-from tissuereg.registration.result import NO_MARKER, MarkerFit, Registration, Target
+from tissuereg.registration.result import NO_MARKER, MarkerFit, Target
 from tissuereg.registration.trust import Trust, judge, judge_by_rehearsal
 from tissuereg.registration.wrong_markers import drop_wrong, score_markers
 
@@ -57,7 +58,7 @@ def register_by_model(
     simulation: FloatArray | None,
     clock: Clock,
     variants: Variants | None = None,
-) -> Registration:
+) -> LearnedRegistration:
     """Register one moment with a trained model.
 
     Parameters
@@ -76,7 +77,7 @@ def register_by_model(
 
     Returns
     -------
-    Registration
+    LearnedRegistration
         The result. Cost: with ``update="esmda"`` the ensemble is decoded at markers and targets once a step and once at
         the end; of a calibrated model, whose answer is found about the ensemble's mean, at first and before the last
         step alone, and then 2 n_latent + 1 members two or three times. Once more where the prior had to be widened; two
@@ -127,8 +128,9 @@ class _Drawn:
 
     @classmethod
     def of(cls, model: PointsAround, given: RegisterInput) -> "_Drawn":
-        n_members = given.settings.n_members
-        if given.settings.update == "gauss-newton" or n_members < 2 * len(model.prior.mean):
+        smoother = given.settings.smoother
+        n_members = smoother.n_members
+        if smoother.update == "gauss-newton" or n_members < 2 * len(model.prior.mean):
             n_members = _N_DRAWS
         first = FirstEnsemble.about(model.prior, *_normals(given.seed, len(model.prior.mean), n_members))
         centre, moved = model.first(first.latents)
@@ -166,7 +168,7 @@ def _without_wrong(
 
     Only where the fit is a minimum with its derivatives: the covariance of an ensemble is no exact share of the noise.
     """
-    if given.settings.update != "gauss-newton":
+    if given.settings.smoother.update != "gauss-newton":
         return _fit(model, drawn, given, seen), {}
 
     def scored(kept: IntArray) -> tuple[_Fit, _core.GroupScores]:
@@ -180,7 +182,7 @@ def _without_wrong(
 
 def _fit(model: PointsAround, drawn: _Drawn, given: RegisterInput, seen: IntArray) -> _Fit:
     """Return the posterior ensemble, with the noise at the state that a linear model finds."""
-    markers, settings = given.markers, given.settings
+    markers, settings = given.markers, given.settings.smoother
     measured = markers.displacement[seen].ravel()
     latents, predicted = drawn.first.latents, drawn.predicted(seen)
     searches = model.calibration is not None and settings.update == "esmda"
@@ -237,10 +239,10 @@ def _result(
     fit: _Fit,
     posterior: Posterior | CalibratedPosterior,
     clock: Clock,
-) -> Registration:
+) -> LearnedRegistration:
     """Assemble the result of the markers `seen` that were used; `wrong` has the chances of those that were dropped."""
-    mesh, markers, inner = given.mesh, given.markers, given.targets
-    before = np.zeros((mesh.n_nodes, 3)) if simulation is None else simulation
+    markers, inner = given.markers, given.targets
+    before = np.zeros((given.mesh.n_nodes, 3)) if simulation is None else simulation
     observed = given.observed
     start = observed.predict(before[observed.nodes])
     residual = markers.displacement[seen] - posterior.marker_mean[seen]
@@ -261,8 +263,8 @@ def _result(
     if isinstance(posterior, CalibratedPosterior):
         gains, tail = list(posterior.gains(target_start)), posterior.tail
     unseen = np.setdiff1d(np.arange(len(markers)), seen)
-    return Registration(
-        mesh=mesh,
+    return LearnedRegistration(
+        body=given.body,
         displacement=posterior.displacement,
         nodes=posterior.std,
         targets={
@@ -302,6 +304,7 @@ def _result(
         inverted_tets=int((ratios <= 0).sum()),
         trust=trust,
         model=dict(latent.card),
+        settings=given.settings,
         seconds=clock.seconds,
         seed=given.seed,
         dropped_members=fit.ensemble.dropped,
@@ -342,18 +345,8 @@ def _calibrated_trust(
     notes: list[str],
 ) -> Trust:
     """Judge by comparison with honest events that the model never saw."""
-    signs = posterior.signs()
-    return judge_by_rehearsal(
-        names,
-        residual,
-        posterior.noise,
-        posterior.rehearsal.honest,
-        signs.row,
-        signs.marker_rows,
-        signs.marker_misfits,
-        min_det_f,
-        notes,
-    )
+    compared, shown = posterior.rehearsal.honest, posterior.signs()
+    return judge_by_rehearsal(names, residual, posterior.noise, compared, shown, min_det_f, notes)
 
 
 def _against(moved: FloatArray, simulated: FloatArray, std: FloatArray) -> list[str]:

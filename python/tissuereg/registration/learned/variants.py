@@ -20,6 +20,19 @@ from tissuereg.registration.learned.calibration import FieldErrors
 LEAST_VARIANTS = 4
 
 
+def checked_variants(fields: Any, n_nodes: int | None = None) -> FloatArray:
+    """Return displacements (n_variants, n_nodes, 3) checked; see `Variants.of`."""
+    given = float_array("variants", fields, (None, n_nodes, 3))
+    if len(given) < LEAST_VARIANTS:
+        message = f"`variants` must be {LEAST_VARIANTS} or more simulations of one moment, got {len(given)}"
+        raise ShapeError(message, where="variants")
+    finite = np.isfinite(given).all(axis=(1, 2))
+    if not finite.all():
+        message = f"`variants` must be finite displacements in mm; variant {int(np.argmin(finite))} is not"
+        raise ShapeError(message, where="variants")
+    return given
+
+
 @dataclass(frozen=True, eq=False)
 class Variants:
     """Variants of one moment.
@@ -56,14 +69,7 @@ class Variants:
         ShapeError
             If the array has another shape, a field is not finite, or there are fewer than four.
         """
-        given = float_array("variants", fields, (None, n_nodes, 3))
-        if len(given) < LEAST_VARIANTS:
-            message = f"`variants` must be {LEAST_VARIANTS} or more simulations of one moment, got {len(given)}"
-            raise ShapeError(message, where="variants")
-        finite = np.isfinite(given).all(axis=(1, 2))
-        if not finite.all():
-            message = f"`variants` must be finite displacements in mm; variant {int(np.argmin(finite))} is not"
-            raise ShapeError(message, where="variants")
+        given = checked_variants(fields, n_nodes)
         mean = given.mean(axis=0)
         patterns = (given - mean) / np.sqrt(len(given) - 1)
         return cls(mean, FieldErrors(patterns, np.eye(len(given))[None], np.zeros_like(mean)))

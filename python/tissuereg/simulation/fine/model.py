@@ -33,6 +33,7 @@ from tissuereg.simulation.fine.elastic import TOLERANCE, solve_states
 from tissuereg.simulation.fine.meshing import FineMeshing, fine_experiment, rim_of
 from tissuereg.simulation.fine.reading import Reader, Reading, corrected
 from tissuereg.simulation.fine.rims import INSIDE, Rim
+from tissuereg.simulation.frames import FrameSettings, Similar
 from tissuereg.simulation.loading import distinct_states, first_frames
 from tissuereg.simulation.memory import SolvedCase, goes_through_time, is_carried, remembers, solve_through_time
 
@@ -193,7 +194,7 @@ class FineModel:
         worked = extended(fine, element)
         through = _with_those_before(worked, cases)
         n_frames = sum(len(case.times) for case in cases)
-        report = Progress(progress, sum(len(case.times) for case in through) + (0 if fully else 2 * n_frames))
+        report = FrameCount(progress, sum(len(case.times) for case in through) + (0 if fully else 2 * n_frames))
         solved = _remembering(worked, through, element, threads, report)
         reader = Reader(fine, self.experiment.mesh, quadratic=fully)
         readings = {case.name: reader.read(solved[case.name]) for case in cases}
@@ -205,7 +206,7 @@ class FineModel:
         return {name: corrected(reading, of_rough[name], of_fine[name]) for name, reading in readings.items()}
 
     def _kept(
-        self, twin: Experiment, cases: Sequence[Case], element: str, threads: int, report: "Progress", part: str
+        self, twin: Experiment, cases: Sequence[Case], element: str, threads: int, report: "FrameCount", part: str
     ) -> dict[str, Reading]:
         """Return the observables of elastic cases by name, from the cache if possible."""
         keys = {case.name: (case.name, element, twin.mesh, twin.gravity is None, twin.effects) for case in cases}
@@ -287,7 +288,7 @@ def _elastic(
     cases: Sequence[Case],
     element: str,
     threads: int,
-    report: "Progress",
+    report: "FrameCount",
     part: str,
     near: Fields | None = None,
 ) -> dict[str, Reading]:
@@ -333,13 +334,13 @@ def _by_load(
     body without these is solved first: started from its changes between states, the solve takes a sixth of the time.
     """
     if not goes_through_time(worked):
-        report = Progress(progress, sum(len(case.times) for case in cases))
+        report = FrameCount(progress, sum(len(case.times) for case in cases))
         return _elastic(fine, given, cases, "tet10", threads, report, "frames", near)
     cases = _with_those_before(worked, cases)
     states = {case.name: distinct_states(case)[1] for case in cases}
     near = {} if near is None else near
     first = [case for case in cases if len(near.get(case.name, ())) != len(first_frames(states[case.name]))]
-    report = Progress(progress, sum(len(case.times) for case in (*cases, *first)))
+    report = FrameCount(progress, sum(len(case.times) for case in (*cases, *first)))
     if first:
         _elastic(without_time(fine), given, first, "tet10", threads, report, "elastic frames", near)
     solved = _remembering(worked, cases, "tet10", threads, report, near)
@@ -354,30 +355,31 @@ def _remembering(
     cases: Sequence[Case],
     element: str,
     threads: int,
-    report: "Progress",
+    report: "FrameCount",
     near: Fields | None = None,
 ) -> dict[str, SolvedCase]:
     """Return cases solved frame after frame, independent cases in parallel.
 
     `near` contains fields in the distinct states of models without memory.
     """
-    settings: dict[str, Any] = {"element": element}
+    settings, similar = FrameSettings(element, threads=threads), None
     if near is not None:
-        guides = {case.name: near[case.name][distinct_states(case)[1]] for case in cases}
-        settings |= {"near": guides, "tolerance": TOLERANCE}
+        similar = Similar({case.name: near[case.name][distinct_states(case)[1]] for case in cases})
+        settings = replace(settings, tolerance=TOLERANCE)
     if is_carried(ready):
-        return solve_through_time(ready, cases, threads=threads, progress=report.of("history"), **settings)
-    share = max(1, threads // max(len(cases), 1))
+        notify = report.of("history")
+        return solve_through_time(ready, cases, settings=settings, similar=similar, progress=notify)
+    own = replace(settings, threads=max(1, threads // max(len(cases), 1)))
 
     def solve(case: Case) -> SolvedCase:
         notify = report.of(f"history of {case.name}")
-        return solve_through_time(ready, [case], threads=share, progress=notify, **settings)[case.name]
+        return solve_through_time(ready, [case], settings=own, similar=similar, progress=notify)[case.name]
 
     with ThreadPoolExecutor(max_workers=threads) as pool:
         return dict(zip([case.name for case in cases], pool.map(solve, cases), strict=True))
 
 
-class Progress:
+class FrameCount:
     """Frames done, summed over cases that run in parallel."""
 
     def __init__(self, notify: Callable[[int, int], None] | None, in_all: int) -> None:

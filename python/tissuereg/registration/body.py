@@ -1,0 +1,129 @@
+"""What is believed of a body: its shape, its material, and how surely it is held."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from tissuereg._base.arguments import maybe
+from tissuereg._base.arrays import IntArray, frozen, index_array
+from tissuereg._base.choice import check_choice
+from tissuereg.body.material import Material
+from tissuereg.body.mesh import Mesh
+from tissuereg.errors import ArgumentError, MaterialError, ShapeError
+from tissuereg.registration.contacts.graded import STIFFNESS
+from tissuereg.registration.contacts.supports import Supports
+from tissuereg.simulation.solve import ELEMENTS
+
+#: Meshes with at most this many nodes get averaged elements, and so do materials with a larger Poisson's ratio.
+COARSE_NODES, STIFF_POISSON = 3000, 0.475
+
+_FIELDS = ("mesh", "material", "element", "held", "stiffness", "held_nodes")
+
+
+@dataclass(frozen=True, eq=False, init=False)
+class Body:
+    """What is believed of a body; taken wherever a mesh is taken to register.
+
+    Parameters
+    ----------
+    mesh : Mesh or (nodes, tets, fixed_nodes)
+        Undeformed body in mm; its node set ``fixed`` is held, its node set ``perhaps_fixed`` may or may not be. A mesh
+        without either, or one whose sets are empty, is free: a rigid motion is then unknown as well.
+    material : Material, optional
+        The believed material, by default ``Material()``. Without a load its stiffness affects the forces alone.
+    element : {"auto", "tet4", "tet4-averaged", "tet10"}
+        Elements of the package's own solves. ``"auto"`` without a model: averaged ones on coarse meshes and near
+        incompressibility, where plain four-node tets are too stiff; otherwise ``"tet4"``.
+    held : {"sure", "perhaps", "free"}
+        Without a model: whether the node set ``fixed`` is surely held, may be held, or is free.
+    stiffness : {"believed", "graded"}
+        Without a model: whether the stiffness is distributed as in `material`, or its logarithm has in addition an
+        unknown slope along each principal axis of the body, which is estimated from the markers.
+    held_nodes : array_like of int, optional
+        Nodes that the load prescribes, if they differ from the set ``fixed``.
+
+    Raises
+    ------
+    ShapeError, MeshError
+        If `mesh` is none, or `held_nodes` are no whole numbers.
+    SupportError
+        If `held` is none of these, or `held_nodes` are no nodes of the mesh.
+    MaterialError, ArgumentError
+        If `stiffness` or `element` is none of these, or `material` is no material.
+
+    Examples
+    --------
+    >>> import tissuereg as tr
+    >>> body = tr.Body(tr.phantom.phantom_mesh(), tr.Material(young=5.0), held="perhaps")
+    >>> body.fitting_element
+    'tet4'
+    """
+
+    mesh: Mesh
+    material: Material
+    element: str
+    held: str
+    stiffness: str
+    held_nodes: IntArray | None
+
+    def __init__(
+        self,
+        mesh: Mesh | tuple[Any, Any, Any],
+        material: Material | None = None,
+        element: str = "auto",
+        held: str = "sure",
+        stiffness: str = "believed",
+        held_nodes: Any = None,
+    ) -> None:
+        body = as_mesh(mesh)
+        check_choice("element", element, ("auto", *ELEMENTS), ArgumentError)
+        check_choice("stiffness", stiffness, STIFFNESS, MaterialError)
+        nodes = None if held_nodes is None else frozen(np.array(index_array("held_nodes", held_nodes, (None,))))
+        Supports.of(body, held, nodes)  # refuses another word, and nodes that are not there
+        believed = maybe("material", material, Material) or Material()
+        for name, value in zip(_FIELDS, (body, believed, element, held, stiffness, nodes), strict=True):
+            object.__setattr__(self, name, value)
+
+    @classmethod
+    def of(cls, given: Any) -> "Body":
+        """Return a body, made from a mesh if necessary."""
+        return given if isinstance(given, Body) else cls(given)
+
+    @cached_property
+    def fitting_element(self) -> str:
+        """The elements of a registration without a model: `element`, or those that suit the mesh."""
+        return fitting_element(self.mesh, self.material) if self.element == "auto" else self.element
+
+    def to_json(self) -> dict[str, Any]:
+        """Return what is believed beside the mesh, as plain numbers and strings; None where a modulus varies."""
+        law = self.material
+        return {
+            "element": self.element,
+            "held": self.held,
+            "stiffness": self.stiffness,
+            "material": {
+                "law": law.law,
+                "young_kpa": float(law.young) if np.ndim(law.young) == 0 else None,
+                "poisson": float(law.poisson) if np.ndim(law.poisson) == 0 else None,
+                "density": float(law.density),
+                "digest": law.digest(),
+            },
+        }
+
+
+def as_mesh(mesh: Any) -> Mesh:
+    """Return a mesh, made from (nodes, tets, fixed_nodes) if necessary."""
+    if isinstance(mesh, Mesh):
+        return mesh
+    if not isinstance(mesh, tuple) or len(mesh) != 3:
+        message = f"`mesh` must be a Mesh, a Body or (nodes, tets, fixed_nodes), got {type(mesh).__name__}"
+        raise ShapeError(message, where="mesh")
+    return Mesh(mesh[0], mesh[1], {"fixed": mesh[2]})
+
+
+def fitting_element(mesh: Mesh, material: Material) -> str:
+    """Return the elements that suit a mesh: averaged ones where plain four-node tets would be much too stiff."""
+    coarse = mesh.n_nodes <= COARSE_NODES
+    return "tet4-averaged" if coarse or float(np.max(material.poisson_array)) > STIFF_POISSON else "tet4"

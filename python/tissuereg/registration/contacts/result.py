@@ -1,0 +1,90 @@
+"""The result of a registration without a trained model."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from tissuereg._base.arguments import MOST_COUNTED, whole
+from tissuereg._base.arrays import FloatArray
+from tissuereg.errors import ModelError
+from tissuereg.registration.contacts.found import FoundContact
+from tissuereg.registration.contacts.surface_fit import SurfaceFit
+from tissuereg.registration.result import Registration
+
+
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class ContactRegistration(Registration):
+    """A body in equilibrium under the load that explains what was measured.
+
+    Attributes
+    ----------
+    contacts : tuple of FoundContact
+        Places where the body is probably pushed or pulled.
+    forces : ndarray of float64, shape (n_nodes, 3)
+        Nodal forces of the estimated load in mN at the believed modulus, including the believed load but not its body
+        force.
+    work : dict of str to int
+        Factorisations, right-hand sides, solves, sweeps.
+    draw : callable of int
+        Returns posterior displacement fields; see `draws`.
+    surface : SurfaceFit or None
+        Fit of the points of the surface; None if none were given.
+    """
+
+    contacts: tuple[FoundContact, ...]
+    forces: FloatArray
+    work: dict[str, int]
+    draw: Callable[[int], FloatArray]
+    surface: SurfaceFit | None = None
+
+    @cached_property
+    def node_covariance(self) -> FloatArray:
+        """Covariance of every node, ndarray of float64, shape (n_nodes, 3, 3), mm^2.
+
+        Cost: computed when it, or `std`, is first read; one right-hand side for each of 64 draws.
+        """
+        return self.nodes()
+
+    @cached_property
+    def std(self) -> FloatArray:
+        """Root of the trace of every node's covariance, ndarray of float64, shape (n_nodes,), mm."""
+        return np.asarray(np.sqrt(np.trace(self.node_covariance, axis1=1, axis2=2)))
+
+    def draws(self, count: int) -> FloatArray:
+        """Return displacement fields drawn from the posterior, each in equilibrium.
+
+        Parameters
+        ----------
+        count : int
+            Number of fields.
+
+        Returns
+        -------
+        ndarray of float64, shape (count, n_nodes, 3)
+            mm. The same at every call. Cost: one solve each, started from the registered state.
+
+        Raises
+        ------
+        ModelError
+            If `count` is no number of fields.
+        ConvergenceError
+            If a drawn load finds no equilibrium.
+        """
+        if whole("count", count, least=-MOST_COUNTED, error=ModelError) < 1:
+            message = f"`count` must be at least 1, got {count}"
+            raise ModelError(message, where="count")
+        return self.draw(count)
+
+    def _found_words(self) -> str:
+        return f"{len(self.contacts)} contact{'' if len(self.contacts) == 1 else 's'}, "
+
+    def _found_json(self) -> dict[str, Any]:
+        return {
+            **super()._found_json(),
+            "surface": None if self.surface is None else self.surface.to_json(),
+            "contacts": [contact.to_json() for contact in self.contacts],
+            "work": dict(self.work),
+        }

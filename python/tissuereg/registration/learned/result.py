@@ -1,0 +1,23 @@
+"""The result of a registration with a trained model."""
+
+from dataclasses import dataclass
+from typing import Any
+
+from tissuereg.registration.result import Registration
+
+
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class LearnedRegistration(Registration):
+    """A body decoded from the mean of the posterior latents.
+
+    Attributes
+    ----------
+    dropped_members : list of (int, str)
+        Ensemble members that were lost, with the reason.
+    """
+
+    dropped_members: list[tuple[int, str]]
+
+    def _found_json(self) -> dict[str, Any]:
+        lost = [{"member": index, "reason": reason} for index, reason in self.dropped_members]
+        return {**super()._found_json(), "dropped_members": lost}
