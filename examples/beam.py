@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 import tissuereg as tr
-from tissuereg.baselines import copied_displacement, rigid_displacement, spline_displacement
+from tissuereg_paper.rivals import copied_displacement, rigid_displacement, spline_displacement
 
 FITTED, HELD_OUT, HOLDER = ("Tip-1", "Tip-2"), "Tip-3", ("Base-1", "Base-2", "Base-3")
 LOADS_N = {"own_weight": 0.0, "load_52g": 0.51012, "load_101g": 1.00062}

@@ -19,7 +19,7 @@ import numpy as np
 from beam import DENSITY_G_PER_CM3, FITTED, HELD_OUT, MARKER_STD_MM, POISSON, beam_mesh
 
 import tissuereg as tr
-from tissuereg.baselines import copied_displacement
+from tissuereg_paper.rivals import copied_displacement
 
 #: E in kPa that the beam's makers identified; with an unknown load it scales forces alone.
 YOUNG_KPA = 263.8

@@ -8,7 +8,7 @@ import pytest
 import tissuereg as tr
 from support import doors
 from support.meshes import block
-from tissuereg.baselines import LinearElastic, Setting
+from tissuereg_paper.rivals import LinearElastic, Setting
 from tissuereg.body.observe import TargetObservation
 from tissuereg.cli.register_words import summary
 from tissuereg.registration import fallback as fallbacks

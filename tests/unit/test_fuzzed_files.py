@@ -29,7 +29,7 @@ from tissuereg.io.tables import read_reference
 from tissuereg.registration.learned.card import CARD_SCHEMA, MODEL_FILES, check_files, read_card
 from tissuereg.simulation.dataset import make_dataset
 from tissuereg.simulation.recipe import read_recipe
-from tissuereg.studies.rigs import read_rig
+from tissuereg_paper.studies.rigs import read_rig
 
 #: Examples of each file; `make test-sturdy` asks for 10,000.
 CASES = int(os.environ.get("TISSUEREG_CASES", "60"))

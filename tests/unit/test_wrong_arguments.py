@@ -17,7 +17,7 @@ import tissuereg as tr
 from support.files import FIDUCIALS, GOOD_MARKERS, write_experiment
 from support.meshes import block
 from support.rigs import rig
-from tissuereg.baselines import RIVALS, Rigid, Setting
+from tissuereg_paper.rivals import RIVALS, Rigid, Setting
 from tissuereg.errors import ExperimentError, FormatError, MaterialError, TissueRegError, UnitWarning
 from tissuereg.experiment.effects import EFFECTS
 from tissuereg.io.experiments import read_experiment
@@ -212,7 +212,7 @@ def diagnosed(**given):
 
 def reproduced(**given):
     """Check the arguments of the paper's studies, of which none is run."""
-    running = importlib.import_module("tissuereg.studies.run")
+    running = importlib.import_module("tissuereg_paper.studies.run")
     with pytest.MonkeyPatch.context() as changed, tempfile.TemporaryDirectory() as folder:
         changed.setattr(running, "_simulated", lambda *_, **__: {})
         changed.setattr(running, "_delivered", lambda *_, **__: None)
