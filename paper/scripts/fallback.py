@@ -1,14 +1,15 @@
 """What is left of answers that are not to be trusted: errors of linear elasticity alone, on development rigs.
 
-``python benchmarks/fallback.py`` writes ``results/fallback.json`` and the table of ``docs/decisions/trust.md``;
+``python -m scripts.fallback`` writes ``archive/fallback`` and the table of ``docs/decisions/trust.md``;
 ``--page`` writes the table alone. Nothing here is a reported rig.
 """
 
 import argparse
-import json
 from pathlib import Path
 
 import numpy as np
+from common import read_archive, write_archive
+from readme import write_table
 from threadpoolctl import threadpool_limits
 
 import tissuereg as tr
@@ -18,8 +19,11 @@ from tissuereg.registration.learned.registration import as_model
 from tissuereg_paper.studies.contest import BELIEVED, CONDITIONS, Believed, measured
 from tissuereg_paper.studies.rigs import read_rigs
 
-HERE = Path(__file__).resolve().parent
-RESULTS, PAGE = HERE / "results" / "fallback.json", HERE.parent / "docs" / "decisions" / "trust.md"
+PAPER = Path(__file__).resolve().parents[1]
+ARCHIVE, PAGE = PAPER / "archive" / "fallback", PAPER.parent / "docs" / "decisions" / "trust.md"
+
+#: What of the archive is a table.
+TABLES = ("rows/#",)
 
 #: Every second scored frame, under these conditions.
 EVERY, NAMES = 2, ("plain", "wrong", "dropped-60")
@@ -88,17 +92,15 @@ def table(content):
 
 def main():
     """Run and write."""
-    from readme import write_table
-
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--data", type=Path, default=HERE / "twin" / "development")
-    parser.add_argument("--page", action="store_true", help="write the table again from the JSON")
+    parser.add_argument("--data", type=Path, default=PAPER / "twin" / "development")
+    parser.add_argument("--page", action="store_true", help="write the table again from the archive")
     options = parser.parse_args()
     if not options.page:
         with threadpool_limits(limits=1, user_api="blas"):
             content = {"machine": machine(), "rows": measure(options.data)}
-        RESULTS.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
-    write_table("fallback", table(json.loads(RESULTS.read_text(encoding="utf-8"))), PAGE)
+        write_archive(ARCHIVE, content, TABLES)
+    write_table("fallback", table(read_archive(ARCHIVE)), PAGE)
 
 
 if __name__ == "__main__":

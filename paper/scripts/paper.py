@@ -1,6 +1,6 @@
-"""The paper's simulation studies -> results/paper-*.json, docs/paper.md and its pictures.
+"""The paper's simulation studies -> archive/paper-*, pages/paper.md and its pictures.
 
-    python benchmarks/paper.py [--table2 FOLDER] [--model FOLDER] [--threads N] [--page]
+    python -m scripts.paper [--table2 FOLDER] [--model FOLDER] [--threads N] [--page]
 
 All studies with the model that ships with the package, or with that of `--model`; with `--table2`, the folder of a
 trained network of Table II, also all studies with that one. `--page` writes the page again from the archives.
@@ -13,11 +13,16 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-ROOT = Path(__file__).resolve().parents[1]
-PAGE = ROOT / "docs" / "paper.md"
+from common import read_archive, write_archive
+
+PAPER = Path(__file__).resolve().parents[1]
+PAGE = PAPER / "pages" / "paper.md"
 
 #: Archives, by the model that they are of.
-ARCHIVES = {name: ROOT / "benchmarks" / "results" / f"paper-{name}.json" for name in ("shipped", "table2")}
+ARCHIVES = {name: PAPER / "archive" / f"paper-{name}" for name in ("shipped", "table2")}
+
+#: What of an archive is a table.
+TABLES = ("studies/<study>/rows/#",)
 
 TITLES = {"shipped": "The model for registrations", "table2": "Table II's network"}
 STUDY_TITLES = {
@@ -29,8 +34,8 @@ STUDY_TITLES = {
 
 HEAD = """# The paper's simulation studies
 
-Written by `make paper` (`python benchmarks/paper.py`) from `benchmarks/results/paper-*.json`; edit neither. Single
-studies: `tissuereg reproduce fig6 --out DIR`. Source: M. Afshar et al., "Registration of deformed tissue: a GNN-VAE
+Written by `make -C paper paper` from `paper/archive/paper-*`; edit neither. Single studies: `tissuereg-paper fig6 --out
+DIR`. Source: M. Afshar et al., "Registration of deformed tissue: a GNN-VAE
 approach with data assimilation for sim-to-real transfer", section III.
 
 ## Where we agree with the paper, and where not
@@ -126,11 +131,16 @@ def run(model: str | None, threads: int) -> dict[str, Any]:
     }
 
 
+def read_archives() -> dict[str, dict[str, Any]]:
+    """Return the archives that are there."""
+    return {name: read_archive(folder) for name, folder in ARCHIVES.items() if folder.exists()}
+
+
 def write_page() -> None:
     """Write the page and its pictures from the archives that are there."""
     from tissuereg_paper.studies.pictures import picture
 
-    archives = {name: json.loads(file.read_text("utf-8")) for name, file in ARCHIVES.items() if file.exists()}
+    archives = read_archives()
     PAGE.write_text(page(archives), encoding="utf-8")
     for name, archive in archives.items():
         for study, content in archive["studies"].items():
@@ -147,10 +157,7 @@ def main() -> int:
     if not options.page:
         runs = {"shipped": options.model, **({"table2": options.table2} if options.table2 else {})}
         for name, model in runs.items():
-            text = json.dumps(run(model, options.threads), indent=1, ensure_ascii=False) + "\n"
-            kept = ARCHIVES[name].with_suffix(".part")
-            kept.write_text(text, encoding="utf-8")
-            kept.replace(ARCHIVES[name])
+            write_archive(ARCHIVES[name], run(model, options.threads), TABLES)
     write_page()
     return 0
 

@@ -1,6 +1,6 @@
-"""The constants of the compared methods, on rigs that are not reported -> results/rivals-tuning.json, its page.
+"""The constants of the compared methods, on rigs that are not reported -> archive/rivals-tuning, its page.
 
-    python benchmarks/tune_rivals.py [--data RIGS] [--fields DATA] [--variants FOLDER] [--keep FOLDER]
+    python -m scripts.tune_rivals [--data RIGS] [--fields DATA] [--variants FOLDER] [--keep FOLDER]
         [--only WORD] [--add WORD] [--kept] [--page]
 
 Every constant is varied by itself, the others at their defaults; a default is right when it is the best of its own
@@ -22,9 +22,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from common import read_archive, write_archive
 from threadpoolctl import threadpool_limits
 
 import tissuereg as tr
+from scripts.tune_rivals_page import page
 from tissuereg_paper import rivals as b
 from tissuereg_paper.rivals import Rival
 from tissuereg.io.npz import write_npz
@@ -35,9 +37,11 @@ from tissuereg_paper.studies.contest import Path as BelievedPath
 from tissuereg_paper.studies.rigs import Rig, read_rigs
 from tissuereg_paper.studies.variants import read_variants
 
-ROOT = Path(__file__).resolve().parents[1]
-ARCHIVE = ROOT / "benchmarks" / "results" / "rivals-tuning.json"
-PAGE = ROOT / "docs" / "rivals-tuning.md"
+PAPER = Path(__file__).resolve().parents[1]
+ARCHIVE, PAGE = PAPER / "archive" / "rivals-tuning", PAPER / "pages" / "rivals-tuning.md"
+
+#: What of the archive are tables.
+TABLES = ("sweeps/#", "methods/#")
 
 #: Training fields for principal components.
 N_FIELDS = 2000
@@ -294,13 +298,11 @@ def _words(one: Mapping[str, Any]) -> tuple[str, str]:
 
 def main() -> None:
     """Run the sweeps, or write the page again."""
-    from tune_rivals_page import page
-
     parser = argparse.ArgumentParser(description="Tune the compared methods.")
-    parser.add_argument("--data", type=Path, default=ROOT / "benchmarks" / "twin" / "development")
+    parser.add_argument("--data", type=Path, default=PAPER / "twin" / "development")
     parser.add_argument("--fields", type=Path)
     parser.add_argument("--variants", type=Path)
-    parser.add_argument("--keep", type=Path, default=ROOT / "build" / "rivals-tuning")
+    parser.add_argument("--keep", type=Path, default=PAPER.parent / "build" / "rivals-tuning")
     parser.add_argument("--only", default="")
     parser.add_argument("--add", default="", help="methods whose sweeps take the place of the archive's")
     parser.add_argument("--kept", action="store_true", help="archive and page of what is kept; run nothing")
@@ -315,7 +317,7 @@ def main() -> None:
         if given.only:
             return
         if given.add:
-            answer = added(json.loads(ARCHIVE.read_text(encoding="utf-8")), found)
+            answer = added(read_archive(ARCHIVE), found)
         else:
             answer = {
                 "schema": "tissuereg.rivals-tuning/1",
@@ -323,8 +325,8 @@ def main() -> None:
                 "training_fields": 0 if given.fields is None else N_FIELDS,
                 **found,
             }
-        ARCHIVE.write_text(json.dumps(answer, indent=1) + "\n", encoding="utf-8")
-    PAGE.write_text(page(json.loads(ARCHIVE.read_text(encoding="utf-8"))), encoding="utf-8")
+        write_archive(ARCHIVE, answer, TABLES)
+    PAGE.write_text(page(read_archive(ARCHIVE)), encoding="utf-8")
 
 
 if __name__ == "__main__":

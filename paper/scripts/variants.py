@@ -1,15 +1,16 @@
 """Variants of the simulation on development rigs of the phantom experiment: how many, and what stays beside them.
 
-``python benchmarks/variants.py --variants FOLDER`` writes ``results/variants.json`` and the table of
+``python -m scripts.variants --variants FOLDER`` writes ``archive/variants`` and the table of
 ``docs/decisions/learned-model.md``; ``--page`` writes the table alone. Nothing here is a reported rig.
 """
 
 import argparse
-import json
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from common import read_archive, write_archive
+from readme import write_table
 from threadpoolctl import threadpool_limits
 
 from tissuereg._base.machine import machine
@@ -21,9 +22,11 @@ from tissuereg_paper.studies.contest import PLAIN, Believed, Simulated, measured
 from tissuereg_paper.studies.rigs import read_rigs
 from tissuereg_paper.studies.variants import read_variants
 
-HERE = Path(__file__).resolve().parent
-RESULTS = HERE / "results" / "variants.json"
-PAGE = HERE.parent / "docs" / "decisions" / "learned-model.md"
+PAPER = Path(__file__).resolve().parents[1]
+ARCHIVE, PAGE = PAPER / "archive" / "variants", PAPER.parent / "docs" / "decisions" / "learned-model.md"
+
+#: What of the archive is a table.
+TABLES = ("rows/#/rigs/<rig>",)
 
 #: Shares of the general variance that stay beside the variants, with all of them; the released one with fewer bodies.
 SHARES, FEWER = (0.03, 0.1, 0.25, 1.0), (6, 12)
@@ -103,18 +106,16 @@ def table(content):
 
 def main():
     """Run and write."""
-    from readme import write_table
-
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--data", type=Path, default=HERE / "twin" / "development")
+    parser.add_argument("--data", type=Path, default=PAPER / "twin" / "development")
     parser.add_argument("--variants", type=Path)
-    parser.add_argument("--page", action="store_true", help="write the table again from the JSON")
+    parser.add_argument("--page", action="store_true", help="write the table again from the archive")
     options = parser.parse_args()
     if not options.page:
         with threadpool_limits(limits=1, user_api="blas"):
             content = {"machine": machine(), "rows": measure(options.data, options.variants)}
-        RESULTS.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
-    write_table("variants", table(json.loads(RESULTS.read_text(encoding="utf-8"))), PAGE)
+        write_archive(ARCHIVE, content, TABLES)
+    write_table("variants", table(read_archive(ARCHIVE)), PAGE)
 
 
 if __name__ == "__main__":

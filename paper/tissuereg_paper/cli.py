@@ -1,8 +1,10 @@
-"""``tissuereg reproduce``: the paper's studies."""
+"""The command ``tissuereg-paper``: the paper's studies, with output, errors and exit codes of ``tissuereg``."""
 
 import argparse
+from collections.abc import Sequence
 from typing import Any
 
+from tissuereg.cli import run_program
 from tissuereg.cli.common import Outcome, progress_bar, seconds_line
 from tissuereg.cli.options import Help, Parser, UsageError
 
@@ -15,11 +17,38 @@ HELP = Help(
     "Of the phantom experiment (section IV): fig10 and fig11 (error at the buried sensor over time, one and two "
     "actuators) and phantom (every method on every rig, with markers lost, wrong and noisy). Rigs are files that "
     "another solver has made (--data).",
-    example="tissuereg reproduce fig6 --out paper",
+    example="tissuereg-paper fig6 --out fig6",
     seed="seed of shapes, markers and ensembles (default: 0)",
 )
 
 _STUDIES = ("table2", "fig6", "fig7", "fig8", "fig10", "fig11", "phantom")
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run studies.
+
+    Parameters
+    ----------
+    argv : sequence of str, optional
+        Words after the program's name; those of the process where absent.
+
+    Returns
+    -------
+    int
+        Exit code, as of ``tissuereg``.
+    """
+    return run_program(build_parser, argv)
+
+
+def build_parser(_words: Sequence[str] | None = None) -> Parser:
+    """Return the parser of the command line."""
+    from tissuereg_paper import __version__
+
+    parser = Parser(prog="tissuereg-paper", **HELP.words("run the paper's studies"))
+    parser.add_argument("--version", action="version", version=f"tissuereg-paper {__version__}")
+    HELP.fill(parser, options)
+    parser.set_defaults(run=run)
+    return parser
 
 
 def options(parser: Parser) -> None:
@@ -29,7 +58,7 @@ def options(parser: Parser) -> None:
     text = "folder of a trained model (default: the one that ships with the package)"
     parser.add_argument("--model", metavar="FOLDER", help=text)
     phantom = parser.add_argument_group("of the phantom experiment")
-    text = "folder of rigs, *.npz (default: benchmarks/twin/rigs)"
+    text = "folder of rigs, *.npz (default: paper/twin/rigs)"
     phantom.add_argument("--data", metavar="RIGS", help=text)
     text = "data set of the model's body, for methods that need training fields (default: they are left out)"
     phantom.add_argument("--fields", metavar="DATA", help=text)
@@ -56,7 +85,7 @@ def run(args: argparse.Namespace) -> Outcome:
     if unknown:
         message = f"STUDY must be one or more of {', '.join(_STUDIES)}, got {', '.join(unknown)}"
         raise UsageError(message, where="STUDY")
-    from tissuereg_paper.studies import reproduce
+    from tissuereg_paper.studies import ContestInputs, reproduce
 
     with progress_bar("registrations", quiet=args.quiet) as report:
         progress = None if report is None else lambda _, done, in_all: report(done, in_all)
@@ -64,11 +93,7 @@ def run(args: argparse.Namespace) -> Outcome:
             args.studies,
             args.out,
             model=args.model,
-            data=args.data,
-            fields=args.fields,
-            variants=args.variants,
-            methods=args.method,
-            keep=args.keep,
+            contest=ContestInputs(args.data, args.fields, args.variants, args.method, args.keep),
             seed=args.seed or 0,
             threads=args.threads,
             progress=progress,

@@ -6,6 +6,6 @@ pairs at once, `claims` tries the paper's statements, `tables` and `pictures` sh
 experiment, `rigs` reads recordings, `contest` runs every method on them, `phantom` sums up, `phantom_pages` shows.
 """
 
-from tissuereg_paper.studies.run import SIMULATED, STUDIES, reproduce
+from tissuereg_paper.studies.run import SIMULATED, STUDIES, ContestInputs, reproduce
 
-__all__ = ["SIMULATED", "STUDIES", "reproduce"]
+__all__ = ["SIMULATED", "STUDIES", "ContestInputs", "reproduce"]

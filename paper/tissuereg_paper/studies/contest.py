@@ -429,10 +429,10 @@ class Contest:
         Trained model of the mesh.
     fields : ndarray of float64, shape (n_fields, n_nodes, 3), optional
         Training fields, mm.
-    methods : mapping of str to type of Rival
-        Those that lack what they need are left out.
     variants : path-like, optional
         Folder of variants of the rigs' simulations.
+    methods : mapping of str to type of Rival
+        Those that lack what they need are left out.
     seed, threads : int
         Of the noise and the methods; of the solver and the methods.
     keep : path-like, optional
@@ -445,11 +445,12 @@ class Contest:
         mesh: Mesh,
         model: LatentModel | None = None,
         fields: Any = None,
+        variants: str | os.PathLike[str] | None = None,
+        *,
         methods: Mapping[str, type[Rival]] = METHODS,
         seed: int = 0,
         threads: int = 0,
         keep: str | os.PathLike[str] | None = None,
-        variants: str | os.PathLike[str] | None = None,
     ) -> None:
         self.rigs, self._mesh, self._model, self._fields = tuple(rigs), mesh, model, fields
         self._seed, self._threads = seed, threads

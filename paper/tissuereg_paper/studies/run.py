@@ -2,13 +2,14 @@
 
 import os
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from tissuereg._base.arguments import called, check_running, each, place
+from tissuereg._base.arguments import called, check_running, each, of_kind, place
 from tissuereg._base.choice import check_choice
 from tissuereg._base.clock import Clock
 from tissuereg.errors import ArgumentError
@@ -37,7 +38,7 @@ SIMULATED = tuple(_STUDIES)
 STUDIES = (*SIMULATED, *PHANTOM_STUDIES)
 
 #: Rigs of the phantom experiment in a checkout of the repository.
-RIGS = Path("benchmarks/twin/rigs")
+RIGS = Path("paper/twin/rigs")
 
 #: Most training fields that a method is given.
 _MOST_FIELDS = 2000
@@ -48,16 +49,77 @@ SCHEMA = "tissuereg.reproduce/1"
 Progress = Callable[[str, int, int], None]
 
 
+@dataclass(frozen=True)
+class ContestInputs:
+    """What the phantom experiment is given.
+
+    Attributes
+    ----------
+    data : path-like, optional
+        Rigs (``*.npz``); by default ``paper/twin/rigs`` below the current folder.
+    fields : path-like, optional
+        Data set of the model's body, for methods that need training fields; without it they are left out.
+    variants : path-like, optional
+        Folder of variants of the rigs' simulations (``make -C paper variants``), for methods that need them; without
+        it they are left out.
+    methods : sequence of str, optional
+        Methods, by their names in tables or their short ones in JSON; by default all.
+    keep : path-like, optional
+        Folder where what each method did on each rig is kept, so that a run that was stopped goes on.
+
+    Raises
+    ------
+    ArgumentError
+        If a method is unknown, or a folder is no path.
+    """
+
+    data: str | os.PathLike[str] | None = None
+    fields: str | os.PathLike[str] | None = None
+    variants: str | os.PathLike[str] | None = None
+    methods: Sequence[str] | None = None
+    keep: str | os.PathLike[str] | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("data", "fields", "variants", "keep"):
+            if getattr(self, name) is not None:
+                place(name, getattr(self, name))
+        if self.methods is not None:
+            names_of = {key: name for name, key in KEYS.items()}
+            chosen = tuple(names_of.get(name, name) for name in each("methods", self.methods, str))
+            for method in chosen:
+                check_choice("methods", method, METHODS, ArgumentError)
+            object.__setattr__(self, "methods", chosen)
+
+
+@dataclass(frozen=True)
+class Running:
+    """How studies are run: seed, threads, the clock of their stages, and whom progress is told.
+
+    Attributes
+    ----------
+    seed, threads : int
+    progress : callable of (str, int, int), optional
+        Called with a study's name, and the number of lots that are done, and of all.
+    clock : Clock
+    """
+
+    seed: int = 0
+    threads: int = 0
+    progress: Progress | None = None
+    clock: Clock = field(default_factory=Clock)
+
+    def told(self, name: str) -> Callable[[int, int], None] | None:
+        """Return whom the progress of a study is told."""
+        progress = self.progress
+        return None if progress is None else lambda done, in_all: progress(name, done, in_all)
+
+
 def reproduce(
     studies: str | Sequence[str],
     out: str | os.PathLike[str],
     *,
     model: str | os.PathLike[str] | None = None,
-    data: str | os.PathLike[str] | None = None,
-    fields: str | os.PathLike[str] | None = None,
-    variants: str | os.PathLike[str] | None = None,
-    methods: Sequence[str] | None = None,
-    keep: str | os.PathLike[str] | None = None,
+    contest: ContestInputs | None = None,
     seed: int = 0,
     threads: int = 0,
     progress: Progress | None = None,
@@ -73,18 +135,8 @@ def reproduce(
     model : path-like, optional
         Folder of a trained model of a body whose recipe travels with the package; by default the shipped model. The
         phantom experiment takes one of ``phantom_mesh()``.
-    data : path-like, optional
-        Rigs of the phantom experiment (``*.npz``); by default ``benchmarks/twin/rigs`` below the current folder.
-    variants : path-like, optional
-        Folder of variants of the rigs' simulations (``make rig-variants``), for methods that need them; without it
-        they are left out.
-    fields : path-like, optional
-        Data set of the model's body, for methods of the phantom experiment that need training fields; without it they
-        are left out.
-    methods : sequence of str, optional
-        Methods of the phantom experiment, by their names in tables or their short ones in JSON; by default all.
-    keep : path-like, optional
-        Folder where what each method did on each rig is kept, so that a run that was stopped goes on.
+    contest : ContestInputs, optional
+        Of the phantom experiment.
     seed : int
         Of the choice of shapes, markers and inner points, of the tracker's noise, and of the ensembles.
     threads : int
@@ -97,13 +149,13 @@ def reproduce(
     -------
     dict
         ``rows`` and ``agree`` of all studies, ``model``, ``methods``, ``cases``; of ``table2`` also ``layers`` and
-        ``samples``, of ``fig8`` ``goal``. `docs/paper.md` explains
-        them, and `docs/phantom-experiment.md` those of the phantom.
+        ``samples``, of ``fig8`` ``goal``. `paper/pages/paper.md` explains them, and `phantom-experiment.md` there
+        those of the phantom.
 
     Raises
     ------
     ArgumentError
-        If a study or a method is unknown, or there is no rig of a figure's scenario.
+        If a study is unknown, or there is no rig of a figure's scenario.
     FormatError
         If a rig or the data set cannot be read.
     ModelError
@@ -126,104 +178,72 @@ def reproduce(
         raise ArgumentError(message, where="studies")
     check_running(seed=seed, threads=threads)
     called("progress", progress)
+    inputs = of_kind("contest", contest or ContestInputs(), ContestInputs)
     folder = place("out", out, error=OutputError)
     check_folder_target(folder)
-    for name, given in (("data", data), ("fields", fields), ("keep", keep), ("variants", variants)):
-        if given is not None:
-            place(name, given)
-    names_of = {key: name for name, key in KEYS.items()}
-    chosen = None if methods is None else [names_of.get(name, name) for name in each("methods", methods, str)]
-    for method in chosen or ():
-        check_choice("methods", method, METHODS, ArgumentError)
-    clock = Clock()
+    running = Running(seed, threads, progress)
     contents: dict[str, dict[str, Any]] = {}
     simulated = [name for name in dict.fromkeys(names) if name in SIMULATED]
     phantom = [name for name in dict.fromkeys(names) if name in PHANTOM_STUDIES]
     if phantom:
-        with clock.stage("rigs"):
-            contest = _contest(data, model, fields, chosen, keep, seed, threads, variants)
+        with running.clock.stage("rigs"):
+            rivals = _contest(inputs, model, running)
     if simulated:
-        with clock.stage("model"):
+        with running.clock.stage("model"):
             subject = subject_of(model)
-        contents |= _simulated(simulated, subject, seed, threads, clock, progress, N_STARTS, N_TARGETS)
+        contents |= _simulated(simulated, subject, running)
     if phantom:
-        contents |= run_contest(phantom, contest, clock, progress, seed=seed)
-    return _delivered(folder, contents, clock)
+        contents |= run_contest(phantom, rivals, running)
+    return _delivered(folder, contents, running.clock)
 
 
 def run_studies(
-    names: Sequence[str],
-    subject: Subject,
-    out: Path,
-    *,
-    seed: int = 0,
-    threads: int = 0,
-    clock: Clock | None = None,
-    progress: Progress | None = None,
-    n_starts: int = N_STARTS,
-    n_targets: int = N_TARGETS,
+    names: Sequence[str], subject: Subject, out: Path, running: Running, pairs: tuple[int, int]
 ) -> dict[str, Any]:
-    """Run studies of any subject, of any number of pairs; `reproduce` has the other arguments and the answer."""
-    clock = clock or Clock()
-    contents = _simulated(names, subject, seed, threads, clock, progress, n_starts, n_targets)
-    return _delivered(out, contents, clock)
+    """Run studies of any subject, of so many starts and targets of each; `reproduce` says what comes back."""
+    return _delivered(out, _simulated(names, subject, running, pairs), running.clock)
 
 
-def run_contest(
-    names: Sequence[str], contest: Contest, clock: Clock, progress: Progress | None = None, *, seed: int = 0
-) -> dict[str, dict[str, Any]]:
+def run_contest(names: Sequence[str], contest: Contest, running: Running) -> dict[str, dict[str, Any]]:
     """Return the JSON of phantom studies by name."""
     contents = {}
     with threadpool_limits(limits=1, user_api="blas"):
         for name in names:
-            with clock.stage(name):
-                found = phantom_study(name, contest, None if progress is None else _told(progress, name))
-                contents[name] = {"schema": SCHEMA, "seed": seed, "model": contest.facts, **found}
+            with running.clock.stage(name):
+                found = phantom_study(name, contest, running.told(name))
+                contents[name] = {"schema": SCHEMA, "seed": running.seed, "model": contest.facts, **found}
     return contents
 
 
-def _contest(
-    data: Any,
-    model: Any,
-    fields: Any,
-    methods: list[str] | None,
-    keep: Any,
-    seed: int,
-    threads: int,
-    variants: Any,
-) -> Contest:
-    rigs = read_rigs(RIGS if data is None else data)
+def _contest(inputs: ContestInputs, model: Any, running: Running) -> Contest:
+    rigs = read_rigs(RIGS if inputs.data is None else inputs.data)
     mesh = phantom_mesh()
-    known = as_model("phantom" if model is None else model, mesh, threads)
+    known = as_model("phantom" if model is None else model, mesh, running.threads)
     trained = None
-    if fields is not None:
-        dataset = open_dataset(fields)
+    if inputs.fields is not None:
+        dataset = open_dataset(inputs.fields)
         members = dataset.split["train"]
-        members = members[np.sort(np.random.default_rng(seed).permutation(len(members))[:_MOST_FIELDS])]
+        members = members[np.sort(np.random.default_rng(running.seed).permutation(len(members))[:_MOST_FIELDS])]
         trained = np.asarray(dataset.displacement[members], np.float64)
-    wanted = METHODS if methods is None else {name: METHODS[name] for name in (Simulated.name, *methods)}
-    return Contest(rigs, mesh, known, trained, wanted, seed, threads, keep, variants)
+    wanted = METHODS if inputs.methods is None else {name: METHODS[name] for name in (Simulated.name, *inputs.methods)}
+    return Contest(
+        rigs, mesh, known, trained, inputs.variants, methods=wanted, seed=running.seed, threads=running.threads,
+        keep=inputs.keep,
+    )
 
 
 def _simulated(
-    names: Sequence[str],
-    subject: Subject,
-    seed: int,
-    threads: int,
-    clock: Clock,
-    progress: Progress | None,
-    n_starts: int,
-    n_targets: int,
+    names: Sequence[str], subject: Subject, running: Running, pairs: tuple[int, int] = (N_STARTS, N_TARGETS)
 ) -> dict[str, dict[str, Any]]:
-    with clock.stage("shapes"):
-        cases = draw_cases(subject.held_out, seed, threads, n_starts=n_starts, n_targets=n_targets)
+    seed, threads = running.seed, running.threads
+    with running.clock.stage("shapes"):
+        cases = draw_cases(subject.held_out, seed, threads, n_starts=pairs[0], n_targets=pairs[1])
     contents = {}
     # One pool of threads at a time: lots of pairs run side by side.
     with threadpool_limits(limits=1, user_api="blas"):
         for name in names:
-            with clock.stage(name):
-                tell = None if progress is None else _told(progress, name)
-                found = _STUDIES[name](Given(subject, cases, seed, threads, tell))
+            with running.clock.stage(name):
+                found = _STUDIES[name](Given(subject, cases, seed, threads, running.told(name)))
                 contents[name] = {"schema": SCHEMA, "seed": seed, "model": subject.facts, **found}
     return contents
 
@@ -250,7 +270,3 @@ def _write(out: Path, contents: dict[str, dict[str, Any]]) -> None:
             (draft / f"{name}.md").write_text(page, encoding="utf-8")
             (draft / f"{name}.csv").write_text(table, encoding="utf-8")
             figure.savefig(draft / f"{name}.png", dpi=110)
-
-
-def _told(progress: Progress, name: str) -> Callable[[int, int], None]:
-    return lambda done, in_all: progress(name, done, in_all)

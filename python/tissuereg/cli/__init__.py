@@ -8,7 +8,7 @@ import contextlib
 import importlib
 import sys
 import traceback
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 from tissuereg.cli.common import Outcome, envelope, paragraph, warnings_as_lines
@@ -33,7 +33,6 @@ COMMANDS = {
     "diagnose": "find out what the simulation gets wrong",
     "demo": "register the embedded phantom, end to end",
     "bench": "time the parts",
-    "reproduce": "run the paper's studies",
 }
 
 
@@ -50,11 +49,29 @@ def main(argv: Sequence[str] | None = None) -> int:
     int
         Exit code.
     """
+    return run_program(build_parser, argv)
+
+
+def run_program(parser_of: Callable[[Sequence[str]], Parser], argv: Sequence[str] | None = None) -> int:
+    """Run a program: its parser's default ``run`` does the work; output, errors and exit codes are those of all.
+
+    Parameters
+    ----------
+    parser_of : callable of sequence of str -> Parser
+        Takes the command line.
+    argv : sequence of str, optional
+        Words after the program's name; those of the process where absent.
+
+    Returns
+    -------
+    int
+        Exit code.
+    """
     words = list(sys.argv[1:] if argv is None else argv)
     target, debug = json_target(words), "--debug" in words
     with ended_like_an_interrupt(), warnings_as_lines(debug=debug) as notes:
         try:
-            outcome = _run(words, target)
+            outcome = _run(parser_of(words), words, target)
             if isinstance(outcome, int):
                 return outcome
             _deliver(outcome, target, notes)
@@ -102,8 +119,8 @@ def build_parser(words: Sequence[str] | None = None) -> Parser:
     return parser
 
 
-def _run(words: list[str], target: str | None) -> Outcome | int:
-    args = parse(build_parser(words), words)
+def _run(parser: Parser, words: list[str], target: str | None) -> Outcome | int:
+    args = parse(parser, words)
     if target not in (None, "-"):
         check_file_target(target)
     if getattr(args, "speaks_for_itself", False):
@@ -171,4 +188,4 @@ def _verdict(error: BaseException) -> tuple[int, str]:
     return 1, f"this is a bug in tissuereg, please report it with the lines above: {error or type(error).__name__}"
 
 
-__all__ = ["Outcome", "UsageError", "build_parser", "main"]
+__all__ = ["Outcome", "UsageError", "build_parser", "main", "run_program"]
