@@ -471,7 +471,7 @@ def main() -> None:
     parser.add_argument("--alarms", type=int, default=100, help="shapes spoilt in each way")
     parser.add_argument("--table2", type=Path, help="calibrated model folder of a Table II network, as a further row")
     parser.add_argument(
-        "--pressed", type=Path, help="pairs of rigs (`make rig-pairs`), where the model is calibrated here"
+        "--pressed", type=Path, help="pairs of rigs (`make -C paper pairs`), where the model is calibrated here"
     )
     parser.add_argument("--part", choices=("test", "valid"), default="test", help="valid while a method is being made")
     parser.add_argument("--out", type=Path, default=OUT)

@@ -9,6 +9,9 @@ import pytest
 import tissuereg as tr
 from support.small_model import SMALL_MODEL
 from tissuereg._base.clock import Clock
+from tissuereg.errors import ArgumentError, FormatError, MarkerError
+from tissuereg.io.npz import write_npz
+from tissuereg.registration.learned.network import NetworkModel
 from tissuereg_paper.rivals import (
     EnsembleOfSimulations,
     Estimate,
@@ -19,9 +22,6 @@ from tissuereg_paper.rivals import (
     Rival,
     VariedNetwork,
 )
-from tissuereg.errors import ArgumentError, FormatError, MarkerError
-from tissuereg.io.npz import write_npz
-from tissuereg.registration.learned.network import NetworkModel
 from tissuereg_paper.studies import contest as contests
 from tissuereg_paper.studies.contest import (
     CONDITIONS,

@@ -5,6 +5,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import tissuereg as tr
+from tissuereg.body.observe import MarkerObservation
+from tissuereg.errors import ArgumentError, MarkerError, ShapeError
 from tissuereg_paper.rivals import (
     RIVALS,
     Estimate,
@@ -18,8 +20,6 @@ from tissuereg_paper.rivals import (
     SplineAbout,
     spline_displacement,
 )
-from tissuereg.body.observe import MarkerObservation
-from tissuereg.errors import ArgumentError, MarkerError, ShapeError
 
 PLACES = np.array([[30.0, 10.0, 40.0], [0.0, 10.0, 40.0], [15.0, 0.0, 30.0], [15.0, 20.0, 35.0], [30.0, 5.0, 20.0]])
 

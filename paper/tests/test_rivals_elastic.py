@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 import tissuereg as tr
-from tissuereg_paper.rivals import Libr, LinearElastic, Setting
 from tissuereg.registration.linear_prior import LinearPrior
 from tissuereg.simulation.sensitivity import Linearised
 from tissuereg.simulation.solve import Simulator
+from tissuereg_paper.rivals import Libr, LinearElastic, Setting
 
 MATERIAL = tr.Material(young=8.0, poisson=0.4)
 

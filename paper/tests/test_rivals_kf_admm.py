@@ -2,15 +2,15 @@
 
 import numpy as np
 import pytest
-from tissuereg_paper import _core
 
 import tissuereg as tr
 from support.meshes import block
+from tissuereg.errors import ArgumentError, LoadError
+from tissuereg.simulation.solve import Simulator
+from tissuereg_paper import _core
 from tissuereg_paper.rivals import KfAdmm, Setting
 from tissuereg_paper.rivals.modal_filter import ModalFilter
 from tissuereg_paper.rivals.modes import admm_modes, vibration_modes
-from tissuereg.errors import ArgumentError, LoadError
-from tissuereg.simulation.solve import Simulator
 
 DT = 0.025
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 import tissuereg as tr
-from tissuereg_paper.rivals import LatentFilter, OneStepSmoother, PcaEsMda, Setting
 from tissuereg.body.observe import MarkerObservation
 from tissuereg.registration.learned.pca import PcaModel
+from tissuereg_paper.rivals import LatentFilter, OneStepSmoother, PcaEsMda, Setting
 
 #: On the surface, so that what they see is linear.
 PLACES = np.array([[30.0, 10.0, 40.0], [0.0, 10.0, 40.0], [15.0, 0.0, 30.0], [15.0, 20.0, 35.0], [30.0, 5.0, 20.0]])

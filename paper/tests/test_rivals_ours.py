@@ -5,9 +5,9 @@ import pytest
 
 import tissuereg as tr
 from support.small_model import SMALL_MODEL
-from tissuereg_paper.rivals import Network, PhysicsPrior, Setting
 from tissuereg.phantom.event import make_event
 from tissuereg.registration.learned.network import NetworkModel
+from tissuereg_paper.rivals import Network, PhysicsPrior, Setting
 
 
 @pytest.fixture(scope="module")

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 import tissuereg as tr
-from tissuereg_paper.rivals import ParameterInference, Setting
 from tissuereg.body.observe import MarkerObservation
 from tissuereg.errors import ArgumentError
+from tissuereg_paper.rivals import ParameterInference, Setting
 
 BELIEVED = tr.Material(young=8.0, poisson=0.4, density=1.0)
 STIFFNESS, LOAD = 1.4, 0.8

@@ -5,9 +5,9 @@ import pytest
 
 import tissuereg as tr
 from support.meshes import block
-from tissuereg_paper.rivals import PositionBasedDynamics, Setting
 from tissuereg.body.mesh import det_f
 from tissuereg.errors import ArgumentError
+from tissuereg_paper.rivals import PositionBasedDynamics, Setting
 
 
 @pytest.fixture

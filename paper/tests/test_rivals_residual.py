@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 import tissuereg as tr
-from tissuereg_paper.rivals import LinearElastic, LinearResidual, Setting
 from tissuereg.body.observe import MarkerObservation
 from tissuereg.errors import ArgumentError
+from tissuereg_paper.rivals import LinearElastic, LinearResidual, Setting
 
 PLACES = np.array([[30.0, 10.0, 40.0], [0.0, 10.0, 40.0], [15.0, 0.0, 30.0], [15.0, 20.0, 35.0], [30.0, 5.0, 20.0]])
 FRAME_S, MEMORY_S = 0.025, 0.05

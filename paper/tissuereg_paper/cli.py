@@ -58,7 +58,7 @@ def options(parser: Parser) -> None:
     text = "folder of a trained model (default: the one that ships with the package)"
     parser.add_argument("--model", metavar="FOLDER", help=text)
     phantom = parser.add_argument_group("of the phantom experiment")
-    text = "folder of rigs, *.npz (default: paper/twin/rigs)"
+    text = "folder of rigs, *.npz (default: paper/bench/twin/rigs)"
     phantom.add_argument("--data", metavar="RIGS", help=text)
     text = "data set of the model's body, for methods that need training fields (default: they are left out)"
     phantom.add_argument("--fields", metavar="DATA", help=text)

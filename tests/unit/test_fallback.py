@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tissuereg_paper.rivals import LinearElastic, Setting
 
 import tissuereg as tr
 from support import doors
 from support.meshes import block
-from tissuereg_paper.rivals import LinearElastic, Setting
 from tissuereg.body.observe import TargetObservation
 from tissuereg.cli.register_words import summary
 from tissuereg.registration import fallback as fallbacks

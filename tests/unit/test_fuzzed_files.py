@@ -14,6 +14,7 @@ import pytest
 import trimesh
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from tissuereg_paper.studies.rigs import read_rig
 
 import tissuereg as tr
 from support.files import EXPERIMENT, FIDUCIALS, GOOD_MARKERS, GOOD_RECORDING, TABLES, write_experiment, write_problem
@@ -29,7 +30,6 @@ from tissuereg.io.tables import read_reference
 from tissuereg.registration.learned.card import CARD_SCHEMA, MODEL_FILES, check_files, read_card
 from tissuereg.simulation.dataset import make_dataset
 from tissuereg.simulation.recipe import read_recipe
-from tissuereg_paper.studies.rigs import read_rig
 
 #: Examples of each file; `make test-sturdy` asks for 10,000.
 CASES = int(os.environ.get("TISSUEREG_CASES", "60"))

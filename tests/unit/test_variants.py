@@ -2,18 +2,18 @@
 
 import numpy as np
 import pytest
+from tissuereg_paper.rivals import EnsembleOfSimulations, Setting, VariedNetwork
+from tissuereg_paper.studies.rigs import Pad, Rig
+from tissuereg_paper.studies.variants import N_MODULI, STORED_KPA, YOUNG_KPA, RigVariants, read_variants
 
 import tissuereg as tr
 from support.small_model import SMALL_MODEL
-from tissuereg_paper.rivals import EnsembleOfSimulations, Setting, VariedNetwork
 from tissuereg.errors import ArgumentError, FormatError, ShapeError
 from tissuereg.io.npz import write_npz
 from tissuereg.registration.learned.calibration import UNRELATED, Calibration, Change, FieldErrors, Rehearsal
 from tissuereg.registration.learned.kinds import Kinds
 from tissuereg.registration.learned.network import NetworkModel
 from tissuereg.registration.learned.variants import Variants
-from tissuereg_paper.studies.rigs import Pad, Rig
-from tissuereg_paper.studies.variants import N_MODULI, STORED_KPA, YOUNG_KPA, RigVariants, read_variants
 
 STD = 0.05
 

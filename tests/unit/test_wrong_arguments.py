@@ -12,12 +12,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tissuereg_paper.rivals import RIVALS, Rigid, Setting
 
 import tissuereg as tr
 from support.files import FIDUCIALS, GOOD_MARKERS, write_experiment
 from support.meshes import block
 from support.rigs import rig
-from tissuereg_paper.rivals import RIVALS, Rigid, Setting
 from tissuereg.errors import ExperimentError, FormatError, MaterialError, TissueRegError, UnitWarning
 from tissuereg.experiment.effects import EFFECTS
 from tissuereg.io.experiments import read_experiment

@@ -4,11 +4,11 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from tissuereg.body.observe import MarkerObservation
 from tissuereg_paper.rivals.copy import MeanOfMarkers
 from tissuereg_paper.rivals.rigid import Rigid
 from tissuereg_paper.rivals.rival import Estimate, Rival, Setting
 from tissuereg_paper.rivals.spline import Spline
-from tissuereg.body.observe import MarkerObservation
 
 
 class _About(Rival):

@@ -6,10 +6,10 @@ import numpy as np
 
 from tissuereg._base.arguments import flag
 from tissuereg._base.arrays import FloatArray
-from tissuereg_paper.rivals.rival import Estimate, Moment, Rival, Setting
 from tissuereg.registration.contacts.elastic import ElasticBody
 from tissuereg.registration.contacts.registration import fitting_element
 from tissuereg.registration.linear_prior import LinearPrior, most_probable
+from tissuereg_paper.rivals.rival import Estimate, Moment, Rival, Setting
 
 
 def elastic_body(setting: Setting) -> ElasticBody:

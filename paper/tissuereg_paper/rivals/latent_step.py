@@ -7,7 +7,6 @@ import numpy as np
 
 from tissuereg._base.arguments import flag, real, whole
 from tissuereg._base.arrays import FloatArray
-from tissuereg_paper.rivals.rival import Estimate, Moment, Rival, Setting
 from tissuereg.body.markers import Markers
 from tissuereg.body.observe import MarkerObservation, TargetObservation
 from tissuereg.registration.learned.assimilate import Assimilation, FirstEnsemble, assimilate, balanced_draws
@@ -15,6 +14,7 @@ from tissuereg.registration.learned.model import Gaussian
 from tissuereg.registration.learned.points import PointModel, PointsAround
 from tissuereg.registration.learned.posterior import Posterior
 from tissuereg.registration.learned.widen import stated
+from tissuereg_paper.rivals.rival import Estimate, Moment, Rival, Setting
 
 
 class _OneUpdate(Rival):

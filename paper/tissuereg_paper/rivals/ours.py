@@ -7,7 +7,6 @@ import numpy as np
 
 from tissuereg._base.arguments import flag, maybe
 from tissuereg._base.arrays import FloatArray
-from tissuereg_paper.rivals.rival import Estimate, Moment, Rival, Setting
 from tissuereg.registration.body import Body
 from tissuereg.registration.contacts.result import ContactRegistration
 from tissuereg.registration.inputs import SimulationVariants
@@ -15,6 +14,7 @@ from tissuereg.registration.learned.model import LatentModel
 from tissuereg.registration.registrar import Registrar
 from tissuereg.registration.result import Registration
 from tissuereg.registration.settings import RegisterSettings
+from tissuereg_paper.rivals.rival import Estimate, Moment, Rival, Setting
 
 
 def spread_of(found: Registration) -> FloatArray:

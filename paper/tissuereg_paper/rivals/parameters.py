@@ -8,7 +8,6 @@ import numpy as np
 
 from tissuereg._base.arguments import flag, real, whole
 from tissuereg._base.arrays import FloatArray, float_array
-from tissuereg_paper.rivals.rival import Estimate, Moment, Rival, Setting
 from tissuereg.body.load import Load
 from tissuereg.body.material import Material
 from tissuereg.body.observe import MarkerObservation
@@ -19,6 +18,7 @@ from tissuereg.registration.contacts.supports import Supports
 from tissuereg.registration.learned.assimilate import StepOptions, assimilate
 from tissuereg.registration.learned.model import Gaussian
 from tissuereg.simulation.solve import Simulator
+from tissuereg_paper.rivals.rival import Estimate, Moment, Rival, Setting
 
 #: Residual over load at which an equilibrium is good enough for markers with noise.
 _TOLERANCE = 1e-6

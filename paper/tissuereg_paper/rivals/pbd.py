@@ -3,14 +3,14 @@
 from typing import Any, ClassVar
 
 import numpy as np
-from tissuereg_paper import _core
 
 from tissuereg._base.arguments import real, whole
 from tissuereg._base.arrays import FloatArray, IntArray
-from tissuereg_paper.rivals.rival import Estimate, Rival, Setting
 from tissuereg.body.mesh import Mesh
 from tissuereg.body.observe import MarkerObservation
 from tissuereg.simulation.solve import Simulator
+from tissuereg_paper import _core
+from tissuereg_paper.rivals.rival import Estimate, Rival, Setting
 
 #: kg/mm^3 in one g/cm^3.
 _KG_PER_MM3 = 1e-6

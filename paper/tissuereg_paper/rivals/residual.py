@@ -7,9 +7,9 @@ import numpy as np
 
 from tissuereg._base.arguments import real, whole
 from tissuereg._base.arrays import BoolArray, FloatArray
+from tissuereg.registration.linear_prior import most_probable
 from tissuereg_paper.rivals.elastic import LinearElastic, residual_of
 from tissuereg_paper.rivals.rival import Estimate, Rival, Setting
-from tissuereg.registration.linear_prior import most_probable
 
 
 class LinearResidual(Rival):

@@ -5,9 +5,9 @@ from typing import Any, ClassVar
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray, float_array
+from tissuereg.errors import MarkerError
 from tissuereg_paper.rivals.copy import copied_displacement
 from tissuereg_paper.rivals.rival import Estimate, Rival
-from tissuereg.errors import MarkerError
 
 
 def rigid_displacement(reference: Any, measured: Any, points: Any) -> FloatArray:

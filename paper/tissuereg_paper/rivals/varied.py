@@ -7,11 +7,11 @@ import numpy as np
 
 from tissuereg._base.arguments import real
 from tissuereg._base.arrays import FloatArray
-from tissuereg_paper.rivals.ours import Network
-from tissuereg_paper.rivals.rival import Estimate, Rival, Setting
 from tissuereg.body.observe import MarkerObservation
 from tissuereg.errors import ArgumentError
 from tissuereg.registration.learned.variants import Variants
+from tissuereg_paper.rivals.ours import Network
+from tissuereg_paper.rivals.rival import Estimate, Rival, Setting
 
 
 class Varied(Rival):

@@ -16,6 +16,14 @@ from typing import Any
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray, IntArray
+from tissuereg.body.load import Load
+from tissuereg.body.material import Material
+from tissuereg.body.mesh import Mesh
+from tissuereg.body.observe import TargetObservation
+from tissuereg.errors import ConvergenceError, FormatError, TissueRegError
+from tissuereg.phantom.event import POISSON
+from tissuereg.registration.learned.model import LatentModel
+from tissuereg.simulation.solve import Simulator
 from tissuereg_paper.rivals import (
     RIVALS,
     EnsembleOfSimulations,
@@ -42,14 +50,6 @@ from tissuereg_paper.rivals import (
     Varied,
     VariedNetwork,
 )
-from tissuereg.body.load import Load
-from tissuereg.body.material import Material
-from tissuereg.body.mesh import Mesh
-from tissuereg.body.observe import TargetObservation
-from tissuereg.errors import ConvergenceError, FormatError, TissueRegError
-from tissuereg.phantom.event import POISSON
-from tissuereg.registration.learned.model import LatentModel
-from tissuereg.simulation.solve import Simulator
 from tissuereg_paper.studies.rigs import Rig, inverted, on_spline
 from tissuereg_paper.studies.runs import KeptRuns, Run
 from tissuereg_paper.studies.variants import RigVariants, digest, read_variants

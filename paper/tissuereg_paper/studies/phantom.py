@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray
-from tissuereg_paper.rivals import KfAdmm, Network, VariedNetwork
 from tissuereg.errors import ArgumentError
+from tissuereg_paper.rivals import KfAdmm, Network, VariedNetwork
 from tissuereg_paper.studies.claims import Agreement, Claim
 from tissuereg_paper.studies.contest import CONDITIONS, KEYS, PLAIN, Condition, Contest, Simulated
 from tissuereg_paper.studies.rigs import Rig

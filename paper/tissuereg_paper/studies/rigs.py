@@ -1,6 +1,6 @@
 """Recordings of phantom rigs (the paper's Fig. 9): what the actuators did, what the markers did, and the truth inside.
 
-``benchmarks/twin`` makes such files with another solver. A file holds the displacements at a few shares of the
+``bench/twin`` makes such files with another solver. A file holds the displacements at a few shares of the
 actuators' strokes; a body without memory moves along them, so that every frame lies on the spline through them.
 """
 
@@ -127,7 +127,7 @@ def read_rig(path: str | os.PathLike[str]) -> Rig:
     Parameters
     ----------
     path : path-like
-        An .npz file of ``benchmarks/twin``; `docs/phantom-experiment.md` lists its arrays.
+        An .npz file of ``bench/twin``; `pages/phantom-experiment.md` lists its arrays.
 
     Returns
     -------
@@ -193,7 +193,7 @@ def read_rigs(folder: str | os.PathLike[str]) -> list[Rig]:
     """
     files = sorted(place("data", folder, error=FormatError).glob("*.npz"))
     if not files:
-        message = f"{folder} must hold rigs (*.npz); `make twin` makes those of benchmarks/twin/rigs"
+        message = f"{folder} must hold rigs (*.npz); `make -C paper twin` makes those of paper/bench/twin/rigs"
         raise FormatError(message, where=str(folder))
     return [read_rig(file) for file in files]
 

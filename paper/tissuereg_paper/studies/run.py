@@ -38,7 +38,7 @@ SIMULATED = tuple(_STUDIES)
 STUDIES = (*SIMULATED, *PHANTOM_STUDIES)
 
 #: Rigs of the phantom experiment in a checkout of the repository.
-RIGS = Path("paper/twin/rigs")
+RIGS = Path("paper/bench/twin/rigs")
 
 #: Most training fields that a method is given.
 _MOST_FIELDS = 2000
@@ -56,7 +56,7 @@ class ContestInputs:
     Attributes
     ----------
     data : path-like, optional
-        Rigs (``*.npz``); by default ``paper/twin/rigs`` below the current folder.
+        Rigs (``*.npz``); by default ``paper/bench/twin/rigs`` below the current folder.
     fields : path-like, optional
         Data set of the model's body, for methods that need training fields; without it they are left out.
     variants : path-like, optional
@@ -227,7 +227,14 @@ def _contest(inputs: ContestInputs, model: Any, running: Running) -> Contest:
         trained = np.asarray(dataset.displacement[members], np.float64)
     wanted = METHODS if inputs.methods is None else {name: METHODS[name] for name in (Simulated.name, *inputs.methods)}
     return Contest(
-        rigs, mesh, known, trained, inputs.variants, methods=wanted, seed=running.seed, threads=running.threads,
+        rigs,
+        mesh,
+        known,
+        trained,
+        inputs.variants,
+        methods=wanted,
+        seed=running.seed,
+        threads=running.threads,
         keep=inputs.keep,
     )
 

@@ -136,7 +136,7 @@ class Sweep:
         Returns
         -------
         dict
-            As `docs/paper.md` states; ``paper_mm`` is None.
+            As `pages/paper.md` states; ``paper_mm`` is None.
         """
         found = self.outcome(setting)
         end = found.end

@@ -61,7 +61,7 @@ def read_variants(folder: str | os.PathLike[str], rig: Rig, n_nodes: int) -> Rig
     Parameters
     ----------
     folder : path-like
-        Holds files of the rigs' names, as ``benchmarks/twin/variants.py`` makes them.
+        Holds files of the rigs' names, as ``bench/twin/variants.py`` makes them.
     rig : Rig
     n_nodes : int
         Of the mesh.

@@ -1,4 +1,4 @@
-"""The phantom experiment on the rigs of ``twin``: every method, and the tables of the page.
+"""The phantom experiment on the rigs of ``bench/twin``: every method, and the tables of the page.
 
 ``python -m scripts.phantom`` writes ``archive/phantom``, and tables and pictures of ``pages/phantom-experiment.md``;
 ``--page`` writes the page alone. ``--add METHOD`` (several times) runs these methods alone and lets their rows take
@@ -18,7 +18,7 @@ from tissuereg_paper import ContestInputs, reproduce
 from tissuereg_paper.studies.phantom import PHANTOM_STUDIES, merged
 from tissuereg_paper.studies.phantom_pages import phantom_markdown, phantom_picture
 
-PAPER = Path(__file__).resolve().parents[1]
+PAPER = Path(__file__).resolve().parents[2]
 ARCHIVE, PAGE = PAPER / "archive" / "phantom", PAPER / "pages" / "phantom-experiment.md"
 
 #: What of the archive are tables.
@@ -61,7 +61,7 @@ def block(name, content):
 def main():
     """Run and write."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--data", default=PAPER / "twin" / "rigs")
+    parser.add_argument("--data", default=PAPER / "bench" / "twin" / "rigs")
     parser.add_argument("--fields")
     parser.add_argument("--variants")
     parser.add_argument("--keep", default="build/phantom-experiment")

@@ -1,4 +1,4 @@
-"""Variants of rigs, by this package's solver: ``python -m twin.variants OUT`` (`make rig-variants`).
+"""Variants of rigs, by this package's solver: ``python -m twin.variants OUT`` (`make -C paper variants`).
 
 What is uncertain of a rig is drawn anew: inclusion, law, Poisson's ratio, base, and the actuators' pose about the known
 one. What a user knows stays: the body, the pads, their strokes. Nothing of the rig's truth is used. Each rig is one

@@ -1,4 +1,4 @@
-"""Make the rigs that are missing: ``python -m twin`` with ``tests`` and ``benchmarks`` on the path (``make twin``).
+"""Make the rigs that are missing: ``python -m twin`` (`make -C paper twin`).
 
 ``--development``: the rigs on which methods are tuned, none of which is reported; ``--only NAME``: one rig; ``--list``:
 their names; ``--corners N``: another mesh, for a comparison, into another ``--out``. Each rig is one file, written

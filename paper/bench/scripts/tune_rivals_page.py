@@ -35,7 +35,7 @@ HEAD = """# How the rivals were tuned
 Written by `make -C paper tune` from `paper/archive/rivals-tuning`; edit neither.
 
 The methods of [the phantom experiment](phantom-experiment.md) have constants. Each was varied on {n} *development* rigs
-(`paper/twin/development`), drawn like those that are reported but with other seeds; no constant was chosen on a
+(`paper/bench/twin/development`), drawn like those that are reported but with other seeds; no constant was chosen on a
 reported rig. All markers are seen, with noise of 0.1 mm; the believed simulation is driven by the measured force.
 
 A constant is varied by itself, the others at their defaults, until every default is the best of its own sweep. The

@@ -1,4 +1,4 @@
-"""Pairs of simulation and truth of rigs, by this package's solver: ``python -m twin.pairs OUT`` (`make rig-pairs`).
+"""Pairs of simulation and truth of rigs, by our own solver: ``python -m twin.pairs OUT`` (`make -C paper pairs`).
 
 A model that is calibrated with them (``tissuereg calibrate --pairs OUT``) knows how bodies that pads press differ from
 their simulations. Rigs are drawn as those of the twin, of other seeds; the truth has four-node elements on the mesh of

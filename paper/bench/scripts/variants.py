@@ -14,15 +14,15 @@ from readme import write_table
 from threadpoolctl import threadpool_limits
 
 from tissuereg._base.machine import machine
-from tissuereg_paper.rivals import EnsembleOfSimulations, Network, VariedNetwork
 from tissuereg.phantom import phantom_mesh
 from tissuereg.registration.learned import calibration
 from tissuereg.registration.learned.registration import as_model
+from tissuereg_paper.rivals import EnsembleOfSimulations, Network, VariedNetwork
 from tissuereg_paper.studies.contest import PLAIN, Believed, Simulated, measured, run_method
 from tissuereg_paper.studies.rigs import read_rigs
 from tissuereg_paper.studies.variants import read_variants
 
-PAPER = Path(__file__).resolve().parents[1]
+PAPER = Path(__file__).resolve().parents[2]
 ARCHIVE, PAGE = PAPER / "archive" / "variants", PAPER.parent / "docs" / "decisions" / "learned-model.md"
 
 #: What of the archive is a table.
@@ -107,7 +107,7 @@ def table(content):
 def main():
     """Run and write."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--data", type=Path, default=PAPER / "twin" / "development")
+    parser.add_argument("--data", type=Path, default=PAPER / "bench" / "twin" / "development")
     parser.add_argument("--variants", type=Path)
     parser.add_argument("--page", action="store_true", help="write the table again from the archive")
     options = parser.parse_args()

@@ -27,17 +27,17 @@ from threadpoolctl import threadpool_limits
 
 import tissuereg as tr
 from scripts.tune_rivals_page import page
-from tissuereg_paper import rivals as b
-from tissuereg_paper.rivals import Rival
 from tissuereg.io.npz import write_npz
 from tissuereg.phantom import phantom_mesh
 from tissuereg.registration.learned.registration import as_model
+from tissuereg_paper import rivals as b
+from tissuereg_paper.rivals import Rival
 from tissuereg_paper.studies.contest import METHODS, PLAIN, Believed, Simulated, measured, run_method
 from tissuereg_paper.studies.contest import Path as BelievedPath
 from tissuereg_paper.studies.rigs import Rig, read_rigs
 from tissuereg_paper.studies.variants import read_variants
 
-PAPER = Path(__file__).resolve().parents[1]
+PAPER = Path(__file__).resolve().parents[2]
 ARCHIVE, PAGE = PAPER / "archive" / "rivals-tuning", PAPER / "pages" / "rivals-tuning.md"
 
 #: What of the archive are tables.
@@ -299,7 +299,7 @@ def _words(one: Mapping[str, Any]) -> tuple[str, str]:
 def main() -> None:
     """Run the sweeps, or write the page again."""
     parser = argparse.ArgumentParser(description="Tune the compared methods.")
-    parser.add_argument("--data", type=Path, default=PAPER / "twin" / "development")
+    parser.add_argument("--data", type=Path, default=PAPER / "bench" / "twin" / "development")
     parser.add_argument("--fields", type=Path)
     parser.add_argument("--variants", type=Path)
     parser.add_argument("--keep", type=Path, default=PAPER.parent / "build" / "rivals-tuning")

@@ -19,7 +19,7 @@ from tissuereg.registration.learned.registration import as_model
 from tissuereg_paper.studies.contest import BELIEVED, CONDITIONS, Believed, measured
 from tissuereg_paper.studies.rigs import read_rigs
 
-PAPER = Path(__file__).resolve().parents[1]
+PAPER = Path(__file__).resolve().parents[2]
 ARCHIVE, PAGE = PAPER / "archive" / "fallback", PAPER.parent / "docs" / "decisions" / "trust.md"
 
 #: What of the archive is a table.
@@ -93,7 +93,7 @@ def table(content):
 def main():
     """Run and write."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--data", type=Path, default=PAPER / "twin" / "development")
+    parser.add_argument("--data", type=Path, default=PAPER / "bench" / "twin" / "development")
     parser.add_argument("--page", action="store_true", help="write the table again from the archive")
     options = parser.parse_args()
     if not options.page:

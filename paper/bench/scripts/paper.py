@@ -15,7 +15,7 @@ from typing import Any
 
 from common import read_archive, write_archive
 
-PAPER = Path(__file__).resolve().parents[1]
+PAPER = Path(__file__).resolve().parents[2]
 PAGE = PAPER / "pages" / "paper.md"
 
 #: Archives, by the model that they are of.
