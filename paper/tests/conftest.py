@@ -1,13 +1,6 @@
-"""Helpers of the package's tests are imported by `support`, benches, twin and scripts by their names."""
-
-import sys
-from pathlib import Path
+"""Fixtures. Helpers of the package's tests are imported by `support`, benches, twin and scripts by their names."""
 
 import pytest
-
-TOP = Path(__file__).resolve().parents[2]
-
-sys.path.extend(str(TOP / folder) for folder in ("tests", "benchmarks", "paper/bench"))
 
 import tissuereg as tr
 from support.meshes import block

@@ -1,5 +1,6 @@
 """The rivals behave as named; interrupted runs resume; the page is generated from the results."""
 
+
 import numpy as np
 import pytest
 

@@ -4,12 +4,12 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from tissuereg import Simulator
 from tissuereg._base.arguments import real, whole
 from tissuereg._base.arrays import FloatArray
 from tissuereg._base.choice import check_choice
 from tissuereg.body.observe import MarkerObservation
 from tissuereg.errors import ArgumentError, LoadError
-from tissuereg.simulation.solve import Simulator
 from tissuereg_paper import _core
 from tissuereg_paper.rivals.modal_filter import ModalFilter
 from tissuereg_paper.rivals.modes import admm_modes, vibration_modes

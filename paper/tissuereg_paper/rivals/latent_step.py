@@ -5,9 +5,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from tissuereg import Markers
 from tissuereg._base.arguments import flag, real, whole
 from tissuereg._base.arrays import FloatArray
-from tissuereg.body.markers import Markers
 from tissuereg.body.observe import MarkerObservation, TargetObservation
 from tissuereg.registration.learned.assimilate import Assimilation, FirstEnsemble, assimilate, balanced_draws
 from tissuereg.registration.learned.model import Gaussian

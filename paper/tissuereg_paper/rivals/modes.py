@@ -4,11 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tissuereg import Material, Mesh, Simulator
 from tissuereg._base.arrays import FloatArray, frozen
-from tissuereg.body.material import Material
-from tissuereg.body.mesh import Mesh
 from tissuereg.errors import SupportError
-from tissuereg.simulation.solve import Simulator
 
 
 @dataclass(frozen=True, eq=False)

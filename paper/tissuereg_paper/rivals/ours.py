@@ -5,15 +5,10 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from tissuereg import Body, ContactRegistration, RegisterSettings, Registrar, Registration, SimulationVariants
 from tissuereg._base.arguments import flag, maybe
 from tissuereg._base.arrays import FloatArray
-from tissuereg.registration.body import Body
-from tissuereg.registration.contacts.result import ContactRegistration
-from tissuereg.registration.inputs import SimulationVariants
 from tissuereg.registration.learned.model import LatentModel
-from tissuereg.registration.registrar import Registrar
-from tissuereg.registration.result import Registration
-from tissuereg.registration.settings import RegisterSettings
 from tissuereg_paper.rivals.rival import Estimate, Moment, Rival, Setting
 
 

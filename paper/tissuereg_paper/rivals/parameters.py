@@ -6,10 +6,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from tissuereg import Load, Material, Simulator
 from tissuereg._base.arguments import flag, real, whole
 from tissuereg._base.arrays import FloatArray, float_array
-from tissuereg.body.load import Load
-from tissuereg.body.material import Material
 from tissuereg.body.observe import MarkerObservation
 from tissuereg.errors import ArgumentError
 from tissuereg.registration.contacts.body import ContactBody
@@ -17,7 +16,6 @@ from tissuereg.registration.contacts.registration import fitting_element
 from tissuereg.registration.contacts.supports import Supports
 from tissuereg.registration.learned.assimilate import StepOptions, assimilate
 from tissuereg.registration.learned.model import Gaussian
-from tissuereg.simulation.solve import Simulator
 from tissuereg_paper.rivals.rival import Estimate, Moment, Rival, Setting
 
 #: Residual over load at which an equilibrium is good enough for markers with noise.

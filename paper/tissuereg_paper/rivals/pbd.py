@@ -4,11 +4,10 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from tissuereg import Mesh, Simulator
 from tissuereg._base.arguments import real, whole
 from tissuereg._base.arrays import FloatArray, IntArray
-from tissuereg.body.mesh import Mesh
 from tissuereg.body.observe import MarkerObservation
-from tissuereg.simulation.solve import Simulator
 from tissuereg_paper import _core
 from tissuereg_paper.rivals.rival import Estimate, Rival, Setting
 

@@ -7,12 +7,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from tissuereg import Load, Markers, Material, Mesh
 from tissuereg._base.arguments import check_running, maybe, named, of_kind, real
 from tissuereg._base.arrays import BoolArray, FloatArray, IntArray, float_array, frozen, index_array, optional_array
-from tissuereg.body.load import Load
-from tissuereg.body.markers import Markers
-from tissuereg.body.material import Material
-from tissuereg.body.mesh import Mesh
 from tissuereg.errors import ArgumentError, MarkerError, ShapeError
 from tissuereg.registration.learned.model import LatentModel
 

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tissuereg import Mesh
 from tissuereg._base.arrays import FloatArray, IntArray
-from tissuereg.body.mesh import Mesh
 from tissuereg.errors import EnsembleError
 from tissuereg.io.chunks import Fields
 from tissuereg_paper.studies.shapes import HeldOut

@@ -15,15 +15,12 @@ from typing import Any
 
 import numpy as np
 
+from tissuereg import Load, Material, Mesh, Simulator
 from tissuereg._base.arrays import FloatArray, IntArray
-from tissuereg.body.load import Load
-from tissuereg.body.material import Material
-from tissuereg.body.mesh import Mesh
 from tissuereg.body.observe import TargetObservation
 from tissuereg.errors import ConvergenceError, FormatError, TissueRegError
 from tissuereg.phantom.event import POISSON
 from tissuereg.registration.learned.model import LatentModel
-from tissuereg.simulation.solve import Simulator
 from tissuereg_paper.rivals import (
     RIVALS,
     EnsembleOfSimulations,

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from tissuereg import open_dataset
 from tissuereg._base.arguments import called, check_running, each, of_kind, place
 from tissuereg._base.choice import check_choice
 from tissuereg._base.clock import Clock
 from tissuereg.errors import ArgumentError
 from tissuereg.io.atomic import OutputError, atomic_folder, check_folder_target
-from tissuereg.io.datasets import open_dataset
 from tissuereg.io.json import dumps
 from tissuereg.phantom import phantom_mesh
 from tissuereg.registration.learned.registration import as_model

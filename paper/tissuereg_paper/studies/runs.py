@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from tissuereg import __version__
 from tissuereg._base.arguments import place
 from tissuereg._base.arrays import FloatArray
-from tissuereg._version import __version__
 from tissuereg.errors import FormatError
 from tissuereg.io.npz import open_npz, write_npz
 from tissuereg_paper.studies.rigs import Rig

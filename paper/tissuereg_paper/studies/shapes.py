@@ -8,8 +8,8 @@ from functools import cached_property
 
 import numpy as np
 
+from tissuereg import Mesh
 from tissuereg._base.arrays import IntArray
-from tissuereg.body.mesh import Mesh
 from tissuereg.errors import EnsembleError, ModelError
 from tissuereg.io.chunks import Fields
 from tissuereg.io.datasets import split_of
