@@ -22,9 +22,8 @@ from tissuereg_paper.rivals import (
     Rival,
     VariedNetwork,
 )
-from tissuereg_paper.studies import believed
 from tissuereg_paper.studies import contest as contests
-from tissuereg_paper.studies.believed import CONDITIONS, MOTION, PLAIN, Believed, measured
+from tissuereg_paper.studies.believed import BELIEVED, CONDITIONS, EVERY, MOTION, PLAIN, Believed, measured
 from tissuereg_paper.studies.contest import Contest, NetworkAlone, Simulated
 from tissuereg_paper.studies.phantom import _goals, _rows, _short, merged, phantom_study
 from tissuereg_paper.studies.phantom_pages import phantom_markdown
@@ -212,7 +211,7 @@ def test_a_true_body_that_pushes_back_harder_makes_the_believed_one_go_farther(r
 
 def test_a_simulation_that_is_the_truth_has_no_error(made, rig):
     run = next(run for run in made.runs(rig, MOTION) if run.method == "simulation")
-    assert len(run.sensor_mm) == len(np.arange(0, 24, believed.EVERY))
+    assert len(run.sensor_mm) == len(np.arange(0, 24, EVERY))
     # Its spline has two more fields beyond the rig's: two cubics where the rig's is a parabola.
     assert max(run.sensor_mm.max(), run.inner_mm.max()) < 0.02
 
@@ -260,11 +259,11 @@ def test_a_method_that_remembers_is_given_every_frame_and_others_the_scored_ones
 
 def test_without_a_simulation_the_registrar_is_given_none(rig, mesh):
     model = NetworkModel(SMALL_MODEL, mesh, threads=1)
-    believed = Believed(rig, mesh, 1)
-    markers, simulation = measured(rig, PLAIN, 0)[11], believed.simulation_mm("motion")[11]
-    found = NetworkAlone(believed.setting(PLAIN, model, None, 0)).register(markers, simulation)
+    about = Believed(rig, mesh, 1)
+    markers, simulation = measured(rig, PLAIN, 0)[11], about.simulation_mm("motion")[11]
+    found = NetworkAlone(about.setting(PLAIN, model, None, 0)).register(markers, simulation)
     registrar = tr.Registrar(
-        tr.Body(mesh, material=believed.BELIEVED),
+        tr.Body(mesh, material=BELIEVED),
         tr.Markers(rig.reference_mm, std=0.1),
         model,
         settings=tr.RegisterSettings(threads=1),
