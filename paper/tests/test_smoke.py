@@ -37,7 +37,7 @@ def small(mesh, monkeypatch):
         monkeypatch.setattr(module, "phantom_mesh", lambda: mesh)
     for module in (running, fallback, tune_rivals, variants):
         monkeypatch.setattr(module, "as_model", lambda _, body, threads: as_model(SMALL_MODEL, body, threads))
-    monkeypatch.setattr(running, "draw_cases", lambda *given, **_: draw_cases(*given, n_starts=2, n_targets=2))
+    monkeypatch.setattr(running, "draw_cases", lambda *given: draw_cases(*given, n_starts=2, n_targets=2))
 
 
 @pytest.fixture
@@ -75,7 +75,7 @@ def kept(tmp_path, monkeypatch):
 
 
 def test_the_command_runs_a_simulation_study(tmp_path, monkeypatch):
-    monkeypatch.setattr(running, "draw_cases", lambda *given, **_: draw_cases(*given, n_starts=2, n_targets=2))
+    monkeypatch.setattr(running, "draw_cases", lambda *given: draw_cases(*given, n_starts=2, n_targets=2))
     assert main(["fig8", "table2", "--out", str(tmp_path / "out"), "--json", str(tmp_path / "answer.json")]) == 0
     answer = json.loads((tmp_path / "answer.json").read_text(encoding="utf-8"))
     assert {row["study"] for row in answer["rows"]} == {"fig8", "table2"}
@@ -93,7 +93,7 @@ def test_the_command_runs_the_contest(rigs, tmp_path):
 
 
 def test_the_page_of_simulation_studies_is_made(run, tmp_path, monkeypatch):
-    monkeypatch.setattr(running, "draw_cases", lambda *given, **_: draw_cases(*given, n_starts=2, n_targets=2))
+    monkeypatch.setattr(running, "draw_cases", lambda *given: draw_cases(*given, n_starts=2, n_targets=2))
     monkeypatch.setattr(paper, "PAGE", tmp_path / "paper.md")
     monkeypatch.setattr(paper, "ARCHIVES", {"shipped": tmp_path / "paper-shipped"})
     assert run(paper) == 0

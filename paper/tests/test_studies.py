@@ -24,7 +24,6 @@ from tissuereg_paper.studies.claims import Agreement, Claim
 from tissuereg_paper.studies.figures import CDS, FIGURES, fig6_settings, fig7_settings, fig8_settings
 from tissuereg_paper.studies.layers import PAPER, graph_layers
 from tissuereg_paper.studies.measures import Clusters, Errors, inside90
-from tissuereg_paper.studies.run import Running, run_studies
 from tissuereg_paper.studies.settings import METHODS, STD_AS_VARIANCE, Setting
 from tissuereg_paper.studies.shapes import HeldOut
 from tissuereg_paper.studies.subject import Subject
@@ -398,15 +397,17 @@ def test_table_ii_is_told_from_other_networks(subject, cases):
 # --- written ---
 
 
-def test_all_studies_are_written_with_what_the_interface_states(subject, tmp_path):
+@pytest.fixture
+def few(subject, monkeypatch):
+    """Studies are of a small body, and of twelve pairs of its shapes."""
+    monkeypatch.setattr(running, "subject_of", lambda model: subject)
+    monkeypatch.setattr(running, "draw_cases", lambda *given: draw_cases(*given, n_starts=4, n_targets=3))
+
+
+@pytest.mark.usefixtures("few")
+def test_all_studies_are_written_with_what_the_interface_states(tmp_path):
     said = []
-    content = run_studies(
-        SIMULATED,
-        subject,
-        tmp_path / "out",
-        Running(threads=1, progress=lambda *given: said.append(given)),
-        (4, 3),
-    )
+    content = reproduce(SIMULATED, tmp_path / "out", threads=1, progress=lambda *given: said.append(given))
     assert {file.name for file in (tmp_path / "out").iterdir()} == {
         f"{study}.{ending}" for study in SIMULATED for ending in ("md", "csv", "png", "json")
     }
@@ -428,13 +429,14 @@ def test_all_studies_are_written_with_what_the_interface_states(subject, tmp_pat
     assert content["seconds"]["total"] == pytest.approx(sum(v for k, v in content["seconds"].items() if k != "total"))
 
 
-def test_a_study_that_fails_leaves_nothing(subject, tmp_path, monkeypatch):
+@pytest.mark.usefixtures("few")
+def test_a_study_that_fails_leaves_nothing(tmp_path, monkeypatch):
     def fails(content):
         raise EnsembleError(content["rows"][0]["study"])
 
     monkeypatch.setattr(running, "picture", fails)
     with pytest.raises(EnsembleError):
-        run_studies(["fig8"], subject, tmp_path / "out", Running(threads=1), (4, 3))
+        reproduce(["fig8"], tmp_path / "out", threads=1)
     assert not list(tmp_path.iterdir())
 
 
@@ -470,9 +472,8 @@ def test_a_model_of_another_body_is_refused_by_name(tmp_path):
         reproduce([], tmp_path / "out")
 
 
-def test_the_command_says_what_holds_of_the_paper(subject, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(running, "subject_of", lambda model: subject)
-    monkeypatch.setattr(running, "draw_cases", lambda *given, **_: draw_cases(*given, n_starts=4, n_targets=3))
+@pytest.mark.usefixtures("few")
+def test_the_command_says_what_holds_of_the_paper(tmp_path, capsys):
     code, out, _ = run(capsys, "fig8", "--out", tmp_path / "out", "--threads", "1", "--quiet", program=main)
     assert code == 0
     assert "fig8: 8 rows; agrees with the paper: " in out

@@ -88,10 +88,6 @@ class ParameterInference(Rival):
             self._simulator = Simulator(setting.mesh, element=element, held_nodes=setting.held)
         markers = setting.markers(np.full_like(setting.reference_mm, np.nan))
         self._observed = MarkerObservation.of(setting.mesh, markers)
-        self.reset()
-
-    def reset(self) -> None:
-        """Forget what was found of the parameters."""
         self._known: Gaussian | None = None
         self._n_moments = 0
 
