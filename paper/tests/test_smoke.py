@@ -67,8 +67,10 @@ def kept(tmp_path, monkeypatch):
     def copied(module):
         for part in ("ARCHIVE", "PAGE"):
             path = getattr(module, part)
-            (shutil.copytree if path.is_dir() else shutil.copy)(path, tmp_path / path.name)
-            monkeypatch.setattr(module, part, tmp_path / path.name)
+            copy = tmp_path / "kept" / path.name
+            copy.parent.mkdir(exist_ok=True)
+            (shutil.copytree if path.is_dir() else shutil.copy)(path, copy)
+            monkeypatch.setattr(module, part, copy)
         return module
 
     return copied
