@@ -1,11 +1,9 @@
 """The rivals behave as named; interrupted runs resume; the page is generated from the results."""
 
-import json
-
 import numpy as np
 import pytest
 
-from loadfree import archive, run, table
+from loadfree import archive, run
 from loadfree.events import BODIES, read_body, true_load
 from loadfree.gaussian import LENGTHS, gaussian_answer, responses
 from loadfree.layouts import NOISE_MM, chosen

@@ -1,6 +1,5 @@
 """Partly wrong supports: the truth is held as described, the user states otherwise, and runs are stored separately."""
 
-import json
 from collections import Counter
 
 import numpy as np
