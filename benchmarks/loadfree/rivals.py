@@ -102,12 +102,12 @@ def gaussian(case: Case) -> Answer:
 
 
 def rigid(case: Case) -> Answer:
-    """The markers' best rigid motion."""
+    """Return the markers' best rigid motion."""
     return _interpolated(case, rigid_displacement)
 
 
 def spline(case: Case) -> Answer:
-    """A thin-plate spline through the markers."""
+    """Return a thin-plate spline through the markers."""
     return _interpolated(case, spline_displacement)
 
 

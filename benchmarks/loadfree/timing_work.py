@@ -33,9 +33,9 @@ def imported():
 def small(threads: int) -> None:
     """Register a small mesh: what is imported at need is there afterwards."""
     import numpy as np
-    from speed.half_ellipsoid import half_ellipsoid
 
     import tissuereg as tr
+    from speed.half_ellipsoid import half_ellipsoid
 
     nodes, tets = half_ellipsoid(N_SMALL)
     mesh = tr.Mesh(nodes, tets, {"fixed": np.flatnonzero(nodes[:, 2] < 1e-9)})

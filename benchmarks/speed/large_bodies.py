@@ -94,7 +94,9 @@ def run(words: list[str], threads: int) -> dict:
 
 def in_a_process(*words: str) -> str:
     """Return what this script prints: whatever it holds would count for the commands that it starts."""
-    return subprocess.run([sys.executable, "-m", "speed.large_bodies", *words], stdout=subprocess.PIPE, text=True, check=True).stdout
+    return subprocess.run(
+        [sys.executable, "-m", "speed.large_bodies", *words], stdout=subprocess.PIPE, text=True, check=True
+    ).stdout
 
 
 def estimated(problem: Path, n_nodes: int, threads: int) -> dict:

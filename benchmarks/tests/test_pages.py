@@ -41,7 +41,12 @@ WRITTEN = {
         material_parts.page,
         lambda a: _more(next(iter(a["known"].values()))["rows alike"]["stated"], "within_two"),
     ),
-    "misuse": (misuse.ARCHIVE, misuse.PAGE, misuse.page, lambda a: a["good"][0].update(found=not a["good"][0]["found"])),
+    "misuse": (
+        misuse.ARCHIVE,
+        misuse.PAGE,
+        misuse.page,
+        lambda a: a["good"][0].update(found=not a["good"][0]["found"]),
+    ),
     "real": (real.ARCHIVE, real.PAGE, real.page, lambda a: _more(a["hydrogel"][0], "registered")),
     "cluster": (cluster.ARCHIVE, cluster.PAGE, cluster.page, lambda a: _more(a["chunk_s"], "local:1")),
     "large bodies": (
