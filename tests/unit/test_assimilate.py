@@ -8,7 +8,14 @@ import pytest
 
 from tissuereg import _core
 from tissuereg.errors import ArgumentError, EnsembleError, ScheduleError, ShapeError
-from tissuereg.registration.learned.assimilate import Between, FirstEnsemble, StepOptions, assimilate, balanced_draws
+from tissuereg.registration.learned.assimilate import (
+    AssimilationSettings,
+    Between,
+    FirstEnsemble,
+    StepOptions,
+    assimilate,
+    balanced_draws,
+)
 from tissuereg.registration.learned.model import Gaussian
 
 
@@ -28,7 +35,12 @@ def linear_problem(rng, n_latent=6, n_obs=9):
 def test_a_linear_model_gives_the_kalman_posterior(n_steps):
     operator, prior, noise, observed, mean, covariance = linear_problem(np.random.default_rng(3))
     found = assimilate(
-        lambda z: operator @ z, observed, noise, prior, rng=np.random.default_rng(0), n_members=60, n_steps=n_steps
+        lambda z: operator @ z,
+        observed,
+        noise,
+        prior,
+        rng=np.random.default_rng(0),
+        settings=AssimilationSettings(n_members=60, n_steps=n_steps),
     )
     assert found.exact_draws
     # Balanced draws leave rounding only, amplified by the conditioning of C_yy.
@@ -47,7 +59,15 @@ def test_predictions_between_computed_ones_are_exact_where_the_model_is_linear()
         return operator @ latents
 
     between = Between(predict, {4}, first.latents, first.predicted)
-    found = assimilate(between, observed, noise, prior, rng=np.random.default_rng(0), n_steps=5, first=first)
+    found = assimilate(
+        between,
+        observed,
+        noise,
+        prior,
+        rng=np.random.default_rng(0),
+        first=first,
+        settings=AssimilationSettings(n_steps=5),
+    )
     np.testing.assert_allclose(found.mean, mean, atol=1e-9)
     np.testing.assert_allclose(np.cov(found.latents), covariance, atol=1e-9)
     # The first step has its predictions; of the four calls after it the last is computed.
@@ -74,7 +94,12 @@ def test_predictions_between_computed_ones_follow_the_regression_of_a_curved_mod
 def test_plain_draws_are_used_and_reported_where_the_ensemble_is_small():
     operator, prior, noise, observed, _, _ = linear_problem(np.random.default_rng(4))
     found = assimilate(
-        lambda z: operator @ z, observed, noise, prior, rng=np.random.default_rng(0), n_members=12, min_members=5
+        lambda z: operator @ z,
+        observed,
+        noise,
+        prior,
+        rng=np.random.default_rng(0),
+        settings=AssimilationSettings(n_members=12, min_members=5),
     )
     assert not found.exact_draws
     assert found.spread_factor > 1.2
@@ -83,7 +108,14 @@ def test_plain_draws_are_used_and_reported_where_the_ensemble_is_small():
 def test_the_same_generator_gives_the_same_bits_at_any_thread_count():
     operator, prior, noise, observed, _, _ = linear_problem(np.random.default_rng(5))
     runs = [
-        assimilate(lambda z: operator @ z, observed, noise, prior, rng=np.random.default_rng(1), threads=threads)
+        assimilate(
+            lambda z: operator @ z,
+            observed,
+            noise,
+            prior,
+            rng=np.random.default_rng(1),
+            settings=AssimilationSettings(threads=threads),
+        )
         for threads in (1, 2)
     ]
     assert np.array_equal(runs[0].latents, runs[1].latents)
@@ -101,7 +133,9 @@ def test_failed_members_are_dropped_by_their_first_index_with_a_reason():
         calls.append(latents.shape[1])
         return predicted
 
-    found = assimilate(predict, observed, noise, prior, rng=np.random.default_rng(0), n_members=80)
+    found = assimilate(
+        predict, observed, noise, prior, rng=np.random.default_rng(0), settings=AssimilationSettings(n_members=80)
+    )
     assert [index for index, _ in found.dropped] == [7, 31]
     assert calls == [80, 78, 78, 78, 78]
     assert np.abs(found.mean - mean).max() < 0.5
@@ -116,7 +150,7 @@ def test_too_few_survivors_raise_and_list_the_lost():
             noise,
             prior,
             rng=np.random.default_rng(0),
-            n_members=50,
+            settings=AssimilationSettings(n_members=50),
         )
     assert len(caught.value.dropped) == 50
 
@@ -136,7 +170,12 @@ def test_balanced_draws_have_exact_moments_and_no_correlation():
 def test_any_schedule_gives_the_kalman_posterior_of_a_linear_model_and_closes_its_sum(schedule):
     operator, prior, noise, observed, mean, covariance = linear_problem(np.random.default_rng(3))
     found = assimilate(
-        lambda z: operator @ z, observed, noise, prior, rng=np.random.default_rng(0), n_members=60, schedule=schedule
+        lambda z: operator @ z,
+        observed,
+        noise,
+        prior,
+        rng=np.random.default_rng(0),
+        settings=AssimilationSettings(n_members=60, schedule=schedule),
     )
     assert sum(1.0 / alpha for alpha in found.alphas) == pytest.approx(1.0, abs=1e-12)
     assert 1 < len(found.alphas) < 20
@@ -155,8 +194,7 @@ def test_the_last_step_closes_the_sum_wherever_the_others_end(schedule):
             10.0 ** (seed % 4 - 2) * noise,
             prior,
             rng=np.random.default_rng(0),
-            n_members=60,
-            schedule=schedule,
+            settings=AssimilationSettings(n_members=60, schedule=schedule),
         )
         assert sum(1.0 / alpha for alpha in found.alphas) == pytest.approx(1.0, abs=1e-12)
         shares.append(1.0 / found.alphas[-1])
@@ -175,7 +213,12 @@ def test_a_restricted_step_moves_no_latent_by_more_than_two_prior_deviations():
 
     far = observed + 10.0
     found = assimilate(
-        predict, far, noise, prior, rng=np.random.default_rng(0), n_members=60, schedule="ler", max_steps=60
+        predict,
+        far,
+        noise,
+        prior,
+        rng=np.random.default_rng(0),
+        settings=AssimilationSettings(n_members=60, schedule="ler", max_steps=60),
     )
     seen.append(found.latents)
     std = np.sqrt(np.diag(prior.covariance))[:, None]
@@ -183,7 +226,14 @@ def test_a_restricted_step_moves_no_latent_by_more_than_two_prior_deviations():
     assert len(changes) < 60
     assert max(changes) <= 2.0
     plain = []
-    assimilate(lambda z: plain.append(z) or operator @ z, far, noise, prior, rng=np.random.default_rng(0), n_members=60)
+    assimilate(
+        lambda z: plain.append(z) or operator @ z,
+        far,
+        noise,
+        prior,
+        rng=np.random.default_rng(0),
+        settings=AssimilationSettings(n_members=60),
+    )
     assert max(float((np.abs(after - before) / std).max()) for before, after in pairwise(plain)) > 2.0
 
 
@@ -198,8 +248,7 @@ def test_data_that_the_model_cannot_explain_end_within_the_most_steps():
             noise,
             prior,
             rng=np.random.default_rng(0),
-            schedule=schedule,
-            max_steps=7,
+            settings=AssimilationSettings(schedule=schedule, max_steps=7),
         )
         assert len(found.alphas) == 7
         assert sum(1.0 / alpha for alpha in found.alphas) == pytest.approx(1.0, abs=1e-12)
@@ -222,7 +271,12 @@ OPTIONS = {
 def test_an_option_that_drops_nothing_gives_the_kalman_posterior(options):
     operator, prior, noise, observed, mean, covariance = linear_problem(np.random.default_rng(3))
     found = assimilate(
-        lambda z: operator @ z, observed, noise, prior, rng=np.random.default_rng(0), n_members=60, options=options
+        lambda z: operator @ z,
+        observed,
+        noise,
+        prior,
+        rng=np.random.default_rng(0),
+        settings=AssimilationSettings(n_members=60, options=options),
     )
     np.testing.assert_allclose(found.mean, mean, atol=1e-9)
     np.testing.assert_allclose(np.cov(found.latents), covariance, atol=1e-9)
@@ -249,8 +303,7 @@ def test_latents_in_batches_are_latents_at_once(options):
             noise,
             prior,
             rng=np.random.default_rng(0),
-            n_members=60,
-            options=replace(options, batch_rows=batch_rows),
+            settings=AssimilationSettings(n_members=60, options=replace(options, batch_rows=batch_rows)),
         ).latents
         for batch_rows in (None, 1, 4)
     ]
@@ -270,7 +323,7 @@ def test_a_latent_whose_taper_is_zero_stays_where_it_was():
         noise,
         prior,
         rng=np.random.default_rng(0),
-        options=StepOptions(localization=taper),
+        settings=AssimilationSettings(options=StepOptions(localization=taper)),
     )
     assert np.array_equal(found.latents[2], seen[0][2])
     others = [0, 1, 3, 4, 5]
@@ -289,8 +342,7 @@ def test_latents_without_a_strong_correlation_stay_where_they_were(kind):
             noise,
             prior,
             rng=np.random.default_rng(0),
-            n_steps=1,
-            options=StepOptions(localization=kind, threshold=threshold),
+            settings=AssimilationSettings(n_steps=1, options=StepOptions(localization=kind, threshold=threshold)),
         )
         return seen[0], found.latents
 
@@ -314,7 +366,7 @@ def test_model_error_of_low_rank_is_the_dense_covariance_that_it_stands_for():
             given,
             prior,
             rng=np.random.default_rng(0),
-            options=StepOptions(form="square_root"),
+            settings=AssimilationSettings(options=StepOptions(form="square_root")),
         ).latents
         for given in (noise + columns @ columns.T, _core.Noise.low_rank(std, columns))
     ]
@@ -335,14 +387,20 @@ def test_perturbations_of_the_caller_are_the_ones_used():
         noise,
         prior,
         rng=np.random.default_rng(0),
-        n_members=60,
-        n_steps=3,
         perturbations=perturbations,
+        settings=AssimilationSettings(n_members=60, n_steps=3),
     )
     assert asked == [(0, (9, 60)), (1, (9, 60)), (2, (9, 60))]
     assert not found.exact_draws
     # Without any perturbation every member is drawn to the same data: far less spread than the posterior's.
-    posterior = assimilate(lambda z: operator @ z, observed, noise, prior, rng=np.random.default_rng(0), n_members=60)
+    posterior = assimilate(
+        lambda z: operator @ z,
+        observed,
+        noise,
+        prior,
+        rng=np.random.default_rng(0),
+        settings=AssimilationSettings(n_members=60),
+    )
     assert np.trace(np.cov(found.latents)) < 0.9 * np.trace(np.cov(posterior.latents))
 
 
@@ -379,10 +437,12 @@ def test_there_is_no_hidden_generator():
     ],
 )
 def test_wrong_settings_of_a_run_are_refused(settings, error, message):
+    settings = dict(settings)
     operator, prior, noise, observed, _, _ = linear_problem(np.random.default_rng(3))
-    given = {"noise": noise, "prior": prior, "rng": np.random.default_rng(0), **settings}
+    data = {name: settings.pop(name) for name in ("noise", "prior", "perturbations") if name in settings}
+    given = {"noise": noise, "prior": prior, "rng": np.random.default_rng(0), **data}
     with pytest.raises(error, match=message):
-        assimilate(lambda z: operator @ z, observed, **given)
+        assimilate(lambda z: operator @ z, observed, **given, settings=AssimilationSettings(**settings))
 
 
 @pytest.mark.parametrize(
@@ -414,7 +474,7 @@ def test_wrong_options_of_a_step_are_refused(settings, message):
             noise,
             prior,
             rng=np.random.default_rng(0),
-            options=StepOptions(**settings),
+            settings=AssimilationSettings(options=StepOptions(**settings)),
         )
 
 

@@ -4,7 +4,7 @@
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -234,6 +234,58 @@ class FirstEnsemble:
         return cls(np.asarray(prior.mean[:, None] + _root_of(prior) @ draws), exact)
 
 
+@dataclass(frozen=True, eq=False)
+class AssimilationSettings:
+    """Ensemble, schedule and steps of an assimilation.
+
+    Parameters
+    ----------
+    n_members, n_steps : int
+        Ensemble size N_e and number of assimilations N_a of a geometric schedule.
+    schedule : {"geometric", "dmc", "ler"} or sequence of float
+        Inflation coefficients: each `decrease` times smaller than the one before; chosen at each step by the data
+        misfit controller, or as large a step as changes no latent by more than two prior standard deviations; or the
+        coefficients themselves.
+    decrease : float
+        Each inflation coefficient over the next; their inverses sum to one.
+    max_steps : int
+        Most steps of "dmc" and "ler"; the last closes the sum whatever the rule says.
+    options : StepOptions
+        Form, factorisation, truncation, localization and batches of a step.
+    min_members : int
+        Fewer surviving members than this, or than two, raise.
+    threads : int
+        Threads of the update; the result does not depend on it.
+
+    Raises
+    ------
+    ScheduleError
+        If `schedule` is no known word, or the inverses of its coefficients do not sum to one.
+    ArgumentError, ShapeError
+        If another value is of the wrong kind or out of its range.
+    """
+
+    n_members: int = 200
+    n_steps: int = 5
+    schedule: str | Sequence[float] = "geometric"
+    decrease: float = 2.0
+    max_steps: int = 20
+    options: StepOptions = field(default_factory=StepOptions)
+    min_members: int = 20
+    threads: int = 0
+
+    def __post_init__(self) -> None:
+        check_running(threads=self.threads)
+        whole("n_members", self.n_members, least=1)
+        whole("min_members", self.min_members)
+        of_kind("options", self.options, StepOptions)
+        self.coefficients()
+
+    def coefficients(self) -> "_Coefficients":
+        """Return the schedule at its beginning."""
+        return _Coefficients(self.schedule, self.n_steps, self.decrease, self.max_steps)
+
+
 def assimilate(
     predict: Callable[[FloatArray], FloatArray],
     observed: FloatArray,
@@ -241,16 +293,9 @@ def assimilate(
     prior: Gaussian,
     *,
     rng: np.random.Generator,
-    n_members: int = 200,
-    n_steps: int = 5,
-    schedule: str | Sequence[float] = "geometric",
-    decrease: float = 2.0,
-    max_steps: int = 20,
-    options: StepOptions | None = None,
+    settings: AssimilationSettings | None = None,
     perturbations: Callable[[int, tuple[int, int]], FloatArray] | None = None,
     first: FirstEnsemble | None = None,
-    min_members: int = 20,
-    threads: int = 0,
 ) -> Assimilation:
     """Return the posterior ensemble of the latents given observations.
 
@@ -266,27 +311,13 @@ def assimilate(
         Prior of the latents.
     rng : numpy.random.Generator
         The only source of random numbers.
-    n_members, n_steps : int
-        Ensemble size N_e and number of assimilations N_a of a geometric schedule.
-    schedule : {"geometric", "dmc", "ler"} or sequence of float
-        Inflation coefficients: each `decrease` times smaller than the one before; chosen at each step by the data
-        misfit controller, or as large a step as changes no latent by more than two prior standard deviations; or the
-        coefficients themselves.
-    decrease : float
-        Each inflation coefficient over the next; their inverses sum to one.
-    max_steps : int
-        Most steps of "dmc" and "ler"; the last closes the sum whatever the rule says.
-    options : StepOptions, optional
-        Form, factorisation, truncation, localization and batches of a step.
+    settings : AssimilationSettings, optional
+        Ensemble, schedule and steps.
     perturbations : callable, optional
         Step number (from 0) and shape (n_obs, n_members) to standard normal draws of that shape, in place of
         `balanced_draws`; stochastic form only.
     first : FirstEnsemble, optional
         Draws from the prior, in place of `n_members` made here; with their predictions the first step decodes nothing.
-    min_members : int
-        Fewer surviving members than this, or than two, raise.
-    threads : int
-        Threads of the update; the result does not depend on it.
 
     Returns
     -------
@@ -299,8 +330,6 @@ def assimilate(
         If fewer than `min_members` members survive.
     NoiseError
         If `noise` is not positive definite.
-    ScheduleError
-        If `schedule` is no known word, or the inverses of its coefficients do not sum to one.
     MarkerError
         If `observed` is not finite.
     ShapeError
@@ -317,21 +346,19 @@ def assimilate(
     Reynolds, SPE Journal 21, 2195-2207, 2016, the restricted step: a quarter of the mean normalised misfit, doubled
     until the change is allowed.
     """
-    check_running(threads=threads)
     observed = float_array("observed", observed, (None,))
     covariance = noise_of(noise, len(observed))
     of_kind("prior", prior, Gaussian)
     of_kind("rng", rng, np.random.Generator)
-    whole("n_members", n_members, least=1)
-    fewest = max(whole("min_members", min_members), 2)
-    options = maybe("options", options, StepOptions) or StepOptions()
+    settings = maybe("settings", settings, AssimilationSettings) or AssimilationSettings()
+    options, fewest = settings.options, max(settings.min_members, 2)
     called("perturbations", perturbations)
     if perturbations is not None and options.form == "square_root":
         message = "`perturbations` must be None in the square-root form, which draws none"
         raise ArgumentError(message, where="perturbations")
-    coefficients = _Coefficients(schedule, n_steps, decrease, max_steps)
+    coefficients = settings.coefficients()
     prior_std = np.sqrt(np.diag(prior.covariance))[:, None]
-    first = maybe("first", first, FirstEnsemble) or FirstEnsemble.of(prior, rng, n_members)
+    first = maybe("first", first, FirstEnsemble) or FirstEnsemble.of(prior, rng, settings.n_members)
     latents, balanced, known = (
         float_array("first.latents", first.latents, (len(prior.mean), None)),
         first.exact,
@@ -363,7 +390,9 @@ def assimilate(
         balanced &= exact
         alpha = coefficients.propose(predicted, observed, covariance)
         while True:
-            updated = options.update(latents, predicted, observed, covariance, draws, alpha=alpha, threads=threads)
+            updated = options.update(
+                latents, predicted, observed, covariance, draws, alpha=alpha, threads=settings.threads
+            )
             change = float((np.abs(updated - latents) / prior_std).max())
             if not coefficients.is_too_far(change):
                 break
