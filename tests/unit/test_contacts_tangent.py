@@ -114,7 +114,7 @@ def test_what_belongs_to_a_mesh_is_made_once_and_goes_with_it():
     tr.register(mesh, (mesh.nodes[-4:], mesh.nodes[-4:] + 0.1), targets={"middle": (4.0, 4.0, 4.0)})
     gone = weakref.ref(mesh)
     del mesh
-    tr.contacts.body.forget_bodies()
+    tr.registration.contacts.body.forget_bodies()
     forget_rest()
     gc.collect()
     assert gone() is None

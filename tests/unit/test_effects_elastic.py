@@ -136,7 +136,7 @@ def test_the_share_moves_on_smoothly_with_the_inclusion(block_mesh):
 
 def test_weight_acts_where_an_effect_says_so(rig):
     down = simulated(rig, Gravity(direction=(0, 0, -1)))
-    hung = replace(rig, gravity=tr.experiment.Gravity(np.array([0.0, 0.0, -1.0]), in_reference=False))
+    hung = replace(rig, gravity=tr.experiment.experiment.Gravity(np.array([0.0, 0.0, -1.0]), in_reference=False))
     assert same(down, simulate_plain(hung))
     sunk = down["rest"].displacement[0]
     assert sunk[:, 2].min() < -0.1
@@ -271,7 +271,7 @@ def test_registration_gets_the_extended_simulation_and_the_markers_as_they_were(
     swap = MarkerSwap(markers=("P1", "P2"), from_time_s=10.7)
     odd = replace(rig, effects=(Stiffness(young_kpa=7.0), ActuatorGain(actuator="push", gain=2.0), swap))
     given, plain = frame_input(odd, "lean", 11.0), frame_input(rig, "lean", 11.0)
-    assert given["material"].young == 7.0
+    assert given["mesh"].material.young == 7.0
     assert np.array_equal(given["load"].prescribed, 2.0 * plain["load"].prescribed)
     assert np.array_equal(given["markers"].measured, plain["markers"].measured[::-1])
     assert given["markers"].names == plain["markers"].names
@@ -284,5 +284,5 @@ def test_an_effect_that_does_not_fit_is_named_before_anything_is_solved(rig):
 
 
 def test_a_reference_effect_says_that_the_mesh_hangs_already(rig):
-    hung = replace(rig, gravity=tr.experiment.Gravity(np.array([0.0, 0.0, -1.0]), in_reference=False))
+    hung = replace(rig, gravity=tr.experiment.experiment.Gravity(np.array([0.0, 0.0, -1.0]), in_reference=False))
     assert extended(replace(hung, effects=(Reference(in_reference=True),))).gravity.in_reference
