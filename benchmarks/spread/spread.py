@@ -28,7 +28,7 @@ from tissuereg.body.mesh import free_surface
 from tissuereg.body.observe import MarkerObservation, TargetObservation
 from tissuereg.io.atomic import atomic_file
 from tissuereg.io.pairs import read_pairs
-from tissuereg.registration.learned.assimilate import assimilate
+from tissuereg.registration.learned.assimilate import AssimilationSettings, assimilate
 from tissuereg.registration.learned.calibrate import RehearsalSettings, calibrate, codes_of
 from tissuereg.registration.learned.model import Gaussian
 from tissuereg.registration.learned.network import NetworkModel
@@ -159,9 +159,7 @@ def paper(mesh: tr.Mesh, model: NetworkModel) -> Method:
             PAPER["variance"] * np.eye(3 * N_MARKERS),
             Gaussian(mean, np.diag(variance)),
             rng=np.random.default_rng(0),
-            n_members=int(PAPER["n_members"]),
-            n_steps=int(PAPER["n_steps"]),
-            threads=1,
+            settings=AssimilationSettings(int(PAPER["n_members"]), int(PAPER["n_steps"]), threads=1),
         )
         inner = targets.predict(model.decode(found.latents, targets.nodes))
         away = inner - inner.mean(axis=0)

@@ -37,9 +37,10 @@ def setting(event):
 def test_a_moment_is_registered_as_by_a_registrar(event, simulation, setting, rival, with_model):
     gone = np.array(event.markers.measured)
     gone[4] = np.nan
-    how = {"std": event.markers.std, "material": event.material, "seed": 3, "threads": 1}
+    places, body = tr.Markers(event.markers.reference, std=event.markers.std), tr.Body(event.mesh, event.material)
     model = setting.model if with_model else None
-    expected = tr.Registrar(event.mesh, event.markers.reference, model, **how).register(gone, simulation)
+    registrar = tr.Registrar(body, places, model, seed=3, settings=tr.RegisterSettings(threads=1))
+    expected = registrar.register(gone, simulation)
     found = rival(setting, spread=True).register(gone, simulation)
     np.testing.assert_array_equal(found.displacement_mm, expected.displacement)
     assert found.kept["trusted"] == expected.trust.ok

@@ -5,11 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+
+import tissuereg as tr
 from blind.generator.base import Springs
 from blind.generator.laws import Law
 from blind.generator.solver import Physics
-
-import tissuereg as tr
 from support.scripts import REPOSITORY
 
 sys.path.append(str(REPOSITORY / "benchmarks"))

@@ -248,9 +248,6 @@ class Registrar:
 
     def _simulated(self, moment: MomentInput) -> tuple[FloatArray | None, Variants | None]:
         """Return the simulation of a moment and its variants, checked; refuse what does not go with the method."""
-        if self._points is not None and moment.surface is not None:
-            message = "points of a surface are registered without a trained model; leave out `model` or `surface`"
-            raise ModelError(message, where="surface")
         if self._points is not None and moment.after is not None:
             message = "`after` must be left out with a trained model, which registers every moment on its own"
             raise ModelError(message, where="after")
