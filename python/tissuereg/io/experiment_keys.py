@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
-from tissuereg._base.fields import belief, choice, flag, number, numbers, table, text
+from tissuereg._base.fields import belief, choice, flag, number, numbers, path, table, text
 from tissuereg.body.material import GRAVITY_MM_PER_S2, LAWS, SHAPE_KEYS, VOLUMETRIC, Material
 from tissuereg.errors import MaterialError
 from tissuereg.experiment.material_experiment import HELD_OUT
@@ -35,7 +35,7 @@ class Top(Keys):
     name: str | None = text(
         "title of the experiment", default=None, otherwise="the name of the folder", example="my rig"
     )
-    tables: str | None = text(
+    tables: Path | None = path(
         "folder of the comma-separated tables, seen from this file",
         default=None,
         otherwise="the file's own folder",
@@ -49,7 +49,7 @@ class MeshKeys(Keys):
 
     heading: ClassVar[str] = "[mesh]"
     needed: ClassVar[bool] = True
-    file: str = text("mesh of tetrahedra in mm (.vtu, .vtk, .msh, .npz), seen from this file", words="path")
+    file: Path = path("mesh of tetrahedra in mm (.vtu, .vtk, .msh, .npz), seen from this file")
     surface_std_mm: float | None = number(
         "standard deviation of the distance between the body's surface and the mesh's, along the normal; 0.5 to 1 "
         "after segmentation",
