@@ -6,8 +6,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from tissuereg._base.arguments import of_kind, place
 from tissuereg._base.arrays import FloatArray
 from tissuereg.errors import ExperimentError
@@ -22,6 +20,7 @@ from tissuereg.io.experiment_keys import (
     MARKERS_CSV,
     TARGETS_CSV,
     CsvTable,
+    material_table,
 )
 from tissuereg.io.npz import write_npz
 from tissuereg.io.toml_text import toml_text, write_toml
@@ -95,14 +94,7 @@ def _content(experiment: Experiment, folder: Path) -> dict[str, Any]:
         content["mesh"]["surface_std_mm"] = experiment.surface_std
     if experiment.surface_length is not None:
         content["mesh"]["surface_length_mm"] = experiment.surface_length
-    content["material"] = {
-        "law": material.law,
-        **{key: value if np.ndim(value) == 0 else list(value) for key, value in material.shape.items()},
-        "volumetric": material.volumetric,
-        "young_kpa": _belief("young", material.young_array, experiment.young_std),
-        "poisson": _belief("poisson", material.poisson_array, experiment.poisson_std),
-        "density_g_per_cm3": material.density,
-    }
+    content["material"] = material_table(material, experiment.young_std, experiment.poisson_std)
     gravity = experiment.gravity
     if gravity is not None:
         content["gravity"] = {
@@ -136,13 +128,6 @@ def _patch(patch: Boundary | Actuator) -> dict[str, Any]:
         raise ExperimentError(message, where=patch.name)
     stated = {} if patch.edge_std is None else {"edge_std_mm": patch.edge_std}
     return {"name": patch.name, "nodes": patch.rule, "kind": patch.kind, **stated}
-
-
-def _belief(name: str, mean: FloatArray, std: float | None) -> float | list[float]:
-    if mean.size != 1:
-        message = f"`{name}` of an experiment file must be one for the whole body, got {mean.size} values"
-        raise ExperimentError(message, where=name)
-    return float(mean[0]) if std is None else [float(mean[0]), std]
 
 
 def _same(one: Path, other: Path) -> bool:

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 
 from tissuereg._base.arguments import real, text
 from tissuereg.errors import ArgumentError
-from tissuereg.parallel.executor import Executor, Failed, Finished, InProcess, in_order, one_result
-from tissuereg.parallel.processes import Processes
+from tissuereg.parallel.executor import Executor, Failed, Finished, InProcess, Processes, in_order, one_result
 
 if TYPE_CHECKING:
     from tissuereg.parallel.cluster import Cluster
