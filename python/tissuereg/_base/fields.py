@@ -232,11 +232,9 @@ def belief(meaning: str = "", *, default: Any = MISSING, **more: Any) -> Any:
     return checked(take, "number, or [mean, standard deviation]", meaning, default=default, **more)
 
 
-def text(
-    meaning: str = "", *, longest: int | None = None, default: Any = MISSING, words: str = "text", **more: Any
-) -> Any:
+def text(meaning: str = "", *, longest: int | None = None, default: Any = MISSING, **more: Any) -> Any:
     """Declare a field that holds a text that is not empty."""
-    return checked(partial(arguments.text, longest=longest), words, meaning, default=default, **more)
+    return checked(partial(arguments.text, longest=longest), "text", meaning, default=default, **more)
 
 
 def texts(meaning: str = "", *, length: int, default: Any = MISSING) -> Any:

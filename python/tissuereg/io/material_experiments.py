@@ -16,7 +16,14 @@ from tissuereg.experiment.effects.history import Rate, Relaxation, Set, Softenin
 from tissuereg.experiment.material_experiment import TEST_MODES, Curve, MaterialExperiment
 from tissuereg.io.atomic import OutputError
 from tissuereg.io.csv import Row, read_table, write_table
-from tissuereg.io.experiment_keys import TEST_COLUMNS, MaterialTestKeys, Top, folder_and_name, read_material
+from tissuereg.io.experiment_keys import (
+    TEST_COLUMNS,
+    MaterialTestKeys,
+    Top,
+    folder_and_name,
+    material_table,
+    read_material,
+)
 from tissuereg.io.toml import Table, experiment_file, read_toml
 from tissuereg.io.toml_text import toml_text, write_toml
 
@@ -116,22 +123,10 @@ def material_experiment_text(experiment: MaterialExperiment, folder: str | os.Pa
 
 def _content(experiment: MaterialExperiment, folder: Path) -> dict[str, Any]:
     folder = folder.absolute()
-    material = experiment.material
-    young, poisson = material.young_array, material.poisson_array
-    if young.size != 1 or poisson.size != 1:
-        message = "the material of a test must have one modulus and one Poisson's ratio, got fields over a body"
-        raise ExperimentError(message, where="material")
     content: dict[str, Any] = {"kind": "material-test", "name": experiment.name}
     if os.path.realpath(folder) != os.path.realpath(experiment.folder):
         content["tables"] = Path(os.path.relpath(experiment.folder, folder)).as_posix()
-    content["material"] = {
-        "law": material.law,
-        **{key: value if np.ndim(value) == 0 else list(value) for key, value in material.shape.items()},
-        "volumetric": material.volumetric,
-        "young_kpa": _belief(float(young[0]), experiment.young_std),
-        "poisson": _belief(float(poisson[0]), experiment.poisson_std),
-        "density_g_per_cm3": material.density,
-    }
+    content["material"] = material_table(experiment.material, experiment.young_std, experiment.poisson_std)
     test = {"hold_out": experiment.hold_out, "std_kpa": experiment.stress_std}
     test = {key: value for key, value in test.items() if value is not None}
     if test:
@@ -156,10 +151,6 @@ def write_test_table(path: str | os.PathLike[str], curves: Iterable[Curve]) -> N
         for time, amount, stress in zip(curve.times, curve.amounts, curve.stress, strict=True)
     ]
     write_table(path, _COLUMNS, rows)
-
-
-def _belief(mean: float, std: float | None) -> float | list[float]:
-    return mean if std is None else [mean, std]
 
 
 def _test(top: Table) -> tuple[str | None, float | None]:
