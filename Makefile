@@ -13,7 +13,7 @@ DATA ?= ../shared/data
 RUST_SOURCES := $(shell find crates -name '*.rs' -o -name 'Cargo.toml' | grep -v /target/) Cargo.toml Cargo.lock
 PACKAGE_FILES := $(shell find python -type f -not -name '*.pyc' -not -name '*.so')
 
-.PHONY: docs help demo test test-rust test-sturdy test-python test-slow test-training test-wheel crates lint rust-docs wheel install install-dev training beam bench phantom-data phantom-model table2-model small-model demo-figures clean paper phantom twin rig-pairs rig-variants
+.PHONY: docs help demo test test-rust test-sturdy test-python test-slow test-training test-wheel crates lint rust-docs wheel install install-dev training beam bench phantom-data phantom-model table2-model small-model demo-figures clean
 
 help:
 	@echo "make demo            build the wheel, install it, register the embedded phantom -> demo/"
@@ -26,11 +26,6 @@ help:
 	@echo "make lint            formatters, linters, types"
 	@echo "make beam            the measured silicone beam (DATA=$(DATA))"
 	@echo "make bench           times by stage of whole registrations; all other benches: benchmarks/README.md"
-	@echo "make paper           the paper's simulation studies -> docs/paper.md (TABLE2=folder: also with a network of Table II)"
-	@echo "make phantom         the paper's phantom experiment (section IV) on a virtual twin of its rig, every method -> "
-	@echo "                     docs/phantom-experiment.md (FIELDS=folder); make twin: the twin's rigs, by another solver;"
-	@echo "                     make rig-pairs: pairs of simulation and truth of other rigs, by ours, that calibrate the model;"
-	@echo "                     make rig-variants: variants of the rigs' simulations, by ours"
 	@echo "make phantom-model   data set and shipped model of the phantom, anew (hours; resumable); make table2-model: the paper's"
 	@echo "                     network on the same data; make small-model: that of tests, on the small phantom (half an hour)"
 	@echo "make demo-figures    what the README shows of the demo, after a change of model or phantom"
@@ -130,38 +125,16 @@ beam: $(VENV)/.installed-dev
 bench:
 	$(MAKE) -C benchmarks/speed stages
 
-# Rigs that are missing, by scikit-fem (and pypardiso, where it is there): a minute or two each; ONE=name: one;
-# DEVELOPMENT=yes: those on which methods are tuned.
-twin: $(VENV)/.installed-dev
-	PYTHONPATH=benchmarks OMP_NUM_THREADS=1 MKL_NUM_THREADS=1 $(BIN)/python -m twin $(if $(ONE),--only $(ONE)) $(if $(DEVELOPMENT),--development)
-
-# Pairs of simulation and truth of other rigs, by this package's solver, with which models are calibrated: half an hour.
-PRESSED ?= build/pressed
-
-rig-pairs: $(VENV)/.installed-dev
-	PYTHONPATH=benchmarks OMP_NUM_THREADS=1 $(BIN)/python -m twin.pairs $(PRESSED)
-
-# Variants of the rigs' simulations, by this package's solver: forty minutes.
-VARIANTS ?= build/variants
-
-rig-variants: $(VENV)/.installed-dev
-	PYTHONPATH=benchmarks OMP_NUM_THREADS=1 $(BIN)/python -m twin.variants $(VARIANTS)
-
-# Every method on them; FIELDS=folder: with those that need training fields.
-phantom: $(VENV)/.installed rig-variants
-	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/phantom.py --variants $(VARIANTS) $(if $(FIELDS),--fields $(FIELDS))
-
-# The studies of the seed paper; with TABLE2=FOLDER, a trained network of Table II, also with that one.
-paper: $(VENV)/.installed
-	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/paper.py $(if $(TABLE2),--table2 $(TABLE2))
-
 # Runs of hours: each goes on where it was stopped. What is shipped are the files of build/phantom-model.
 phantom-data: $(VENV)/.installed
 	$(BIN)/tissuereg simulate training/recipes/breast.toml --out build/phantom-data
 
+# Pairs of simulation and truth of other rigs, with which the model is calibrated (paper/).
+PRESSED ?= build/pressed
 FOREIGN ?= build/foreign
 
-phantom-model: phantom-data rig-pairs training
+phantom-model: phantom-data training
+	$(MAKE) -C paper pairs PRESSED=$(PRESSED)
 	$(MAKE) -C benchmarks/spread data FOREIGN=$(FOREIGN)
 	$(BIN)/tissuereg simulate training/recipes/breast-more.toml --out build/phantom-more
 	$(TRAINING_BIN)/tissuereg train training/recipes/closure.toml --data build/phantom-data --data build/phantom-more --out build/phantom-model

@@ -16,9 +16,9 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
+from simple import copied, rigid, spline
 
 import tissuereg as tr
-from tissuereg.baselines import copied_displacement, rigid_displacement, spline_displacement
 
 FITTED, HELD_OUT, HOLDER = ("Tip-1", "Tip-2"), "Tip-3", ("Base-1", "Base-2", "Base-3")
 LOADS_N = {"own_weight": 0.0, "load_52g": 0.51012, "load_101g": 1.00062}
@@ -123,9 +123,9 @@ def run_trial(mesh: tr.Mesh, path: Path, newton: float, young_kpa: float) -> dic
         "registered_std_mm": np.sqrt(np.diag(found.covariance)).tolist(),
         "inside_region90": None if missing else found.region(0.90).contains(rest[2]),
         "simulated_mm": (found.simulation - found.reference).tolist(),
-        "copied_mm": copied_displacement(before[fitted], after[fitted], reference[2:])[0].tolist(),
-        "rigid_mm": rigid_displacement(before, after, reference[2:])[0].tolist(),
-        "spline_mm": spline_displacement(before, after, reference[2:])[0].tolist(),
+        "copied_mm": copied(before[fitted], after[fitted], reference[2]).tolist(),
+        "rigid_mm": rigid(before, after, reference[2]).tolist(),
+        "spline_mm": spline(before, after, reference[2]).tolist(),
         "trust": {"ok": result.trust.ok, "p_value": result.trust.p_value, "reasons": result.trust.reasons},
     }
 

@@ -17,9 +17,9 @@ from pathlib import Path
 
 import numpy as np
 from beam import DENSITY_G_PER_CM3, FITTED, HELD_OUT, MARKER_STD_MM, POISSON, beam_mesh
+from simple import copied
 
 import tissuereg as tr
-from tissuereg.baselines import copied_displacement
 
 #: E in kPa that the beam's makers identified; with an unknown load it scales forces alone.
 YOUNG_KPA = 263.8
@@ -58,7 +58,7 @@ def track(mesh: tr.Mesh, path: Path, begin_s: float, end_s: float, every: int, *
         results = {"tracked": tracker.step(seen[k], times[k]), "alone": registrar.register(seen[k])}
         at = {name: result.unseen[HELD_OUT].mean for name, result in results.items()}
         moved = seen[k, : len(FITTED)]
-        at["copied"] = reference[-1] + copied_displacement(reference[: len(FITTED)], moved, reference[-1:])[0]
+        at["copied"] = reference[-1] + copied(reference[: len(FITTED)], moved, reference[-1])
         errors = {name: float(np.linalg.norm(place - places[k, -1])) for name, place in at.items()}
         size = float(np.linalg.norm(places[k, -1] - reference[-1]))
         frames.append({"time_s": float(times[k]), "moved_mm": size, "gain": tracker.last.gain, "error_mm": errors})

@@ -14,7 +14,6 @@ from pathlib import Path
 #: import from its own layer (without a circle) and from lower ones.
 LAYERS: tuple[tuple[str, str], ...] = (
     ("commands", "__main__ cli"),
-    ("the paper's studies", "baselines studies"),
     ("what the simulation gets wrong", "diagnosis"),
     ("the embedded body and its demo; a surface becomes a body", "phantom meshing"),
     ("pages and pictures", "report"),

@@ -11,9 +11,9 @@ import time
 from pathlib import Path
 
 import numpy as np
-from common import read_archive, write_archive
 
 import tissuereg as tr
+from common import read_archive, write_archive
 from tissuereg._base.machine import machine
 from tissuereg.body.observe import TargetObservation
 from tissuereg.phantom.breast import inside_breast

@@ -11,7 +11,6 @@ import tempfile
 from pathlib import Path
 
 from common import SHARED, read_archive, write_archive
-
 from tissuereg.cli import main as command
 from tissuereg.cli.common import envelope
 

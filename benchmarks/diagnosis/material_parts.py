@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
 from common import REPOSITORY, SHARED, read_archive, write_archive
 
 sys.path.insert(0, str(REPOSITORY / "examples"))

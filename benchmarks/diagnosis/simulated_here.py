@@ -13,9 +13,9 @@ import time
 from pathlib import Path
 
 import numpy as np
-from common import read_archive, write_archive
 
 import tissuereg as tr
+from common import read_archive, write_archive
 from support.meshes import block
 from tissuereg.cli import main as command
 from tissuereg.cli.common import envelope

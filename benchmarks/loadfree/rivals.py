@@ -7,13 +7,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
+from tissuereg_paper.rivals import rigid_displacement, spline_displacement
 
 import tissuereg as tr
 from loadfree import wrong
 from loadfree.events import Body, Event, true_load
 from loadfree.gaussian import gaussian_answer
 from loadfree.layouts import NOISE_MM, chosen, markers
-from tissuereg.baselines import rigid_displacement, spline_displacement
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,9 +11,9 @@ import argparse
 import sys
 from pathlib import Path
 
-from common import read_archive, write_archive
 from threadpoolctl import threadpool_limits
 
+from common import read_archive, write_archive
 from misuse import run
 from misuse.page import page
 

@@ -18,9 +18,9 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
-from common import commit, read_archive, write_archive
 
 import tissuereg as tr
+from common import commit, read_archive, write_archive
 from speed.half_ellipsoid import write_size
 from tissuereg._base.machine import machine, versions
 from tissuereg.io.tables import write_markers, write_points

@@ -18,9 +18,9 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
+
 from common import REPOSITORY, read_archive, write_archive
 from readme import write_table
-
 from speed.half_ellipsoid import SEED, write_size
 from speed.solver_table import tables
 

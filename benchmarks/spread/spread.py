@@ -17,12 +17,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import read_archive, write_archive
 from scipy.special import beta
 from scipy.stats import chi2, f, norm
 from scipy.stats import t as student
 
 import tissuereg as tr
+from common import read_archive, write_archive
 from tissuereg._base.machine import machine, versions
 from tissuereg.body.mesh import free_surface
 from tissuereg.body.observe import MarkerObservation, TargetObservation
@@ -469,7 +469,7 @@ def main() -> None:
     parser.add_argument("--alarms", type=int, default=100, help="shapes spoilt in each way")
     parser.add_argument("--table2", type=Path, help="calibrated model folder of a Table II network, as a further row")
     parser.add_argument(
-        "--pressed", type=Path, help="pairs of rigs (`make rig-pairs`), where the model is calibrated here"
+        "--pressed", type=Path, help="pairs of rigs (`make -C paper pairs`), where the model is calibrated here"
     )
     parser.add_argument("--part", choices=("test", "valid"), default="test", help="valid while a method is being made")
     parser.add_argument("--out", type=Path, default=OUT)

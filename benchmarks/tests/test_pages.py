@@ -1,12 +1,13 @@
 """Is every page of results what its command writes from its archive?"""
 
+import pytest
+
 import advise.advise as advice
 import blind.page as blind
 import diagnosis.febio as febio
 import diagnosis.material_parts as material_parts
 import diagnosis.simulated_here as simulated_here
 import misuse.__main__ as misuse
-import pytest
 import real.__main__ as real
 import speed.cluster as cluster
 import speed.esmda as esmda

@@ -19,9 +19,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import read_archive, write_archive
 
 import tissuereg as tr
+from common import read_archive, write_archive
 from tissuereg._base.machine import machine, n_cores, versions
 from tissuereg.body.observe import MarkerObservation, TargetObservation
 from tissuereg.phantom import event as phantom_event

@@ -47,7 +47,6 @@ if TYPE_CHECKING:
     from tissuereg.simulation import Simulation, Simulator, simulate
     from tissuereg.simulation.believed import simulate_experiment
     from tissuereg.simulation.fine import FineModel
-    from tissuereg.studies import reproduce
     from tissuereg.tracking import Tracker
 
 #: The module of each public name, loaded when the name is first used: `import tissuereg` stays quick.
@@ -97,7 +96,6 @@ _MODULES = {
     "simulate": "tissuereg.simulation",
     "simulate_experiment": "tissuereg.simulation.believed",
     "FineModel": "tissuereg.simulation.fine",
-    "reproduce": "tissuereg.studies",
     "Tracker": "tissuereg.tracking",
 }
 
@@ -147,7 +145,6 @@ __all__ = [
     "register",
     "register_frame",
     "register_many",
-    "reproduce",
     "simulate",
     "simulate_experiment",
     "tetrahedralize",

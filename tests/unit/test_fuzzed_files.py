@@ -2,23 +2,20 @@
 
 import hashlib
 import json
-import os
-import re
 import shutil
-import warnings
 from pathlib import Path
 
 import meshio
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 import tissuereg as tr
 from support.files import EXPERIMENT, FIDUCIALS, GOOD_MARKERS, GOOD_RECORDING, TABLES, write_experiment, write_problem
 from support.meshes import block
-from tissuereg.errors import TissueRegError
+from support.spoilt import CHANGES, FUZZED, reads_or_refuses, spoilt
 from tissuereg.io.cache import keep_entry, read_entry
 from tissuereg.io.meshes import write_vtu
 from tissuereg.io.mrk_json import write_mrk_json
@@ -29,41 +26,7 @@ from tissuereg.io.tables import read_reference
 from tissuereg.registration.learned.card import CARD_SCHEMA, MODEL_FILES, check_files, read_card
 from tissuereg.simulation.dataset import make_dataset
 from tissuereg.simulation.recipe import read_recipe
-from tissuereg.studies.rigs import read_rig
 
-#: Examples of each file; `make test-sturdy` asks for 10,000.
-CASES = int(os.environ.get("TISSUEREG_CASES", "60"))
-
-#: The same examples at every run; a file is read within so many ms, whatever it holds.
-FUZZED = settings(
-    max_examples=CASES,
-    derandomize=True,
-    deadline=3000 if CASES <= 60 else None,
-    database=None,
-    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
-)
-
-#: Replacements for a number or a word.
-STRANGE = st.sampled_from(
-    [
-        "nan",
-        "inf",
-        "-1",
-        "0",
-        "1e308",
-        "1e999",
-        "99999999999999999999",
-        "0x10",
-        "",
-        '"',
-        "'",
-        "[]",
-        "{}",
-        "a,b",
-        "\0",
-        "é",
-    ]
-)
 SURFACES = (
     "body.stl",
     "letters.stl",
@@ -78,19 +41,6 @@ SURFACES = (
 
 ENTRY = bytes(range(200))
 
-#: A rig of the phantom experiment.
-RECORDING = {
-    **{name: np.zeros((1, 3)) for name in ("pad_centre_mm", "pad_direction", "markers_mm", "inner_mm")},
-    **{name: np.ones(1) for name in ("pad_radius_mm", "pad_stroke_mm")},
-    **{f"{name}_displacement_mm": np.zeros((2, 1, 3)) for name in ("marker", "inner")},
-    "sensor_displacement_mm": np.zeros((2, 3)),
-    "pad_force_mN": np.zeros((2, 1, 3)),
-    "sensor_mm": np.zeros(3),
-    "shares": [0.5, 1.0],
-    "motion": [0.0, 1.0],
-    "frame_s": 0.025,
-    "truth": '{"scenario": 1, "seed": 0}',
-}
 
 #: All columns that markers may have.
 WIDE_MARKERS = (
@@ -182,54 +132,6 @@ edge_std_mm = 0.5
 
 FORCED = "case,time_s,actuator,x_mN,y_mN,z_mN\nlean,10.0,pull,0,0,0\nlean,11.0,pull,20,0,0\n"
 
-PLACES = st.floats(0.0, 1.0, exclude_max=True)
-
-
-def _flipped(content: bytes, at: float, with_: int) -> bytes:
-    spot = int(at * len(content))
-    return content[:spot] + bytes([content[spot] ^ with_]) + content[spot + 1 :] if content else content
-
-
-def _cut(content: bytes, begin: float, length: float) -> bytes:
-    first = int(begin * len(content))
-    return content[:first] + content[first + int(length * (len(content) - first)) :]
-
-
-def _lines_exchanged(content: bytes, one: float, other: float) -> bytes:
-    lines = content.split(b"\n")
-    i, j = int(one * len(lines)), int(other * len(lines))
-    lines[i], lines[j] = lines[j], lines[i]
-    return b"\n".join(lines)
-
-
-def _line_repeated(content: bytes, at: float) -> bytes:
-    lines = content.split(b"\n")
-    return b"\n".join([*lines[: int(at * len(lines)) + 1], *lines[int(at * len(lines)) :]])
-
-
-def _word_replaced(content: bytes, at: float, word: str) -> bytes:
-    words = list(re.finditer(rb"[\w.+-]+", content))
-    if not words:
-        return content
-    found = words[int(at * len(words))]
-    return content[: found.start()] + word.encode() + content[found.end() :]
-
-
-#: One thing that goes wrong with a file.
-CHANGES = st.one_of(
-    st.tuples(st.just(_flipped), PLACES, st.integers(1, 255)),
-    st.tuples(st.just(_cut), PLACES, st.one_of(st.just(1.0), st.floats(0.0, 0.1))),
-    st.tuples(st.just(_lines_exchanged), PLACES, PLACES),
-    st.tuples(st.just(_line_repeated), PLACES),
-    st.tuples(st.just(_word_replaced), PLACES, STRANGE),
-)
-
-
-def spoilt(content: bytes, changes) -> bytes:
-    for change, *how in changes:
-        content = change(content, *how)
-    return content
-
 
 @pytest.fixture(scope="module")
 def good(tmp_path_factory) -> Path:
@@ -248,7 +150,6 @@ def good(tmp_path_factory) -> Path:
     np.savez(folder / "simulation.npz", displacement_mm=np.zeros((3, 3)))
     np.savez(folder / "simulations.npz", times_s=[0.0, 1.0], displacement_mm=np.zeros((2, 3, 3)))
     np.savez(folder / "variants.npz", displacement_mm=np.zeros((4, 3, 3)))
-    np.savez(folder / "recording.npz", **RECORDING)
     (folder / "recording.csv").write_text(GOOD_RECORDING)
     (folder / "markers.csv").write_text(GOOD_MARKERS)
     (folder / "targets.csv").write_text("target,x_mm,y_mm,z_mm\nlesion,1,2,3\ndeep,4,5,6\n")
@@ -340,7 +241,6 @@ READERS = [
     pytest.param(read_simulation, "simulation.npz", id="simulation.npz"),
     pytest.param(read_simulations, "simulations.npz", id="simulations.npz"),
     pytest.param(read_variants, "variants.npz", id="variants.npz"),
-    pytest.param(read_rig, "recording.npz", id="recording.npz"),
     pytest.param(lambda path: read_recording(path, ("P1", "P2")), "recording.csv", id="recording.csv"),
     pytest.param(read_reference, "wide.csv", id="reference"),
     pytest.param(tr.read_markers, "markers.csv", id="markers.csv"),
@@ -357,19 +257,6 @@ READERS = [
     pytest.param(read_model, "model.json", id="model.json"),
     pytest.param(read_cached, "bank_one.cached", id="bank_one.cached"),
 ]
-
-
-def reads_or_refuses(read, path):
-    refused = None
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)
-        try:
-            read(path)
-        except TissueRegError as error:
-            refused = error
-    if refused is not None:
-        assert str(refused)
-        assert isinstance(refused.where, str)
 
 
 @pytest.mark.parametrize(("read", "name"), READERS)

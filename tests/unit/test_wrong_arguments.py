@@ -3,10 +3,8 @@
 import contextlib
 import dataclasses
 import importlib
-import math
 import re
 import tempfile
-import warnings
 from functools import cache
 from pathlib import Path
 
@@ -17,7 +15,7 @@ import tissuereg as tr
 from support.files import FIDUCIALS, GOOD_MARKERS, write_experiment
 from support.meshes import block
 from support.rigs import rig
-from tissuereg.baselines import RIVALS, Rigid, Setting
+from support.wrong import WRONG, ends_well, swept
 from tissuereg.errors import ExperimentError, FormatError, MaterialError, TissueRegError, UnitWarning
 from tissuereg.experiment.effects import EFFECTS
 from tissuereg.io.experiments import read_experiment
@@ -31,46 +29,8 @@ from tissuereg.registration.learned.assimilate import (
     gauss_newton,
 )
 from tissuereg.registration.learned.model import Gaussian
-from tissuereg.registration.learned.pca import PcaModel
 from tissuereg.registration.wrong_markers import score_markers
 from tissuereg.simulation.fine import FineMeshing
-
-
-class SomeClass:
-    """May be called, with anything."""
-
-    def __init__(self, *given):
-        pass
-
-
-#: What no argument of ours is, or only few are.
-WRONG = {
-    "None": None,
-    "a word": "words",
-    "an empty text": "",
-    "bytes": b"\xff",
-    "a null byte": "a\0b",
-    "a long text": "a" * 3000,
-    "true": True,
-    "minus one": -1,
-    "zero": 0,
-    "a fraction": 1.5,
-    "nan": math.nan,
-    "infinity": math.inf,
-    "a huge number": 1e300,
-    "a huge count": 10**30,
-    "a complex number": 1j,
-    "an object": object(),
-    "a class": SomeClass,
-    "an empty list": [],
-    "a ragged list": [[1.0], [2.0, 3.0]],
-    "a list of None": [None, None, None],
-    "a mapping": {"a": 1},
-    "a mapping of numbers": {1: (0.0, 0.0, 0.0)},
-    "a cube of zeros": np.zeros((2, 2, 2)),
-    "numbers as text": np.array(["a", "b", "c"]),
-    "nan thrice": np.full(3, np.nan),
-}
 
 
 @cache
@@ -82,20 +42,6 @@ def mesh():
 def markers():
     places = np.array([[30.0, 10.0, 40.0], [0.0, 10.0, 40.0], [15.0, 0.0, 30.0]])
     return tr.Markers(places, places + np.array([0.5, 0.0, 0.0]))
-
-
-def setting(**given):
-    """What the methods of the comparison are given."""
-    good = {"mesh": mesh(), "reference_mm": markers().reference, "std_mm": np.full(3, 0.1), "material": tr.Material()}
-    return Setting(**{**good, "threads": 1, **given})
-
-
-def rival(name):
-    """Return the constructor of a method, given everything that any of them needs."""
-    fields = np.random.default_rng(0).standard_normal((20, mesh().n_nodes, 3))
-    model = PcaModel.fit(fields, fields[:0], centre=fields.mean(axis=0), n_latent=3, card={})
-    whole = setting(fields=fields, model=model, load=load())
-    return lambda **given: RIVALS[name](**{"setting": whole, **given})
 
 
 #: A target in the body of `mesh`.
@@ -215,15 +161,6 @@ def diagnosed(**given):
     with tempfile.TemporaryDirectory() as folder:
         for outcome in tr.diagnose_many(**{"experiments": [], "out": folder, **given}):
             raise outcome.error
-
-
-def reproduced(**given):
-    """Check the arguments of the paper's studies, of which none is run."""
-    running = importlib.import_module("tissuereg.studies.run")
-    with pytest.MonkeyPatch.context() as changed, tempfile.TemporaryDirectory() as folder:
-        changed.setattr(running, "_simulated", lambda *_, **__: {})
-        changed.setattr(running, "_delivered", lambda *_, **__: None)
-        return tr.reproduce(**{"out": folder, **given})
 
 
 #: Every public function and class: a call that works, and other names of its arguments in messages.
@@ -589,61 +526,6 @@ CALLS = {
         score_markers,
         {"residual": np.ones((1, 3)), "noise": np.eye(3), "absorbed": 0.1 * np.eye(3)},
     ),
-    "Setting": (
-        setting,
-        {
-            "mesh": mesh(),
-            "reference_mm": markers().reference,
-            "std_mm": np.full(3, 0.1),
-            "material": tr.Material(),
-            "load": None,
-            "model": None,
-            "fields": np.zeros((1, mesh().n_nodes, 3)),
-            "frame_s": 0.025,
-            "seed": 0,
-            "threads": 1,
-        },
-    ),
-    "Rival.register": (
-        lambda **given: Rigid(setting()).register(**{"measured_mm": markers().measured, **given}),
-        {"measured_mm": markers().measured, "simulation_mm": np.zeros((mesh().n_nodes, 3))},
-    ),
-    "LinearElastic": (rival("linear elastic"), {"setting": None, "smooth": False}),
-    "Libr": (rival("LIBR"), {"n_cells": 4, "energy_weight": 1.0}),
-    "LinearResidual": (rival("linear residual"), {"window": 3, "memory_s": 0.1}),
-    "ParameterInference": (
-        rival("parameter inference"),
-        {
-            "stiffness_std": 0.5,
-            "load_std": 0.5,
-            "drift": 0.1,
-            "n_members": 8,
-            "n_steps": 2,
-            "later_steps": 1,
-            "spread": False,
-        },
-    ),
-    "PcaEsMda": (rival("PCA-26 + ES-MDA"), {"n_latent": 3, "n_members": 9, "n_steps": 2}),
-    "OneStepSmoother": (rival("one-step ES in latents"), {"n_members": 9, "spread": False}),
-    "LatentFilter": (rival("EnKF in latents"), {"memory_s": 1.0, "n_members": 9, "spread": False}),
-    "EnsembleOfSimulations": (rival("ensemble of simulations"), {"error_mm": 0.1}),
-    "PhysicsPrior": (rival("tissuereg, physics prior"), {"spread": False, "settings": quick()}),
-    "reproduce": (
-        reproduced,
-        {
-            "studies": ["table2", "fig8"],
-            "out": "out",
-            "model": None,
-            "data": "rigs",
-            "fields": None,
-            "variants": None,
-            "methods": ["rigid"],
-            "keep": None,
-            "seed": 0,
-            "threads": 1,
-            "progress": None,
-        },
-    ),
     "phantom.breast_mesh": (tr.phantom.breast_mesh, {"n_nodes": 300}),
     "FineMeshing": (FineMeshing, {"rim_edge": 0.5, "growth": 1.0, "edge_share": 0.5, "cut": True}),
 }
@@ -683,31 +565,14 @@ CALLED = {
     "prescribed": "prescribed",
 }
 
-SWEPT = [
-    pytest.param(call, argument, wrong, id=f"{name}({argument}={what})")
-    for name, (call, good) in CALLS.items()
-    for argument in good
-    for what, wrong in WRONG.items()
-]
-
-
-def ends_well(call, argument, **given):
-    """Run a call; what is wrong must be an error of ours that names the argument."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)
-        try:
-            call(**given)
-        except TissueRegError as error:
-            said = f"{error} {error.where}"
-            assert any(name in said for name in (argument, *CALLED.get(argument, argument).split("|"))), said
-            assert len(said) < 1000, "a message is for reading"
+SWEPT = swept(CALLS)
 
 
 @pytest.mark.parametrize(("call", "argument", "wrong"), SWEPT)
 def test_a_wrong_argument_works_or_is_named(call, argument, wrong):
     good = next(given for each, given in CALLS.values() if each is call)
     given = {name: value for name, value in good.items() if value is not None}
-    ends_well(call, argument, **{**given, argument: wrong})
+    ends_well(call, argument, CALLED, **{**given, argument: wrong})
 
 
 @pytest.mark.parametrize("call", CALLS, ids=str)

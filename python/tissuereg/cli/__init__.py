@@ -12,7 +12,7 @@ import signal
 import sys
 import threading
 import traceback
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from types import FrameType
 from typing import Any
 
@@ -40,7 +40,6 @@ COMMANDS = {
     "diagnose": "find out what the simulation gets wrong",
     "demo": "register the embedded phantom, end to end",
     "bench": "time the parts",
-    "reproduce": "run the paper's studies",
 }
 
 
@@ -57,11 +56,29 @@ def main(argv: Sequence[str] | None = None) -> int:
     int
         Exit code.
     """
+    return run_program(build_parser, argv)
+
+
+def run_program(parser_of: Callable[[Sequence[str]], Parser], argv: Sequence[str] | None = None) -> int:
+    """Run a program: its parser's default ``run`` does the work; output, errors and exit codes are those of all.
+
+    Parameters
+    ----------
+    parser_of : callable of sequence of str -> Parser
+        Takes the command line.
+    argv : sequence of str, optional
+        Words after the program's name; those of the process where absent.
+
+    Returns
+    -------
+    int
+        Exit code.
+    """
     words = list(sys.argv[1:] if argv is None else argv)
     target, debug = json_target(words), "--debug" in words
     with _ended_like_an_interrupt(), warnings_as_lines(debug=debug) as notes:
         try:
-            outcome = _run(words, target)
+            outcome = _run(parser_of(words), words, target)
             if isinstance(outcome, int):
                 return outcome
             _deliver(outcome, target, notes)
@@ -109,8 +126,8 @@ def build_parser(words: Sequence[str] | None = None) -> Parser:
     return parser
 
 
-def _run(words: list[str], target: str | None) -> Outcome | int:
-    args = parse(build_parser(words), words)
+def _run(parser: Parser, words: list[str], target: str | None) -> Outcome | int:
+    args = parse(parser, words)
     if target not in (None, "-"):
         check_file_target(target)
     if getattr(args, "speaks_for_itself", False):
@@ -204,4 +221,4 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
     raise KeyboardInterrupt
 
 
-__all__ = ["Outcome", "UsageError", "build_parser", "main"]
+__all__ = ["Outcome", "UsageError", "build_parser", "main", "run_program"]

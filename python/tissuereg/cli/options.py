@@ -90,13 +90,20 @@ class Help:
         Parser
             Of the command.
         """
+        parser: Parser = commands.add_parser(name, help=purpose, **self.words(purpose))
+        self.fill(parser, options)
+        return parser
+
+    def words(self, purpose: str) -> dict[str, str]:
+        """Return the description and the example as arguments of a parser's constructor."""
         details = textwrap.fill(self.details, 98, break_on_hyphens=False)
-        parser: Parser = commands.add_parser(
-            name,
-            help=purpose,
-            description=f"{purpose[0].upper()}{purpose[1:]}.\n\n{details}",
-            epilog=f"example:\n{textwrap.indent(self.example, '  ')}",
-        )
+        return {
+            "description": f"{purpose[0].upper()}{purpose[1:]}.\n\n{details}",
+            "epilog": f"example:\n{textwrap.indent(self.example, '  ')}",
+        }
+
+    def fill(self, parser: Parser, options: Callable[[Parser], None]) -> None:
+        """Add a command's own options to its parser, and those that every command has."""
         options(parser)
         group = parser.add_argument_group("running")
         if self.seed is not None:
@@ -105,7 +112,6 @@ class Help:
         group.add_argument("--json", metavar="FILE", help="write one JSON object to FILE; - is standard output")
         group.add_argument("--quiet", action="store_true", help="no progress on standard error")
         group.add_argument("--debug", action="store_true", help="show the traceback of an error")
-        return parser
 
 
 def option_type(check: Check) -> Callable[[str], Any]:
@@ -174,7 +180,8 @@ def parse(parser: Parser, words: Sequence[str]) -> argparse.Namespace:
     args, rest = parser.parse_known_args(list(words))
     room = getattr(args, "room", 0)
     if rest and (len(rest) > room or any(word.startswith("-") for word in rest)):
-        message = f"no such argument: {' '.join(rest)}; '{parser.prog} {args.command} --help' explains the command"
+        command = " ".join([parser.prog, *([args.command] if hasattr(args, "command") else [])])
+        message = f"no such argument: {' '.join(rest)}; '{command} --help' explains the command"
         raise UsageError(message, where=" ".join(rest))
     if rest:
         getattr(args, args.late).extend(rest)
