@@ -8,21 +8,21 @@ import numpy as np
 import pytest
 
 from tissuereg._base import fields
-from tissuereg._base.fields import Record
+from tissuereg._base.fields import CheckedRecord
 from tissuereg.cli.options import Parser, UsageError, add_option
 from tissuereg.errors import ArgumentError, ExperimentError
 from tissuereg.io.toml import Keys, Table
 
 
 @dataclass(frozen=True)
-class Inner(Record):
+class Inner(CheckedRecord):
     """A record within another one."""
 
     n: int = fields.whole("how many", least=1, default=3)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Every(Record):
+class Every(CheckedRecord):
     """A field of every kind."""
 
     std_mm: float = fields.number("noise", above=0.0, below=9.0, default=0.5)

@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tissuereg._base.fields import number
+from tissuereg._base.fields import choice, number
 from tissuereg.cli.common import Outcome, Stopwatch, note, progress_bar, seconds_line
-from tissuereg.cli.options import Help, Parser, UsageError, add_option, refuse_overwriting
+from tissuereg.cli.options import ELEMENTS, Help, Parser, UsageError, add_option, refuse_overwriting
 from tissuereg.parallel import TASK_LIMIT
 
 if TYPE_CHECKING:
@@ -36,8 +36,8 @@ def options(parser: Parser) -> None:
     )
     how = parser.add_argument_group("experiment")
     how.add_argument("--plain", action="store_true", help="simulate on the mesh as it is, not with the fine model")
-    text = "elements of a plain simulation (default: tet4; a recipe states its own)"
-    how.add_argument("--element", choices=["tet4", "tet4-averaged", "tet10"], help=text)
+    usual = "tet4; a recipe states its own"
+    add_option(how, "--element", choice(ELEMENTS, "elements of a plain simulation", default=None, otherwise=usual))
     how.add_argument("--noise", action="store_true", help="add the noise that the experiment states, by --seed")
     group = parser.add_argument_group("data set")
     text = (

@@ -10,6 +10,7 @@ from tissuereg._base.arguments import of_kind, place
 from tissuereg._base.arrays import FloatArray
 from tissuereg.errors import ExperimentError
 from tissuereg.experiment.experiment import Actuator, Boundary, Experiment, Simulated
+from tissuereg.experiment.material_experiment import MaterialExperiment
 from tissuereg.io.atomic import OutputError, atomic_folder
 from tissuereg.io.cases import write_histories
 from tissuereg.io.experiment_keys import (
@@ -30,15 +31,18 @@ if TYPE_CHECKING:
 
 
 def write_experiment(
-    experiment: Experiment, path: str | os.PathLike[str], *, seen_from: str | os.PathLike[str] | None = None
+    experiment: Experiment | MaterialExperiment,
+    path: str | os.PathLike[str],
+    *,
+    seen_from: str | os.PathLike[str] | None = None,
 ) -> None:
-    """Write an experiment file that `read_experiment` reads back, effects included.
+    """Write an experiment file that `read_experiment` or `read_material_experiment` reads back, effects included.
 
     Mesh and tables stay where they are; the file refers to them from its own place.
 
     Parameters
     ----------
-    experiment : Experiment
+    experiment : Experiment or MaterialExperiment
         Read from files; beliefs and effects may have been changed since, cases and patches not.
     path : path-like
         The file, for example ``experiment.extended.toml``; an older one is replaced as a whole.
@@ -52,12 +56,12 @@ def write_experiment(
     OutputError
         If the file cannot be written there.
     """
-    of_kind("experiment", experiment, Experiment, error=ExperimentError)
+    of_kind("experiment", experiment, (Experiment, MaterialExperiment), error=ExperimentError)
     path = place("path", path, error=OutputError)
     write_toml(path, _content(experiment, path.parent if seen_from is None else Path(seen_from)))
 
 
-def experiment_text(experiment: Experiment, folder: str | os.PathLike[str]) -> str:
+def experiment_text(experiment: Experiment | MaterialExperiment, folder: str | os.PathLike[str]) -> str:
     """Return what `write_experiment` writes for a folder.
 
     Parameters
@@ -80,15 +84,33 @@ def experiment_text(experiment: Experiment, folder: str | os.PathLike[str]) -> s
     return toml_text(_content(experiment, Path(folder)))
 
 
-def _content(experiment: Experiment, folder: Path) -> dict[str, Any]:
-    folder = folder.absolute()
+def _content(experiment: Experiment | MaterialExperiment, folder: Path) -> dict[str, Any]:
+    content = (
+        _of_test(experiment, folder) if isinstance(experiment, MaterialExperiment) else _of_rig(experiment, folder)
+    )
+    content["effect"] = [effect.table() for effect in experiment.effects]
+    return {key: value for key, value in content.items() if value != []}
+
+
+def _of_test(experiment: MaterialExperiment, folder: Path) -> dict[str, Any]:
+    content: dict[str, Any] = {"kind": "material-test", "name": experiment.name, **_tables(experiment, folder)}
+    content["material"] = material_table(experiment.material, experiment.young_std, experiment.poisson_std)
+    test = {"hold_out": experiment.hold_out, "std_kpa": experiment.stress_std}
+    content["test"] = {key: value for key, value in test.items() if value is not None} or []
+    return content
+
+
+def _tables(experiment: Experiment | MaterialExperiment, folder: Path) -> dict[str, str]:
+    """Return the key for the folder of the tables, where it is another one than that of the file."""
+    return {} if _same(folder, experiment.folder) else {"tables": path_from(folder, experiment.folder)}
+
+
+def _of_rig(experiment: Experiment, folder: Path) -> dict[str, Any]:
     material = experiment.material
     if material.fibre is not None:
         message = "fibres of an experiment file must be an effect, got them in the material"
         raise ExperimentError(message, where="fibre")
-    content: dict[str, Any] = {"name": experiment.name}
-    if not _same(folder, experiment.folder):
-        content["tables"] = path_from(folder, experiment.folder)
+    content: dict[str, Any] = {"name": experiment.name, **_tables(experiment, folder)}
     content["mesh"] = {"file": path_from(folder, experiment.mesh_file)}
     if experiment.surface_std:
         content["mesh"]["surface_std_mm"] = experiment.surface_std
@@ -110,8 +132,7 @@ def _content(experiment: Experiment, folder: Path) -> dict[str, Any]:
     content["boundary"] = [_patch(boundary) for boundary in experiment.boundaries]
     content["actuator"] = [{**_patch(actuator), "contact": actuator.contact} for actuator in experiment.actuators]
     content["target"] = [{"name": name, "reference": place.tolist()} for name, place in experiment.targets.items()]
-    content["effect"] = [effect.table() for effect in experiment.effects]
-    return {key: value for key, value in content.items() if value != []}
+    return content
 
 
 def _markers(experiment: Experiment) -> dict[str, Any]:

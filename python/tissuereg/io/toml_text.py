@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import MISSING
 from typing import Any
 
-from tissuereg._base.fields import Field
+from tissuereg._base.fields import DeclaredField
 from tissuereg.errors import ExperimentError
 from tissuereg.io.atomic import atomic_file
 from tissuereg.io.toml import Keys
@@ -179,7 +179,7 @@ def _table(keys: type[Keys], values: Mapping[str, Any] | None) -> list[str]:
     return lines
 
 
-def _comment(key: Field) -> list[str]:
+def _comment(key: DeclaredField) -> list[str]:
     holds = f"{key.check.words}, {key.unit}" if key.unit else key.check.words
     return _wrapped(f"{key.name}: {key.check.meaning}. Holds: {holds.replace('`', '')}.")
 
