@@ -277,8 +277,8 @@ def rate(truth: tuple[Any, Any], threads: int, tell: Callable[[str], None]) -> d
 
 RATE_HEAD = """## In real time
 
-A push, a rest and a release, {frames} frames at {hz} Hz, replayed at that rate by `python benchmarks/tracking.py
---rate` with `Tracker.run`. *Latency*: from a frame's time to its answer. *A second*: frames registered a second.
+A push, a rest and a release, {frames} frames at {hz} Hz, replayed at that rate by `make -C benchmarks/tracking
+rate` with `Tracker.run`. *Latency*: from a frame's time to its answer. *A second*: frames registered a second.
 *Lesion*: mean error at the frames' own times. *FEM*: simulated frame by frame from the registered state; *table*:
 precomputed fields.
 """
