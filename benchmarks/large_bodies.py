@@ -192,7 +192,7 @@ analysed, before anything is factored.
 many factorisations to expect, the time and the peak memory that are estimated, and what memory there is. From then
 on `register` shows its stages: analysis, factorisation of the tangent, responses (how many of how many), sampling,
 equilibrium, pass by pass, draws, files; on a terminal as a bar, else as lines. In Python `tissuereg.register(...,
-tell=print)` gives the same.
+progress=print)` gives the same.
 
 The time is estimated from the operations and the speed of the machine, which is measured by a few products of
 matrices; the memory from the entries of the factors that are held at the same time (two of single precision, with
