@@ -115,7 +115,7 @@ def event(mesh: tr.Mesh, truth: np.ndarray, simulation: np.ndarray | None, seed:
 
 def registered(mesh: tr.Mesh, model: Any, *, simulated: bool = True, decode_all: bool = False) -> Method:
     """Return `tissuereg.register` with a model as a method."""
-    settings = tr.RegisterSettings(smoother=tr.SmootherSettings(decode_all=decode_all))
+    settings = tr.RegisterSettings(threads=1, smoother=tr.SmootherSettings(decode_all=decode_all))
 
     def method(one: Event) -> Answer:
         result = tr.register(
@@ -124,7 +124,7 @@ def registered(mesh: tr.Mesh, model: Any, *, simulated: bool = True, decode_all:
             model=model,
             simulation=one.simulation if simulated else None,
             targets={str(i): place for i, place in enumerate(one.targets)},
-            settings=replace(settings, threads=1),
+            settings=settings,
         )
         found = [result.target(str(i)) for i in range(N_TARGETS)]
         return Answer(

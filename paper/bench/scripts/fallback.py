@@ -39,8 +39,9 @@ def measure(data):
         for condition in (one for one in CONDITIONS if one.name in NAMES):
             markers, simulations = measured(rig, condition, 0), believed.simulation_mm(condition.drive)
             for name, known in (("network", model), ("contacts", None)):
-                how = {"std": condition.noise_mm, "material": BELIEVED, "threads": 1}
-                registrar = tr.Registrar(mesh, rig.reference_mm, known, **how)
+                places = tr.Markers(rig.reference_mm, std=condition.noise_mm)
+                how = tr.RegisterSettings(threads=1)
+                registrar = tr.Registrar(tr.Body(mesh, BELIEVED), places, known, settings=how)
                 for frame in believed.scored[::EVERY]:
                     result = registrar.register(markers[frame], simulations[frame])
                     left = result.fallback
