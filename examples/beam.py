@@ -106,7 +106,7 @@ def run_trial(mesh: tr.Mesh, path: Path, newton: float, young_kpa: float) -> dic
     material = tr.Material(young_kpa, POISSON, density=DENSITY_G_PER_CM3)
     load = tr.Load(forces=edge_load(mesh, newton), body_force=material.weight())
     markers = tr.Markers(reference, seen, MARKER_STD_MM, names)
-    result = tr.register(tr.Body(mesh, material=material, element="tet10"), markers, load=load)
+    result = tr.register(tr.Body(mesh, material, "tet10"), markers, load=load)
     found = result.unseen[HELD_OUT]
     known = [name for name in (*FITTED, *HOLDER) if np.isfinite(places[name]).all()]
     before, after = (np.array([places[name][i] for name in known]) for i in (0, 1))

@@ -30,7 +30,7 @@ import tissuereg as tr
 from tissuereg.diagnosis.material import MaterialDiagnosis, diagnose_material, predicted_stresses
 from tissuereg.experiment.material_experiment import Curve, MaterialExperiment
 from tissuereg.experiment.material_tests import MaterialTest, fit_law
-from tissuereg.io.material_experiments import read_material_experiment, write_material_experiment, write_test_table
+from tissuereg.io.material_experiments import read_material_experiment, write_test_table
 
 POISSON = 0.495
 MODES = {"tension": "tension", "compression": "compression", "simple_shear": "simple-shear"}
@@ -78,7 +78,7 @@ def diagnosed(name: str, curves: Sequence[Curve], out: Path) -> MaterialDiagnosi
     write_test_table(folder / "test.csv", curves)
     material = neo_hookean(curves)
     believed = MaterialExperiment(name, folder, material, 0.5 * float(material.young), None, tuple(curves))
-    write_material_experiment(believed, folder / "experiment.toml")
+    tr.write_experiment(believed, folder / "experiment.toml")
     diagnosis = diagnose_material(read_material_experiment(folder))
     diagnosis.save(folder)
     return diagnosis

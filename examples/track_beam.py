@@ -48,8 +48,8 @@ def track(mesh: tr.Mesh, path: Path, begin_s: float, end_s: float, every: int, *
     seen = places.copy()
     seen[:, NAMES.index(HELD_OUT)] = np.nan
     registrar = tr.Registrar(
-        tr.Body(mesh, material=tr.Material(YOUNG_KPA, POISSON, density=DENSITY_G_PER_CM3)),
-        tr.Markers(reference, np.full((3, 3), np.nan), MARKER_STD_MM, NAMES),
+        tr.Body(mesh, tr.Material(YOUNG_KPA, POISSON, density=DENSITY_G_PER_CM3)),
+        tr.Markers(reference, std=MARKER_STD_MM, names=NAMES),
         seed=seed,
     )
     tracker = tr.Tracker(registrar)

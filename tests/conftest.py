@@ -7,6 +7,8 @@ import pytest
 
 import tissuereg as tr
 
+# Benches by their folders' names: tests draw from the data behind published figures.
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "benchmarks"))
 sys.path.insert(0, str(Path(__file__).parent))
 
 from support.meshes import block

@@ -16,7 +16,7 @@ from dataclasses import MISSING
 from pathlib import Path
 from typing import Any
 
-from tissuereg._base.fields import Field, unit_of
+from tissuereg._base.fields import DeclaredField, unit_of
 from tissuereg.body.material import SHAPE_KEYS, Material
 from tissuereg.experiment.effects import EFFECTS, ChainEffect
 from tissuereg.experiment.effects.base import Effect
@@ -53,7 +53,7 @@ def keys_of(keys: type[Keys]) -> str:
     return f"{said}{must}\n\n" + table(("key", "holds", "unit", "where absent", "meaning"), rows)
 
 
-def default_of(key: Field) -> str:
+def default_of(key: DeclaredField) -> str:
     """Return what applies where a key is absent."""
     if key.default is MISSING:
         return "must be given"
@@ -119,7 +119,7 @@ def effects() -> str:
     return table(("id", "keys", "what it does", "in material tests"), rows)
 
 
-def effect_key(key: Field) -> str:
+def effect_key(key: DeclaredField) -> str:
     """Return one key of an effect, with unit, default and meaning."""
     stated = [key.check.words, *([key.unit] if key.unit else [])]
     if key.default is None:

@@ -25,8 +25,8 @@ from tissuereg.experiment.effects import Inclusion
 from tissuereg.experiment.experiment import Simulated
 from tissuereg.io.cases import write_histories
 from tissuereg.io.experiment_keys import ACTUATORS_CSV
+from tissuereg.io.experiment_out import write_simulated
 from tissuereg.io.meshes import write_vtu
-from tissuereg.io.simulated import write_simulated
 from tissuereg.io.tables import write_markers, write_points
 from tissuereg.io.toml_text import write_toml
 from tissuereg.simulation.noise import with_noise

@@ -1,1 +1,1 @@
-"""How much is advice on markers worth?"""
+"""What advice on markers is worth."""

@@ -1,8 +1,9 @@
 """Markers placed by advice compared with random and with evenly spread ones, on the breast phantom's data set.
 
-``python -m advise.advise --data build/phantom-data`` writes ``archive/`` and ``RESULTS.md``. Members of the training split choose; members of the test split, which no choice has seen,
-are the truth: the target of each is estimated from its noisy markers by the linear-Gaussian rule of the training
-members, whoever placed the markers, and compared with where it is.
+``python -m advise.advise --data build/phantom-data`` writes ``archive/`` and ``RESULTS.md``. Members of the training
+split choose; members of the test split, which no choice has seen, are the truth: the target of each is estimated from
+its noisy markers by the linear-Gaussian rule of the training members, whoever placed the markers, and compared with
+where it is.
 """
 
 import argparse
@@ -10,9 +11,9 @@ import time
 from pathlib import Path
 
 import numpy as np
-from common import read_archive, write_archive
 
 import tissuereg as tr
+from common import read_archive, write_archive
 from tissuereg._base.machine import machine
 from tissuereg.body.observe import TargetObservation
 from tissuereg.phantom.breast import inside_breast

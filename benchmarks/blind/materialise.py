@@ -1,4 +1,4 @@
-"""Writes a stored case as an experiment folder: ``python -m blind.materialise CASE DIR`` (with ``benchmarks`` on the path).
+"""Writes a stored case as an experiment folder: ``PYTHONPATH=benchmarks python -m blind.materialise CASE DIR``.
 
 Reads no answers. A case tells what is measured and believed, and nothing else.
 """

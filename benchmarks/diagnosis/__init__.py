@@ -1,1 +1,1 @@
-"""What does `diagnose` say of data made by another solver, by this package, and of material tests?"""
+"""`diagnose` on data of another solver, on rigs simulated here, on material tests."""

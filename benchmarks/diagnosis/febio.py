@@ -11,7 +11,6 @@ import tempfile
 from pathlib import Path
 
 from common import SHARED, read_archive, write_archive
-
 from tissuereg.cli import main as command
 from tissuereg.cli.common import envelope
 
@@ -25,9 +24,9 @@ _INTRO = """# Data made by another solver
 
 Simulated by FEBio 4.11 with ten-node tetrahedra on meshes of 11,000 to 15,000 nodes of a smooth ellipsoid, with pads
 whose edges the mesh follows exactly. The user's mesh has 3,839 to 4,552 nodes, and its flat facets lie inside the
-ellipsoid. `make -C benchmarks/diagnosis febio` diagnoses the experiments of `../shared/examples`. These are development data:
-the prior standard deviations of the body's shape, and of the force error that grows with the square of the load, were
-chosen on them, mostly on those without an effect.
+ellipsoid. `make -C benchmarks/diagnosis febio` diagnoses the experiments of `../shared/examples`. These are development
+data: the prior standard deviations of the body's shape, and of the force error that grows with the square of the load,
+were chosen on them, mostly on those without an effect.
 
 Columns: the hidden cause, its detectability d, the answer, the log Bayes factor of each named cause in nats, the
 p-value of the remaining misfit, and the time in seconds. A cause with a detectability below 5 need not be found.

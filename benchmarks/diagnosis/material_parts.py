@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
 from common import REPOSITORY, SHARED, read_archive, write_archive
 
 sys.path.insert(0, str(REPOSITORY / "examples"))
@@ -232,13 +233,14 @@ def within(distances: Sequence[float]) -> dict[str, float]:
 
 _INTRO = """# Do parameters from different parts of the data agree?
 
-Written by `make -C benchmarks/diagnosis material-parts`. The parameters of one law, fitted to different parts of the same data,
-should agree within their stated standard deviations. These include the full noise (errors that are correlated along a
-curve and scale factors of specimens) and a smooth misfit of the size of the fit's residual, for what the form of the
-law cannot follow. "By curvature alone" are the standard deviations that hold if the form is right and the noise is that
-of the weights; earlier releases stated these. Two disjoint parts are compared by the standard deviation of their
-difference, a part and the larger part that contains it by the standard deviation of the smaller; 95 of 100 should lie
-within two. Parts share the error of their form, so parameters of similar parts agree better than that.
+Written by `make -C benchmarks/diagnosis material-parts`. The parameters of one law, fitted to different parts of the
+same data, should agree within their stated standard deviations. These include the full noise (errors that are
+correlated along a curve and scale factors of specimens) and a smooth misfit of the size of the fit's residual, for
+what the form of the law cannot follow. "By curvature alone" are the standard deviations that hold if the form is right
+and the noise is that of the weights; earlier releases stated these. Two disjoint parts are compared by the standard
+deviation of their difference, a part and the larger part that contains it by the standard deviation of the smaller; 95
+of 100 should lie within two. Parts share the error of their form, so parameters of similar parts agree better than
+that.
 
 ## Measured
 

@@ -13,12 +13,13 @@ import time
 from pathlib import Path
 
 import numpy as np
-from common import read_archive, write_archive
 
 import tissuereg as tr
+from common import read_archive, write_archive
 from support.meshes import block
 from tissuereg.cli import main as command
 from tissuereg.cli.common import envelope
+from tissuereg.io.meshes import write_vtu
 
 HERE = Path(__file__).resolve().parent
 ARCHIVE, PAGE = HERE / "archive" / "simulated-here", HERE / "RESULTS-simulated-here.md"
@@ -83,7 +84,7 @@ def write_rig(number: int, folder: Path) -> str:
         lines += ["[[actuator]]", f'name = "{name}"', f"nodes = {rule}", 'kind = "displacement"']
     folder.mkdir(parents=True)
     (folder / "experiment.toml").write_text("\n".join(lines) + "\n", encoding="utf-8")
-    tr.io.write_vtu(folder / "mesh.vtu", mesh)
+    write_vtu(folder / "mesh.vtu", mesh)
     felt = ["case,time_s,actuator,x_mN,y_mN,z_mN"]
     rows, seen = ["case,time_s,actuator,x_mm,y_mm,z_mm"], ["case,time_s,marker,x_mm,y_mm,z_mm"]
     place = ",".join(str(v) for v in np.round(markers[0], 4))

@@ -5,8 +5,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
-from common import REPOSITORY, read_archive, write_archive
 
+from common import REPOSITORY, read_archive, write_archive
 from loadfree.bench import LOADFREE, Bench
 from tissuereg._base.machine import machine, versions
 

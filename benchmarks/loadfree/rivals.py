@@ -62,10 +62,12 @@ class Answer:
 
 
 def registered(case: Case, **options) -> Answer:
-    """Return the package's answer; `options` are further arguments of ``tissuereg.register``."""
+    """Return the package's answer; `options` are further arguments of ``tissuereg.Body``, and the believed load."""
     names = [f"t{i}" for i in range(len(case.body.targets))]
     targets = dict(zip(names, case.body.targets, strict=True))
-    result = tr.register(case.body.mesh, case.markers, targets=targets, seed=0, threads=1, **options)
+    load, settings = options.pop("load", None), tr.RegisterSettings(threads=1)
+    body = tr.Body(case.body.mesh, **options)
+    result = tr.register(body, case.markers, targets=targets, load=load, seed=0, settings=settings)
     found = [result.target(name) for name in names]
     shares = [getattr(target, "constrained", None) for target in found]
     return Answer(
@@ -102,12 +104,12 @@ def gaussian(case: Case) -> Answer:
 
 
 def rigid(case: Case) -> Answer:
-    """The markers' best rigid motion."""
+    """Return the markers' best rigid motion."""
     return _interpolated(case, rigid_displacement)
 
 
 def spline(case: Case) -> Answer:
-    """A thin-plate spline through the markers."""
+    """Return a thin-plate spline through the markers."""
     return _interpolated(case, spline_displacement)
 
 

@@ -6,7 +6,6 @@ import time
 from functools import partial
 
 from common import commit
-
 from loadfree.archive import SCRATCH, key_of, read_rows, scratch_path, write_results
 from loadfree.bench import LOADFREE, Bench
 from loadfree.events import HALVES, events_of

@@ -1,8 +1,8 @@
 """The table of `loadfree.timing`: wall times of whole calls."""
 
 import numpy as np
-from common import read_archive
 
+from common import read_archive
 from loadfree.archive import RESULTS
 
 ARCHIVE, TABLES = RESULTS / "time", ("runs/<case>/#",)

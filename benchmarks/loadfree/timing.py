@@ -15,13 +15,13 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
-from common import commit, write_archive
-from speed.half_ellipsoid import SEED, write_size
 
 import tissuereg as tr
+from common import commit, write_archive
 from loadfree import table
 from loadfree.archive import SCRATCH
 from loadfree.times import ARCHIVE, SCHEMA, TABLES
+from speed.half_ellipsoid import SEED, write_size
 from tissuereg._base.machine import machine
 
 WORK = "loadfree.timing_work"

@@ -33,9 +33,9 @@ def imported():
 def small(threads: int) -> None:
     """Register a small mesh: what is imported at need is there afterwards."""
     import numpy as np
-    from speed.half_ellipsoid import half_ellipsoid
 
     import tissuereg as tr
+    from speed.half_ellipsoid import half_ellipsoid
 
     nodes, tets = half_ellipsoid(N_SMALL)
     mesh = tr.Mesh(nodes, tets, {"fixed": np.flatnonzero(nodes[:, 2] < 1e-9)})
@@ -115,6 +115,7 @@ def points(options: argparse.Namespace) -> list[dict]:
     """Return the first call on the dome with points of its surface, without labels and without markers."""
     import numpy as np
 
+    import tissuereg as tr
     from loadfree.events import free_surface, read_body
 
     body = read_body("dome")
@@ -128,7 +129,7 @@ def points(options: argparse.Namespace) -> list[dict]:
     seen = np.einsum("na,nax->nx", rng.dirichlet(np.ones(3), N_POINTS), moved)
     seen += NOISE_MM * rng.normal(size=seen.shape)
     labels = {"call": "first", "event": event.number, "n_nodes": body.mesh.n_nodes}
-    given = {"surface": seen, "surface_std": NOISE_MM, "targets": named(body.targets)}
+    given = {"surface": tr.SurfacePoints(seen, NOISE_MM), "targets": named(body.targets)}
     return [registered(body.mesh, event.nodes, options.threads, labels, **given)]
 
 

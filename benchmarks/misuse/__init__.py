@@ -1,1 +1,1 @@
-"""Misread inputs: bodies, events, misuses, what `tissuereg.registration.readings` answers (`benchmarks/misuse.py`)."""
+"""Misread inputs: bodies, events, misuses, what `tissuereg.registration.readings` answers (`python -m misuse`)."""

@@ -38,12 +38,15 @@ class Event:
     std: float
 
     def but(self, **changes) -> "Event":
+        """Return the event with other values."""
         return replace(self, **changes)
 
     def mesh(self) -> tr.Mesh:
+        """Return the mesh that a user would make of it."""
         return tr.Mesh(self.nodes, self.tets, {} if self.fixed is None else {"fixed": self.fixed})
 
     def markers(self) -> tr.Markers:
+        """Return the markers that a user would make of it."""
         return tr.Markers(self.reference, self.measured, self.std)
 
 

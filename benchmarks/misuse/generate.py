@@ -1,4 +1,4 @@
-"""Simulate the events of the bench once: `PYTHONPATH=benchmarks:tests python -m misuse.generate [BODY ...]` -> data/BODY.npz.
+"""Simulate the events of the bench once: `python -m misuse.generate [BODY ...]` -> data/BODY.npz.
 
 A body has 40 events: one or two local pulls or pushes with a patch of 6 to 20 mm radius (largest motion 3 to 25 mm),
 own weight in any direction on top of every fourth, own weight alone in every tenth. Stored are places on the free

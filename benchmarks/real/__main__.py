@@ -11,7 +11,6 @@ import sys
 from pathlib import Path
 
 from common import SHARED, read_archive, write_archive
-
 from real import beam, hydrogel
 from real.page import page
 

@@ -1,1 +1,1 @@
-"""How fast is it? Solver, smoother, whole registrations, large bodies, many machines."""
+"""Times of solver, smoother, whole registrations, large bodies, many machines."""

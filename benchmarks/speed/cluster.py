@@ -17,8 +17,8 @@ from pathlib import Path
 from statistics import median
 
 import cloudpickle
-from common import REPOSITORY, read_archive, write_archive
 
+from common import REPOSITORY, read_archive, write_archive
 from tissuereg._base.machine import machine, versions
 from tissuereg.parallel import InProcess, open_executor
 from tissuereg.parallel.cluster import _work

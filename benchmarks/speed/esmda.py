@@ -288,6 +288,8 @@ def main() -> None:
         "cases": cases,
     }
     if out is not None:
+        from common import write_archive
+
         write_archive(out, answer, TABLES)
     if out == ARCHIVE:
         from readme import write_table

@@ -18,9 +18,9 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
-from common import commit, read_archive, write_archive
 
 import tissuereg as tr
+from common import commit, read_archive, write_archive
 from speed.half_ellipsoid import write_size
 from tissuereg._base.machine import machine, versions
 from tissuereg.io.tables import write_markers, write_points
@@ -94,7 +94,9 @@ def run(words: list[str], threads: int) -> dict:
 
 def in_a_process(*words: str) -> str:
     """Return what this script prints: whatever it holds would count for the commands that it starts."""
-    return subprocess.run([sys.executable, "-m", "speed.large_bodies", *words], stdout=subprocess.PIPE, text=True, check=True).stdout
+    return subprocess.run(
+        [sys.executable, "-m", "speed.large_bodies", *words], stdout=subprocess.PIPE, text=True, check=True
+    ).stdout
 
 
 def estimated(problem: Path, n_nodes: int, threads: int) -> dict:

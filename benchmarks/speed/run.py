@@ -14,6 +14,7 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
+
 from common import SHARED, write_archive
 
 ARCHIVE, TABLES = Path(__file__).resolve().parent / "archive" / "stages", ("rows/#", "reference/#")

@@ -18,9 +18,9 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
+
 from common import REPOSITORY, read_archive, write_archive
 from readme import write_table
-
 from speed.half_ellipsoid import SEED, write_size
 from speed.solver_table import tables
 
@@ -137,7 +137,10 @@ def peers(python: Path, files: dict[str, Path], quadratic: Path, quick: bool) ->
     repeats = 1 if quick else 3
     chosen = ["dome_4k_pull"] if quick else list(files)
     if not python.exists():
-        skipped += [{"name": name, "reason": f"no {python}: make -C benchmarks/speed peers"} for name in ("felupe", "scikit-fem")]
+        skipped += [
+            {"name": name, "reason": f"no {python}: make -C benchmarks/speed peers"}
+            for name in ("felupe", "scikit-fem")
+        ]
     runs = (
         [("felupe", "with_felupe.py", "newton"), ("scikit-fem", "with_skfem.py", "newton")] if python.exists() else []
     )

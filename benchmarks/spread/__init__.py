@@ -1,1 +1,1 @@
-"""Is the spread of the trained model honest?"""
+"""The spread of the trained model, on shapes that it never saw."""

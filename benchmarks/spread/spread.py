@@ -17,18 +17,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import read_archive, write_archive
 from scipy.special import beta
 from scipy.stats import chi2, f, norm
 from scipy.stats import t as student
 
 import tissuereg as tr
+from common import read_archive, write_archive
 from tissuereg._base.machine import machine, versions
 from tissuereg.body.mesh import free_surface
 from tissuereg.body.observe import MarkerObservation, TargetObservation
 from tissuereg.io.atomic import atomic_file
 from tissuereg.io.pairs import read_pairs
-from tissuereg.registration.learned.assimilate import assimilate
+from tissuereg.registration.learned.assimilate import AssimilationSettings, assimilate
 from tissuereg.registration.learned.calibrate import RehearsalSettings, calibrate, codes_of
 from tissuereg.registration.learned.model import Gaussian
 from tissuereg.registration.learned.network import NetworkModel
@@ -115,7 +115,7 @@ def event(mesh: tr.Mesh, truth: np.ndarray, simulation: np.ndarray | None, seed:
 
 def registered(mesh: tr.Mesh, model: Any, *, simulated: bool = True, decode_all: bool = False) -> Method:
     """Return `tissuereg.register` with a model as a method."""
-    settings = tr.RegisterSettings(smoother=tr.SmootherSettings(decode_all=decode_all))
+    settings = tr.RegisterSettings(threads=1, smoother=tr.SmootherSettings(decode_all=decode_all))
 
     def method(one: Event) -> Answer:
         result = tr.register(
@@ -124,7 +124,7 @@ def registered(mesh: tr.Mesh, model: Any, *, simulated: bool = True, decode_all:
             model=model,
             simulation=one.simulation if simulated else None,
             targets={str(i): place for i, place in enumerate(one.targets)},
-            settings=replace(settings, threads=1),
+            settings=settings,
         )
         found = [result.target(str(i)) for i in range(N_TARGETS)]
         return Answer(
@@ -159,9 +159,7 @@ def paper(mesh: tr.Mesh, model: NetworkModel) -> Method:
             PAPER["variance"] * np.eye(3 * N_MARKERS),
             Gaussian(mean, np.diag(variance)),
             rng=np.random.default_rng(0),
-            n_members=int(PAPER["n_members"]),
-            n_steps=int(PAPER["n_steps"]),
-            threads=1,
+            settings=AssimilationSettings(int(PAPER["n_members"]), int(PAPER["n_steps"]), threads=1),
         )
         inner = targets.predict(model.decode(found.latents, targets.nodes))
         away = inner - inner.mean(axis=0)

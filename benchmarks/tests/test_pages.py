@@ -1,12 +1,13 @@
 """Is every page of results what its command writes from its archive?"""
 
+import pytest
+
 import advise.advise as advice
 import blind.page as blind
 import diagnosis.febio as febio
 import diagnosis.material_parts as material_parts
 import diagnosis.simulated_here as simulated_here
 import misuse.__main__ as misuse
-import pytest
 import real.__main__ as real
 import speed.cluster as cluster
 import speed.esmda as esmda
@@ -41,7 +42,12 @@ WRITTEN = {
         material_parts.page,
         lambda a: _more(next(iter(a["known"].values()))["rows alike"]["stated"], "within_two"),
     ),
-    "misuse": (misuse.ARCHIVE, misuse.PAGE, misuse.page, lambda a: a["good"][0].update(found=not a["good"][0]["found"])),
+    "misuse": (
+        misuse.ARCHIVE,
+        misuse.PAGE,
+        misuse.page,
+        lambda a: a["good"][0].update(found=not a["good"][0]["found"]),
+    ),
     "real": (real.ARCHIVE, real.PAGE, real.page, lambda a: _more(a["hydrogel"][0], "registered")),
     "cluster": (cluster.ARCHIVE, cluster.PAGE, cluster.page, lambda a: _more(a["chunk_s"], "local:1")),
     "large bodies": (

@@ -1,1 +1,1 @@
-"""What are the frames before worth, and how fast is tracking?"""
+"""What the frames before are worth, and how fast tracking is."""

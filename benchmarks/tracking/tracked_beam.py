@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 from common import REPOSITORY, SHARED, read_archive, write_archive
-
 from tissuereg._base.machine import machine, n_cores, versions
 
 EXAMPLE = REPOSITORY / "examples" / "track_beam.py"

@@ -19,9 +19,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import read_archive, write_archive
 
 import tissuereg as tr
+from common import read_archive, write_archive
 from tissuereg._base.machine import machine, n_cores, versions
 from tissuereg.body.observe import MarkerObservation, TargetObservation
 from tissuereg.phantom import event as phantom_event
@@ -160,12 +160,9 @@ def study(truth: tuple[Any, Any], seed: int, threads: int, tell: Callable[[str],
     """Return the rows of one set of markers, by method."""
     motion = Motion(truth, seed, threads)
     everything = range(len(motion.shares))
-    how = {
-        "std": STD_MM,
-        "threads": threads,
-        "settings": tr.RegisterSettings(smoother=tr.SmootherSettings(n_members=100)),
-    }
-    registrar = tr.Registrar(motion.mesh, motion.places, "phantom", {"lesion": LESION}, **how)
+    few = tr.RegisterSettings(threads=threads, smoother=tr.SmootherSettings(n_members=100))
+    places = tr.Markers(motion.places, std=STD_MM)
+    registrar = tr.Registrar(motion.mesh, places, "phantom", {"lesion": LESION}, settings=few)
     table = table_of(motion)
     inner = registrar.attached.targets
     fields = [table.field(share) for share in motion.shares]
@@ -188,8 +185,7 @@ def contacts(truth: tuple[Any, Any], seed: int, threads: int, tell: Callable[[st
     """Return the rows of the physics prior, which knows neither load nor simulation, from the last moving frames on."""
     motion = Motion(truth, seed, threads)
     frames = range(N_MOVING - N_CONTACTS_MOVING, N_MOVING + N_STILL)
-    how = {"std": STD_MM, "threads": threads, "material": motion.material}
-    alone = tr.Registrar(motion.mesh, motion.places, None, {"lesion": LESION}, **how)
+    alone = by_contacts(motion, threads)
     single: dict[str, Any] = {"errors": [], "cpu_s": [], "passes": []}
     for frame in frames:
         before = time.process_time()
@@ -198,18 +194,24 @@ def contacts(truth: tuple[Any, Any], seed: int, threads: int, tell: Callable[[st
         single["errors"].append(motion.of(frame, result))
         single["passes"].append(result.work["passes"])
     tell(f"seed {seed}: contacts")
-    tracker = tr.Tracker(motion.mesh, motion.places, None, {"lesion": LESION}, **how)
+    tracker = tr.Tracker(by_contacts(motion, threads))
     return {"frame by frame": single, "tracked": tracked(motion, tracker, frames)}
+
+
+def by_contacts(motion: Motion, threads: int) -> tr.Registrar:
+    """Return the registrar of the physics prior."""
+    body, places = tr.Body(motion.mesh, motion.material), tr.Markers(motion.places, std=STD_MM)
+    return tr.Registrar(body, places, None, {"lesion": LESION}, settings=tr.RegisterSettings(threads=threads))
 
 
 def replayed_trackers(motion: Motion, threads: int) -> dict[str, Callable[[], tr.Tracker]]:
     """Return makers of the trackers that are timed, by name."""
     targets = {"lesion": LESION}
-    how = {"std": STD_MM, "threads": threads}
-    few = {**how, "settings": tr.RegisterSettings(smoother=tr.SmootherSettings(n_members=100))}
+    few = tr.RegisterSettings(threads=threads, smoother=tr.SmootherSettings(n_members=100))
+    places = tr.Markers(motion.places, std=STD_MM)
 
     def of(model: Any, simulator: Any) -> tr.Tracker:
-        registrar = tr.Registrar(motion.mesh, motion.places, model, targets, **few)
+        registrar = tr.Registrar(motion.mesh, places, model, targets, settings=few)
         return tr.Tracker(registrar, simulator=simulator)
 
     def fitted() -> Any:
@@ -220,9 +222,7 @@ def replayed_trackers(motion: Motion, threads: int) -> dict[str, Callable[[], tr
         "network, table": lambda: of("phantom", table_of(motion)),
         "fitted prior, FEM": lambda: of(fitted(), motion.fem),
         "fitted prior, table": lambda: of(fitted(), table_of(motion)),
-        "contacts": lambda: tr.Tracker(
-            tr.Registrar(tr.Body(motion.mesh, material=motion.material), motion.places, None, targets), **how
-        ),
+        "contacts": lambda: tr.Tracker(by_contacts(motion, threads)),
     }
 
 
@@ -277,8 +277,8 @@ def rate(truth: tuple[Any, Any], threads: int, tell: Callable[[str], None]) -> d
 
 RATE_HEAD = """## In real time
 
-A push, a rest and a release, {frames} frames at {hz} Hz, replayed at that rate by `python benchmarks/tracking.py
---rate` with `Tracker.run`. *Latency*: from a frame's time to its answer. *A second*: frames registered a second.
+A push, a rest and a release, {frames} frames at {hz} Hz, replayed at that rate by `make -C benchmarks/tracking
+rate` with `Tracker.run`. *Latency*: from a frame's time to its answer. *A second*: frames registered a second.
 *Lesion*: mean error at the frames' own times. *FEM*: simulated frame by frame from the registered state; *table*:
 precomputed fields.
 """

@@ -37,10 +37,9 @@ def setting(event):
 def test_a_moment_is_registered_as_by_a_registrar(event, simulation, setting, rival, with_model):
     gone = np.array(event.markers.measured)
     gone[4] = np.nan
-    body = tr.Body(event.mesh, material=event.material)
-    markers = tr.Markers(event.markers.reference, std=event.markers.std)
+    places, body = tr.Markers(event.markers.reference, std=event.markers.std), tr.Body(event.mesh, event.material)
     model = setting.model if with_model else None
-    registrar = tr.Registrar(body, markers, model, seed=3, settings=tr.RegisterSettings(threads=1))
+    registrar = tr.Registrar(body, places, model, seed=3, settings=tr.RegisterSettings(threads=1))
     expected = registrar.register(gone, simulation)
     found = rival(setting, spread=True).register(gone, simulation)
     np.testing.assert_array_equal(found.displacement_mm, expected.displacement)

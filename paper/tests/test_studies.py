@@ -9,7 +9,7 @@ import pytest
 import tissuereg as tr
 from support.files import run, run_json
 from tissuereg.errors import ArgumentError, EnsembleError, ModelError
-from tissuereg.registration.learned.assimilate import assimilate
+from tissuereg.registration.learned.assimilate import AssimilationSettings, assimilate
 from tissuereg.registration.learned.model import Gaussian
 from tissuereg.registration.learned.pca import PcaModel
 from tissuereg.simulation.dataset import make_dataset
@@ -195,8 +195,7 @@ def test_with_balanced_draws_they_are_those_of_registrations():
             noise,
             priors[pair],
             rng=np.random.default_rng(pair),
-            n_members=40,
-            n_steps=5,
+            settings=AssimilationSettings(n_members=40, n_steps=5),
         )
         np.testing.assert_allclose(found.latents[pair], one.latents, atol=1e-12)
         assert found.spread_factor == one.spread_factor == 1.0

@@ -12,7 +12,7 @@ from support.material_curves import believed, in_modes
 from tissuereg.experiment.effects import ActuatorGain, ActuatorOffset, MarkerSwap, Relaxation, Sliding
 from tissuereg.io.cases import read_histories
 from tissuereg.io.experiment_keys import MARKERS_CSV
-from tissuereg.io.material_experiments import write_material_experiment, write_test_table
+from tissuereg.io.material_experiments import write_test_table
 
 
 @pytest.fixture
@@ -103,7 +103,7 @@ def test_a_diagnosis_never_replaces_the_model_that_it_diagnoses(folder, capsys):
 def test_a_material_test_is_diagnosed_by_the_same_command(tmp_path, capsys):
     curves = in_modes(np.random.default_rng(4), ("ogden", -10.0))
     write_test_table(tmp_path / "test.csv", curves)
-    write_material_experiment(believed(curves, folder=tmp_path), tmp_path / "experiment.toml")
+    tr.write_experiment(believed(curves, folder=tmp_path), tmp_path / "experiment.toml")
     code, said, _ = run_json(capsys, "diagnose", tmp_path, "--element", "tet10", "--quiet")
     assert (code, said["where"]) == (2, "--element")
     out = tmp_path / "out"

@@ -13,6 +13,7 @@ from support.files import run, run_json, write_experiment
 from support.meshes import block
 from support.slicer import fcsv_text, other_frame, write_mrk
 from tissuereg.cli import build_parser, main
+from tissuereg.cli.options import UsageError
 from tissuereg.io.meshes import write_vtu
 from tissuereg.io.mrk_json import read_mrk_json
 from tissuereg.io.tables import write_markers, write_points
@@ -300,12 +301,10 @@ def test_points_of_slicer_are_never_replaced(capsys, folder, event, tmp_path):
     assert measured.read_bytes() == before
 
 
-def test_the_former_words_of_the_frame_option_are_still_the_trackers():
-    line = ["register", "m.vtu", "m.csv", "--out", "o", "--frame"]
-    for words, expected in (
-        (["drifts"], ("drifts", None)),
-        (["known", "--frame", "RAS"], ("known", "RAS")),
-        (["LPS", "--tracker", "drifts"], ("drifts", "LPS")),
-    ):
-        args = build_parser().parse_args([*line, *words])
-        assert (args.tracker, args.frame) == expected
+def test_the_frame_is_one_of_coordinates_and_the_tracker_has_an_option_of_its_own(capsys):
+    line = ["register", "m.vtu", "m.csv", "--out", "o"]
+    args = build_parser().parse_args([*line, "--frame", "RAS", "--tracker", "drifts"])
+    assert (args.tracker, args.frame) == ("drifts", "RAS")
+    for words in (["--frame", "drifts"], ["--tracker", "known"]):
+        with pytest.raises(UsageError, match="invalid choice"):
+            build_parser().parse_args([*line, *words])

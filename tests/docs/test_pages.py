@@ -13,7 +13,7 @@ from support.material_curves import believed, in_modes
 from support.rig_folders import write_rig
 from support.scripts import script
 from support.surfaces import sphere, write_stl
-from tissuereg.io.material_experiments import write_material_experiment, write_test_table
+from tissuereg.io.material_experiments import write_test_table
 from tissuereg.phantom.demo import run_demo
 
 DOCS = REPOSITORY / "docs"
@@ -51,7 +51,7 @@ def give_material(folder):
     test.mkdir()
     curves = in_modes(np.random.default_rng(4), ("ogden", -10.0))
     write_test_table(test / "test.csv", curves)
-    write_material_experiment(believed(curves, folder=test), test / "experiment.toml")
+    tr.write_experiment(believed(curves, folder=test), test / "experiment.toml")
 
 
 #: What a page takes for granted, by a function of the folder in which its blocks run.

@@ -241,7 +241,7 @@ def pools_of(path: Path) -> set[str]:
 
 def test_only_parallel_makes_processes_for_tasks_and_knows_dask():
     own = PACKAGE / "parallel"
-    runners = [*(REPOSITORY / "benchmarks").glob("*.py"), *(REPOSITORY / "tests").glob("*/run.py")]
+    runners = [path for path in (REPOSITORY / "benchmarks").rglob("*.py") if "tests" not in path.parts]
     others = [path for path in PACKAGE.rglob("*.py") if own not in path.parents]
     assert {str(path): pools_of(path) for path in [*others, *runners] if pools_of(path)} == {}
-    assert {path.name for path in own.glob("*.py") if pools_of(path)} >= {"processes.py", "cluster.py", "jobs.py"}
+    assert {path.name for path in own.glob("*.py") if pools_of(path)} >= {"executor.py", "cluster.py", "jobs.py"}

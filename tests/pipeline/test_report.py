@@ -143,6 +143,6 @@ def test_every_reason_starts_with_its_kind(spoilt):
 
 def test_a_registration_is_one_line_when_printed(spoilt):
     shown = repr(spoilt)
-    assert shown.startswith(f"Registration({spoilt.mesh.n_nodes} nodes, ")
+    assert shown.startswith(f"ContactRegistration({spoilt.mesh.n_nodes} nodes, ")
     assert shown.endswith("not to be trusted)")
     assert len(shown) < 120

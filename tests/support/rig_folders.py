@@ -2,8 +2,8 @@
 
 import numpy as np
 
-import tissuereg as tr
 from support.meshes import block
+from tissuereg.io.meshes import write_vtu
 
 UP_AND_DOWN = np.concatenate([np.linspace(0.0, 1.0, 4), np.ones(4), np.linspace(1.0, 0.0, 4)])
 
@@ -43,7 +43,7 @@ def write_rig(folder, pads):
     markers = mesh.nodes[np.random.default_rng(2).choice(free[mesh.nodes[free, 2] > 5.0], 10, replace=False)]
     lines = "\n".join(f"P{number} = {place.tolist()}" for number, place in enumerate(markers))
     folder.mkdir()
-    tr.io.write_vtu(folder / "mesh.vtu", mesh)
+    write_vtu(folder / "mesh.vtu", mesh)
     (folder / "experiment.toml").write_text(TOML.format(markers=lines, pads="\n".join(tables)))
     seen = ["case,time_s,marker,x_mm,y_mm,z_mm", *(f"rest,{0.5 * frame},P0,,," for frame in range(10))]
     moved, felt = ["case,time_s,actuator,x_mm,y_mm,z_mm"], ["case,time_s,actuator,x_mN,y_mN,z_mN"]

@@ -7,7 +7,14 @@ import pytest
 
 from tissuereg import _core
 from tissuereg.errors import ArgumentError, EnsembleError, ScheduleError, ShapeError
-from tissuereg.registration.learned.assimilate import Between, FirstEnsemble, StepOptions, assimilate, balanced_draws
+from tissuereg.registration.learned.assimilate import (
+    AssimilationSettings,
+    Between,
+    FirstEnsemble,
+    StepOptions,
+    assimilate,
+    balanced_draws,
+)
 from tissuereg.registration.learned.model import Gaussian
 
 
@@ -27,7 +34,12 @@ def linear_problem(rng, n_latent=6, n_obs=9):
 def test_a_linear_model_gives_the_kalman_posterior(n_steps):
     operator, prior, noise, observed, mean, covariance = linear_problem(np.random.default_rng(3))
     found = assimilate(
-        lambda z: operator @ z, observed, noise, prior, rng=np.random.default_rng(0), n_members=60, n_steps=n_steps
+        lambda z: operator @ z,
+        observed,
+        noise,
+        prior,
+        rng=np.random.default_rng(0),
+        settings=AssimilationSettings(n_members=60, n_steps=n_steps),
     )
     assert found.exact_draws
     # Balanced draws leave rounding only, amplified by the conditioning of C_yy.
@@ -46,7 +58,15 @@ def test_predictions_between_computed_ones_are_exact_where_the_model_is_linear()
         return operator @ latents
 
     between = Between(predict, {4}, first.latents, first.predicted)
-    found = assimilate(between, observed, noise, prior, rng=np.random.default_rng(0), n_steps=5, first=first)
+    found = assimilate(
+        between,
+        observed,
+        noise,
+        prior,
+        rng=np.random.default_rng(0),
+        first=first,
+        settings=AssimilationSettings(n_steps=5),
+    )
     np.testing.assert_allclose(found.mean, mean, atol=1e-9)
     np.testing.assert_allclose(np.cov(found.latents), covariance, atol=1e-9)
     # The first step has its predictions; of the four calls after it the last is computed.
@@ -73,7 +93,12 @@ def test_predictions_between_computed_ones_follow_the_regression_of_a_curved_mod
 def test_plain_draws_are_used_and_reported_where_the_ensemble_is_small():
     operator, prior, noise, observed, _, _ = linear_problem(np.random.default_rng(4))
     found = assimilate(
-        lambda z: operator @ z, observed, noise, prior, rng=np.random.default_rng(0), n_members=12, min_members=5
+        lambda z: operator @ z,
+        observed,
+        noise,
+        prior,
+        rng=np.random.default_rng(0),
+        settings=AssimilationSettings(n_members=12, min_members=5),
     )
     assert not found.exact_draws
     assert found.spread_factor > 1.2
@@ -82,7 +107,14 @@ def test_plain_draws_are_used_and_reported_where_the_ensemble_is_small():
 def test_the_same_generator_gives_the_same_bits_at_any_thread_count():
     operator, prior, noise, observed, _, _ = linear_problem(np.random.default_rng(5))
     runs = [
-        assimilate(lambda z: operator @ z, observed, noise, prior, rng=np.random.default_rng(1), threads=threads)
+        assimilate(
+            lambda z: operator @ z,
+            observed,
+            noise,
+            prior,
+            rng=np.random.default_rng(1),
+            settings=AssimilationSettings(threads=threads),
+        )
         for threads in (1, 2)
     ]
     assert np.array_equal(runs[0].latents, runs[1].latents)
@@ -100,7 +132,9 @@ def test_failed_members_are_dropped_by_their_first_index_with_a_reason():
         calls.append(latents.shape[1])
         return predicted
 
-    found = assimilate(predict, observed, noise, prior, rng=np.random.default_rng(0), n_members=80)
+    found = assimilate(
+        predict, observed, noise, prior, rng=np.random.default_rng(0), settings=AssimilationSettings(n_members=80)
+    )
     assert [index for index, _ in found.dropped] == [7, 31]
     assert calls == [80, 78, 78, 78, 78]
     assert np.abs(found.mean - mean).max() < 0.5
@@ -115,7 +149,7 @@ def test_too_few_survivors_raise_and_list_the_lost():
             noise,
             prior,
             rng=np.random.default_rng(0),
-            n_members=50,
+            settings=AssimilationSettings(n_members=50),
         )
     assert len(caught.value.dropped) == 50
 
@@ -135,7 +169,12 @@ def test_balanced_draws_have_exact_moments_and_no_correlation():
 def test_any_schedule_gives_the_kalman_posterior_of_a_linear_model_and_closes_its_sum(schedule):
     operator, prior, noise, observed, mean, covariance = linear_problem(np.random.default_rng(3))
     found = assimilate(
-        lambda z: operator @ z, observed, noise, prior, rng=np.random.default_rng(0), n_members=60, schedule=schedule
+        lambda z: operator @ z,
+        observed,
+        noise,
+        prior,
+        rng=np.random.default_rng(0),
+        settings=AssimilationSettings(n_members=60, schedule=schedule),
     )
     assert sum(1.0 / alpha for alpha in found.alphas) == pytest.approx(1.0, abs=1e-12)
     assert 1 < len(found.alphas) < 20
@@ -154,7 +193,12 @@ OPTIONS = {
 def test_every_option_gives_the_kalman_posterior(options):
     operator, prior, noise, observed, mean, covariance = linear_problem(np.random.default_rng(3))
     found = assimilate(
-        lambda z: operator @ z, observed, noise, prior, rng=np.random.default_rng(0), n_members=60, options=options
+        lambda z: operator @ z,
+        observed,
+        noise,
+        prior,
+        rng=np.random.default_rng(0),
+        settings=AssimilationSettings(n_members=60, options=options),
     )
     np.testing.assert_allclose(found.mean, mean, atol=1e-9)
     np.testing.assert_allclose(np.cov(found.latents), covariance, atol=1e-9)
@@ -174,14 +218,20 @@ def test_perturbations_of_the_caller_are_the_ones_used():
         noise,
         prior,
         rng=np.random.default_rng(0),
-        n_members=60,
-        n_steps=3,
         perturbations=perturbations,
+        settings=AssimilationSettings(n_members=60, n_steps=3),
     )
     assert asked == [(0, (9, 60)), (1, (9, 60)), (2, (9, 60))]
     assert not found.exact_draws
     # Without any perturbation every member is drawn to the same data: far less spread than the posterior's.
-    posterior = assimilate(lambda z: operator @ z, observed, noise, prior, rng=np.random.default_rng(0), n_members=60)
+    posterior = assimilate(
+        lambda z: operator @ z,
+        observed,
+        noise,
+        prior,
+        rng=np.random.default_rng(0),
+        settings=AssimilationSettings(n_members=60),
+    )
     assert np.trace(np.cov(found.latents)) < 0.9 * np.trace(np.cov(posterior.latents))
 
 
@@ -218,10 +268,12 @@ def test_there_is_no_hidden_generator():
     ],
 )
 def test_wrong_settings_of_a_run_are_refused(settings, error, message):
+    settings = dict(settings)
     operator, prior, noise, observed, _, _ = linear_problem(np.random.default_rng(3))
-    given = {"noise": noise, "prior": prior, "rng": np.random.default_rng(0), **settings}
+    data = {name: settings.pop(name) for name in ("noise", "prior", "perturbations") if name in settings}
+    given = {"noise": noise, "prior": prior, "rng": np.random.default_rng(0), **data}
     with pytest.raises(error, match=message):
-        assimilate(lambda z: operator @ z, observed, **given)
+        assimilate(lambda z: operator @ z, observed, **given, settings=AssimilationSettings(**settings))
 
 
 @pytest.mark.parametrize(
@@ -241,5 +293,5 @@ def test_wrong_options_of_a_step_are_refused(settings, message):
             noise,
             prior,
             rng=np.random.default_rng(0),
-            options=StepOptions(**settings),
+            settings=AssimilationSettings(options=StepOptions(**settings)),
         )

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from tissuereg.registration.learned.assimilate import StepOptions, assimilate
+from tissuereg.registration.learned.assimilate import AssimilationSettings, StepOptions, assimilate
 from tissuereg.registration.learned.model import Gaussian
 
 N_LATENT, N_MARKERS, N_TARGETS, N_EVENTS, N_MEMBERS = 6, 5, 4, 400, 60
@@ -43,9 +43,7 @@ class Scores:
                 noise_scale * body.noise,
                 body.prior,
                 rng=rng,
-                n_members=N_MEMBERS,
-                threads=1,
-                **settings,
+                settings=AssimilationSettings(n_members=N_MEMBERS, threads=1, **settings),
             )
             members = body.bent(body.targets @ found.latents)
             at = body.bent(body.targets @ truth)

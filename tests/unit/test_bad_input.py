@@ -365,7 +365,7 @@ ARRAYS: dict[str, tuple[Callable[[], Any], type[TissueRegError], str]] = {
         tr.errors.LoadError,
         r"must be finite",
     ),
-    "no mesh at all": (lambda: tr.register("mesh.vtu", "markers.csv"), ShapeError, r"`mesh` must be a Mesh or"),
+    "no mesh at all": (lambda: tr.register("mesh.vtu", "markers.csv"), ShapeError, r"`mesh` must be a Mesh, a Body or"),
 }
 
 

@@ -242,8 +242,6 @@ def test_an_ensemble_takes_the_place_of_draws_to_first_order(result):
 def test_the_number_of_draws_must_be_positive(result):
     with pytest.raises(ModelError, match="at least 1"):
         result.draws(0)
-    with pytest.raises(ModelError, match="trained model"):
-        replace(result, draw=None).draws(3)
 
 
 def test_a_simulation_that_the_markers_agree_with_is_met():

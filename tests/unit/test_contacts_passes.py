@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 
+from tissuereg._base.clock import Clock
 from tissuereg.errors import ConvergenceError
 from tissuereg.registration.contacts.fit import Passes, _Pass
 from tissuereg.registration.contacts.settings import ContactSettings
@@ -22,7 +23,7 @@ def passes_with(monkeypatch, residuals):
 
     monkeypatch.setattr(Passes, "_one_pass", one_pass)
     seen = SimpleNamespace(rematches=False)
-    return Passes(None, seen, None, ContactSettings(), None, 1, None)
+    return Passes(None, seen, None, ContactSettings(), None, 1, Clock())
 
 
 def test_the_pass_with_the_smallest_residual_counts_not_the_last(monkeypatch):

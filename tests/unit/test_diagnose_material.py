@@ -13,7 +13,8 @@ from tissuereg.diagnosis.material.noise import noise_of
 from tissuereg.diagnosis.material.scene import scene_of
 from tissuereg.experiment.effects import Stiffening
 from tissuereg.experiment.material_experiment import Curve
-from tissuereg.io.material_experiments import read_material_experiment, write_material_experiment, write_test_table
+from tissuereg.io.experiment_out import write_experiment
+from tissuereg.io.material_experiments import read_material_experiment, write_test_table
 
 PLAIN = ("plain",)
 #: What is hidden, how it is measured, and the cause that must stand first among the findings.
@@ -135,7 +136,7 @@ def test_two_causes_at_once_are_both_named():
 def test_the_answer_is_json_and_the_extended_model_is_read_and_run(tmp_path):
     curves = in_modes(np.random.default_rng(4), ("ogden", -10.0))
     write_test_table(tmp_path / "test.csv", curves)
-    write_material_experiment(believed(curves, folder=tmp_path), tmp_path / "experiment.toml")
+    write_experiment(believed(curves, folder=tmp_path), tmp_path / "experiment.toml")
     diagnosis = diagnose_material(read_material_experiment(tmp_path))
     diagnosis.save(tmp_path / "out", {"seconds": {"total": 1.0}})
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
@@ -162,7 +163,7 @@ def test_the_answer_is_json_and_the_extended_model_is_read_and_run(tmp_path):
 def test_without_findings_the_extended_model_is_the_believed_one(tmp_path):
     curves = in_modes(np.random.default_rng(12), PLAIN)
     write_test_table(tmp_path / "test.csv", curves)
-    write_material_experiment(believed(curves, folder=tmp_path), tmp_path / "experiment.toml")
+    write_experiment(believed(curves, folder=tmp_path), tmp_path / "experiment.toml")
     diagnosis = diagnose_material(read_material_experiment(tmp_path))
     assert diagnosis.verdict == "consistent"
     out = diagnosis.save(tmp_path / "out")

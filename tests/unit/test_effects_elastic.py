@@ -272,7 +272,7 @@ def test_registration_gets_the_extended_simulation_and_the_markers_as_they_were(
     swap = MarkerSwap(markers=("P1", "P2"), from_time_s=10.7)
     odd = replace(rig, effects=(Stiffness(young_kpa=7.0), ActuatorGain(actuator="push", gain=2.0), swap))
     given, plain = frame_input(odd, "lean", 11.0), frame_input(rig, "lean", 11.0)
-    assert given["material"].young == 7.0
+    assert given["mesh"].material.young == 7.0
     assert np.array_equal(given["load"].prescribed, 2.0 * plain["load"].prescribed)
     assert np.array_equal(given["markers"].measured, plain["markers"].measured[::-1])
     assert given["markers"].names == plain["markers"].names

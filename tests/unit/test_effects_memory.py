@@ -263,9 +263,9 @@ def test_a_base_sticks_until_friction_holds_it_no_more_and_stays_where_it_slid(r
 def test_frames_that_equal_others_are_not_solved(rig, effect, solved, monkeypatch):
     lengths = []
 
-    def counted(mesh, material, times, **rest):
+    def counted(mesh, material, times, *given, **rest):
         lengths.append(len(times))
-        return solve_frames(mesh, material, times, **rest)
+        return solve_frames(mesh, material, times, *given, **rest)
 
     solve_frames = memory.solve_frames
     monkeypatch.setattr(memory, "solve_frames", counted)

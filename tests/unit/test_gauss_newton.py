@@ -6,7 +6,7 @@ from scipy.stats import chi2
 
 from tissuereg import _core
 from tissuereg.errors import ArgumentError, ConvergenceError, EnsembleError, NoiseError, ShapeError
-from tissuereg.registration.learned.assimilate import gauss_newton
+from tissuereg.registration.learned.assimilate import SearchSettings, gauss_newton
 from tissuereg.registration.learned.model import Gaussian
 
 
@@ -58,9 +58,13 @@ def test_a_model_in_single_precision_converges_with_wide_differences():
     toy = Toy()
     rng = np.random.default_rng(5)
     observed = toy.predict(rng.standard_normal((12, 1)))[:, 0] + 0.2 * rng.standard_normal(30)
-    exact = gauss_newton(toy.predict, observed, toy.noise, toy.prior, tolerance=1e-8)
+    exact = gauss_newton(toy.predict, observed, toy.noise, toy.prior, settings=SearchSettings(tolerance=1e-8))
     single = gauss_newton(
-        lambda z: toy.predict(z.astype(np.float32)).astype(np.float32), observed, toy.noise, toy.prior, difference=1e-2
+        lambda z: toy.predict(z.astype(np.float32)).astype(np.float32),
+        observed,
+        toy.noise,
+        toy.prior,
+        settings=SearchSettings(difference=1e-2),
     )
     # The tolerance of 1e-3 standard deviations, which are 0.1 to 1 here.
     np.testing.assert_allclose(single.mean, exact.mean, atol=2e-3)
@@ -124,8 +128,8 @@ def test_differences_in_one_batch_are_the_jacobian():
     rng = np.random.default_rng(6)
     observed = toy.predict(rng.standard_normal((12, 1)))[:, 0] + 0.2 * rng.standard_normal(30)
     arguments = (toy.predict, observed, toy.noise, toy.prior)
-    given = gauss_newton(*arguments, jacobian=toy.jacobian, tolerance=1e-9)
-    by_differences = gauss_newton(*arguments, tolerance=1e-9)
+    given = gauss_newton(*arguments, jacobian=toy.jacobian, settings=SearchSettings(tolerance=1e-9))
+    by_differences = gauss_newton(*arguments, settings=SearchSettings(tolerance=1e-9))
     # Central differences of a quadratic are exact: rounding over 2e-4 is left.
     np.testing.assert_allclose(by_differences.absorbed, given.absorbed, atol=1e-10)
     np.testing.assert_allclose(by_differences.mean, given.mean, atol=1e-8)
@@ -137,10 +141,10 @@ def test_the_start_decides_where_the_search_begins_not_where_it_ends():
     truth = rng.standard_normal((12, 1))
     observed = toy.predict(truth)[:, 0] + 0.2 * rng.standard_normal(30)
     arguments = (toy.predict, observed, toy.noise, toy.prior)
-    cold = gauss_newton(*arguments, tolerance=1e-8)
-    warm = gauss_newton(*arguments, tolerance=1e-8, start=cold.mean)
+    cold = gauss_newton(*arguments, settings=SearchSettings(tolerance=1e-8))
+    warm = gauss_newton(*arguments, start=cold.mean, settings=SearchSettings(tolerance=1e-8))
     assert warm.iterations == 0 < cold.iterations
-    other = gauss_newton(*arguments, tolerance=1e-8, start=truth[:, 0])
+    other = gauss_newton(*arguments, start=truth[:, 0], settings=SearchSettings(tolerance=1e-8))
     # Steps below 1e-8 standard deviations converge linearly at worst by a half.
     np.testing.assert_allclose(other.mean, cold.mean, atol=1e-7)
 
@@ -211,7 +215,12 @@ def test_a_failed_neighbour_leaves_a_one_sided_derivative_and_is_told():
 def test_a_search_without_a_minimum_raises_with_its_report():
     with pytest.raises(ConvergenceError, match="no minimum was found in 9 evaluations") as caught:
         gauss_newton(
-            lambda z: z, np.array([1.0]), 0.01 * np.eye(1), ONE, jacobian=lambda z: -np.eye(1), max_evaluations=9
+            lambda z: z,
+            np.array([1.0]),
+            0.01 * np.eye(1),
+            ONE,
+            jacobian=lambda z: -np.eye(1),
+            settings=SearchSettings(max_evaluations=9),
         )
     report = caught.value.report
     assert report["evaluations"] == 9
@@ -249,6 +258,8 @@ def test_noise_may_be_factored_already():
     ],
 )
 def test_wrong_arguments_are_named(error, match, change):
-    given = {"predict": lambda z: z, "observed": np.ones(1), "noise": np.eye(1), "prior": ONE} | change
+    given = {"predict": lambda z: z, "observed": np.ones(1), "noise": np.eye(1), "prior": ONE}
+    settings = {name: value for name, value in change.items() if name in ("tolerance", "difference", "max_evaluations")}
+    data = {name: value for name, value in change.items() if name not in settings}
     with pytest.raises(error, match=match):
-        gauss_newton(**given)
+        gauss_newton(**given | data, settings=SearchSettings(**settings))

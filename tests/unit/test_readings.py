@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from misuse.events import BODIES, good, misusable
-from misuse.misuses import MISUSES
 from scipy.spatial.transform import Rotation
 
 import tissuereg as tr
+from misuse.events import BODIES, good, misusable
+from misuse.misuses import MISUSES
 from tissuereg.body.observe import MarkerObservation
 from tissuereg.registration.readings import suspect
 from tissuereg.registration.readings.skin import Skin

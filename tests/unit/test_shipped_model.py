@@ -7,6 +7,7 @@ import pytest
 
 from tissuereg.phantom import phantom_mesh, shipped_model_folder
 from tissuereg.phantom.event import make_event
+from tissuereg.registration.learned.card import card_text
 from tissuereg.registration.learned.network import NetworkModel
 from tissuereg.simulation.solve import simulate
 
@@ -42,6 +43,13 @@ def test_the_card_has_test_errors_below_those_of_principal_components(network):
     assert network.card["test_error_mm"] == errors["test"]
     assert network.card["pca26_test_error_mm"] == errors["pca"]
     assert max(CARD["parity"].values()) <= 1e-4
+
+
+def test_the_card_is_written_with_a_row_of_a_matrix_a_line():
+    assert card_text(CARD) == (FOLDER / "model.json").read_text(encoding="utf-8")
+    assert card_text({"a": [[1.0, 2], []], "b": {"c": {}, "d": []}, "e": []}) == (
+        '{\n "a": [\n  [1.0, 2],\n  []\n ],\n "b": {\n  "c": {},\n  "d": []\n },\n "e": []\n}\n'
+    )
 
 
 def test_some_nodes_equal_rows_of_the_whole(network):

@@ -21,7 +21,13 @@ from tissuereg.experiment.effects import EFFECTS
 from tissuereg.io.experiments import read_experiment
 from tissuereg.parallel import Failed, Processes, open_executor
 from tissuereg.registration.contacts.settings import ContactSettings
-from tissuereg.registration.learned.assimilate import StepOptions, assimilate, gauss_newton
+from tissuereg.registration.learned.assimilate import (
+    AssimilationSettings,
+    SearchSettings,
+    StepOptions,
+    assimilate,
+    gauss_newton,
+)
 from tissuereg.registration.learned.model import Gaussian
 from tissuereg.registration.wrong_markers import score_markers
 from tissuereg.simulation.fine import FineMeshing
@@ -115,7 +121,8 @@ def gaussian():
 
 def assimilated(**given):
     good = {"observed": [1.0], "noise": np.eye(1), "prior": gaussian(), "rng": np.random.default_rng(0)}
-    return assimilate(lambda z: z, **{**good, "n_members": 9, "min_members": 5, **given})
+    few = AssimilationSettings(n_members=9, min_members=5)
+    return assimilate(lambda z: z, **{**good, "settings": few, **given})
 
 
 def registrations(**changed):
@@ -485,16 +492,23 @@ CALLS = {
             "noise": np.eye(1),
             "prior": gaussian(),
             "rng": np.random.default_rng(0),
+            "settings": AssimilationSettings(n_members=9, min_members=5),
+            "perturbations": lambda step, shape: np.ones(shape),
+        },
+    ),
+    "AssimilationSettings": (
+        AssimilationSettings,
+        {
             "n_members": 9,
             "n_steps": 2,
             "schedule": "geometric",
             "decrease": 2.0,
             "options": StepOptions(),
-            "perturbations": lambda step, shape: np.ones(shape),
             "min_members": 5,
             "threads": 1,
         },
     ),
+    "SearchSettings": (SearchSettings, {"tolerance": 1e-3, "max_evaluations": 5, "difference": 1e-4}),
     "gauss_newton": (
         lambda **given: gauss_newton(
             lambda z: z, **{"observed": [1.0], "noise": np.eye(1), "prior": gaussian(), **given}
@@ -505,9 +519,7 @@ CALLS = {
             "prior": gaussian(),
             "jacobian": lambda z: np.eye(1),
             "start": [0.0],
-            "tolerance": 1e-3,
-            "max_evaluations": 5,
-            "difference": 1e-4,
+            "settings": SearchSettings(),
         },
     ),
     "score_markers": (

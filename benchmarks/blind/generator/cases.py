@@ -155,6 +155,7 @@ class Part:
             self.range = (9.5, 60.0) if kind == "stiffness" else (1.0, 1.0)
 
     def rng(self):
+        """Return the generator of the case's random numbers, from its start."""
         return np.random.default_rng(self._seed)
 
 

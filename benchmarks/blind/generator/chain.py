@@ -108,7 +108,7 @@ def actuator_saturates(clean, rig, rng, size):
 
 
 def jam(clean, rig, rng, size):
-    """An actuator is off at one frame alone, by a share of its stroke."""
+    """Put an actuator off at one frame alone, by a share of its stroke."""
     number, step = int(rng.choice(clean.cases)), int(rng.integers(2, 9))
     for a in (clean.amplitudes, clean.force_amplitudes):
         a[number, step] -= size
@@ -116,7 +116,7 @@ def jam(clean, rig, rng, size):
 
 
 def jitter(clean, rig, rng, size):
-    """The tracker's clock jitters."""
+    """Let the tracker's clock jitter."""
     from blind.generator.rigs import CASE_TIMES, amplitude
 
     clean.amplitudes = np.stack([amplitude(CASE_TIMES + size * rng.normal(size=12)) for _ in range(3)])
@@ -124,7 +124,7 @@ def jitter(clean, rig, rng, size):
 
 
 def cross_talk(clean, rig, rng, size):
-    """A force sensor reads a share of one axis on another, with a sign that depends on the axis."""
+    """Let a force sensor read a share of one axis on another, with a sign that depends on the axis."""
     a, b = rng.choice(3, 2, replace=False)
 
     def act(forces):

@@ -79,7 +79,7 @@ def ogden(stretches, ratio, alpha):
 
 
 def one_sided(stretches, ratio, extra):
-    """The same of neo-Hookean plus extra (<ln l_1>^2 + ...): stiffer in tension than in compression."""
+    """Return the same of neo-Hookean plus extra (<ln l_1>^2 + ...): stiffer in tension than in compression."""
     first, second = ogden(stretches, ratio, 2.0)
     pulled = np.log(stretches)
     on = pulled > 0

@@ -33,7 +33,7 @@ def _rocking(rig, rng, size):
 
 
 def _wall(rig, rng, size):
-    """A rigid wall near the body that it touches when it bulges; ``size``: how near, mm less than 1.2."""
+    """Put a rigid wall near the body that it touches when it bulges; ``size``: how near, mm less than 1.2."""
     direction = -np.asarray(rig.strokes["push_x"])
     direction = direction / np.linalg.norm(direction)
     turned = np.array([-direction[1], direction[0], 0.0])

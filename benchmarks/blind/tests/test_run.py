@@ -49,14 +49,14 @@ def test_a_diagnoser_that_fails_is_an_answer_too(tmp_path):
     command = run.diagnose(question(tmp_path / "a", diagnoser="false {folder}"), tmp_path)
     assert command["verdict"] == "failed"
     assert "exit status 1" in command["error"]
-    function = run.diagnose(question(tmp_path / "b", diagnoser="blind.test_run:fails"), tmp_path)
+    function = run.diagnose(question(tmp_path / "b", diagnoser="blind.tests.test_run:fails"), tmp_path)
     assert function["verdict"] == "failed"
     assert "ArithmeticError: no answer" in function["error"]
 
 
 def test_a_function_that_takes_too_long_counts_as_not_answered(tmp_path, monkeypatch):
     monkeypatch.setattr(run, "LIMIT", 0.05)
-    answer = run.diagnose(question(tmp_path, diagnoser="blind.test_run:dawdles"), tmp_path)
+    answer = run.diagnose(question(tmp_path, diagnoser="blind.tests.test_run:dawdles"), tmp_path)
     assert answer["verdict"] == "failed"
     assert "TimeoutError" in answer["error"]
 
@@ -64,13 +64,13 @@ def test_a_function_that_takes_too_long_counts_as_not_answered(tmp_path, monkeyp
 def test_a_case_killed_half_written_is_written_anew(tmp_path):
     (tmp_path / "cases" / f"{CASES[0]}.part").mkdir(parents=True)
     (tmp_path / "cases" / f"{CASES[0]}.part" / "mesh.vtu").write_text("half", encoding="utf-8")
-    run.diagnose(question(tmp_path / "predictions", diagnoser="blind.test_run:returns_its_arguments"), tmp_path)
+    run.diagnose(question(tmp_path / "predictions", diagnoser="blind.tests.test_run:returns_its_arguments"), tmp_path)
     assert (tmp_path / "cases" / CASES[0] / "mesh.vtu").read_text(encoding="utf-8").endswith("</VTKFile>\n")
 
 
 def test_parallel_workers_answer_all_and_keep_the_methods_of_a_case_together(tmp_path):
     questions = [
-        run.Question(case, "blind.test_run:returns_its_arguments", tmp_path / method / f"{case}.json", (method,))
+        run.Question(case, "blind.tests.test_run:returns_its_arguments", tmp_path / method / f"{case}.json", (method,))
         for case in CASES
         for method in ("a", "b")
     ]
@@ -103,7 +103,7 @@ def test_an_interrupted_run_leaves_nothing_half_written(tmp_path):
     cases, predictions = tmp_path / "cases.txt", tmp_path / "predictions"
     cases.write_text("\n".join(CASES), encoding="utf-8")
     words = [sys.executable, "-m", "blind.run", "--cases", cases, "--work", tmp_path, "--predictions", predictions]
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(Path(__file__).parent.parent), *sys.path])}
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(Path(__file__).parents[2]), *sys.path])}
     begun = subprocess.Popen(
         [*words, "--diagnoser", "sh -c 'sleep 60' {folder}", "--jobs", "2"],
         env=environment,

@@ -1,8 +1,8 @@
 """When an answer is right, and how parts of material tests are compared."""
 
 import pytest
-from common import read_archive
 
+from common import read_archive
 from diagnosis import febio, material_parts
 
 

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import skfem
-from blind.generator.shapes import Shape, boundary_triangles, half_ball, tets_from_bricks, volumes
 
+from blind.generator.shapes import Shape, boundary_triangles, half_ball, tets_from_bricks, volumes
 from loadfree.generator import meshing
 from loadfree.generator.places import inner_places, surface_places
 

@@ -3,10 +3,10 @@
 from dataclasses import dataclass, field
 
 import numpy as np
-from blind.generator.laws import Law
-from blind.generator.solver import Physics
 from scipy.spatial import KDTree
 
+from blind.generator.laws import Law
+from blind.generator.solver import Physics
 from loadfree.generator.bodies import BODIES
 from loadfree.generator.contacts import PROFILES, Contact
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import skfem
+
 from blind.generator.shapes import boundary_triangles, tets_from_bricks, volumes
 
 #: How far a mesher may leave a plane that the body ends in, mm.

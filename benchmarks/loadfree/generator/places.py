@@ -2,9 +2,10 @@
 
 import numpy as np
 import scipy.sparse as sp
+from scipy.spatial import KDTree
+
 from blind.generator.mesh import shape_functions
 from blind.generator.shapes import volumes
-from scipy.spatial import KDTree
 
 #: Elements near a point that are tried, and how far from it they are sought, mm.
 N_CANDIDATES, REACH_MM = 10, 3.0

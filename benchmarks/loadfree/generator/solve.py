@@ -4,8 +4,8 @@ import time as clock
 from dataclasses import dataclass
 
 import numpy as np
-from blind.generator.solver import Body, Run
 
+from blind.generator.solver import Body, Run
 from loadfree.generator.meshing import skin_facets
 
 #: Shares of the final motion at which equilibrium is found on the way.

@@ -6,7 +6,6 @@ import pytest
 skfem = pytest.importorskip("skfem")
 
 from blind.generator.solver import Physics  # noqa: E402  (needs skfem)
-
 from loadfree.generator.bodies import BODIES  # noqa: E402
 from loadfree.generator.contacts import Contact  # noqa: E402
 from loadfree.generator.draw import DIFFERENCES, KINDS, Skin, plans  # noqa: E402

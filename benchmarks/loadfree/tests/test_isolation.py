@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import pytest
+
 from blind.tests.test_isolation import modules_of
 
 GENERATOR = Path(__file__).parents[1] / "generator"

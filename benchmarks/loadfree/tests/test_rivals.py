@@ -1,6 +1,5 @@
 """The rivals behave as named; interrupted runs resume; the page is generated from the results."""
 
-
 import numpy as np
 import pytest
 

@@ -8,7 +8,6 @@ import pytest
 skfem = pytest.importorskip("skfem")
 
 from blind.generator.solver import Physics  # noqa: E402  (needs skfem)
-
 from loadfree import archive, run  # noqa: E402
 from loadfree.events import events_of  # noqa: E402
 from loadfree.generator import supports as made  # noqa: E402

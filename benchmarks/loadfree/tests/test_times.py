@@ -5,8 +5,8 @@ import subprocess
 import sys
 
 import pytest
-from common import BENCHES, write_archive
 
+from common import BENCHES, write_archive
 from loadfree import table, times
 
 WORK = dict.fromkeys(times.WORK, 3)

@@ -12,8 +12,9 @@ import tempfile
 import time
 from pathlib import Path
 
-import common
 import numpy as np
+
+import common
 
 
 def input_text(problem: dict, tolerance: float) -> str:

@@ -3,10 +3,11 @@
 import argparse
 import time
 
-import common
 import felupe
 import numpy as np
 from pypardiso.pardiso_wrapper import PyPardisoError
+
+import common
 
 
 def cold(problem: dict, options: argparse.Namespace) -> common.Found:

@@ -2,10 +2,11 @@
 
 import argparse
 
-import common
 import numpy as np
 import skfem
 from skfem.helpers import ddot, grad, identity, mul, trace, transpose
+
+import common
 
 
 def cold(problem: dict, options: argparse.Namespace) -> common.Found:

@@ -1,7 +1,6 @@
 """What the pages of times say beside their figures."""
 
 from common import read_archive
-
 from speed import cluster, large_bodies
 
 

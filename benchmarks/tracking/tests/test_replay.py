@@ -30,7 +30,8 @@ def test_a_replay_counts_what_it_drops_and_times_what_it_registers():
         measured=np.repeat(places[None], 10, axis=0), shares=np.zeros(10), of=lambda frame, _: [float(frame)]
     )
     model = fitted_prior(mesh, largest_mm=1.0, n_events=20, n_latent=4, threads=1)
-    tracker = tr.Tracker(mesh, places, model, simulator=slow, restart="reference", threads=1)
+    registrar = tr.Registrar(mesh, places, model, settings=tr.RegisterSettings(threads=1))
+    tracker = tr.Tracker(registrar, simulator=slow, restart="reference")
     row = benchmark.replayed(motion, tracker, clock=clock, wait=wait)
     # A frame takes 2.4 intervals, so that every second or third one is registered: 0, 2, 4, 7, 9.
     assert (row["registered"], row["dropped"]) == (5, 5)

@@ -16,7 +16,7 @@ import tissuereg as tr
 from tissuereg._base.machine import machine
 from tissuereg.phantom import phantom_mesh
 from tissuereg.registration.learned.registration import as_model
-from tissuereg_paper.studies.believed import BELIEVED, CONDITIONS, Believed, measured
+from tissuereg_paper.studies.contest import BELIEVED, CONDITIONS, Believed, measured
 from tissuereg_paper.studies.rigs import read_rigs
 
 PAPER = Path(__file__).resolve().parents[2]
@@ -39,9 +39,9 @@ def measure(data):
         for condition in (one for one in CONDITIONS if one.name in NAMES):
             markers, simulations = measured(rig, condition, 0), believed.simulation_mm(condition.drive)
             for name, known in (("network", model), ("contacts", None)):
-                reference = tr.Markers(rig.reference_mm, std=condition.noise_mm)
-                settings = tr.RegisterSettings(threads=1)
-                registrar = tr.Registrar(tr.Body(mesh, material=BELIEVED), reference, known, settings=settings)
+                places = tr.Markers(rig.reference_mm, std=condition.noise_mm)
+                how = tr.RegisterSettings(threads=1)
+                registrar = tr.Registrar(tr.Body(mesh, BELIEVED), places, known, settings=how)
                 for frame in believed.scored[::EVERY]:
                     result = registrar.register(markers[frame], simulations[frame])
                     left = result.fallback

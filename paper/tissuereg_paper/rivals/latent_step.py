@@ -9,7 +9,13 @@ from tissuereg import Markers
 from tissuereg._base.arguments import flag, real, whole
 from tissuereg._base.arrays import FloatArray
 from tissuereg.body.observe import MarkerObservation, TargetObservation
-from tissuereg.registration.learned.assimilate import Assimilation, FirstEnsemble, assimilate, balanced_draws
+from tissuereg.registration.learned.assimilate import (
+    Assimilation,
+    AssimilationSettings,
+    FirstEnsemble,
+    assimilate,
+    balanced_draws,
+)
 from tissuereg.registration.learned.model import Gaussian
 from tissuereg.registration.learned.points import PointModel, PointsAround
 from tissuereg.registration.learned.posterior import Posterior
@@ -68,10 +74,10 @@ class _OneUpdate(Rival):
             believed.noise,
             believed.prior,
             rng=rng,
-            schedule=[1.0],
+            settings=AssimilationSettings(
+                schedule=[1.0], min_members=max(2, self._n_members // 5), threads=self.setting.threads
+            ),
             first=self._forecast(believed.prior, rng),
-            min_members=max(2, self._n_members // 5),
-            threads=self.setting.threads,
         )
         self._remember(believed.prior, found)
         posterior = Posterior.of(self.setting.mesh, model, found)

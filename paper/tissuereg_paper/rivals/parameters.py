@@ -13,7 +13,7 @@ from tissuereg.body.observe import MarkerObservation
 from tissuereg.errors import ArgumentError
 from tissuereg.registration.contacts.body import ContactBody
 from tissuereg.registration.contacts.supports import Supports
-from tissuereg.registration.learned.assimilate import StepOptions, assimilate
+from tissuereg.registration.learned.assimilate import AssimilationSettings, StepOptions, assimilate
 from tissuereg.registration.learned.model import Gaussian
 from tissuereg_paper.rivals.rival import Estimate, Moment, Rival, Setting
 
@@ -129,11 +129,13 @@ class ParameterInference(Rival):
             np.diag(np.repeat(self.setting.std_mm[moment.seen] ** 2, 3)),
             self._prior(),
             rng=np.random.default_rng([self.setting.seed, 11, self._n_moments]),
-            n_members=self._n_members,
-            n_steps=self._n_steps[0 if first else 1],
-            options=StepOptions(form="square_root"),
-            min_members=max(3, self._n_members // 2),
-            threads=self.setting.threads,
+            settings=AssimilationSettings(
+                self._n_members,
+                self._n_steps[0 if first else 1],
+                options=StepOptions(form="square_root"),
+                min_members=max(3, self._n_members // 2),
+                threads=self.setting.threads,
+            ),
         )
         self._n_moments += 1
         self._known = Gaussian(found.mean, np.cov(found.latents))

@@ -8,7 +8,7 @@ from tissuereg._base.arguments import whole
 from tissuereg._base.arrays import FloatArray
 from tissuereg.body.observe import MarkerObservation
 from tissuereg.errors import ArgumentError
-from tissuereg.registration.learned.assimilate import assimilate
+from tissuereg.registration.learned.assimilate import AssimilationSettings, assimilate
 from tissuereg.registration.learned.model import Gaussian, error_covariance
 from tissuereg.registration.learned.pca import PcaModel
 from tissuereg.registration.linear_prior import LinearPrior
@@ -103,10 +103,7 @@ class PcaEsMda(Rival):
             tracker + scale * self._left[np.ix_(rows, rows)],
             Gaussian(np.zeros(model.n_latent), scale * np.eye(model.n_latent)),
             rng=np.random.default_rng([self.setting.seed, 17]),
-            min_members=2,
-            threads=self.setting.threads,
-            n_members=self._n_members,
-            n_steps=self._n_steps,
+            settings=AssimilationSettings(self._n_members, self._n_steps, min_members=2, threads=self.setting.threads),
         )
         change = model.decode(found.mean[:, None])[0] - model.centre
         spread = found.spread_factor * np.cov(found.latents)

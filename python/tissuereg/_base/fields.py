@@ -3,7 +3,7 @@
 A field states what it must hold, its unit, its meaning and its default:
 
 >>> @dataclass(frozen=True, kw_only=True)
-... class Settings(Record):
+... class Settings(CheckedRecord):
 ...     std_mm: float = number("noise of a marker coordinate", above=0.0, default=0.1)
 ...     update: str = choice(("esmda", "gauss-newton"), "how latents are found", default="esmda")
 >>> Settings(std_mm=0.0)
@@ -81,7 +81,7 @@ class Check:
 
 
 @dataclass(frozen=True)
-class Field:
+class DeclaredField:
     """A declared field of a record: its name, its check, and its default, `dataclasses.MISSING` where it has none."""
 
     name: str
@@ -95,7 +95,7 @@ class Field:
 
 
 @dataclass(frozen=True)
-class Record:
+class CheckedRecord:
     """A frozen dataclass whose fields are declared by the functions of this module, and checked when it is made.
 
     A field whose default is None may be None; fields declared in another way are taken as they are.
@@ -124,9 +124,9 @@ class Record:
         raise self.error(message)
 
     @classmethod
-    def declared(cls) -> tuple[Field, ...]:
+    def declared(cls) -> tuple[DeclaredField, ...]:
         """Return its declared fields, in their order."""
-        return tuple(Field(one.name, one.metadata["check"], one.default) for one in fields(cls) if one.metadata)
+        return tuple(DeclaredField(one.name, one.metadata["check"], one.default) for one in fields(cls) if one.metadata)
 
 
 def checked(take: Callable[..., Any], words: str, meaning: str = "", *, default: Any = MISSING, **more: Any) -> Any:
@@ -232,11 +232,9 @@ def belief(meaning: str = "", *, default: Any = MISSING, **more: Any) -> Any:
     return checked(take, "number, or [mean, standard deviation]", meaning, default=default, **more)
 
 
-def text(
-    meaning: str = "", *, longest: int | None = None, default: Any = MISSING, words: str = "text", **more: Any
-) -> Any:
+def text(meaning: str = "", *, longest: int | None = None, default: Any = MISSING, **more: Any) -> Any:
     """Declare a field that holds a text that is not empty."""
-    return checked(partial(arguments.text, longest=longest), words, meaning, default=default, **more)
+    return checked(partial(arguments.text, longest=longest), "text", meaning, default=default, **more)
 
 
 def texts(meaning: str = "", *, length: int, default: Any = MISSING) -> Any:

@@ -5,18 +5,25 @@ Exit codes: 0 done; 2 bad usage or bad input; 3 it could not be done; 4 answered
 """
 
 import contextlib
+import errno
 import importlib
+import os
+import signal
 import sys
+import threading
 import traceback
 from collections.abc import Callable, Iterator, Sequence
+from types import FrameType
 from typing import Any
 
 from tissuereg.cli.common import Outcome, envelope, paragraph, warnings_as_lines
-from tissuereg.cli.ending import NO_ROOM, ended_like_an_interrupt, mute_stdout
 from tissuereg.cli.options import Parser, UsageError, json_target, parse
 from tissuereg.errors import ConvergenceError, TissueRegError
 from tissuereg.io.atomic import check_file_target
 from tissuereg.io.json import dumps, write_json
+
+#: Errors of the operating system that mean that no space is left.
+_NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 #: Commands with their purposes, in the order of the help. A command is the module of its name, loaded when it is used:
 #: `HELP` says what it does, `options` adds its arguments, and `run` does it and returns an `Outcome`.
@@ -69,7 +76,7 @@ def run_program(parser_of: Callable[[Sequence[str]], Parser], argv: Sequence[str
     """
     words = list(sys.argv[1:] if argv is None else argv)
     target, debug = json_target(words), "--debug" in words
-    with ended_like_an_interrupt(), warnings_as_lines(debug=debug) as notes:
+    with _ended_like_an_interrupt(), warnings_as_lines(debug=debug) as notes:
         try:
             outcome = _run(parser_of(words), words, target)
             if isinstance(outcome, int):
@@ -155,7 +162,7 @@ def _fail(error: BaseException, target: str | None, *, debug: bool) -> int:
     """Print the error, write it as JSON if requested, and return the exit code."""
     code, message = _verdict(error)
     if isinstance(error, OSError) and not isinstance(error, TissueRegError) and code == 2:
-        mute_stdout()
+        _mute_stdout()
     if debug or code == 1:
         traceback.print_exception(error, file=sys.stderr)
     print(paragraph("interrupted" if code == 130 else f"error: {message}"), file=sys.stderr)
@@ -183,9 +190,35 @@ def _verdict(error: BaseException) -> tuple[int, str]:
         return 3, "the memory of this machine must hold the problem; it does not: use a coarser mesh or fewer members"
     if isinstance(error, BrokenPipeError):
         return 2, "the reader of the output must stay; it closed the pipe"
-    if isinstance(error, OSError) and error.errno in NO_ROOM:
+    if isinstance(error, OSError) and error.errno in _NO_ROOM:
         return 2, f"there must be room for what is written, there is none: {error}"
     return 1, f"this is a bug in tissuereg, please report it with the lines above: {error or type(error).__name__}"
+
+
+@contextlib.contextmanager
+def _ended_like_an_interrupt() -> Iterator[None]:
+    """Treat SIGTERM and SIGHUP like Ctrl-C, so that drafts are removed; signals ignored or handled already stay so."""
+    before = {}
+    if threading.current_thread() is threading.main_thread():
+        for name in ("SIGTERM", "SIGHUP"):
+            number = getattr(signal, name, None)
+            if number is not None and signal.getsignal(number) is signal.SIG_DFL:
+                before[number] = signal.signal(number, _interrupt)
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _mute_stdout() -> None:
+    """Discard the remaining buffered output; otherwise Python fails again when it flushes it at exit."""
+    with contextlib.suppress(OSError, ValueError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    raise KeyboardInterrupt
 
 
 __all__ = ["Outcome", "UsageError", "build_parser", "main", "run_program"]

@@ -3,9 +3,9 @@
 import argparse
 from typing import Any
 
-from tissuereg._base.fields import whole
+from tissuereg._base.fields import choice, whole
 from tissuereg.cli.common import Outcome, Stopwatch, seconds_line
-from tissuereg.cli.options import Help, Parser, UsageError, add_option
+from tissuereg.cli.options import ELEMENTS, Help, Parser, UsageError, add_option
 
 HELP = Help(
     "Times whole solves, ensembles of solves, ES-MDA updates and whole registrations on the embedded phantom (or, for "
@@ -25,8 +25,7 @@ def options(parser: Parser) -> None:
     add_option(how, "--repeats", whole("runs per row, after one that does not count", least=1, default=10), "N")
     text = "problem files for 'solve', as 'tissuereg solve' takes them (default: the phantom)"
     how.add_argument("--problem", nargs="+", default=[], metavar="FILE.npz", help=text)
-    text = "elements of the solves (default: both)"
-    how.add_argument("--element", choices=["tet4", "tet4-averaged", "tet10"], help=text)
+    add_option(how, "--element", choice(ELEMENTS, "elements of the solves", default=None, otherwise="both"))
     add_option(how, "--members", whole("members of 'ensemble'", least=1, default=32), "N")
     text = "model folder to time in the row step/shipped of 'register' (default: the shipped one)"
     how.add_argument("--model", metavar="FOLDER", help=text)

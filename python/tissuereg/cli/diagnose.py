@@ -5,8 +5,9 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from tissuereg._base.fields import choice
 from tissuereg.cli.common import Outcome, Stopwatch, envelope, seconds_line
-from tissuereg.cli.options import Help, Parser, UsageError, refuse_overwriting
+from tissuereg.cli.options import ELEMENTS, Help, Parser, UsageError, add_option, refuse_overwriting
 
 HELP = Help(
     "EXPERIMENT is a folder (or its .toml). OUT gets diagnosis.json, experiment.extended.toml (the believed experiment "
@@ -24,8 +25,8 @@ def options(parser: Parser) -> None:
     """Add the command's arguments."""
     parser.add_argument("experiment", metavar="EXPERIMENT", help="experiment folder or file")
     parser.add_argument("--out", metavar="OUT", help="folder for the results; without it nothing is written")
-    text = "elements of the believed model of a body (default: tet4)"
-    parser.add_argument("--element", choices=["tet4", "tet4-averaged", "tet10"], help=text)
+    elements = choice(ELEMENTS, "elements of the believed model of a body", default=None, otherwise="tet4")
+    add_option(parser, "--element", elements)
     parser.add_argument("--no-cache", action="store_true", help="make the bank of causes anew, keep nothing")
 
 

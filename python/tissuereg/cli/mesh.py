@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from tissuereg._base.fields import number
+from tissuereg._base.fields import choice, number
 from tissuereg.cli.common import Outcome, Stopwatch, seconds_line
 from tissuereg.cli.options import Help, Parser, UsageError, add_option, refuse_overwriting
 
@@ -32,8 +32,9 @@ def options(parser: Parser) -> None:
     text = "target edge length in mm; three or more across the thinnest part that bends is a good start"
     add_option(parser, "--size", number(text, unit="mm", above=0.0), "MM")
     parser.add_argument("--out", required=True, metavar="BODY.vtu", help="file for the tetrahedra")
-    text = "unit of SURFACE's coordinates (default: that stated in the file, or else mm)"
-    parser.add_argument("--unit", choices=["mm", "cm", "m"], help=text)
+    usual = "that stated in the file, or else mm"
+    unit = choice(("mm", "cm", "m"), "unit of SURFACE's coordinates", default=None, otherwise=usual)
+    add_option(parser, "--unit", unit)
     usual = "5 % of the size, at most 0.1 % of the diagonal"
     deviation = number("how far faces may lie from the surface", unit="mm", above=0.0, default=None, otherwise=usual)
     add_option(parser, "--deviation", deviation, "MM")

@@ -46,6 +46,9 @@ class _HelpFormatter(argparse.RawDescriptionHelpFormatter):
         super().__init__(prog, max_help_position=30, width=100)
 
 
+#: Kinds of elements of a simulation.
+ELEMENTS = ("tet4", "tet4-averaged", "tet10")
+
 #: Help of ``--threads`` for results that are bitwise the same for any number.
 _THREADS = "threads to use (default: all cores); the result does not depend on it"
 
@@ -130,7 +133,7 @@ def option_type(check: Check) -> Callable[[str], Any]:
     return value
 
 
-def add_option(to: Any, name: str, declared: Any, metavar: str) -> None:
+def add_option(to: Any, name: str, declared: Any, metavar: str | None = None) -> None:
     """Add an option whose type, range, help and default are those of a field.
 
     Parameters
@@ -142,18 +145,23 @@ def add_option(to: Any, name: str, declared: Any, metavar: str) -> None:
     declared : dataclass field
         As the functions of `tissuereg._base.fields` return it, or that of a record:
         ``Settings.__dataclass_fields__["std_mm"]``. The option is required where it has no default.
-    metavar : str
-        Name of the value in the help.
+    metavar : str, optional
+        Name of the value in the help; not needed for a choice.
     """
     check: Check = declared.metadata["check"]
     text = check.meaning
     if check.unit and f"in {check.unit}" not in text:
         text += f", in {check.unit}"
-    usual = check.otherwise or ("" if declared.default in (None, MISSING) else f"{declared.default:g}")
+    usual = check.otherwise or ("" if declared.default in (None, MISSING) else _shown(declared.default))
     if usual and "(default: " not in text:
         text += f" (default: {usual})"
     settings = {"required": True} if declared.default is MISSING else {"default": declared.default}
-    to.add_argument(name, type=option_type(check), metavar=metavar, help=text.replace("%", "%%"), **settings)
+    settings |= {"choices": check.choices} if check.choices else {"type": option_type(check), "metavar": metavar}
+    to.add_argument(name, help=text.replace("%", "%%"), **settings)
+
+
+def _shown(default: Any) -> str:
+    return f"{default:g}" if isinstance(default, int | float) else str(default)
 
 
 def parse(parser: Parser, words: Sequence[str]) -> argparse.Namespace:

@@ -8,8 +8,8 @@ from tissuereg.cli.body_input import add_method_options, method_of
 from tissuereg.cli.common import UNTRUSTED, Outcome, Stopwatch, envelope
 from tissuereg.cli.options import Help, Parser, refuse_overwriting
 from tissuereg.cli.register_input import add_input_options, registration_input
-from tissuereg.cli.register_words import summary
 from tissuereg.cli.stages import Stages, stage_lines
+from tissuereg.cli.words import registration_words
 
 if TYPE_CHECKING:
     from tissuereg.registration.result import Registration
@@ -70,7 +70,7 @@ def run(args: argparse.Namespace) -> Outcome:
     writing = clock.lap("write")
     seconds = {"read": reading, **stages, "write": writing, **_total(clock)}
     content = {**result.to_json(), "seconds": seconds}
-    return Outcome(content, summary(content, args.out), args.threads, 0 if result.trust.ok else UNTRUSTED)
+    return Outcome(content, registration_words(content, args.out), args.threads, 0 if result.trust.ok else UNTRUSTED)
 
 
 def _write(result: "Registration", args: argparse.Namespace, extra: dict[str, Any], shown: Stages) -> None:

@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tissuereg._base.fields import number
+from tissuereg._base.fields import choice, number
 from tissuereg.cli.common import Outcome, Stopwatch, note, progress_bar, seconds_line
-from tissuereg.cli.options import Help, Parser, UsageError, add_option, refuse_overwriting
-from tissuereg.parallel.opening import TASK_LIMIT
+from tissuereg.cli.options import ELEMENTS, Help, Parser, UsageError, add_option, refuse_overwriting
+from tissuereg.parallel import TASK_LIMIT
 
 if TYPE_CHECKING:
     from tissuereg.experiment.experiment import Experiment
@@ -36,8 +36,8 @@ def options(parser: Parser) -> None:
     )
     how = parser.add_argument_group("experiment")
     how.add_argument("--plain", action="store_true", help="simulate on the mesh as it is, not with the fine model")
-    text = "elements of a plain simulation (default: tet4; a recipe states its own)"
-    how.add_argument("--element", choices=["tet4", "tet4-averaged", "tet10"], help=text)
+    usual = "tet4; a recipe states its own"
+    add_option(how, "--element", choice(ELEMENTS, "elements of a plain simulation", default=None, otherwise=usual))
     how.add_argument("--noise", action="store_true", help="add the noise that the experiment states, by --seed")
     group = parser.add_argument_group("data set")
     text = (
@@ -84,8 +84,8 @@ def _run_recipe(args: argparse.Namespace) -> Outcome:
 
 def _run_experiment(args: argparse.Namespace) -> Outcome:
     from tissuereg.experiment.experiment import Simulated
+    from tissuereg.io.experiment_out import TABLES, write_simulated
     from tissuereg.io.experiments import read_experiment
-    from tissuereg.io.simulated import TABLES, write_simulated
     from tissuereg.simulation.believed import simulate_experiment
     from tissuereg.simulation.noise import with_noise
 
@@ -127,7 +127,7 @@ def _run_experiment(args: argparse.Namespace) -> Outcome:
 
 def _inputs(path: str, experiment: "Experiment") -> list[Path]:
     """Return the files that an experiment is read from, except the mesh."""
-    from tissuereg.io.simulated import TABLES
+    from tissuereg.io.experiment_out import TABLES
 
     file = Path(path) / "experiment.toml" if Path(path).is_dir() else Path(path)
     return [file, *(experiment.folder / name for name in TABLES)]

@@ -4,10 +4,10 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from tissuereg._base.fields import number
+from tissuereg._base.fields import choice, number
 from tissuereg._base.machine import peak_mib
 from tissuereg.cli.common import Outcome, Stopwatch, note, seconds_line
-from tissuereg.cli.options import Help, Parser, add_option, refuse_overwriting
+from tissuereg.cli.options import ELEMENTS, Help, Parser, add_option, refuse_overwriting
 
 HELP = Help(
     "PROBLEM is an .npz with nodes_mm (n, 3), tets (m, 4), fixed_nodes (f,), forces_mN (n, 3), young_kPa and poisson "
@@ -22,8 +22,7 @@ def options(parser: Parser) -> None:
     parser.add_argument("problem", metavar="PROBLEM.npz", help="mesh, supports, forces, moduli")
     parser.add_argument("--out", required=True, metavar="U.npz", help="file for the displacements")
     how = parser.add_argument_group("solving")
-    elements = ["tet4", "tet4-averaged", "tet10"]
-    how.add_argument("--element", choices=elements, default="tet4", help="kind of element (default: tet4)")
+    add_option(how, "--element", choice(ELEMENTS, "kind of element", default="tet4"))
     text = "norm of the residual over the norm of the load, free degrees of freedom"
     add_option(how, "--tol", number(text, above=0.0, default=1e-9), "X")
 

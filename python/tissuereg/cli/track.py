@@ -19,7 +19,7 @@ from tissuereg.cli.body_input import (
 )
 from tissuereg.cli.common import UNTRUSTED, Outcome, Progress, Stopwatch, progress_bar
 from tissuereg.cli.options import Help, Parser, refuse_overwriting
-from tissuereg.cli.track_words import summary
+from tissuereg.cli.words import tracking_words
 
 if TYPE_CHECKING:
     from tissuereg._base.arrays import FloatArray
@@ -111,7 +111,7 @@ def run(args: argparse.Namespace) -> Outcome:
     _write(Path(args.out), {**content, "seconds": seconds}, tracked)
     clock.lap("write")
     content["seconds"] = clock.seconds
-    return Outcome(content, summary(content, args.out), args.threads, 0 if tracked.all_trusted else UNTRUSTED)
+    return Outcome(content, tracking_words(content, args.out), args.threads, 0 if tracked.all_trusted else UNTRUSTED)
 
 
 def _read(args: argparse.Namespace) -> "tuple[Tracker, Recording, TablePhysics | None]":

@@ -1,1 +1,5 @@
-"""Files in and out: each format one module, units converted here alone. Writers leave a whole file or none."""
+"""Files in and out: each format one module, units converted here and nowhere else.
+
+Readers import their libraries on first use only, so that importing tissuereg stays quick. Writers leave a whole file or
+none.
+"""

@@ -4,6 +4,7 @@
 """
 
 import hashlib
+import io
 import json
 import operator
 import os
@@ -21,8 +22,9 @@ from tissuereg._base.arrays import IntArray
 from tissuereg.body.mesh import Mesh
 from tissuereg.errors import ArgumentError, FormatError
 from tissuereg.io.chunks import Fields, check_chunk, read_parameters
-from tissuereg.io.data_mesh import MESH_NAME, read_data_mesh
 from tissuereg.io.hdf5 import OpenFile, array_of, checked, opened, spoilt_is_said
+from tissuereg.io.meshes import mesh_from_archive
+from tissuereg.io.npz import npz_of_bytes
 from tissuereg.io.pairs import check_pairs
 from tissuereg.io.stores import Store, store_of
 
@@ -394,3 +396,25 @@ def _row(row: Any, n_members: int) -> int:
 
 def _rows(rows: Any, n_members: int) -> list[int]:
     return [_row(one, n_members) for one in rows]
+
+
+MESH_NAME = "mesh.npz"
+
+
+def pack_mesh(mesh: Mesh) -> bytes:
+    """Return the file of a mesh: the same bytes for the same mesh."""
+    whole = io.BytesIO()
+    np.savez(whole, nodes_mm=mesh.nodes, tets=mesh.tets, fixed_nodes=mesh.fixed_nodes)
+    return whole.getvalue()
+
+
+def read_data_mesh(store: Store) -> Mesh:
+    """Return the mesh of a data set from its place.
+
+    Raises
+    ------
+    FormatError, MeshError, ShapeError
+        If it is missing, spoilt or unusable.
+    """
+    with npz_of_bytes(store.where(MESH_NAME), store.read(MESH_NAME)) as kept:
+        return mesh_from_archive(kept)

@@ -9,9 +9,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
-from tissuereg._base.fields import belief, choice, flag, number, numbers, table, text
+import numpy as np
+
+from tissuereg._base.arrays import FloatArray
+from tissuereg._base.fields import belief, choice, flag, number, numbers, path, table, text
 from tissuereg.body.material import GRAVITY_MM_PER_S2, LAWS, SHAPE_KEYS, VOLUMETRIC, Material
-from tissuereg.errors import MaterialError
+from tissuereg.errors import ExperimentError, MaterialError
 from tissuereg.experiment.material_experiment import HELD_OUT
 from tissuereg.io.node_rules import TOLERANCE, node_rule
 from tissuereg.io.toml import Keys, Table
@@ -35,7 +38,7 @@ class Top(Keys):
     name: str | None = text(
         "title of the experiment", default=None, otherwise="the name of the folder", example="my rig"
     )
-    tables: str | None = text(
+    tables: Path | None = path(
         "folder of the comma-separated tables, seen from this file",
         default=None,
         otherwise="the file's own folder",
@@ -49,7 +52,7 @@ class MeshKeys(Keys):
 
     heading: ClassVar[str] = "[mesh]"
     needed: ClassVar[bool] = True
-    file: str = text("mesh of tetrahedra in mm (.vtu, .vtk, .msh, .npz), seen from this file", words="path")
+    file: Path = path("mesh of tetrahedra in mm (.vtu, .vtk, .msh, .npz), seen from this file")
     surface_std_mm: float | None = number(
         "standard deviation of the distance between the body's surface and the mesh's, along the normal; 0.5 to 1 "
         "after segmentation",
@@ -337,3 +340,40 @@ def read_material(top: Table) -> tuple[Material, float | None, float | None]:
         table.refuse(str(error))
     table.finish()
     return material, young_std, poisson_std
+
+
+def material_table(material: Material, young_std: float | None, poisson_std: float | None) -> dict[str, Any]:
+    """Return ``[material]`` as `read_material` reads it.
+
+    Parameters
+    ----------
+    material : Material
+        One for the whole body.
+    young_std, poisson_std : float or None
+        kPa; dimensionless.
+
+    Returns
+    -------
+    dict of str to object
+        By key.
+
+    Raises
+    ------
+    ExperimentError
+        If a modulus or Poisson's ratio varies over the body.
+    """
+    return {
+        "law": material.law,
+        **{key: value if np.ndim(value) == 0 else list(value) for key, value in material.shape.items()},
+        "volumetric": material.volumetric,
+        "young_kpa": _stated("young", material.young_array, young_std),
+        "poisson": _stated("poisson", material.poisson_array, poisson_std),
+        "density_g_per_cm3": material.density,
+    }
+
+
+def _stated(name: str, mean: FloatArray, std: float | None) -> float | list[float]:
+    if mean.size != 1:
+        message = f"`{name}` of an experiment file must be one for the whole body, got {mean.size} values"
+        raise ExperimentError(message, where=name)
+    return float(mean[0]) if std is None else [float(mean[0]), std]

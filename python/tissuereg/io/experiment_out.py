@@ -1,29 +1,48 @@
-"""Experiments out: one file that points to the mesh and the tables of another folder."""
+"""Experiments out: a file that points to the mesh and the tables of another folder; the folder of a simulated one."""
 
 import os
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
-
-import numpy as np
+from typing import TYPE_CHECKING, Any
 
 from tissuereg._base.arguments import of_kind, place
 from tissuereg._base.arrays import FloatArray
 from tissuereg.errors import ExperimentError
-from tissuereg.experiment.experiment import Actuator, Boundary, Experiment
-from tissuereg.io.atomic import OutputError
+from tissuereg.experiment.experiment import Actuator, Boundary, Experiment, Simulated
+from tissuereg.experiment.material_experiment import MaterialExperiment
+from tissuereg.io.atomic import OutputError, atomic_folder
+from tissuereg.io.cases import write_histories
+from tissuereg.io.experiment_keys import (
+    ACTUATORS_CSV,
+    APPLIED_CSV,
+    CSV_TABLES,
+    FORCES_CSV,
+    MARKERS_CSV,
+    TARGETS_CSV,
+    CsvTable,
+    material_table,
+)
+from tissuereg.io.npz import write_npz
 from tissuereg.io.toml_text import toml_text, write_toml
+
+if TYPE_CHECKING:
+    from tissuereg.simulation.experiment import CaseSimulation
 
 
 def write_experiment(
-    experiment: Experiment, path: str | os.PathLike[str], *, seen_from: str | os.PathLike[str] | None = None
+    experiment: Experiment | MaterialExperiment,
+    path: str | os.PathLike[str],
+    *,
+    seen_from: str | os.PathLike[str] | None = None,
 ) -> None:
-    """Write an experiment file that `read_experiment` reads back, effects included.
+    """Write an experiment file that `read_experiment` or `read_material_experiment` reads back, effects included.
 
     Mesh and tables stay where they are; the file refers to them from its own place.
 
     Parameters
     ----------
-    experiment : Experiment
+    experiment : Experiment or MaterialExperiment
         Read from files; beliefs and effects may have been changed since, cases and patches not.
     path : path-like
         The file, for example ``experiment.extended.toml``; an older one is replaced as a whole.
@@ -37,12 +56,12 @@ def write_experiment(
     OutputError
         If the file cannot be written there.
     """
-    of_kind("experiment", experiment, Experiment, error=ExperimentError)
+    of_kind("experiment", experiment, (Experiment, MaterialExperiment), error=ExperimentError)
     path = place("path", path, error=OutputError)
     write_toml(path, _content(experiment, path.parent if seen_from is None else Path(seen_from)))
 
 
-def experiment_text(experiment: Experiment, folder: str | os.PathLike[str]) -> str:
+def experiment_text(experiment: Experiment | MaterialExperiment, folder: str | os.PathLike[str]) -> str:
     """Return what `write_experiment` writes for a folder.
 
     Parameters
@@ -65,28 +84,39 @@ def experiment_text(experiment: Experiment, folder: str | os.PathLike[str]) -> s
     return toml_text(_content(experiment, Path(folder)))
 
 
-def _content(experiment: Experiment, folder: Path) -> dict[str, Any]:
-    folder = folder.absolute()
+def _content(experiment: Experiment | MaterialExperiment, folder: Path) -> dict[str, Any]:
+    content = (
+        _of_test(experiment, folder) if isinstance(experiment, MaterialExperiment) else _of_rig(experiment, folder)
+    )
+    content["effect"] = [effect.table() for effect in experiment.effects]
+    return {key: value for key, value in content.items() if value != []}
+
+
+def _of_test(experiment: MaterialExperiment, folder: Path) -> dict[str, Any]:
+    content: dict[str, Any] = {"kind": "material-test", "name": experiment.name, **_tables(experiment, folder)}
+    content["material"] = material_table(experiment.material, experiment.young_std, experiment.poisson_std)
+    test = {"hold_out": experiment.hold_out, "std_kpa": experiment.stress_std}
+    content["test"] = {key: value for key, value in test.items() if value is not None} or []
+    return content
+
+
+def _tables(experiment: Experiment | MaterialExperiment, folder: Path) -> dict[str, str]:
+    """Return the key for the folder of the tables, where it is another one than that of the file."""
+    return {} if _same(folder, experiment.folder) else {"tables": path_from(folder, experiment.folder)}
+
+
+def _of_rig(experiment: Experiment, folder: Path) -> dict[str, Any]:
     material = experiment.material
     if material.fibre is not None:
         message = "fibres of an experiment file must be an effect, got them in the material"
         raise ExperimentError(message, where="fibre")
-    content: dict[str, Any] = {"name": experiment.name}
-    if not _same(folder, experiment.folder):
-        content["tables"] = path_from(folder, experiment.folder)
+    content: dict[str, Any] = {"name": experiment.name, **_tables(experiment, folder)}
     content["mesh"] = {"file": path_from(folder, experiment.mesh_file)}
     if experiment.surface_std:
         content["mesh"]["surface_std_mm"] = experiment.surface_std
     if experiment.surface_length is not None:
         content["mesh"]["surface_length_mm"] = experiment.surface_length
-    content["material"] = {
-        "law": material.law,
-        **{key: value if np.ndim(value) == 0 else list(value) for key, value in material.shape.items()},
-        "volumetric": material.volumetric,
-        "young_kpa": _belief("young", material.young_array, experiment.young_std),
-        "poisson": _belief("poisson", material.poisson_array, experiment.poisson_std),
-        "density_g_per_cm3": material.density,
-    }
+    content["material"] = material_table(material, experiment.young_std, experiment.poisson_std)
     gravity = experiment.gravity
     if gravity is not None:
         content["gravity"] = {
@@ -102,8 +132,7 @@ def _content(experiment: Experiment, folder: Path) -> dict[str, Any]:
     content["boundary"] = [_patch(boundary) for boundary in experiment.boundaries]
     content["actuator"] = [{**_patch(actuator), "contact": actuator.contact} for actuator in experiment.actuators]
     content["target"] = [{"name": name, "reference": place.tolist()} for name, place in experiment.targets.items()]
-    content["effect"] = [effect.table() for effect in experiment.effects]
-    return {key: value for key, value in content.items() if value != []}
+    return content
 
 
 def _markers(experiment: Experiment) -> dict[str, Any]:
@@ -122,13 +151,6 @@ def _patch(patch: Boundary | Actuator) -> dict[str, Any]:
     return {"name": patch.name, "nodes": patch.rule, "kind": patch.kind, **stated}
 
 
-def _belief(name: str, mean: FloatArray, std: float | None) -> float | list[float]:
-    if mean.size != 1:
-        message = f"`{name}` of an experiment file must be one for the whole body, got {mean.size} values"
-        raise ExperimentError(message, where=name)
-    return float(mean[0]) if std is None else [float(mean[0]), std]
-
-
 def _same(one: Path, other: Path) -> bool:
     return os.path.realpath(one) == os.path.realpath(other)
 
@@ -139,3 +161,80 @@ def path_from(folder: Path, place: Path) -> str:
         return Path(os.path.relpath(os.path.realpath(place), os.path.realpath(folder))).as_posix()
     except ValueError:
         return place.absolute().as_posix()
+
+
+#: Files that are written in addition to the fields; tables without rows are left out.
+TABLES = ("experiment.toml", *(table.file for table in CSV_TABLES))
+
+#: Values by name in the frames of every case, with their times.
+_Histories = dict[str, tuple[FloatArray, dict[str, FloatArray]]]
+
+
+def write_simulated(
+    out: Path, experiment: Experiment, answers: "Mapping[str, CaseSimulation]", model: Simulated
+) -> None:
+    """Write a simulated experiment, all or nothing.
+
+    Parameters
+    ----------
+    out : Path
+        Folder to write.
+    experiment : Experiment
+        What was simulated; its mesh stays where it is.
+    answers : mapping of str to CaseSimulation
+        All cases.
+    model : Simulated
+        The model that was used; the experiment file states it.
+
+    Raises
+    ------
+    ExperimentError
+        If a belief cannot be written to an experiment file.
+    OutputError
+        If the folder cannot be written.
+    """
+    with atomic_folder(out) as folder:
+        # Paths are those seen from where the folder will be.
+        described = replace(experiment, folder=out, simulated=model)
+        write_experiment(described, folder / "experiment.toml", seen_from=out)
+        for table, histories in simulated_tables(experiment, answers):
+            write_histories(folder / table.file, table, histories)
+        for number, (case, answer) in enumerate(answers.items()):
+            arrays = {"time_s": answer.times, "displacement_mm": answer.displacement}
+            write_npz(folder / f"case_{_file_word(case, number)}.npz", arrays)
+
+
+def simulated_tables(
+    experiment: Experiment, answers: "Mapping[str, CaseSimulation]"
+) -> list[tuple[CsvTable, _Histories]]:
+    """Return the tables of an experiment folder with simulated values; tables without a row are left out.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        What was simulated.
+    answers : mapping of str to CaseSimulation
+        All cases.
+
+    Returns
+    -------
+    list of (CsvTable, mapping)
+        As `write_histories` takes them.
+    """
+    names = experiment.marker_names
+    cases = experiment.cases
+    tables: list[tuple[CsvTable, _Histories]] = [
+        (MARKERS_CSV, {c: (a.times, {n: a.markers[:, i] for i, n in enumerate(names)}) for c, a in answers.items()}),
+        # `read_experiment` refuses forces without a stated noise.
+        (FORCES_CSV, {c: (a.times, a.forces) for c, a in answers.items() if experiment.force_std is not None}),
+        (TARGETS_CSV, {c: (a.times, a.targets) for c, a in answers.items()}),
+        (ACTUATORS_CSV, {name: (case.times, dict(case.displacements)) for name, case in cases.items()}),
+        (APPLIED_CSV, {name: (case.times, dict(case.applied_forces)) for name, case in cases.items()}),
+    ]
+    filled = [(table, {case: rows for case, rows in histories.items() if rows[1]}) for table, histories in tables]
+    return [(table, histories) for table, histories in filled if histories]
+
+
+def _file_word(case: str, number: int) -> str:
+    plain = all(letter.isalnum() or letter in "-_" for letter in case)
+    return case if plain else str(number)

@@ -4,21 +4,23 @@ import math
 import os
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from tissuereg._base.arguments import place
 from tissuereg.errors import ExperimentError
 from tissuereg.experiment.effects import Effect, effect_from_table
 from tissuereg.experiment.effects.elastic import Fibre, OtherLaw, Poisson, Stiffness
 from tissuereg.experiment.effects.history import Rate, Relaxation, Set, Softening
 from tissuereg.experiment.material_experiment import TEST_MODES, Curve, MaterialExperiment
-from tissuereg.io.atomic import OutputError
 from tissuereg.io.csv import Row, read_table, write_table
-from tissuereg.io.experiment_keys import TEST_COLUMNS, MaterialTestKeys, Top, folder_and_name, read_material
+from tissuereg.io.experiment_keys import (
+    TEST_COLUMNS,
+    MaterialTestKeys,
+    Top,
+    folder_and_name,
+    read_material,
+)
 from tissuereg.io.toml import Table, experiment_file, read_toml
-from tissuereg.io.toml_text import toml_text, write_toml
 
 #: Effects that a material test can show.
 TEST_EFFECTS: tuple[type[Effect], ...] = (Stiffness, Poisson, OtherLaw, Fibre, Relaxation, Rate, Softening, Set)
@@ -66,80 +68,6 @@ def read_material_experiment(path: str | os.PathLike[str]) -> MaterialExperiment
     return MaterialExperiment(name, folder, material, young_std, poisson_std, curves, effects, hold_out, stress_std)
 
 
-def write_material_experiment(
-    experiment: MaterialExperiment, path: str | os.PathLike[str], *, seen_from: str | os.PathLike[str] | None = None
-) -> None:
-    """Write an experiment file that `read_material_experiment` reads back; its ``test.csv`` stays where it is.
-
-    Parameters
-    ----------
-    experiment : MaterialExperiment
-        Beliefs and effects may have been changed since it was read.
-    path : path-like
-        The file, for example ``experiment.extended.toml``.
-    seen_from : path-like, optional
-        Folder in which the file will be read, where it is written elsewhere first; need not exist.
-
-    Raises
-    ------
-    ExperimentError
-        If the material varies over a body.
-    OutputError
-        If the file cannot be written there.
-    """
-    path = place("path", path, error=OutputError)
-    write_toml(path, _content(experiment, path.parent if seen_from is None else Path(seen_from)))
-
-
-def material_experiment_text(experiment: MaterialExperiment, folder: str | os.PathLike[str]) -> str:
-    """Return what `write_material_experiment` writes for a folder.
-
-    Parameters
-    ----------
-    experiment : MaterialExperiment
-        As there.
-    folder : path-like
-        In which the file is to be read; need not exist.
-
-    Returns
-    -------
-    str
-        TOML.
-
-    Raises
-    ------
-    ExperimentError
-        As there.
-    """
-    return toml_text(_content(experiment, Path(folder)))
-
-
-def _content(experiment: MaterialExperiment, folder: Path) -> dict[str, Any]:
-    folder = folder.absolute()
-    material = experiment.material
-    young, poisson = material.young_array, material.poisson_array
-    if young.size != 1 or poisson.size != 1:
-        message = "the material of a test must have one modulus and one Poisson's ratio, got fields over a body"
-        raise ExperimentError(message, where="material")
-    content: dict[str, Any] = {"kind": "material-test", "name": experiment.name}
-    if os.path.realpath(folder) != os.path.realpath(experiment.folder):
-        content["tables"] = Path(os.path.relpath(experiment.folder, folder)).as_posix()
-    content["material"] = {
-        "law": material.law,
-        **{key: value if np.ndim(value) == 0 else list(value) for key, value in material.shape.items()},
-        "volumetric": material.volumetric,
-        "young_kpa": _belief(float(young[0]), experiment.young_std),
-        "poisson": _belief(float(poisson[0]), experiment.poisson_std),
-        "density_g_per_cm3": material.density,
-    }
-    test = {"hold_out": experiment.hold_out, "std_kpa": experiment.stress_std}
-    test = {key: value for key, value in test.items() if value is not None}
-    if test:
-        content["test"] = test
-    content["effect"] = [effect.table() for effect in experiment.effects]
-    return {key: value for key, value in content.items() if value != []}
-
-
 def write_test_table(path: str | os.PathLike[str], curves: Iterable[Curve]) -> None:
     """Write curves as a ``test.csv``, whole or not at all.
 
@@ -156,10 +84,6 @@ def write_test_table(path: str | os.PathLike[str], curves: Iterable[Curve]) -> N
         for time, amount, stress in zip(curve.times, curve.amounts, curve.stress, strict=True)
     ]
     write_table(path, _COLUMNS, rows)
-
-
-def _belief(mean: float, std: float | None) -> float | list[float]:
-    return mean if std is None else [mean, std]
 
 
 def _test(top: Table) -> tuple[str | None, float | None]:

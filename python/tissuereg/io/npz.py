@@ -189,7 +189,8 @@ def npz_of_bytes(where: str, content: bytes) -> Iterator[Archive]:
 @contextlib.contextmanager
 def _unpacked(file: Path | str, handle: BinaryIO) -> Iterator[Archive]:
     with _loaded(file, handle) as arrays:
-        unpacked = sum(one.file_size for one in arrays.zip.infolist())
+        assert arrays.zip is not None  # it is open here
+        unpacked = sum(int(one.file_size) for one in arrays.zip.infolist())
         if unpacked > MESH_MB * 1_000_000:
             raise too_large(file, MESH_MB, f"unpacked it has {unpacked / 1e6:.0f} MB")
         yield Archive(file, arrays)

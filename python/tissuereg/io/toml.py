@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, ClassVar, NoReturn, TypeVar
 
 from tissuereg._base.arguments import place
-from tissuereg._base.fields import Record
+from tissuereg._base.fields import CheckedRecord
 from tissuereg.errors import ExperimentError, FormatError, TissueRegError
 from tissuereg.io.bounds import TEXT_MB, existing_file, read_text
 
@@ -205,7 +205,7 @@ class Table:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Keys(Record):
+class Keys(CheckedRecord):
     """The keys of one table, declared as fields; the docstring says what the table holds.
 
     Raises

@@ -1,13 +1,17 @@
-"""TOML out: plain values, tables and lists of tables as text, whole or not at all."""
+"""TOML out: plain tables, and experiment files with a comment for every key, made from the declared keys."""
 
 import json
 import os
 import re
-from collections.abc import Mapping
+import textwrap
+from collections.abc import Mapping, Sequence
+from dataclasses import MISSING
 from typing import Any
 
+from tissuereg._base.fields import DeclaredField
 from tissuereg.errors import ExperimentError
 from tissuereg.io.atomic import atomic_file
+from tissuereg.io.toml import Keys
 
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
 
@@ -130,3 +134,55 @@ def toml_value(value: Any) -> str:
 def _text(text: str) -> str:
     # JSON's escapes are TOML's; the one control character that JSON leaves alone is DEL.
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007F")
+
+
+def commented_toml(head: Sequence[str], tables: Sequence[tuple[type[Keys], Mapping[str, Any] | None]]) -> str:
+    """Return an experiment file in which every declared key stands, with its meaning above it.
+
+    Parameters
+    ----------
+    head : sequence of str
+        Lines of the comment at the top.
+    tables : sequence of pairs
+        Declared keys, and values by key, in the order of the file; a list of tables has one pair per table. None: the
+        table is left out, and shown behind ``#``. A mapping as a value becomes a table of its own.
+
+    Returns
+    -------
+    str
+        TOML. Keys without a value stand behind ``#``, without a space; all other comments have one.
+    """
+    lines = [f"# {line}" for line in head]
+    for declaration, values in tables:
+        lines += ["", *_table(declaration, values)]
+    return "\n".join(lines) + "\n"
+
+
+def _table(keys: type[Keys], values: Mapping[str, Any] | None) -> list[str]:
+    off = "#" if values is None else ""
+    given = {} if values is None else values
+    lines = _wrapped(" ".join((keys.__doc__ or "").split()))
+    if keys.heading:
+        lines.append(f"{off}{keys.heading}")
+    inner = [
+        key for key in keys.declared() if isinstance(given.get(key.name), Mapping) and key.check.words[:5] == "table"
+    ]
+    for key in keys.declared():
+        if key in inner:
+            continue
+        value = given.get(key.name)
+        shown = value if value is not None else key.check.example if key.default in (None, MISSING) else key.default
+        lines += [*_comment(key), f"{'#' if value is None else ''}{key.name} = {toml_value(shown)}"]
+    for key in inner:
+        lines += [*_comment(key), f"[{keys.heading.strip('[]')}.{key.name}]"]
+        lines += [f"{toml_key(name)} = {toml_value(place)}" for name, place in given[key.name].items()]
+    return lines
+
+
+def _comment(key: DeclaredField) -> list[str]:
+    holds = f"{key.check.words}, {key.unit}" if key.unit else key.check.words
+    return _wrapped(f"{key.name}: {key.check.meaning}. Holds: {holds.replace('`', '')}.")
+
+
+def _wrapped(text: str) -> list[str]:
+    return textwrap.wrap(text, 110, initial_indent="# ", subsequent_indent="#   ", break_on_hyphens=False)

@@ -16,7 +16,7 @@ from tissuereg.body.load import Load
 from tissuereg.body.markers import Markers
 from tissuereg.body.mesh import Mesh
 from tissuereg.body.surface import SurfacePoints
-from tissuereg.errors import MarkerError
+from tissuereg.errors import MarkerError, ModelError
 from tissuereg.registration.body import Body
 from tissuereg.registration.inputs import MomentInput, as_markers
 from tissuereg.registration.learned.model import LatentModel
@@ -134,6 +134,9 @@ def register(
     clock = Clock(progress)
     with clock.stage("total"):
         with clock.stage("attach"):
+            if surface is not None and model is not None:
+                message = "points of a surface are registered without a trained model; leave out `model` or `surface`"
+                raise ModelError(message, where="surface")
             points = surface if surface is None or isinstance(surface, SurfacePoints) else SurfacePoints(surface)
             body, measured = Body.of(mesh), as_markers(markers)
             registrar = Registrar(body, measured, model, targets, load=load, seed=seed, settings=settings)

@@ -117,7 +117,7 @@ class Registrar:
             self._attached = Attachment.of(body, reference_mm, targets, how, seed)
             self._model = None if model is None else as_model(model, body.mesh, how.threads)
             self._points = None if self._model is None else self._points_of(self._model)
-        self._solver = _Solver(body)
+        self._solver = _LoadSolver(body)
 
     @property
     def mesh(self) -> Mesh:
@@ -211,8 +211,8 @@ class Registrar:
         if own.holds(markers):
             return self
         targets = dict(zip(own.targets.names, own.targets.reference, strict=True))
-        how: dict[str, Any] = {"load": self._load, "seed": own.seed, "settings": own.settings}
-        other = Registrar(own.body, markers, self._model, targets, **how)
+        load, how = self._load, own.settings
+        other = Registrar(own.body, markers, self._model, targets, load=load, seed=own.seed, settings=how)
         other._solver = self._solver  # analysed once for the body
         return other
 
@@ -248,9 +248,6 @@ class Registrar:
 
     def _simulated(self, moment: MomentInput) -> tuple[FloatArray | None, Variants | None]:
         """Return the simulation of a moment and its variants, checked; refuse what does not go with the method."""
-        if self._points is not None and moment.surface is not None:
-            message = "points of a surface are registered without a trained model; leave out `model` or `surface`"
-            raise ModelError(message, where="surface")
         if self._points is not None and moment.after is not None:
             message = "`after` must be left out with a trained model, which registers every moment on its own"
             raise ModelError(message, where="after")
@@ -322,7 +319,7 @@ class Registrar:
 
 
 @dataclass(frozen=True, eq=False)
-class _Solver:
+class _LoadSolver:
     """The solver of a believed load with a model, made when it is first used."""
 
     body: Body

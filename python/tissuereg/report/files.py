@@ -10,7 +10,7 @@ from tissuereg.io.json import write_json
 from tissuereg.io.meshes import write_vtu
 from tissuereg.io.mrk_json import write_mrk_json
 from tissuereg.io.tables import write_targets
-from tissuereg.registration.contacts.result import ContactRegistration
+from tissuereg.report.found import forces_of
 
 if TYPE_CHECKING:
     from tissuereg.registration.result import Registration
@@ -49,8 +49,9 @@ def save_registration(result: "Registration", folder: Path, extra: dict[str, Any
     """
     mesh = result.mesh
     fields = {"displacement_mm": result.displacement, "std_mm": result.std}
-    if isinstance(result, ContactRegistration):
-        fields["contact_force_mN"] = result.forces
+    forces = forces_of(result)
+    if forces is not None:
+        fields["contact_force_mN"] = forces
     held = np.zeros(mesh.n_nodes, dtype=np.int8)
     held[mesh.node_sets.get("fixed", np.empty(0, np.int64))] = 1
     content = result.to_json()

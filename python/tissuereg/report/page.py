@@ -9,8 +9,7 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.io.atomic import atomic_file
-from tissuereg.registration.contacts.result import ContactRegistration
-from tissuereg.report.found import contacts_of, surface_of
+from tissuereg.report.found import contacts_of, surface_of, work_of
 from tissuereg.report.markup import document, escape, table
 from tissuereg.report.scene import Surface, contact_verb
 from tissuereg.report.words import counted, fallback_lines, silent, start_word, verdict
@@ -200,9 +199,10 @@ def _model(result: "Registration") -> str:
 
 
 def _work(result: "Registration") -> str:
-    if not isinstance(result, ContactRegistration):
+    work = work_of(result)
+    if not work:
         return ""
-    rows = [(name.replace("_", " "), f"{count:,}") for name, count in result.work.items()]
+    rows = [(name.replace("_", " "), f"{count:,}") for name, count in work.items()]
     return "<h2>Work</h2>" + table(("", "count"), rows)
 
 

@@ -21,7 +21,7 @@ from tissuereg.body.material import Material
 from tissuereg.body.mesh import Mesh
 from tissuereg.errors import EnsembleError, ExperimentError
 from tissuereg.io.chunks import CHUNK_SCHEMA, Chunk, Fields, chunk_name, pack_chunk, read_chunk
-from tissuereg.io.data_mesh import read_data_mesh
+from tissuereg.io.datasets import read_data_mesh
 from tissuereg.io.stores import store_of
 from tissuereg.simulation.motion import Motion, motion_of
 from tissuereg.simulation.recipe import Recipe, recipe_of

@@ -16,8 +16,7 @@ from tissuereg._version import __version__
 from tissuereg.body.mesh import Mesh
 from tissuereg.errors import ClusterError, EnsembleError, ExperimentError, FormatError, TissueRegError
 from tissuereg.io.chunks import chunk_name
-from tissuereg.io.data_mesh import MESH_NAME, pack_mesh
-from tissuereg.io.datasets import CARD_NAME, DATASET_SCHEMA, read_card, split_of
+from tissuereg.io.datasets import CARD_NAME, DATASET_SCHEMA, MESH_NAME, pack_mesh, read_card, split_of
 from tissuereg.io.json import dumps
 from tissuereg.io.stores import Store, store_of
 from tissuereg.parallel import Executor, Failed, one_result

@@ -12,6 +12,7 @@ from typing import Any, ClassVar
 from tissuereg._base import arguments
 from tissuereg._base.fields import choice, number, span, text, whole
 from tissuereg.body.mesh import Mesh
+from tissuereg.io.experiment_keys import ELEMENTS
 from tissuereg.io.node_rules import node_rule
 from tissuereg.io.toml import Keys, Table, read_toml
 from tissuereg.simulation.variation import Variation
@@ -24,10 +25,6 @@ EMBEDDED = {PHANTOM: "full", "phantom-small": "small"}
 
 #: Nodes of the mesh that a recipe makes if it states none: as many as the paper's breast phantom has.
 DEFAULT_NODES = 4223
-
-
-#: Elements of a simulation.
-ELEMENTS = ("tet4", "tet4-averaged", "tet10")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -2,7 +2,7 @@
 
 The rule for large bodies (``docs/large-bodies.md``): a body is refused if its estimated memory is more than what is
 available; above half of that a warning is given. Numbers of bytes and operations below are properties of the code, set
-by ``benchmarks/large_bodies.py``; the speed is that of the machine, measured when it is first needed.
+by ``benchmarks/speed/large_bodies.py``; the speed is that of the machine, measured when it is first needed.
 """
 
 import math

@@ -1,5 +1,5 @@
 //! Meshes and helpers shared by tests, benches and examples.
-#![allow(dead_code, unused_imports)]
+#![allow(dead_code, unused_imports, clippy::expect_used, clippy::panic)]
 
 pub mod cases;
 pub mod incompressible;

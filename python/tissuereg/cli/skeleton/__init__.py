@@ -16,7 +16,6 @@ from tissuereg.errors import ConvergenceError, FormatError
 from tissuereg.experiment.experiment import Experiment, Simulated
 from tissuereg.io.atomic import OutputError, atomic_folder, check_folder_target
 from tissuereg.io.cases import write_histories
-from tissuereg.io.commented import commented_toml
 from tissuereg.io.drafts import DRAFT_PREFIX, remove_stale_drafts
 from tissuereg.io.experiment_keys import (
     ACTUATORS_CSV,
@@ -32,12 +31,12 @@ from tissuereg.io.experiment_keys import (
     TargetKeys,
     Top,
 )
-from tissuereg.io.experiment_out import path_from
+from tissuereg.io.experiment_out import TABLES, path_from, simulated_tables
 from tissuereg.io.experiments import read_experiment
 from tissuereg.io.meshes import read_mesh
 from tissuereg.io.node_rules import NodeRule, nodes_by_rule, rule_for_file
-from tissuereg.io.simulated import TABLES, simulated_tables
 from tissuereg.io.toml import Keys
+from tissuereg.io.toml_text import commented_toml
 from tissuereg.simulation.experiment import CaseSimulation, simulate_plain
 from tissuereg.simulation.noise import with_noise
 

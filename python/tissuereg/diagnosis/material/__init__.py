@@ -20,8 +20,8 @@ from tissuereg.diagnosis.material.report import material_page
 from tissuereg.diagnosis.material.verdict import Outcome, find_out
 from tissuereg.experiment.material_experiment import MaterialExperiment
 from tissuereg.io.atomic import OutputError, atomic_folder
+from tissuereg.io.experiment_out import write_experiment
 from tissuereg.io.json import write_json
-from tissuereg.io.material_experiments import write_material_experiment
 
 __all__ = ["MaterialDiagnosis", "diagnose_material", "predicted_stresses"]
 
@@ -80,7 +80,7 @@ class MaterialDiagnosis:
         with atomic_folder(out) as draft:
             write_json(draft / "diagnosis.json", {**self.answer, **(extra or {})})
             # Paths in the model are relative to the final folder.
-            write_material_experiment(self.extended, draft / EXTENDED_FILE, seen_from=out)
+            write_experiment(self.extended, draft / EXTENDED_FILE, seen_from=out)
             (draft / "report.html").write_text(material_page(self, out), encoding="utf-8")
         return out
 

@@ -70,7 +70,7 @@ def stated(bench: Bench, fit: Fit) -> Stated:
     slopes = _slopes(bench, fit, scale)
     own = bench.noise if bench.fitting is None else bench.fitting
     weighed = np.linalg.solve(own + fit.share**2 * bench.generic, slopes)
-    inverse = np.linalg.inv(slopes.T @ weighed + np.eye(len(scale)))
+    inverse: FloatArray = np.linalg.inv(slopes.T @ weighed + np.eye(len(scale)))
     gain = inverse @ weighed.T
     residual = data.stress - data.modelled(fit.model)
     squared = _squared_size(bench, slopes, gain, inverse, residual)

@@ -11,7 +11,7 @@ from tissuereg.diagnosis.material.extend import predicted_stresses
 from tissuereg.diagnosis.material.history import stress_of
 from tissuereg.diagnosis.report import svg
 from tissuereg.diagnosis.report.ranking import chance, plain_name, ranking, separated
-from tissuereg.io.material_experiments import material_experiment_text
+from tissuereg.io.experiment_out import experiment_text
 from tissuereg.report.markup import document, escape, table
 
 if TYPE_CHECKING:
@@ -81,7 +81,7 @@ def material_page(found: "MaterialDiagnosis", folder: Path) -> str:
         "<h2>What was assumed</h2>",
         _assumed(answer),
     ]
-    text = escape(material_experiment_text(found.extended, folder))
+    text = escape(experiment_text(found.extended, folder))
     parts.append(f"<h2>The extended model</h2><pre>{text}</pre>")
     return document("Diagnosis", parts, _STYLE)
 

@@ -19,8 +19,7 @@ from tissuereg.experiment.effects.chain import Frame, Latency, MarkerSlip, Marke
 from tissuereg.experiment.effects.elastic import Asymmetry, Fibre, Mooney, Poisson, Stiffening, Stiffness
 from tissuereg.experiment.effects.history import Drainage, Rate, Relaxation, Set, Softening, Swelling
 from tissuereg.experiment.effects.regions import Inclusion, Layer
-from tissuereg.experiment.effects.supports import Detachment, Sliding
-from tissuereg.experiment.effects.weight import Gravity, Reference
+from tissuereg.experiment.effects.supports import Detachment, Gravity, Reference, Sliding
 
 __all__ = [
     "EFFECTS",

@@ -11,7 +11,7 @@ from typing import Any, ClassVar, NoReturn
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray
-from tissuereg._base.fields import Record
+from tissuereg._base.fields import CheckedRecord
 from tissuereg.errors import ExperimentError, TissueRegError
 from tissuereg.experiment.experiment import Experiment
 
@@ -20,7 +20,7 @@ Vector = tuple[float, float, float]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Effect(Record):
+class Effect(CheckedRecord):
     """One ``[[effect]]`` table.
 
     Raises

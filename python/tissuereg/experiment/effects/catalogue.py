@@ -13,8 +13,7 @@ from tissuereg.experiment.effects.chain import Frame, Latency, MarkerSlip, Marke
 from tissuereg.experiment.effects.elastic import Asymmetry, Fibre, Mooney, OtherLaw, Poisson, Stiffening, Stiffness
 from tissuereg.experiment.effects.history import Drainage, Memory, Rate, Relaxation, Set, Softening, Swelling
 from tissuereg.experiment.effects.regions import Inclusion, Layer
-from tissuereg.experiment.effects.supports import Detachment, Sliding
-from tissuereg.experiment.effects.weight import Gravity, Reference
+from tissuereg.experiment.effects.supports import Detachment, Gravity, Reference, Sliding
 from tissuereg.experiment.experiment import Experiment
 
 #: What a body is made of, what it remembers, its weight; its supports; its actuators; the marker tracker.

@@ -1,4 +1,4 @@
-"""What holds the body: boundaries that slide or are detached in part."""
+"""What holds the body and weighs on it: boundaries that slide or are detached in part, its own weight."""
 
 from dataclasses import dataclass, replace
 from typing import ClassVar
@@ -6,10 +6,11 @@ from typing import ClassVar
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray, IntArray
-from tissuereg._base.fields import number, numbers, text
+from tissuereg._base.fields import flag, number, numbers, text
 from tissuereg.body.mesh import Mesh
 from tissuereg.experiment.effects.base import Effect, Vector, exactly_one, refuse
 from tissuereg.experiment.experiment import Boundary, Experiment
+from tissuereg.experiment.experiment import Gravity as Weight
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -199,3 +200,49 @@ def node_areas(mesh: Mesh, nodes: IntArray) -> FloatArray:
     thirds = np.repeat(np.linalg.norm(normal, axis=1) / 6.0, 3)
     areas = np.bincount(np.searchsorted(nodes, triangles.ravel()), thirds, len(nodes)).astype(np.float64)
     return areas if areas.any() else np.ones(len(nodes))
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Weight(Effect):
+    """Changes of ``[gravity]``; a key that is left out keeps what is believed."""
+
+    absolute: ClassVar[bool] = True
+    direction: Vector | None = numbers("where the weight points", 3, directed=True, default=None)
+    g_mm_per_s2: float | None = number("acceleration", above=0.0, default=None)
+    in_reference: bool | None = flag("whether the mesh already hangs in it", default=None)
+
+    def check(self) -> None:
+        """Refuse a table without keys."""
+        if self.direction is None and self.g_mm_per_s2 is None and self.in_reference is None:
+            refuse("one of `direction`, `g_mm_per_s2`, `in_reference` must be given")
+
+    def fits(self, experiment: Experiment) -> None:
+        """Refuse a weight without direction."""
+        if experiment.gravity is None and self.direction is None:
+            refuse("`direction` must be given where the experiment has no [gravity]")
+
+    def applied(self, experiment: Experiment, element: str) -> Experiment:
+        """Return the experiment with this weight."""
+        weight = experiment.gravity or Weight(np.asarray(self.direction), in_reference=False)
+        if self.direction is not None:
+            weight = replace(weight, direction=np.asarray(self.direction))
+        if self.g_mm_per_s2 is not None:
+            weight = replace(weight, g_mm_per_s2=self.g_mm_per_s2)
+        if self.in_reference is not None:
+            weight = replace(weight, in_reference=self.in_reference)
+        return replace(experiment, gravity=weight)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Gravity(_Weight):
+    """A weight other than the believed one: tilted, stronger or weaker, or present where none is believed."""
+
+    id: ClassVar[str] = "gravity"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reference(_Weight):
+    """Another reference shape: whether the mesh already hangs in gravity."""
+
+    id: ClassVar[str] = "reference"
+    in_reference: bool | None = flag("whether the mesh already hangs in it")

@@ -1,7 +1,6 @@
 """Writes a calibration into the folder of its model, and reads it with its checksum compared."""
 
 import hashlib
-import json
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +9,7 @@ import numpy as np
 from tissuereg.errors import ModelError
 from tissuereg.io.atomic import atomic_file
 from tissuereg.registration.learned.calibration import Calibration
-from tissuereg.registration.learned.card import read_card
+from tissuereg.registration.learned.card import card_text, read_card
 
 CALIBRATION_NAME = "calibration.npz"
 
@@ -39,7 +38,7 @@ def write_calibration(folder: Path, calibration: Calibration) -> None:
         np.savez_compressed(stream, **calibration.save())  # type: ignore[arg-type]
     card["files"][CALIBRATION_NAME] = _sha256(path)
     with atomic_file(folder / "model.json") as draft:
-        draft.write_text(json.dumps(card, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+        draft.write_text(card_text(card), encoding="utf-8")
 
 
 def read_calibration(folder: Path, card: dict[str, Any]) -> Calibration | None:

@@ -19,6 +19,22 @@ CARD_SCHEMA = "tissuereg.model/1"
 MODEL_FILES = ("encoder.onnx", "decoder.onnx", "decoder_weights.npz")
 
 
+def card_text(card: dict[str, Any]) -> str:
+    """Return the content of ``model.json``: an entry a line, and a row of a matrix a line."""
+    return _json(card, 0) + "\n"
+
+
+def _json(value: Any, depth: int) -> str:
+    """Return JSON with each table or list of single values on one line."""
+    inner = list(value.values()) if isinstance(value, dict) else value
+    if not isinstance(value, dict | list) or (depth and not any(isinstance(one, dict | list) for one in inner)):
+        return json.dumps(value, allow_nan=False)
+    opened, closed = "{}" if isinstance(value, dict) else "[]"
+    names = [f"{json.dumps(name)}: " for name in value] if isinstance(value, dict) else [""] * len(value)
+    lines = [f"{' ' * (depth + 1)}{name}{_json(one, depth + 1)}" for name, one in zip(names, inner, strict=True)]
+    return "\n".join([opened, ",\n".join(lines), " " * depth + closed])
+
+
 def read_card(folder: Path) -> dict[str, Any]:
     """Return the card of a model.
 

@@ -87,7 +87,7 @@ class CutDecoder:
         whole = decode(latents)
         at_points = np.abs(self(latents) - np.stack([rows @ field for field in whole])).max(initial=0.0)
         off = max(float(at_points), float(np.abs(decoder.decode(latents) - whole).max()))
-        scale = max(float(np.abs(whole).max()), np.finfo(np.float32).tiny)
+        scale = max(float(np.abs(whole).max()), float(np.finfo(np.float32).tiny))
         if not off <= TOLERANCE * scale:
             message = (
                 f"the weights in {where} must give the field of its decoder.onnx to {TOLERANCE:g} of the largest "

@@ -11,8 +11,8 @@ from functools import cached_property
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray, IntArray
-from tissuereg.body.markers import Markers
 from tissuereg.body.mesh import Mesh
+from tissuereg.registration.inputs import RegisterInput
 from tissuereg.registration.learned.calibration import FieldErrors, PointCalibration, Rehearsal, RowErrors
 from tissuereg.registration.learned.mixture import Component, Linear, MixturePosterior
 from tissuereg.registration.learned.model import rms_displacement
@@ -101,36 +101,30 @@ class CalibratedPosterior:
     @classmethod
     def of(
         cls,
-        mesh: Mesh,
+        given: RegisterInput,
         model: PointsAround,
         calibration: PointCalibration,
         used: IntArray,
-        markers: Markers,
         start: FloatArray,
         simulation: FloatArray | None,
-        seed: int,
         variants: Variants | None = None,
     ) -> "CalibratedPosterior":
         """Return the posterior.
 
         Parameters
         ----------
-        mesh : Mesh
-            Undeformed body.
+        given : RegisterInput
+            Body, measured markers and seed.
         model : PointsAround
             The model of this moment at markers and targets.
         calibration : PointCalibration
             What its answers are worth there.
         used : ndarray of int64, shape (n_used,)
             Markers that are used.
-        markers : Markers
-            Measured.
         start : ndarray of float64, shape (n_latent,)
             Where the decoder is linearised first.
         simulation : ndarray of float64, shape (n_nodes, 3), or None
             Simulated displacement, mm.
-        seed : int
-            Of the draws for the spread of nodes.
         variants : Variants, optional
             Whose mean the simulation is.
 
@@ -139,6 +133,7 @@ class CalibratedPosterior:
         CalibratedPosterior
             Cost: two or three decodes of 2 n_latent + 1 columns at markers and targets.
         """
+        markers = given.markers
         order = np.concatenate([used, np.setdiff1d(np.arange(len(markers)), used)])
         rows = np.arange(calibration.errors.patterns.shape[1])
         rows[: 3 * len(order)] = (3 * order[:, None] + np.arange(3)).ravel()
@@ -162,9 +157,9 @@ class CalibratedPosterior:
             _PASSES,
         )
         rehearsal = at.rehearsal(bool(forms))
-        field = np.zeros_like(mesh.nodes) if simulation is None else simulation
+        field = np.zeros_like(given.mesh.nodes) if simulation is None else simulation
         anchor = _Anchor(field, simulated, size, tuple(forms), varied)
-        return cls(mesh, model, at, order, prior, linear, found, observed, noise, seed, anchor, rehearsal)
+        return cls(given.mesh, model, at, order, prior, linear, found, observed, noise, given.seed, anchor, rehearsal)
 
     @cached_property
     def _covariance(self) -> FloatArray:

@@ -20,8 +20,10 @@ from tissuereg.errors import ArgumentError, ModelError
 from tissuereg.registration.inputs import RegisterInput, rms_length
 from tissuereg.registration.learned.assimilate import (
     Assimilation,
+    AssimilationSettings,
     Between,
     FirstEnsemble,
+    SearchSettings,
     assimilate,
     balanced_draws,
     gauss_newton,
@@ -38,11 +40,9 @@ from tissuereg.registration.result import NO_MARKER, MarkerFit, Target
 from tissuereg.registration.trust import Trust, judge, judge_by_rehearsal
 from tissuereg.registration.wrong_markers import drop_wrong, score_markers
 
-#: Distance of neighbours for derivatives of the decoder, in standard deviations of the prior: wide enough for float32.
-_DIFFERENCE = 1e-2
-
-#: The search ends at a step of so many standard deviations, less than any region shows.
-_TOLERANCE = 1e-2
+#: The search ends at a step of so many standard deviations, less than any region shows; neighbours for derivatives of
+#: the decoder are far enough for float32.
+_SEARCH = SearchSettings(tolerance=1e-2, difference=1e-2)
 
 #: Standard deviations of the tracker's noise beyond which a sign is sure: chance of 1e-5.
 _SURELY = 4.3
@@ -109,9 +109,7 @@ def register_by_model(
         if calibration is None:
             posterior = Posterior.of(given.mesh, model, fit.ensemble)
         else:
-            posterior = CalibratedPosterior.of(
-                given.mesh, model, calibration, used, given.markers, fit.ensemble.mean, anchor, given.seed, variants
-            )
+            posterior = CalibratedPosterior.of(given, model, calibration, used, fit.ensemble.mean, anchor, variants)
     with clock.stage("judge"):
         before = anchor if simulation is None else simulation
         return _result(given, used, wrong, before, points.model, fit, posterior, clock)
@@ -194,7 +192,7 @@ def _fit(model: PointsAround, drawn: _Drawn, given: RegisterInput, seen: IntArra
 
     rng = np.random.default_rng([given.seed, 3])
     if settings.update == "gauss-newton":
-        found = gauss_newton(predict, measured, noise, prior, start=near, tolerance=_TOLERANCE, difference=_DIFFERENCE)
+        found = gauss_newton(predict, measured, noise, prior, start=near, settings=_SEARCH)
         ensemble = found.ensemble(rng, settings.n_members)
         return _Fit(prior, widening, noise, ensemble, found.predicted, found.absorbed)
     first = drawn.start(prior, widening, seen) if latents.shape[1] == settings.n_members else None
@@ -203,18 +201,8 @@ def _fit(model: PointsAround, drawn: _Drawn, given: RegisterInput, seen: IntArra
         known = predict(first.latents) if first.predicted is None else first.predicted
         first = replace(first, predicted=known)
         predict = Between(predict, {settings.n_steps - 1}, first.latents, known)
-    ensemble = assimilate(
-        predict,
-        measured,
-        noise,
-        prior,
-        rng=rng,
-        n_members=settings.n_members,
-        n_steps=settings.n_steps,
-        decrease=settings.decrease,
-        first=first,
-        threads=1,
-    )
+    how = AssimilationSettings(settings.n_members, settings.n_steps, decrease=settings.decrease, threads=1)
+    ensemble = assimilate(predict, measured, noise, prior, rng=rng, settings=how, first=first)
     return _Fit(prior, widening, noise, ensemble, np.empty(0), np.empty(0))
 
 

@@ -6,20 +6,23 @@
 from tissuereg.registration.learned.assimilate.ensemble import (
     ABSURD_MM,
     Assimilation,
+    AssimilationSettings,
     FirstEnsemble,
     StepOptions,
     assimilate,
     balanced_draws,
 )
-from tissuereg.registration.learned.assimilate.laplace import Laplace, gauss_newton
+from tissuereg.registration.learned.assimilate.laplace import Laplace, SearchSettings, gauss_newton
 from tissuereg.registration.learned.assimilate.shortcut import Between
 
 __all__ = [
     "ABSURD_MM",
     "Assimilation",
+    "AssimilationSettings",
     "Between",
     "FirstEnsemble",
     "Laplace",
+    "SearchSettings",
     "StepOptions",
     "assimilate",
     "balanced_draws",

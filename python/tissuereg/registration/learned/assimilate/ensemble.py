@@ -4,7 +4,7 @@
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -165,6 +165,58 @@ class FirstEnsemble:
         return cls(np.asarray(prior.mean[:, None] + _root_of(prior) @ draws), exact)
 
 
+@dataclass(frozen=True, eq=False)
+class AssimilationSettings:
+    """Ensemble, schedule and steps of an assimilation.
+
+    Parameters
+    ----------
+    n_members, n_steps : int
+        Ensemble size N_e and number of assimilations N_a of a geometric schedule.
+    schedule : {"geometric"} or sequence of float
+        Inflation coefficients: each `decrease` times smaller than the one before, or the coefficients themselves.
+    decrease : float
+        Each inflation coefficient over the next; their inverses sum to one.
+    options : StepOptions
+        Form and factorisation of a step.
+    min_members : int
+        Fewer surviving members than this, or than two, raise.
+    threads : int
+        Threads of the update; the result does not depend on it.
+
+    Raises
+    ------
+    ScheduleError
+        If `schedule` is no known word, or the inverses of its coefficients do not sum to one.
+    ArgumentError, ShapeError
+        If another value is of the wrong kind or out of its range.
+    """
+
+    n_members: int = 200
+    n_steps: int = 5
+    schedule: str | Sequence[float] = "geometric"
+    decrease: float = 2.0
+    options: StepOptions = field(default_factory=StepOptions)
+    min_members: int = 20
+    threads: int = 0
+
+    def __post_init__(self) -> None:
+        check_running(threads=self.threads)
+        whole("n_members", self.n_members, least=1)
+        whole("min_members", self.min_members)
+        of_kind("options", self.options, StepOptions)
+        self.coefficients()
+
+    def coefficients(self) -> tuple[float, ...]:
+        """Return the inflation coefficients of all steps."""
+        if not isinstance(self.schedule, str):
+            return tuple(map(float, _core.check_schedule(float_array("schedule", self.schedule, (None,)))))
+        check_choice("schedule", self.schedule, SCHEDULES, ScheduleError)
+        whole("n_steps", self.n_steps, least=1, error=ScheduleError)
+        real("decrease", self.decrease, above=0.0, error=ScheduleError)
+        return tuple(map(float, _core.schedule_geometric(self.n_steps, self.decrease)))
+
+
 def assimilate(
     predict: Callable[[FloatArray], FloatArray],
     observed: FloatArray,
@@ -172,15 +224,9 @@ def assimilate(
     prior: Gaussian,
     *,
     rng: np.random.Generator,
-    n_members: int = 200,
-    n_steps: int = 5,
-    schedule: str | Sequence[float] = "geometric",
-    decrease: float = 2.0,
-    options: StepOptions | None = None,
+    settings: AssimilationSettings | None = None,
     perturbations: Callable[[int, tuple[int, int]], FloatArray] | None = None,
     first: FirstEnsemble | None = None,
-    min_members: int = 20,
-    threads: int = 0,
 ) -> Assimilation:
     """Return the posterior ensemble of the latents given observations.
 
@@ -196,23 +242,13 @@ def assimilate(
         Prior of the latents.
     rng : numpy.random.Generator
         The only source of random numbers.
-    n_members, n_steps : int
-        Ensemble size N_e and number of assimilations N_a of a geometric schedule.
-    schedule : {"geometric"} or sequence of float
-        Inflation coefficients: each `decrease` times smaller than the one before, or the coefficients themselves.
-    decrease : float
-        Each inflation coefficient over the next; their inverses sum to one.
-    options : StepOptions, optional
-        Form and factorisation of a step.
+    settings : AssimilationSettings, optional
+        Ensemble, schedule and steps.
     perturbations : callable, optional
         Step number (from 0) and shape (n_obs, n_members) to standard normal draws of that shape, in place of
         `balanced_draws`; stochastic form only.
     first : FirstEnsemble, optional
         Draws from the prior, in place of `n_members` made here; with their predictions the first step decodes nothing.
-    min_members : int
-        Fewer surviving members than this, or than two, raise.
-    threads : int
-        Threads of the update; the result does not depend on it.
 
     Returns
     -------
@@ -225,8 +261,6 @@ def assimilate(
         If fewer than `min_members` members survive.
     NoiseError
         If `noise` is not positive definite.
-    ScheduleError
-        If `schedule` is no known word, or the inverses of its coefficients do not sum to one.
     MarkerError
         If `observed` is not finite.
     ShapeError
@@ -240,20 +274,18 @@ def assimilate(
     ``z += C_zy (C_yy + a C_d)^-1 (d + sqrt(a) C_d^1/2 e - y)``, A. A. Emerick and A. C. Reynolds, "Ensemble smoother
     with multiple data assimilation", Computers & Geosciences 55, 3-15, 2013, doi:10.1016/j.cageo.2012.03.011.
     """
-    check_running(threads=threads)
     observed = float_array("observed", observed, (None,))
     covariance = noise_of(noise, len(observed))
     of_kind("prior", prior, Gaussian)
     of_kind("rng", rng, np.random.Generator)
-    whole("n_members", n_members, least=1)
-    fewest = max(whole("min_members", min_members), 2)
-    options = maybe("options", options, StepOptions) or StepOptions()
+    settings = maybe("settings", settings, AssimilationSettings) or AssimilationSettings()
+    options, fewest = settings.options, max(settings.min_members, 2)
     called("perturbations", perturbations)
     if perturbations is not None and options.form == "square_root":
         message = "`perturbations` must be None in the square-root form, which draws none"
         raise ArgumentError(message, where="perturbations")
-    alphas = _coefficients(schedule, n_steps, decrease)
-    first = maybe("first", first, FirstEnsemble) or FirstEnsemble.of(prior, rng, n_members)
+    alphas = settings.coefficients()
+    first = maybe("first", first, FirstEnsemble) or FirstEnsemble.of(prior, rng, settings.n_members)
     latents, balanced, known = (
         float_array("first.latents", first.latents, (len(prior.mean), None)),
         first.exact,
@@ -283,7 +315,7 @@ def assimilate(
             wanted = (predicted.shape[0], predicted.shape[1])
             draws, exact = float_array("perturbations", perturbations(step, wanted), wanted), False
         balanced &= exact
-        latents = options.update(latents, predicted, observed, covariance, draws, alpha=alpha, threads=threads)
+        latents = options.update(latents, predicted, observed, covariance, draws, alpha=alpha, threads=settings.threads)
     return Assimilation(latents, dropped, balanced, alphas)
 
 
@@ -303,16 +335,6 @@ def _root_of(prior: Gaussian) -> FloatArray:
     except np.linalg.LinAlgError as error:
         message = "the covariance of `prior` must be positive definite; it has no Cholesky factor"
         raise ArgumentError(message, where="prior") from error
-
-
-def _coefficients(schedule: str | Sequence[float], n_steps: int, decrease: float) -> tuple[float, ...]:
-    """Return the inflation coefficients of all steps."""
-    if not isinstance(schedule, str):
-        return tuple(map(float, _core.check_schedule(float_array("schedule", schedule, (None,)))))
-    check_choice("schedule", schedule, SCHEDULES, ScheduleError)
-    whole("n_steps", n_steps, least=1, error=ScheduleError)
-    real("decrease", decrease, above=0.0, error=ScheduleError)
-    return tuple(map(float, _core.schedule_geometric(n_steps, decrease)))
 
 
 def balanced_draws(rng: np.random.Generator, shape: tuple[int, int], anomalies: FloatArray) -> tuple[FloatArray, bool]:

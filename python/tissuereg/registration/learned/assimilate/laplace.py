@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tissuereg import _core
-from tissuereg._base.arguments import called, of_kind, real, whole
+from tissuereg._base.arguments import called, maybe, of_kind, real, whole
 from tissuereg._base.arrays import FloatArray, float_array, optional_array
 from tissuereg.registration.learned.assimilate.ensemble import ABSURD_MM, Assimilation, balanced_draws, noise_of
 from tissuereg.registration.learned.model import Gaussian
@@ -71,6 +71,35 @@ class Laplace(Gaussian):
         return Assimilation(np.asarray(self.mean[:, None] + self.root @ normals), [], exact)
 
 
+@dataclass(frozen=True)
+class SearchSettings:
+    """How the most probable latents are sought.
+
+    Parameters
+    ----------
+    tolerance : float
+        The search ends where the next step is shorter than so many standard deviations of the posterior.
+    max_evaluations : int
+        Points that may be tried.
+    difference : float
+        Distance of the neighbours in standard deviations of the prior; 1e-2 suits a decoder in float32.
+
+    Raises
+    ------
+    ArgumentError
+        If a value is of the wrong kind or out of its range.
+    """
+
+    tolerance: float = 1e-3
+    max_evaluations: int = 50
+    difference: float = 1e-4
+
+    def __post_init__(self) -> None:
+        real("tolerance", self.tolerance, above=0.0)
+        whole("max_evaluations", self.max_evaluations, least=1)
+        real("difference", self.difference, above=0.0)
+
+
 def gauss_newton(
     predict: Callable[[FloatArray], FloatArray],
     observed: FloatArray,
@@ -79,9 +108,7 @@ def gauss_newton(
     *,
     jacobian: Callable[[FloatArray], FloatArray] | None = None,
     start: FloatArray | None = None,
-    tolerance: float = 1e-3,
-    max_evaluations: int = 50,
-    difference: float = 1e-4,
+    settings: SearchSettings | None = None,
 ) -> Laplace:
     """Return the most probable latents given observations, and the Gaussian of the posterior about them.
 
@@ -100,12 +127,8 @@ def gauss_newton(
         along the columns of the prior's Cholesky factor, one call of `predict` with 2 n_latent + 1 columns each time.
     start : ndarray of float64, shape (n_latent,), optional
         Where the search begins; by default the prior's mean.
-    tolerance : float
-        The search ends where the next step is shorter than so many standard deviations of the posterior.
-    max_evaluations : int
-        Points that may be tried.
-    difference : float
-        Distance of the neighbours in standard deviations of the prior; 1e-2 suits a decoder in float32.
+    settings : SearchSettings, optional
+        Where the search ends, and how far the neighbours are.
 
     Returns
     -------
@@ -122,7 +145,7 @@ def gauss_newton(
     NoiseError
         If `noise` is not positive definite.
     ArgumentError
-        If the prior's covariance is not positive definite, or a setting is out of range.
+        If the prior's covariance is not positive definite, or `settings` are none.
     MarkerError
         If `observed` is not finite.
     ShapeError
@@ -137,6 +160,7 @@ def gauss_newton(
     Press, 2008, chapter 8.
     """
     called("jacobian", jacobian)
+    settings = maybe("settings", settings, SearchSettings) or SearchSettings()
     observed = float_array("observed", observed, (None,))
     mean = float_array("prior.mean", of_kind("prior", prior, Gaussian).mean, (None,))
     search = _core.GaussNewton(
@@ -145,9 +169,9 @@ def gauss_newton(
         observed,
         noise_of(noise, len(observed)),
         start=optional_array("start", start, (len(mean),)),
-        tolerance=real("tolerance", tolerance, above=0.0),
-        max_evaluations=whole("max_evaluations", max_evaluations, least=1),
-        difference=real("difference", difference, above=0.0),
+        tolerance=settings.tolerance,
+        max_evaluations=settings.max_evaluations,
+        difference=settings.difference,
         largest=ABSURD_MM,
     )
     accepted = 0

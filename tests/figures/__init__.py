@@ -1,0 +1,1 @@
+"""A small draw for each figure that the documents state."""

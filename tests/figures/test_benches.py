@@ -1,0 +1,84 @@
+"""Every bench runs once, with its smallest case, in a copy: archives and pages stay as they are."""
+
+import os
+import shutil
+import subprocess
+import sys
+
+import pytest
+
+from common import BENCHES, REPOSITORY, SHARED, read_archive
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def copy(tmp_path_factory):
+    """The benches in a folder of their own, as a repository would have them."""
+    top = tmp_path_factory.mktemp("copy") / "main"
+    kept_out = shutil.ignore_patterns("twin", "results", "__pycache__", "*.tar.xz")
+    shutil.copytree(BENCHES, top / "benchmarks", ignore=kept_out)
+    for name in ("tests/support", "examples", "training/recipes", "python/tissuereg/phantom/data"):
+        shutil.copytree(REPOSITORY / name, top / name)
+    if SHARED.is_dir():
+        (top.parent / "shared").symlink_to(SHARED)
+    return top
+
+
+def run(top, *words):
+    """Run a module of a bench in the copy; return what it printed."""
+    paths = [str(top / "benchmarks"), str(top / "tests"), *filter(None, [os.environ.get("PYTHONPATH")])]
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(paths), "OMP_NUM_THREADS": "1"}
+    done = subprocess.run(
+        [sys.executable, "-m", *map(str, words)], cwd=top, env=environment, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
+    return done.stdout
+
+
+def test_blind(copy):
+    (copy / "one.txt").write_text(sorted((BENCHES / "blind" / "data" / "cases").glob("*.npz"))[0].stem + "\n", "utf-8")
+    run(copy, "blind.run", "--cases", "one.txt", "--predictions", "out")
+    assert "1 of 538 sealed cases scored" in run(copy, "blind.score", "out")
+
+
+@pytest.mark.parametrize("words", [("beam",), ("hole", "--bench", "supports")], ids=" ".join)
+def test_loadfree(copy, words):
+    body, *bench = words
+    run(
+        copy, "loadfree", *bench, "--half", "dev", "--bodies", body, "--limit", 1, "--methods", *METHODS[len(bench) > 0]
+    )
+    half = "supports-dev" if bench else "dev"
+    assert read_archive(copy / "benchmarks" / "loadfree" / "archive" / half)["rows"]
+    run(copy, "loadfree.table")
+
+
+METHODS = (("contacts", "none", "rigid", "spline", "gaussian"), ("perhaps", "sure"))
+
+
+def test_misuse(copy):
+    assert "200" in run(copy, "misuse", "--quick")
+
+
+def test_diagnosis(copy):
+    shutil.rmtree(copy / "benchmarks" / "diagnosis" / "archive" / "simulated-here")
+    run(copy, "diagnosis.simulated_here", "--rigs", 1)
+    assert "| all | 1 |" in (copy / "benchmarks/diagnosis/RESULTS-simulated-here.md").read_text(encoding="utf-8")
+    run(copy, "diagnosis.material", "--seeds", 1, "--null-seeds", 1, "--only", "three modes")
+
+
+def test_tracking(copy):
+    run(copy, "tracking.tracking", "--seeds", 1, "--contacts-seeds", 1)
+
+
+def test_speed(copy):
+    run(copy, "speed.cluster", "--chunks", 1, "--repeats", 1, "--tasks", 20)
+    run(copy, "speed.large_bodies", "--sizes", 2000, "--out", "large")
+    assert read_archive(copy / "large")["rows"][0]["measured"]["solve"]["wall_s"] > 0.0
+
+
+@pytest.mark.skipif(not SHARED.is_dir(), reason="the folder `shared` next to the repository is absent")
+def test_with_shared_data(copy):
+    run(copy, "loadfree", "--bench", "reference", "--limit", 1, "--bodies", "dome_4k_pull", "--methods", "contacts")
+    run(copy, "speed.solver", "--quick", "--peers", "none", "--out", "solver")
+    assert read_archive(copy / "solver")["solves"]
