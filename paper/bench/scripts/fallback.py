@@ -16,7 +16,7 @@ import tissuereg as tr
 from tissuereg._base.machine import machine
 from tissuereg.phantom import phantom_mesh
 from tissuereg.registration.learned.registration import as_model
-from tissuereg_paper.studies.contest import BELIEVED, CONDITIONS, Believed, measured
+from tissuereg_paper.studies.believed import BELIEVED, CONDITIONS, Believed, measured
 from tissuereg_paper.studies.rigs import read_rigs
 
 PAPER = Path(__file__).resolve().parents[2]
