@@ -23,20 +23,12 @@ from tissuereg_paper.rivals import (
     VariedNetwork,
 )
 from tissuereg_paper.studies import contest as contests
-from tissuereg_paper.studies.contest import (
-    CONDITIONS,
-    MOTION,
-    PLAIN,
-    Believed,
-    Contest,
-    NetworkAlone,
-    Simulated,
-    measured,
-)
+from tissuereg_paper.studies.believed import BELIEVED, CONDITIONS, EVERY, MOTION, PLAIN, Believed, measured
+from tissuereg_paper.studies.contest import Contest, NetworkAlone, Simulated
 from tissuereg_paper.studies.phantom import _goals, _rows, _short, merged, phantom_study
 from tissuereg_paper.studies.phantom_pages import phantom_markdown
 from tissuereg_paper.studies.rigs import Pad, Rig, read_rig, read_rigs
-from tissuereg_paper.studies.run import _delivered, run_contest
+from tissuereg_paper.studies.run import Running, _delivered, run_contest
 from tissuereg_paper.studies.runs import Run
 from tissuereg_paper.studies.variants import read_variants
 
@@ -219,7 +211,7 @@ def test_a_true_body_that_pushes_back_harder_makes_the_believed_one_go_farther(r
 
 def test_a_simulation_that_is_the_truth_has_no_error(made, rig):
     run = next(run for run in made.runs(rig, MOTION) if run.method == "simulation")
-    assert len(run.sensor_mm) == len(np.arange(0, 24, contests.EVERY))
+    assert len(run.sensor_mm) == len(np.arange(0, 24, EVERY))
     # Its spline has two more fields beyond the rig's: two cubics where the rig's is a parabola.
     assert max(run.sensor_mm.max(), run.inner_mm.max()) < 0.02
 
@@ -267,11 +259,11 @@ def test_a_method_that_remembers_is_given_every_frame_and_others_the_scored_ones
 
 def test_without_a_simulation_the_registrar_is_given_none(rig, mesh):
     model = NetworkModel(SMALL_MODEL, mesh, threads=1)
-    believed = Believed(rig, mesh, 1)
-    markers, simulation = measured(rig, PLAIN, 0)[11], believed.simulation_mm("motion")[11]
-    found = NetworkAlone(believed.setting(PLAIN, model, None, 0)).register(markers, simulation)
+    about = Believed(rig, mesh, 1)
+    markers, simulation = measured(rig, PLAIN, 0)[11], about.simulation_mm("motion")[11]
+    found = NetworkAlone(about.setting(PLAIN, model, None, 0)).register(markers, simulation)
     registrar = tr.Registrar(
-        tr.Body(mesh, material=contests.BELIEVED),
+        tr.Body(mesh, material=BELIEVED),
         tr.Markers(rig.reference_mm, std=0.1),
         model,
         settings=tr.RegisterSettings(threads=1),
@@ -405,7 +397,7 @@ def test_a_rig_whose_believed_body_has_no_equilibrium_is_left_out_and_named(rig,
 
 def test_studies_are_written_with_every_method_and_condition(made, tmp_path):
     said = []
-    contents = run_contest(["fig10", "phantom"], made, Clock(), lambda *given: said.append(given))
+    contents = run_contest(["fig10", "phantom"], made, Running(progress=lambda *given: said.append(given)))
     answer = _delivered(tmp_path / "out", contents, Clock())
     assert said[-1] == ("phantom", 8, 8)
     names = {"simulation", MeanOfMarkers.name, Rigid.name, "off", "fails"}

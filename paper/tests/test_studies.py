@@ -14,8 +14,8 @@ from tissuereg.registration.learned.model import Gaussian
 from tissuereg.registration.learned.pca import PcaModel
 from tissuereg.simulation.dataset import make_dataset
 from tissuereg.simulation.recipe import recipe_of
-from tissuereg_paper.cli import _STUDIES
-from tissuereg_paper.studies import SIMULATED, STUDIES, shapes
+from tissuereg_paper.cli import _STUDIES, main
+from tissuereg_paper.studies import SIMULATED, STUDIES, reproduce, shapes
 from tissuereg_paper.studies import run as running
 from tissuereg_paper.studies import sweep as sweeping
 from tissuereg_paper.studies.algorithm import DECREASE, assimilate_many
@@ -24,7 +24,6 @@ from tissuereg_paper.studies.claims import Agreement, Claim
 from tissuereg_paper.studies.figures import CDS, FIGURES, fig6_settings, fig7_settings, fig8_settings
 from tissuereg_paper.studies.layers import PAPER, graph_layers
 from tissuereg_paper.studies.measures import Clusters, Errors, inside90
-from tissuereg_paper.studies.run import run_studies
 from tissuereg_paper.studies.settings import METHODS, STD_AS_VARIANCE, Setting
 from tissuereg_paper.studies.shapes import HeldOut
 from tissuereg_paper.studies.subject import Subject
@@ -397,17 +396,17 @@ def test_table_ii_is_told_from_other_networks(subject, cases):
 # --- written ---
 
 
-def test_all_studies_are_written_with_what_the_interface_states(subject, tmp_path):
+@pytest.fixture
+def few(subject, monkeypatch):
+    """Studies are of a small body, and of twelve pairs of its shapes."""
+    monkeypatch.setattr(running, "subject_of", lambda model: subject)
+    monkeypatch.setattr(running, "draw_cases", lambda *given: draw_cases(*given, n_starts=4, n_targets=3))
+
+
+@pytest.mark.usefixtures("few")
+def test_all_studies_are_written_with_what_the_interface_states(tmp_path):
     said = []
-    content = run_studies(
-        SIMULATED,
-        subject,
-        tmp_path / "out",
-        threads=1,
-        n_starts=4,
-        n_targets=3,
-        progress=lambda *given: said.append(given),
-    )
+    content = reproduce(SIMULATED, tmp_path / "out", threads=1, progress=lambda *given: said.append(given))
     assert {file.name for file in (tmp_path / "out").iterdir()} == {
         f"{study}.{ending}" for study in SIMULATED for ending in ("md", "csv", "png", "json")
     }
@@ -429,13 +428,14 @@ def test_all_studies_are_written_with_what_the_interface_states(subject, tmp_pat
     assert content["seconds"]["total"] == pytest.approx(sum(v for k, v in content["seconds"].items() if k != "total"))
 
 
-def test_a_study_that_fails_leaves_nothing(subject, tmp_path, monkeypatch):
+@pytest.mark.usefixtures("few")
+def test_a_study_that_fails_leaves_nothing(tmp_path, monkeypatch):
     def fails(content):
         raise EnsembleError(content["rows"][0]["study"])
 
     monkeypatch.setattr(running, "picture", fails)
     with pytest.raises(EnsembleError):
-        run_studies(["fig8"], subject, tmp_path / "out", threads=1, n_starts=4, n_targets=3)
+        reproduce(["fig8"], tmp_path / "out", threads=1)
     assert not list(tmp_path.iterdir())
 
 
@@ -457,7 +457,7 @@ def test_the_command_knows_the_studies_of_the_package():
     ids=["study", "model", "seed", "nothing"],
 )
 def test_wrong_words_end_with_one_paragraph_and_no_output(words, said, tmp_path, capsys):
-    code, answer, err = run_json(capsys, "reproduce", *words, "--out", tmp_path / "out")
+    code, answer, err = run_json(capsys, *words, "--out", tmp_path / "out", program=main)
     assert code == 2
     assert said in answer["message"]
     assert "Traceback" not in err
@@ -468,16 +468,15 @@ def test_a_model_of_another_body_is_refused_by_name(tmp_path):
     with pytest.raises(ModelError, match="recipe travels with the package"):
         shapes.held_out_of("0" * 64)
     with pytest.raises(ArgumentError, match="`studies` must name at least one"):
-        tr.reproduce([], tmp_path / "out")
+        reproduce([], tmp_path / "out")
 
 
-def test_the_command_says_what_holds_of_the_paper(subject, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(running, "subject_of", lambda model: subject)
-    monkeypatch.setattr(running, "draw_cases", lambda *given, **_: draw_cases(*given, n_starts=4, n_targets=3))
-    code, out, _ = run(capsys, "reproduce", "fig8", "--out", tmp_path / "out", "--threads", "1", "--quiet")
+@pytest.mark.usefixtures("few")
+def test_the_command_says_what_holds_of_the_paper(tmp_path, capsys):
+    code, out, _ = run(capsys, "fig8", "--out", tmp_path / "out", "--threads", "1", "--quiet", program=main)
     assert code == 0
     assert "fig8: 8 rows; agrees with the paper: " in out
-    code, answer, _ = run_json(capsys, "reproduce", "table2", "--out", tmp_path / "out", "--threads", "1", "--quiet")
+    code, answer, _ = run_json(capsys, "table2", "--out", tmp_path / "out", "--threads", "1", "--quiet", program=main)
     assert code == 0
     assert set(answer) >= {"schema", "rows", "agree", "seed", "seconds", "threads", "machine", "versions", "layers"}
     assert (tmp_path / "out" / "fig8.md").exists()

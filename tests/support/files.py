@@ -104,14 +104,14 @@ def write_experiment(folder: Path, *, toml: str = EXPERIMENT, **tables: str | No
     return folder
 
 
-def run(capsys, *words):
-    """Run the command line in this process; return its code, standard output and standard error."""
-    code = main([str(word) for word in words])
+def run(capsys, *words, program=main):
+    """Run a command line in this process; return its code, standard output and standard error."""
+    code = program([str(word) for word in words])
     output = capsys.readouterr()
     return code, output.out, output.err
 
 
-def run_json(capsys, *words):
-    """Run the command line with ``--json -``; return its code, the JSON and standard error."""
-    code, out, err = run(capsys, *words, "--json", "-")
+def run_json(capsys, *words, program=main):
+    """Run a command line with ``--json -``; return its code, the JSON and standard error."""
+    code, out, err = run(capsys, *words, "--json", "-", program=program)
     return code, json.loads(out, parse_constant=lambda name: (_ for _ in ()).throw(ValueError(name))), err

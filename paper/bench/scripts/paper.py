@@ -34,9 +34,9 @@ STUDY_TITLES = {
 
 HEAD = """# The paper's simulation studies
 
-Written by `make -C paper paper` from `paper/archive/paper-*`; edit neither. Single studies: `tissuereg-paper fig6 --out
-DIR`. Source: M. Afshar et al., "Registration of deformed tissue: a GNN-VAE
-approach with data assimilation for sim-to-real transfer", section III.
+Written by `make -C paper paper` from `paper/archive/paper-*`; edit neither. Single studies:
+`tissuereg-paper fig6 --out DIR`. Source: M. Afshar et al., "Registration of deformed tissue: a GNN-VAE approach with
+data assimilation for sim-to-real transfer", section III.
 
 ## Where we agree with the paper, and where not
 

@@ -32,8 +32,9 @@ from tissuereg.phantom import phantom_mesh
 from tissuereg.registration.learned.registration import as_model
 from tissuereg_paper import rivals as b
 from tissuereg_paper.rivals import Rival
-from tissuereg_paper.studies.contest import METHODS, PLAIN, Believed, Simulated, measured, run_method
-from tissuereg_paper.studies.contest import Path as BelievedPath
+from tissuereg_paper.studies.believed import PLAIN, Believed, measured
+from tissuereg_paper.studies.believed import Path as BelievedPath
+from tissuereg_paper.studies.contest import METHODS, Simulated, run_method
 from tissuereg_paper.studies.rigs import Rig, read_rigs
 from tissuereg_paper.studies.variants import read_variants
 

@@ -18,7 +18,8 @@ from tissuereg.phantom import phantom_mesh
 from tissuereg.registration.learned import calibration
 from tissuereg.registration.learned.registration import as_model
 from tissuereg_paper.rivals import EnsembleOfSimulations, Network, VariedNetwork
-from tissuereg_paper.studies.contest import PLAIN, Believed, Simulated, measured, run_method
+from tissuereg_paper.studies.believed import PLAIN, Believed, measured
+from tissuereg_paper.studies.contest import Simulated, run_method
 from tissuereg_paper.studies.rigs import read_rigs
 from tissuereg_paper.studies.variants import read_variants
 

@@ -14,7 +14,7 @@ import tissuereg as tr
 from tissuereg.errors import ConvergenceError
 from tissuereg.io.npz import write_npz
 from tissuereg.phantom import phantom_mesh
-from tissuereg_paper.studies.contest import Believed, moved_by_pads
+from tissuereg_paper.studies.believed import Believed, moved_by_pads
 from tissuereg_paper.studies.rigs import Pad
 from tissuereg_paper.studies.rigs import Rig as Recording
 from twin.rig import FRAME_S, PAIR_SEEDS, SCENARIOS, draw

@@ -24,7 +24,7 @@ import numpy as np
 from tissuereg.errors import ConvergenceError
 from tissuereg.io.npz import write_npz
 from tissuereg.phantom import phantom_mesh
-from tissuereg_paper.studies.contest import BELIEVED, Believed
+from tissuereg_paper.studies.believed import BELIEVED, Believed
 from tissuereg_paper.studies.rigs import read_rig
 from twin.pairs import true_path
 from twin.rig import DEVELOPMENT_SEEDS, SCENARIOS, SEEDS, about_known_pose, draw

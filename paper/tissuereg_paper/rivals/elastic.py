@@ -4,10 +4,10 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from tissuereg import Body
 from tissuereg._base.arguments import flag
 from tissuereg._base.arrays import FloatArray
 from tissuereg.registration.contacts.elastic import ElasticBody
-from tissuereg.registration.contacts.registration import fitting_element
 from tissuereg.registration.linear_prior import LinearPrior, most_probable
 from tissuereg_paper.rivals.rival import Estimate, Moment, Rival, Setting
 
@@ -18,7 +18,7 @@ def elastic_body(setting: Setting) -> ElasticBody:
         setting.mesh,
         setting.material,
         setting.markers(np.full_like(setting.reference_mm, np.nan)),
-        element=fitting_element(setting.mesh, setting.material),
+        element=Body(setting.mesh, setting.material).fitting_element,
         threads=setting.threads,
     )
 

@@ -110,10 +110,6 @@ class KfAdmm(Rival):
         by_node = slowest.shapes.transpose(1, 2, 0).reshape(mesh.n_nodes, -1)
         #: Displacement of the markers' feet by amplitudes, (n_markers, 3, n_modes).
         self._sensitivity: FloatArray = (weights @ by_node).reshape(setting.n_markers, 3, -1)
-        self.reset()
-
-    def reset(self) -> None:
-        """Forget earlier moments."""
         self._begun = False
         self._forces: FloatArray | None = None
         self._last: FloatArray | None = None
@@ -130,7 +126,6 @@ class KfAdmm(Rival):
         simulation, mesh = moment.start_mm, self.setting.mesh
         if not self._begun:
             self._body.set_state(simulation, np.zeros_like(simulation))
-            self._filter.reset()
             self._begun = True
         gap = self._predict(simulation)
         moved, velocity = self._body.displacement, self._body.velocity

@@ -84,10 +84,6 @@ class _OneUpdate(Rival):
         spread = np.repeat(posterior.std()[:, None] / np.sqrt(3.0), 3, axis=1) if self._spread else None
         return Estimate(posterior.displacement, spread, {"widened": believed.factor, "latents": found.latents})
 
-    def reset(self) -> None:
-        """Forget earlier moments."""
-        self._n_moments = 0
-
     def _markers_of(self, measured_mm: FloatArray) -> Markers:
         return self.setting.markers(measured_mm)
 
@@ -155,11 +151,6 @@ class LatentFilter(_OneUpdate):
         super().__init__(setting, n_members=n_members, spread=spread)
         self._kept_share = float(np.exp(-setting.frame_s / real("memory_s", memory_s, above=0.0, unit="s")))
         self._errors: tuple[FloatArray, bool] | None = None
-
-    def reset(self) -> None:
-        """Forget earlier moments."""
-        super().reset()
-        self._errors = None
 
     def _forecast(self, prior: Gaussian, rng: np.random.Generator) -> FirstEnsemble:
         if self._errors is None:

@@ -56,10 +56,6 @@ class ModalFilter:
         self._noise: FloatArray = force_std**2 * (reach @ reach.T)
         self.covariance: FloatArray = np.zeros((2 * n, 2 * n))
 
-    def reset(self) -> None:
-        """Know the state exactly again."""
-        self.covariance = np.zeros_like(self.covariance)
-
     def predict(self) -> None:
         """Let one step pass: ``P <- F P F' + Q``."""
         self.covariance = self._transition @ self.covariance @ self._transition.T + self._noise

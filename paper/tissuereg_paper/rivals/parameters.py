@@ -6,13 +6,12 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from tissuereg import Load, Material, Simulator
+from tissuereg import Body, Load, Material, Simulator
 from tissuereg._base.arguments import flag, real, whole
 from tissuereg._base.arrays import FloatArray, float_array
 from tissuereg.body.observe import MarkerObservation
 from tissuereg.errors import ArgumentError
 from tissuereg.registration.contacts.body import ContactBody
-from tissuereg.registration.contacts.registration import fitting_element
 from tissuereg.registration.contacts.supports import Supports
 from tissuereg.registration.learned.assimilate import AssimilationSettings, StepOptions, assimilate
 from tissuereg.registration.learned.model import Gaussian
@@ -82,17 +81,13 @@ class ParameterInference(Rival):
         self._n_members = whole("n_members", n_members, least=4)
         self._n_steps = (whole("n_steps", n_steps, least=1), whole("later_steps", later_steps, least=1))
         self._spread = flag("spread", spread)
-        element = fitting_element(setting.mesh, setting.material)
+        element = Body(setting.mesh, setting.material).fitting_element
         self._body = ContactBody.of(setting.mesh, Supports.of(setting.mesh, "sure"), element)
         self._simulator = self._body.simulator
         if len(setting.driven):
             self._simulator = Simulator(setting.mesh, element=element, held_nodes=setting.held)
         markers = setting.markers(np.full_like(setting.reference_mm, np.nan))
         self._observed = MarkerObservation.of(setting.mesh, markers)
-        self.reset()
-
-    def reset(self) -> None:
-        """Forget what was found of the parameters."""
         self._known: Gaussian | None = None
         self._n_moments = 0
 

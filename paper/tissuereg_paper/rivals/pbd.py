@@ -84,10 +84,6 @@ class PositionBasedDynamics(Rival):
         self._particles: IntArray = feet.indices.reshape(setting.n_markers, -1).astype(np.int64)
         self._weights: FloatArray = feet.data.reshape(setting.n_markers, -1)
         self._compliance: FloatArray = setting.std_mm**2 / energy_uj
-        self.reset()
-
-    def reset(self) -> None:
-        """Forget earlier moments."""
         self._correction: FloatArray = np.zeros_like(self.setting.mesh.nodes)
         self._change: FloatArray = np.zeros_like(self._correction)
 

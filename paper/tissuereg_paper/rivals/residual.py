@@ -53,10 +53,6 @@ class LinearResidual(Rival):
         self._forgetting = float(np.exp(-setting.frame_s / real("memory_s", memory_s, above=0.0, unit="s")))
         self._window: deque[tuple[FloatArray, FloatArray]] = deque(maxlen=whole("window", window, least=1))
 
-    def reset(self) -> None:
-        """Forget earlier moments."""
-        self._window.clear()
-
     def register(self, measured_mm: Any, simulation_mm: Any = None) -> Estimate:
         """Return the simulation and the residual carried to the nodes; see `Rival.register`.
 

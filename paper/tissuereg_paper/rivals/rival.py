@@ -13,10 +13,7 @@ from tissuereg._base.arrays import BoolArray, FloatArray, IntArray, float_array,
 from tissuereg.errors import ArgumentError, MarkerError, ShapeError
 from tissuereg.registration.learned.model import LatentModel
 
-#: What a method may need beyond mesh, markers and material.
-NEEDS = frozenset({"simulation", "model", "load", "fields", "variants"})
-
-#: Those that come with every moment, not with the setting.
+#: What of a method's needs comes with every moment, not with the setting.
 _OF_A_MOMENT = frozenset({"simulation", "variants"})
 
 
@@ -210,7 +207,8 @@ class Rival(ABC):
         Parameters
         ----------
         measured_mm : array_like of float, shape (n_markers, 3)
-            Measured places of the markers, mm; NaN = not seen. Moments come in the order of time.
+            Measured places of the markers, mm; NaN = not seen. Moments come in the order of time; a method that
+            remembers is made anew for each motion.
         simulation_mm : array_like of float, shape (n_nodes, 3), optional
             Simulated displacement of the moment, mm. Methods that do not need it ignore it.
 
@@ -228,9 +226,6 @@ class Rival(ABC):
         ArgumentError
             If the method needs a simulation and there is none.
         """
-
-    def reset(self) -> None:  # noqa: B027
-        """Forget earlier moments: the next one is the first of a new motion. Most methods remember none."""
 
     def moment(self, measured_mm: Any, simulation_mm: Any = None) -> Moment:
         """Return the arguments of `register`, checked; raises as stated there."""

@@ -12,8 +12,7 @@ import numpy as np
 from tissuereg import Mesh
 from tissuereg._base.arrays import FloatArray, IntArray
 from tissuereg.errors import EnsembleError
-from tissuereg.io.chunks import Fields
-from tissuereg_paper.studies.shapes import HeldOut
+from tissuereg_paper.studies.shapes import Fields, HeldOut
 
 #: Start meshes, targets of each, markers, and inner points at which regions are tried.
 N_STARTS, N_TARGETS, N_MARKERS, N_INNER = 10, 10, 15, 25

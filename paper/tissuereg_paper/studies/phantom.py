@@ -8,8 +8,9 @@ import numpy as np
 from tissuereg._base.arrays import FloatArray
 from tissuereg.errors import ArgumentError
 from tissuereg_paper.rivals import KfAdmm, Network, VariedNetwork
+from tissuereg_paper.studies.believed import CONDITIONS, PLAIN, Condition
 from tissuereg_paper.studies.claims import Agreement, Claim
-from tissuereg_paper.studies.contest import CONDITIONS, KEYS, PLAIN, Condition, Contest, Simulated
+from tissuereg_paper.studies.contest import KEYS, Contest, Simulated
 from tissuereg_paper.studies.rigs import Rig
 from tissuereg_paper.studies.runs import Run
 

@@ -3,7 +3,8 @@
 from typing import Any
 
 from tissuereg_paper.rivals import KfAdmm, Network, PhysicsPrior, VariedNetwork
-from tissuereg_paper.studies.contest import PLAIN, Simulated
+from tissuereg_paper.studies.believed import PLAIN
+from tissuereg_paper.studies.contest import Simulated
 from tissuereg_paper.studies.tables import claim_lines, csv_lines
 
 #: Methods that a figure names: the simulation, ours, and the paper's rival.

@@ -10,7 +10,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from tissuereg import open_dataset
-from tissuereg._base.arguments import called, check_running, each, of_kind, place
+from tissuereg._base.arguments import called, check_running, each, maybe, place
 from tissuereg._base.choice import check_choice
 from tissuereg._base.clock import Clock
 from tissuereg.errors import ArgumentError
@@ -18,7 +18,7 @@ from tissuereg.io.atomic import OutputError, atomic_folder, check_folder_target
 from tissuereg.io.json import dumps
 from tissuereg.phantom import phantom_mesh
 from tissuereg.registration.learned.registration import as_model
-from tissuereg_paper.studies.cases import N_STARTS, N_TARGETS, draw_cases
+from tissuereg_paper.studies.cases import draw_cases
 from tissuereg_paper.studies.contest import KEYS, METHODS, Contest, Simulated
 from tissuereg_paper.studies.figures import FIGURES, figure_study
 from tissuereg_paper.studies.phantom import PHANTOM_STUDIES, phantom_study
@@ -178,7 +178,7 @@ def reproduce(
         raise ArgumentError(message, where="studies")
     check_running(seed=seed, threads=threads)
     called("progress", progress)
-    inputs = of_kind("contest", contest or ContestInputs(), ContestInputs)
+    inputs = maybe("contest", contest, ContestInputs) or ContestInputs()
     folder = place("out", out, error=OutputError)
     check_folder_target(folder)
     running = Running(seed, threads, progress)
@@ -195,13 +195,6 @@ def reproduce(
     if phantom:
         contents |= run_contest(phantom, rivals, running)
     return _delivered(folder, contents, running.clock)
-
-
-def run_studies(
-    names: Sequence[str], subject: Subject, out: Path, running: Running, pairs: tuple[int, int]
-) -> dict[str, Any]:
-    """Run studies of any subject, of so many starts and targets of each; `reproduce` says what comes back."""
-    return _delivered(out, _simulated(names, subject, running, pairs), running.clock)
 
 
 def run_contest(names: Sequence[str], contest: Contest, running: Running) -> dict[str, dict[str, Any]]:
@@ -239,12 +232,10 @@ def _contest(inputs: ContestInputs, model: Any, running: Running) -> Contest:
     )
 
 
-def _simulated(
-    names: Sequence[str], subject: Subject, running: Running, pairs: tuple[int, int] = (N_STARTS, N_TARGETS)
-) -> dict[str, dict[str, Any]]:
+def _simulated(names: Sequence[str], subject: Subject, running: Running) -> dict[str, dict[str, Any]]:
     seed, threads = running.seed, running.threads
     with running.clock.stage("shapes"):
-        cases = draw_cases(subject.held_out, seed, threads, n_starts=pairs[0], n_targets=pairs[1])
+        cases = draw_cases(subject.held_out, seed, threads)
     contents = {}
     # One pool of threads at a time: lots of pairs run side by side.
     with threadpool_limits(limits=1, user_api="blas"):

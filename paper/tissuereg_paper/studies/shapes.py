@@ -7,15 +7,18 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+import numpy.typing as npt
 
 from tissuereg import Mesh
 from tissuereg._base.arrays import IntArray
 from tissuereg.errors import EnsembleError, ModelError
-from tissuereg.io.chunks import Fields
 from tissuereg.io.datasets import split_of
 from tissuereg.phantom.shipped import shipped_recipe
 from tissuereg.simulation.chunks import ChunkMaker
 from tissuereg.simulation.recipe import Recipe
+
+#: Displacements of several shapes, single precision as data sets keep them.
+Fields = npt.NDArray[np.float32]
 
 #: Members of the shipped model's data that have no equilibrium; the others are split.
 FAILED = (1468, 2494, 3990, 6405, 9619)
