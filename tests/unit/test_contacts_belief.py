@@ -7,6 +7,7 @@ import tissuereg as tr
 from support import doors
 from support.pushes import MATERIAL, push
 from tissuereg.errors import ConvergenceError
+from tissuereg.registration.contacts.settings import StepSettings
 
 LEFT_OUT = "the believed load was left out: "
 
@@ -35,10 +36,9 @@ def test_a_belief_that_is_far_off_is_corrected_and_kept():
 
 
 @pytest.mark.parametrize(("unmet", "less", "leaves"), [(3.0, 0.5, False), (0.0, 0.5, False), (0.0, 9.9, True)])
-def test_a_belief_is_left_out_where_the_markers_stay_unmet_and_are_met_without(monkeypatch, unmet, less, leaves):
-    monkeypatch.setattr("tissuereg.registration.contacts.registration._UNMET", unmet)
-    monkeypatch.setattr("tissuereg.registration.contacts.registration._MUCH_LESS", less)
-    result = registered(load=tr.Load(body_force=(0.0, 0.0, -1e-3)))
+def test_a_belief_is_left_out_where_the_markers_stay_unmet_and_are_met_without(unmet, less, leaves):
+    settings = tr.ContactSettings(steps=StepSettings(unmet=unmet, much_less=less))
+    result = registered(load=tr.Load(body_force=(0.0, 0.0, -1e-3)), contacts=settings)
     assert (f"{LEFT_OUT}no contacts added to it explain the markers" in result.trust.reasons) == leaves
     alone = registered()
     assert np.array_equal(result.displacement, alone.displacement) == leaves

@@ -1,5 +1,7 @@
 """Points of a surface without labels: matching, their rows, noise, thinning, rigid start, projection."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -13,8 +15,8 @@ from tissuereg.registration.contacts.frame import Frame
 from tissuereg.registration.contacts.icp import closest_frame
 from tissuereg.registration.contacts.moment import Moment
 from tissuereg.registration.contacts.posed import Basis, moving_variances
-from tissuereg.registration.contacts.seen import MOST_PLAIN, Seen, SeenMarkers, tail_cost, tail_variance
-from tissuereg.registration.contacts.settings import ContactSettings
+from tissuereg.registration.contacts.seen import Seen, SeenMarkers, tail_cost, tail_variance
+from tissuereg.registration.contacts.settings import MATCHING, ContactSettings
 from tissuereg.registration.contacts.supports import Supports
 from tissuereg.registration.contacts.surface_points import SeenPoints, closest_feet, facet_errors
 from tissuereg.registration.readings.clouds import suspect_points
@@ -219,7 +221,7 @@ def test_thirty_markers_projected_and_plain_agree(block_mesh, monkeypatch):
     )
     targets = {"deep": (18.0, 12.0, 22.0), "top": (12.0, 8.0, 34.0)}
     plain = tr.register(block_mesh, markers, targets=targets)
-    monkeypatch.setattr("tissuereg.registration.contacts.seen.MOST_PLAIN", 60)
+    monkeypatch.setattr("tissuereg.registration.contacts.seen.MATCHING", replace(MATCHING, most_plain=60))
     few = tr.register(block_mesh, markers, targets=targets)
     moved = np.linalg.norm(truth, axis=1).mean()
     # Measured at four seeds: 0.021 to 0.026 of the motion, seeds alone 0.005. Heavy tails weigh markers otherwise; what
@@ -233,7 +235,7 @@ def test_thirty_markers_projected_and_plain_agree(block_mesh, monkeypatch):
 
 
 def test_a_wrong_marker_among_many_is_named_by_its_weight(block_mesh, monkeypatch):
-    monkeypatch.setattr("tissuereg.registration.contacts.seen.MOST_PLAIN", 20)
+    monkeypatch.setattr("tissuereg.registration.contacts.seen.MATCHING", replace(MATCHING, most_plain=20))
     top = block_mesh.surface[(block_mesh.nodes[block_mesh.surface][:, :, 2] > 40 - 1e-9).all(axis=1)]
     truth = tr.simulate(block_mesh, tr.Load(traction=(top, (0.2, 0.07, 0.03))), tr.Material(10.0, 0.45)).displacement
     nodes = block_mesh.surface_nodes[block_mesh.nodes[block_mesh.surface_nodes, 2] > 8][::4]
@@ -252,7 +254,7 @@ def test_data_are_weighed_only_where_they_are_many(block_mesh):
     few, many = (SeenPoints(block_mesh, points[:count], 0.1, 0.02) for count in (40, 300))
     assert not Seen.of(marks, few).weighed
     assert Seen.of(marks, many).weighed
-    assert Seen.of(marks, few).n_obs == 70 < MOST_PLAIN
+    assert Seen.of(marks, few).n_obs == 70 < MATCHING.most_plain
     still = Moment(np.zeros(1), np.zeros((block_mesh.n_nodes, 3)), Frame.still())
     assert len(Seen.of(marks, few).read(still).groups) == 10
     assert Seen.of(marks, many).read(still).groups == []

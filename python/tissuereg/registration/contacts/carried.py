@@ -12,11 +12,9 @@ from tissuereg.registration.contacts.columns import Columns
 from tissuereg.registration.contacts.draws import Draws
 from tissuereg.registration.contacts.fit import Samples
 from tissuereg.registration.contacts.moment import Moment
+from tissuereg.registration.contacts.settings import DISCRETISATION
 from tissuereg.registration.contacts.tangent import Tangent
 from tissuereg.simulation.sensitivity import Cause
-
-#: Relative change of the load below which the body's equilibrium is still that of the moment before.
-_SAME_LOAD = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +96,7 @@ class Carried:
             None if that load has no equilibrium near the state before.
         """
         coefficients = self.moment.coefficients
-        if _differ(columns, self.columns, coefficients) <= _SAME_LOAD:
+        if _differ(columns, self.columns, coefficients) <= DISCRETISATION.same_load:
             return self.moment
         try:
             return Moment(coefficients, solve(coefficients), self.moment.frame)

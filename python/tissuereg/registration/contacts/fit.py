@@ -24,45 +24,8 @@ from tissuereg.registration.contacts.linear import AtBody, Linear
 from tissuereg.registration.contacts.moment import Moment
 from tissuereg.registration.contacts.posed import Posed
 from tissuereg.registration.contacts.seen import Seen
-from tissuereg.registration.contacts.settings import ContactSettings
+from tissuereg.registration.contacts.settings import DISCRETISATION, ContactSettings, StepSettings
 from tissuereg.registration.contacts.tangent import Tangent
-
-#: Relative residual of an equilibrium that is linearised.
-TOLERANCE = 3e-7
-
-#: Shortest share of a step towards the mean load.
-_SHORTEST_STEP = 0.02
-
-#: A load that takes more iterations than this is abandoned: a shorter step is tried.
-_MOST_ITERATIONS = 150
-
-#: A step must reduce the residual by this share of the predicted reduction, or to within this many times the limit.
-_DECREASE, _GOOD_ENOUGH = 0.3, 1.5
-
-#: The same share if points without labels are matched anew: the first steps gain least.
-_DECREASE_UNMATCHED = 0.01
-
-#: In that case a step of at least this length is accepted if it reduces the residual at all.
-_SHORTEST_UNMATCHED = 0.2
-
-#: Least number of first passes while the residual of the points is above the limit.
-_LEAST_ROUGH = 4
-
-#: Passes with markers alone, if there are markers as well as points.
-_MARKER_PASSES = 2
-
-#: Most passes with few points, and with all of them.
-_COARSE_PASSES, _FINE_PASSES = 8, 5
-
-#: Shares of the extent within which the errors of first matches are correlated: the second is tried if the first
-#: leaves more than this share of the points as outliers.
-_WIDTHS, _MOST_OUTLIERS = (0.12, 0.2), 0.13
-
-#: A step ended as predicted if its residual exceeds the predicted one by no more than this.
-_AS_PREDICTED = 0.2
-
-#: Matches have settled if a pass reduces the residual by less than this share.
-_SETTLED = 0.05
 
 Samples = tuple[Any, Any, Any]
 
@@ -82,10 +45,9 @@ class _Pass:
     predicted: float
     misfit: float
 
-    @property
-    def as_predicted(self) -> bool:
+    def ended_as_predicted(self, margin: float) -> bool:
         """Whether the step ended as the linear model predicted, so that the linearisation also holds at its end."""
-        return self.residual < self.predicted + _AS_PREDICTED
+        return self.residual < self.predicted + margin
 
 
 @dataclass(frozen=True)
@@ -173,6 +135,11 @@ class Passes:
     kept: Tangent | None = None
     counters: Counter[str] = field(default_factory=Counter)
 
+    @property
+    def steps(self) -> StepSettings:
+        """When a step is accepted, and when the passes end."""
+        return self.settings.steps
+
     @cached_property
     def linear(self) -> Linear:
         """The linearisation; its work is counted with that of the passes."""
@@ -198,11 +165,11 @@ class Passes:
         """
         full = self.seen
         best: tuple[_Pass, list[float]] | None = None
-        for width in _WIDTHS if full.rematches else (0.0,):
+        for width in self.steps.widths if full.rematches else (0.0,):
             found = self._from(start, self._stages(full, width))
             if best is None or found[0].residual < best[0].residual:
                 best = found
-            if full.outliers(found[0].moment) < _MOST_OUTLIERS:
+            if full.outliers(found[0].moment) < self.steps.most_outliers:
                 break
         if best is None:
             message = "at least one width must be tried"
@@ -213,7 +180,7 @@ class Passes:
 
     def _at_end(self, last: "_Pass", full: Seen) -> AtBody:
         """Return the linear problem at the end of a pass, or that at its start if the step ended as predicted."""
-        if last.as_predicted and not full.rematches:
+        if last.ended_as_predicted(self.steps.as_predicted) and not full.rematches:
             return last.at
         try:
             return self.linear.at(last.moment, full)
@@ -240,9 +207,9 @@ class Passes:
         """Return the data of each stage with its largest number of passes."""
         if not full.rematches:
             return [(full, self.settings.max_passes)]
-        stages = [(full.coarser(width), _COARSE_PASSES), (full, _FINE_PASSES)]
+        stages = [(full.coarser(width), self.steps.coarse_passes), (full, self.steps.fine_passes)]
         # Markers have labels: they bring the body close before points are matched.
-        return stages if full.markers is None else [(Seen.of(full.markers), _MARKER_PASSES), *stages]
+        return stages if full.markers is None else [(Seen.of(full.markers), self.steps.marker_passes), *stages]
 
     def _approach(self, moment: Moment, samples: Samples | None, most: int) -> tuple["_Pass", list[float]]:
         """Return the pass with the smallest residual of at most `most` passes, and all residuals."""
@@ -263,7 +230,9 @@ class Passes:
             if closest is None or made.residual < closest.residual:
                 closest = made
             del made
-            most_passes = _COARSE_PASSES + _FINE_PASSES if self.seen.rematches else self.settings.max_passes
+            most_passes = (
+                self.steps.coarse_passes + self.steps.fine_passes if self.seen.rematches else self.settings.max_passes
+            )
             self.clock.passed(min(self.counters["passes"], most_passes), most_passes)
         assert closest is not None  # the loop runs once at least
         return closest, [one.residual for one in reached]
@@ -316,18 +285,19 @@ class Passes:
 
     def _solve(self, at: AtBody, samples: Samples, moment: Moment, wanted: FloatArray) -> Moment:
         """Return the equilibrium under the wanted coefficients, or after the longest step that reduces the residual."""
-        share, decrease = 1.0, _DECREASE_UNMATCHED if self.seen.rematches else _DECREASE
+        steps, matched = self.steps, not self.seen.rematches
+        share, decrease = 1.0, steps.decrease if matched else steps.decrease_unmatched
         # Points are matched anew, but keep the weights for which the step was predicted.
         std = self.seen.read(moment).std if self.seen.rough else None
         before = self.residual_rms(moment, samples, std)
         best: tuple[float, Moment] | None = None
-        while share > (_SHORTEST_UNMATCHED if self.seen.rematches and best is not None else _SHORTEST_STEP):
+        while share > (steps.shortest if matched or best is None else steps.shortest_unmatched):
             found = self._towards(at.tangent, moment, moment.coefficients + share * (wanted - moment.coefficients))
             if found is not None:
                 residual = self.residual_rms(found, samples, std)
                 if best is None or residual < best[0]:
                     best = (residual, found)
-                enough = 0.0 if self.seen.rematches else _GOOD_ENOUGH * self.settings.fit_limit
+                enough = steps.good_enough * self.settings.fit_limit if matched else 0.0
                 if residual < max((1.0 - decrease * share) * before, enough):
                     return found
             share *= 0.5
@@ -343,7 +313,10 @@ class Passes:
         try:
             load = self.columns.load(coefficients)
             found = tangent.linearised.solve_near(
-                load, springs=self.columns.springs, tolerance=TOLERANCE, max_iterations=_MOST_ITERATIONS
+                load,
+                springs=self.columns.springs,
+                tolerance=DISCRETISATION.tolerance,
+                max_iterations=self.steps.most_iterations,
             )
         except ConvergenceError:
             return None
@@ -374,8 +347,8 @@ class Passes:
         residual = reached[-1].residual
         if self.seen.rematches:
             before = reached[-2].residual if len(reached) > 1 else np.inf
-            few = len(reached) < _LEAST_ROUGH and self.seen.rough and residual > self.settings.fit_limit
-            return not few and residual > (1.0 - _SETTLED) * before
+            few = len(reached) < self.steps.least_rough and self.seen.rough and residual > self.settings.fit_limit
+            return not few and residual > (1.0 - self.steps.settled) * before
         met = residual < self.settings.fit_limit and residual < reached[-1].predicted + self.settings.promise_margin
         residuals = [one.residual for one in reached]
         return met or (len(reached) > 3 and min(residuals[-2:]) > 0.95 * min(residuals[:-2]))
@@ -452,5 +425,7 @@ def start_of(columns: Columns, material: Material, simulation: FloatArray | None
     if all(part is None for part in columns.believed.values()):
         return Moment(zero, np.zeros((simulator.body.n_nodes, 3)), frame)
     load: Load = columns.load(zero)
-    found = simulator.solve(load, material, springs=columns.springs, tolerance=TOLERANCE, threads=threads)
+    found = simulator.solve(
+        load, material, springs=columns.springs, tolerance=DISCRETISATION.tolerance, threads=threads
+    )
     return Moment(zero, found.all_displacement, frame)

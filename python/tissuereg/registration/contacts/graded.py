@@ -23,9 +23,6 @@ from tissuereg.registration.contacts.frame import Frame
 #: Values of `stiffness`.
 STIFFNESS = ("believed", "graded")
 
-#: First and shortest step of the search, in units of the prior's standard deviation.
-_FIRST_STEP, _LAST_STEP = 1.0, 0.3
-
 
 @dataclass(frozen=True, eq=False)
 class Grading:
@@ -76,8 +73,9 @@ def grade(passes: Passes, frame: Frame) -> Grading:
     trial = _Trial(passes, frame, profiles_of(passes.columns.body.mesh))
     prior = passes.settings.graded_log_std
     best, value = np.zeros(3), trial.log_evidence(np.zeros(3))
-    std, step = np.full(3, prior), _FIRST_STEP * prior
-    while step >= _LAST_STEP * prior:
+    search = passes.settings.evidence
+    std, step = np.full(3, prior), search.first_step * prior
+    while step >= search.last_step * prior:
         for axis in range(3):
             best, value, std[axis] = _along(trial, best, value, axis, step)
         step *= 0.5

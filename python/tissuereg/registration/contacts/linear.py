@@ -11,17 +11,9 @@ from tissuereg._base.clock import Clock
 from tissuereg.body.material import Material
 from tissuereg.registration.contacts.columns import Columns, sampler
 from tissuereg.registration.contacts.moment import Moment
-from tissuereg.registration.contacts.posed import (
-    MOST_KEPT,
-    MOST_KEPT_COARSE,
-    Basis,
-    Posed,
-    moving_variances,
-    plain,
-    projected,
-)
+from tissuereg.registration.contacts.posed import Basis, Posed, moving_variances, plain, projected
 from tissuereg.registration.contacts.seen import Reading, Seen
-from tissuereg.registration.contacts.settings import ContactSettings
+from tissuereg.registration.contacts.settings import MATCHING, ContactSettings
 from tissuereg.registration.contacts.tangent import Row, Tangent, tangent_at
 
 
@@ -103,7 +95,7 @@ class Linear:
         if self._basis is None or self._basis[0] is not seen:
             every = self._responses(tangent, reading.rows, rigid)
             with self.clock.stage("prepare"):
-                most = MOST_KEPT_COARSE if seen.rough else MOST_KEPT
+                most = MATCHING.most_kept_coarse if seen.rough else MATCHING.most_kept
                 basis = Basis.of(reading, every, moving_variances(self.columns, self.settings), most)
             self._basis = (seen, basis)
             return projected(reading, basis, (basis.vectors / reading.std) @ every, coefficients)

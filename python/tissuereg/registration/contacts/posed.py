@@ -18,13 +18,7 @@ import numpy as np
 from tissuereg._base.arrays import FloatArray, IntArray
 from tissuereg.registration.contacts.columns import Columns, contact_sizes
 from tissuereg.registration.contacts.seen import Reading
-from tissuereg.registration.contacts.settings import ContactSettings
-
-#: Directions with a smaller signal (squared, over the noise) are dropped.
-LEAST_SIGNAL = 0.3
-
-#: Largest number of directions kept; fewer in first passes, whose answer is rough.
-MOST_KEPT, MOST_KEPT_COARSE = 80, 36
+from tissuereg.registration.contacts.settings import MATCHING, ContactSettings
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +69,7 @@ class Basis:
         """Return the basis of observations with given responses (n_obs, n_columns) to causes of given variances."""
         white = responses / reading.std[:, None]
         signals, vectors = np.linalg.eigh((white * variances) @ white.T)
-        n_kept = min(most, max(1, int(np.sum(signals > LEAST_SIGNAL))))
+        n_kept = min(most, max(1, int(np.sum(signals > MATCHING.least_signal))))
         dropped = float(signals[-n_kept - 1]) if n_kept < len(signals) else 0.0
         return cls(np.ascontiguousarray(vectors[:, ::-1][:, :n_kept].T), max(dropped, 0.0))
 

@@ -17,14 +17,14 @@ from tissuereg.registration.contacts.carried import Carried
 from tissuereg.registration.contacts.columns import Columns, spring_stiffness
 from tissuereg.registration.contacts.draws import Draws, NodesOfContacts
 from tissuereg.registration.contacts.evidence import support_stiffness
-from tissuereg.registration.contacts.fit import TOLERANCE, ContactFit, Passes, start_of
+from tissuereg.registration.contacts.fit import ContactFit, Passes, start_of
 from tissuereg.registration.contacts.frame import Frame
 from tissuereg.registration.contacts.graded import grade
 from tissuereg.registration.contacts.icp import closest_frame
 from tissuereg.registration.contacts.moment import Moment
 from tissuereg.registration.contacts.result import ContactRegistration
 from tissuereg.registration.contacts.seen import Seen, SeenMarkers
-from tissuereg.registration.contacts.settings import ContactSettings
+from tissuereg.registration.contacts.settings import DISCRETISATION, ContactSettings
 from tissuereg.registration.contacts.size import announce
 from tissuereg.registration.contacts.spread import Spread
 from tissuereg.registration.contacts.supports import Supports
@@ -33,13 +33,6 @@ from tissuereg.registration.inputs import RegisterInput
 from tissuereg.registration.result import Registration
 from tissuereg.simulation.sensitivity import Cause, Field, Parameter
 from tissuereg.simulation.solve import LoadParts
-
-#: The fit is repeated without the believed load if the markers' root mean square residual exceeds this many standard
-#: deviations; the belief is dropped if the residual is then less than this share.
-_UNMET, _MUCH_LESS = 3.0, 0.5
-
-#: A search from the contacts of the moment before is given up if it leaves so many times its residual.
-_MUCH_MORE = 1.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,7 +140,7 @@ class _Search:
         found = None
         with suppress(ConvergenceError):
             found = self.found(believed)
-        if found is not None and min(found.fit.residual_rms) < _UNMET:
+        if found is not None and min(found.fit.residual_rms) < self.settings.steps.unmet:
             return found, ""
         try:
             without = self.found(replace(believed, load=None, simulation=None))
@@ -157,7 +150,7 @@ class _Search:
             return found, ""
         if found is None:
             return without, "the believed load was left out: no equilibrium is found under it"
-        if min(without.fit.residual_rms) < _MUCH_LESS * min(found.fit.residual_rms):
+        if min(without.fit.residual_rms) < self.settings.steps.much_less * min(found.fit.residual_rms):
             return without, "the believed load was left out: no contacts added to it explain the markers"
         return found, ""
 
@@ -204,7 +197,7 @@ class _Search:
         def solve(coefficients: FloatArray) -> FloatArray:
             near = carried.tangent.linearised
             return near.solve_near(
-                columns.load(coefficients), springs=columns.springs, tolerance=TOLERANCE
+                columns.load(coefficients), springs=columns.springs, tolerance=DISCRETISATION.tolerance
             ).all_displacement
 
         with self.clock.stage("simulate"):
@@ -216,7 +209,7 @@ class _Search:
             fit = passes.run(begin)
         except ConvergenceError:
             return None
-        if min(fit.residual_rms) > max(self.settings.fit_limit, _MUCH_MORE * carried.residual):
+        if min(fit.residual_rms) > max(self.settings.fit_limit, self.settings.steps.much_more * carried.residual):
             # The contacts of the moment before lead nowhere: look everywhere.
             return None
         return _Found(fit, start, carried.material, carried.further, carried.moments + 1)

@@ -15,12 +15,7 @@ from tissuereg.body.markers import Markers
 from tissuereg.body.observe import MarkerObservation
 from tissuereg.registration.contacts.frame import Frame
 from tissuereg.registration.contacts.moment import Moment
-
-#: Degrees of freedom of the heavy-tailed noise of observations that have no indicator of their own.
-TAIL = 5.0
-
-#: Above this number of observations the sampler receives a projection of them.
-MOST_PLAIN = 120
+from tissuereg.registration.contacts.settings import MATCHING
 
 
 @dataclass(frozen=True, eq=False)
@@ -227,7 +222,7 @@ class Seen:
     def of(cls, *parts: Part | None) -> "Seen":
         """Return the data of the parts that have observations."""
         kept = tuple(part for part in parts if part is not None and part.n_obs)
-        return cls(kept, sum(part.n_obs for part in kept) > MOST_PLAIN)
+        return cls(kept, sum(part.n_obs for part in kept) > MATCHING.most_plain)
 
     @property
     def markers(self) -> SeenMarkers | None:
@@ -262,9 +257,9 @@ class Seen:
 
 def tail_variance(squares: FloatArray | float, count: int) -> FloatArray:
     """Return the factor on the variance of `count` observations that a Student tail gives for their scaled squares."""
-    return np.asarray((TAIL + squares) / (TAIL + count), np.float64)
+    return np.asarray((MATCHING.tail + squares) / (MATCHING.tail + count), np.float64)
 
 
 def tail_cost(squares: FloatArray | float, count: int) -> FloatArray:
     """Return minus twice the logarithm of Student's density, up to a constant; about `count` for noise alone."""
-    return np.asarray((TAIL + count) * np.log1p(np.asarray(squares) / TAIL), np.float64)
+    return np.asarray((MATCHING.tail + count) * np.log1p(np.asarray(squares) / MATCHING.tail), np.float64)

@@ -19,25 +19,8 @@ from tissuereg.body.mesh import Mesh
 from tissuereg.body.surface import SurfacePoints, evenly
 from tissuereg.registration.contacts.moment import Moment
 from tissuereg.registration.contacts.seen import Reading, tail_cost, tail_variance
+from tissuereg.registration.contacts.settings import MATCHING
 from tissuereg.registration.readings.skin import closest_on_triangles
-
-#: Number of points in first passes.
-N_COARSE = 150
-
-#: Model errors are correlated within this share of the body's extent: points so close are not independent.
-_ALIKE_SHARE = 0.08
-
-#: Edges with a larger angle between their triangles (cosine) are edges of the body, not of the mesh.
-_LEAST_COSINE = 0.8
-
-#: A point is far from the surface beyond this many standard deviations of its noise.
-_FAR = 3.0
-
-#: A point counts as an outlier beyond this many standard deviations.
-OUTLIER = 4.0
-
-#: Number of closest surface samples whose triangles are tested exactly.
-_N_CLOSEST = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +98,7 @@ class SeenPoints:
     @cached_property
     def _alike(self) -> FloatArray:
         """Return the number of points with the same model error as each, itself included, shape (n_points,)."""
-        return self._within(_ALIKE_SHARE)
+        return self._within(MATCHING.alike_share)
 
     @cached_property
     def _matched(self) -> FloatArray:
@@ -142,7 +125,7 @@ class SeenPoints:
         del weighed
         feet = self.feet(moment)
         std = self.std(moment, feet)
-        residual, directions = feet.off(moment.frame.undo(self.places), _FAR * self.noise)
+        residual, directions = feet.off(moment.frame.undo(self.places), MATCHING.far * self.noise)
         scaled = (residual / std) ** 2
         across = feet.weights[:, :, None] * directions[:, None, :]
         return Reading(
@@ -169,16 +152,16 @@ class SeenPoints:
     def distances(self, moment: Moment) -> tuple[FloatArray, FloatArray]:
         """Return the distance of every point from the surface along the normal, mm, and over its standard deviation."""
         feet = self.feet(moment)
-        residual, _ = feet.off(moment.frame.undo(self.places), _FAR * self.noise)
+        residual, _ = feet.off(moment.frame.undo(self.places), MATCHING.far * self.noise)
         return np.abs(residual), np.abs(residual) / self.std(moment, feet)
 
     def outliers(self, moment: Moment) -> float:
         """Return the share of points that a body does not explain."""
-        return float(np.mean(self.distances(moment)[1] > OUTLIER))
+        return float(np.mean(self.distances(moment)[1] > MATCHING.outlier))
 
     def coarser(self, width: float) -> "SeenPoints":
         """Return fewer points, spread evenly; matching errors are correlated within a share `width` of the extent."""
-        return replace(self, places=self.places[evenly(self.places, N_COARSE)], rough=width)
+        return replace(self, places=self.places[evenly(self.places, MATCHING.coarse_points)], rough=width)
 
 
 def closest_feet(nodes: FloatArray, triangles: IntArray, points: FloatArray) -> Feet:
@@ -203,7 +186,7 @@ def closest_feet(nodes: FloatArray, triangles: IntArray, points: FloatArray) -> 
     corners = nodes[triangles]
     shares = np.array([[4.0, 1.0, 1.0], [1.0, 4.0, 1.0], [1.0, 1.0, 4.0], [2.0, 2.0, 2.0]]) / 6.0
     samples: Any = cKDTree(np.einsum("sc,tcx->tsx", shares, corners).reshape(-1, 3), balanced_tree=False)
-    near = np.asarray(samples.query(points, k=min(_N_CLOSEST, 4 * len(triangles)))[1]) // 4
+    near = np.asarray(samples.query(points, k=min(MATCHING.closest, 4 * len(triangles)))[1]) // 4
     feet = closest_on_triangles(points[:, None], corners[near])
     best = np.argmin(np.sum((points[:, None] - feet) ** 2, axis=2), axis=1)
     rows = np.arange(len(points))
@@ -236,7 +219,7 @@ def facet_errors(mesh: Mesh) -> FloatArray:
     one, other, ends = first[pairs] // 3, second[pairs] // 3, edges[first[pairs]]
     cosine = np.clip(np.einsum("ex,ex->e", own[one], own[other]), -1.0, 1.0)
     length = np.linalg.norm(mesh.nodes[ends[:, 0]] - mesh.nodes[ends[:, 1]], axis=1)
-    height = np.where(cosine > _LEAST_COSINE, 1.7 * length * np.arccos(cosine) / 8.0, 0.0)
+    height = np.where(cosine > MATCHING.least_cosine, 1.7 * length * np.arccos(cosine) / 8.0, 0.0)
     largest = np.zeros(len(corners))
     np.maximum.at(largest, one, height)
     np.maximum.at(largest, other, height)
