@@ -105,7 +105,7 @@ def test_ten_node_tets_are_sent_to_four_node_tets(monkeypatch, block_mesh):
 def test_every_simulator_refuses_where_one_factor_does_not_fit(monkeypatch, block_mesh):
     monkeypatch.setattr(size, "available_bytes", lambda: 1000)
     tr.Simulator(block_mesh)  # small ones are not looked at
-    monkeypatch.setattr(size, "_LARGE_ENTRIES", 0)
+    monkeypatch.setattr(size, "SIZE", replace(size.SIZE, large_entries=0))
     with pytest.raises(LargeBodyError):
         tr.Simulator(block_mesh)
 

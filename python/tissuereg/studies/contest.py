@@ -47,7 +47,7 @@ from tissuereg.body.material import Material
 from tissuereg.body.mesh import Mesh
 from tissuereg.body.observe import TargetObservation
 from tissuereg.errors import ConvergenceError, FormatError, TissueRegError
-from tissuereg.phantom.event import POISSON
+from tissuereg.phantom.event import PHANTOM
 from tissuereg.registration.learned.model import LatentModel
 from tissuereg.simulation.solve import Simulator
 from tissuereg.studies.rigs import Rig, inverted, on_spline
@@ -55,7 +55,7 @@ from tissuereg.studies.runs import KeptRuns, Run
 from tissuereg.studies.variants import RigVariants, digest, read_variants
 
 #: What everyone believes: the paper's modulus.
-BELIEVED = Material(10.0, POISSON)
+BELIEVED = Material(10.0, PHANTOM.poisson)
 
 #: Every so many frames one is scored, while the actuators have gone at least this share of their strokes.
 EVERY, LEAST_SHARE = 8, 0.05

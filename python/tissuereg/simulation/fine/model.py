@@ -29,22 +29,17 @@ from tissuereg.experiment.effects.base import Vector
 from tissuereg.experiment.effects.history import Memory
 from tissuereg.experiment.experiment import Actuator, Case, Experiment
 from tissuereg.simulation.experiment import CaseSimulation
-from tissuereg.simulation.fine.elastic import TOLERANCE, solve_states
+from tissuereg.simulation.fine.elastic import solve_states
 from tissuereg.simulation.fine.meshing import FineMeshing, fine_experiment, rim_of
 from tissuereg.simulation.fine.reading import Reader, Reading, corrected
-from tissuereg.simulation.fine.rims import INSIDE, Rim
+from tissuereg.simulation.fine.rims import Rim
 from tissuereg.simulation.frames import FrameSettings, Similar
 from tissuereg.simulation.loading import distinct_states, first_frames
 from tissuereg.simulation.memory import SolvedCase, goes_through_time, is_carried, remembers, solve_through_time
-
-#: Poisson's ratio above which four-node tets lock.
-_LOCKS_ABOVE = 0.475
+from tissuereg.simulation.settings import FINE
 
 #: Displacement of all nodes in the states of each case, (n_states, n_element_nodes, 3).
 Fields = dict[str, FloatArray]
-
-#: Number of cached elastic solutions: coarse and fine ones of ten cases.
-_MOST_KEPT = 20
 
 
 class FineModel:
@@ -217,7 +212,7 @@ class FineModel:
         fresh = _elastic(twin, self.experiment.mesh, missing, element, threads, report, part) if missing else {}
         found = {name: fresh[name] if name in fresh else self._elastic.pop(key) for name, key in keys.items()}
         self._elastic |= {keys[name]: reading for name, reading in found.items()}
-        while len(self._elastic) > _MOST_KEPT:
+        while len(self._elastic) > FINE.solutions_kept:
             del self._elastic[next(iter(self._elastic))]
         return found
 
@@ -238,7 +233,7 @@ class FineModel:
             rest.append(effect)
             if isinstance(effect, Detachment) and effect.centre_mm is not None and effect.radius_mm is not None:
                 # Nodes on this rim are not in the ball: they stay held.
-                loose.append(Rim(effect.centre_mm, effect.radius_mm * (1.0 + 2.0 * INSIDE)))
+                loose.append(Rim(effect.centre_mm, effect.radius_mm * (1.0 + 2.0 * FINE.inside)))
         key = (*(rim_of(pad) for pad in pads.values()), *loose)
         if key == tuple(rim_of(pad) for pad in self.experiment.actuators if pad.name in pads):
             return replace(self.fine, effects=tuple(rest))
@@ -256,7 +251,7 @@ def _shifted(pad: Actuator, shift: Vector) -> Actuator:
 
 def rough_element(experiment: Experiment) -> str:
     """Return elements of first order for an experiment: four-node ones, averaged where they would lock."""
-    locks = float(extended(experiment, "tet4").material.poisson_array.max()) > _LOCKS_ABOVE
+    locks = float(extended(experiment, "tet4").material.poisson_array.max()) > FINE.locks_above
     return "tet4-averaged" if locks else "tet4"
 
 
@@ -365,7 +360,7 @@ def _remembering(
     settings, similar = FrameSettings(element, threads=threads), None
     if near is not None:
         similar = Similar({case.name: near[case.name][distinct_states(case)[1]] for case in cases})
-        settings = replace(settings, tolerance=TOLERANCE)
+        settings = replace(settings, tolerance=FINE.tolerance)
     if is_carried(ready):
         notify = report.of("history")
         return solve_through_time(ready, cases, settings=settings, similar=similar, progress=notify)
