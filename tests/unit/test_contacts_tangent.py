@@ -12,8 +12,8 @@ from support.pushes import MATERIAL, TIGHT, columns_of, push
 from tissuereg.body.per_mesh import per_mesh
 from tissuereg.errors import ConvergenceError
 from tissuereg.registration.contacts.body import forget_bodies
-from tissuereg.registration.contacts.frame import Frame
-from tissuereg.registration.contacts.moment import Moment
+from tissuereg.registration.contacts.frame import RigidMotion
+from tissuereg.registration.contacts.moment import BodyState
 from tissuereg.registration.contacts.settings import EFFORT
 from tissuereg.registration.contacts.tangent import Tangent, forget_rest, tangent_at
 from tissuereg.registration.readings.skin import skin_of
@@ -26,7 +26,7 @@ def nothing_kept():
 
 def at_rest(columns):
     n_nodes = columns.body.simulator.body.n_nodes
-    return Moment(np.zeros(columns.n_columns), np.zeros((n_nodes, 3)), Frame.still())
+    return BodyState(np.zeros(columns.n_columns), np.zeros((n_nodes, 3)), RigidMotion.still())
 
 
 def rows(nodes):
@@ -63,7 +63,7 @@ def test_a_body_that_moved_is_not_taken_for_one_at_rest():
     coefficients[3] = 1e-3
     load = columns.load(coefficients)
     moved = columns.body.simulator.solve(load, MATERIAL, **TIGHT).all_displacement
-    found, factored = tangent_at(columns, MATERIAL, Moment(coefficients, moved, fit_at.frame), 1)
+    found, factored = tangent_at(columns, MATERIAL, BodyState(coefficients, moved, fit_at.frame), 1)
     assert factored == 1
     assert found is not tangent_at(columns, MATERIAL, fit_at, 1)[0]
 

@@ -7,8 +7,8 @@ import numpy as np
 
 from tissuereg._base.fields import flag, number, numbers
 from tissuereg.experiment.effects.base import Effect, Vector, refuse
+from tissuereg.experiment.experiment import BodyWeight as Weight
 from tissuereg.experiment.experiment import Experiment
-from tissuereg.experiment.experiment import Gravity as Weight
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,12 +10,12 @@ from tissuereg.body.mesh import det_f
 from tissuereg.registration.contacts.draws import Draws, NodesOfContacts
 from tissuereg.registration.contacts.fit import ContactFit
 from tissuereg.registration.contacts.found import find_contacts
-from tissuereg.registration.contacts.moment import Moment
+from tissuereg.registration.contacts.moment import BodyState
 from tissuereg.registration.contacts.result import ContactRegistration
-from tissuereg.registration.contacts.seen import SeenMarkers
+from tissuereg.registration.contacts.seen import MarkerData
 from tissuereg.registration.contacts.spread import Points, Spread
 from tissuereg.registration.contacts.surface_fit import SurfaceFit
-from tissuereg.registration.contacts.surface_points import SeenPoints
+from tissuereg.registration.contacts.surface_points import PointData
 from tissuereg.registration.inputs import RegisterInput, rms_length
 from tissuereg.registration.result import NO_MARKER, MarkerFit, Target
 from tissuereg.registration.trust import LEVEL, Trust, judge
@@ -68,7 +68,7 @@ class Answer:
         Checked input.
     fit : ContactFit
         The fit after its last pass.
-    start : Moment
+    start : BodyState
         The body under the believed load.
     knows : bool
         Whether a load is believed, so that the targets have a predicted place.
@@ -84,7 +84,7 @@ class Answer:
 
     given: RegisterInput
     fit: ContactFit
-    start: Moment
+    start: BodyState
     knows: bool
     known: Known
     nodes: NodesOfContacts
@@ -201,7 +201,7 @@ class Answer:
         notes += [] if surface is None else surface.reasons(given.settings.contacts.report)
         points = (0.0, 0) if surface is None else (surface.misfit, surface.used)
         residual = markers.displacement[used] - self._of_markers(self.known.displacement)[used]
-        moved = SeenMarkers(given.observed, markers, given.settings.contacts.model_error).moved(fit.moment.frame)
+        moved = MarkerData(given.observed, markers, given.settings.contacts.model_error).moved(fit.moment.frame)
         variance = self._residual_variance(moved)[used].ravel()
         # Wrong markers were detected with the contacts; here each residual is compared with its noise alone.
         spread = np.zeros((3 * len(used), 3 * len(used)))
@@ -220,7 +220,7 @@ def _chance(residual: FloatArray, covariance: FloatArray) -> float:
     return float(chi2.sf(score, max(len(seen), 1)))
 
 
-def surface_fit(given: RegisterInput, points: SeenPoints | None, start: Moment, end: Moment) -> SurfaceFit | None:
+def surface_fit(given: RegisterInput, points: PointData | None, start: BodyState, end: BodyState) -> SurfaceFit | None:
     """Return the fit of the points of the surface; None if there are none."""
     if given.surface is None or points is None:
         return None

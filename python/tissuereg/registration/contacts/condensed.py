@@ -18,7 +18,7 @@ import numpy as np
 from tissuereg._base.arrays import FloatArray, IntArray
 from tissuereg.registration.contacts.columns import Columns
 from tissuereg.registration.contacts.fit import Passes, start_of
-from tissuereg.registration.contacts.frame import Frame
+from tissuereg.registration.contacts.frame import RigidMotion
 from tissuereg.registration.contacts.places import gathered
 from tissuereg.registration.contacts.settings import DISCRETISATION
 from tissuereg.registration.contacts.tangent import Row
@@ -114,14 +114,14 @@ class Condensed:
     among: FloatArray
 
     @classmethod
-    def of(cls, passes: Passes, frame: Frame, known: float) -> "Condensed":
+    def of(cls, passes: Passes, frame: RigidMotion, known: float) -> "Condensed":
         """Return the condensed problem of a body at its start.
 
         Parameters
         ----------
         passes : Passes
             Body, material, data. Its work is counted.
-        frame : Frame
+        frame : RigidMotion
             Rigid motion to begin with.
         known : float
             Stiffness of the springs there, in Young's modulus over extent.

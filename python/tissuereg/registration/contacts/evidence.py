@@ -13,18 +13,18 @@ from tissuereg._base.arrays import FloatArray
 from tissuereg.registration.contacts.columns import Columns
 from tissuereg.registration.contacts.condensed import Condensed
 from tissuereg.registration.contacts.fit import Passes, start_of
-from tissuereg.registration.contacts.frame import Frame
+from tissuereg.registration.contacts.frame import RigidMotion
 from tissuereg.registration.contacts.settings import EvidenceSettings
 
 
-def log_evidence(passes: Passes, frame: Frame) -> float:
+def log_evidence(passes: Passes, frame: RigidMotion) -> float:
     """Return the logarithm of the evidence of a body, up to a constant of its markers.
 
     Parameters
     ----------
     passes : Passes
         Body, material, data. Its work is counted.
-    frame : Frame
+    frame : RigidMotion
         Rigid motion to begin with.
 
     Returns
@@ -55,14 +55,14 @@ class SupportStiffness:
     log_std: tuple[float, ...]
 
 
-def support_stiffness(passes: Passes, frame: Frame) -> SupportStiffness:
+def support_stiffness(passes: Passes, frame: RigidMotion) -> SupportStiffness:
     """Return the stiffness of doubtful supports that has the highest evidence.
 
     Parameters
     ----------
     passes : Passes
         Body, material, data.
-    frame : Frame
+    frame : RigidMotion
         Rigid motion to begin with.
 
     Returns

@@ -19,12 +19,12 @@ from tissuereg.body.load import Load
 from tissuereg.body.material import Material
 from tissuereg.errors import ConvergenceError
 from tissuereg.registration.contacts.columns import Columns
-from tissuereg.registration.contacts.frame import Frame
-from tissuereg.registration.contacts.linear import AtBody, Linear
-from tissuereg.registration.contacts.moment import Moment
-from tissuereg.registration.contacts.posed import Posed
-from tissuereg.registration.contacts.seen import Seen
-from tissuereg.registration.contacts.settings import DISCRETISATION, ContactSettings, StepSettings
+from tissuereg.registration.contacts.frame import RigidMotion
+from tissuereg.registration.contacts.linear import AtBody, Linearisation
+from tissuereg.registration.contacts.moment import BodyState
+from tissuereg.registration.contacts.posed import LinearObservations
+from tissuereg.registration.contacts.seen import ObservedData
+from tissuereg.registration.contacts.settings import DISCRETISATION, ContactSettings, PassSettings
 from tissuereg.registration.contacts.tangent import Tangent
 
 Samples = tuple[Any, Any, Any]
@@ -38,7 +38,7 @@ class _Pass:
     it, `misfit` the mean over samples of the squared Mahalanobis length of the innovation.
     """
 
-    moment: Moment
+    moment: BodyState
     samples: Samples
     at: AtBody
     residual: float
@@ -66,11 +66,11 @@ class ContactFit:
     ----------
     columns : Columns
         Causes.
-    moment : Moment
+    moment : BodyState
         The equilibrium under the mean load.
     tangent : Tangent
         The tangent there, or at the start of the last step if that step ended as its linear model predicted.
-    posed : Posed
+    posed : LinearObservations
         Data at that tangent, in the sampler's form.
     sampler : _core.Contacts
         Dictionary, prior and data there.
@@ -87,9 +87,9 @@ class ContactFit:
     """
 
     columns: Columns
-    moment: Moment
+    moment: BodyState
     tangent: Tangent
-    posed: Posed
+    posed: LinearObservations
     sampler: Any
     samples: Samples
     wrong: FloatArray
@@ -106,7 +106,7 @@ class Passes:
     ----------
     columns : Columns
         Causes.
-    seen : Seen
+    seen : ObservedData
         Data.
     material : Material
         Material of the body.
@@ -125,7 +125,7 @@ class Passes:
     """
 
     columns: Columns
-    seen: Seen
+    seen: ObservedData
     material: Material
     settings: ContactSettings
     rng: np.random.Generator
@@ -136,21 +136,23 @@ class Passes:
     counters: Counter[str] = field(default_factory=Counter)
 
     @property
-    def steps(self) -> StepSettings:
+    def steps(self) -> PassSettings:
         """When a step is accepted, and when the passes end."""
         return self.settings.steps
 
     @cached_property
-    def linear(self) -> Linear:
+    def linear(self) -> Linearisation:
         """The linearisation; its work is counted with that of the passes."""
-        return Linear(self.columns, self.material, self.settings, self.threads, self.clock, self.counters, self.kept)
+        return Linearisation(
+            self.columns, self.material, self.settings, self.threads, self.clock, self.counters, self.kept
+        )
 
-    def run(self, start: Moment) -> ContactFit:
+    def run(self, start: BodyState) -> ContactFit:
         """Return the fit from a start in equilibrium.
 
         Parameters
         ----------
-        start : Moment
+        start : BodyState
             The body under the believed load, zero coefficients.
 
         Returns
@@ -178,7 +180,7 @@ class Passes:
         self.seen = full
         return self._fit(last, self._at_end(last, full), history)
 
-    def _at_end(self, last: "_Pass", full: Seen) -> AtBody:
+    def _at_end(self, last: "_Pass", full: ObservedData) -> AtBody:
         """Return the linear problem at the end of a pass, or that at its start if the step ended as predicted."""
         if last.ended_as_predicted(self.steps.as_predicted) and not full.rematches:
             return last.at
@@ -187,7 +189,7 @@ class Passes:
         except ConvergenceError:
             return last.at
 
-    def _from(self, start: Moment, stages: list[tuple[Seen, int]]) -> tuple["_Pass", list[float]]:
+    def _from(self, start: BodyState, stages: list[tuple[ObservedData, int]]) -> tuple["_Pass", list[float]]:
         """Return the closest pass from a start, and the cost after each pass."""
         last, moment, history = None, start, list[float]()
         samples = None if self.seen.weighed or self.seen.rematches else self.before
@@ -203,15 +205,15 @@ class Passes:
             raise ConvergenceError(message, where="max_passes")
         return last, history
 
-    def _stages(self, full: Seen, width: float) -> list[tuple[Seen, int]]:
+    def _stages(self, full: ObservedData, width: float) -> list[tuple[ObservedData, int]]:
         """Return the data of each stage with its largest number of passes."""
         if not full.rematches:
             return [(full, self.settings.max_passes)]
         stages = [(full.coarser(width), self.steps.coarse_passes), (full, self.steps.fine_passes)]
         # Markers have labels: they bring the body close before points are matched.
-        return stages if full.markers is None else [(Seen.of(full.markers), self.steps.marker_passes), *stages]
+        return stages if full.markers is None else [(ObservedData.of(full.markers), self.steps.marker_passes), *stages]
 
-    def _approach(self, moment: Moment, samples: Samples | None, most: int) -> tuple["_Pass", list[float]]:
+    def _approach(self, moment: BodyState, samples: Samples | None, most: int) -> tuple["_Pass", list[float]]:
         """Return the pass with the smallest residual of at most `most` passes, and all residuals."""
         reached: list[_Residuals] = []
         closest: _Pass | None = None
@@ -237,7 +239,7 @@ class Passes:
         assert closest is not None  # the loop runs once at least
         return closest, [one.residual for one in reached]
 
-    def _one_pass(self, moment: Moment, samples: Samples | None) -> "_Pass":
+    def _one_pass(self, moment: BodyState, samples: Samples | None) -> "_Pass":
         """Return the pass that begins at a body, with samples that go on from those before."""
         at = self.linear.at(moment, self.seen)
         drawn = self._sample(at.sampler, samples)
@@ -247,7 +249,7 @@ class Passes:
             reached = self._solve(at, drawn, moment, wanted)
         return _Pass(reached, drawn, at, self.residual_rms(reached, drawn), predicted, misfit)
 
-    def posed(self, moment: Moment) -> Posed:
+    def posed(self, moment: BodyState) -> LinearObservations:
         """Return the data at a body with their responses to the columns."""
         tangent = self.linear.tangent(moment)
         return self.linear.posed(tangent, self.seen.read(moment), moment.coefficients, self.seen)
@@ -283,14 +285,14 @@ class Passes:
         found = at.sampler.moments(list(samples), no_points, threads=self.threads)
         return found[0], float(found[5])
 
-    def _solve(self, at: AtBody, samples: Samples, moment: Moment, wanted: FloatArray) -> Moment:
+    def _solve(self, at: AtBody, samples: Samples, moment: BodyState, wanted: FloatArray) -> BodyState:
         """Return the equilibrium under the wanted coefficients, or after the longest step that reduces the residual."""
         steps, matched = self.steps, not self.seen.rematches
         share, decrease = 1.0, steps.decrease if matched else steps.decrease_unmatched
         # Points are matched anew, but keep the weights for which the step was predicted.
         std = self.seen.read(moment).std if self.seen.rough else None
         before = self.residual_rms(moment, samples, std)
-        best: tuple[float, Moment] | None = None
+        best: tuple[float, BodyState] | None = None
         while share > (steps.shortest if matched or best is None else steps.shortest_unmatched):
             found = self._towards(at.tangent, moment, moment.coefficients + share * (wanted - moment.coefficients))
             if found is not None:
@@ -308,7 +310,7 @@ class Passes:
             return moment
         return best[1]
 
-    def _towards(self, tangent: Tangent, moment: Moment, coefficients: FloatArray) -> Moment | None:
+    def _towards(self, tangent: Tangent, moment: BodyState, coefficients: FloatArray) -> BodyState | None:
         """Return the equilibrium under coefficients; None where there is none."""
         try:
             load = self.columns.load(coefficients)
@@ -325,11 +327,13 @@ class Passes:
         turned = self.columns.frame(coefficients)
         if not self.columns.body.supports.moves:
             # A drift is small and keeps its prior: its coefficients are relative to no motion.
-            return Moment(coefficients, found.all_displacement, Frame.still().followed_by(turned, self.columns.rigid))
+            return BodyState(
+                coefficients, found.all_displacement, RigidMotion.still().followed_by(turned, self.columns.rigid)
+            )
         frame = moment.frame.followed_by(turned, self.columns.rigid)
-        return Moment(self.columns.without_frame(coefficients), found.all_displacement, frame)
+        return BodyState(self.columns.without_frame(coefficients), found.all_displacement, frame)
 
-    def residual_rms(self, moment: Moment, samples: Samples, std: FloatArray | None = None) -> float:
+    def residual_rms(self, moment: BodyState, samples: Samples, std: FloatArray | None = None) -> float:
         """Return the root mean square residual over standard deviations, observations weighted by not being wrong."""
         reading = self.seen.read(moment)
         if std is not None:
@@ -369,7 +373,7 @@ class Passes:
             self.counters,
         )
 
-    def _wrong(self, moment: Moment, samples: Samples) -> FloatArray:
+    def _wrong(self, moment: BodyState, samples: Samples) -> FloatArray:
         """Return the probability that each marker is wrong, (n_markers,); zero for markers that were not seen."""
         markers = self.seen.markers
         if markers is None:
@@ -383,7 +387,7 @@ class Passes:
         return wrong
 
 
-def _predicted_residual(problem: Posed, coefficients: FloatArray, samples: Samples) -> float:
+def _predicted_residual(problem: LinearObservations, coefficients: FloatArray, samples: Samples) -> float:
     """Return the root mean square residual that the linear model predicts, over standard deviations."""
     residual = (problem.innovation - problem.responses @ coefficients) ** 2 / problem.variances
     weights = np.ones(len(residual))
@@ -392,7 +396,9 @@ def _predicted_residual(problem: Posed, coefficients: FloatArray, samples: Sampl
     return float(np.sqrt(np.average(residual, weights=weights)))
 
 
-def start_of(columns: Columns, material: Material, simulation: FloatArray | None, frame: Frame, threads: int) -> Moment:
+def start_of(
+    columns: Columns, material: Material, simulation: FloatArray | None, frame: RigidMotion, threads: int
+) -> BodyState:
     """Return the body under the believed load.
 
     Parameters
@@ -403,14 +409,14 @@ def start_of(columns: Columns, material: Material, simulation: FloatArray | None
         Material of the body.
     simulation : ndarray of float64, shape (n_element_nodes, 3), or None
         The displacement under the believed load, if it is known.
-    frame : Frame
+    frame : RigidMotion
         Initial rigid motion.
     threads : int
         Threads to use.
 
     Returns
     -------
-    Moment
+    BodyState
         Zero coefficients.
 
     Raises
@@ -421,11 +427,11 @@ def start_of(columns: Columns, material: Material, simulation: FloatArray | None
     zero = np.zeros(columns.n_columns)
     simulator = columns.body.simulator
     if simulation is not None:
-        return Moment(zero, simulation, frame)
+        return BodyState(zero, simulation, frame)
     if all(part is None for part in columns.believed.values()):
-        return Moment(zero, np.zeros((simulator.body.n_nodes, 3)), frame)
+        return BodyState(zero, np.zeros((simulator.body.n_nodes, 3)), frame)
     load: Load = columns.load(zero)
     found = simulator.solve(
         load, material, springs=columns.springs, tolerance=DISCRETISATION.tolerance, threads=threads
     )
-    return Moment(zero, found.all_displacement, frame)
+    return BodyState(zero, found.all_displacement, frame)

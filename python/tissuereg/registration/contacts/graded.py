@@ -18,7 +18,7 @@ from tissuereg.body.material import Material
 from tissuereg.body.mesh import Mesh
 from tissuereg.registration.contacts.evidence import log_evidence
 from tissuereg.registration.contacts.fit import Passes
-from tissuereg.registration.contacts.frame import Frame
+from tissuereg.registration.contacts.frame import RigidMotion
 
 #: Values of `stiffness`.
 STIFFNESS = ("believed", "graded")
@@ -55,14 +55,14 @@ def profiles_of(mesh: Mesh) -> FloatArray:
     return np.asarray(((mesh.nodes[mesh.tets].mean(axis=1) @ axes - middle) / half).T)
 
 
-def grade(passes: Passes, frame: Frame) -> Grading:
+def grade(passes: Passes, frame: RigidMotion) -> Grading:
     """Return the grading of highest evidence.
 
     Parameters
     ----------
     passes : Passes
         Causes, data and believed material.
-    frame : Frame
+    frame : RigidMotion
         Initial rigid motion.
 
     Returns
@@ -87,7 +87,7 @@ class _Trial:
     """Inputs of every evaluation."""
 
     passes: Passes
-    frame: Frame
+    frame: RigidMotion
     profiles: FloatArray
 
     def material(self, rates: FloatArray) -> Material:

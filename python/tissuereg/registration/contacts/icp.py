@@ -5,12 +5,12 @@ import numpy as np
 from tissuereg._base.arrays import FloatArray
 from tissuereg.body.mesh import Mesh
 from tissuereg.body.surface import evenly
-from tissuereg.registration.contacts.frame import Frame
+from tissuereg.registration.contacts.frame import RigidMotion
 from tissuereg.registration.contacts.settings import MATCHING
 from tissuereg.registration.contacts.surface_points import closest_feet
 
 
-def closest_frame(mesh: Mesh, points: FloatArray) -> Frame:
+def closest_frame(mesh: Mesh, points: FloatArray) -> RigidMotion:
     """Return the rigid motion of a body to points of its surface.
 
     Parameters
@@ -22,7 +22,7 @@ def closest_frame(mesh: Mesh, points: FloatArray) -> Frame:
 
     Returns
     -------
-    Frame
+    RigidMotion
         From the body's frame to the tracker's: the best of six starts (as given, moved onto the points' middle, and the
         latter with principal axes aligned in four ways), the first two preferred.
     """
@@ -34,19 +34,19 @@ def closest_frame(mesh: Mesh, points: FloatArray) -> Frame:
     return _iterated(mesh, chosen, found[int(np.argmin(left))][0], MATCHING.rigid_last)[0]
 
 
-def _starts(mesh: Mesh, points: FloatArray) -> list[Frame]:
+def _starts(mesh: Mesh, points: FloatArray) -> list[RigidMotion]:
     skin = mesh.nodes[mesh.surface_nodes]
     middle, goal = skin.mean(axis=0), points.mean(axis=0)
     own, theirs = (np.linalg.svd(p - p.mean(axis=0), full_matrices=False)[2] for p in (skin, points))
-    starts = [Frame.still(), Frame(np.eye(3), goal - middle)]
+    starts = [RigidMotion.still(), RigidMotion(np.eye(3), goal - middle)]
     for first, second in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
         turn = theirs.T @ np.diag([first, second, 1.0]) @ own
         turn = theirs.T @ np.diag([first, second, np.sign(np.linalg.det(turn))]) @ own
-        starts.append(Frame(turn, goal - turn @ middle))
+        starts.append(RigidMotion(turn, goal - turn @ middle))
     return starts
 
 
-def _iterated(mesh: Mesh, points: FloatArray, frame: Frame, count: int) -> tuple[Frame, float]:
+def _iterated(mesh: Mesh, points: FloatArray, frame: RigidMotion, count: int) -> tuple[RigidMotion, float]:
     """Return the frame after some iterations and the root mean square distance of the points that are used, mm."""
     length = 0.5 * mesh.extent
     for _ in range(count):

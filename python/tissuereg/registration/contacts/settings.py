@@ -37,7 +37,7 @@ def _numbers(name: str, value: Any, n_numbers: int | None) -> None:
 
 
 @dataclass(frozen=True)
-class StepSettings(_Numbers):
+class PassSettings(_Numbers):
     """When a step of the passes is accepted, and when the passes end.
 
     Parameters
@@ -220,7 +220,7 @@ class ContactSettings(_Numbers):
         Number of draws for the spread of nodes.
     background_share : float
         Standard deviation of the background on one patch, over that of all patches: neighbours overlap.
-    steps : StepSettings
+    steps : PassSettings
         When a step is accepted, and when the passes end.
     evidence : EvidenceSettings
         The search for supports and graded stiffness.
@@ -263,7 +263,7 @@ class ContactSettings(_Numbers):
     promise_margin: float = 0.4
     n_draws: int = 64
     background_share: float = 0.55
-    steps: StepSettings = StepSettings()
+    steps: PassSettings = PassSettings()
     evidence: EvidenceSettings = EvidenceSettings()
     report: ReportSettings = ReportSettings()
 

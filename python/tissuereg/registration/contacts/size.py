@@ -2,20 +2,20 @@
 
 from tissuereg._base.clock import Clock
 from tissuereg.registration.contacts.body import ContactBody
-from tissuereg.registration.contacts.seen import Seen
+from tissuereg.registration.contacts.seen import ObservedData
 from tissuereg.registration.contacts.settings import EFFORT, MATCHING
 from tissuereg.registration.inputs import RegisterInput
 from tissuereg.simulation.size import BodySize, Estimate, Work
 
 
-def announce(body: ContactBody, seen: Seen, given: RegisterInput, clock: Clock) -> Estimate:
+def announce(body: ContactBody, seen: ObservedData, given: RegisterInput, clock: Clock) -> Estimate:
     """Report a body's size and the estimated memory and time, and refuse a body that would not fit into memory.
 
     Parameters
     ----------
     body : ContactBody
         Analysed.
-    seen : Seen
+    seen : ObservedData
         Data.
     given : RegisterInput
         Input, with targets, settings and threads.

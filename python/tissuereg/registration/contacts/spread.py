@@ -19,7 +19,7 @@ from tissuereg.registration.contacts.patches import Patches
 from tissuereg.registration.contacts.places import smooth_fields
 from tissuereg.registration.contacts.settings import DISCRETISATION, EFFORT, ContactSettings
 from tissuereg.registration.contacts.tangent import Row
-from tissuereg.simulation.sensitivity import Cause, Compliance, Field
+from tissuereg.simulation.sensitivity import Cause, Compliance, ModulusField
 
 
 @dataclass(frozen=True, eq=False)
@@ -255,7 +255,7 @@ def _model_errors(fit: ContactFit, material: Material, settings: ContactSettings
     by_tet = young if young.ndim == 1 else young.mean(axis=1)
     fields = fit.columns.body.blobs * (settings.young_log_std * by_tet)
     poisson = np.full(simulator.mesh.n_tets, settings.poisson_std)
-    return [*(Field("young", one) for one in fields), Field("poisson", poisson)]
+    return [*(ModulusField("young", one) for one in fields), ModulusField("poisson", poisson)]
 
 
 def _support_errors(fit: ContactFit, settings: ContactSettings) -> FloatArray:

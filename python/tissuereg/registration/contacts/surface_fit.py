@@ -7,9 +7,9 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray, IntArray
 from tissuereg.body.surface import SurfacePoints
-from tissuereg.registration.contacts.moment import Moment
+from tissuereg.registration.contacts.moment import BodyState
 from tissuereg.registration.contacts.settings import MATCHING, ReportSettings
-from tissuereg.registration.contacts.surface_points import SeenPoints
+from tissuereg.registration.contacts.surface_points import PointData
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +48,7 @@ class SurfaceFit:
     places: FloatArray
 
     @classmethod
-    def of(cls, seen: SeenPoints, given: SurfacePoints, start: Moment, end: Moment) -> "SurfaceFit":
+    def of(cls, seen: PointData, given: SurfacePoints, start: BodyState, end: BodyState) -> "SurfaceFit":
         """Return the fit of the points at the start and the end of a registration."""
         before, after = seen.distances(start)[0], seen.distances(end)
         good = after[1] <= MATCHING.outlier

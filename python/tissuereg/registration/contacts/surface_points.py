@@ -17,8 +17,8 @@ import numpy as np
 from tissuereg._base.arrays import FloatArray, IntArray
 from tissuereg.body.mesh import Mesh
 from tissuereg.body.surface import SurfacePoints, evenly
-from tissuereg.registration.contacts.moment import Moment
-from tissuereg.registration.contacts.seen import Reading, tail_cost, tail_variance
+from tissuereg.registration.contacts.moment import BodyState
+from tissuereg.registration.contacts.seen import Observations, tail_cost, tail_variance
 from tissuereg.registration.contacts.settings import MATCHING
 from tissuereg.registration.readings.skin import closest_on_triangles
 
@@ -62,7 +62,7 @@ class Feet:
 
 
 @dataclass(frozen=True, eq=False)
-class SeenPoints:
+class PointData:
     """The points of the surface as data.
 
     Attributes
@@ -86,7 +86,7 @@ class SeenPoints:
     rough: float = 0.0
 
     @classmethod
-    def of(cls, mesh: Mesh, points: SurfacePoints, model_error: float) -> "SeenPoints":
+    def of(cls, mesh: Mesh, points: SurfacePoints, model_error: float) -> "PointData":
         """Return the data of checked points."""
         return cls(mesh, points.places, points.std, model_error)
 
@@ -115,12 +115,12 @@ class SeenPoints:
     def _facets(self) -> FloatArray:
         return facet_errors(self.mesh)
 
-    def feet(self, moment: Moment) -> Feet:
+    def feet(self, moment: BodyState) -> Feet:
         """Return the closest places of the deformed surface, in the body's frame."""
         moved = self.mesh.nodes + moment.displacement[: self.mesh.n_nodes]
         return closest_feet(moved, self.mesh.surface, moment.frame.undo(self.places))
 
-    def read(self, moment: Moment, *, weighed: bool = True) -> Reading:
+    def read(self, moment: BodyState, *, weighed: bool = True) -> Observations:
         """Return one observation per point; points always have weights."""
         del weighed
         feet = self.feet(moment)
@@ -128,7 +128,7 @@ class SeenPoints:
         residual, directions = feet.off(moment.frame.undo(self.places), MATCHING.far * self.noise)
         scaled = (residual / std) ** 2
         across = feet.weights[:, :, None] * directions[:, None, :]
-        return Reading(
+        return Observations(
             list(zip(feet.corners, across, strict=True)),
             feet.places,
             directions,
@@ -138,7 +138,7 @@ class SeenPoints:
             [],
         )
 
-    def std(self, moment: Moment, feet: Feet) -> FloatArray:
+    def std(self, moment: BodyState, feet: Feet) -> FloatArray:
         """Return the standard deviation of each point before its tail, (n_points,), mm.
 
         It combines the instrument's noise with errors of the model and of the facets. Nearby points share the latter,
@@ -149,17 +149,17 @@ class SeenPoints:
         facet = self._facets[feet.triangles]
         return np.asarray(np.sqrt(self.noise**2 + self._alike * (size**2 + facet**2)))
 
-    def distances(self, moment: Moment) -> tuple[FloatArray, FloatArray]:
+    def distances(self, moment: BodyState) -> tuple[FloatArray, FloatArray]:
         """Return the distance of every point from the surface along the normal, mm, and over its standard deviation."""
         feet = self.feet(moment)
         residual, _ = feet.off(moment.frame.undo(self.places), MATCHING.far * self.noise)
         return np.abs(residual), np.abs(residual) / self.std(moment, feet)
 
-    def outliers(self, moment: Moment) -> float:
+    def outliers(self, moment: BodyState) -> float:
         """Return the share of points that a body does not explain."""
         return float(np.mean(self.distances(moment)[1] > MATCHING.outlier))
 
-    def coarser(self, width: float) -> "SeenPoints":
+    def coarser(self, width: float) -> "PointData":
         """Return fewer points, spread evenly; matching errors are correlated within a share `width` of the extent."""
         return replace(self, places=self.places[evenly(self.places, MATCHING.coarse_points)], rough=width)
 

@@ -10,7 +10,7 @@ from tissuereg._base.arrays import FloatArray, IntArray
 from tissuereg._base.machine import n_cores
 from tissuereg.body.material import Material
 from tissuereg.registration.contacts.columns import Columns
-from tissuereg.registration.contacts.moment import Moment
+from tissuereg.registration.contacts.moment import BodyState
 from tissuereg.registration.contacts.settings import EFFORT
 from tissuereg.simulation.sensitivity import Compliance, Linearised, Observation
 
@@ -111,7 +111,7 @@ _rest: tuple[tuple[object, ...], Tangent] | None = None
 _lock = threading.Lock()
 
 
-def tangent_at(columns: Columns, material: Material, moment: Moment, threads: int) -> tuple[Tangent, int]:
+def tangent_at(columns: Columns, material: Material, moment: BodyState, threads: int) -> tuple[Tangent, int]:
     """Return the tangent at a body, and the number of factorisations it took.
 
     Parameters
@@ -120,7 +120,7 @@ def tangent_at(columns: Columns, material: Material, moment: Moment, threads: in
         Causes, with the supports of the body.
     material : Material
         Material of the body.
-    moment : Moment
+    moment : BodyState
         An equilibrium.
     threads : int
         Threads to use.
@@ -162,7 +162,7 @@ def forget_rest() -> None:
         _rest = None
 
 
-def _rest_key(columns: Columns, material: Material, moment: Moment, threads: int) -> tuple[object, ...] | None:
+def _rest_key(columns: Columns, material: Material, moment: BodyState, threads: int) -> tuple[object, ...] | None:
     """Return the key of a tangent at rest; None if the body is not at rest."""
     loaded = any(part is not None for part in columns.believed.values())
     if loaded or moment.displacement.any() or moment.coefficients.any():

@@ -31,7 +31,7 @@ from tissuereg.experiment.experiment import Actuator, Case, Experiment
 from tissuereg.simulation.experiment import CaseSimulation
 from tissuereg.simulation.fine.elastic import solve_states
 from tissuereg.simulation.fine.meshing import FineMeshing, fine_experiment, rim_of
-from tissuereg.simulation.fine.reading import Reader, Reading, corrected
+from tissuereg.simulation.fine.reading import FineFrames, Reader, corrected
 from tissuereg.simulation.fine.rims import Rim
 from tissuereg.simulation.frames import FrameSettings, Similar
 from tissuereg.simulation.loading import distinct_states, first_frames
@@ -79,7 +79,7 @@ class FineModel:
         self.fine = fine_experiment(experiment, self.meshing)
         self._own: tuple[tuple[Rim | None, ...], Experiment] | None = None
         # Cached elastic solutions for corrections, newest last.
-        self._elastic: dict[tuple[Any, ...], Reading] = {}
+        self._elastic: dict[tuple[Any, ...], FineFrames] = {}
         # Initial guesses by case for the next warm call, and their mesh.
         self._near: tuple[Mesh, Fields] | None = None
 
@@ -178,7 +178,7 @@ class FineModel:
         fully: bool,
         threads: int,
         progress: Callable[[int, int], None] | None,
-    ) -> dict[str, Reading]:
+    ) -> dict[str, FineFrames]:
         """Return the observables of cases with memory, by name.
 
         If `fully`, ten-node elements solve every frame. Otherwise first-order elements do, and `corrected` adds the
@@ -202,7 +202,7 @@ class FineModel:
 
     def _kept(
         self, twin: Experiment, cases: Sequence[Case], element: str, threads: int, report: "FrameCount", part: str
-    ) -> dict[str, Reading]:
+    ) -> dict[str, FineFrames]:
         """Return the observables of elastic cases by name, from the cache if possible."""
         keys = {case.name: (case.name, element, twin.mesh, twin.gravity is None, twin.effects) for case in cases}
         missing = [case for case in cases if keys[case.name] not in self._elastic]
@@ -286,13 +286,13 @@ def _elastic(
     report: "FrameCount",
     part: str,
     near: Fields | None = None,
-) -> dict[str, Reading]:
+) -> dict[str, FineFrames]:
     """Return elastic cases, solved in parallel; they start from the fields `near`, if given, and update them."""
     ready = extended(fine, element)
     reader = Reader(fine, given, quadratic=element == "tet10")
     share = max(1, threads // max(len(cases), 1))
 
-    def read(case: Case) -> Reading:
+    def read(case: Case) -> FineFrames:
         notify = report.of(f"{part} of {case.name}")
         # Effects on actuators are worked into the cases.
         moved = ready.cases[case.name]
@@ -322,7 +322,7 @@ def _by_load(
     threads: int,
     near: Fields | None,
     progress: Callable[[int, int], None] | None,
-) -> dict[str, Reading]:
+) -> dict[str, FineFrames]:
     """Return cases without memory in ten-node elements; they start from the fields `near`, if given, and update them.
 
     `worked` has the effects of `fine` applied. With springs or friction, or if the mesh was imaged under gravity, a
