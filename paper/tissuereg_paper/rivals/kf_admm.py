@@ -95,7 +95,6 @@ class KfAdmm(Rival):
         self._moduli = self._simulator.moduli(setting.material)
         held = mesh.fixed_nodes
         self._held = setting.held
-        from tissuereg_paper import _core  # the package in `paper/`; nothing else here needs it
 
         self._body = _core.AdmmBody(mesh.nodes, mesh.tets, self._held, *self._moduli, density=float(density_g_cm3))
         slowest = _MODES[modes](mesh, setting.material, self._body.masses, n_modes, setting.threads)

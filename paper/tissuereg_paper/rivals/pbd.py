@@ -72,7 +72,6 @@ class PositionBasedDynamics(Rival):
         inverse = 1.0 / (_KG_PER_MM3 * density_g_cm3 * _node_volumes(mesh))
         inverse[mesh.fixed_nodes] = 0.0
         bulk = young / (3.0 * (1.0 - 2.0 * poisson))
-        from tissuereg_paper import _core  # the package in `paper/`; nothing else here needs it
 
         self._pbd = _core.Pbd(
             inverse, mesh.nodes, mesh.edges, _edge_compliances(mesh, young), mesh.tets, mesh.volumes / bulk
