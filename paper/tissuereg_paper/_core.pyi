@@ -6,7 +6,7 @@ import numpy.typing as npt
 _Floats: TypeAlias = npt.NDArray[np.float64]
 _Integers: TypeAlias = npt.NDArray[np.int64]
 
-__all__ = ["AdmmBody", "Pbd"]
+__all__ = ["AdmmBody", "Pbd", "__version__"]
 
 __version__: Final[str]
 
