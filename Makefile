@@ -1,4 +1,4 @@
-# Set-up, tests and the demo. Everything is installed into two virtual environments below this folder.
+# Set-up, tests and the demo. Everything is installed into virtual environments below this folder. Benches and the paper have Makefiles of their own.
 
 PYTHON ?= python3
 VENV := .venv
@@ -8,12 +8,11 @@ TRAINING_BIN := $(TRAINING_VENV)/bin
 DOCS_VENV := .venv-docs
 DOCS_BIN := $(DOCS_VENV)/bin
 CARGO ?= cargo
-DATA ?= ../shared/data
 
 RUST_SOURCES := $(shell find crates -name '*.rs' -o -name 'Cargo.toml' | grep -v /target/) Cargo.toml Cargo.lock
 PACKAGE_FILES := $(shell find python -type f -not -name '*.pyc' -not -name '*.so')
 
-.PHONY: docs help demo test test-rust test-sturdy test-python test-slow test-training test-wheel crates lint rust-docs wheel install install-dev training beam bench phantom-data phantom-model table2-model small-model demo-figures clean
+.PHONY: docs help demo test test-rust test-sturdy test-python test-slow test-training test-wheel crates lint wheel install install-dev training bench phantom-data phantom-model table2-model small-model demo-figures clean
 
 help:
 	@echo "make demo            build the wheel, install it, register the embedded phantom -> demo/"
@@ -24,7 +23,6 @@ help:
 	@echo "make crates          what would be published of each crate, built and run outside the repository (DIRTY=--allow-dirty)"
 	@echo "make test-wheel      the wheel installed without a compiler, and another one built from the source archive"
 	@echo "make lint            formatters, linters, types"
-	@echo "make beam            the measured silicone beam (DATA=$(DATA))"
 	@echo "make bench           times by stage of whole registrations; all other benches: benchmarks/README.md"
 	@echo "make phantom-model   data set and shipped model of the phantom, anew (hours; resumable); make table2-model: the paper's"
 	@echo "                     network on the same data; make small-model: that of tests, on the small phantom (half an hour)"
@@ -56,7 +54,7 @@ demo: $(VENV)/.installed
 test: test-rust test-python
 
 test-rust:
-	$(CARGO) test --workspace --exclude tissuereg-bindings
+	$(CARGO) test
 
 test-sturdy: $(VENV)/.installed-dev
 	TISSUEREG_CASES=1000 $(CARGO) test -p tissuereg-fem --test manufactured -- --nocapture
@@ -117,9 +115,6 @@ $(DOCS_VENV)/.installed: pyproject.toml tools/extra.py
 docs: $(DOCS_VENV)/.installed
 	NO_MKDOCS_2_WARNING=1 $(DOCS_BIN)/mkdocs build --strict --quiet
 	$(DOCS_BIN)/python tools/check_site.py build/site
-
-beam: $(VENV)/.installed-dev
-	$(BIN)/python examples/beam.py --data $(DATA)/beam
 
 # Times by stage of whole registrations; the other benches: benchmarks/README.md.
 bench:

@@ -28,7 +28,7 @@ import numpy as np
 from beam import DENSITY_G_PER_CM3, FITTED, HELD_OUT, HOLDER, LOADS_N, POISSON
 
 import tissuereg as tr
-from tissuereg.experiment.experiment import Actuator, Boundary, Case, Experiment, Gravity
+from tissuereg.experiment.experiment import Actuator, BodyWeight, Boundary, Case, Experiment
 from tissuereg.io.cases import write_histories
 from tissuereg.io.experiment_keys import APPLIED_CSV, MARKERS_CSV
 from tissuereg.io.meshes import write_vtu
@@ -157,7 +157,7 @@ def write_rig(
         tr.Material(young, POISSON, density=DENSITY_G_PER_CM3),
         YOUNG_SPREAD * young,
         None,
-        Gravity(np.array([0.0, 0.0, -1.0]), in_reference=False) if weighs else None,
+        BodyWeight(np.array([0.0, 0.0, -1.0]), in_reference=False) if weighs else None,
         held,
         pads,
         names,

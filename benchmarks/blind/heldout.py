@@ -5,18 +5,18 @@ Blocks are those of `tissuereg.diagnosis.proof`: every load case, and every four
 
 import numpy as np
 
-from tissuereg.diagnosis.proof import Linear, frame_blocks, held_out
-from tissuereg.diagnosis.signals import Layout
+from tissuereg.diagnosis.proof import LinearModel, frame_blocks, held_out
+from tissuereg.diagnosis.signals import SignalLayout
 
 
-def by_block(base: Linear, final: Linear, layout: Layout) -> dict[str, list[float]]:
+def by_block(base: LinearModel, final: LinearModel, layout: SignalLayout) -> dict[str, list[float]]:
     """Return for every block the number of measured values and the errors of two models in units of noise.
 
     Parameters
     ----------
-    base, final : Linear
+    base, final : LinearModel
         The believed model, and the same with the findings.
-    layout : Layout
+    layout : SignalLayout
         Order of the data.
 
     Returns

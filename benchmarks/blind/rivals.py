@@ -22,10 +22,10 @@ from tissuereg.diagnosis.findings import MOST_IN_GROUP
 from tissuereg.diagnosis.generic import generic_columns
 from tissuereg.diagnosis.noise import Noise, estimate_noise
 from tissuereg.diagnosis.nuisances import make_nuisances
-from tissuereg.diagnosis.proof import Linear
+from tissuereg.diagnosis.proof import LinearModel
 from tissuereg.diagnosis.refined import entry_of, refined_predictions
 from tissuereg.diagnosis.search import MOST_CAUSES, SEPARABLE
-from tissuereg.diagnosis.signals import Layout
+from tissuereg.diagnosis.signals import SignalLayout
 from tissuereg.experiment.effects import EFFECTS
 from tissuereg.io.experiments import read_experiment
 
@@ -48,7 +48,7 @@ class Scene:
 
     Attributes
     ----------
-    layout : Layout
+    layout : SignalLayout
         Order of all vectors.
     bench : Bench
         The believed model.
@@ -62,7 +62,7 @@ class Scene:
         Modulus and frame.
     """
 
-    layout: Layout
+    layout: SignalLayout
     bench: Bench
     noise: Noise
     correction: Correction
@@ -200,7 +200,7 @@ def gaussian_process(folder: Path, ids: Collection[str] = (), *, threads: int = 
 def look_at(folder: Path, threads: int, *, fine: bool = False) -> Scene:
     """Return an experiment with the free columns of all regressions; predictions corrected by the fine mesh or not."""
     experiment = read_experiment(folder)
-    layout = Layout(experiment)
+    layout = SignalLayout(experiment)
     noise = estimate_noise(experiment, layout)
     bench = Bench(experiment, layout, threads=threads)
     correction = Correction(layout)
@@ -241,5 +241,5 @@ def _answer(scene: Scene, found: list[dict], chosen: list[np.ndarray]) -> dict:
 
 def _by_block(scene: Scene, columns: np.ndarray) -> dict[str, list[float]]:
     free = scene.null.nuisances
-    base, final = Linear(scene.residual, free), Linear(scene.residual, np.concatenate([free, columns]))
+    base, final = LinearModel(scene.residual, free), LinearModel(scene.residual, np.concatenate([free, columns]))
     return by_block(base, final, scene.layout)

@@ -24,7 +24,7 @@ from tissuereg.diagnosis.fit import fit
 from tissuereg.diagnosis.noise import estimate_noise
 from tissuereg.diagnosis.patterns import load_history
 from tissuereg.diagnosis.run import make_believed
-from tissuereg.diagnosis.signals import Layout
+from tissuereg.diagnosis.signals import SignalLayout
 from tissuereg.io.experiments import read_experiment
 from tissuereg.io.json import write_json
 
@@ -64,7 +64,7 @@ class Needs:
 def needs_of(folder: Path, threads: int = 0) -> Needs:
     """Return the data of one experiment on the nuisances, with the modulus fitted."""
     experiment = read_experiment(folder)
-    layout = Layout(experiment)
+    layout = SignalLayout(experiment)
     noise = estimate_noise(experiment, layout)
     bench = Bench(experiment, layout, threads=threads)
     believed = make_believed(bench, noise)
@@ -78,12 +78,12 @@ def needs_of(folder: Path, threads: int = 0) -> Needs:
     return Needs(kinds, along.T, left, force_errors(layout, fitted.prediction, bench.base, noise.force_std))
 
 
-def force_errors(layout: Layout, predicted: np.ndarray, base: np.ndarray, std: float) -> np.ndarray:
+def force_errors(layout: SignalLayout, predicted: np.ndarray, base: np.ndarray, std: float) -> np.ndarray:
     """Return the errors of pad forces, over the largest force of their case.
 
     Parameters
     ----------
-    layout : Layout
+    layout : SignalLayout
         Order of the data.
     predicted, base : ndarray of float64, shape (size,)
         Predictions of the fitted model, and of the believed one on the user's mesh, mm and mN.

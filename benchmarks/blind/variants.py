@@ -25,7 +25,7 @@ from tissuereg.diagnosis.correction import Correction
 from tissuereg.diagnosis.nuisances import Nuisances
 from tissuereg.diagnosis.nulls import Nulls
 from tissuereg.diagnosis.proof import GENERIC, NAMED, HeldOut, linear_model
-from tissuereg.diagnosis.signals import Layout
+from tissuereg.diagnosis.signals import SignalLayout
 from tissuereg.experiment.experiment import Experiment
 from tissuereg.io.experiments import read_experiment
 from tissuereg.io.json import plain
@@ -159,7 +159,7 @@ def _passed(proof: HeldOut) -> HeldOut:
     return replace(proof, log_density=np.minimum(proof.log_density, proof.log_density[NAMED] - worse))
 
 
-def _no_correction(layout: Layout, coarse: np.ndarray, fine: np.ndarray) -> Correction:
+def _no_correction(layout: SignalLayout, coarse: np.ndarray, fine: np.ndarray) -> Correction:
     return Correction(layout)
 
 

@@ -30,7 +30,7 @@ from tissuereg.cli.common import envelope
 from tissuereg.diagnosis.material import diagnose_material
 from tissuereg.diagnosis.material.fit import fitted
 from tissuereg.diagnosis.material.refine import rows_alike
-from tissuereg.diagnosis.material.verdict import Outcome
+from tissuereg.diagnosis.material.verdict import SelectionOutcome
 from tissuereg.experiment.material_experiment import Curve, MaterialExperiment
 
 HERE = Path(__file__).resolve().parent
@@ -104,7 +104,7 @@ def answered(name: str, curves: Curves) -> dict[str, Any]:
     }
 
 
-def of_a_right_form(outcome: Outcome) -> Numbers:
+def of_a_right_form(outcome: SelectionOutcome) -> Numbers:
     """Return the numbers of an answer with the deviations that the curvature of their fit gives."""
     assert outcome.refined is not None
     bench, fit = outcome.bench, outcome.refined.fit

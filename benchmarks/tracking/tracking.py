@@ -85,7 +85,7 @@ class Motion:
         self.measured = self.places + moved + STD_MM * rng.standard_normal(moved.shape)
         self.lesion = LESION + inner.predict(fields[:, inner.nodes])[:, 0]
         pushes = phantom_event._pushes(self.mesh, 1.0, 0.0).traction
-        self.material = tr.Material(10.0, phantom_event.POISSON)
+        self.material = tr.Material(10.0, phantom_event.PHANTOM.poisson)
         self.fem = FemPhysics(
             self.mesh,
             self.material,
@@ -113,11 +113,11 @@ def true_fields(kept: Path | None, threads: int) -> tuple[Any, Any]:
         with np.load(kept) as file:
             return file["fine"], file["body"]
     fine, body = phantom_event.truth_mesh(), phantom_event.phantom_mesh()
-    contrast = np.where(phantom_event._in_lesion(fine), phantom_event.LESION_CONTRAST, 1.0)
-    material = tr.Material(contrast * phantom_event._TRUE_YOUNG, phantom_event._TRUE_POISSON)
+    contrast = np.where(phantom_event._in_lesion(fine), phantom_event.PHANTOM.lesion_contrast, 1.0)
+    material = tr.Material(contrast * phantom_event.PHANTOM.true_young, phantom_event.PHANTOM.true_poisson)
     simulator = tr.Simulator(fine, element="tet10")
     triangles, traction = phantom_event._pushes(
-        fine, phantom_event._TRUE_PUSH_FACTOR, phantom_event._TRUE_TILT_DEG
+        fine, phantom_event.PHANTOM.true_push_factor, phantom_event.PHANTOM.true_tilt_deg
     ).traction
     inside = TargetObservation(fine, {str(i): node for i, node in enumerate(body.nodes)})
     fields, start = [np.zeros_like(fine.nodes)], None

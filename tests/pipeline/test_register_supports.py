@@ -6,7 +6,7 @@ import pytest
 import tissuereg as tr
 from support.meshes import block
 from tissuereg.errors import ArgumentError, MaterialError
-from tissuereg.registration.contacts.frame import Frame
+from tissuereg.registration.contacts.frame import RigidMotion
 
 SILICONE = tr.Material(8.0, 0.45)
 
@@ -50,7 +50,7 @@ def turned(degrees, shift):
     x, y, z = half / angle
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     rotation = np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross
-    return Frame(rotation, np.asarray(shift, float))
+    return RigidMotion(rotation, np.asarray(shift, float))
 
 
 def test_a_body_that_nothing_holds_is_found_after_a_rigid_motion_and_a_pull(body):
@@ -62,7 +62,7 @@ def test_a_body_that_nothing_holds_is_found_after_a_rigid_motion_and_a_pull(body
     places = turned(15.0, (12.0, -12.0, 10.0)).apply(body.nodes + moved)
     free = tr.Mesh(body.nodes, body.tets, {})
     result = tr.register(free, seen(body, places), targets={"middle": body.nodes.mean(axis=0)})
-    rigid = Frame.between(body.nodes, places).apply(body.nodes)
+    rigid = RigidMotion.between(body.nodes, places).apply(body.nodes)
     bent = np.linalg.norm(places - rigid, axis=1).mean()
     assert bent > 0.5
     assert error(result, places) < 0.5 * bent

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import tissuereg as tr
-from tissuereg.registration.contacts.frame import Frame
+from tissuereg.registration.contacts.frame import RigidMotion
 
 INNER = {"deep": (18.0, 12.0, 22.0), "near the top": (12.0, 8.0, 34.0)}
 
@@ -120,7 +120,7 @@ def test_tangential_motion_is_not_determined_by_points_and_regions_show_it(block
 
 def test_a_free_body_is_found_by_its_points(block_mesh, leaned):
     rng = np.random.default_rng(6)
-    turn = Frame.still().followed_by(
+    turn = RigidMotion.still().followed_by(
         np.array([8.0, -5.0, 4.0, 4.0, -3.0, 5.0]), np.stack([block_mesh.nodes.mean(axis=0), np.full(3, 20.0)])
     )
     true = turn.apply(block_mesh.nodes + 0.3 * leaned)

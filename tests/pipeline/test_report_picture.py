@@ -10,8 +10,9 @@ from scipy.stats import chi2
 import tissuereg as tr
 from support.meshes import block
 from tissuereg.report.heading import write_heading
-from tissuereg.report.inset import MOST_PANELS, round_length
+from tissuereg.report.inset import round_length
 from tissuereg.report.picture import registration_figure
+from tissuereg.report.style import STYLE
 
 
 @pytest.fixture(scope="module")
@@ -67,7 +68,7 @@ def test_words_and_panels_never_lie_over_each_other_nor_leave_the_page(found, n_
         for other_said, other in boxes[index + 1 :]:
             assert not one.overlaps(other), (said, other_said)
     panels = [axes for axes in figure.axes if axes.get_zorder() == 30]
-    assert len(panels) == min(n_targets, MOST_PANELS)
+    assert len(panels) == min(n_targets, STYLE.panels)
     for panel in panels:
         around = panel.get_window_extent(renderer)
         for text, (said, box) in zip(texts(figure), boxes, strict=True):

@@ -11,7 +11,8 @@ import pytest
 
 from tissuereg.io import drafts
 from tissuereg.io.atomic import atomic_file
-from tissuereg.io.drafts import DRAFT_PREFIX, OTHERS_AGE, draft, remove_stale_drafts
+from tissuereg.io.bounds import FILES
+from tissuereg.io.drafts import DRAFT_PREFIX, draft, remove_stale_drafts
 
 SCRIPT = Path(__file__).parents[1] / "support" / "killed_steps.py"
 MEMORY = Path("/dev/shm")
@@ -72,7 +73,7 @@ def test_a_draft_of_another_machine_goes_after_a_day_without_change(tmp_path, mo
     remove_stale_drafts(tmp_path)
     assert made.name.startswith(f"{DRAFT_PREFIX}elsewhere-")
     assert made.exists()
-    long_ago = made.stat().st_mtime - OTHERS_AGE - 1
+    long_ago = made.stat().st_mtime - FILES.stale_draft_s - 1
     for old in (made / "lock", made / "content", made):
         os.utime(old, (long_ago, long_ago))
     remove_stale_drafts(tmp_path)

@@ -12,11 +12,10 @@ import tissuereg as tr
 from support.files import GOOD_MARKERS, MARKERS_HEADER
 from support.meshes import block
 from tissuereg.errors import FormatError
-from tissuereg.io.bounds import MESH_MB, TABLE_MB, TEXT_MB
+from tissuereg.io.bounds import FILES
 from tissuereg.io.meshes import write_vtu
 from tissuereg.io.problems import read_problem
 from tissuereg.io.surfaces import read_triangles
-from tissuereg.io.tables import MOST_POINTS
 from tissuereg.simulation.recipe import read_recipe
 
 MESHES = ("vtu", "vtk", "msh", "npz")
@@ -90,26 +89,26 @@ def test_the_memory_of_a_process_is_its_own_and_not_that_of_its_parent():
 
 @pytest.mark.parametrize("kind", MESHES)
 def test_a_mesh_of_500_mb_is_refused_by_its_size(kind, tmp_path):
-    with pytest.raises(FormatError, match=rf"mesh\.{kind} must have at most {MESH_MB} MB, it has 500 MB"):
+    with pytest.raises(FormatError, match=rf"mesh\.{kind} must have at most {FILES.mesh_mb} MB, it has 500 MB"):
         tr.read_mesh(large(tmp_path / f"mesh.{kind}", 500, HEADS[kind]))
 
 
 @pytest.mark.parametrize("kind", SURFACES)
 def test_a_surface_of_500_mb_is_refused_by_its_size(kind, tmp_path):
-    with pytest.raises(FormatError, match=f"must have at most {MESH_MB} MB"):
+    with pytest.raises(FormatError, match=f"must have at most {FILES.mesh_mb} MB"):
         read_triangles(large(tmp_path / f"body.{kind}", 500, HEADS[kind]))
 
 
 @pytest.mark.parametrize(
     ("read", "name", "most"),
     [
-        (tr.read_markers, "markers.csv", TABLE_MB),
-        (tr.read_surface, "surface.csv", TABLE_MB),
-        (tr.read_targets, "targets.csv", TABLE_MB),
-        (tr.read_targets, "targets.fcsv", TEXT_MB),
-        (tr.read_targets, "targets.mrk.json", TEXT_MB),
-        (read_recipe, "recipe.toml", TEXT_MB),
-        (read_problem, "problem.npz", MESH_MB),
+        (tr.read_markers, "markers.csv", FILES.table_mb),
+        (tr.read_surface, "surface.csv", FILES.table_mb),
+        (tr.read_targets, "targets.csv", FILES.table_mb),
+        (tr.read_targets, "targets.fcsv", FILES.text_mb),
+        (tr.read_targets, "targets.mrk.json", FILES.text_mb),
+        (read_recipe, "recipe.toml", FILES.text_mb),
+        (read_problem, "problem.npz", FILES.mesh_mb),
     ],
 )
 def test_two_gigabytes_of_anything_are_refused_by_their_size(read, name, most, tmp_path):
@@ -126,11 +125,13 @@ def test_a_small_archive_that_unpacks_to_gigabytes_is_refused(tmp_path):
 
 def test_more_markers_than_anybody_tracks_are_refused_at_the_first_too_many(tmp_path):
     row = "0,0,0,0,0,0\n"
-    rows = "".join(f"P{number},{row}" for number in range(MOST_POINTS))
+    rows = "".join(f"P{number},{row}" for number in range(FILES.table_points))
     (tmp_path / "markers.csv").write_text(MARKERS_HEADER + rows)
-    assert len(tr.read_markers(tmp_path / "markers.csv")) == MOST_POINTS
+    assert len(tr.read_markers(tmp_path / "markers.csv")) == FILES.table_points
     (tmp_path / "markers.csv").write_text(MARKERS_HEADER + rows + f"more,{row}" + "no row at all\n")
-    with pytest.raises(FormatError, match=rf"at most {MOST_POINTS} rows; more follow at line {MOST_POINTS + 2}"):
+    with pytest.raises(
+        FormatError, match=rf"at most {FILES.table_points} rows; more follow at line {FILES.table_points + 2}"
+    ):
         tr.read_markers(tmp_path / "markers.csv")
 
 
@@ -183,7 +184,7 @@ def binary_stl_head(size):
     ],
 )
 def test_as_much_noise_with_a_good_head_as_is_read_is_refused_in_bounded_memory(what, kind, noise, tmp_path):
-    most = TABLE_MB if kind == "csv" else MESH_MB
+    most = FILES.table_mb if kind == "csv" else FILES.mesh_mb
     rng = np.random.default_rng(3)
     block_of_noise = (
         rng.bytes(1_000_000) if noise == "bytes" else bytes(rng.integers(32, 127, 1_000_000, dtype=np.uint8))

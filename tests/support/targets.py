@@ -7,29 +7,29 @@ from tissuereg.diagnosis.bench import Bench
 from tissuereg.diagnosis.causes import CAUSES
 from tissuereg.diagnosis.correction import Correction
 from tissuereg.diagnosis.evidence import Null
-from tissuereg.diagnosis.fit import Part, Target
+from tissuereg.diagnosis.fit import FitTarget, FittedCause
 from tissuereg.diagnosis.noise import Noise
-from tissuereg.diagnosis.signals import Layout
+from tissuereg.diagnosis.signals import SignalLayout
 
 MARKER_STD, FORCE_STD, YOUNG = 0.01, 2.0, 1.1
 
 
-def target_of(*effects, marker_std=MARKER_STD, force_std=FORCE_STD, young=YOUNG) -> Target:
+def target_of(*effects, marker_std=MARKER_STD, force_std=FORCE_STD, young=YOUNG) -> FitTarget:
     """Return the target of a fit to data with effects, a stiffer body and noise."""
     believed = rig()
-    truth = Bench(believed, Layout(believed)).predictor.predict(effects, young=young)
-    layout = Layout(believed)
+    truth = Bench(believed, SignalLayout(believed)).predictor.predict(effects, young=young)
+    layout = SignalLayout(believed)
     rng = np.random.default_rng(1)
     std = np.where(layout.of_markers(), marker_std, force_std)
     layout.measured[:] = truth + std * rng.standard_normal(layout.size)
     bench = Bench(believed, layout)
     noise = Noise(np.full(len(layout.marker_names), marker_std), 0.0, 0.0, 0.0, 1.0, force_std, True)
     same = Correction(layout)
-    return Target(bench, noise, same, Null(np.zeros((0, layout.size))))
+    return FitTarget(bench, noise, same, Null(np.zeros((0, layout.size))))
 
 
 def part(target, name, amplitude=0.1, **settings):
     """Return a cause with its parameters at the start of a fit."""
     variants = [v for v in CAUSES[name].variants(target.bench) if settings.items() <= v.settings.items()]
     amplitudes = np.full(len(variants[0].columns), amplitude)
-    return Part(name, CAUSES[name].knobs(target.bench, variants[0], amplitudes))
+    return FittedCause(name, CAUSES[name].knobs(target.bench, variants[0], amplitudes))

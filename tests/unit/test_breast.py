@@ -5,7 +5,7 @@ import pytest
 
 import tissuereg as tr
 from tissuereg.errors import ArgumentError
-from tissuereg.phantom.breast import RADIUS, inside_breast
+from tissuereg.phantom.breast import BREAST, inside_breast
 from tissuereg.phantom.stuffing import stuffed
 from tissuereg.simulation.fine.bisection import shape_quality
 
@@ -78,4 +78,4 @@ def test_a_number_of_nodes_that_cannot_be_is_refused(n_nodes):
 
 def test_the_radius_at_the_chest_wall_is_the_stated_one():
     mesh = tr.phantom.breast_mesh(1000)
-    assert np.linalg.norm(mesh.nodes[mesh.fixed_nodes], axis=1).max() == pytest.approx(RADIUS, abs=2e-4)
+    assert np.linalg.norm(mesh.nodes[mesh.fixed_nodes], axis=1).max() == pytest.approx(BREAST.radius_mm, abs=2e-4)

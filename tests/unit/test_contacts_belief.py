@@ -7,6 +7,7 @@ import tissuereg as tr
 from support import doors
 from support.pushes import MATERIAL, push
 from tissuereg.errors import ConvergenceError
+from tissuereg.registration.contacts.settings import PassSettings
 
 LEFT_OUT = "the believed load was left out: "
 
@@ -35,10 +36,9 @@ def test_a_belief_that_is_far_off_is_corrected_and_kept():
 
 
 @pytest.mark.parametrize(("unmet", "less", "leaves"), [(3.0, 0.5, False), (0.0, 0.5, False), (0.0, 9.9, True)])
-def test_a_belief_is_left_out_where_the_markers_stay_unmet_and_are_met_without(monkeypatch, unmet, less, leaves):
-    monkeypatch.setattr("tissuereg.registration.contacts.registration._UNMET", unmet)
-    monkeypatch.setattr("tissuereg.registration.contacts.registration._MUCH_LESS", less)
-    result = registered(load=tr.Load(body_force=(0.0, 0.0, -1e-3)))
+def test_a_belief_is_left_out_where_the_markers_stay_unmet_and_are_met_without(unmet, less, leaves):
+    settings = tr.ContactSettings(steps=PassSettings(unmet=unmet, much_less=less))
+    result = registered(load=tr.Load(body_force=(0.0, 0.0, -1e-3)), contacts=settings)
     assert (f"{LEFT_OUT}no contacts added to it explain the markers" in result.trust.reasons) == leaves
     alone = registered()
     assert np.array_equal(result.displacement, alone.displacement) == leaves
@@ -49,6 +49,6 @@ def test_without_a_belief_nothing_stands_in_for_a_fit_that_fails(monkeypatch):
         message = "no tangent"
         raise ConvergenceError(message, where="load")
 
-    monkeypatch.setattr("tissuereg.registration.contacts.linear.Linear.at", fails)
+    monkeypatch.setattr("tissuereg.registration.contacts.linear.Linearisation.at", fails)
     with pytest.raises(ConvergenceError):
         registered()

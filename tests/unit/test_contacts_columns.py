@@ -7,7 +7,7 @@ import tissuereg as tr
 from support.pushes import MATERIAL, TIGHT, body, columns_of
 from tissuereg.body.observe import MarkerObservation
 from tissuereg.registration.contacts.columns import contact_sizes, log_filled
-from tissuereg.registration.contacts.frame import Frame
+from tissuereg.registration.contacts.frame import RigidMotion
 from tissuereg.registration.contacts.settings import ContactSettings
 from tissuereg.simulation.sensitivity import Linearised, Observation
 
@@ -45,7 +45,7 @@ def seen(columns, coefficients, markers):
     found = columns.body.simulator.solve(columns.load(coefficients), MATERIAL, **TIGHT)
     observed, reference = markers
     places = reference + observed.predict(found.displacement[observed.nodes])
-    return Frame.still().followed_by(columns.frame(coefficients), columns.rigid).apply(places).ravel()
+    return RigidMotion.still().followed_by(columns.frame(coefficients), columns.rigid).apply(places).ravel()
 
 
 def test_responses_of_every_block_are_slopes_of_solves(case):

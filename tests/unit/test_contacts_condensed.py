@@ -12,9 +12,9 @@ from tissuereg.body.observe import MarkerObservation
 from tissuereg.registration.contacts.condensed import Condensed
 from tissuereg.registration.contacts.evidence import log_evidence, support_stiffness
 from tissuereg.registration.contacts.fit import Passes, start_of
-from tissuereg.registration.contacts.frame import Frame
+from tissuereg.registration.contacts.frame import RigidMotion
 from tissuereg.registration.contacts.places import gathered
-from tissuereg.registration.contacts.seen import Seen, SeenMarkers
+from tissuereg.registration.contacts.seen import MarkerData, ObservedData
 from tissuereg.registration.contacts.settings import ContactSettings
 
 SETTINGS = ContactSettings()
@@ -27,7 +27,7 @@ def passes_of(believed=None):
     """Return passes over a slab whose base is perhaps held, pushed at its top."""
     columns, markers = columns_of("perhaps", believed), push().markers()
     observed = MarkerObservation.of(columns.body.mesh, markers)
-    seen = Seen.of(SeenMarkers(observed, markers, SETTINGS.model_error))
+    seen = ObservedData.of(MarkerData(observed, markers, SETTINGS.model_error))
     return Passes(columns, seen, MATERIAL, SETTINGS, np.random.default_rng(0), 1, Clock())
 
 
@@ -35,9 +35,9 @@ def passes_of(believed=None):
 def condensed():
     """Return the slab under a believed weight, on springs of middling stiffness, with passes there and their start."""
     passes = passes_of({"body_force": np.array([2e-3, 0.0, -4e-3])})
-    found = Condensed.of(passes, Frame.still(), 3.0)
+    found = Condensed.of(passes, RigidMotion.still(), 3.0)
     there = replace(passes, columns=found.columns)
-    return found, there, start_of(found.columns, MATERIAL, None, Frame.still(), 1)
+    return found, there, start_of(found.columns, MATERIAL, None, RigidMotion.still(), 1)
 
 
 def test_groups_of_places_are_compact_and_none_is_empty():
@@ -86,18 +86,20 @@ def test_innovations_follow_the_stiffness_as_solves_do():
     before = passes.seen.read(start).residual
     assert found.on([3.0, 3.0]).innovation == pytest.approx(before)
     for other in ([6.0, 6.0], [6.0, 2.0]):
-        solved = passes.seen.read(start_of(found.columns.on_springs(other), MATERIAL, None, Frame.still(), 1)).residual
+        solved = passes.seen.read(
+            start_of(found.columns.on_springs(other), MATERIAL, None, RigidMotion.still(), 1)
+        ).residual
         change = found.on(other).innovation - before
         assert np.linalg.norm(change - (solved - before)) < 0.15 * np.linalg.norm(solved - before)
 
 
 def test_the_chosen_stiffness_is_nearly_the_best_of_all_that_are_solved_and_costs_one_factorisation():
     passes = passes_of()
-    found = support_stiffness(passes, Frame.still())
+    found = support_stiffness(passes, RigidMotion.still())
     assert passes.counters["factorisations"] <= 1
     tried = SETTINGS.stiffness_tried
     value = lambda stiffness: log_evidence(  # noqa: E731
-        replace(passes, columns=passes.columns.on_springs(stiffness)), Frame.still()
+        replace(passes, columns=passes.columns.on_springs(stiffness)), RigidMotion.still()
     )
     solved = {(rim, inner): value([rim, inner]) for rim in tried for inner in tried}
     assert solved[found.best] > max(solved.values()) - 1.0

@@ -8,17 +8,17 @@ import pytest
 import tissuereg as tr
 from support import doors
 from support.pushes import ELEMENT, MATERIAL, push
-from tissuereg.registration.contacts.frame import Frame
+from tissuereg.registration.contacts.frame import RigidMotion
 from tissuereg.registration.contacts.spread import linear_fields
 
 INNER = {"deep": (40.0, 20.0, 9.0), "near": (24.0, 35.0, 15.0)}
 
 #: The tracker's frame, far from that of the body. Half a turn about an axis: signs change and no number is rounded
 #: otherwise, so that the chains take the same steps.
-TURNED = Frame(np.diag([-1.0, 1.0, -1.0]), np.array([50.0, -20.0, 10.0]))
+TURNED = RigidMotion(np.diag([-1.0, 1.0, -1.0]), np.array([50.0, -20.0, 10.0]))
 
 
-def registered(frame: Frame) -> tr.Registration:
+def registered(frame: RigidMotion) -> tr.Registration:
     markers = push().markers()
     seen = tr.Markers(markers.reference, frame.apply(markers.measured), 0.03)
     options: dict[str, Any] = {"material": MATERIAL, "element": ELEMENT, "threads": 1, "targets": INNER}
@@ -27,7 +27,7 @@ def registered(frame: Frame) -> tr.Registration:
 
 @pytest.fixture(scope="module")
 def still() -> tr.Registration:
-    return registered(Frame.still())
+    return registered(RigidMotion.still())
 
 
 @pytest.fixture(scope="module")

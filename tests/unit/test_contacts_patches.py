@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from support.meshes import block
-from tissuereg.registration.contacts.patches import RADII_SHARES, make_patches, surface_of_nodes
+from tissuereg.registration.contacts.patches import make_patches, surface_of_nodes
+from tissuereg.registration.contacts.settings import DISCRETISATION
 
 FACES = [(axis, side) for axis in range(3) for side in (0, 1)]
 
@@ -75,7 +76,7 @@ def test_radii_are_shares_of_the_body_but_not_below_its_mesh(mesh):
     edge = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).mean()
     fine = np.unique(make_patches(mesh, mesh.surface_nodes).radii)
     assert fine.min() >= 1.2 * edge * (1 - 1e-12)
-    assert np.isin(np.round(fine[1:], 9), np.round(np.array(RADII_SHARES) * mesh.extent, 9)).all()
+    assert np.isin(np.round(fine[1:], 9), np.round(np.array(DISCRETISATION.radii_shares) * mesh.extent, 9)).all()
     coarse = block(cells=(2, 2, 2))
     assert make_patches(coarse, coarse.surface_nodes).radii.min() > 2 * fine.min()
 

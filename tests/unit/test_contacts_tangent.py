@@ -12,9 +12,10 @@ from support.pushes import MATERIAL, TIGHT, columns_of, push
 from tissuereg.body.per_mesh import per_mesh
 from tissuereg.errors import ConvergenceError
 from tissuereg.registration.contacts.body import forget_bodies
-from tissuereg.registration.contacts.frame import Frame
-from tissuereg.registration.contacts.moment import Moment
-from tissuereg.registration.contacts.tangent import MOST_REMEMBERED, Tangent, forget_rest, tangent_at
+from tissuereg.registration.contacts.frame import RigidMotion
+from tissuereg.registration.contacts.moment import BodyState
+from tissuereg.registration.contacts.settings import EFFORT
+from tissuereg.registration.contacts.tangent import Tangent, forget_rest, tangent_at
 from tissuereg.registration.readings.skin import skin_of
 
 
@@ -25,7 +26,7 @@ def nothing_kept():
 
 def at_rest(columns):
     n_nodes = columns.body.simulator.body.n_nodes
-    return Moment(np.zeros(columns.n_columns), np.zeros((n_nodes, 3)), Frame.still())
+    return BodyState(np.zeros(columns.n_columns), np.zeros((n_nodes, 3)), RigidMotion.still())
 
 
 def rows(nodes):
@@ -62,7 +63,7 @@ def test_a_body_that_moved_is_not_taken_for_one_at_rest():
     coefficients[3] = 1e-3
     load = columns.load(coefficients)
     moved = columns.body.simulator.solve(load, MATERIAL, **TIGHT).all_displacement
-    found, factored = tangent_at(columns, MATERIAL, Moment(coefficients, moved, fit_at.frame), 1)
+    found, factored = tangent_at(columns, MATERIAL, BodyState(coefficients, moved, fit_at.frame), 1)
     assert factored == 1
     assert found is not tangent_at(columns, MATERIAL, fit_at, 1)[0]
 
@@ -86,7 +87,7 @@ def test_remembered_observations_have_the_same_bits_and_cost_nothing():
 def test_what_is_remembered_is_limited():
     columns = columns_of()
     tangent, _ = tangent_at(columns, MATERIAL, at_rest(columns), 1)
-    many = rows(range(100, 100 + MOST_REMEMBERED // 3 + 1))
+    many = rows(range(100, 100 + EFFORT.remembered // 3 + 1))
     assert tangent.compliance(many)[1] == len(many)
     assert tangent.compliance(many)[1] == len(many)
 
@@ -130,16 +131,16 @@ def test_the_skin_follows_the_set_of_held_nodes():
 
 
 def test_a_step_that_ends_otherwise_than_predicted_is_linearised_anew(monkeypatch):
-    def fit(margin):
+    def fit(ends):
         forget_rest()
-        monkeypatch.setattr("tissuereg.registration.contacts.fit._AS_PREDICTED", margin)
+        monkeypatch.setattr("tissuereg.registration.contacts.fit._Pass.ended_as_predicted", lambda *_: ends)
         return tr.register(
             tr.Body(push().mesh, material=MATERIAL, element="tet4"),
             push().markers(),
             settings=tr.RegisterSettings(threads=1),
         )
 
-    kept, anew = fit(100.0), fit(-100.0)
+    kept, anew = fit(True), fit(False)
     assert anew.work["factorisations"] == kept.work["factorisations"] + 1
     assert np.array_equal(anew.displacement, kept.displacement)
     # About the end and about where the last step began: nearly the same.

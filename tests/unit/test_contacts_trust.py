@@ -13,6 +13,7 @@ from support import doors
 from support.pushes import ELEMENT, MATERIAL, push
 from tissuereg.body.observe import MarkerObservation
 from tissuereg.registration.contacts.answer import Answer, _chance
+from tissuereg.registration.contacts.settings import ReportSettings
 
 #: A region whose axes are not those of the tracker.
 COVARIANCE = np.array([[1.0, 0.6, -0.3], [0.6, 2.0, 0.5], [-0.3, 0.5, 0.7]])
@@ -76,10 +77,10 @@ def test_a_push_that_the_prior_of_contacts_cannot_make_takes_trust_though_marker
 
 
 def test_room_for_a_residual_at_a_rim_is_less_than_how_far_the_motion_differs_there(
-    monkeypatch: pytest.MonkeyPatch, result: tr.Registration
+    result: tr.Registration,
 ) -> None:
     # All markers are kept and held against the room that their residual has.
-    monkeypatch.setattr("tissuereg.registration.contacts.answer._WRONG", 2.0)
+    settings = tr.ContactSettings(report=ReportSettings(wrong=2.0))
     markers, mesh = push().markers(), push().mesh
     observed = MarkerObservation.of(mesh, markers)
     differs = observed.variation(push().displacement[observed.nodes])
@@ -87,7 +88,7 @@ def test_room_for_a_residual_at_a_rim_is_less_than_how_far_the_motion_differs_th
     assert differs[at_rim] > 10 * 0.03
     measured = markers.measured.copy()
     measured[at_rim] += 2.5 * differs[at_rim] * np.array([0.6, 0.8, 0.0])
-    found = registered(tr.Markers(markers.reference, measured, 0.03))
+    found = registered(tr.Markers(markers.reference, measured, 0.03), settings=tr.RegisterSettings(contacts=settings))
     name = markers.names[at_rim]
     left = np.linalg.norm(found.markers.residual_mm[name])
     assert left > 1.2 * differs[at_rim]

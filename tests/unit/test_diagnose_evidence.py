@@ -7,7 +7,7 @@ from scipy.stats import multivariate_normal, norm
 from tissuereg.diagnosis.evidence import Blocks, Null, fit_amplitudes, log_mean_exp
 from tissuereg.diagnosis.nulls import LEAST_THRESHOLD, LEVEL, _thresholds
 from tissuereg.diagnosis.probability import TEMPER, probabilities
-from tissuereg.diagnosis.proof import Linear, held_out
+from tissuereg.diagnosis.proof import LinearModel, held_out
 
 SIZE = 30
 
@@ -84,7 +84,7 @@ def test_a_held_out_block_is_predicted_by_the_conditional_gaussian(rng):
     gain = covariance[np.ix_(mask, ~mask)] @ np.linalg.inv(covariance[np.ix_(~mask, ~mask)])
     mean = gain @ x[~mask]
     inner = covariance[np.ix_(mask, mask)] - gain @ covariance[np.ix_(~mask, mask)]
-    found = held_out([Linear(x, columns)], {"block": mask})
+    found = held_out([LinearModel(x, columns)], {"block": mask})
     assert np.allclose(found.residuals[0, mask], x[mask] - mean)
     assert np.isnan(found.residuals[0, ~mask]).all()
     constant = 0.5 * mask.sum() * np.log(2.0 * np.pi)

@@ -16,7 +16,7 @@ from tissuereg.diagnosis.causes.base import knobs
 from tissuereg.diagnosis.correction import make_correction
 from tissuereg.diagnosis.evidence import Null
 from tissuereg.diagnosis.findings import _chances, group_of
-from tissuereg.diagnosis.fit import Part, Target, at_believed_modulus, best_start, fit
+from tissuereg.diagnosis.fit import FitTarget, FittedCause, at_believed_modulus, best_start, fit
 from tissuereg.diagnosis.modulus import _pinned, modulus_finding
 from tissuereg.diagnosis.nuisances import FORM_ERROR, other_forms
 from tissuereg.diagnosis.probability import LOOK_ALIKE
@@ -26,7 +26,7 @@ from tissuereg.diagnosis.refined import refined_effects
 from tissuereg.diagnosis.revise import exchanged, without, without_redundant
 from tissuereg.diagnosis.screen import UNKNOWN, Screen, Screened
 from tissuereg.diagnosis.search import Search, Step, _with_finding
-from tissuereg.diagnosis.signals import Layout
+from tissuereg.diagnosis.signals import SignalLayout
 from tissuereg.experiment.effects import (
     ActuatorOffset,
     Detachment,
@@ -134,11 +134,11 @@ def test_the_discretisation_error_of_a_found_cause_is_corrected(of_two):
     assert recorrected(of_two, fit(of_two, [part(of_two, "latency")])) is of_two
 
 
-def of_finer_mesh(target, *effects) -> Target:
+def of_finer_mesh(target, *effects) -> FitTarget:
     """Return the target for noise-free data of the fine mesh, the believed model corrected."""
     bench = target.bench
     correction = make_correction(bench.layout, bench.base, refined_effects(bench, []))
-    layout = Layout(bench.experiment)
+    layout = SignalLayout(bench.experiment)
     layout.measured[:] = refined_effects(bench, effects)
     return replace(target, bench=Bench(bench.experiment, layout), correction=replace(correction, layout=layout))
 
@@ -410,7 +410,7 @@ def test_a_shifted_patch_is_corrected_too():
         lambda x, _: (replace(shift, shift_mm=(0.0, float(x[0]), 0.0)),),
         lambda x, _: {"shift_mm": [0.0, float(x[0]), 0.0]},
     )
-    found = fit(target, [Part("actuator_offset", replace(along, columns=column[None]))])
+    found = fit(target, [FittedCause("actuator_offset", replace(along, columns=column[None]))])
     assert found.x[1] == pytest.approx(8.0, abs=0.5)
     better = recorrected(target, found)
     effects, coarse = at_believed_modulus(target, found)

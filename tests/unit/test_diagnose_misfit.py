@@ -12,7 +12,7 @@ from tissuereg.diagnosis.noise import Noise
 from tissuereg.diagnosis.proof import HeldOut
 from tissuereg.diagnosis.run import _explains_enough, _verdict
 from tissuereg.diagnosis.search import CLEAR, Step
-from tissuereg.diagnosis.signals import Layout
+from tissuereg.diagnosis.signals import SignalLayout
 
 N_NULLS = 300
 
@@ -20,7 +20,7 @@ N_NULLS = 300
 @pytest.fixture(scope="module")
 def subspaces():
     experiment = rig()
-    layout = Layout(experiment)
+    layout = SignalLayout(experiment)
     bench = Bench(experiment, layout)
     noise = Noise(np.full(len(layout.marker_names), 0.01), 0.0, 0.0, 0.0, 1.0, 2.0, True)
     return layout, smooth_subspaces(layout, bench.base, bench.extent, noise)

@@ -13,9 +13,9 @@ from tissuereg.diagnosis.bench import Bench
 from tissuereg.diagnosis.causes import CAUSES
 from tissuereg.diagnosis.correction import Correction
 from tissuereg.diagnosis.evidence import Null
-from tissuereg.diagnosis.fit import Part, Target, fit
+from tissuereg.diagnosis.fit import FitTarget, FittedCause, fit
 from tissuereg.diagnosis.noise import Noise, estimate_noise
-from tissuereg.diagnosis.signals import Layout
+from tissuereg.diagnosis.signals import SignalLayout
 from tissuereg.experiment.effects import Stiffening
 from tissuereg.experiment.experiment import Actuator, Boundary, Case, Experiment
 
@@ -43,7 +43,7 @@ def strip(pull=4.0, n_frames=6) -> Experiment:
 
 def measured_as(experiment, *effects) -> Experiment:
     """Return the experiment with predictions of a model with effects in place of its measured numbers."""
-    layout = Layout(experiment)
+    layout = SignalLayout(experiment)
     part, predicted = layout.parts[0], Bench(experiment, layout).predictor.predict(effects)
     case = experiment.cases["pull"]
     markers = np.where(np.isfinite(case.markers), experiment.marker_reference + part.markers(predicted), np.nan)
@@ -54,7 +54,7 @@ def measured_as(experiment, *effects) -> Experiment:
 @pytest.mark.parametrize("common", [0.0, 0.05])
 def test_whitened_noise_of_one_camera_is_white_in_its_plane_and_nothing_in_depth(common):
     experiment = strip()
-    layout = Layout(experiment)
+    layout = SignalLayout(experiment)
     noise = Noise(np.full(12, 0.02), common, 0.5, 0.5, 0.2, 2.0, True)
     rng = np.random.default_rng(1)
     part, draws = layout.parts[0], 3000
@@ -85,7 +85,7 @@ def test_rest_frames_of_one_camera_show_its_noise():
     places[..., 2] = np.nan
     rest = Case("rest", np.arange(60.0) - 100.0, places)
     experiment = replace(experiment, cases={"rest": rest, **experiment.cases}, rest_case="rest")
-    noise = estimate_noise(experiment, Layout(experiment))
+    noise = estimate_noise(experiment, SignalLayout(experiment))
     assert noise.marker_std == pytest.approx(np.full(12, 0.2), rel=0.1)
     assert noise.common_std == pytest.approx(0.3, rel=0.25)
 
@@ -96,14 +96,14 @@ def test_markers_exchanged_in_a_plane_are_the_first_pair_that_is_tried():
     markers = case.markers.copy()
     markers[:, [2, 7]] = markers[:, [7, 2]]
     experiment = replace(experiment, cases={"pull": replace(case, markers=markers)})
-    bench = Bench(experiment, Layout(experiment))
+    bench = Bench(experiment, SignalLayout(experiment))
     first = next(iter(CAUSES["marker_swap"].variants(bench)))
     assert set(first.settings["pair"]) == {"P2", "P7"}
 
 
 def test_a_body_thinner_than_any_ball_has_places_for_inclusions_in_the_middle_of_its_depth():
     experiment = strip()
-    bench = Bench(experiment, Layout(experiment))
+    bench = Bench(experiment, SignalLayout(experiment))
     variants = list(CAUSES["inclusion"].variants(bench))
     assert len(variants) > 20
     assert {variant.settings["centre"][2] for variant in variants} == {0.5 * DEPTH}
@@ -115,15 +115,15 @@ def test_a_body_thinner_than_any_ball_has_places_for_inclusions_in_the_middle_of
 
 def test_stiffening_far_beyond_the_bank_is_fitted():
     experiment = measured_as(strip(), Stiffening(law="fung", b=90.0, volumetric="coupled"))
-    layout = Layout(experiment)
+    layout = SignalLayout(experiment)
     bench = Bench(experiment, layout)
     same = Correction(layout)
-    target = Target(bench, estimate_noise(experiment, layout), same, Null(np.zeros((0, layout.size))))
+    target = FitTarget(bench, estimate_noise(experiment, layout), same, Null(np.zeros((0, layout.size))))
     cause = CAUSES["stiffening"]
     variant = max(
         (v for v in cause.variants(bench) if v.settings["law"] == "fung"), key=lambda v: float(v.settings["size"])
     )
-    part = Part("stiffening", cause.knobs(bench, variant, np.ones(1)))
+    part = FittedCause("stiffening", cause.knobs(bench, variant, np.ones(1)))
     found = fit(target, [part])
     assert found is not None
     assert found.values(0, bench.young)[0]["b"] == pytest.approx(90.0, rel=0.03)

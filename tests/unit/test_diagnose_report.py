@@ -19,7 +19,7 @@ from tissuereg.diagnosis.bench import Bench
 from tissuereg.diagnosis.candidates import Candidate
 from tissuereg.diagnosis.correction import Correction
 from tissuereg.diagnosis.evidence import Null
-from tissuereg.diagnosis.fit import Fit, Part, Target
+from tissuereg.diagnosis.fit import Fit, FitTarget, FittedCause
 from tissuereg.diagnosis.noise import estimate_noise
 from tissuereg.diagnosis.proof import HeldOut
 from tissuereg.diagnosis.report.history import curves
@@ -29,7 +29,7 @@ from tissuereg.diagnosis.report.scene import scene, script_text
 from tissuereg.diagnosis.report.surface import drawn_surface
 from tissuereg.diagnosis.screen import Screened
 from tissuereg.diagnosis.search import Search, Step
-from tissuereg.diagnosis.signals import Layout
+from tissuereg.diagnosis.signals import SignalLayout
 from tissuereg.experiment.effects import Inclusion, MarkerSlip
 
 NASTY = "<b>&'\"P</b></script>"
@@ -82,18 +82,18 @@ def fitted(layout, noise, parts, left):
 
 def made_up(believed, findings=(), effects=(), **changes):
     """Return a diagnosis of an experiment; nothing is solved."""
-    layout = Layout(believed)
+    layout = SignalLayout(believed)
     noise = estimate_noise(believed, layout)
     bench = Bench(believed, layout)
     correction = Correction(layout)
-    target = Target(bench, noise, correction, Null(np.zeros((0, layout.size))))
+    target = FitTarget(bench, noise, correction, Null(np.zeros((0, layout.size))))
     generator = np.random.default_rng(3)
     errors = generator.normal(size=(2, layout.size)) * np.array([[0.5], [0.05]])
     base = fitted(layout, noise, (), errors[0])
     final, steps = base, []
     screened = {"inclusion": Screened(123.4, None, np.ones(1)), "unknown": Screened(12.5, None, np.empty(0))}
     for number, one in enumerate(findings):
-        part = Part(one.id, None)
+        part = FittedCause(one.id, None)
         final = fitted(layout, noise, (*final.parts, part), errors[1] / (number + 1))
         found = Candidate(one.id, final, one.log_bayes_factor, None)
         screened = {"unknown": screened["unknown"], one.id: Screened(9.0, None, np.ones(1))}

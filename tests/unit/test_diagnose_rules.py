@@ -22,7 +22,7 @@ from tissuereg.diagnosis.report.words import ties
 from tissuereg.diagnosis.residual import residual_summary
 from tissuereg.diagnosis.screen import UNKNOWN, Screen
 from tissuereg.diagnosis.search import Search, search
-from tissuereg.diagnosis.signals import Layout
+from tissuereg.diagnosis.signals import SignalLayout
 from tissuereg.experiment.effects import Latency, MarkerSlip, Poisson
 
 
@@ -73,7 +73,7 @@ def test_noise_that_is_correlated_in_time_is_seen_in_the_rest_case():
         experiment.cases["rest"], times=np.arange(200.0) - 200.0, markers=experiment.marker_reference + 0.05 * own
     )
     changed = replace(experiment, cases={**experiment.cases, "rest": rest})
-    noise = estimate_noise(changed, Layout(changed))
+    noise = estimate_noise(changed, SignalLayout(changed))
     assert noise.memory == pytest.approx(0.6, abs=0.06)
 
 
@@ -109,7 +109,7 @@ def test_a_found_cause_has_a_model_error_when_further_causes_are_tested(of_two):
 
 
 def test_figures_give_each_model_its_own_residuals():
-    layout = Layout(rig())
+    layout = SignalLayout(rig())
     noise = Noise(np.full(6, 0.05), 0.0, 0.0, 0.0, 1.0, 2.0, True)
     sizes = {BEFORE: 4.0, NAMED: 1.0, GENERIC: 2.0, BELIEVED: 8.0}
     left = np.array([np.full(layout.size, sizes[row]) for row in range(4)])

@@ -16,7 +16,7 @@ from tissuereg.diagnosis.refined import flat_of
 from tissuereg.diagnosis.run import make_believed
 from tissuereg.diagnosis.shape import HEIGHT_SHARE, PLACE_SHARE, SIZE_SHARE, WAVES, shape_directions
 from tissuereg.diagnosis.shape_columns import shape_columns
-from tissuereg.diagnosis.signals import Layout
+from tissuereg.diagnosis.signals import SignalLayout
 from tissuereg.diagnosis.tangents import Tangents
 from tissuereg.experiment.effects import Relaxation
 from tissuereg.experiment.experiment import Actuator
@@ -51,7 +51,7 @@ def named(experiment):
 def test_derivatives_by_the_shape_are_those_of_bodies_that_are_solved_anew(name, monkeypatch):
     monkeypatch.setattr(predictor, "TOLERANCE", 1e-10)
     believed = hill()
-    layout = Layout(believed)
+    layout = SignalLayout(believed)
     motion = named(believed)[name].motion
     found = Tangents(predictor.Predictor(believed, layout)).by_shapes([motion])[0]
     ends = []
@@ -73,8 +73,8 @@ def test_a_marker_on_an_edge_of_the_mesh_has_one_derivative_whichever_way_the_sh
     place = mesh.nodes[triangle[:2]].mean(axis=0) + 0.5 * out / np.linalg.norm(out)
     moved = replace(believed, marker_reference=np.concatenate([place[None], believed.marker_reference[1:]]))
     motion = np.random.default_rng(0).normal(size=mesh.nodes.shape)
-    tangents = Tangents(predictor.Predictor(moved, Layout(moved)))
-    one, other = (Layout(moved)["down"].markers(found) for found in tangents.by_shapes([motion, -motion]))
+    tangents = Tangents(predictor.Predictor(moved, SignalLayout(moved)))
+    one, other = (SignalLayout(moved)["down"].markers(found) for found in tangents.by_shapes([motion, -motion]))
     np.testing.assert_allclose(one[:, 0], -other[:, 0], atol=1e-3 * np.abs(one[:, 0]).max())
 
 
@@ -85,7 +85,7 @@ def test_a_pad_that_pulls_does_so_by_the_same_force_whatever_its_size():
     given = {"top": 30.0 * down.displacements["top"]}
     pulled = replace(down, displacements={}, forces={}, applied_forces=given)
     believed = replace(believed, actuators=(top, believed.actuators[1]), cases={**believed.cases, "down": pulled})
-    layout = Layout(believed)
+    layout = SignalLayout(believed)
     motion = named(believed)["size of top"].motion
     found = Tangents(predictor.Predictor(believed, layout)).by_shapes([motion])[0]
     ends = []
@@ -99,7 +99,7 @@ def test_a_pad_that_pulls_does_so_by_the_same_force_whatever_its_size():
 def test_shape_columns_of_a_body_with_memory_are_those_of_its_elastic_counterpart():
     believed = hill()
     remembers = replace(believed, effects=(Relaxation(g=(0.3,), tau_s=(1.0,)),))
-    benches = [Bench(one, Layout(one)) for one in (believed, remembers)]
+    benches = [Bench(one, SignalLayout(one)) for one in (believed, remembers)]
     elastic, slow = (dict(shape_columns(bench, benches[0].base)) for bench in benches)
     assert len(elastic) == len(slow)
     for one, other in zip(elastic.values(), slow.values(), strict=True):
@@ -124,7 +124,7 @@ def disc():
 
 def test_a_derivative_by_a_pads_place_or_height_is_that_of_the_fine_model():
     believed = disc()
-    layout = Layout(believed)
+    layout = SignalLayout(believed)
     bench = Bench(believed, layout)
     fine = flat_of(layout, bench.fine.simulate())
     columns = {direction.name: column for direction, column in shape_columns(bench, fine)}
@@ -145,7 +145,7 @@ def test_a_derivative_by_a_pads_place_or_height_is_that_of_the_fine_model():
 
 def test_forces_of_a_derivative_are_carried_into_those_of_the_fine_answer_and_markers_are_not():
     believed = disc()
-    layout = Layout(believed)
+    layout = SignalLayout(believed)
     bench = Bench(believed, layout)
     markers = layout.of_markers()
     fine = flat_of(layout, bench.fine.simulate())
@@ -181,7 +181,7 @@ def _on_the_users_mesh(believed, layout, fine):
 
 def test_facets_that_a_fine_mesh_subdivides_keep_their_gap_to_the_smooth_surface():
     believed = disc()
-    fine = Bench(believed, Layout(believed)).fine.fine
+    fine = Bench(believed, SignalLayout(believed)).fine.fine
     whole, divided = named(believed), {one.name: one for one in shape_directions(fine, believed.mesh)}
     assert divided["facets"].std_mm == whole["facets"].std_mm
     kept = np.flatnonzero((fine.mesh.nodes[: believed.mesh.n_nodes] == believed.mesh.nodes).all(axis=1))
@@ -190,7 +190,7 @@ def test_facets_that_a_fine_mesh_subdivides_keep_their_gap_to_the_smooth_surface
     assert divided["facets"].motion[added].any(axis=1).mean() > 0.3
     # Taken for facets of its own they would lie nearer to it.
     assert {one.name: one for one in shape_directions(fine)}["facets"].std_mm < 0.7 * whole["facets"].std_mm
-    bench = Bench(believed, Layout(believed))
+    bench = Bench(believed, SignalLayout(believed))
     taken = {direction.name: direction for direction, _ in shape_columns(bench, bench.base)}
     assert taken["facets"].std_mm == whole["facets"].std_mm
 
@@ -215,7 +215,7 @@ def test_patches_slide_along_the_surface_and_edges_of_the_body_stay():
 def test_a_rim_goes_out_and_in_as_often_as_it_says():
     believed = disc()
     (pad,) = believed.actuators
-    fine = Bench(believed, Layout(believed)).fine.fine
+    fine = Bench(believed, SignalLayout(believed)).fine.fine
     directions = {one.name: one for one in shape_directions(fine, believed.mesh)}
     arms = fine.mesh.nodes - np.array(pad.rule["centre_mm"])
     near = np.abs(np.linalg.norm(arms, axis=1) - 7.0) < 1e-6
@@ -297,7 +297,7 @@ def test_a_surface_that_was_segmented_is_off_by_what_is_stated():
 
 def test_nuisances_hold_every_direction_times_its_deviation():
     believed = hill()
-    layout = Layout(believed)
+    layout = SignalLayout(believed)
     bench = Bench(believed, layout)
     correction = make_correction(layout, bench.base, np.where(layout.of_markers(), bench.base, 0.8 * bench.base))
     nuisances = make_nuisances(bench, np.zeros((0, layout.size)), correction)
@@ -308,7 +308,7 @@ def test_nuisances_hold_every_direction_times_its_deviation():
 
 def test_other_nuisances_are_carried_into_the_fine_mesh_too():
     believed = hill()
-    layout = Layout(believed)
+    layout = SignalLayout(believed)
     bench = Bench(believed, layout)
     correction = make_correction(layout, bench.base, np.where(layout.of_markers(), bench.base, 0.8 * bench.base))
     nuisances = make_nuisances(bench, np.zeros((0, layout.size)), correction)
@@ -325,7 +325,7 @@ def test_nuisances_are_taken_at_the_fitted_modulus():
         for name, case in believed.cases.items()
     }
     believed = replace(believed, cases=cases)
-    layout = Layout(believed)
+    layout = SignalLayout(believed)
     bench, noise = Bench(believed, layout), Noise(np.full(6, 0.05), 0.0, 0.0, 0.0, 1.0, 2.0, True)
     found = make_believed(bench, noise, keep=False)
     modulus = found.target.correction.modulus

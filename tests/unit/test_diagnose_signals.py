@@ -17,7 +17,7 @@ from tissuereg.diagnosis.correction import Correction, make_correction
 from tissuereg.diagnosis.noise import Noise, estimate_noise
 from tissuereg.diagnosis.nuisances import FORCE_BENT, FORCE_SHARE, make_nuisances
 from tissuereg.diagnosis.patterns import load_history
-from tissuereg.diagnosis.signals import Layout
+from tissuereg.diagnosis.signals import SignalLayout
 from tissuereg.errors import ExperimentError, NoiseError
 from tissuereg.experiment.effects import ActuatorDirection, ActuatorGain, ActuatorOffset, Gravity, Latency, Poisson
 from tissuereg.experiment.effects.regions import Ellipsoid, share_inside
@@ -27,7 +27,7 @@ from tissuereg.simulation.sensitivity import Parameter
 @pytest.fixture(scope="module")
 def bench() -> Bench:
     experiment = rig()
-    return Bench(experiment, Layout(experiment))
+    return Bench(experiment, SignalLayout(experiment))
 
 
 def central(bench, effect, step):
@@ -42,7 +42,7 @@ def assert_alike(found, expected, rel=2e-3):
 
 def test_what_goes_in_comes_out_of_the_flat_vector():
     experiment = rig()
-    layout = Layout(experiment)
+    layout = SignalLayout(experiment)
     case = experiment.cases["in"]
     assert np.allclose(layout["in"].markers(layout.measured), case.markers - experiment.marker_reference)
     assert np.array_equal(layout["in"].forces(layout.measured)[:, 0], case.forces["side"])
@@ -64,27 +64,27 @@ def test_the_file_of_forces_may_name_actuators_in_any_order():
         for order in (("side", "top"), ("top", "side"))
     ]
     assert fingerprint(pair[0], "tet4") == fingerprint(pair[1], "tet4")
-    assert [Layout(one)["in"].pads for one in pair] == [("top", "side"), ("top", "side")]
-    assert np.array_equal(*(Layout(one).measured for one in pair))
+    assert [SignalLayout(one)["in"].pads for one in pair] == [("top", "side"), ("top", "side")]
+    assert np.array_equal(*(SignalLayout(one).measured for one in pair))
 
 
 def test_an_experiment_without_measurements_is_refused():
     experiment = rig()
     blind = {n: replace(c, markers=np.full_like(c.markers, np.nan), forces={}) for n, c in experiment.cases.items()}
     with pytest.raises(ExperimentError, match="must have measured"):
-        Layout(replace(experiment, cases=blind))
+        SignalLayout(replace(experiment, cases=blind))
 
 
 def test_forces_without_a_stated_noise_are_refused():
     experiment = replace(rig(), force_std=None)
     with pytest.raises(NoiseError, match="std_mN"):
-        estimate_noise(experiment, Layout(experiment))
+        estimate_noise(experiment, SignalLayout(experiment))
 
 
 @pytest.mark.parametrize(("common", "memory"), [(0.0, 0.0), (0.08, 0.0), (0.0, 0.6), (0.05, 0.5)])
 def test_whitened_noise_is_white(common, memory):
     experiment = rig()
-    layout = Layout(experiment)
+    layout = SignalLayout(experiment)
     noise = Noise(np.linspace(0.03, 0.06, 6), common, memory, memory, 1.0, 2.0, True)
     rng = np.random.default_rng(1)
     draws = 4000
@@ -114,10 +114,10 @@ def test_rest_frames_show_noise_that_is_not_as_stated():
         own, common = rng.standard_normal((len(times), 6, 3)), rng.standard_normal((len(times), 1, 3))
         cases[name] = replace(case, times=times, markers=experiment.marker_reference + 0.2 * own + 0.3 * common)
     changed = replace(experiment, cases=cases)
-    noise = estimate_noise(changed, Layout(changed))
+    noise = estimate_noise(changed, SignalLayout(changed))
     assert noise.marker_std == pytest.approx(np.full(6, 0.2), rel=0.1)
     assert noise.common_std == pytest.approx(0.3, rel=0.25)
-    plain = estimate_noise(experiment, Layout(experiment))
+    plain = estimate_noise(experiment, SignalLayout(experiment))
     assert np.array_equal(plain.marker_std, np.full(6, 0.05))
     assert plain.common_std == plain.memory == 0.0
 

@@ -13,10 +13,10 @@ from tissuereg.diagnosis.bench import Bench
 from tissuereg.diagnosis.correction import Correction
 from tissuereg.diagnosis.nuisances import make_nuisances
 from tissuereg.diagnosis.patterns import LENGTH
-from tissuereg.diagnosis.signals import Layout
+from tissuereg.diagnosis.signals import SignalLayout
 from tissuereg.experiment.effects import Effect, Gravity, MarkerSlip
 from tissuereg.experiment.experiment import Actuator, Boundary, Case, Experiment
-from tissuereg.experiment.experiment import Gravity as Weight
+from tissuereg.experiment.experiment import BodyWeight as Weight
 from tissuereg.simulation.experiment import simulate_plain
 
 STD = 0.05
@@ -75,7 +75,7 @@ def test_a_slip_in_the_only_frame_of_the_last_case_is_named_given_the_weight():
 
 def test_the_difference_between_trials_grows_with_the_motion_and_is_smooth():
     experiment = shelf(weight=Weight(np.array(DOWN), in_reference=False), trial_share=0.04)
-    layout = Layout(experiment)
+    layout = SignalLayout(experiment)
     none = np.zeros((0, layout.size))
     nuisances = make_nuisances(Bench(experiment, layout, element="tet10", threads=1), none, Correction(layout))
     chosen = np.array([name.startswith("trial loaded 1") for name in nuisances.names])
@@ -94,4 +94,4 @@ def test_the_difference_between_trials_grows_with_the_motion_and_is_smooth():
 
 def test_frames_without_neighbours_have_no_step():
     experiment = shelf()
-    assert Bench(experiment, Layout(experiment)).frame_step == 0.0
+    assert Bench(experiment, SignalLayout(experiment)).frame_step == 0.0

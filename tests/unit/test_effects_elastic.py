@@ -137,7 +137,7 @@ def test_the_share_moves_on_smoothly_with_the_inclusion(block_mesh):
 
 def test_weight_acts_where_an_effect_says_so(rig):
     down = simulated(rig, Gravity(direction=(0, 0, -1)))
-    hung = replace(rig, gravity=experiment.Gravity(np.array([0.0, 0.0, -1.0]), in_reference=False))
+    hung = replace(rig, gravity=experiment.BodyWeight(np.array([0.0, 0.0, -1.0]), in_reference=False))
     assert same(down, simulate_plain(hung))
     sunk = down["rest"].displacement[0]
     assert sunk[:, 2].min() < -0.1
@@ -285,5 +285,5 @@ def test_an_effect_that_does_not_fit_is_named_before_anything_is_solved(rig):
 
 
 def test_a_reference_effect_says_that_the_mesh_hangs_already(rig):
-    hung = replace(rig, gravity=experiment.Gravity(np.array([0.0, 0.0, -1.0]), in_reference=False))
+    hung = replace(rig, gravity=experiment.BodyWeight(np.array([0.0, 0.0, -1.0]), in_reference=False))
     assert extended(replace(hung, effects=(Reference(in_reference=True),))).gravity.in_reference

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from tissuereg.simulation.fine.forces import LEAST_LOADED, MOST_CHANGED, force_maps
+from tissuereg.simulation.fine.forces import force_maps
+from tissuereg.simulation.settings import FINE
 
 
 @pytest.fixture
@@ -21,7 +22,7 @@ def test_loaded_frames_become_the_fine_ones_and_shares_of_them_shares(rough):
 
 def test_a_frame_without_load_has_the_map_of_the_least_loaded_one(rough):
     fine = rough * np.array([0.0, 1.1, 1.05, 1.0, 1.05, 1.2, 0.0])[:, None]
-    rough[0] = 0.5 * LEAST_LOADED * rough[3]
+    rough[0] = 0.5 * FINE.least_loaded * rough[3]
     maps = force_maps(rough, fine)
     np.testing.assert_allclose(maps[[0, 6]], np.broadcast_to(1.1 * np.eye(3), (2, 3, 3)), atol=1e-12)
 
@@ -40,5 +41,5 @@ def test_a_pad_that_never_pushes_keeps_its_force(force):
 
 def test_forces_that_are_another_thing_give_no_wild_ratio(rough):
     maps = force_maps(rough, -5.0 * rough + 3.0 * rough[:, [1, 0, 2]])
-    assert np.linalg.norm(maps - np.eye(3), ord=2, axis=(1, 2)).max() <= 2.0 * MOST_CHANGED
-    assert np.linalg.eigvals(maps).real.min() == pytest.approx(1.0 - MOST_CHANGED)
+    assert np.linalg.norm(maps - np.eye(3), ord=2, axis=(1, 2)).max() <= 2.0 * FINE.most_changed
+    assert np.linalg.eigvals(maps).real.min() == pytest.approx(1.0 - FINE.most_changed)

@@ -77,10 +77,10 @@ def test_sets_are_carried_over_to_the_nodes_between_their_nodes(rig):
     np.testing.assert_array_equal(fine.node_set("base"), fine.fixed_nodes)
 
 
-@pytest.mark.parametrize("snap", [0.0, rims_module.SNAP_SHARE])
+@pytest.mark.parametrize("snap", [0.0, rims_module.FINE.snap_share])
 @pytest.mark.parametrize("radius", [2.0, 5.5, 8.0])
 def test_a_pad_ends_at_its_rim(rig, monkeypatch, snap, radius):
-    monkeypatch.setattr(rims_module, "SNAP_SHARE", snap)
+    monkeypatch.setattr(rims_module, "FINE", replace(rims_module.FINE, snap_share=snap))
     ball = {"centre_mm": [17.0, 10.0, 40.0], "radius_mm": radius}
     pad = replace(rig.actuators[0], rule=ball)
     fine = fine_experiment(replace(rig, actuators=(pad,)))

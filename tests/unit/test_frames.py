@@ -6,13 +6,13 @@ import pytest
 import tissuereg as tr
 from tissuereg.simulation.behaviour import (
     Behaviour,
-    Drainage,
-    Rate,
-    Relaxation,
-    Set,
-    Softening,
+    DrainageLaw,
+    RateLaw,
+    RelaxationLaw,
+    SetLaw,
+    SofteningLaw,
     Springs,
-    Swelling,
+    SwellingLaw,
 )
 from tissuereg.simulation.frames import Acting, FrameSettings, Pad, Similar, solve_frames
 
@@ -67,7 +67,7 @@ def test_an_elastic_body_has_the_answer_of_a_single_solve_in_every_frame():
 def test_a_held_pad_relaxes_as_its_series_says(element):
     mesh = block(2)
     times = np.array([0.0, 0.5, 4.0, 60.0])
-    behaviour = Behaviour(relaxation=Relaxation([0.3, 0.2], [1.0, 5.0]))
+    behaviour = Behaviour(relaxation=RelaxationLaw([0.3, 0.2], [1.0, 5.0]))
     pad = push(mesh, *[-3.0] * 4)
     found = solve_frames(
         mesh, SOFT, times, Acting(pads=[pad]), behaviour=behaviour, settings=FrameSettings(element=element)
@@ -92,12 +92,12 @@ def test_every_behaviour_reaches_the_solver():
     pad = push(mesh, 0.0, -4.0, -1.0)
     elastic = solve_frames(mesh, SOFT, [0, 1, 2], Acting(pads=[pad])).pad_forces["top"][:, 2]
     for behaviour in (
-        Behaviour(relaxation=Relaxation([0.4], [1.0], part="isochoric")),
-        Behaviour(rate=Rate(2.0)),
-        Behaviour(softening=Softening(2.0, 0.05, 0.1)),
-        Behaviour(set=Set(0.3)),
-        Behaviour(drainage=Drainage(0.5, 1.0)),
-        Behaviour(swelling=Swelling(0.1, 0.0, 2.0)),
+        Behaviour(relaxation=RelaxationLaw([0.4], [1.0], part="isochoric")),
+        Behaviour(rate=RateLaw(2.0)),
+        Behaviour(softening=SofteningLaw(2.0, 0.05, 0.1)),
+        Behaviour(set=SetLaw(0.3)),
+        Behaviour(drainage=DrainageLaw(0.5, 1.0)),
+        Behaviour(swelling=SwellingLaw(0.1, 0.0, 2.0)),
     ):
         force = solve_frames(mesh, SOFT, [0, 1, 2], Acting(pads=[pad]), behaviour=behaviour).pad_forces["top"][:, 2]
         assert abs(force[2] - elastic[2]) > 0.01 * abs(elastic[2]), behaviour
@@ -165,9 +165,9 @@ def test_what_does_not_fit_is_named():
     with pytest.raises(tr.errors.LoadError, match="must not run backwards"):
         solve_frames(mesh, SOFT, [1, 0])
     with pytest.raises(tr.errors.MaterialError, match=r"`relaxation\.g` must be"):
-        solve_frames(mesh, SOFT, [0], behaviour=Behaviour(relaxation=Relaxation([1.5], [1.0])))
+        solve_frames(mesh, SOFT, [0], behaviour=Behaviour(relaxation=RelaxationLaw([1.5], [1.0])))
     with pytest.raises(tr.errors.TissueRegError, match="`part` must be"):
-        solve_frames(mesh, SOFT, [0], behaviour=Behaviour(relaxation=Relaxation([0.5], [1.0], part="half")))
+        solve_frames(mesh, SOFT, [0], behaviour=Behaviour(relaxation=RelaxationLaw([0.5], [1.0], part="half")))
     with pytest.raises(tr.errors.SupportError, match="translation x"):
         solve_frames(mesh, SOFT, [0], Acting(held_nodes=[]))
     with pytest.raises(tr.errors.ConvergenceError, match="no unloaded shape"):
@@ -182,7 +182,7 @@ def test_a_similar_body_and_a_kept_rig_change_nothing_but_the_work():
     rigs = {}
 
     def solved(share, **left):
-        behaviour = Behaviour(relaxation=Relaxation(g=[share], tau_s=[2.0]))
+        behaviour = Behaviour(relaxation=RelaxationLaw(g=[share], tau_s=[2.0]))
         return solve_frames(mesh, SOFT, times, Acting(pads=pads), behaviour=behaviour, similar=Similar(**left))
 
     def work(frames):

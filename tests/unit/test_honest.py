@@ -6,7 +6,7 @@ from scipy.stats import chi2
 
 from tissuereg.registration.learned.calibrate import _regions
 from tissuereg.registration.learned.honest import SIGNS, Honest
-from tissuereg.registration.learned.mixture import Component, Linear, condition, left_out
+from tissuereg.registration.learned.mixture import Component, LinearDecoder, condition, left_out
 from tissuereg.registration.learned.signs import signs_of
 from tissuereg.registration.learned.spread_law import squared_radius
 
@@ -77,7 +77,7 @@ def gaussian():
     rng = np.random.default_rng(4)
     slopes, errors = rng.standard_normal((15, 4)), rng.standard_normal((15, 18))
     one = Component(np.ones(1), np.ones(1), np.zeros(4), np.diag([1.0, 2.0, 0.5, 1.0]), 0.05 * errors @ errors.T)
-    return one, Linear(np.zeros(4), rng.standard_normal(15), slopes), 0.04 * np.eye(12), rng
+    return one, LinearDecoder(np.zeros(4), rng.standard_normal(15), slopes), 0.04 * np.eye(12), rng
 
 
 def test_a_marker_is_compared_with_its_prediction_from_the_others(gaussian):

@@ -105,7 +105,7 @@ def test_ten_node_tets_are_sent_to_four_node_tets(monkeypatch, block_mesh):
 def test_every_simulator_refuses_where_one_factor_does_not_fit(monkeypatch, block_mesh):
     monkeypatch.setattr(size, "available_bytes", lambda: 1000)
     tr.Simulator(block_mesh)  # small ones are not looked at
-    monkeypatch.setattr(size, "_LARGE_ENTRIES", 0)
+    monkeypatch.setattr(size, "SIZE", replace(size.SIZE, large_entries=0))
     with pytest.raises(LargeBodyError):
         tr.Simulator(block_mesh)
 
@@ -174,7 +174,7 @@ def test_a_second_way_of_many_right_hand_sides_has_the_same_bits(monkeypatch, bl
     free = np.setdiff1d(np.arange(block_mesh.n_nodes), block_mesh.fixed_nodes)[:14]
     rows = [(np.array([node]), axis[None]) for node in free for axis in np.eye(3)]
     whole = Tangent(made, 1).compliance(rows)[0]
-    monkeypatch.setattr(tangent, "_MANY_UNKNOWNS", 0)
+    monkeypatch.setattr(tangent, "EFFORT", replace(tangent.EFFORT, many_unknowns=0))
     seen = []
     parts = Tangent(made, 1).compliance(rows, lambda *done: seen.append(done))[0]
     assert seen == [(16, 42), (32, 42)]
@@ -188,7 +188,7 @@ def test_a_large_tangent_at_rest_is_not_kept_and_answers_are_the_same(monkeypatc
     again = tr.register(block_mesh, moved, settings=tr.RegisterSettings(threads=1))
     assert again.work["factorisations"] == first.work["factorisations"] - 1
     forget_rest()
-    monkeypatch.setattr(tangent, "MOST_KEPT_ENTRIES", 0)
+    monkeypatch.setattr(tangent, "EFFORT", replace(tangent.EFFORT, kept_entries=0))
     for _ in range(2):
         large = tr.register(block_mesh, moved, settings=tr.RegisterSettings(threads=1))
         assert large.work["factorisations"] == first.work["factorisations"]
@@ -207,7 +207,7 @@ def test_passes_hold_no_more_factors_than_the_estimate_says(monkeypatch, block_m
         return found, factored
 
     monkeypatch.setattr(linear, "tangent_at", counted)
-    monkeypatch.setattr(tangent, "MOST_KEPT_ENTRIES", 0)
+    monkeypatch.setattr(tangent, "EFFORT", replace(tangent.EFFORT, kept_entries=0))
     monkeypatch.setattr(fit.Passes, "_ended", lambda *_: False)
     settings = tr.RegisterSettings()
     settings = replace(settings, contacts=replace(settings.contacts, max_passes=5))

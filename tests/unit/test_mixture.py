@@ -15,7 +15,7 @@ from tissuereg.registration.learned.calibrate import RehearsalSettings, _folds, 
 from tissuereg.registration.learned.calibration import Calibration, FieldErrors, Rehearsal
 from tissuereg.registration.learned.calibration_file import write_calibration
 from tissuereg.registration.learned.kinds import Kinds
-from tissuereg.registration.learned.mixture import Component, Conditioned, Linear, condition, log_evidence
+from tissuereg.registration.learned.mixture import Component, Conditioned, LinearDecoder, condition, log_evidence
 from tissuereg.registration.learned.network import NetworkModel
 from tissuereg.registration.learned.pca import PcaModel
 from tissuereg.registration.learned.relinearise import conditioned
@@ -52,7 +52,7 @@ def test_one_component_gives_the_conditional_of_its_joint_gaussian():
     rng = np.random.default_rng(1)
     one, slopes, at = one_component(rng), rng.standard_normal((9, 4)), rng.standard_normal(9)
     point, observed, noise = rng.standard_normal(4), rng.standard_normal(5), 0.2 * spread_matrix(5, rng)
-    found = condition([one], Linear(point, at, slopes), observed, noise)
+    found = condition([one], LinearDecoder(point, at, slopes), observed, noise)
     joint = slopes @ one.covariance @ slopes.T + one.errors
     total = joint[:5, :5] + noise
     prior = at + slopes @ (one.mean - point)
@@ -68,7 +68,7 @@ def test_a_mixture_is_that_of_brute_force_on_a_grid():
         Component(np.array([0.1, 0.1]), np.array([0.5, 2.0]), np.array([2.0]), np.array([[1.5]]), np.zeros((2, 2))),
     ]
     observed, noise = np.array([1.2]), np.array([[0.09]])
-    found = condition(parts, Linear(np.zeros(1), np.zeros(2), np.array([[1.0], [2.0]])), observed, noise)
+    found = condition(parts, LinearDecoder(np.zeros(1), np.zeros(2), np.array([[1.0], [2.0]])), observed, noise)
     z = np.linspace(-15.0, 15.0, 60_001)
     density = np.zeros_like(z)
     for one in parts:
@@ -86,7 +86,9 @@ def test_a_mixture_is_that_of_brute_force_on_a_grid():
 def test_an_error_that_markers_see_is_taken_out_of_the_target():
     # The decoder knows nothing; marker and target share their error.
     one = Component(np.ones(1), np.ones(1), np.zeros(1), np.full((1, 1), 1e-12), np.array([[1.0, 0.9], [0.9, 1.0]]))
-    found = condition([one], Linear(np.zeros(1), np.zeros(2), np.zeros((2, 1))), np.array([2.0]), np.array([[1e-8]]))
+    found = condition(
+        [one], LinearDecoder(np.zeros(1), np.zeros(2), np.zeros((2, 1))), np.array([2.0]), np.array([[1e-8]])
+    )
     assert found.mean[1] == pytest.approx(1.8, abs=1e-6)
     assert found.covariance[1, 1] == pytest.approx(1.0 - 0.81, abs=1e-6)
 
@@ -94,7 +96,7 @@ def test_an_error_that_markers_see_is_taken_out_of_the_target():
 def test_a_quiet_event_gets_small_regions_and_a_large_one_large_regions():
     rng = np.random.default_rng(2)
     one, slopes = one_component(rng, 4, 15, (0.1, 0.3, 1.0, 3.0)), rng.standard_normal((15, 4))
-    linear = Linear(one.mean, np.zeros(15), slopes)
+    linear = LinearDecoder(one.mean, np.zeros(15), slopes)
     noise = 1e-4 * np.eye(12)
     root = np.linalg.cholesky(slopes @ one.covariance @ slopes.T + one.errors)[:12]
     drawn = root @ rng.standard_normal(15)
@@ -105,7 +107,7 @@ def test_a_quiet_event_gets_small_regions_and_a_large_one_large_regions():
 def test_chances_of_draws_from_the_prior_are_uniform():
     rng = np.random.default_rng(3)
     one, slopes = one_component(rng), rng.standard_normal((9, 4))
-    linear, noise = Linear(one.mean, np.zeros(9), slopes), 0.1 * np.eye(6)
+    linear, noise = LinearDecoder(one.mean, np.zeros(9), slopes), 0.1 * np.eye(6)
     root = np.linalg.cholesky((slopes @ one.covariance @ slopes.T + one.errors)[:6, :6] + noise)
     p = np.sort([condition([one], linear, root @ rng.standard_normal(6), noise).p_value for _ in range(400)])
     # Largest distance from uniform: the 1 % point of Kolmogorov's law is 1.63 / sqrt(n).
@@ -117,7 +119,7 @@ def test_pairs_that_are_ruled_out_change_nothing_and_the_others_keep_their_numbe
     prior = [one_component(rng, scales=(0.5, 1.0, 2.0)) for _ in range(3)]
     # The middle one lies where no measurement is.
     prior[1] = replace(prior[1], mean=prior[1].mean + 300.0)
-    linear = Linear(np.zeros(4), np.zeros(9), rng.standard_normal((9, 4)))
+    linear = LinearDecoder(np.zeros(4), np.zeros(9), rng.standard_normal((9, 4)))
     observed, noise = rng.standard_normal(6), 0.1 * np.eye(6)
     every = condition(prior, linear, observed, noise)
     assert (every.logs[3:6] < every.logs.max() - 30.0).all()
@@ -134,7 +136,7 @@ def test_pairs_that_are_ruled_out_change_nothing_and_the_others_keep_their_numbe
 def test_the_evidence_of_a_component_is_that_of_its_scales():
     rng = np.random.default_rng(8)
     prior = [one_component(rng, scales=(0.5, 1.0)) for _ in range(3)]
-    linear = Linear(np.zeros(4), np.zeros(9), rng.standard_normal((9, 4)))
+    linear = LinearDecoder(np.zeros(4), np.zeros(9), rng.standard_normal((9, 4)))
     observed, noise = rng.standard_normal(6), 0.1 * np.eye(6)
     found = condition(prior, linear, observed, noise)
     plain = log_evidence(prior, linear, observed, noise) + np.log([one.weights for one in prior])
@@ -145,7 +147,7 @@ def test_the_evidence_of_a_component_is_that_of_its_scales():
 def test_evidence_is_that_of_the_innovations_gaussian():
     rng = np.random.default_rng(7)
     prior = [one_component(rng, scales=(0.5, 2.0)) for _ in range(2)]
-    linear = Linear(rng.standard_normal(4), rng.standard_normal(9), rng.standard_normal((9, 4)))
+    linear = LinearDecoder(rng.standard_normal(4), rng.standard_normal(9), rng.standard_normal((9, 4)))
     observed, noise = rng.standard_normal(5), 0.2 * spread_matrix(5, rng)
     logs = log_evidence(prior, linear, observed, noise)
     for c, one in enumerate(prior):
@@ -160,7 +162,7 @@ def test_a_noise_that_is_no_covariance_is_refused():
     rng = np.random.default_rng(4)
     one = one_component(rng)
     with pytest.raises(NoiseError, match="positive definite"):
-        condition([one], Linear(one.mean, np.zeros(9), np.zeros((9, 4))), np.zeros(6), -100.0 * np.eye(6))
+        condition([one], LinearDecoder(one.mean, np.zeros(9), np.zeros((9, 4))), np.zeros(6), -100.0 * np.eye(6))
 
 
 def test_relinearising_finds_the_latent_of_a_curved_decoder():

@@ -6,7 +6,7 @@ import pytest
 import tissuereg as tr
 from support.meshes import block
 from tissuereg.errors import ConvergenceError, MaterialError, ShapeError
-from tissuereg.simulation.sensitivity import Field, Linearised, Observation, Parameter
+from tissuereg.simulation.sensitivity import Linearised, ModulusField, Observation, Parameter
 from tissuereg.simulation.solve import Simulator
 
 TIGHT = {"tolerance": 1e-12, "method": "newton"}
@@ -71,7 +71,9 @@ def test_fields_agree_with_differences(simulator, each):
     def material(young=0.0, poisson=0.0):
         return tr.Material(np.full(shape, 9.0) + young * rates, np.full(shape, 0.4) + poisson * rates)
 
-    found = linearised(simulator, PULL, material()).derivatives([Field("young", rates), Field("poisson", rates)])
+    found = linearised(simulator, PULL, material()).derivatives(
+        [ModulusField("young", rates), ModulusField("poisson", rates)]
+    )
     for k, (name, step) in enumerate([("young", 1e-2), ("poisson", 1e-4)]):
         wanted = difference(lambda by, m=name: simulator.solve(PULL, material(**{m: by}), **TIGHT), step)
         assert_close(found, k, wanted)
@@ -112,7 +114,7 @@ def test_adjoints_are_the_transpose_of_derivatives(simulator):
         body_force=rng.normal(size=3),
         prescribed=rng.normal(size=(len(simulator.held_nodes), 3)),
     )
-    forward = here.derivatives([Field("young", fields[0]), Field("poisson", fields[1]), push])
+    forward = here.derivatives([ModulusField("young", fields[0]), ModulusField("poisson", fields[1]), push])
     marker = Observation([3, 9, 9], rng.normal(size=(3, 3)))
     reaction = Observation(held_nodes=simulator.held_nodes[:2], held_weights=rng.normal(size=(2, 3)))
     adjoints = here.adjoints([marker, reaction])
@@ -146,6 +148,6 @@ def test_wrong_input_is_named():
     with pytest.raises(MaterialError, match="this law"):
         here.derivatives([Parameter("b")])
     with pytest.raises(ShapeError, match="`rates of young` must have shape"):
-        here.derivatives([Field("young", [1.0, 2.0])])
+        here.derivatives([ModulusField("young", [1.0, 2.0])])
     with pytest.raises(ShapeError, match="`weights` must have shape"):
         here.adjoints([Observation([3, 4], [[1.0, 0.0, 0.0]])])

@@ -1,5 +1,7 @@
 """Points of a surface without labels: matching, their rows, noise, thinning, rigid start, projection."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,14 +11,14 @@ from tissuereg.body.surface import MOST_POINTS, SurfacePoints, evenly
 from tissuereg.errors import MarkerError, ModelError, SurfaceError
 from tissuereg.registration.contacts.body import ContactBody
 from tissuereg.registration.contacts.columns import Columns
-from tissuereg.registration.contacts.frame import Frame
+from tissuereg.registration.contacts.frame import RigidMotion
 from tissuereg.registration.contacts.icp import closest_frame
-from tissuereg.registration.contacts.moment import Moment
+from tissuereg.registration.contacts.moment import BodyState
 from tissuereg.registration.contacts.posed import Basis, moving_variances
-from tissuereg.registration.contacts.seen import MOST_PLAIN, Seen, SeenMarkers, tail_cost, tail_variance
-from tissuereg.registration.contacts.settings import ContactSettings
+from tissuereg.registration.contacts.seen import MarkerData, ObservedData, tail_cost, tail_variance
+from tissuereg.registration.contacts.settings import MATCHING, ContactSettings
 from tissuereg.registration.contacts.supports import Supports
-from tissuereg.registration.contacts.surface_points import SeenPoints, closest_feet, facet_errors
+from tissuereg.registration.contacts.surface_points import PointData, closest_feet, facet_errors
 from tissuereg.registration.readings.clouds import suspect_points
 
 
@@ -37,7 +39,7 @@ def bent(mesh):
 
 @pytest.fixture(scope="module")
 def leaning(block_mesh):
-    return Moment(np.zeros(1), bent(block_mesh), Frame.still())
+    return BodyState(np.zeros(1), bent(block_mesh), RigidMotion.still())
 
 
 def test_feet_of_points_on_the_surface_are_the_points(block_mesh, leaning):
@@ -64,13 +66,13 @@ def test_feet_are_the_closest_places_of_all_triangles(block_mesh, leaning):
 
 def test_the_row_of_a_point_is_the_derivative_of_its_residual(block_mesh, leaning):
     points = cloud(block_mesh, leaning.displacement, 40, np.random.default_rng(2), noise=0.3)
-    seen = SeenPoints(block_mesh, points, 0.1, 0.02)
+    seen = PointData(block_mesh, points, 0.1, 0.02)
     reading = seen.read(leaning)
     # A rigid push of every node along an axis moves each foot by it: the residual shrinks by its part along the normal.
     for axis in range(3):
         step = np.zeros(3)
         step[axis] = 1e-6
-        moved = Moment(leaning.coefficients, leaning.displacement + step, Frame.still())
+        moved = BodyState(leaning.coefficients, leaning.displacement + step, RigidMotion.still())
         change = (seen.read(moved).residual - reading.residual) / 1e-6
         by_row = -np.array([weights.sum(axis=0)[axis] for _, weights in reading.rows])
         inner = seen.feet(leaning).weights.min(axis=1) > 0.02  # a foot on an edge may jump to the next triangle
@@ -79,10 +81,10 @@ def test_the_row_of_a_point_is_the_derivative_of_its_residual(block_mesh, leanin
 
 
 def test_sliding_along_the_surface_is_not_seen(block_mesh):
-    still = Moment(np.zeros(1), np.zeros((block_mesh.n_nodes, 3)), Frame.still())
+    still = BodyState(np.zeros(1), np.zeros((block_mesh.n_nodes, 3)), RigidMotion.still())
     top = np.stack([*np.meshgrid(np.linspace(8, 22, 6), np.linspace(6, 14, 5)), np.full((5, 6), 40.0)], axis=-1)
-    seen = SeenPoints(block_mesh, top.reshape(-1, 3), 0.1, 0.02)
-    slid = Moment(np.zeros(1), np.tile((1.5, -1.0, 0.0), (block_mesh.n_nodes, 1)), Frame.still())
+    seen = PointData(block_mesh, top.reshape(-1, 3), 0.1, 0.02)
+    slid = BodyState(np.zeros(1), np.tile((1.5, -1.0, 0.0), (block_mesh.n_nodes, 1)), RigidMotion.still())
     assert np.allclose(seen.read(slid).residual, seen.read(still).residual, atol=1e-12)
     assert np.allclose(seen.read(still).directions, (0.0, 0.0, 1.0))
 
@@ -99,9 +101,9 @@ def test_the_noise_of_a_point_grows_with_what_is_left_of_it():
 
 
 def test_the_error_of_the_model_is_shared_by_points_close_to_each_other_and_noise_is_not(block_mesh):
-    drawn = Moment(np.zeros(1), np.tile([0.0, 0.0, 3.0], (block_mesh.n_nodes, 1)), Frame.still())
+    drawn = BodyState(np.zeros(1), np.tile([0.0, 0.0, 3.0], (block_mesh.n_nodes, 1)), RigidMotion.still())
     many = np.array([[5.0, 5.0, 43.0]] * 6 + [[25.0, 15.0, 43.0]])
-    seen = SeenPoints(block_mesh, many, 0.05, 0.02)
+    seen = PointData(block_mesh, many, 0.05, 0.02)
     std = seen.std(drawn, seen.feet(drawn))
     assert std[-1] == pytest.approx(np.hypot(0.05, 0.02 * 3.0))
     assert std[:6] == pytest.approx(np.sqrt(0.05**2 + 6 * (0.02 * 3.0) ** 2))
@@ -177,7 +179,7 @@ def test_a_rigid_motion_is_found_from_points_of_a_part(block_mesh):
     rng = np.random.default_rng(5)
     points = cloud(block_mesh, np.zeros_like(block_mesh.nodes), 400, rng, 0.05)
     points = points[points[:, 0] > 6.0]  # one side is hidden
-    turn = Frame.still().followed_by(
+    turn = RigidMotion.still().followed_by(
         np.array([6.0, -4.0, 3.0, 5.0, -3.0, 6.0]), np.stack([block_mesh.nodes.mean(axis=0), np.full(3, 20.0)])
     )
     found = closest_frame(block_mesh, turn.apply(points))
@@ -188,8 +190,8 @@ def test_a_projection_keeps_what_causes_can_do(block_mesh):
     body = ContactBody.of(block_mesh, Supports.of(block_mesh, "sure"))
     settings = ContactSettings()
     columns = Columns.of(body, tr.Material(10.0), body.simulator.load_parts(tr.Load()), settings)
-    still = Moment(np.zeros(columns.n_columns), np.zeros((block_mesh.n_nodes, 3)), Frame.still())
-    seen = SeenPoints(block_mesh, cloud(block_mesh, 0.0, 300, np.random.default_rng(6)), 0.1, 0.02)
+    still = BodyState(np.zeros(columns.n_columns), np.zeros((block_mesh.n_nodes, 3)), RigidMotion.still())
+    seen = PointData(block_mesh, cloud(block_mesh, 0.0, 300, np.random.default_rng(6)), 0.1, 0.02)
     reading = seen.read(still)
     from tissuereg.simulation.sensitivity import Linearised, Observation
 
@@ -219,7 +221,7 @@ def test_thirty_markers_projected_and_plain_agree(block_mesh, monkeypatch):
     )
     targets = {"deep": (18.0, 12.0, 22.0), "top": (12.0, 8.0, 34.0)}
     plain = tr.register(block_mesh, markers, targets=targets)
-    monkeypatch.setattr("tissuereg.registration.contacts.seen.MOST_PLAIN", 60)
+    monkeypatch.setattr("tissuereg.registration.contacts.seen.MATCHING", replace(MATCHING, most_plain=60))
     few = tr.register(block_mesh, markers, targets=targets)
     moved = np.linalg.norm(truth, axis=1).mean()
     # Measured at four seeds: 0.021 to 0.026 of the motion, seeds alone 0.005. Heavy tails weigh markers otherwise; what
@@ -233,7 +235,7 @@ def test_thirty_markers_projected_and_plain_agree(block_mesh, monkeypatch):
 
 
 def test_a_wrong_marker_among_many_is_named_by_its_weight(block_mesh, monkeypatch):
-    monkeypatch.setattr("tissuereg.registration.contacts.seen.MOST_PLAIN", 20)
+    monkeypatch.setattr("tissuereg.registration.contacts.seen.MATCHING", replace(MATCHING, most_plain=20))
     top = block_mesh.surface[(block_mesh.nodes[block_mesh.surface][:, :, 2] > 40 - 1e-9).all(axis=1)]
     truth = tr.simulate(block_mesh, tr.Load(traction=(top, (0.2, 0.07, 0.03))), tr.Material(10.0, 0.45)).displacement
     nodes = block_mesh.surface_nodes[block_mesh.nodes[block_mesh.surface_nodes, 2] > 8][::4]
@@ -248,11 +250,11 @@ def test_data_are_weighed_only_where_they_are_many(block_mesh):
     points = cloud(block_mesh, 0.0, 300, rng)
     places = block_mesh.nodes[block_mesh.surface_nodes[:10]]
     markers = tr.Markers(places, places)
-    marks = SeenMarkers(MarkerObservation.of(block_mesh, markers), markers, 0.02)
-    few, many = (SeenPoints(block_mesh, points[:count], 0.1, 0.02) for count in (40, 300))
-    assert not Seen.of(marks, few).weighed
-    assert Seen.of(marks, many).weighed
-    assert Seen.of(marks, few).n_obs == 70 < MOST_PLAIN
-    still = Moment(np.zeros(1), np.zeros((block_mesh.n_nodes, 3)), Frame.still())
-    assert len(Seen.of(marks, few).read(still).groups) == 10
-    assert Seen.of(marks, many).read(still).groups == []
+    marks = MarkerData(MarkerObservation.of(block_mesh, markers), markers, 0.02)
+    few, many = (PointData(block_mesh, points[:count], 0.1, 0.02) for count in (40, 300))
+    assert not ObservedData.of(marks, few).weighed
+    assert ObservedData.of(marks, many).weighed
+    assert ObservedData.of(marks, few).n_obs == 70 < MATCHING.most_plain
+    still = BodyState(np.zeros(1), np.zeros((block_mesh.n_nodes, 3)), RigidMotion.still())
+    assert len(ObservedData.of(marks, few).read(still).groups) == 10
+    assert ObservedData.of(marks, many).read(still).groups == []

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 from tissuereg.tracking.lineage import Lineage
-from tissuereg.tracking.restart import Restart, Simulated
+from tissuereg.tracking.restart import Restart, SimulatedFrame
 
 FIELD = np.ones((5, 3))
 
 
 def simulated(size_mm, *, carried):
     field = size_mm / np.sqrt(3.0) * FIELD
-    return Simulated(field, 0.0 * field, field, carried)
+    return SimulatedFrame(field, 0.0 * field, field, carried)
 
 
 def test_variances_of_states_that_are_carried_on_add_up():

@@ -6,7 +6,7 @@ import pytest
 import tissuereg as tr
 from support.meshes import block
 from tissuereg.errors import LoadError, ShapeError, SupportError, TissueRegError
-from tissuereg.simulation.sensitivity import Field, Linearised, Observation, Parameter
+from tissuereg.simulation.sensitivity import Linearised, ModulusField, Observation, Parameter
 from tissuereg.simulation.solve import Simulator
 
 TIGHT = {"tolerance": 1e-12, "method": "newton"}
@@ -54,7 +54,7 @@ def test_the_compliance_is_part_of_the_adjoints(simulator, precision, share):
 def test_unbalanced_forces_times_the_compliance_are_the_adjoints_by_fields(simulator):
     here, seen = linearised(simulator), markers(simulator, 4)
     fields = np.random.default_rng(RNG_SEED).normal(size=(5, simulator.mesh.n_tets, simulator.n_points))
-    unbalanced = here.unbalanced([Field("young", rates) for rates in fields])
+    unbalanced = here.unbalanced([ModulusField("young", rates) for rates in fields])
     found = -np.einsum("oni,cni->oc", here.compliance(seen).forces, unbalanced)
     assert_near(found, np.einsum("otp,ctp->oc", here.adjoints(seen).young, fields), 1e-10)
 

@@ -11,7 +11,7 @@ from tissuereg.diagnosis.causes import Variant
 from tissuereg.diagnosis.correction import Correction
 from tissuereg.diagnosis.evidence import Null
 from tissuereg.diagnosis.noise import estimate_noise
-from tissuereg.diagnosis.signals import Layout
+from tissuereg.diagnosis.signals import SignalLayout
 from tissuereg.io.experiments import read_experiment
 
 #: Length of the hidden effect, in standard deviations of the noise.
@@ -22,7 +22,7 @@ LENGTH = 40.0
 def rig(tmp_path_factory):
     """Return layout, noise, and a believed motion that loads all cases but the first."""
     experiment = read_experiment(materialise(case_names()[0], tmp_path_factory.mktemp("case")))
-    layout = Layout(experiment)
+    layout = SignalLayout(experiment)
     base = np.zeros(layout.size)
     for part in layout.parts:
         if part.name != "rest":

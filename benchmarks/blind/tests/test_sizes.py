@@ -6,7 +6,7 @@ import pytest
 from blind.score import report
 from blind.sizes import Needs, force_errors, kind_of, sizes_of
 from support.rigs import STROKE, rig
-from tissuereg.diagnosis.signals import Layout
+from tissuereg.diagnosis.signals import SignalLayout
 
 
 def drawn(true, generator, size=40):
@@ -52,7 +52,7 @@ def test_mesh_errors_of_forces_and_markers_are_separate_kinds():
 
 
 def test_errors_of_forces_are_split_along_and_across_them():
-    layout = Layout(rig())
+    layout = SignalLayout(rig())
     base = np.zeros(layout.size)
     for part in layout.parts:
         load = np.zeros(part.n_frames) if part.name == "rest" else STROKE

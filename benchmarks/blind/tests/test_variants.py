@@ -14,7 +14,7 @@ from tissuereg.diagnosis.evidence import Null
 from tissuereg.diagnosis.nuisances import Nuisances
 from tissuereg.diagnosis.nulls import Nulls
 from tissuereg.diagnosis.proof import HeldOut
-from tissuereg.diagnosis.signals import Layout
+from tissuereg.diagnosis.signals import SignalLayout
 from tissuereg.io.experiments import read_experiment
 
 
@@ -130,7 +130,7 @@ def test_the_oracle_fit_has_no_threshold():
 
 def test_ignored_forces_are_not_measured_and_leave_the_bank_where_it_is(experiment):
     blind = variants.forceless(experiment)
-    before, after = Layout(experiment), Layout(blind)
+    before, after = SignalLayout(experiment), SignalLayout(blind)
     assert before.seen[~before.of_markers()].any()
     assert not after.seen[~after.of_markers()].any()
     np.testing.assert_array_equal(after.measured[after.of_markers()], before.measured[before.of_markers()])

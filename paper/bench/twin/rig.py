@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tissuereg.phantom.breast import RADIUS, inside_breast
+from tissuereg.phantom.breast import BREAST, inside_breast
 
 #: Actuators by scenario: along x; along x and y.
 SCENARIOS = {1: ("x",), 2: ("x", "y")}
@@ -15,6 +15,7 @@ SEEDS, DEVELOPMENT_SEEDS = range(12), {1: range(101, 106), 2: range(101, 105)}
 #: Rigs whose pairs of simulation and truth calibrate a model (`twin.pairs`).
 PAIR_SEEDS = range(1000, 1050)
 
+RADIUS = BREAST.radius_mm
 N_MARKERS, N_INNER = 15, 200
 
 #: Time between frames, s, and the pushes: their shares of the strokes, and seconds in, held, and out.

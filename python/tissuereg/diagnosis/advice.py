@@ -14,12 +14,12 @@ from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.answer import Finding
 from tissuereg.diagnosis.candidates import Candidate
 from tissuereg.diagnosis.evidence import Null
-from tissuereg.diagnosis.fit import ABSOLUTE, Fit, Target
+from tissuereg.diagnosis.fit import ABSOLUTE, Fit, FitTarget
 from tissuereg.diagnosis.nuisances import FORCE_LEFT, frame_columns
 from tissuereg.diagnosis.patterns import force_columns
 from tissuereg.diagnosis.predictor import Predictor
 from tissuereg.diagnosis.search import Step
-from tissuereg.diagnosis.signals import Layout
+from tissuereg.diagnosis.signals import SignalLayout
 from tissuereg.errors import TissueRegError
 from tissuereg.experiment.experiment import Actuator, Case, Experiment
 
@@ -38,12 +38,12 @@ class _Action:
     case: Case
 
 
-def advise(target: Target, steps: Sequence[Step], findings: Sequence[Finding]) -> dict[str, Any] | None:
+def advise(target: FitTarget, steps: Sequence[Step], findings: Sequence[Finding]) -> dict[str, Any] | None:
     """Return the stock action that best separates tied causes.
 
     Parameters
     ----------
-    target : Target
+    target : FitTarget
         Data, believed model, noise and nuisances.
     steps : sequence of Step
         Rounds of the search.
@@ -120,20 +120,20 @@ def _case(experiment: Experiment, pad: Actuator, motion: FloatArray, hold: float
     return Case("next", times, markers, given, forces={pad.name: np.zeros((len(times), 3))} if force else {})
 
 
-def _measured(target: Target, action: _Action) -> Experiment:
+def _measured(target: FitTarget, action: _Action) -> Experiment:
     return replace(target.bench.experiment, cases={"next": action.case}, rest_case=None)
 
 
-def _prediction(target: Target, fit: Fit, action: _Action) -> FloatArray:
+def _prediction(target: FitTarget, fit: Fit, action: _Action) -> FloatArray:
     """Return the prediction of a fitted model under an action, mm and mN."""
     experiment = _measured(target, action)
-    predictor = Predictor(experiment, Layout(experiment), element=target.bench.predictor.element)
+    predictor = Predictor(experiment, SignalLayout(experiment), element=target.bench.predictor.element)
     return predictor.predict(fit.effects(target.bench.young), young=float(np.exp(fit.x[0])))
 
 
-def _separability(target: Target, action: _Action, fit: Fit, one: FloatArray, other: FloatArray) -> float:
+def _separability(target: FitTarget, action: _Action, fit: Fit, one: FloatArray, other: FloatArray) -> float:
     """Return the norm of the difference between a fit's prediction and another's, whitened by noise and nuisances."""
-    layout = Layout(_measured(target, action))
+    layout = SignalLayout(_measured(target, action))
     markers = layout.of_markers()
     force_std = target.noise.force_std if target.bench.experiment.force_std is not None else MEASURED_TO
     std = np.where(markers, float(target.noise.marker_std.mean()), force_std)

@@ -1,7 +1,7 @@
 """The believed model with everything that hypotheses are computed from.
 
 A `Bench` gives the model's prediction on the user's mesh, its sensitivities (`tangents`), and the change that any
-effect makes, all as flat vectors in the order of a `Layout`.
+effect makes, all as flat vectors in the order of a `SignalLayout`.
 """
 
 import os
@@ -15,13 +15,13 @@ from scipy import sparse
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.predictor import NO_ANSWER, Predictor
-from tissuereg.diagnosis.signals import Layout
+from tissuereg.diagnosis.signals import SignalLayout
 from tissuereg.diagnosis.tangents import State, Tangents
 from tissuereg.experiment.effects import EFFECTS, Effect, extended
 from tissuereg.experiment.experiment import Experiment
 from tissuereg.simulation.fine import FineModel
 from tissuereg.simulation.memory import goes_through_time
-from tissuereg.simulation.sensitivity import Cause, Field
+from tissuereg.simulation.sensitivity import Cause, ModulusField
 
 #: Default prior deviation of the modulus, over its mean.
 YOUNG_SPREAD = 0.3
@@ -40,7 +40,7 @@ class Bench:
     ----------
     experiment : Experiment
         The believed model, with loads and marker places.
-    layout : Layout
+    layout : SignalLayout
         Order of all columns.
     element : {"tet4", "tet4-averaged", "tet10"}
         Elements to use.
@@ -48,7 +48,9 @@ class Bench:
         Threads to use; 0 takes all cores.
     """
 
-    def __init__(self, experiment: Experiment, layout: Layout, *, element: str = "tet4", threads: int = 0) -> None:
+    def __init__(
+        self, experiment: Experiment, layout: SignalLayout, *, element: str = "tet4", threads: int = 0
+    ) -> None:
         self.experiment = experiment
         self.layout = layout
         self.predictor = Predictor(experiment, layout, element=element, threads=threads)
@@ -108,7 +110,7 @@ class Bench:
         young = np.asarray(self.tangents.worked.material.young_array, np.float64)
         tets, points = self.experiment.mesh.n_tets, self.tangents.states[0].simulator.n_points
         rates = np.broadcast_to(young.reshape(-1, 1) if young.ndim == 1 else young, (tets, points))
-        return self.by(lambda state: [Field("young", rates)], 1)
+        return self.by(lambda state: [ModulusField("young", rates)], 1)
 
     def change(self, *effects: Effect) -> FloatArray | None:
         """Return the change that effects make, shape (size,); None where they do not apply or have no equilibrium."""

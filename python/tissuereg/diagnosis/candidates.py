@@ -11,7 +11,7 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.causes import CAUSES
-from tissuereg.diagnosis.fit import Fit, Part, Target, best_start, choices_of, fit
+from tissuereg.diagnosis.fit import Fit, FitTarget, FittedCause, best_start, choices_of, fit
 from tissuereg.diagnosis.recorrect import CORRECTION_GAIN, corrected_fit
 from tissuereg.diagnosis.screen import UNKNOWN, Screen, Screened
 from tissuereg.experiment.effects import EFFECTS, ChainEffect
@@ -40,22 +40,22 @@ class Candidate:
         Of this cause and those found before.
     gain : float
         Log Bayes factor against the model without it, nats.
-    target : Target
+    target : FitTarget
         Target of the fit; for likely candidates with the discretisation error of the causes corrected.
     """
 
     id: str
     fit: Fit
     gain: float
-    target: Target
+    target: FitTarget
 
-    def as_rival(self) -> tuple[Part, FloatArray]:
+    def as_rival(self) -> tuple[FittedCause, FloatArray]:
         """Return the cause, the last one of the fit, with its fitted parameters."""
         return self.fit.parts[-1], self.fit.x[self.fit.slices()[-1]]
 
 
 def refitted(
-    target: Target,
+    target: FitTarget,
     screen: Screen,
     screened: Mapping[str, Screened],
     current: Fit,
@@ -66,7 +66,7 @@ def refitted(
 
     Parameters
     ----------
-    target : Target
+    target : FitTarget
         Data, believed model, noise and nuisances.
     screen : Screen
         All hypotheses of the bank.
@@ -140,7 +140,9 @@ def required_thresholds(thresholds: Mapping[str, float], found: Iterable[str] = 
     return {name: max(FURTHER * least, LEAST_FURTHER) for name, least in thresholds.items()}
 
 
-def _fit_forms(target: Target, screen: Screen, screened: Screened, current: Fit, name: str, least: float) -> list[Fit]:
+def _fit_forms(
+    target: FitTarget, screen: Screen, screened: Screened, current: Fit, name: str, least: float
+) -> list[Fit]:
     """Return the fits of a cause's likeliest hypothesis and of the alternatives to it, likeliest first.
 
     A fit ends early where it will not reach the log evidence `least`, or where the correction of its discretisation
@@ -154,7 +156,7 @@ def _fit_forms(target: Target, screen: Screen, screened: Screened, current: Fit,
     best = -np.inf
     for form in (variant, *alternatives):
         knobs = CAUSES[name].knobs(target.bench, form, screened.amplitudes)
-        parts = [*current.parts, Part(name, knobs)]
+        parts = [*current.parts, FittedCause(name, knobs)]
         start = best_start(target, parts, current.x)
         fitted = fit(target, parts, start=start, choices=choices, hopeless=-max(least, best - CORRECTION_GAIN))
         if fitted is not None:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray
-from tissuereg.diagnosis.signals import Layout
+from tissuereg.diagnosis.signals import SignalLayout
 from tissuereg.simulation.fine.forces import force_maps, mapped
 
 
@@ -57,7 +57,7 @@ class Correction:
 
     Attributes
     ----------
-    layout : Layout
+    layout : SignalLayout
         Order of the data.
     maps : mapping of str to ndarray of float64, shape (n_frames, n_pads, 3, 3)
         Maps of forces by case; forces of other cases are unchanged.
@@ -69,7 +69,7 @@ class Correction:
         Correction of a fitted effect.
     """
 
-    layout: Layout
+    layout: SignalLayout
     maps: Mapping[str, FloatArray] = field(default_factory=dict)
     difference: FloatArray | float = 0.0
     modulus: float = 1.0
@@ -125,12 +125,12 @@ class Correction:
         return np.asarray(np.where(self.layout.of_markers(), 1.0, modulus))
 
 
-def make_correction(layout: Layout, coarse: FloatArray, fine: FloatArray) -> Correction:
+def make_correction(layout: SignalLayout, coarse: FloatArray, fine: FloatArray) -> Correction:
     """Return the correction that maps one prediction exactly to another.
 
     Parameters
     ----------
-    layout : Layout
+    layout : SignalLayout
         Order of both.
     coarse, fine : ndarray of float64, shape (size,)
         Predictions of the believed model on two meshes.

@@ -6,19 +6,19 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.fit import Fit
-from tissuereg.diagnosis.signals import Layout
+from tissuereg.diagnosis.signals import SignalLayout
 
 #: Number of markers that are listed at most, and their least root mean square in noise deviations.
 MOST_MARKERS = 5
 ABOVE = 1.3
 
 
-def describe(layout: Layout, base: Fit, final: Fit) -> dict[str, Any]:
+def describe(layout: SignalLayout, base: Fit, final: Fit) -> dict[str, Any]:
     """Return the discrepancy of the believed model with fitted modulus.
 
     Parameters
     ----------
-    layout : Layout
+    layout : SignalLayout
         Order of the data.
     base, final : Fit
         The believed model, and with all causes found.
@@ -63,7 +63,7 @@ def describe(layout: Layout, base: Fit, final: Fit) -> dict[str, Any]:
     }
 
 
-def _shown(layout: Layout) -> FloatArray:
+def _shown(layout: SignalLayout) -> FloatArray:
     return layout.seen.astype(np.float64)
 
 
@@ -71,7 +71,7 @@ def _chi(white: FloatArray, shown: FloatArray) -> float:
     return float(np.sqrt((white**2).sum() / max(float(shown.sum()), 1.0)))
 
 
-def _per_marker(layout: Layout, white: FloatArray) -> FloatArray:
+def _per_marker(layout: SignalLayout, white: FloatArray) -> FloatArray:
     total, count = np.zeros(len(layout.marker_names)), np.zeros(len(layout.marker_names))
     for part in layout.parts:
         total += (part.markers(white) ** 2).sum(axis=(0, 2))

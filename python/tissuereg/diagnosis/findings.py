@@ -8,7 +8,7 @@ import numpy as np
 from tissuereg.diagnosis.answer import Finding
 from tissuereg.diagnosis.candidates import required_thresholds
 from tissuereg.diagnosis.causes import CAUSES
-from tissuereg.diagnosis.fit import Target
+from tissuereg.diagnosis.fit import FitTarget
 from tissuereg.diagnosis.modulus import modulus_finding
 from tissuereg.diagnosis.probability import LOOK_ALIKE, TEMPER, probabilities
 from tissuereg.diagnosis.proof import GENERIC, NAMED, held_out_figures
@@ -23,12 +23,12 @@ MOST_IN_GROUP = 3
 AS_LIKELY = 0.1
 
 
-def findings_of(target: Target, screen: Screen, found: Search, thresholds: Mapping[str, float]) -> list[Finding]:
+def findings_of(target: FitTarget, screen: Screen, found: Search, thresholds: Mapping[str, float]) -> list[Finding]:
     """Return the findings of a search, the modulus among them where it lies beyond its prior.
 
     Parameters
     ----------
-    target : Target
+    target : FitTarget
         Target of the first fit.
     screen : Screen
         All hypotheses and the generic rival.

@@ -44,7 +44,7 @@ ABSOLUTE = tuple(cause.id for cause in CAUSES.values() if cause.absolute)
 
 
 @dataclass(frozen=True, eq=False)
-class Target:
+class FitTarget:
     """What fits have in common: the believed model, its correction, noise and nuisances.
 
     Attributes
@@ -70,7 +70,7 @@ class Target:
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class FittedCause:
     """One cause in a fit."""
 
     id: str
@@ -83,7 +83,7 @@ class Fit:
 
     Attributes
     ----------
-    parts : tuple of Part
+    parts : tuple of FittedCause
         Its causes; empty for the believed model.
     x : ndarray of float64, shape (k,)
         Logarithm of the factor on the modulus, then the parameters of all parts.
@@ -105,7 +105,7 @@ class Fit:
         Number of discrete hypotheses among which these were chosen.
     """
 
-    parts: tuple[Part, ...]
+    parts: tuple[FittedCause, ...]
     x: FloatArray
     mean: FloatArray
     deviation: FloatArray
@@ -163,8 +163,8 @@ class Fit:
 
 
 def fit(
-    target: Target,
-    parts: Sequence[Part],
+    target: FitTarget,
+    parts: Sequence[FittedCause],
     *,
     start: FloatArray | None = None,
     choices: int = 1,
@@ -174,9 +174,9 @@ def fit(
 
     Parameters
     ----------
-    target : Target
+    target : FitTarget
         Data, believed model, noise and nuisances.
-    parts : sequence of Part
+    parts : sequence of FittedCause
         Causes with their parameters; empty for the believed model.
     start : ndarray of float64, shape (k,), optional
         First guess; that of the parts' own parameters where absent.
@@ -191,7 +191,7 @@ def fit(
     Fit or None
         None where there is no equilibrium at the start.
     """
-    solver = _Solver(target, tuple(parts))
+    solver = _FitSolver(target, tuple(parts))
     x = solver.start if start is None else start.copy()
     prediction = solver.predict(x)
     if prediction is None and start is None:
@@ -253,14 +253,14 @@ def fit(
     )
 
 
-def best_start(target: Target, parts: Sequence[Part], before: FloatArray) -> FloatArray:
+def best_start(target: FitTarget, parts: Sequence[FittedCause], before: FloatArray) -> FloatArray:
     """Return the first guess of the fit of a further cause: of its starts that with the smallest objective.
 
     Parameters
     ----------
-    target : Target
+    target : FitTarget
         Data, believed model, noise and nuisances.
-    parts : sequence of Part
+    parts : sequence of FittedCause
         All causes, the further one last.
     before : ndarray of float64, shape (k,)
         Parameters of the fit without it.
@@ -274,7 +274,7 @@ def best_start(target: Target, parts: Sequence[Part], before: FloatArray) -> Flo
     first = np.concatenate([before, knobs.start])
     if knobs.starts is None:
         return first
-    solver = _Solver(target, tuple(parts))
+    solver = _FitSolver(target, tuple(parts))
 
     def objective(x: FloatArray) -> float:
         prediction = solver.predict(x)
@@ -290,7 +290,7 @@ def choices_of(cause: str, variants: Sequence[Variant]) -> int:
     return max(1, len({tuple(str(v.settings.get(key)) for key in keys) for v in variants}))
 
 
-def slices_of(parts: Sequence[Part]) -> list[slice]:
+def slices_of(parts: Sequence[FittedCause]) -> list[slice]:
     """Return where the parameters of every part lie in the vector x, after the modulus."""
     found, at = [], 1
     for part in parts:
@@ -299,12 +299,12 @@ def slices_of(parts: Sequence[Part]) -> list[slice]:
     return found
 
 
-def at_believed_modulus(target: Target, found: Fit) -> tuple[tuple[Effect, ...], FloatArray]:
+def at_believed_modulus(target: FitTarget, found: Fit) -> tuple[tuple[Effect, ...], FloatArray]:
     """Return the effects of a fit, and their prediction on the user's mesh, at the believed modulus.
 
     Parameters
     ----------
-    target : Target
+    target : FitTarget
         Data, believed model, noise and nuisances.
     found : Fit
         With causes.
@@ -324,13 +324,13 @@ def at_believed_modulus(target: Target, found: Fit) -> tuple[tuple[Effect, ...],
     x = found.x.copy()
     x[0] = 0.0
     effects = replace(found, x=x).effects(target.bench.young)
-    return effects, _Solver(target, found.parts).uncorrected(x)
+    return effects, _FitSolver(target, found.parts).uncorrected(x)
 
 
-class _Solver:
+class _FitSolver:
     """Objective, Jacobian and step of one fit."""
 
-    def __init__(self, target: Target, parts: tuple[Part, ...]) -> None:
+    def __init__(self, target: FitTarget, parts: tuple[FittedCause, ...]) -> None:
         self.target = target
         self.parts = parts
         # The first parameter is the logarithm of the modulus over the believed one; the modulus' prior is log-normal.

@@ -17,7 +17,7 @@ from tissuereg._base.arrays import FloatArray, IntArray
 from tissuereg.diagnosis.bench import Bench
 from tissuereg.diagnosis.residual import largest_residuals, worst_frame
 from tissuereg.diagnosis.screen import UNKNOWN
-from tissuereg.diagnosis.signals import Layout
+from tissuereg.diagnosis.signals import SignalLayout
 
 #: Standard deviation of the weight's Gaussian in the distance from a component, over the body's extent.
 REACH = 0.15
@@ -30,7 +30,7 @@ _NEAR = 0.5
 
 
 @dataclass(frozen=True, eq=False)
-class Component:
+class RigComponent:
     """A component of the rig or of the model that can be checked.
 
     Attributes
@@ -110,11 +110,11 @@ def next_check(bench: Bench, residual: FloatArray, nearest: str = UNKNOWN) -> di
     }
 
 
-def components_of(bench: Bench) -> Iterator[Component]:
+def components_of(bench: Bench) -> Iterator[RigComponent]:
     """Yield all components that can be checked."""
     layout, experiment = bench.layout, bench.experiment
     for i, name in enumerate(layout.marker_names):
-        yield Component("marker", name, _near_markers(layout, np.eye(len(layout.marker_names))[i]))
+        yield RigComponent("marker", name, _near_markers(layout, np.eye(len(layout.marker_names))[i]))
     for pad in experiment.actuators:
         near = _near_markers(layout, _closeness(bench, pad.nodes))
         for part in layout.parts:
@@ -123,16 +123,16 @@ def components_of(bench: Bench) -> Iterator[Component]:
                 part.markers(near)[:] = 0.0
             if pad.name in part.pads:
                 part.forces(near)[:, part.pads.index(pad.name)] = 1.0
-        yield Component("pad", pad.name, near)
+        yield RigComponent("pad", pad.name, near)
     for boundary in experiment.boundaries:
-        yield Component("support", boundary.name, _near_markers(layout, _closeness(bench, boundary.nodes)))
+        yield RigComponent("support", boundary.name, _near_markers(layout, _closeness(bench, boundary.nodes)))
     if len(layout.parts) > 1:
         for part in layout.parts:
-            yield Component("case", part.name, layout.of_case(part.name).astype(np.float64))
-    yield Component("body", bench.predictor.element, _squared_motion(layout, bench.base))
+            yield RigComponent("case", part.name, layout.of_case(part.name).astype(np.float64))
+    yield RigComponent("body", bench.predictor.element, _squared_motion(layout, bench.base))
 
 
-def log_likelihood_gain(residual: FloatArray, proximity: FloatArray, layout: Layout) -> float:
+def log_likelihood_gain(residual: FloatArray, proximity: FloatArray, layout: SignalLayout) -> float:
     """Return the gain in log likelihood, in nats, of an additional variance near a component over unit variance."""
     seen = layout.seen
     squares, variance = residual[seen] ** 2, 1.0 + _VARIANCES[:, None] * proximity[seen]
@@ -140,7 +140,7 @@ def log_likelihood_gain(residual: FloatArray, proximity: FloatArray, layout: Lay
     return float(max(nats.max(), 0.0))
 
 
-def _share(residual: FloatArray, proximity: FloatArray, layout: Layout) -> float:
+def _share(residual: FloatArray, proximity: FloatArray, layout: SignalLayout) -> float:
     """Return the share of the squared residual beyond noise that lies near a component."""
     seen = layout.seen
     beyond = residual[seen] ** 2 - 1.0
@@ -148,7 +148,7 @@ def _share(residual: FloatArray, proximity: FloatArray, layout: Layout) -> float
     return float(np.clip(there / whole, 0.0, 1.0)) if whole > 0.0 else 0.0
 
 
-def _near_markers(layout: Layout, closeness: FloatArray) -> FloatArray:
+def _near_markers(layout: SignalLayout, closeness: FloatArray) -> FloatArray:
     near = np.zeros(layout.size)
     for part in layout.parts:
         part.markers(near)[:] = closeness[:, None]
@@ -162,7 +162,7 @@ def _closeness(bench: Bench, nodes: IntArray) -> FloatArray:
     return np.asarray(np.exp(-0.5 * (apart / (REACH * bench.extent)) ** 2))
 
 
-def _squared_motion(layout: Layout, believed: FloatArray) -> FloatArray:
+def _squared_motion(layout: SignalLayout, believed: FloatArray) -> FloatArray:
     """Return the squares of the believed model's prediction over the largest, for markers and forces each."""
     near = np.zeros(layout.size)
     markers = layout.of_markers()

@@ -119,14 +119,14 @@ def diagnose_many(
         message = f"`experiments` must have names that differ, as their results have; twice: {', '.join(twice)}"
         raise ArgumentError(message, where="experiments")
     tasks = [
-        _Task(path, name, target / name, seed, n_threads, keep, element)
+        _DiagnosisTask(path, name, target / name, seed, n_threads, keep, element)
         for path, name in zip(paths, names, strict=True)
     ]
     return _diagnosed(tasks, InProcess() if executor is None else executor, progress)
 
 
 @dataclass(frozen=True)
-class _Task:
+class _DiagnosisTask:
     path: Path
     name: str
     folder: Path
@@ -137,14 +137,14 @@ class _Task:
 
 
 def _diagnosed(
-    tasks: list[_Task], executor: Executor, progress: Callable[[int, int], None] | None
+    tasks: list[_DiagnosisTask], executor: Executor, progress: Callable[[int, int], None] | None
 ) -> Iterator[Diagnosed | Failed]:
     told = None if progress is None else (lambda done: progress(done, len(tasks)))
     for outcome in in_order(executor.run(_diagnose_one, tasks), told):
         yield outcome if isinstance(outcome, Failed) else outcome.result
 
 
-def _diagnose_one(task: _Task) -> Diagnosed:
+def _diagnose_one(task: _DiagnosisTask) -> Diagnosed:
     """Diagnose an experiment and write the result, unless it is there."""
     begun = time.perf_counter()
     is_test = is_material_test(task.path)
@@ -173,7 +173,7 @@ def _name(path: Path) -> str:
     return path.parent.name if path.name == "experiment.toml" else path.stem if path.suffix == ".toml" else path.name
 
 
-def _fingerprint(files: list[Path], mesh: str, task: _Task) -> str:
+def _fingerprint(files: list[Path], mesh: str, task: _DiagnosisTask) -> str:
     """Return a fingerprint of an experiment's files and of how it is diagnosed."""
     contents = [[file.name, hashlib.sha256(file.read_bytes()).hexdigest()] for file in files]
     identity = json.dumps([contents, mesh, task.seed, task.element, __version__])

@@ -17,7 +17,7 @@ from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.generic import histories
 from tissuereg.diagnosis.noise import Noise
 from tissuereg.diagnosis.patterns import force_columns, marker_columns, smooth_patterns
-from tissuereg.diagnosis.signals import Layout
+from tissuereg.diagnosis.signals import SignalLayout
 
 #: Number of patterns over the markers in a smooth subspace, the smoothest ones.
 SMOOTH = 3
@@ -49,13 +49,13 @@ class Battery:
 
     Parameters
     ----------
-    layout : Layout
+    layout : SignalLayout
         Order of the data.
     subspaces : sequence of ndarray of float64, shapes (k, size)
         Orthonormal rows; see `smooth_subspaces`.
     """
 
-    def __init__(self, layout: Layout, subspaces: Sequence[FloatArray]) -> None:
+    def __init__(self, layout: SignalLayout, subspaces: Sequence[FloatArray]) -> None:
         self.layout = layout
         self.subspaces = subspaces
 
@@ -112,12 +112,12 @@ class Battery:
         return np.asarray(np.maximum(np.stack(rows, axis=1), 1e-12))
 
 
-def smooth_subspaces(layout: Layout, base: FloatArray, extent: float, noise: Noise) -> list[FloatArray]:
+def smooth_subspaces(layout: SignalLayout, base: FloatArray, extent: float, noise: Noise) -> list[FloatArray]:
     """Return the subspaces of smooth changes: per case, one for each time history and one for all of them together.
 
     Parameters
     ----------
-    layout : Layout
+    layout : SignalLayout
         Order of the data.
     base : ndarray of float64, shape (size,)
         Prediction of the believed model, mm and mN.

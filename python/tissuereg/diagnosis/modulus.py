@@ -13,7 +13,7 @@ import numpy as np
 from tissuereg.diagnosis.answer import Finding
 from tissuereg.diagnosis.bench import Bench
 from tissuereg.diagnosis.causes import CAUSES
-from tissuereg.diagnosis.fit import Target, fit
+from tissuereg.diagnosis.fit import FitTarget, fit
 from tissuereg.diagnosis.probability import LOOK_ALIKE, TEMPER
 from tissuereg.diagnosis.proof import (
     BEFORE,
@@ -36,12 +36,12 @@ BEYOND, DETERMINED = 3.0, 0.3
 _PINNED = 1e-9
 
 
-def modulus_finding(target: Target, screen: Screen, found: Search) -> Finding | None:
+def modulus_finding(target: FitTarget, screen: Screen, found: Search) -> Finding | None:
     """Return the modulus as a finding where it lies beyond its prior, the data determine it, and it is proved.
 
     Parameters
     ----------
-    target : Target
+    target : FitTarget
         Target of the first fit.
     screen : Screen
         With the generic rival.

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from tissuereg._base.arrays import BoolArray, FloatArray
-from tissuereg.diagnosis.signals import CasePart, Layout
+from tissuereg.diagnosis.signals import CasePart, SignalLayout
 from tissuereg.errors import NoiseError
 from tissuereg.experiment.experiment import Experiment
 
@@ -53,14 +53,14 @@ class Noise:
     force_std: float
     from_rest: bool
 
-    def whitened(self, flat: FloatArray, layout: Layout) -> FloatArray:
+    def whitened(self, flat: FloatArray, layout: SignalLayout) -> FloatArray:
         """Return whitened vectors; entries that were not measured become zero.
 
         Parameters
         ----------
         flat : ndarray of float64, shape (..., size)
             Residuals or columns, mm and mN.
-        layout : Layout
+        layout : SignalLayout
             Their order.
 
         Returns
@@ -76,7 +76,7 @@ class Noise:
             part.forces(white)[:] = np.where(known, part.forces(flat), 0.0) / self.force_std
         return white
 
-    def draw(self, layout: Layout, generator: np.random.Generator) -> FloatArray:
+    def draw(self, layout: SignalLayout, generator: np.random.Generator) -> FloatArray:
         """Return one draw of the whitened noise, shape (size,)."""
         return np.where(layout.seen, generator.standard_normal(layout.size), 0.0)
 
@@ -105,14 +105,14 @@ class Noise:
         return np.asarray(white)
 
 
-def estimate_noise(experiment: Experiment, layout: Layout) -> Noise:
+def estimate_noise(experiment: Experiment, layout: SignalLayout) -> Noise:
     """Return the noise estimated from rest frames and holds, or the stated one where they do not contradict it.
 
     Parameters
     ----------
     experiment : Experiment
         With the stated standard deviations, and optionally a rest case.
-    layout : Layout
+    layout : SignalLayout
         Its measured numbers.
 
     Returns
@@ -163,7 +163,7 @@ def estimate_noise(experiment: Experiment, layout: Layout) -> Noise:
     return Noise(marker_std, common_std, memory, common_memory, step, force_std, True)
 
 
-def _still(experiment: Experiment, layout: Layout) -> list[tuple[FloatArray, int]]:
+def _still(experiment: Experiment, layout: SignalLayout) -> list[tuple[FloatArray, int]]:
     """Return runs of frames without change of load: the rest case minus its mean, holds minus a straight line in time.
 
     Each (n_frames, n_markers, n_axes), with the number of parameters fitted to every coordinate; axes along which

@@ -14,7 +14,7 @@ from tissuereg.diagnosis.bench import Bench
 from tissuereg.diagnosis.correction import Correction
 from tissuereg.diagnosis.patterns import force_columns, load_history, marker_columns, smooth_patterns
 from tissuereg.diagnosis.shape_columns import shape_columns
-from tissuereg.diagnosis.signals import Layout
+from tissuereg.diagnosis.signals import SignalLayout
 from tissuereg.experiment.effects.base import rotation_from_vector
 
 #: Prior deviations of the tracker's frame: shifts in mm, turns in degrees.
@@ -126,12 +126,12 @@ def make_nuisances(bench: Bench, mesh_errors: FloatArray, correction: Correction
     return Nuisances(tuple(names[i] for i in kept), np.array([columns[i] for i in kept]))
 
 
-def frame_columns(layout: Layout, base: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:
+def frame_columns(layout: SignalLayout, base: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:
     """Yield, axis by axis, the columns of a shift and of a rotation of the tracker's frame, each (size,), in mm.
 
     Parameters
     ----------
-    layout : Layout
+    layout : SignalLayout
         Order of the columns.
     base : ndarray of float64, shape (size,)
         Displacements of the markers, mm.

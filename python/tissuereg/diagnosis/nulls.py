@@ -16,7 +16,7 @@ from tissuereg.diagnosis.evidence import Null
 from tissuereg.diagnosis.noise import Noise
 from tissuereg.diagnosis.nuisances import MESH_SHARE
 from tissuereg.diagnosis.screen import UNKNOWN, Screen
-from tissuereg.diagnosis.signals import Layout
+from tissuereg.diagnosis.signals import SignalLayout
 
 #: Number of draws, and the share of them in which any cause may pass its threshold (false-alarm rate).
 DRAWS = 500
@@ -52,7 +52,7 @@ class Nulls:
 
 
 def draw_nulls(
-    screen: Screen, null: Null, noise: Noise, layout: Layout, mesh_errors: Sequence[FloatArray], seed: int
+    screen: Screen, null: Null, noise: Noise, layout: SignalLayout, mesh_errors: Sequence[FloatArray], seed: int
 ) -> Nulls:
     """Return null draws and the thresholds that follow.
 
@@ -64,7 +64,7 @@ def draw_nulls(
         Nuisances.
     noise : Noise
         Measurement noise.
-    layout : Layout
+    layout : SignalLayout
         Order of the data.
     mesh_errors : sequence of ndarray of float64, shape (size,)
         Predictions on further fine meshes minus those on the correcting one, mm and mN.

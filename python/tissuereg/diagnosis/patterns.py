@@ -3,7 +3,7 @@
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray
-from tissuereg.diagnosis.signals import CasePart, Layout
+from tissuereg.diagnosis.signals import CasePart, SignalLayout
 
 #: Number of patterns.
 MODES = 10
@@ -39,12 +39,12 @@ def load_history(part: CasePart, base: FloatArray) -> FloatArray:
     return np.asarray(moved / moved.max()) if moved.max() > 1e-6 else np.zeros(part.n_frames)
 
 
-def marker_columns(layout: Layout, part: CasePart, history: FloatArray, patterns: FloatArray) -> FloatArray:
+def marker_columns(layout: SignalLayout, part: CasePart, history: FloatArray, patterns: FloatArray) -> FloatArray:
     """Return columns in which the markers of one case move along one axis, by a pattern times a history.
 
     Parameters
     ----------
-    layout : Layout
+    layout : SignalLayout
         Order of the columns.
     part : CasePart
         The case; all others are zero.
@@ -64,12 +64,12 @@ def marker_columns(layout: Layout, part: CasePart, history: FloatArray, patterns
     return columns
 
 
-def force_columns(layout: Layout, part: CasePart, pad: int, history: FloatArray) -> FloatArray:
+def force_columns(layout: SignalLayout, part: CasePart, pad: int, history: FloatArray) -> FloatArray:
     """Return columns in which one component of a pad's force follows a history.
 
     Parameters
     ----------
-    layout : Layout
+    layout : SignalLayout
         Order of the columns.
     part : CasePart
         The case; all others are zero.

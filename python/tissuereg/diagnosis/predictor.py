@@ -6,7 +6,7 @@ from functools import cached_property
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.body.observe import MarkerObservation
-from tissuereg.diagnosis.signals import Layout
+from tissuereg.diagnosis.signals import SignalLayout
 from tissuereg.errors import ConvergenceError, ExperimentError, MaterialError, SupportError
 from tissuereg.experiment.effects import ChainEffect, Effect, extended, seen_markers
 from tissuereg.experiment.experiment import Experiment
@@ -43,7 +43,7 @@ class Predictor:
     ----------
     experiment : Experiment
         The believed model, with its own effects.
-    layout : Layout
+    layout : SignalLayout
         Order of the predictions.
     element : {"tet4", "tet4-averaged", "tet10"}
         Elements to use.
@@ -51,7 +51,9 @@ class Predictor:
         Threads to use; 0 takes all cores.
     """
 
-    def __init__(self, experiment: Experiment, layout: Layout, *, element: str = "tet4", threads: int = 0) -> None:
+    def __init__(
+        self, experiment: Experiment, layout: SignalLayout, *, element: str = "tet4", threads: int = 0
+    ) -> None:
         self.experiment = experiment
         self.layout = layout
         self.element = element
@@ -85,7 +87,7 @@ class Predictor:
         Returns
         -------
         ndarray of float64, shape (size,)
-            As `Layout.measured`, everywhere finite.
+            As `SignalLayout.measured`, everywhere finite.
 
         Raises
         ------

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from tissuereg._base.arrays import BoolArray, FloatArray
-from tissuereg.diagnosis.fit import Fit, Target
+from tissuereg.diagnosis.fit import Fit, FitTarget
 from tissuereg.diagnosis.noise import Noise
-from tissuereg.diagnosis.signals import CasePart, Layout
+from tissuereg.diagnosis.signals import CasePart, SignalLayout
 
 #: A case is held out only if the other data determine the cause's parameters: their posterior variance without the case
 #: is at most this share of the prior variance, on average.
@@ -32,7 +32,7 @@ TIME_BLOCKS = 4
 
 
 @dataclass(frozen=True, eq=False)
-class Linear:
+class LinearModel:
     """A model linear in its parameters: residual = columns^T x + white noise, x ~ N(0, I).
 
     Attributes
@@ -66,21 +66,21 @@ class HeldOut:
     residuals: FloatArray
 
 
-def linear_model(target: Target, fit: Fit, extra: FloatArray | None = None) -> Linear:
+def linear_model(target: FitTarget, fit: Fit, extra: FloatArray | None = None) -> LinearModel:
     """Return a fit as a linear model whose columns are nuisances, the fit's Jacobian, and further ones (p, size)."""
     slopes = target.white(fit.jacobian) * fit.deviation[:, None]
     # The model is linear about the fit; x = 0 is the prior mean.
     residual = fit.residual + slopes.T @ ((fit.x - fit.mean) / fit.deviation)
     parts = [target.null.nuisances, slopes] + ([] if extra is None else [extra])
-    return Linear(residual, np.concatenate(parts))
+    return LinearModel(residual, np.concatenate(parts))
 
 
-def held_out(models: list[Linear], blocks: dict[str, BoolArray]) -> HeldOut:
+def held_out(models: list[LinearModel], blocks: dict[str, BoolArray]) -> HeldOut:
     """Return the predictions of blocks, each from all other data.
 
     Parameters
     ----------
-    models : list of Linear
+    models : list of LinearModel
         To be compared.
     blocks : dict of str to ndarray of bool, shape (size,)
         Entries that are held out together.
@@ -111,12 +111,12 @@ def held_out(models: list[Linear], blocks: dict[str, BoolArray]) -> HeldOut:
     return HeldOut(tuple(blocks), density, residuals)
 
 
-def proof_blocks(layout: Layout, slopes: FloatArray) -> dict[str, BoolArray]:
+def proof_blocks(layout: SignalLayout, slopes: FloatArray) -> dict[str, BoolArray]:
     """Return the blocks that are held out to prove a cause by its predictive density.
 
     Parameters
     ----------
-    layout : Layout
+    layout : SignalLayout
         Order of the data.
     slopes : ndarray of float64, shape (k, size)
         The cause's whitened sensitivity columns, times prior standard deviations.
@@ -134,12 +134,12 @@ def proof_blocks(layout: Layout, slopes: FloatArray) -> dict[str, BoolArray]:
     return _blocks(layout, (slopes**2).sum(axis=0), determined)
 
 
-def figure_blocks(layout: Layout, slopes: FloatArray, change: FloatArray) -> dict[str, BoolArray]:
+def figure_blocks(layout: SignalLayout, slopes: FloatArray, change: FloatArray) -> dict[str, BoolArray]:
     """Return the blocks for which prediction errors with and without a cause are stated.
 
     Parameters
     ----------
-    layout : Layout
+    layout : SignalLayout
         Order of the data.
     slopes : ndarray of float64, shape (k, size)
         The cause's whitened sensitivity columns, times prior standard deviations.
@@ -160,12 +160,12 @@ def figure_blocks(layout: Layout, slopes: FloatArray, change: FloatArray) -> dic
     return _blocks(layout, change**2, determined)
 
 
-def held_out_figures(layout: Layout, noise: Noise, proof: HeldOut, figures: HeldOut) -> dict[str, object]:
+def held_out_figures(layout: SignalLayout, noise: Noise, proof: HeldOut, figures: HeldOut) -> dict[str, object]:
     """Return the held-out errors of a finding: of markers in mm, and of markers and forces in noise deviations.
 
     Parameters
     ----------
-    layout : Layout
+    layout : SignalLayout
         Order of the data.
     noise : Noise
         Measurement noise.
@@ -194,7 +194,7 @@ def held_out_figures(layout: Layout, noise: Noise, proof: HeldOut, figures: Held
     }
 
 
-def frame_blocks(layout: Layout, part: CasePart) -> dict[str, BoolArray]:
+def frame_blocks(layout: SignalLayout, part: CasePart) -> dict[str, BoolArray]:
     """Return blocks of frames of one case, every `TIME_BLOCKS`-th frame each."""
     blocks = {}
     for number in range(min(TIME_BLOCKS, part.n_frames)):
@@ -208,7 +208,7 @@ def frame_blocks(layout: Layout, part: CasePart) -> dict[str, BoolArray]:
     return blocks
 
 
-def _blocks(layout: Layout, shown: FloatArray, determined: Callable[[BoolArray], bool]) -> dict[str, BoolArray]:
+def _blocks(layout: SignalLayout, shown: FloatArray, determined: Callable[[BoolArray], bool]) -> dict[str, BoolArray]:
     """Return the cases with a change that are determined without them; else blocks of frames of the largest change."""
     power = {part.name: float(shown[layout.of_case(part.name)].sum()) for part in layout.parts}
     masks = {name: layout.of_case(name) for name, size in power.items() if size > 1.0}

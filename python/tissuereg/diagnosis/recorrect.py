@@ -17,7 +17,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from tissuereg.diagnosis.fit import ABSOLUTE, Fit, Target, at_believed_modulus, fit
+from tissuereg.diagnosis.fit import ABSOLUTE, Fit, FitTarget, at_believed_modulus, fit
 from tissuereg.diagnosis.predictor import NO_ANSWER
 from tissuereg.diagnosis.refined import refined_effects
 from tissuereg.errors import MeshError
@@ -30,12 +30,14 @@ CORRECTION_GAIN = 30.0
 UNCORRECTED, MOST_ROUNDS = 1.0, 6
 
 
-def corrected_fit(target: Target, found: Fit, *, progress: Callable[[str], None] | None = None) -> tuple[Target, Fit]:
+def corrected_fit(
+    target: FitTarget, found: Fit, *, progress: Callable[[str], None] | None = None
+) -> tuple[FitTarget, Fit]:
     """Return a target whose correction covers a fitted model, and the fit to it: correct and refit until they agree.
 
     Parameters
     ----------
-    target : Target
+    target : FitTarget
         Target of the fit.
     found : Fit
         With causes.
@@ -67,7 +69,7 @@ def corrected_fit(target: Target, found: Fit, *, progress: Callable[[str], None]
     return corrected
 
 
-def _uncorrected(target: Target, found: Fit) -> float:
+def _uncorrected(target: FitTarget, found: Fit) -> float:
     """Return the estimated discretisation error of a fit that its correction does not cover, in noise deviations.
 
     The corrected error times the relative size of the part of the new effect that is no multiple of the corrected one.
@@ -87,12 +89,12 @@ def _uncorrected(target: Target, found: Fit) -> float:
     return remainder * error / effect if effect > 0.0 else 0.0
 
 
-def recorrected(target: Target, found: Fit, *, progress: Callable[[str], None] | None = None) -> Target:
+def recorrected(target: FitTarget, found: Fit, *, progress: Callable[[str], None] | None = None) -> FitTarget:
     """Return a target whose correction covers the believed model and a fitted one.
 
     Parameters
     ----------
-    target : Target
+    target : FitTarget
         Target of the fit.
     found : Fit
         With causes.
@@ -101,7 +103,7 @@ def recorrected(target: Target, found: Fit, *, progress: Callable[[str], None] |
 
     Returns
     -------
-    Target
+    FitTarget
         The given one where the modulus does more than scale forces, where all causes are errors of the tracker or one
         is memory, where the fine mesh has no equilibrium, and for data that were simulated on the user's mesh.
     """

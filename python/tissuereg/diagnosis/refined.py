@@ -13,7 +13,7 @@ from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.bank import fingerprint
 from tissuereg.diagnosis.bench import Bench
 from tissuereg.diagnosis.predictor import refuse_failures
-from tissuereg.diagnosis.signals import Layout
+from tissuereg.diagnosis.signals import SignalLayout
 from tissuereg.experiment.effects import Effect, extended
 from tissuereg.experiment.experiment import Experiment
 from tissuereg.io.cache import keep_entry, read_entry
@@ -31,12 +31,12 @@ THIRDS = 3
 MOST_ENTRIES = 500
 
 
-def flat_of(layout: Layout, answers: dict[str, CaseSimulation]) -> FloatArray:
+def flat_of(layout: SignalLayout, answers: dict[str, CaseSimulation]) -> FloatArray:
     """Return simulated cases as a flat vector.
 
     Parameters
     ----------
-    layout : Layout
+    layout : SignalLayout
         Order of the vector.
     answers : dict of str to CaseSimulation
         Simulation of every case.

@@ -12,7 +12,7 @@ from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.misfit import Misfit
 from tissuereg.diagnosis.screen import UNKNOWN, Screen
 from tissuereg.diagnosis.search import Search
-from tissuereg.diagnosis.signals import Layout
+from tissuereg.diagnosis.signals import SignalLayout
 
 #: Number of markers and pads that are listed at most, and their least root mean square in noise deviations.
 MOST_PLACES, ABOVE = 5, 1.3
@@ -21,12 +21,12 @@ MOST_PLACES, ABOVE = 5, 1.3
 LOOKS_LIKE = 6.0
 
 
-def residual_summary(layout: Layout, screen: Screen, found: Search, misfit: Misfit) -> dict[str, Any]:
+def residual_summary(layout: SignalLayout, screen: Screen, found: Search, misfit: Misfit) -> dict[str, Any]:
     """Return the description of a residual that is a misfit.
 
     Parameters
     ----------
-    layout : Layout
+    layout : SignalLayout
         Order of the data.
     screen : Screen
         All hypotheses, for the nearest cause.
@@ -50,7 +50,7 @@ def residual_summary(layout: Layout, screen: Screen, found: Search, misfit: Misf
     return {"p": misfit.p, "where": where, "when": when, "looks_like": alike, "sentence": sentence}
 
 
-def largest_residuals(layout: Layout, reduced: FloatArray) -> list[str]:
+def largest_residuals(layout: SignalLayout, reduced: FloatArray) -> list[str]:
     """Return the markers and pads with the largest root mean square residual, the largest first."""
     power: dict[str, float] = {}
     count: dict[str, float] = {}
@@ -68,7 +68,7 @@ def largest_residuals(layout: Layout, reduced: FloatArray) -> list[str]:
     return worst[:MOST_PLACES]
 
 
-def worst_frame(layout: Layout, reduced: FloatArray) -> tuple[str, float]:
+def worst_frame(layout: SignalLayout, reduced: FloatArray) -> tuple[str, float]:
     """Return the case and the time of the frame with the largest sum of squared residuals."""
     worst = ("", 0.0, -np.inf)
     for part in layout.parts:

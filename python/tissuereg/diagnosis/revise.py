@@ -10,19 +10,19 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray
-from tissuereg.diagnosis.fit import Fit, Part, Target, fit
+from tissuereg.diagnosis.fit import Fit, FitTarget, FittedCause, fit
 from tissuereg.diagnosis.recorrect import CORRECTION_GAIN, corrected_fit
 
 #: Gain in log evidence, in nats, that an exchange requires.
 BETTER = 2.0
 
 
-def without(target: Target, current: Fit, part: int, *, hopeless: float = np.inf) -> Fit | None:
+def without(target: FitTarget, current: Fit, part: int, *, hopeless: float = np.inf) -> Fit | None:
     """Return the fit of a model without one of its causes.
 
     Parameters
     ----------
-    target : Target
+    target : FitTarget
         Data, believed model, noise and nuisances.
     current : Fit
         With all causes.
@@ -41,14 +41,16 @@ def without(target: Target, current: Fit, part: int, *, hopeless: float = np.inf
     return fit(target, others, start=np.delete(current.x, np.r_[mine]), hopeless=hopeless)
 
 
-def without_redundant(target: Target, current: Fit, thresholds: Mapping[str, float]) -> tuple[Target, Fit, list[int]]:
+def without_redundant(
+    target: FitTarget, current: Fit, thresholds: Mapping[str, float]
+) -> tuple[FitTarget, Fit, list[int]]:
     """Return the fit without redundant causes: those whose removal costs less evidence than their threshold.
 
     The discretisation error of the causes is corrected in every fit.
 
     Parameters
     ----------
-    target : Target
+    target : FitTarget
         Data, believed model, noise and nuisances.
     current : Fit
         With all causes.
@@ -62,7 +64,7 @@ def without_redundant(target: Target, current: Fit, thresholds: Mapping[str, flo
     """
     kept = list(range(len(current.parts)))
     while len(kept) > 1:
-        redundant: list[tuple[int, Target, Fit]] = []
+        redundant: list[tuple[int, FitTarget, Fit]] = []
         for number, name in enumerate(current.ids):
             # The log evidence at which a fit shows that the cause it lacks is redundant.
             least = current.log_evidence - thresholds[name]
@@ -77,20 +79,22 @@ def without_redundant(target: Target, current: Fit, thresholds: Mapping[str, flo
     return target, current, kept
 
 
-def exchanged(target: Target, current: Fit, part: int, rivals: Sequence[tuple[Part, FloatArray]]) -> tuple[Target, Fit]:
+def exchanged(
+    target: FitTarget, current: Fit, part: int, rivals: Sequence[tuple[FittedCause, FloatArray]]
+) -> tuple[FitTarget, Fit]:
     """Return the fit with the best of some rivals in place of one cause, where that gains `BETTER` nats.
 
     The discretisation error of the causes is corrected in every fit.
 
     Parameters
     ----------
-    target : Target
+    target : FitTarget
         Data, believed model, noise and nuisances.
     current : Fit
         With all causes.
     part : int
         Number of the cause that may be replaced.
-    rivals : sequence of (Part, ndarray of float64, shape (k,))
+    rivals : sequence of (FittedCause, ndarray of float64, shape (k,))
         Rivals, with the parameters at which their fits begin.
 
     Returns
@@ -110,7 +114,7 @@ def exchanged(target: Target, current: Fit, part: int, rivals: Sequence[tuple[Pa
     return of_best, best
 
 
-def _reaching(least: float, target: Target, fitted: Fit | None) -> tuple[Target, Fit] | None:
+def _reaching(least: float, target: FitTarget, fitted: Fit | None) -> tuple[FitTarget, Fit] | None:
     """Return a fit with its discretisation error corrected, if its log evidence then exceeds the least."""
     if fitted is None or fitted.log_evidence < least - CORRECTION_GAIN:
         return None

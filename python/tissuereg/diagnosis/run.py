@@ -22,7 +22,7 @@ from tissuereg.diagnosis.correction import Correction, make_correction
 from tissuereg.diagnosis.discrepancy import describe
 from tissuereg.diagnosis.evidence import Null
 from tissuereg.diagnosis.findings import candidates_of, findings_of
-from tissuereg.diagnosis.fit import Target, fit
+from tissuereg.diagnosis.fit import FitTarget, fit
 from tissuereg.diagnosis.generic import generic_columns
 from tissuereg.diagnosis.localisation import next_check
 from tissuereg.diagnosis.misfit import Battery, Misfit, smooth_subspaces
@@ -33,7 +33,7 @@ from tissuereg.diagnosis.refined import entry_of, refined_predictions
 from tissuereg.diagnosis.residual import nearest_cause, residual_summary
 from tissuereg.diagnosis.screen import Screen
 from tissuereg.diagnosis.search import Search, search
-from tissuereg.diagnosis.signals import Layout
+from tissuereg.diagnosis.signals import SignalLayout
 from tissuereg.diagnosis.targets import target_rms
 from tissuereg.experiment.effects import Effect, Stiffness
 from tissuereg.experiment.experiment import Experiment
@@ -60,7 +60,7 @@ def diagnose_body(
     simulated = experiment.simulated
     plain = simulated is not None and simulated.model == "plain"
     element = element or (simulated.element if simulated is not None and plain else "tet4")
-    layout = Layout(experiment)
+    layout = SignalLayout(experiment)
     noise = estimate_noise(experiment, layout)
     bench = Bench(experiment, layout, element=element, threads=threads)
     bank = make_bank(bench, keep=keep, progress=progress)
@@ -115,12 +115,12 @@ def diagnose_body(
 
 
 @dataclass(frozen=True, eq=False)
-class Believed:
+class BelievedModel:
     """The believed model, corrected for discretisation error, with its nuisance parameters.
 
     Attributes
     ----------
-    target : Target
+    target : FitTarget
         What fits need: corrected model, noise, and the null covariance of all nuisances but the modulus.
     nuisances : Nuisances
         Nuisance parameters with their columns.
@@ -130,7 +130,7 @@ class Believed:
         Predictions on further fine meshes minus those on the mesh that corrects, mm and mN.
     """
 
-    target: Target
+    target: FitTarget
     nuisances: Nuisances
     null: Null
     mesh_errors: FloatArray
@@ -138,7 +138,7 @@ class Believed:
 
 def make_believed(
     bench: Bench, noise: Noise, *, keep: bool = True, progress: Callable[[str], None] | None = None
-) -> Believed:
+) -> BelievedModel:
     """Return the believed model, corrected for discretisation error, with its nuisance parameters.
 
     Parameters
@@ -154,7 +154,7 @@ def make_believed(
 
     Returns
     -------
-    Believed
+    BelievedModel
 
     Raises
     ------
@@ -170,8 +170,8 @@ def make_believed(
     nuisances = make_nuisances(bench, others - fine, correction)
     correction = _at_modulus(bench, noise, correction, nuisances)
     white = noise.whitened(correction.at_modulus(nuisances.columns), layout)
-    target = Target(bench, noise, correction, Null(white[nuisances.but("stiffness")]))
-    return Believed(target, nuisances, Null(white), others - fine)
+    target = FitTarget(bench, noise, correction, Null(white[nuisances.but("stiffness")]))
+    return BelievedModel(target, nuisances, Null(white), others - fine)
 
 
 def _at_modulus(bench: Bench, noise: Noise, correction: Correction, nuisances: Nuisances) -> Correction:
@@ -179,7 +179,7 @@ def _at_modulus(bench: Bench, noise: Noise, correction: Correction, nuisances: N
     if not bench.scales_forces:
         return correction
     others = noise.whitened(correction.at_modulus(nuisances.columns[nuisances.but("stiffness")]), bench.layout)
-    found = fit(Target(bench, noise, correction, Null(others)), [])
+    found = fit(FitTarget(bench, noise, correction, Null(others)), [])
     return correction if found is None else replace(correction, modulus=found.young(1.0))
 
 

@@ -15,7 +15,7 @@ from tissuereg.diagnosis.causes import Variant
 from tissuereg.diagnosis.correction import Correction
 from tissuereg.diagnosis.evidence import Blocks, Null, fit_amplitudes, log_mean_exp
 from tissuereg.diagnosis.noise import Noise
-from tissuereg.diagnosis.signals import Layout
+from tissuereg.diagnosis.signals import SignalLayout
 
 #: Id of the generic rival.
 UNKNOWN = "unknown"
@@ -54,7 +54,7 @@ class Screen:
         Columns of the generic rival.
     noise : Noise
         Measurement noise.
-    layout : Layout
+    layout : SignalLayout
         Order of all columns.
     correction : Correction
         Correction of the discretisation error.
@@ -68,7 +68,7 @@ class Screen:
     """
 
     def __init__(
-        self, bank: Bank, generic: FloatArray, noise: Noise, layout: Layout, correction: Correction, null: Null
+        self, bank: Bank, generic: FloatArray, noise: Noise, layout: SignalLayout, correction: Correction, null: Null
     ) -> None:
         self.bank = bank
         self.null = null

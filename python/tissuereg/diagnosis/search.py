@@ -15,14 +15,14 @@ from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.candidates import Candidate, refitted, required_thresholds
 from tissuereg.diagnosis.causes import CAUSES
 from tissuereg.diagnosis.evidence import Null, fit_amplitudes
-from tissuereg.diagnosis.fit import Fit, Target, fit
+from tissuereg.diagnosis.fit import Fit, FitTarget, fit
 from tissuereg.diagnosis.nuisances import effect_nuisances, other_forms
 from tissuereg.diagnosis.proof import (
     BEFORE,
     GENERIC,
     NAMED,
     HeldOut,
-    Linear,
+    LinearModel,
     figure_blocks,
     held_out,
     linear_model,
@@ -105,7 +105,7 @@ class Search:
         In order; the last one accepted nothing, unless there are `MOST_CAUSES`.
     reduced : ndarray of float64, shape (size,)
         Residual of the final model, reduced by all nuisances and the model's own parameters.
-    target : Target or None
+    target : FitTarget or None
         Target of the last fit, with the discretisation error of the causes found corrected; None where none was found.
     """
 
@@ -113,22 +113,22 @@ class Search:
     final: Fit
     steps: list[Step] = field(default_factory=list)
     reduced: FloatArray = field(default_factory=lambda: np.empty(0))
-    target: Target | None = None
+    target: FitTarget | None = None
 
-    def withdrawn(self, target: Target) -> "Search":
+    def withdrawn(self, target: FitTarget) -> "Search":
         """Return the search with all findings withdrawn."""
         steps = [replace(step, found=None) for step in self.steps]
         return Search(self.base, self.base, steps, target.null.reduced(self.base.residual))
 
 
 def search(
-    target: Target, screen: Screen, thresholds: Mapping[str, float], *, progress: Callable[[str], None] | None = None
+    target: FitTarget, screen: Screen, thresholds: Mapping[str, float], *, progress: Callable[[str], None] | None = None
 ) -> Search:
     """Return the causes that the data show.
 
     Parameters
     ----------
-    target : Target
+    target : FitTarget
         Data, believed model, noise and nuisances.
     screen : Screen
         All hypotheses of the bank.
@@ -160,7 +160,7 @@ def search(
 
 
 def _round(
-    target: Target,
+    target: FitTarget,
     screen: Screen,
     base: Fit,
     current: Fit,
@@ -186,7 +186,7 @@ def _round(
     return step
 
 
-def _best_rival(target: Target, current: Fit, candidates: Sequence[Candidate], found: Candidate) -> float:
+def _best_rival(target: FitTarget, current: Fit, candidates: Sequence[Candidate], found: Candidate) -> float:
     """Return the best log density, on held-out blocks, of the candidates that the data distinguish from `found`."""
     blocks = proof_blocks(target.bench.layout, _columns_and_change(target, current, found, -1)[0])
     others = [other for other in candidates if other.gain <= found.gain - 0.5 * SEPARABLE**2]
@@ -195,8 +195,8 @@ def _best_rival(target: Target, current: Fit, candidates: Sequence[Candidate], f
 
 
 def _with_finding(
-    plain: Target, screen: Screen, base: Fit, before: Fit, found: Candidate
-) -> tuple[Target, Target, Fit]:
+    plain: FitTarget, screen: Screen, base: Fit, before: Fit, found: Candidate
+) -> tuple[FitTarget, FitTarget, Fit]:
     """Return the targets after a cause was found, without and with nuisances for its size, and the fit to the last."""
     # A found cause has a model error of its own. Its discretisation error was corrected; what remains of that, and the
     # error of its form, are nuisances when further causes are tested.
@@ -209,8 +209,8 @@ def _with_finding(
 
 
 def _revised(
-    target: Target, screen: Screen, base: Fit, current: Fit, steps: list[Step], thresholds: Mapping[str, float]
-) -> tuple[Target, Fit, list[Step]]:
+    target: FitTarget, screen: Screen, base: Fit, current: Fit, steps: list[Step], thresholds: Mapping[str, float]
+) -> tuple[FitTarget, Fit, list[Step]]:
     """Return the causes that remain after each was tested for redundancy and exchanged for its closest rivals."""
     found = [number for number, step in enumerate(steps) if step.found is not None]
     target, current, kept = without_redundant(target, current, thresholds)
@@ -232,19 +232,25 @@ def _revised(
     return target, current, steps
 
 
-def _prove(target: Target, references: list[Linear], current: Fit, candidate: Candidate, part: int = -1) -> HeldOut:
+def _prove(
+    target: FitTarget, references: list[LinearModel], current: Fit, candidate: Candidate, part: int = -1
+) -> HeldOut:
     """Return the predictive densities of the models on the blocks of `proof_blocks`, rows as in `proof`."""
     slopes, _ = _columns_and_change(target, current, candidate, part)
     return held_out(_models(target, references, candidate), proof_blocks(target.bench.layout, slopes))
 
 
-def _figures(target: Target, references: list[Linear], current: Fit, candidate: Candidate, part: int = -1) -> HeldOut:
+def _figures(
+    target: FitTarget, references: list[LinearModel], current: Fit, candidate: Candidate, part: int = -1
+) -> HeldOut:
     """Return the prediction errors of the same models on the blocks of `figure_blocks`."""
     slopes, change = _columns_and_change(target, current, candidate, part)
     return held_out(_models(target, references, candidate), figure_blocks(target.bench.layout, slopes, change))
 
 
-def _columns_and_change(target: Target, current: Fit, candidate: Candidate, part: int) -> tuple[FloatArray, FloatArray]:
+def _columns_and_change(
+    target: FitTarget, current: Fit, candidate: Candidate, part: int
+) -> tuple[FloatArray, FloatArray]:
     """Return a cause's columns (k, size), times prior deviations, and the change it makes (size,), whitened."""
     mine = candidate.fit.slices()[part]
     slopes = target.white(candidate.fit.jacobian[mine]) * candidate.fit.deviation[mine, None]
@@ -252,31 +258,31 @@ def _columns_and_change(target: Target, current: Fit, candidate: Candidate, part
     return (slopes if len(slopes) else change[None]), change
 
 
-def _references(target: Target, screen: Screen, base: Fit, current: Fit) -> list[Linear]:
+def _references(target: FitTarget, screen: Screen, base: Fit, current: Fit) -> list[LinearModel]:
     """Return the models a cause is compared with: that before it, that plus the generic rival, the believed one."""
     rival = linear_model(target, current, rival_columns(screen, target, current))
     return [linear_model(target, current), rival, linear_model(target, base)]
 
 
-def _models(target: Target, references: list[Linear], candidate: Candidate) -> list[Linear]:
+def _models(target: FitTarget, references: list[LinearModel], candidate: Candidate) -> list[LinearModel]:
     before, *others = references
     return [before, linear_model(target, candidate.fit), *others]
 
 
-def rival_columns(screen: Screen, target: Target, current: Fit) -> FloatArray:
+def rival_columns(screen: Screen, target: FitTarget, current: Fit) -> FloatArray:
     """Return the generic rival's whitened columns (p, size), of the size with the most evidence given a fit."""
     reduced = target.null.reduced(current.residual)
     gains = [fit_amplitudes(reduced, target.null.reduced(columns)).log_bayes_factor for columns in screen.generic_white]
     return np.asarray(screen.generic_white[int(np.argmax(gains))])
 
 
-def _null_after(target: Target, current: Fit) -> Null:
+def _null_after(target: FitTarget, current: Fit) -> Null:
     """Return the null covariance given the causes found: their parameters are nuisances too."""
     slopes = target.white(current.jacobian) * current.deviation[:, None]
     return Null(np.concatenate([target.null.nuisances, slopes]))
 
 
-def _as_screened(screen: Screen, target: Target, current: Fit) -> FloatArray:
+def _as_screened(screen: Screen, target: FitTarget, current: Fit) -> FloatArray:
     """Return the residual of a model, reduced by the screen's null and orthogonal to the model's own columns."""
     residual = screen.null.reduced(current.residual)
     if not current.parts:

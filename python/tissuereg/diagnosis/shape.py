@@ -85,13 +85,13 @@ def shape_directions(experiment: Experiment, given: Mesh | None = None) -> list[
     list of Direction
         Ten for each pad, one for each support whose edge is no edge of the body, and those of the whole surface.
     """
-    surface = _Surface(experiment, given or experiment.mesh)
+    surface = _BodySurface(experiment, given or experiment.mesh)
     found = [direction for pad in experiment.actuators for direction in _of_pad(surface, pad)]
     found += [direction for support in experiment.boundaries for direction in _of_support(surface, support)]
     return [*found, *_of_surface(surface, experiment)]
 
 
-class _Surface:
+class _BodySurface:
     """The surface of a body: normals, gaps to the smooth surface, sharp edges, nodes of each patch."""
 
     def __init__(self, experiment: Experiment, given: Mesh) -> None:
@@ -123,7 +123,7 @@ class _Surface:
         return np.asarray(motion - (motion * self.normals).sum(axis=1, keepdims=True) * self.normals)
 
 
-def _of_pad(surface: _Surface, pad: Actuator) -> Iterator[Direction]:
+def _of_pad(surface: _BodySurface, pad: Actuator) -> Iterator[Direction]:
     mesh, inside = surface.mesh, surface.of(pad)
     normal = surface.normals[inside].mean(axis=0) if len(inside) else np.zeros(3)
     rim = rim_of(pad)
@@ -156,7 +156,7 @@ def _of_pad(surface: _Surface, pad: Actuator) -> Iterator[Direction]:
         )
 
 
-def _of_grip(surface: _Surface, pad: Actuator, radius: float) -> Iterator[Direction]:
+def _of_grip(surface: _BodySurface, pad: Actuator, radius: float) -> Iterator[Direction]:
     """Yield the directions of a pad that surrounds the body: shifts along its surface, and a displaced edge."""
     near = np.where(surface.stays(pad), 0.0, _nearness(surface.mesh, surface.of(pad), REACH * radius))[:, None]
     for axis, side in enumerate(np.eye(3)):
@@ -166,7 +166,7 @@ def _of_grip(surface: _Surface, pad: Actuator, radius: float) -> Iterator[Direct
     yield from _of_support(surface, pad)
 
 
-def _of_support(surface: _Surface, support: Actuator | Boundary) -> Iterator[Direction]:
+def _of_support(surface: _BodySurface, support: Actuator | Boundary) -> Iterator[Direction]:
     mesh, inside = surface.mesh, surface.of(support)
     beyond = mesh.surface[~np.isin(mesh.surface, inside).all(axis=1)]
     rim = np.setdiff1d(np.intersect1d(inside, beyond), np.flatnonzero(surface.stays(support)))
@@ -183,7 +183,7 @@ def _of_support(surface: _Surface, support: Actuator | Boundary) -> Iterator[Dir
     yield Direction(f"edge of {support.name}", motion, edge)
 
 
-def _of_surface(surface: _Surface, experiment: Experiment) -> Iterator[Direction]:
+def _of_surface(surface: _BodySurface, experiment: Experiment) -> Iterator[Direction]:
     mesh = surface.mesh
     held = [support.nodes for support in experiment.boundaries]
     free = np.setdiff1d(mesh.surface_nodes, np.concatenate(held) if held else [])

@@ -62,7 +62,7 @@ class CasePart:
         return flat[..., self.middle : self.end].reshape(*flat.shape[:-1], self.n_frames, len(self.pads), 3)
 
 
-class Layout:
+class SignalLayout:
     """The order of all measured numbers of an experiment.
 
     Parameters

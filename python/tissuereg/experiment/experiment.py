@@ -39,7 +39,7 @@ class Simulated:
 
 
 @dataclass(frozen=True, eq=False)
-class Gravity:
+class BodyWeight:
     """The body's own weight.
 
     Attributes
@@ -177,7 +177,7 @@ class Case:
 
 
 @dataclass(frozen=True, eq=False)
-class Frame:
+class ExperimentFrame:
     """One moment of one case.
 
     Attributes
@@ -227,7 +227,7 @@ class Experiment:
         Prior standard deviation of Young's modulus in kPa, if stated.
     poisson_std : float or None
         Prior standard deviation of Poisson's ratio, if stated.
-    gravity : Gravity or None
+    gravity : BodyWeight or None
         None if the file has no such table.
     boundaries : tuple of Boundary
         Held patches.
@@ -266,7 +266,7 @@ class Experiment:
     material: Material
     young_std: float | None
     poisson_std: float | None
-    gravity: Gravity | None
+    gravity: BodyWeight | None
     boundaries: tuple[Boundary, ...]
     actuators: tuple[Actuator, ...]
     marker_names: tuple[str, ...]
@@ -286,7 +286,7 @@ class Experiment:
         text("name", self.name, error=ExperimentError)
         of_kind("mesh", self.mesh, Mesh, error=ExperimentError)
         of_kind("material", self.material, Material, error=ExperimentError)
-        maybe("gravity", self.gravity, Gravity, error=ExperimentError)
+        maybe("gravity", self.gravity, BodyWeight, error=ExperimentError)
         maybe("simulated", self.simulated, Simulated, error=ExperimentError)
         for name, kind in (
             ("boundaries", Boundary),
@@ -363,7 +363,7 @@ class Experiment:
         message = f"experiment '{self.name}' must have an actuator '{name}'; it has: {known}"
         raise ExperimentError(message, where=name)
 
-    def frame(self, case: str, time: float) -> Frame:
+    def frame(self, case: str, time: float) -> ExperimentFrame:
         """Return one moment of one case.
 
         Parameters
@@ -375,13 +375,13 @@ class Experiment:
 
         Returns
         -------
-        Frame
+        ExperimentFrame
             Markers, commands of the actuators, measured targets.
         """
         history = self.case(case)
         row = history.index(time)
         markers = Markers(self.marker_reference, history.markers[row], self.marker_std, self.marker_names)
-        return Frame(
+        return ExperimentFrame(
             case=case,
             time=float(history.times[row]),
             index=row,

@@ -282,7 +282,7 @@ def fit_law(
     if not tests:
         message = "a law is fitted to at least one test, got none"
         raise MaterialError(message, where="tests")
-    problem = _Problem(tests, law, _weights(tests, weighting), Material(1.0, poisson), volumetric, incompressible)
+    problem = _ShapeProblem(tests, law, _weights(tests, weighting), Material(1.0, poisson), volumetric, incompressible)
     best: tuple[float, FloatArray] | None = None
     for start, bounds in _starts(law, terms):
         x = np.array(start)
@@ -330,7 +330,7 @@ def _starts(law: str, terms: int) -> list[tuple[tuple[float, ...], tuple[Any, An
 
 
 @dataclass(frozen=True, eq=False)
-class _Problem:
+class _ShapeProblem:
     """Weighted residuals as a function of the shape of a law."""
 
     tests: Sequence[MaterialTest]

@@ -6,14 +6,71 @@ size in memory, a mesh up to ten times. What a compressed .vtu, .vtk or .vtp unp
 
 import io
 import os
+from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
 from tissuereg._base.arguments import place
 from tissuereg.errors import FormatError
 
-#: Largest sizes in MB (1e6 bytes): tables; lists of points, TOML and model cards; meshes, surfaces and archives.
-TABLE_MB, TEXT_MB, MESH_MB = 64, 16, 256
+
+@dataclass(frozen=True)
+class FileLimits:
+    """How large files may be, and when numbers of two files are the same. MB are 1e6 bytes.
+
+    Attributes
+    ----------
+    table_mb : int
+        Largest table, MB,
+    text_mb : int
+        list of points, TOML or model card,
+    mesh_mb : int
+        and mesh, surface or archive.
+    head_bytes : int
+        Bytes by which the kind of a file is recognised.
+    table_points : int
+        Markers or targets of one state that a table may hold; a cloud of points is a surface.
+    std_mm : float
+        Standard deviation of a measured coordinate, mm, where none is given: an optical tracker's.
+    same_time : float
+        A row belongs to a frame if it is this close, share of the frame step.
+    same_place : float
+        Points of a file are those of the mesh if they lie within this share of its extent.
+    held_out_share : float
+        Share of a data set's members in the test split, and in the validation split.
+    open_chunks : int
+        Chunks of a data set that are kept open.
+    stale_draft_s : float
+        A draft of another machine is removed when it is older than this, s: writing takes seconds.
+    draft_tries : int
+        Names of a draft that are tried: another writer may remove a new draft before it is locked.
+    least_extent_mm : float
+        Smallest extent of a surface that may be a body, mm,
+    most_extent_mm : float
+        and largest: beyond, the unit is wrong.
+    typical_extent_mm : float
+        Where both cm and m are possible, the likelier one brings the extent closer to this, mm, by ratio.
+    """
+
+    table_mb: int = 64
+    text_mb: int = 16
+    mesh_mb: int = 256
+    head_bytes: int = 4096
+    table_points: int = 10_000
+    std_mm: float = 0.1
+    same_time: float = 0.01
+    same_place: float = 1e-4
+    held_out_share: float = 0.1
+    open_chunks: int = 16
+    stale_draft_s: float = 86_400.0
+    draft_tries: int = 100
+    least_extent_mm: float = 5.0
+    most_extent_mm: float = 2000.0
+    typical_extent_mm: float = 150.0
+
+
+FILES = FileLimits()
+
 
 #: How a file of each suffix begins, after any white space.
 _HEADS = {
@@ -24,7 +81,6 @@ _HEADS = {
     ".ply": (b"ply",),
 }
 _TEXT = (".obj", ".off")
-_HEAD_BYTES = 4096
 _BINARY_STL_HEAD, _BINARY_STL_ROW = 84, 50
 
 
@@ -64,7 +120,7 @@ def existing_file(path: str | os.PathLike[str], most_mb: int | None = None) -> P
 
 
 def mesh_file(path: str | os.PathLike[str], what: str) -> Path:
-    """Return `path` if it is a mesh or surface of at most `MESH_MB` that begins as files of its suffix do.
+    """Return `path` if it is a mesh or surface of at most `FILES.mesh_mb` that begins as files of its suffix do.
 
     Parameters
     ----------
@@ -83,10 +139,10 @@ def mesh_file(path: str | os.PathLike[str], what: str) -> Path:
     FormatError
         If it is no file, too large, or begins otherwise. Only the head of the file is read.
     """
-    file = existing_file(path, MESH_MB)
+    file = existing_file(path, FILES.mesh_mb)
     suffix = file.suffix.lower()
     with file.open("rb") as stream:
-        head = stream.read(_HEAD_BYTES)
+        head = stream.read(FILES.head_bytes)
     begin = head.removeprefix(b"\xef\xbb\xbf").lstrip()
     rule = None
     if suffix in _HEADS and not begin.startswith(_HEADS[suffix]):
@@ -119,7 +175,7 @@ def bounded_stream(file: Path, most_mb: int) -> BinaryIO:
     return io.BufferedReader(_Bounded(file, most_mb))
 
 
-def read_text(file: Path, most_mb: int = TEXT_MB) -> str:
+def read_text(file: Path, most_mb: int = FILES.text_mb) -> str:
     """Return the whole text of a file.
 
     Parameters

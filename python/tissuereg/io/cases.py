@@ -13,11 +13,9 @@ import numpy as np
 from tissuereg._base.arrays import FloatArray
 from tissuereg.errors import ExperimentError
 from tissuereg.experiment.experiment import Actuator, Case
+from tissuereg.io.bounds import FILES
 from tissuereg.io.csv import Row, read_table, write_table
 from tissuereg.io.experiment_keys import CsvTable
-
-#: A row belongs to a frame if it is this close, as a share of the frame step.
-_SAME_MOMENT = 0.01
 
 
 @dataclass
@@ -176,7 +174,7 @@ def _on_frames(history: History, frames: FloatArray) -> FloatArray:
     times = np.asarray(history.times)
     nearest = np.argmin(np.abs(frames[:, None] - times), axis=0)
     step = float(np.median(np.diff(frames))) if len(frames) > 1 else 0.0
-    off = np.abs(frames[nearest] - times) > max(_SAME_MOMENT * step, 1e-6)
+    off = np.abs(frames[nearest] - times) > max(FILES.same_time * step, 1e-6)
     if off.any():
         row = history.rows[int(np.argmax(off))]
         message = (

@@ -11,7 +11,7 @@ from typing import Any
 
 from tissuereg.errors import FormatError
 from tissuereg.io.atomic import atomic_file
-from tissuereg.io.bounds import TABLE_MB, bounded_stream, existing_file
+from tissuereg.io.bounds import FILES, bounded_stream, existing_file
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,9 +138,9 @@ def read_table(
         If the file is missing, too large or too long, no text, has another header, a line of another length, or no
         line at all.
     """
-    file = existing_file(path, TABLE_MB)
+    file = existing_file(path, FILES.table_mb)
     try:
-        with io.TextIOWrapper(bounded_stream(file, TABLE_MB), encoding="utf-8-sig", newline="") as handle:
+        with io.TextIOWrapper(bounded_stream(file, FILES.table_mb), encoding="utf-8-sig", newline="") as handle:
             return _rows(file, csv.reader(handle, strict=True), columns, optional, most_rows)
     except (UnicodeDecodeError, csv.Error, OSError) as error:
         message = f"{file} must be a table in comma-separated UTF-8 text; it cannot be read: {error}"

@@ -21,6 +21,7 @@ from tissuereg._base.arguments import found
 from tissuereg._base.arrays import IntArray
 from tissuereg.body.mesh import Mesh
 from tissuereg.errors import ArgumentError, FormatError
+from tissuereg.io.bounds import FILES
 from tissuereg.io.chunks import Fields, check_chunk, read_parameters
 from tissuereg.io.hdf5 import OpenFile, array_of, checked, opened, spoilt_is_said
 from tissuereg.io.meshes import mesh_from_archive
@@ -31,12 +32,6 @@ from tissuereg.io.stores import Store, store_of
 CARD_NAME = "dataset.json"
 DATASET_SCHEMA = "tissuereg.dataset/2"
 _OLD_SCHEMA = "tissuereg.dataset/1"
-
-#: Share of the members in the test split, and in the validation split.
-HELD_OUT_SHARE = 0.1
-
-#: Chunks that are kept open.
-_OPEN = 16
 
 
 def open_dataset(path: str | os.PathLike[str]) -> "Dataset":
@@ -268,7 +263,7 @@ class _Chunks:
             whole.close()
             raise
         self._open[key] = whole
-        if len(self._open) > _OPEN:
+        if len(self._open) > FILES.open_chunks:
             self._open.popitem(last=False)[1].close()
         return whole.file
 
@@ -288,7 +283,7 @@ def split_of(n_members: int, seed: int) -> dict[str, IntArray]:
     dict of str to ndarray of int64
         ``train``, ``valid``, ``test``, each ascending.
     """
-    n_held_out = int(n_members * HELD_OUT_SHARE)
+    n_held_out = int(n_members * FILES.held_out_share)
     n_train = n_members - 2 * n_held_out
     order = np.random.default_rng([seed, 10]).permutation(n_members)
     parts = np.split(order, [n_train, n_train + n_held_out])

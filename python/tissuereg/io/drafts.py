@@ -20,17 +20,13 @@ from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
+from tissuereg.io.bounds import FILES
+
 if sys.platform != "win32":
     import fcntl
 
 #: How the name of every draft begins.
 DRAFT_PREFIX = ".tissuereg-tmp-"
-
-#: A draft of another machine is removed when it is older than this, s. Writing takes seconds.
-OTHERS_AGE = 86_400.0
-
-#: Names that are tried before giving up: another writer may remove a new draft before it is locked.
-_TRIES = 100
 
 #: Names that this module gives, and what a draft holds: nothing else is ever removed.
 _NAME = re.compile(rf"{re.escape(DRAFT_PREFIX)}[A-Za-z0-9]+-[0-9a-f]{{8}}")
@@ -83,7 +79,7 @@ def remove_stale_drafts(folder: Path) -> None:
 
 def _make(folder: Path) -> tuple[Path, int]:
     """Return a new draft and its lock, held."""
-    for _ in range(_TRIES):
+    for _ in range(FILES.draft_tries):
         made = folder / f"{DRAFT_PREFIX}{_machine()}-{secrets.token_hex(4)}"
         try:
             made.mkdir(mode=0o700)
@@ -103,7 +99,10 @@ def _remove_if_stale(found: Path) -> None:
         held = {entry.name for entry in os.scandir(found)}
         if not held <= {_LOCK, _CONTENT}:
             return
-        if not found.name.startswith(f"{DRAFT_PREFIX}{_machine()}-") and time.time() - _changed(found) < OTHERS_AGE:
+        if (
+            not found.name.startswith(f"{DRAFT_PREFIX}{_machine()}-")
+            and time.time() - _changed(found) < FILES.stale_draft_s
+        ):
             return
         lock = _opened(found)
     except OSError:

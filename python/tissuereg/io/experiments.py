@@ -14,7 +14,7 @@ from tissuereg._base.arrays import FloatArray, IntArray
 from tissuereg.body.mesh import Mesh
 from tissuereg.errors import ExperimentError, MeshError
 from tissuereg.experiment.effects import Effect, check_effects, effect_from_table
-from tissuereg.experiment.experiment import Actuator, Boundary, Case, Experiment, Gravity, Simulated
+from tissuereg.experiment.experiment import Actuator, BodyWeight, Boundary, Case, Experiment, Simulated
 from tissuereg.io.cases import Histories, assemble_cases, read_histories
 from tissuereg.io.experiment_keys import (
     CONTROL_TABLES,
@@ -183,9 +183,9 @@ def _mesh(top: Table) -> tuple[Path, Mesh, float, float | None]:
     return file, read_mesh(file), given.surface_std_mm or 0.0, given.surface_length_mm
 
 
-def _gravity(top: Table) -> Gravity | None:
+def _gravity(top: Table) -> BodyWeight | None:
     given = GravityKeys.alone(top)
-    return None if given is None else Gravity(np.array(given.direction), given.in_reference, given.g_mm_per_s2)
+    return None if given is None else BodyWeight(np.array(given.direction), given.in_reference, given.g_mm_per_s2)
 
 
 def _simulated(top: Table) -> Simulated | None:

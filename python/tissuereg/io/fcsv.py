@@ -8,7 +8,7 @@ import re
 from pathlib import Path
 
 from tissuereg.errors import FormatError
-from tissuereg.io.bounds import TEXT_MB, existing_file, read_text
+from tissuereg.io.bounds import FILES, existing_file, read_text
 from tissuereg.io.points import NamedPoints
 
 _COLUMNS = "id,x,y,z,ow,ox,oy,oz,vis,sel,lock,label,desc,associatedNodeID"
@@ -40,7 +40,7 @@ def read_fcsv(path: str | os.PathLike[str]) -> NamedPoints:
     FormatError
         If the file is missing, does not state its frame, or a line is not a point; the message names the line.
     """
-    file = existing_file(path, TEXT_MB)
+    file = existing_file(path, FILES.text_mb)
     try:
         lines = [line.rstrip("\r\n") for line in io.StringIO(read_text(file), newline="")]
     except (UnicodeDecodeError, OSError) as error:

@@ -9,12 +9,9 @@ from tissuereg._base.arguments import text
 from tissuereg._base.arrays import FloatArray
 from tissuereg.body.mesh import Mesh
 from tissuereg.errors import FormatError
-from tissuereg.io.bounds import mesh_file
+from tissuereg.io.bounds import FILES, mesh_file
 from tissuereg.io.foreign import MESHIO_MODULES, meshio_content
 from tissuereg.io.npz import open_npz
-
-#: Points of a file are those of the mesh if they lie within this share of its extent.
-_SAME_PLACE = 1e-4
 
 
 def read_displacement(path: str | os.PathLike[str], mesh: Mesh, name: str = "displacement") -> FloatArray:
@@ -52,7 +49,7 @@ def read_displacement(path: str | os.PathLike[str], mesh: Mesh, name: str = "dis
         message = f"{file} must have the {mesh.n_nodes} nodes of the mesh, it has {len(points)} points"
         raise FormatError(message, where=str(file))
     away = np.linalg.norm(points[: mesh.n_nodes] - mesh.nodes, axis=1)
-    if not away.max() <= _SAME_PLACE * mesh.extent:
+    if not away.max() <= FILES.same_place * mesh.extent:
         node = int(np.argmax(away))
         message = (
             f"the points of {file} must be the nodes of the undeformed mesh, in mm and in its order; "

@@ -12,7 +12,7 @@ from tissuereg._base.arguments import place as path_of
 from tissuereg.body.mesh import PATIENT_FRAMES
 from tissuereg.errors import FormatError
 from tissuereg.io.atomic import OutputError
-from tissuereg.io.bounds import TEXT_MB, existing_file, read_text
+from tissuereg.io.bounds import FILES, existing_file, read_text
 from tissuereg.io.json import write_json
 from tissuereg.io.points import MM_PER_UNIT, NamedPoints
 
@@ -44,7 +44,7 @@ def read_mrk_json(path: str | os.PathLike[str]) -> NamedPoints:
     FormatError
         If the file is missing or no such list; the message names the place in it.
     """
-    file = existing_file(path, TEXT_MB)
+    file = existing_file(path, FILES.text_mb)
     markup = _only_list(file, _content(file))
     frame = markup.get("coordinateSystem", "LPS")
     if frame not in PATIENT_FRAMES:

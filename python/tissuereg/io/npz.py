@@ -15,7 +15,7 @@ import numpy.typing as npt
 from tissuereg._base.arrays import FloatArray, IntArray, float_array, index_array
 from tissuereg.errors import FormatError, ShapeError
 from tissuereg.io.atomic import atomic_file
-from tissuereg.io.bounds import MESH_MB, existing_file, too_large
+from tissuereg.io.bounds import FILES, existing_file, too_large
 
 #: What numpy and zipfile raise on spoilt archives.
 _SPOILT = (
@@ -156,7 +156,7 @@ def open_npz(path: str | os.PathLike[str]) -> Iterator[Archive]:
     FormatError
         If there is no such file, if it is no archive of numpy arrays, or if it is too large, packed or unpacked.
     """
-    file = existing_file(path, MESH_MB)
+    file = existing_file(path, FILES.mesh_mb)
     with file.open("rb") as handle, _unpacked(file, handle) as archive:
         yield archive
 
@@ -191,8 +191,8 @@ def _unpacked(file: Path | str, handle: BinaryIO) -> Iterator[Archive]:
     with _loaded(file, handle) as arrays:
         assert arrays.zip is not None  # it is open here
         unpacked = sum(int(one.file_size) for one in arrays.zip.infolist())
-        if unpacked > MESH_MB * 1_000_000:
-            raise too_large(file, MESH_MB, f"unpacked it has {unpacked / 1e6:.0f} MB")
+        if unpacked > FILES.mesh_mb * 1_000_000:
+            raise too_large(file, FILES.mesh_mb, f"unpacked it has {unpacked / 1e6:.0f} MB")
         yield Archive(file, arrays)
 
 

@@ -19,7 +19,7 @@ from tissuereg._base.arrays import FloatArray, IntArray
 from tissuereg._base.choice import check_choice
 from tissuereg.body.triangles import Triangles
 from tissuereg.errors import FormatError, MeshError, MissingPackageError, ShapeError, UnitError
-from tissuereg.io.bounds import existing_file, mesh_file
+from tissuereg.io.bounds import FILES, existing_file, mesh_file
 from tissuereg.io.foreign import MESHIO_MODULES, meshio_content, reading
 
 #: What may be given as a surface: a file, or vertices (n, 3) and triangles (m, 3).
@@ -28,18 +28,11 @@ SurfaceInput = str | os.PathLike[str] | tuple[Any, Any] | Triangles
 #: Millimetres in each unit.
 UNITS_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
 
-#: Smallest and largest allowed value of a body's largest extent, mm.
-ORGAN_EXTENT_MM = (5.0, 2000.0)
-
-#: Where both cm and m are possible, the likelier one brings the extent closer to this length in mm, by ratio.
-_TYPICAL_EXTENT_MM = 150.0
-
 _WHAT = "a surface"
 _UNIT_NAMES = {"mm": "millimetres", "cm": "centimetres", "m": "metres"}
 _TRIMESH_SUFFIXES = (".stl", ".ply", ".obj", ".off")
 _FLAT_CELLS = {"triangle": 3, "triangle6": 3, "quad": 4, "quad8": 4, "quad9": 4}
 _IGNORED_CELLS = {"vertex", "line", "line3"}
-_HEAD_BYTES = 4096
 _STL_HEAD_BYTES = 80
 _UNIT_NOTE = re.compile(r"\bunits?\b\s*[:= ]\s*(milli|centi)?(mm|cm|m|met(?:er|re)s?)\b", re.IGNORECASE)
 
@@ -182,7 +175,7 @@ def _noted_unit(file: Path) -> str | None:
     if suffix not in _TRIMESH_SUFFIXES:
         return None
     with file.open("rb") as stream:
-        head = stream.read(_STL_HEAD_BYTES if suffix == ".stl" else _HEAD_BYTES).decode("latin-1")
+        head = stream.read(_STL_HEAD_BYTES if suffix == ".stl" else FILES.head_bytes).decode("latin-1")
     if suffix == ".stl":
         head = head.splitlines()[0] if head.startswith("solid") and head.strip() else head
     elif suffix == ".ply":
@@ -199,7 +192,7 @@ def _noted_unit(file: Path) -> str | None:
 
 
 def _in_mm(surface: Triangles, unit: str, place: str) -> Triangles:
-    extent, (least, most) = surface.extent, ORGAN_EXTENT_MM
+    extent, (least, most) = surface.extent, (FILES.least_extent_mm, FILES.most_extent_mm)
     if not least <= extent * UNITS_MM[unit] <= most:
         message = (
             f"extent {extent:.3g}: {_advice(extent)}. The largest extent of a body must lie between {least:g} and "
@@ -210,12 +203,12 @@ def _in_mm(surface: Triangles, unit: str, place: str) -> Triangles:
 
 
 def _advice(extent: float) -> str:
-    least, most = ORGAN_EXTENT_MM
+    least, most = (FILES.least_extent_mm, FILES.most_extent_mm)
     likely = [unit for unit, factor in UNITS_MM.items() if least <= extent * factor <= most]
     if not likely:
         return f"neither of {', '.join(UNITS_MM)} makes this a body; convert the file"
     # Millimetres are the commonest; otherwise the unit that brings the extent closest to a usual body's.
-    best = min(likely, key=lambda unit: (unit != "mm", abs(np.log(extent * UNITS_MM[unit] / _TYPICAL_EXTENT_MM))))
+    best = min(likely, key=lambda unit: (unit != "mm", abs(np.log(extent * UNITS_MM[unit] / FILES.typical_extent_mm))))
     return f'looks like {_UNIT_NAMES[best]}; say --unit {best} (unit="{best}" in Python)'
 
 

@@ -12,15 +12,10 @@ from tissuereg._base.choice import check_choice
 from tissuereg.body.markers import Markers
 from tissuereg.body.mesh import PATIENT_FRAMES
 from tissuereg.errors import FormatError, MarkerError
+from tissuereg.io.bounds import FILES
 from tissuereg.io.csv import Row, read_table, write_table
 from tissuereg.io.point_files import is_point_file, markers_of, reference_of, targets_of
 from tissuereg.io.points import turned
-
-#: Standard deviation of a measured coordinate, mm, where none is given.
-DEFAULT_STD = 0.1
-
-#: Markers or targets of one moment that a table may hold; a cloud of points is a surface (`read_surface`).
-MOST_POINTS = 10_000
 
 _PLACE = ("x_mm", "y_mm", "z_mm")
 _MOVED = ("moved_x_mm", "moved_y_mm", "moved_z_mm")
@@ -71,13 +66,13 @@ def read_markers(
     _check_frames(frame, table_frame)
     path = place("path", path, error=FormatError)
     measured = None if measured is None else place("measured", measured, error=FormatError)
-    usual = DEFAULT_STD if std is None else std
+    usual = FILES.std_mm if std is None else std
     if is_point_file(path) or (measured is not None and is_point_file(measured)):
         return markers_of(path, measured, usual, frame)
     if measured is not None:
         message = f"a table of markers holds where they were seen itself; {measured} must be left out with {path}"
         raise FormatError(message, where=str(measured))
-    rows = read_table(path, ("marker", *_PLACE, *_MOVED), ("std_mm", *_STD), most_rows=MOST_POINTS)
+    rows = read_table(path, ("marker", *_PLACE, *_MOVED), ("std_mm", *_STD), most_rows=FILES.table_points)
     names = _unique_names(rows, "marker")
     spread = [_own_std(row, usual) for row in rows]
     reference = np.array([row.numbers(_PLACE) for row in rows])
@@ -121,10 +116,10 @@ def read_reference(
         If a standard deviation is not positive, a frame none of the two, or `table_frame` given without `frame`.
     """
     _check_frames(frame, table_frame)
-    usual = DEFAULT_STD if std is None else std
+    usual = FILES.std_mm if std is None else std
     if is_point_file(path):
         return reference_of(path, usual, frame)
-    rows = read_table(path, ("marker", *_PLACE), ("std_mm", *_STD, *_MOVED), most_rows=MOST_POINTS)
+    rows = read_table(path, ("marker", *_PLACE), ("std_mm", *_STD, *_MOVED), most_rows=FILES.table_points)
     names = _unique_names(rows, "marker")
     places = turned(np.array([row.numbers(_PLACE) for row in rows]), table_frame, frame)
     try:
@@ -164,7 +159,7 @@ def read_targets(
     _check_frames(frame, table_frame)
     if is_point_file(path):
         return targets_of(path, frame)
-    rows = read_table(path, ("target", *_PLACE), most_rows=MOST_POINTS)
+    rows = read_table(path, ("target", *_PLACE), most_rows=FILES.table_points)
     names = _unique_names(rows, "target")
     places = turned(np.array([row.numbers(_PLACE) for row in rows]), table_frame, frame)
     return dict(zip(names, places, strict=True))

@@ -10,7 +10,7 @@ from typing import Any, ClassVar, NoReturn, TypeVar
 from tissuereg._base.arguments import place
 from tissuereg._base.fields import CheckedRecord
 from tissuereg.errors import ExperimentError, FormatError, TissueRegError
-from tissuereg.io.bounds import TEXT_MB, existing_file, read_text
+from tissuereg.io.bounds import FILES, existing_file, read_text
 
 _Value = TypeVar("_Value")
 _Keys = TypeVar("_Keys", bound="Keys")
@@ -336,7 +336,7 @@ def read_toml(path: str | os.PathLike[str]) -> Table:
     FormatError
         If there is no such file, or it is too large.
     """
-    file = existing_file(path, TEXT_MB)
+    file = existing_file(path, FILES.text_mb)
     try:
         return Table(file, "", parsed_toml(read_text(file)))
     except TissueRegError:

@@ -18,12 +18,7 @@ from tissuereg.io.surfaces import SurfaceInput, read_triangles
 from tissuereg.meshing.fill import check_mesher, filled
 from tissuereg.meshing.quality import quality
 from tissuereg.meshing.repair import repaired
-
-#: More tetrahedra than this are refused before they are made.
-MOST_TETS = 3_000_000
-
-#: The default deviation from the surface is the smaller of these shares of size and of diagonal.
-_DEVIATION_OF_SIZE, _DEVIATION_OF_DIAGONAL = 0.05, 1e-3
+from tissuereg.meshing.settings import MESHING
 
 #: Volume of a regular tetrahedron whose edges are 1.
 _REGULAR = 1.0 / (6.0 * math.sqrt(2.0))
@@ -124,7 +119,7 @@ def tetrahedralize(
     with clock.stage("repair"):
         body, repairs = repaired(given, least_volume=_REGULAR * size_mm**3)
         _check_number(body, size_mm)
-    wanted = deviation_mm or min(_DEVIATION_OF_SIZE * size_mm, _DEVIATION_OF_DIAGONAL * _diagonal(body))
+    wanted = deviation_mm or min(MESHING.deviation_of_size * size_mm, MESHING.deviation_of_diagonal * _diagonal(body))
     with clock.stage("fill"):
         nodes, tets, mesher = filled(body, size_mm, wanted, threads)
         mesh = _with_sets(nodes, tets, rules)
@@ -195,10 +190,10 @@ def _check_lengths(surface: Triangles, size_mm: float, deviation_mm: float | Non
 
 def _check_number(body: Triangles, size_mm: float) -> None:
     expected = body.volume / (_REGULAR * size_mm**3)
-    if expected > MOST_TETS:
-        least = (body.volume / (_REGULAR * MOST_TETS)) ** (1 / 3)
+    if expected > MESHING.most_tets:
+        least = (body.volume / (_REGULAR * MESHING.most_tets)) ** (1 / 3)
         message = (
-            f"the size must leave at most {MOST_TETS:,} tetrahedra; {size_mm:g} mm would make about {expected:.2g}: "
-            f"choose at least {least:.2g} mm"
+            f"the size must leave at most {MESHING.most_tets:,} tetrahedra; {size_mm:g} mm would make about "
+            f"{expected:.2g}: choose at least {least:.2g} mm"
         )
         raise MeshError(message, where="size_mm")

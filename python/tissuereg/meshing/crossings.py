@@ -6,18 +6,7 @@ import numpy as np
 
 from tissuereg._base.arrays import BoolArray, FloatArray, IntArray
 from tissuereg.body.triangles import Triangles
-
-#: Largest number of candidate pairs, which share a strip and a slab of space; beyond it the search is abandoned.
-MOST_PAIRS = 300_000_000
-
-#: Width of a strip in mean boxes, and largest number of strips.
-_STRIP, _MOST_STRIPS = 4.0, 400
-
-#: Number of pairs tested at a time.
-_BLOCK = 2_000_000
-
-#: Volumes below this share of a pair's cubed size count as zero: a corner lies in the other's plane.
-_NOUGHT = 1e-9
+from tissuereg.meshing.settings import MESHING
 
 
 def crossing_pairs(surface: Triangles) -> IntArray | None:
@@ -31,7 +20,7 @@ def crossing_pairs(surface: Triangles) -> IntArray | None:
     Returns
     -------
     ndarray of int64, shape (n_pairs, 2), or None
-        None where there are more than `MOST_PAIRS` candidates.
+        None where there are more than `MESHING.most_pairs` candidates.
 
     Notes
     -----
@@ -50,7 +39,7 @@ def crossing_pairs(surface: Triangles) -> IntArray | None:
     member, offset = member[order], offset[order]
     begin, end = offset + low[member, sweep], offset + high[member, sweep]
     after = np.maximum(np.searchsorted(begin, end, side="right") - np.arange(len(order)) - 1, 0)
-    if after.sum() > MOST_PAIRS:
+    if after.sum() > MESHING.most_pairs:
         return None
     found = [np.empty((0, 2), np.int64)]
     for first, second in _blocks(after):
@@ -65,7 +54,7 @@ def crossing_pairs(surface: Triangles) -> IntArray | None:
 def _in_strips(low: FloatArray, high: FloatArray) -> tuple[IntArray, IntArray]:
     """Return triangles and the strips that they reach into, every pair of the two once."""
     span = float(high.max() - low.min())
-    width = max(_STRIP * float((high - low).mean()), span / _MOST_STRIPS)
+    width = max(MESHING.strip * float((high - low).mean()), span / MESHING.most_strips)
     first, last = (((bound - low.min()) // width).astype(np.int64) for bound in (low, high))
     count = last - first + 1
     member = np.repeat(np.arange(len(low)), count)
@@ -78,7 +67,7 @@ def _blocks(after: IntArray) -> Iterator[tuple[IntArray, IntArray]]:
     start = 0
     while start < len(after):
         before = ends[start - 1] if start else 0
-        stop = max(start + 1, int(np.searchsorted(ends, before + _BLOCK, side="right")))
+        stop = max(start + 1, int(np.searchsorted(ends, before + MESHING.block, side="right")))
         count = after[start:stop]
         first = np.repeat(np.arange(start, stop), count)
         step = np.arange(len(first)) - np.repeat(np.cumsum(count) - count, count)
@@ -89,7 +78,7 @@ def _blocks(after: IntArray) -> Iterator[tuple[IntArray, IntArray]]:
 def _cross(one: FloatArray, other: FloatArray) -> BoolArray:
     """Return which pairs of triangles (n, 3, 3) cross."""
     size = np.maximum(np.ptp(one, axis=1).max(axis=1), np.ptp(other, axis=1).max(axis=1))
-    nought = _NOUGHT * size**3
+    nought = MESHING.nought * size**3
     crossing = np.zeros(len(one), bool)
     for edges_of, through in ((one, other), (other, one)):
         for k in range(3):

@@ -5,7 +5,7 @@ area that have no further corners [1]_: with ``W[i, j]`` the least area between 
 
     W[i, j] = min over k of  W[i, k] + W[k, j] + area(i, k, j),      i < k < j,
 
-a table of n^2 entries that costs n^3 / 6 areas. A rim of more than `LONGEST_TABLE` corners gets a fan about its middle.
+a table of n^2 entries that costs n^3 / 6 areas. A rim of too many corners gets a fan about its middle.
 
 References
 ----------
@@ -17,11 +17,9 @@ import numpy as np
 
 from tissuereg._base.arrays import BoolArray, FloatArray, IntArray
 from tissuereg.body.triangles import Triangles, triangle_areas
+from tissuereg.meshing.settings import MESHING
 from tissuereg.meshing.topology import Edges
 from tissuereg.meshing.words import place, several, were
-
-#: Rims of more corners than this are closed by a fan.
-LONGEST_TABLE = 300
 
 
 def closed(surface: Triangles) -> tuple[Triangles, list[str]]:
@@ -55,7 +53,7 @@ def closed(surface: Triangles) -> tuple[Triangles, list[str]]:
     taken = {(first, second) for first, second in edges[np.isin(edges, np.concatenate(rims)).all(axis=1)].tolist()}
     vertices, caps = surface.vertices, []
     for rim in rims:
-        if len(rim) <= LONGEST_TABLE:
+        if len(rim) <= MESHING.longest_table:
             barred = [[(min(a, b), max(a, b)) in taken for b in rim.tolist()] for a in rim.tolist()]
             caps.append(rim[least_area_cap(surface.vertices[rim], np.array(barred))])
             taken.update((a, b) for a, b in np.sort(Edges.of(caps[-1]).ends, axis=1).tolist())

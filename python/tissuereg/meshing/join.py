@@ -5,10 +5,8 @@ import numpy as np
 from tissuereg._base.arrays import IntArray
 from tissuereg.body.triangles import Triangles
 from tissuereg.errors import MeshError
+from tissuereg.meshing.settings import MESHING
 from tissuereg.meshing.words import several, were
-
-#: Vertices closer than this share of the extent are merged: the precision of single-precision coordinates.
-SAME_PLACE = 1e-6
 
 
 def joined(surface: Triangles) -> tuple[Triangles, list[str]]:
@@ -47,7 +45,7 @@ def joined(surface: Triangles) -> tuple[Triangles, list[str]]:
         )
     triangles = one[surface.triangles]
     flat = (np.diff(np.sort(triangles, axis=1), axis=1) == 0).any(axis=1)
-    flat |= surface.areas <= (SAME_PLACE * surface.extent) ** 2
+    flat |= surface.areas <= (MESHING.same_place * surface.extent) ** 2
     if flat.any():
         n = int(flat.sum())
         repairs.append(f"{several(n, 'triangle')} without an area {were(n)} left out")
@@ -71,7 +69,7 @@ def _first_of_place(surface: Triangles, used: IntArray) -> IntArray:
     from scipy.spatial import KDTree
 
     places = surface.vertices[used]
-    pairs = KDTree(places).query_pairs(SAME_PLACE * surface.extent, output_type="ndarray")
+    pairs = KDTree(places).query_pairs(MESHING.same_place * surface.extent, output_type="ndarray")
     graph = coo_array((np.ones(len(pairs), np.int8), (pairs[:, 0], pairs[:, 1])), shape=(len(used), len(used)))
     group = connected_components(graph, directed=False)[1]
     _, lowest = np.unique(group, return_index=True)

@@ -7,10 +7,8 @@ import numpy as np
 from tissuereg._base.arrays import FloatArray
 from tissuereg.body.mesh import Mesh
 from tissuereg.body.triangles import Triangles
+from tissuereg.meshing.settings import MESHING
 from tissuereg.simulation.fine.bisection import shape_quality
-
-#: Largest number of points of a surface whose distance is measured, taken evenly from its list.
-MOST_POINTS = 20_000
 
 
 def quality(mesh: Mesh, surface: Triangles) -> dict[str, Any]:
@@ -34,7 +32,7 @@ def quality(mesh: Mesh, surface: Triangles) -> dict[str, Any]:
 
     Notes
     -----
-    Cost: one search for the closest triangle per point, at most `MOST_POINTS` each way.
+    Cost: one search for the closest triangle per point, at most `MESHING.points` each way.
     """
     shape = shape_quality(mesh.nodes, mesh.tets)
     length = np.linalg.norm(mesh.nodes[mesh.edges[:, 0]] - mesh.nodes[mesh.edges[:, 1]], axis=1)
@@ -72,7 +70,7 @@ def largest_distance(measured: Triangles, to: Triangles) -> float:
 
 def _points(surface: Triangles) -> FloatArray:
     points = np.concatenate([surface.vertices[np.unique(surface.triangles)], surface.corners.mean(axis=1)])
-    return np.asarray(points[:: -(-len(points) // MOST_POINTS)])
+    return np.asarray(points[:: -(-len(points) // MESHING.points)])
 
 
 def _parts(mesh: Mesh) -> int:

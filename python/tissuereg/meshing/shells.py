@@ -5,14 +5,9 @@ import numpy as np
 from tissuereg._base.arrays import BoolArray, FloatArray, IntArray
 from tissuereg.body.triangles import Triangles
 from tissuereg.errors import MeshError
+from tissuereg.meshing.settings import MESHING
 from tissuereg.meshing.topology import Edges, shell_volumes, turned_round
 from tissuereg.meshing.words import place, several, were
-
-#: A shell with less than this share of its bounding box's volume is a sheet, which encloses nothing.
-_LEAST_FILLED = 1e-6
-
-#: About this number of a shell's triangles is tested for lying in another shell; crossing shells do not lie in it.
-_PROBES = 8
 
 
 def outward(surface: Triangles, shell: IntArray, least_volume: float) -> tuple[Triangles, list[str]]:
@@ -98,7 +93,7 @@ def _dot(a: FloatArray, b: FloatArray) -> FloatArray:
 
 def _check_encloses(surface: Triangles, largest: BoolArray, volume: float) -> None:
     box = float(np.prod(np.ptp(surface.corners[largest].reshape(-1, 3), axis=0)))
-    if abs(volume) <= _LEAST_FILLED * box or box <= _LEAST_FILLED * surface.extent**3:
+    if abs(volume) <= MESHING.least_filled * box or box <= MESHING.least_filled * surface.extent**3:
         message = (
             f"a surface must enclose a body; this one encloses {abs(volume):.3g} mm^3 within an extent of "
             f"{surface.extent:.4g} mm: it is a sheet"
@@ -120,7 +115,7 @@ def _containers(surface: Triangles, shell: IntArray, among: IntArray) -> dict[in
     boxes = {number: (c.min(axis=(0, 1)), c.max(axis=(0, 1))) for number, c in corners.items()}
     within: dict[int, list[int]] = {number: [] for number in corners}
     for inner, own in corners.items():
-        points = own[:: max(1, len(own) // _PROBES)].mean(axis=1)
+        points = own[:: max(1, len(own) // MESHING.probes)].mean(axis=1)
         for outer, around in corners.items():
             low, high = boxes[outer]
             boxed = outer != inner and ((low <= points) & (points <= high)).all()

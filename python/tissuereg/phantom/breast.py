@@ -1,5 +1,6 @@
 """The breast phantom's body as a formula, and meshes of any number of nodes inside it."""
 
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -10,19 +11,51 @@ from tissuereg.body.mesh import Mesh
 from tissuereg.errors import MeshError
 from tissuereg.phantom.stuffing import stuffed
 
-#: Radius at the chest wall, height above it, and how far the apex hangs down, mm.
-RADIUS, HEIGHT, DROOP = 60.0, 52.0, 7.0
 
-#: How much fuller the lower half is, as a share of the radius.
-_FULLER = 0.06
+@dataclass(frozen=True)
+class BreastShape:
+    """The phantom's body, and how closely a mesh meets a number of nodes.
 
-#: A mesh has as many nodes as were asked for, but for this share; a coarse lattice gains and loses many at once.
-_SHARE, _SHARE_COARSE, _COARSE = 0.02, 0.04, 1000
+    Attributes
+    ----------
+    radius_mm : float
+        Radius at the chest wall, mm,
+    height_mm : float
+        height above it,
+    droop_mm : float
+        and how far the apex hangs down.
+    fuller : float
+        How much fuller the lower half is, share of the radius.
+    share : float
+        A mesh has as many nodes as were wanted but for this share,
+    share_coarse : float
+        or this one
+    coarse : int
+        below so many nodes: a coarse lattice gains and loses many at once.
+    tries : int
+        Sizes of the lattice that are tried towards the number of nodes,
+    near : int
+        and on each side of the last of these.
+    least : int
+        Fewest nodes of a mesh,
+    most : int
+        and most.
+    """
 
-#: Sizes of the lattice that are tried towards the number of nodes, and on each side of the last of these.
-_TRIES, _NEAR = 8, 40
+    radius_mm: float = 60.0
+    height_mm: float = 52.0
+    droop_mm: float = 7.0
+    fuller: float = 0.06
+    share: float = 0.02
+    share_coarse: float = 0.04
+    coarse: int = 1000
+    tries: int = 8
+    near: int = 40
+    least: int = 100
+    most: int = 200_000
 
-_LEAST, _MOST = 100, 200_000
+
+BREAST = BreastShape()
 
 
 def inside_breast(points: FloatArray) -> FloatArray:
@@ -39,13 +72,15 @@ def inside_breast(points: FloatArray) -> FloatArray:
         Radius of the skin in the point's direction less the point's own, mm; negative outside.
     """
     x, y, z = points.T
-    height = z / HEIGHT
+    height = z / BREAST.height_mm
     elevation = np.arcsin(np.clip(height, -1.0, 1.0))
-    y = y + DROOP * height**2
+    y = y + BREAST.droop_mm * height**2
     own = np.hypot(x, y)
     sine = np.divide(y, own, out=np.zeros_like(own), where=own > 0.0)
-    fuller = 1.0 + _FULLER * np.sin(2.0 * elevation) * (1.0 - sine) / 2.0
-    return np.asarray(np.where(height < 1.0, RADIUS * np.cos(elevation) * fuller - own, -own - (z - HEIGHT)))
+    fuller = 1.0 + BREAST.fuller * np.sin(2.0 * elevation) * (1.0 - sine) / 2.0
+    return np.asarray(
+        np.where(height < 1.0, BREAST.radius_mm * np.cos(elevation) * fuller - own, -own - (z - BREAST.height_mm))
+    )
 
 
 def breast_mesh(n_nodes: int) -> Mesh:
@@ -69,24 +104,24 @@ def breast_mesh(n_nodes: int) -> Mesh:
     MeshError
         If no lattice gives a number so near.
     """
-    return _breast_mesh(whole("n_nodes", n_nodes, least=_LEAST, most=_MOST))
+    return _breast_mesh(whole("n_nodes", n_nodes, least=BREAST.least, most=BREAST.most))
 
 
 @lru_cache(maxsize=2)
 def _breast_mesh(n_nodes: int) -> Mesh:
-    volume = 2.0 / 3.0 * np.pi * RADIUS**2 * HEIGHT
+    volume = 2.0 / 3.0 * np.pi * BREAST.radius_mm**2 * BREAST.height_mm
     size = (2.0 * volume / n_nodes) ** (1.0 / 3.0)  # a lattice has two nodes a cube, and the skin some more
-    for _ in range(_TRIES):
+    for _ in range(BREAST.tries):
         found = _stuffed(size)
         off = len(found[0]) / n_nodes
-        if abs(off - 1.0) < _SHARE / 2:
+        if abs(off - 1.0) < BREAST.share / 2:
             break
         size *= off ** (1.0 / 3.0)
     else:
         # The number jumps with the size: what is near is tried in turn, on both sides.
-        near = [_stuffed(size * (1.0 + 0.003 * k)) for k in range(-_NEAR, _NEAR + 1)]
+        near = [_stuffed(size * (1.0 + 0.003 * k)) for k in range(-BREAST.near, BREAST.near + 1)]
         found = min(near, key=lambda one: abs(len(one[0]) - n_nodes))
-    share = _SHARE if n_nodes >= _COARSE else _SHARE_COARSE
+    share = BREAST.share if n_nodes >= BREAST.coarse else BREAST.share_coarse
     if abs(len(found[0]) / n_nodes - 1.0) > share:
         message = f"no lattice gives {n_nodes} nodes within {share:.0%}; ask for another number"
         raise MeshError(message, where="n_nodes")
@@ -95,6 +130,6 @@ def _breast_mesh(n_nodes: int) -> Mesh:
 
 
 def _stuffed(size: float) -> tuple[FloatArray, IntArray]:
-    low = np.array([-1.1 * RADIUS, -1.1 * RADIUS - DROOP, 0.0])
-    high = np.array([1.1 * RADIUS, 1.1 * RADIUS, HEIGHT])
+    low = np.array([-1.1 * BREAST.radius_mm, -1.1 * BREAST.radius_mm - BREAST.droop_mm, 0.0])
+    high = np.array([1.1 * BREAST.radius_mm, 1.1 * BREAST.radius_mm, BREAST.height_mm])
     return stuffed(inside_breast, low, high, size)

@@ -13,20 +13,67 @@ from tissuereg.body.observe import MarkerObservation, TargetObservation
 from tissuereg.phantom import phantom_mesh, true_fields, truth_mesh
 from tissuereg.simulation.solve import Simulator
 
+
+@dataclass(frozen=True)
+class PushedPhantom:
+    """The event of the demo: the truth, and what is believed of it.
+
+    Attributes
+    ----------
+    lesion_mm : tuple of float
+        Centre of the stiff lesion, mm,
+    lesion_radius_mm : float
+        its radius,
+    lesion_contrast : float
+        and its modulus over that of the tissue around it.
+    pad_origin_mm : tuple of float
+        Where the directions of the pads begin, mm.
+    pushers : tuple
+        Direction of each pad from there, and its push, mN.
+    pad_radius_mm : float
+        Radius of a pad, mm.
+    believed_young : float
+        Believed modulus, kPa,
+    true_young : float
+        and the true one.
+    true_push_factor : float
+        True pushes over the believed ones,
+    true_tilt_deg : float
+        and their tilt about z, degree.
+    poisson : float
+        Believed Poisson's ratio,
+    true_poisson : float
+        and the true one.
+    n_markers : int
+        Markers on the skin.
+    marker_std_mm : float
+        Noise of a coordinate, mm.
+    """
+
+    lesion_mm: tuple[float, float, float] = (2.0, 16.0, 24.0)
+    lesion_radius_mm: float = 9.0
+    lesion_contrast: float = 4.0
+    pad_origin_mm: tuple[float, float, float] = (0.0, -3.0, 18.0)
+    pushers: tuple[tuple[tuple[float, float, float], tuple[float, float, float]], ...] = (
+        ((1.0, 0.1, 0.15), (-6600.0, 400.0, -800.0)),
+        ((-0.1, 1.0, 0.2), (400.0, -4400.0, -600.0)),
+    )
+    pad_radius_mm: float = 22.0
+    believed_young: float = 10.0
+    true_young: float = 12.5
+    true_push_factor: float = 1.06
+    true_tilt_deg: float = 5.0
+    poisson: float = 0.45
+    true_poisson: float = 0.46
+    n_markers: int = 15
+    marker_std_mm: float = 0.1
+
+
+PHANTOM = PushedPhantom()
+
+
 #: The stiff lesion: centre and radius in mm, modulus over that of the tissue around it.
-LESION_MM, LESION_RADIUS_MM, LESION_CONTRAST = (2.0, 16.0, 24.0), 9.0, 4.0
-
-#: The two pushers: direction of the pad from `_PAD_ORIGIN_MM`, push in mN.
-_PAD_ORIGIN_MM = (0.0, -3.0, 18.0)
-_PUSHERS = (((1.0, 0.1, 0.15), (-6600.0, 400.0, -800.0)), ((-0.1, 1.0, 0.2), (400.0, -4400.0, -600.0)))
-_PAD_RADIUS_MM = 22.0
-
-#: Believed and true model: modulus in kPa, factor on the pushes, their tilt about z in degrees.
-_BELIEVED_YOUNG, _TRUE_YOUNG = 10.0, 12.5
-_TRUE_PUSH_FACTOR, _TRUE_TILT_DEG = 1.06, 5.0
-POISSON, _TRUE_POISSON = 0.45, 0.46
-
-N_MARKERS, MARKER_STD_MM = 15, 0.1
+LESION_MM = PHANTOM.lesion_mm
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,16 +129,16 @@ def make_event(*, seed: int = 0, size: str = "full") -> PhantomEvent:
     rng = np.random.default_rng([seed, 5])
     field, in_body = true_fields(size)
     places = _marker_places(fine, rng)
-    names = tuple(f"P{i + 1}" for i in range(N_MARKERS))
+    names = tuple(f"P{i + 1}" for i in range(PHANTOM.n_markers))
     seen = MarkerObservation(fine, places, names)
     moved = seen.predict(field[seen.nodes])
-    measured = places + moved + MARKER_STD_MM * rng.standard_normal(moved.shape)
+    measured = places + moved + PHANTOM.marker_std_mm * rng.standard_normal(moved.shape)
     lesion = TargetObservation(fine, {"lesion": LESION_MM})
     return PhantomEvent(
         mesh=body,
         load=_pushes(body, 1.0, 0.0),
-        material=Material(_BELIEVED_YOUNG, POISSON),
-        markers=Markers(places, measured, MARKER_STD_MM, names),
+        material=Material(PHANTOM.believed_young, PHANTOM.poisson),
+        markers=Markers(places, measured, PHANTOM.marker_std_mm, names),
         true_markers=moved,
         true_displacement=in_body,
         true_lesion=np.asarray(LESION_MM) + lesion.predict(field[lesion.nodes])[0],
@@ -115,8 +162,11 @@ def solve_truth(size: str, *, threads: int = 0) -> tuple[FloatArray, FloatArray]
         36,500 nodes (``full``: seconds) or 12,500.
     """
     fine = truth_mesh(size)
-    stiffness = np.where(_in_lesion(fine), LESION_CONTRAST, 1.0) * _TRUE_YOUNG
-    loads, material = _pushes(fine, _TRUE_PUSH_FACTOR, _TRUE_TILT_DEG), Material(stiffness, _TRUE_POISSON)
+    stiffness = np.where(_in_lesion(fine), PHANTOM.lesion_contrast, 1.0) * PHANTOM.true_young
+    loads, material = (
+        _pushes(fine, PHANTOM.true_push_factor, PHANTOM.true_tilt_deg),
+        Material(stiffness, PHANTOM.true_poisson),
+    )
     field = Simulator(fine, element="tet10").solve(loads, material, threads=threads, tolerance=1e-7).displacement
     inside = TargetObservation(fine, {str(i): node for i, node in enumerate(phantom_mesh(size).nodes)})
     return field, inside.predict(field[inside.nodes])
@@ -124,7 +174,7 @@ def solve_truth(size: str, *, threads: int = 0) -> tuple[FloatArray, FloatArray]
 
 def _in_lesion(mesh: Mesh) -> "np.ndarray[tuple[int], np.dtype[np.bool_]]":
     centres = mesh.nodes[mesh.tets].mean(axis=1)
-    return np.asarray(np.linalg.norm(centres - LESION_MM, axis=1) <= LESION_RADIUS_MM)
+    return np.asarray(np.linalg.norm(centres - LESION_MM, axis=1) <= PHANTOM.lesion_radius_mm)
 
 
 def _pushes(mesh: Mesh, factor: float, tilt_deg: float) -> Load:
@@ -132,7 +182,7 @@ def _pushes(mesh: Mesh, factor: float, tilt_deg: float) -> Load:
     angle = np.deg2rad(tilt_deg)
     turn = np.array([[np.cos(angle), -np.sin(angle), 0.0], [np.sin(angle), np.cos(angle), 0.0], [0.0, 0.0, 1.0]])
     triangles, tractions = [], []
-    for direction, push in _PUSHERS:
+    for direction, push in PHANTOM.pushers:
         pad, area = _pad(mesh, np.asarray(direction))
         triangles.append(pad)
         tractions.append(np.broadcast_to(factor * turn @ push / area, (len(pad), 3)))
@@ -140,13 +190,13 @@ def _pushes(mesh: Mesh, factor: float, tilt_deg: float) -> Load:
 
 
 def _pad(mesh: Mesh, direction: FloatArray) -> tuple[IntArray, float]:
-    """Return the triangles of the pad that lies in a direction from `_PAD_ORIGIN_MM`, and their area in mm^2."""
+    """Return the triangles of the pad that lies in a direction from `PHANTOM.pad_origin_mm`, and their area in mm^2."""
     corners = mesh.nodes[mesh.surface]
     centres = corners.mean(axis=1)
-    arms = centres - _PAD_ORIGIN_MM
+    arms = centres - PHANTOM.pad_origin_mm
     along = arms @ direction / np.linalg.norm(direction) / np.linalg.norm(arms, axis=1)
     middle = centres[np.argmax(along)]
-    rows = np.flatnonzero(np.linalg.norm(centres - middle, axis=1) <= _PAD_RADIUS_MM)
+    rows = np.flatnonzero(np.linalg.norm(centres - middle, axis=1) <= PHANTOM.pad_radius_mm)
     rows = rows[(centres[rows, 2] > 0.5)]
     normal = np.cross(corners[rows, 1] - corners[rows, 0], corners[rows, 2] - corners[rows, 0])
     return mesh.surface[rows], float(0.5 * np.linalg.norm(normal, axis=1).sum())
@@ -162,7 +212,7 @@ def _marker_places(mesh: Mesh, rng: np.random.Generator) -> FloatArray:
         candidates.append(weights @ corners[triangle])
     places = [candidates[0]]
     rest = np.array(candidates[1:])
-    while len(places) < N_MARKERS:
+    while len(places) < PHANTOM.n_markers:
         gap = np.linalg.norm(rest[:, None] - np.array(places)[None], axis=2).min(axis=1)
         places.append(rest[np.argmax(gap)])
     return np.array(places)

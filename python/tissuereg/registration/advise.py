@@ -149,7 +149,7 @@ def advise_markers(
     placed = np.empty((0, 3)) if placed is None else placed
     _check_members(len(fields), n + len(placed))
     places = np.concatenate([candidates, placed])
-    state = _Conditioned(
+    state = _ConditionedTargets(
         _anomalies(_at_markers(mesh, fields, places)), _anomalies(inner.predict(fields[:, inner.nodes])), noise**2
     )
     for marker in range(len(candidates), len(places)):
@@ -172,7 +172,7 @@ def advise_markers(
     return MarkerAdvice(np.array(chosen), candidates[chosen], inner.names, np.array(expected))
 
 
-class _Conditioned:
+class _ConditionedTargets:
     """Covariances of targets and candidates, conditioned on one measured marker after another.
 
     Parameters

@@ -6,19 +6,11 @@ from typing import TYPE_CHECKING, Any
 
 from tissuereg.report import scene
 from tissuereg.report.found import contacts_of, surface_of
+from tissuereg.report.style import STYLE
 from tissuereg.report.words import counted, silent, start_word, verdict
 
 if TYPE_CHECKING:
     from tissuereg.registration.result import Registration
-
-#: Number of reasons that are written out, of lines per reason, and of letters per line.
-_MOST_REASONS, _MOST_LINES, _LETTERS = 3, 2, 160
-
-#: Height of a line over that of the figure.
-_LINE = 0.027
-
-#: Columns of the legend.
-_COLUMNS = 5
 
 
 def write_heading(figure: Any, result: "Registration") -> float:
@@ -42,8 +34,8 @@ def write_heading(figure: Any, result: "Registration") -> float:
     chance = f"chance of this misfit p = {trust.p_value:.2g}"
     facts = "   |   ".join([*_met(result), *([chance] if math.isfinite(trust.p_value) else [])])
     figure.text(0.02, 0.915, facts, fontsize=10, va="top")
-    lines = [line for reason in trust.reasons[:_MOST_REASONS] for line in _wrapped(reason, "• ", "   ")]
-    more = len(trust.reasons) - _MOST_REASONS
+    lines = [line for reason in trust.reasons[: STYLE.reasons] for line in _wrapped(reason, "• ", "   ")]
+    more = len(trust.reasons) - STYLE.reasons
     if more > 0:
         lines.append(f"• and {more} more in the report")
     coloured = [(line, "#a3180d") for line in lines]
@@ -51,14 +43,14 @@ def write_heading(figure: Any, result: "Registration") -> float:
     if flagged:
         coloured += [(line, scene.FLAGGED) for line in _wrapped(silent(flagged))]
     for row, (line, colour) in enumerate(coloured):
-        figure.text(0.02, 0.882 - _LINE * row, line, fontsize=9.5, va="top", color=colour)
-    return 0.882 - _LINE * len(coloured)
+        figure.text(0.02, 0.882 - STYLE.line * row, line, fontsize=9.5, va="top", color=colour)
+    return 0.882 - STYLE.line * len(coloured)
 
 
 def _wrapped(text: str, first: str = "", later: str = "") -> list[str]:
     """Return the wrapped lines of a text; a text that is too long ends in dots."""
     return textwrap.wrap(
-        text, _LETTERS, max_lines=_MOST_LINES, placeholder=" …", initial_indent=first, subsequent_indent=later
+        text, STYLE.letters, max_lines=STYLE.lines, placeholder=" …", initial_indent=first, subsequent_indent=later
     )
 
 
@@ -81,7 +73,7 @@ def _met(result: "Registration") -> list[str]:
 def write_legend(figure: Any, result: "Registration") -> None:
     """Write a legend below the views, with the signs that are drawn and no others."""
     signs = [_sign(*sign[:2], **sign[2]) for sign in _signs(result)]
-    figure.legend(handles=signs, loc="lower left", bbox_to_anchor=(0.012, 0.0), ncols=_COLUMNS, fontsize=10,
+    figure.legend(handles=signs, loc="lower left", bbox_to_anchor=(0.012, 0.0), ncols=STYLE.columns, fontsize=10,
                   frameon=False, columnspacing=1.6, handletextpad=0.5, labelspacing=0.35)  # fmt: skip
 
 

@@ -8,24 +8,10 @@ import numpy as np
 from tissuereg._base.arrays import FloatArray
 from tissuereg.report import scene
 from tissuereg.report.labels import shortened
+from tissuereg.report.style import STYLE
 
 if TYPE_CHECKING:
     from tissuereg.registration.result import Registration, Target
-
-#: Largest number of targets that are enlarged, the first ones.
-MOST_PANELS = 8
-
-#: Rows and columns of the grids; the first with room for all panels is used.
-_GRIDS = ((1, 1), (2, 1), (3, 1), (2, 2), (3, 2), (4, 2))
-
-#: Parts of a panel's height: words above it and the strip of the scale bar in it, in inches; border around the drawing.
-_WORDS_INCH, _BAR_INCH, _BORDER = 0.44, 0.24, 1.25
-
-#: A panel is at most this wide, over the radius of its region: farther places are cut off, so that the region is seen.
-_WIDEST = 6.5
-
-#: Half a side of the smallest window over the extent of the body, where a region has no size.
-_SMALLEST = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,15 +44,15 @@ def draw_panels(figure: Any, result: "Registration", towards: FloatArray, frame:
     frame : tuple of float
         Left, bottom, width and height of the room for all panels, in parts of the figure.
     """
-    chosen = list(result.targets.items())[:MOST_PANELS]
+    chosen = list(result.targets.items())[: STYLE.panels]
     left, bottom, width, height = frame
-    rows, columns = next(grid for grid in _GRIDS if grid[0] * grid[1] >= len(chosen))
+    rows, columns = next(grid for grid in STYLE.grids if grid[0] * grid[1] >= len(chosen))
     inch = figure.get_figheight()
     step, wide = height / rows, width / columns
-    tall = min(step - _WORDS_INCH / inch, 1.1 * wide * figure.get_figwidth() / inch)
+    tall = min(step - STYLE.words_inch / inch, 1.1 * wide * figure.get_figwidth() / inch)
     for index, (name, target) in enumerate(chosen):
         row, column = divmod(index, columns)
-        top = bottom + height - row * step - _WORDS_INCH / inch
+        top = bottom + height - row * step - STYLE.words_inch / inch
         x = left + column * wide
         _words(figure, result, (name, target), (x, top + 0.06 / inch, wide - 0.008))
         axes = figure.add_axes((x, top - tall + 0.06 / inch, wide - 0.008, tall - 0.06 / inch), zorder=30)
@@ -134,14 +120,14 @@ def _window(axes: Any, panel: _Panel, extent: float) -> tuple[FloatArray, FloatA
     """Return middle and half sides of the window in mm: it shows the region, and the former place if near enough."""
     box = axes.get_position()
     sides = np.array([box.width * axes.figure.get_figwidth(), box.height * axes.figure.get_figheight()])
-    room = sides - (0.0, _BAR_INCH)
-    radius = max(float(np.linalg.norm(panel.ellipse, axis=1).max()), _SMALLEST * extent)
+    room = sides - (0.0, STYLE.bar_inch)
+    radius = max(float(np.linalg.norm(panel.ellipse, axis=1).max()), STYLE.smallest * extent)
     for shown in (np.vstack([panel.ellipse, panel.before]), panel.ellipse):
         low, high = shown.min(axis=0), shown.max(axis=0)
-        scale = max(float(np.max(_BORDER * (high - low) / room)), 2.0 * _BORDER * radius / float(room.min()))
-        if scale * room.min() <= _WIDEST * radius:
+        scale = max(float(np.max(STYLE.border * (high - low) / room)), 2.0 * STYLE.border * radius / float(room.min()))
+        if scale * room.min() <= STYLE.widest * radius:
             break
-    middle = 0.5 * (low + high) - (0.0, 0.5 * scale * _BAR_INCH)
+    middle = 0.5 * (low + high) - (0.0, 0.5 * scale * STYLE.bar_inch)
     return middle, 0.5 * scale * sides
 
 

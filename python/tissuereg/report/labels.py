@@ -8,25 +8,7 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.report.scene import Label, View
-
-#: Distances of a label from its place that are tried, over the figure's height.
-_REACHES = (0.05, 0.08, 0.12, 0.17, 0.23, 0.30, 0.38)
-
-#: Directions that are tried.
-_DIRECTIONS = 20
-
-#: Costs, in heights of the figure, of covering a place that should stay clear, of covering the body, and of a line
-#: across a label.
-_COVERED, _ON_BODY, _CROSSED = 0.08, 0.15, 0.4
-
-#: Places along each side of the frame that are tried where none around is free.
-_GRID = 25
-
-#: Size of letters, in points, and the widest label over the width of a view.
-_FONT, _WIDEST = 10, 0.8
-
-#: Room between labels, over the figure's height.
-_GAP = 0.008
+from tissuereg.report.style import STYLE
 
 
 def place_labels(figure: Any, views: Sequence[View], body: FloatArray) -> int:
@@ -60,7 +42,7 @@ def place_labels(figure: Any, views: Sequence[View], body: FloatArray) -> int:
             if middle is None:
                 left_out += 1
                 continue
-            view.taken.append(_box(middle, size + 2.0 * _GAP))
+            view.taken.append(_box(middle, size + 2.0 * STYLE.gap))
             clear = np.concatenate([clear, _leader(anchor, view.taken[-1])])
             _write(figure, replace(label, text=text), anchor, middle, size)
     return left_out
@@ -90,8 +72,8 @@ def shortened(figure: Any, text: str, width: float, **style: Any) -> str:
 
 def _fitted(figure: Any, text: str, frame: FloatArray) -> str:
     """Return a text whose lines are no wider than most of a frame."""
-    width = _WIDEST * float(np.ptp(frame[:, 0])) / _ratio(figure)
-    return "\n".join(shortened(figure, line, width, fontsize=_FONT) for line in text.split("\n"))
+    width = STYLE.widest_label * float(np.ptp(frame[:, 0])) / _ratio(figure)
+    return "\n".join(shortened(figure, line, width, fontsize=STYLE.font) for line in text.split("\n"))
 
 
 def _ratio(figure: Any) -> float:
@@ -107,7 +89,7 @@ def _frame(figure: Any, view: View) -> FloatArray:
 
 def _size(figure: Any, text: str, **style: Any) -> FloatArray:
     """Return width and height of a text in heights of the figure."""
-    probe = figure.text(0.0, 0.0, text, **{"fontsize": _FONT, **style})
+    probe = figure.text(0.0, 0.0, text, **{"fontsize": STYLE.font, **style})
     box = probe.get_window_extent(figure.canvas.get_renderer())
     probe.remove()
     width, height = figure.transFigure.inverted().transform((box.width, box.height))
@@ -133,12 +115,12 @@ def _free_place(
     for reach, middle in _candidates(anchor, size, frame):
         box = _box(middle, size)
         outside = (box[0] < frame[0]).any() or (box[1] > frame[1]).any()
-        if reach >= least or outside or any(_overlap(_box(middle, size + 2.0 * _GAP), other) for other in taken):
+        if reach >= least or outside or any(_overlap(_box(middle, size + 2.0 * STYLE.gap), other) for other in taken):
             continue
         leader = _leader(anchor, box)
-        clear, body = (_inside(places, box + _GAP * np.array([[-1.0], [1.0]])) for places in drawn)
+        clear, body = (_inside(places, box + STYLE.gap * np.array([[-1.0], [1.0]])) for places in drawn)
         crossed = any(_inside(leader, other) for other in taken)
-        cost = reach + _COVERED * clear + _CROSSED * crossed + _ON_BODY * min(1.0, 0.25 * body)
+        cost = reach + STYLE.covered * clear + STYLE.crossed * crossed + STYLE.on_body * min(1.0, 0.25 * body)
         if cost < least:
             best, least = middle, cost
     return best
@@ -146,13 +128,13 @@ def _free_place(
 
 def _candidates(anchor: FloatArray, size: FloatArray, frame: FloatArray) -> Iterator[tuple[float, FloatArray]]:
     """Yield distances from an anchor to middles of boxes: around it, then anywhere in the frame, which costs more."""
-    for reach in _REACHES:
-        for angle in 2.0 * np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS:
+    for reach in STYLE.reaches:
+        for angle in 2.0 * np.pi * np.arange(STYLE.directions) / STYLE.directions:
             way = np.array([np.cos(angle), np.sin(angle)])
             yield reach, anchor + way * (reach + 0.5 * np.abs(way) @ size)
     steps = np.maximum(np.ptp(frame, axis=0) - size, 0.0)
-    for share in np.ndindex(_GRID, _GRID):
-        middle = frame[0] + 0.5 * size + steps * np.array(share) / (_GRID - 1)
+    for share in np.ndindex(STYLE.places, STYLE.places):
+        middle = frame[0] + 0.5 * size + steps * np.array(share) / (STYLE.places - 1)
         yield 1.0 + float(np.linalg.norm(middle - anchor)), middle
 
 
@@ -179,5 +161,5 @@ def _write(figure: Any, label: Label, anchor: FloatArray, middle: FloatArray, si
     around = {"boxstyle": "square,pad=0.15", "fc": (1, 1, 1, 0.85), "ec": "none"}
     middle = middle * scale
     figure.text(
-        *middle, label.text, ha="center", va="center", fontsize=_FONT, color=label.colour, bbox=around, zorder=21
+        *middle, label.text, ha="center", va="center", fontsize=STYLE.font, color=label.colour, bbox=around, zorder=21
     )

@@ -8,29 +8,12 @@ from tissuereg._base.arrays import FloatArray
 from tissuereg.report import scene
 from tissuereg.report.found import contacts_of
 from tissuereg.report.heading import write_heading, write_legend
-from tissuereg.report.inset import MOST_PANELS, draw_panels, round_length
+from tissuereg.report.inset import draw_panels, round_length
 from tissuereg.report.labels import on_page, place_labels
+from tissuereg.report.style import STYLE
 
 if TYPE_CHECKING:
     from tissuereg.registration.result import Registration
-
-#: Elevation and azimuths of the two views, in degrees.
-_ELEVATION, _AZIMUTHS = 18.0, (-60.0, 30.0)
-
-#: With contacts, the views look at the first of them from this many degrees to its left and right.
-_ASIDE = (-40.0, 50.0)
-
-#: Share of a view that the body fills along its longer side.
-_FILLED = 0.74
-
-#: Share of the nodes whose spread lies within the scale of colours.
-_SHOWN = 0.99
-
-#: Width and height of a figure in inches; left and right border of views and panels, and where panels begin.
-_SIZE, _LEFT, _RIGHT, _PANELS = (13.0, 7.2), 0.012, 0.988, 0.742
-
-#: Lower end of the views, over the figure's height; below are scale, colours and signs.
-_LOW = 0.165
 
 
 def registration_figure(result: "Registration") -> Any:
@@ -49,11 +32,11 @@ def registration_figure(result: "Registration") -> Any:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=_SIZE)
+    figure = Figure(figsize=STYLE.size_inch)
     FigureCanvasAgg(figure)
     surface, colours = scene.Surface.of(result), _colours(result)
     top = write_heading(figure, result) - 0.01
-    right = _PANELS - 0.012 if result.targets else _RIGHT
+    right = STYLE.panels_from - 0.012 if result.targets else STYLE.right
     body = surface.places[surface.nodes]
     views = _views(figure, result, body, (right, top))
     for view in views:
@@ -80,8 +63,8 @@ def registration_figure(result: "Registration") -> Any:
 def _views(figure: Any, result: "Registration", body: FloatArray, ends: tuple[float, float]) -> list[scene.View]:
     """Return two empty views side by side, zoomed alike, so that the body fills them but for a border for labels."""
     right, top = ends
-    wide = 0.5 * (right - _LEFT)
-    frames = [(_LEFT + wide * column, _LOW, wide - 0.006, top - _LOW) for column in range(2)]
+    wide = 0.5 * (right - STYLE.left)
+    frames = [(STYLE.left + wide * column, STYLE.low, wide - 0.006, top - STYLE.low) for column in range(2)]
     azimuths = _azimuths(result)
     views = [_view(figure, frame, azimuth, body) for frame, azimuth in zip(frames, azimuths, strict=True)]
     zooms = []
@@ -89,7 +72,7 @@ def _views(figure: Any, result: "Registration", body: FloatArray, ends: tuple[fl
         frame = view.axes.get_position(original=True)
         size = np.ptp(on_page(figure, view, body), axis=0)
         room = np.array([frame.width * figure.get_figwidth() / figure.get_figheight(), frame.height])
-        zooms.append(float(np.min(_FILLED * room / size)))
+        zooms.append(float(np.min(STYLE.filled * room / size)))
     for view in views:
         low, high = body.min(axis=0), body.max(axis=0)
         view.axes.set_box_aspect(high - low, zoom=min(zooms))
@@ -101,7 +84,7 @@ def _view(figure: Any, frame: tuple[float, ...], azimuth: float, body: FloatArra
     axes: Any = figure.add_axes(frame, projection="3d", proj_type="ortho")
     axes.set_axis_off()
     axes.computed_zorder = False  # markers and regions stay readable through the body
-    axes.view_init(_ELEVATION, azimuth)
+    axes.view_init(STYLE.elevation, azimuth)
     low, high = body.min(axis=0), body.max(axis=0)
     for set_limits, a, b in zip((axes.set_xlim, axes.set_ylim, axes.set_zlim), low, high, strict=True):
         set_limits(a, b)
@@ -112,11 +95,11 @@ def _view(figure: Any, frame: tuple[float, ...], azimuth: float, body: FloatArra
 def _panels(figure: Any, result: "Registration", view: scene.View, top: float) -> None:
     """Draw the targets enlarged right of the views."""
     words = "90 % regions, seen as on the left"
-    more = len(result.targets) - MOST_PANELS
+    more = len(result.targets) - STYLE.panels
     if more > 0:
         words = f"90 % regions; {more} more in the report"
-    figure.text(_PANELS, top - 0.025, words, fontsize=10, color="dimgray")
-    draw_panels(figure, result, view.towards, (_PANELS, 0.1, _RIGHT - _PANELS, top - 0.135))
+    figure.text(STYLE.panels_from, top - 0.025, words, fontsize=10, color="dimgray")
+    draw_panels(figure, result, view.towards, (STYLE.panels_from, 0.1, STYLE.right - STYLE.panels_from, top - 0.135))
 
 
 def _triad(figure: Any, view: scene.View) -> None:
@@ -162,14 +145,14 @@ def _azimuths(result: "Registration") -> tuple[float, float]:
     """Return azimuths that show the most probable contact from both views."""
     contacts = contacts_of(result)
     if not contacts:
-        return _AZIMUTHS
+        return STYLE.azimuths
     x, y, _ = contacts[0].centre_mm - result.mesh.nodes.mean(axis=0)
     towards = float(np.degrees(np.arctan2(y, x)))
-    return towards + _ASIDE[0], towards + _ASIDE[1]
+    return towards + STYLE.aside[0], towards + STYLE.aside[1]
 
 
 def _towards(azimuth: float) -> FloatArray:
-    up, around = np.radians(_ELEVATION), np.radians(azimuth)
+    up, around = np.radians(STYLE.elevation), np.radians(azimuth)
     return np.array([np.cos(up) * np.cos(around), np.cos(up) * np.sin(around), np.sin(up)])
 
 
@@ -178,5 +161,5 @@ def _colours(result: "Registration") -> Any:
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
 
-    largest = float(np.quantile(result.std[result.mesh.surface_nodes], _SHOWN))
+    largest = float(np.quantile(result.std[result.mesh.surface_nodes], STYLE.shown))
     return ScalarMappable(Normalize(0.0, max(largest, 1e-9)), colormaps["YlGnBu"])

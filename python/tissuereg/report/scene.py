@@ -9,6 +9,7 @@ from tissuereg._base.arrays import FloatArray
 from tissuereg.body.mesh import Mesh
 from tissuereg.registration.contacts.patches import surface_of_nodes
 from tissuereg.report.found import contacts_of, surface_of
+from tissuereg.report.style import STYLE
 
 if TYPE_CHECKING:
     from tissuereg.registration.contacts.found import FoundContact
@@ -17,15 +18,6 @@ if TYPE_CHECKING:
 #: Colours by meaning; they can be distinguished with any kind of colour vision, and signs differ in shape as well.
 BEFORE, FITTED, MEASURED, WRONG = "#e07b00", "#0072b2", "black", "#d6218f"
 CONTACT, TARGET, FLAGGED, REGION = "#a01c10", "black", "#6a1fb0", "#8fb3d9"
-
-#: The longest arrow over the extent of the body, and the shortest over the longest.
-_ARROW, _LEAST_ARROW = 0.22, 0.45
-
-#: If there are more targets than this, only the flagged ones are labelled.
-_MOST_LABELS = 8
-
-#: Opacity of signs on the far side of the body.
-_FAR_ALPHA = 0.35
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,7 +139,7 @@ def draw_markers(view: View, result: "Registration", surface: Surface) -> None:
     whole = used & np.isfinite(measured).all(axis=1)
     near = np.array([surface.normals[surface.nearest(place, result.mesh.nodes)] @ view.towards > -0.1
                      for place in every.reference])  # fmt: skip
-    for side, faint in ((near, 1.0), (~near, _FAR_ALPHA)):
+    for side, faint in ((near, 1.0), (~near, STYLE.far_alpha)):
         chosen = whole & side
         fitted = measured[chosen] - residual[chosen]
         plain: dict[str, Any] = {"depthshade": False, "alpha": faint}
@@ -165,7 +157,7 @@ def draw_markers(view: View, result: "Registration", surface: Surface) -> None:
             view.labels.append(Label(measured[index], f"{name}: does not fit", WRONG))
     reasons = dict(fit.dropped)
     for index in np.flatnonzero(~used):
-        _draw_dropped(view, result, index, reasons[every.names[index]], 1.0 if near[index] else _FAR_ALPHA)
+        _draw_dropped(view, result, index, reasons[every.names[index]], 1.0 if near[index] else STYLE.far_alpha)
 
 
 def _draw_dropped(view: View, result: "Registration", index: Any, reason: str, faint: float) -> None:
@@ -188,10 +180,10 @@ def draw_contacts(view: View, result: "Registration", surface: Surface) -> None:
     for contact in contacts_of(result):
         node = surface.nearest(contact.centre_mm, result.mesh.nodes)
         centre, normal = surface.places[node], surface.normals[node]
-        faint = 1.0 if normal @ view.towards > -0.1 else _FAR_ALPHA
+        faint = 1.0 if normal @ view.towards > -0.1 else STYLE.far_alpha
         _draw_rim(view, result.mesh, surface, node, contact.radius_mm)
-        share = max(_LEAST_ARROW, contact.force_mN / largest) if largest > 0.0 else _LEAST_ARROW
-        arrow = _ARROW * result.mesh.extent * share * contact.direction
+        share = max(STYLE.least_arrow, contact.force_mN / largest) if largest > 0.0 else STYLE.least_arrow
+        arrow = STYLE.arrow * result.mesh.extent * share * contact.direction
         # The arrow of a pull begins at the surface, that of a push ends there.
         tail = centre - arrow if contact.direction @ normal < 0.0 else centre
         view.axes.quiver(*tail, *arrow, color=CONTACT, lw=2.4, arrow_length_ratio=0.28, alpha=faint, zorder=10)
@@ -223,14 +215,14 @@ def _draw_rim(view: View, mesh: Mesh, surface: Surface, node: int, radius: float
         ends.append((1.0 - share) * surface.places[corners[rows, alone]] + share * surface.places[corners[rows, other]])
     facing = surface.normals[corners].mean(axis=1) @ view.towards > 0.0
     lines = np.stack(ends, axis=1)
-    for side, faint in ((facing, 1.0), (~facing, _FAR_ALPHA)):
+    for side, faint in ((facing, 1.0), (~facing, STYLE.far_alpha)):
         if side.any():
             view.axes.add_collection3d(Line3DCollection(lines[side], colors=CONTACT, lw=1.5, alpha=faint, zorder=4))
 
 
 def draw_targets(view: View, result: "Registration") -> None:
     """Draw every target with the ellipsoid of its 90 % region, dashed if the markers do not constrain it."""
-    many = len(result.targets) > _MOST_LABELS
+    many = len(result.targets) > STYLE.labels
     for name, target in result.targets.items():
         region, flagged = target.region(0.90), target.flag is not None
         colour = FLAGGED if flagged else TARGET

@@ -1,6 +1,6 @@
 """Inelastic behaviour of a material, and springs and membranes on the surface of a body.
 
-Fields have the names of the keys of an experiment's ``[[effect]]`` tables: ``Relaxation(g=[0.3], tau_s=[2.0])``
+Fields have the names of the keys of an experiment's ``[[effect]]`` tables: ``RelaxationLaw(g=[0.3], tau_s=[2.0])``
 corresponds to such a table. Ranges are checked by the solver.
 """
 
@@ -14,7 +14,7 @@ from tissuereg._base.arrays import index_array
 
 
 @dataclass(frozen=True)
-class Relaxation:
+class RelaxationLaw:
     """Stress relaxation, as a Prony series; moduli are instantaneous.
 
     Parameters
@@ -33,7 +33,7 @@ class Relaxation:
 
 
 @dataclass(frozen=True)
-class Rate:
+class RateLaw:
     """Viscous stress ``2 eta D``, added to the elastic Cauchy stress.
 
     Parameters
@@ -46,7 +46,7 @@ class Rate:
 
 
 @dataclass(frozen=True)
-class Softening:
+class SofteningLaw:
     """Softening by the largest energy so far, `Wm`.
 
     Parameters
@@ -72,7 +72,7 @@ class Softening:
 
 
 @dataclass(frozen=True)
-class Set:
+class SetLaw:
     """Permanent set: a share of the largest strain remains; it acts from the next frame on.
 
     Parameters
@@ -85,7 +85,7 @@ class Set:
 
 
 @dataclass(frozen=True)
-class Drainage:
+class DrainageLaw:
     """Relaxation of the volumetric stress, as a simple model of drainage.
 
     Parameters
@@ -101,7 +101,7 @@ class Drainage:
 
 
 @dataclass(frozen=True)
-class Swelling:
+class SwellingLaw:
     """Isotropic, uniform growth along a ramp in time.
 
     Parameters
@@ -125,26 +125,26 @@ class Behaviour:
 
     Parameters
     ----------
-    relaxation : Relaxation, optional
+    relaxation : RelaxationLaw, optional
         Stress relaxation.
-    rate : Rate, optional
+    rate : RateLaw, optional
         Viscous stress.
-    softening : Softening, optional
+    softening : SofteningLaw, optional
         Softening by earlier load.
-    set : Set, optional
+    set : SetLaw, optional
         Permanent strain.
-    drainage : Drainage, optional
+    drainage : DrainageLaw, optional
         Relaxation of the volumetric stress.
-    swelling : Swelling, optional
+    swelling : SwellingLaw, optional
         Growth.
     """
 
-    relaxation: Relaxation | None = None
-    rate: Rate | None = None
-    softening: Softening | None = None
-    set: Set | None = None
-    drainage: Drainage | None = None
-    swelling: Swelling | None = None
+    relaxation: RelaxationLaw | None = None
+    rate: RateLaw | None = None
+    softening: SofteningLaw | None = None
+    set: SetLaw | None = None
+    drainage: DrainageLaw | None = None
+    swelling: SwellingLaw | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """Return what the compiled solver takes.

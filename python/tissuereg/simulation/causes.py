@@ -30,7 +30,7 @@ class Parameter:
 
 
 @dataclass(frozen=True, eq=False)
-class Field:
+class ModulusField:
     """A change of a modulus by a field of rates; of an inclusion or a layer, 1 inside and 0 outside.
 
     Parameters
@@ -46,7 +46,7 @@ class Field:
 
 
 #: Causes by which an equilibrium can be differentiated. A `Load` is a change of the load.
-Cause = Parameter | Field | Load
+Cause = Parameter | ModulusField | Load
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +78,7 @@ def core_cause(simulator: Simulator, cause: Cause) -> _core.Cause:
     ----------
     simulator : Simulator
         The analysed body.
-    cause : Parameter, Field or Load
+    cause : Parameter, ModulusField or Load
         The cause.
 
     Returns

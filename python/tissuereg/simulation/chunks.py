@@ -26,6 +26,7 @@ from tissuereg.io.stores import store_of
 from tissuereg.simulation.motion import Motion, motion_of
 from tissuereg.simulation.recipe import Recipe, recipe_of
 from tissuereg.simulation.sampling import Event, EventSampler, EventSettings, linear_answers
+from tissuereg.simulation.settings import DATA_SET
 from tissuereg.simulation.solve import Simulator
 
 #: Most iterations of a member: one that needs more is far beyond what tissue does; it fails instead of delaying others.
@@ -34,12 +35,6 @@ SOLVE = {"tolerance": 1e-6, "max_iterations": SOLVE_ITERATIONS}
 
 #: Why a member fails that the first, nearly linear pass could not answer.
 _NO_LINEAR_ANSWER = "no linear answer to its load, so that its size is unknown"
-
-#: How often a member that moves too far is solved again, and how far it is then meant to move, as a share of the most.
-_AGAIN, _BELOW = 4, 0.95
-
-#: A chunk of fewer members says nothing about the rest: all of it may fail.
-_FEW = 8
 
 #: The last maker of this process, by the fingerprint of its data set.
 _MAKERS: dict[str, "ChunkMaker"] = {}
@@ -172,12 +167,12 @@ class ChunkMaker:
         size = size * young / recipe.material.young_kpa[0]  # the wanted motion holds at the member's own modulus
         materials = [Material(y, recipe.material.poisson) for y in young]
         displacement, lost = self._solved(events, size, materials, threads, progress)
-        for _ in range(_AGAIN):
+        for _ in range(DATA_SET.again):
             largest = np.linalg.norm(displacement, axis=2).max(axis=1)
             far = np.flatnonzero(largest > recipe.data.most_mm)  # failed members are NaN
             if not len(far):
                 break
-            less = _BELOW * recipe.data.most_mm / largest[far]
+            less = DATA_SET.below * recipe.data.most_mm / largest[far]
             size[far], wanted[far] = size[far] * less, wanted[far] * less
             again = [events[i] for i in far], size[far], [materials[i] for i in far]
             displacement[far], failed_again = self._solved(*again, threads)
@@ -189,7 +184,7 @@ class ChunkMaker:
         index = first + wanted_rows
         solved = np.array([i for i in range(len(index)) if i not in lost], dtype=np.int64)
         failed = [(int(index[i]), lost[i]) for i in sorted(lost)]
-        if len(index) >= _FEW and len(solved) < len(index) / 2:
+        if len(index) >= DATA_SET.few and len(solved) < len(index) / 2:
             message = (
                 f"at least half of a chunk must find equilibrium, {len(solved)} of {len(index)} did; "
                 "lower [data] largest_mm"

@@ -24,11 +24,9 @@ from tissuereg.simulation.chunks import ChunkReport, ChunkTask, chunk_maker, dat
 from tissuereg.simulation.motion import motion_summary
 from tissuereg.simulation.pairs import PAIRS_NAME, PairsReport, make_pairs
 from tissuereg.simulation.recipe import Recipe
+from tissuereg.simulation.settings import DATA_SET
 
 Progress = Callable[[int, int], None]
-
-#: So many more chunks than were made may fail on workers before the rest is given up.
-_MOST_FAILED = 10
 
 #: Marks the place as that of a data set, before anything else is there.
 _MARKER = "recipe.sha256"
@@ -174,7 +172,7 @@ def _made(
             continue
         failed.append(outcome)
         lasting = isinstance(outcome.error, TissueRegError) and not isinstance(outcome.error, ClusterError)
-        if lasting or len(failed) >= n_made + _MOST_FAILED:
+        if lasting or len(failed) >= n_made + DATA_SET.most_failed:
             raise outcome.error
     if failed:
         numbers = ", ".join(str(one.index) for one in failed[:10])

@@ -13,6 +13,7 @@ from tissuereg.body.material import Material
 from tissuereg.body.mesh import Mesh
 from tissuereg.errors import ConvergenceError, LoadError
 from tissuereg.simulation.behaviour import Behaviour, Springs
+from tissuereg.simulation.settings import SIZE
 from tissuereg.simulation.solve import Simulator
 
 
@@ -94,9 +95,6 @@ class KeptRig:
     spreader: Simulator
     rig: _core.Rig
 
-
-#: Largest number of cached rigs.
-MOST_RIGS = 12
 
 #: Rigs by all but material, behaviour and loads.
 Rigs = dict[tuple[object, ...], KeptRig]
@@ -263,7 +261,7 @@ def solve_frames(
     if rigs is not None:
         rigs.pop(plan.key, None)
         rigs[plan.key] = KeptRig(mesh, spreader, rig)
-        for oldest in list(rigs)[:-MOST_RIGS]:
+        for oldest in list(rigs)[: -SIZE.rigs_kept]:
             rigs.pop(oldest, None)
     guides = None if similar.near is None else float_array("near", similar.near, (n, spreader.body.n_nodes, 3))
     last = -1

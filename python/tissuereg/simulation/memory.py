@@ -20,20 +20,11 @@ from tissuereg.experiment.experiment import Case, Experiment
 from tissuereg.simulation import behaviour
 from tissuereg.simulation.frames import Acting, FrameSettings, Pad, Similar, solve_frames
 from tissuereg.simulation.loading import distinct_states, first_frames, hangs_already, pads_of, traction_of, weight_of
-
-#: Relaxation times per step, in the four steps in which a loaded body comes to rest before the first frame. A step
-#: assumes linearly growing strain, so each leaves about 1/30 of the remaining creep.
-_REST = 30.0
+from tissuereg.simulation.settings import MEMORY
 
 #: Memory that depends on the load path alone, not on time, so that it does not change under constant load. (A set acts
 #: one frame later.)
 _TIMELESS = (Softening,)
-
-#: Normal stiffness of a sliding boundary, in modulus over extent: it gives way by about 1e-4 of the strain.
-_ACROSS = 1e4
-
-#: Tangential stiffness of a boundary that sticks by friction, in the same unit.
-_STICKS = 1e3
 
 
 @dataclass(frozen=True, eq=False)
@@ -286,7 +277,7 @@ def _standing_times(experiment: Experiment, begin: float) -> FloatArray:
     fading += [effect.tau_s for effect in experiment.effects if isinstance(effect, Drainage)]
     swells = any(isinstance(effect, Swelling) for effect in experiment.effects)
     loaded = (experiment.gravity is not None and not hangs_already(experiment)) or swells
-    return begin - _REST * max(fading) * np.arange(4.0, -1.0, -1.0) if fading and loaded else np.empty(0)
+    return begin - MEMORY.rest * max(fading) * np.arange(4.0, -1.0, -1.0) if fading and loaded else np.empty(0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -346,10 +337,10 @@ def _springs(experiment: Experiment) -> list[behaviour.Springs]:
     found = []
     for effect in experiment.effects:
         if isinstance(effect, Sliding):
-            along = _STICKS * unit if effect.spring_kpa_per_mm is None else effect.spring_kpa_per_mm
+            along = MEMORY.sticks * unit if effect.spring_kpa_per_mm is None else effect.spring_kpa_per_mm
             cohesion = effect.cohesion_kpa or 0.0
             found.append(
-                behaviour.Springs(effect.triangles(experiment), _ACROSS * unit, along, effect.friction, cohesion)
+                behaviour.Springs(effect.triangles(experiment), MEMORY.across * unit, along, effect.friction, cohesion)
             )
     return found
 

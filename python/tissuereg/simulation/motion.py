@@ -7,15 +7,10 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.io.chunks import Fields
-
-#: Members of a chunk of which all pairs are compared: members are independent, so pairs within chunks stand for all.
-_PAIRED = 32
+from tissuereg.simulation.settings import DATA_SET
 
 #: Quantiles that are stated.
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
-
-#: Distance of two members, mm, whose share among pairs is stated: the start error of the paper's Fig. 8 is 7.3 mm.
-FAR_MM = 7.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +44,7 @@ def motion_of(displacement: Fields) -> Motion:
         All pairs of the first 32 members.
     """
     moved = np.linalg.norm(displacement.astype(np.float64), axis=2)
-    few = displacement[:_PAIRED].astype(np.float64)
+    few = displacement[: DATA_SET.paired].astype(np.float64)
     apart = [np.linalg.norm(few[i + 1 :] - few[i], axis=2).mean(axis=1) for i in range(len(few) - 1)]
     return Motion(moved.mean(axis=1), moved.max(axis=1), np.concatenate([np.empty(0), *apart]))
 
@@ -78,7 +73,7 @@ def motion_summary(motions: Sequence[Motion]) -> dict[str, object]:
         "largest_mm": _spread(largest),
         "apart_mm": _spread(apart),
         "n_pairs": len(apart),
-        "share_apart_7_mm": float(np.mean(apart >= FAR_MM)) if len(apart) else None,
+        "share_apart_7_mm": float(np.mean(apart >= DATA_SET.far_mm)) if len(apart) else None,
     }
 
 

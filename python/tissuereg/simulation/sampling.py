@@ -17,17 +17,8 @@ from tissuereg.body.load import Load
 from tissuereg.body.material import Material
 from tissuereg.body.mesh import Mesh
 from tissuereg.errors import EnsembleError, MeshError
+from tissuereg.simulation.settings import DATA_SET
 from tissuereg.simulation.solve import Simulator
-
-#: Size of the first, nearly linear pass, as a share of the body's extent.
-_SMALL = 1e-4
-
-#: Range of a plate's depth as a share of its radius.
-_DEPTH_SHARE = (0.05, 0.4)
-
-
-#: Standard deviation of the logarithm of a random change's size.
-_SIZE_LOG_STD = 0.7
 
 
 @dataclass(frozen=True)
@@ -139,7 +130,7 @@ class EventSampler:
     def _plate(self, rng: np.random.Generator) -> "Plate":
         row, radius = self._place(rng)
         tilted = -self._normals[row] + 0.5 * rng.uniform() * _direction(rng)
-        depth = radius * rng.uniform(*_DEPTH_SHARE)
+        depth = radius * rng.uniform(*DATA_SET.depth_share)
         return Plate(self._centres[row], radius, np.asarray(tilted / np.linalg.norm(tilted)), depth)
 
     def _place(self, rng: np.random.Generator) -> tuple[int, float]:
@@ -301,7 +292,7 @@ def linear_answers(
     """
     extent = simulator.mesh.extent
     force_per_mm = float(np.median(material.young_array)) * extent  # stiffness of a cube of this size, mN/mm
-    scale = np.full(len(events), force_per_mm * _SMALL * extent)
+    scale = np.full(len(events), force_per_mm * DATA_SET.small * extent)
     loads = [event.load(simulator, s) for event, s in zip(events, scale, strict=True)]
     found = simulator.solve_many(loads, [material] * len(events), tolerance=1e-4, threads=threads)
     largest = np.linalg.norm(found.displacement, axis=2).max(axis=1)
@@ -359,7 +350,7 @@ def random_changes(
     if len(fields) < max(4, n_events // 2):
         message = f"half of {n_events} events or more must find an equilibrium, {len(fields)} did"
         raise EnsembleError(message, where="n_events")
-    fields *= largest_mm * np.exp(_SIZE_LOG_STD * rng.standard_normal(len(fields)))[:, None, None]
+    fields *= largest_mm * np.exp(DATA_SET.size_log_std * rng.standard_normal(len(fields)))[:, None, None]
     return fields
 
 

@@ -12,7 +12,7 @@ from tissuereg._base.arrays import FloatArray, float_array
 from tissuereg.body.load import Load
 from tissuereg.body.material import Material
 from tissuereg.simulation.bed import stiffness_array
-from tissuereg.simulation.causes import Cause, Field, Observation, Parameter, core_cause, core_observation
+from tissuereg.simulation.causes import Cause, ModulusField, Observation, Parameter, core_cause, core_observation
 from tissuereg.simulation.solve import Simulation, Simulator
 
 __all__ = [
@@ -20,8 +20,8 @@ __all__ = [
     "Cause",
     "Compliance",
     "Derivatives",
-    "Field",
     "Linearised",
+    "ModulusField",
     "Observation",
     "Parameter",
     "core_cause",
@@ -168,7 +168,7 @@ class Linearised:
 
         Parameters
         ----------
-        causes : sequence of Parameter, Field or Load
+        causes : sequence of Parameter, ModulusField or Load
             Causes; the cost is one solution each.
 
         Returns
@@ -261,7 +261,7 @@ class Linearised:
 
         Parameters
         ----------
-        causes : sequence of Parameter, Field or Load
+        causes : sequence of Parameter, ModulusField or Load
             Causes.
 
         Returns

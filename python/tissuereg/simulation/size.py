@@ -16,30 +16,10 @@ import numpy as np
 
 from tissuereg._base.machine import LIMIT, available_bytes, n_cores, resident_bytes
 from tissuereg.errors import LargeBodyError, LargeBodyWarning
+from tissuereg.simulation.settings import SIZE
 
 if TYPE_CHECKING:
     from tissuereg.simulation.solve import Simulator
-
-#: A warning is given above this share of the available memory, and a message shown above this time in seconds.
-WARNED_SHARE, LONG_SECONDS = 0.5, 60.0
-
-#: Working entries while a factor is made, as a multiple of those of one thread: threads work on several fronts.
-_WORKING = 2.4
-
-#: A factor of so many entries is checked in any case, whatever is done with the body.
-_LARGE_ENTRIES = 10_000_000
-
-#: Costs as operations at the speed of matrix products: per factor entry and right-hand side; per tet and factorisation.
-_PER_ENTRY, _PER_TET = 42.0, 4e5
-
-#: Order of the matrix product that measures the speed, and how often it is made.
-_ORDER, _REPEATS = 512, 5
-
-#: Meshes of fewer nodes are not suggested.
-_SMALLEST = 50
-
-#: Share of the available memory that a suggested mesh may take.
-_ROOM = 0.85
 
 
 @dataclass(frozen=True)
@@ -148,11 +128,11 @@ class Estimate:
         Cost: about two milliseconds, once per process.
         """
         n_threads = min(threads or n_cores(), n_cores())
-        flops = work.factorisations * (size.flops + _PER_TET * size.n_tets)
-        flops += _PER_ENTRY * size.n_entries * work.right_hand_sides + work.tet_flops * size.n_tets
+        flops = work.factorisations * (size.flops + SIZE.per_tet * size.n_tets)
+        flops += SIZE.per_entry * size.n_entries * work.right_hand_sides + work.tet_flops * size.n_tets
         element_nodes = size.n_nodes if size.element != "tet10" else max(size.n_nodes, size.n_unknowns // 3)
         # A factor that is kept in fewer bytes is made in single precision.
-        making = max(work.entry_bytes, 4) * _WORKING * size.n_working
+        making = max(work.entry_bytes, 4) * SIZE.working * size.n_working
         added = work.entry_bytes * work.factors_held * size.n_entries + making
         added += 24.0 * work.fields * element_nodes + 8.0 * work.tet_fields * size.n_tets
         held = work.later_bytes + (resident_bytes() or 0)
@@ -166,7 +146,7 @@ class Estimate:
     @property
     def is_long(self) -> bool:
         """Whether it will take longer than a minute or so."""
-        return self.seconds > LONG_SECONDS
+        return self.seconds > SIZE.long_seconds
 
     @property
     def is_too_large(self) -> bool:
@@ -204,7 +184,7 @@ class Estimate:
             If the estimated memory is more than what is available; the message names the size of a mesh that would fit.
         """
         there = self.available_bytes
-        if there is None or self.added_bytes <= WARNED_SHARE * there:
+        if there is None or self.added_bytes <= SIZE.warned_share * there:
             return
         need = (
             f"this body needs about {_gb(self.added_bytes)} more memory and {_gb(there)} are available "
@@ -221,10 +201,10 @@ class Estimate:
     def _advice(self, there: int) -> str:
         """Return advice for a body that does not fit into memory."""
         # Entries of a factor grow with the power 4/3 of the nodes (nested dissection in space).
-        share = (_ROOM * there / self.added_bytes) ** 0.75
+        share = (SIZE.room * there / self.added_bytes) ** 0.75
         fits = int(float(f"{share * self.size.n_nodes:.2g}"))
         more = f"a machine with more memory; where that is wrong, set {LIMIT} in the environment"
-        if fits < _SMALLEST:
+        if fits < SIZE.smallest:
             return f"use {more}"
         coarser = f"use a mesh of at most about {fits:,} nodes (edges {share ** (-1 / 3):.2g} times as long)"
         linear = ", or element 'tet4', which has an eighth of the unknowns" if self.size.element == "tet10" else ""
@@ -244,7 +224,7 @@ def check_fits(simulator: "Simulator") -> None:
     LargeBodyError
         If one factor of 16-bit integers, with the memory for making it, is more than what is available.
     """
-    if simulator.body.factor_size[0] < _LARGE_ENTRIES:
+    if simulator.body.factor_size[0] < SIZE.large_entries:
         return
     estimate = Estimate.of(BodySize.of(simulator), SOLVE, 0)
     if estimate.is_too_large:
@@ -256,15 +236,15 @@ def product_rate() -> float:
     """Return the speed of matrix products on one thread of this machine, in floating-point operations per second."""
     from threadpoolctl import threadpool_limits
 
-    left = np.ones((_ORDER, _ORDER), np.float32)
+    left = np.ones((SIZE.order, SIZE.order), np.float32)
     out = np.empty_like(left)
     spent = []
     with threadpool_limits(limits=1, user_api="blas"):
-        for _ in range(_REPEATS):
+        for _ in range(SIZE.repeats):
             start = time.perf_counter()
             np.matmul(left, left, out=out)
             spent.append(time.perf_counter() - start)
-    return 2.0 * _ORDER**3 / max(sorted(spent)[_REPEATS // 2], 1e-9)
+    return 2.0 * SIZE.order**3 / max(sorted(spent)[SIZE.repeats // 2], 1e-9)
 
 
 def _figure(value: float) -> str:

@@ -9,7 +9,7 @@ simulation would state, carrying on is of no use any more, and the next frame st
 from dataclasses import dataclass
 
 from tissuereg.registration.learned.model import rms_displacement
-from tissuereg.tracking.restart import Simulated
+from tissuereg.tracking.restart import SimulatedFrame
 
 
 @dataclass(eq=False)
@@ -27,14 +27,14 @@ class Lineage:
     _plain: float = 0.0
     _size_mm: float = 0.0
 
-    def widening(self, variance: float, simulated: Simulated | None) -> float:
+    def widening(self, variance: float, simulated: SimulatedFrame | None) -> float:
         """Return the factor on the covariances of a frame.
 
         Parameters
         ----------
         variance : float
             What its own registration states, mm^2.
-        simulated : Simulated or None
+        simulated : SimulatedFrame or None
             Its simulation.
         """
         if simulated is None:
@@ -43,7 +43,7 @@ class Lineage:
             self._carried, self._plain, self._size_mm = 0.0, variance, self._size(simulated)
         return 1.0 + self._carried / variance
 
-    def goes_on(self, variance: float, simulated: Simulated) -> bool:
+    def goes_on(self, variance: float, simulated: SimulatedFrame) -> bool:
         """Return whether a frame whose state is to be carried on is still of use; its variance is added.
 
         The variance of a registration from the plain simulation is that of the last one, in proportion to the squared
@@ -53,5 +53,5 @@ class Lineage:
         growth = max(1.0, self._size(simulated) / self._size_mm) ** 2
         return self._carried <= growth * self._plain
 
-    def _size(self, simulated: Simulated) -> float:
+    def _size(self, simulated: SimulatedFrame) -> float:
         return max(self.noise_mm, float(rms_displacement(simulated.plain[None])[0]))

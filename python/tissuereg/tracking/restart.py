@@ -29,7 +29,7 @@ RESTARTS = ("forces", "displacement", "guess", "reference")
 
 
 @dataclass(frozen=True, eq=False)
-class Simulated:
+class SimulatedFrame:
     """The simulation of a frame.
 
     Attributes
@@ -51,7 +51,7 @@ class Simulated:
 
 
 @dataclass(eq=False)
-class _Carried:
+class _CarriedState:
     """The registered state that is carried on: its shape, its simulation with nothing carried on, what holds it."""
 
     displacement: FloatArray
@@ -98,14 +98,14 @@ class Restart:
 
     def reset(self) -> None:
         """Forget all frames."""
-        self._carried: _Carried | None = None
+        self._carried: _CarriedState | None = None
         self._origin: FloatArray | None = None
         self._last_field: FloatArray | None = None
         self._last_shape: FloatArray | None = None
         self._last_plain: FloatArray | None = None
         self._plain_before: FloatArray | None = None
 
-    def simulated(self, actuator: Any) -> Simulated:
+    def simulated(self, actuator: Any) -> SimulatedFrame:
         """Return the simulation of the next frame; nothing is remembered of it before `registered`.
 
         Parameters
@@ -115,7 +115,7 @@ class Restart:
 
         Returns
         -------
-        Simulated
+        SimulatedFrame
             Cost: one simulation; with ``forces`` two.
 
         Raises
@@ -127,14 +127,14 @@ class Restart:
         plain = self._physics.field(actuator, start=start)
         field = plain if self._carried is None else self._carried_on(self._carried, actuator, plain)
         before = field if self._last_field is None else self._last_field
-        return Simulated(field, field - before, plain, self._carried is not None)
+        return SimulatedFrame(field, field - before, plain, self._carried is not None)
 
-    def registered(self, simulated: Simulated, displacement: FloatArray, actuator: Any) -> bool:
+    def registered(self, simulated: SimulatedFrame, displacement: FloatArray, actuator: Any) -> bool:
         """Remember a frame.
 
         Parameters
         ----------
-        simulated : Simulated
+        simulated : SimulatedFrame
             Its simulation.
         displacement : ndarray of float64, shape (n_nodes, 3)
             Registered, mm.
@@ -152,7 +152,7 @@ class Restart:
         moved = _rms(simulated.field - self._origin)
         moved_on = self.how in ("forces", "displacement") and moved > self._noise_mm
         if moved_on:
-            self._carried = _Carried(displacement, actuator, simulated.plain)
+            self._carried = _CarriedState(displacement, actuator, simulated.plain)
             self._origin = self._last_field = displacement
         return moved_on
 
@@ -167,13 +167,13 @@ class Restart:
             return self._last_plain
         return 2.0 * self._last_plain - self._plain_before
 
-    def _expected(self, carried: _Carried, plain: FloatArray) -> FloatArray:
+    def _expected(self, carried: _CarriedState, plain: FloatArray) -> FloatArray:
         """Return a first guess from a registered state: it changes as the simulation with nothing carried on does."""
         if self._last_field is None or self._last_plain is None:
             return np.asarray(carried.displacement + plain - carried.plain)
         return np.asarray(self._last_field + plain - self._last_plain)
 
-    def _carried_on(self, carried: _Carried, actuator: Any, plain: FloatArray) -> FloatArray:
+    def _carried_on(self, carried: _CarriedState, actuator: Any, plain: FloatArray) -> FloatArray:
         """Return the simulation from a registered state, given the one with nothing carried on."""
         moved = plain - carried.plain
         if self.how == "forces" and isinstance(self._physics, HoldingPhysics):

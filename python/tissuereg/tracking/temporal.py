@@ -27,23 +27,37 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray
 
+
+@dataclass(frozen=True)
+class FilterRules:
+    """How the filters of all rates learn from frames.
+
+    Attributes
+    ----------
+    change_off : float
+        Share by which a simulated change may be off.
+    memory : float
+        Each frame, the record of past innovations counts by this factor: about five frames are remembered.
+    together : float
+        Registered places move together: so many of their components count as one independent number.
+    stated : float
+        So many frames does the stated noise of the tracker count as in the estimate of the noise.
+    lost : float
+        A filter less probable than this is of no use any more: it goes on from the mean of all.
+    """
+
+    change_off: float = 0.5
+    memory: float = 0.8
+    together: float = 3.0
+    stated: float = 0.5
+    lost: float = 1e-6
+
+
+FILTER = FilterRules()
+
+
 #: Rates of motion that are tried: variance of a second's unpredicted motion over that of a frame's noise, 1/s.
 RATES = 10.0 ** np.arange(-2.0, 7.0)
-
-#: Share by which a simulated change may be off.
-_CHANGE_OFF = 0.5
-
-#: Each frame, the record of past innovations counts by this factor: about five frames are remembered.
-_MEMORY = 0.8
-
-#: Registered places move together: so many of their components count as one independent number.
-_TOGETHER = 3.0
-
-#: So many frames does the stated noise of the tracker count as in the estimate of the noise.
-_STATED = 0.5
-
-#: A filter less probable than this is of no use any more: it goes on from the mean of all.
-_LOST = 1e-6
 
 
 @dataclass(eq=False)
@@ -98,7 +112,7 @@ class TemporalPrior:
             self._spread = np.full(len(RATES), relative)
             self.gain = 1.0
             return answer
-        off = _CHANGE_OFF**2 * float(np.mean(change[scored] ** 2)) / self.variance
+        off = FILTER.change_off**2 * float(np.mean(change[scored] ** 2)) / self.variance
         before = self._spread + RATES * elapsed + off
         total = before + relative
         gains = before / total
@@ -112,7 +126,7 @@ class TemporalPrior:
         weights = self.weights
         self.gain = float(weights @ gains)
         filtered = weights @ self._states
-        lost = weights < _LOST
+        lost = weights < FILTER.lost
         self._states[lost] = filtered
         self._spread[lost] = weights @ self._spread
         return np.asarray(filtered)
@@ -120,14 +134,14 @@ class TemporalPrior:
     @property
     def weights(self) -> FloatArray:
         """How much each of `RATES` counts: probability times rate, adding up to one, shape (n_rates,)."""
-        stated = _STATED * max(self._per_frame, 1.0)
+        stated = FILTER.stated * max(self._per_frame, 1.0)
         logs = -0.5 * (self._logs + (self._count + stated) * np.log(self._squares + stated * self.variance))
         weights = RATES * np.exp(logs - logs.max())
         return np.asarray(weights / weights.sum())
 
     def _weigh(self, innovations: FloatArray, total: FloatArray) -> None:
         """Add the innovations (n_rates, n_scored) of a frame to the record, with their variances over the noise's."""
-        self._per_frame = innovations.shape[1] / _TOGETHER
-        self._squares = _MEMORY * self._squares + (innovations**2).sum(axis=1) / total / _TOGETHER
-        self._logs = _MEMORY * self._logs + self._per_frame * np.log(total)
-        self._count = _MEMORY * self._count + self._per_frame
+        self._per_frame = innovations.shape[1] / FILTER.together
+        self._squares = FILTER.memory * self._squares + (innovations**2).sum(axis=1) / total / FILTER.together
+        self._logs = FILTER.memory * self._logs + self._per_frame * np.log(total)
+        self._count = FILTER.memory * self._count + self._per_frame

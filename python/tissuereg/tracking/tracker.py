@@ -21,7 +21,7 @@ from tissuereg.tracking.frame import Layout, TrackedFrame
 from tissuereg.tracking.inbox import Inbox
 from tissuereg.tracking.lineage import Lineage
 from tissuereg.tracking.physics import Physics, as_physics
-from tissuereg.tracking.restart import RESTARTS, Restart, Simulated
+from tissuereg.tracking.restart import RESTARTS, Restart, SimulatedFrame
 from tissuereg.tracking.temporal import TemporalPrior
 
 #: Errors of one frame that leave the tracker as it was: no marker was seen, or no equilibrium or ensemble was found.
@@ -301,7 +301,7 @@ class Tracker:
         fields = [float_array("variants", one.field(actuator), shape) for one in self._variants]
         return SimulationVariants(fields, field) if fields else field
 
-    def _simulated(self, actuator: Any) -> Simulated | None:
+    def _simulated(self, actuator: Any) -> SimulatedFrame | None:
         if self._restart is None:
             if actuator is not None and not self._variants:
                 message = "an `actuator` needs a `simulator` that knows it; the tracker has none"
@@ -309,7 +309,9 @@ class Tracker:
             return None
         return self._restart.simulated(actuator)
 
-    def _combined(self, alone: Registration, simulated: Simulated | None, elapsed: float) -> tuple[Registration, float]:
+    def _combined(
+        self, alone: Registration, simulated: SimulatedFrame | None, elapsed: float
+    ) -> tuple[Registration, float]:
         """Return a frame's answer after the temporal prior, and the share of the frame's own."""
         n_used = len(alone.markers.used)
         if not self._temporal or n_used == 0:

@@ -19,13 +19,33 @@ from tissuereg.registration.learned.card import CARD_SCHEMA, MODEL_FILES
 from tissuereg.registration.learned.decoders import GraphDecoder, read_decoder
 from tissuereg.registration.learned.onnx_bytes import OnnxGraph
 
-CHANNELS, N_BASES, N_LATENT = (32, 64, 128), 9, 26
 
-#: Error fields of the random network: as many as trained ones have.
-_N_ERRORS = 64
+@dataclass(frozen=True)
+class Table2Network:
+    """The network of the paper's Table II, with random weights.
 
-#: Its scale: displacements that turn no tetrahedron inside out, as a trained network's do not.
-_SCALE_MM = 0.5
+    Attributes
+    ----------
+    channels : tuple
+        Channels of its levels.
+    n_bases : int
+        Bases of a convolution.
+    n_latent : int
+        Latents.
+    n_errors : int
+        Error fields: as many as trained ones have.
+    scale_mm : float
+        Size of its displacements, mm: they turn no tetrahedron inside out, as a trained network's do not.
+    """
+
+    channels: tuple[int, int, int] = (32, 64, 128)
+    n_bases: int = 9
+    n_latent: int = 26
+    n_errors: int = 64
+    scale_mm: float = 0.5
+
+
+TABLE2 = Table2Network()
 
 
 def write_random_table2(mesh: Mesh, folder: Path, seed: int = 0) -> None:
@@ -50,17 +70,17 @@ def write_random_table2(mesh: Mesh, folder: Path, seed: int = 0) -> None:
         raise ModelError(message, where=str(folder))
     (folder / "decoder.onnx").write_bytes(decoder.whole())
     (folder / "encoder.onnx").write_bytes(_encoder(levels, mesh.n_nodes, rng))
-    unit = np.eye(N_LATENT)
+    unit = np.eye(TABLE2.n_latent)
     card = {
         "schema": CARD_SCHEMA,
         "kind": "gnn-vae",
         "mesh_digest": mesh.digest(),
         "n_nodes": mesh.n_nodes,
-        "n_latent": N_LATENT,
+        "n_latent": TABLE2.n_latent,
         "members": 1,
         "errors_mm": {"test": 0.25, "pca": 0.25},
         "prior": {
-            "mean": [0.0] * N_LATENT,
+            "mean": [0.0] * TABLE2.n_latent,
             "covariance": unit.tolist(),
             "mismatch_covariance": (0.05 * unit).tolist(),
         },
@@ -85,7 +105,7 @@ def _levels(mesh: Mesh) -> list[_Level]:
     both = np.concatenate([mesh.edges, mesh.edges[:, ::-1], np.repeat(np.arange(mesh.n_nodes)[:, None], 2, axis=1)])
     graph: Any = sparse.csr_array((np.ones(len(both)), (both[:, 0], both[:, 1])), (mesh.n_nodes, mesh.n_nodes))
     found = []
-    for _ in CHANNELS:
+    for _ in TABLE2.channels:
         near = np.zeros(graph.shape[0], dtype=bool)
         centres = []
         for node in range(graph.shape[0]):
@@ -111,25 +131,27 @@ def _shares(owners: IntArray, rng: np.random.Generator) -> FloatArray:
 
 
 def _coefficients(edges: IntArray, n_nodes: int, rng: np.random.Generator) -> FloatArray:
-    return np.asarray(rng.standard_normal((len(edges), N_BASES)) * np.sqrt(n_nodes / (len(edges) * N_BASES)))
+    return np.asarray(
+        rng.standard_normal((len(edges), TABLE2.n_bases)) * np.sqrt(n_nodes / (len(edges) * TABLE2.n_bases))
+    )
 
 
 def _decoder_tables(levels: list[_Level], n_nodes: int, rng: np.random.Generator) -> dict[str, Any]:
-    widths = (3, *CHANNELS)
-    width = levels[-1].n_nodes * CHANNELS[-1]
+    widths = (3, *TABLE2.channels)
+    width = levels[-1].n_nodes * TABLE2.channels[-1]
     tables: dict[str, Any] = {
         "levels": np.array([level.n_nodes for level in reversed(levels)]),
-        "fully_connected.weight": rng.standard_normal((width, N_LATENT)) / np.sqrt(N_LATENT),
+        "fully_connected.weight": rng.standard_normal((width, TABLE2.n_latent)) / np.sqrt(TABLE2.n_latent),
         "fully_connected.bias": np.zeros(width),
         "mean_mm": np.zeros((n_nodes, 3)),
-        "scale_mm": np.array(_SCALE_MM),
+        "scale_mm": np.array(TABLE2.scale_mm),
     }
     for name, size in (("error", "error_sizes_mm"), ("change_error", "change_sizes_mm")):
         tables |= {
-            f"{name}_fields_mm": 0.1 * rng.standard_normal((_N_ERRORS, n_nodes, 3)),
-            size: np.full(_N_ERRORS, 3.0),
+            f"{name}_fields_mm": 0.1 * rng.standard_normal((TABLE2.n_errors, n_nodes, 3)),
+            size: np.full(TABLE2.n_errors, 3.0),
         }
-    for k, fine in enumerate(reversed(range(len(CHANNELS))), start=1):
+    for k, fine in enumerate(reversed(range(len(TABLE2.channels))), start=1):
         level, n_in, n_out = levels[fine], widths[fine + 1], widths[fine]
         up = level.pools[:, ::-1]
         tables |= {
@@ -137,7 +159,7 @@ def _decoder_tables(levels: list[_Level], n_nodes: int, rng: np.random.Generator
             f"unpool{k}.weights": _shares(up[:, 0], rng),
             f"conv{k}.edges": level.edges,
             f"conv{k}.coefficients": _coefficients(level.edges, level.n_nodes, rng),
-            f"conv{k}.bases": rng.standard_normal((N_BASES, n_in, n_out)) / np.sqrt(n_in),
+            f"conv{k}.bases": rng.standard_normal((TABLE2.n_bases, n_in, n_out)) / np.sqrt(n_in),
             f"conv{k}.bias": np.zeros(n_out),
         }
     return tables
@@ -146,25 +168,25 @@ def _decoder_tables(levels: list[_Level], n_nodes: int, rng: np.random.Generator
 def _encoder(levels: list[_Level], n_nodes: int, rng: np.random.Generator) -> bytes:
     """Return the encoder as the training package writes it: neighbours gathered, coefficients first, then bases."""
     graph, x = OnnxGraph("encoder"), "displacement"
-    widths = (3, *CHANNELS)
+    widths = (3, *TABLE2.channels)
     for level, coarser, n_in, n_out in zip(levels[:-1], levels[1:], widths[:-1], widths[1:], strict=True):
         starts = np.searchsorted(level.edges[:, 0], np.arange(level.n_nodes))
         place = np.arange(len(level.edges)) - starts[level.edges[:, 0]]
         neighbours = np.zeros((level.n_nodes, int(place.max()) + 1), np.int64)
         neighbours[level.edges[:, 0], place] = level.edges[:, 1]
-        mixed = np.zeros((level.n_nodes, N_BASES, neighbours.shape[1]))
+        mixed = np.zeros((level.n_nodes, TABLE2.n_bases, neighbours.shape[1]))
         mixed[level.edges[:, 0], :, place] = _coefficients(level.edges, level.n_nodes, rng)
         x = graph.node("Gather", [x, graph.table(neighbours)], axis=1)
-        x = graph.reshape(graph.node("MatMul", [graph.table(mixed), x]), 0, level.n_nodes, N_BASES * n_in)
-        bases = rng.standard_normal((N_BASES * n_in, n_out)) / np.sqrt(n_in)
+        x = graph.reshape(graph.node("MatMul", [graph.table(mixed), x]), 0, level.n_nodes, TABLE2.n_bases * n_in)
+        bases = rng.standard_normal((TABLE2.n_bases * n_in, n_out)) / np.sqrt(n_in)
         x = graph.node("Elu", [graph.node("MatMul", [x, graph.table(bases)])])
         pool = np.zeros((coarser.n_nodes, level.n_nodes))
         pool[level.pools[:, 0], level.pools[:, 1]] = _shares(level.pools[:, 0], rng)
         x = graph.node("MatMul", [graph.table(pool), x])
-    width = levels[-1].n_nodes * CHANNELS[-1]
+    width = levels[-1].n_nodes * TABLE2.channels[-1]
     x = graph.reshape(x, 0, width)
-    head = graph.table(rng.standard_normal((width, N_LATENT)) / width)
+    head = graph.table(rng.standard_normal((width, TABLE2.n_latent)) / width)
     graph.node("MatMul", [x, head], output="mean")
-    spread = [graph.table(np.zeros((width, N_LATENT))), graph.table(np.full(N_LATENT, -4.0))]
+    spread = [graph.table(np.zeros((width, TABLE2.n_latent))), graph.table(np.full(TABLE2.n_latent, -4.0))]
     graph.node("Gemm", [x, *spread], output="log_variance")
-    return graph.to_bytes(("displacement", n_nodes, 3), ("mean", N_LATENT), ("log_variance", N_LATENT))
+    return graph.to_bytes(("displacement", n_nodes, 3), ("mean", TABLE2.n_latent), ("log_variance", TABLE2.n_latent))

@@ -30,14 +30,40 @@ from tissuereg.simulation.chunks import ChunkMaker
 from tissuereg.simulation.pairs import simulated_pairs
 from tissuereg.simulation.recipe import PairsRecipe
 
-#: The paper's setting.
-N_MEMBERS, N_STEPS, N_MARKERS = 100, 5, 15
+
+@dataclass(frozen=True)
+class PaperStep:
+    """The paper's setting of a step, and how its time is taken.
+
+    Attributes
+    ----------
+    n_members : int
+        Members of the ensemble.
+    n_steps : int
+        Assimilations.
+    n_markers : int
+        Markers of a set.
+    n_warm : int
+        Registrations of each set that do not count.
+    side : int
+        Side of the matrices whose product gives the machine's rate,
+    products : int
+        and products of which the fastest counts.
+    """
+
+    n_members: int = 100
+    n_steps: int = 5
+    n_markers: int = 15
+    n_warm: int = 2
+    side: int = 1024
+    products: int = 12
+
+
+PAPER = PaperStep()
+
 
 #: Random sets of markers, and registrations of each that do not count.
-N_SETS, N_WARM = 20, 2
-
-#: Side of the matrices whose product gives the machine's rate, and products of which the fastest counts.
-_SIDE, _PRODUCTS = 1024, 12
+N_SETS = 20
 
 
 @dataclass(frozen=True)
@@ -94,15 +120,15 @@ def step_rows(settings: StepSettings) -> list[dict[str, Any]]:
 
 def sgemm_rate(threads: int) -> float:
     """Return the multiply-adds a second of the fastest of some single-precision matrix products on so many threads."""
-    left, right = (np.random.default_rng(k).random((_SIDE, _SIDE), dtype=np.float32) for k in (0, 1))
+    left, right = (np.random.default_rng(k).random((PAPER.side, PAPER.side), dtype=np.float32) for k in (0, 1))
     product = np.empty_like(left)
     spent = []
     with threadpool_limits(limits=threads, user_api="blas"):
-        for _ in range(_PRODUCTS):
+        for _ in range(PAPER.products):
             start = time.perf_counter()
             np.matmul(left, right, out=product)
             spent.append(time.perf_counter() - start)
-    return _SIDE**3 / min(spent)
+    return PAPER.side**3 / min(spent)
 
 
 @contextmanager
@@ -130,7 +156,7 @@ def _row(name: str, folder: Path, settings: StepSettings, weights: str) -> dict[
     mesh = _mesh_of(folder)
     network = kept_network(folder, mesh, threads)
     rng = np.random.default_rng([settings.seed, 8])
-    how = RegisterSettings(threads, smoother=SmootherSettings(n_members=N_MEMBERS, n_steps=N_STEPS))
+    how = RegisterSettings(threads, smoother=SmootherSettings(n_members=PAPER.n_members, n_steps=PAPER.n_steps))
     made, totals, decoded, stages, doubted = [], [], [], [], 0
     moments = list(zip(*_moments(mesh, settings.n_sets, settings.seed, threads), strict=True))
     for number in range(settings.n_sets):
@@ -139,13 +165,13 @@ def _row(name: str, folder: Path, settings: StepSettings, weights: str) -> dict[
         start = time.perf_counter()
         registrar = Registrar(mesh, places, network, {"inside": _inside(mesh, rng)}, settings=how)
         made.append(time.perf_counter() - start)
-        for turn in range(N_WARM + settings.repeats):
+        for turn in range(PAPER.n_warm + settings.repeats):
             measured = places + weights_of @ truth + 0.1 * rng.standard_normal(places.shape)
             before = registrar.n_decoded
             start = time.perf_counter()
             result = registrar.register(measured, simulation)
             spent = time.perf_counter() - start
-            if turn < N_WARM:
+            if turn < PAPER.n_warm:
                 continue
             totals.append(spent)
             doubted += not result.trust.ok
@@ -167,9 +193,9 @@ def _row(name: str, folder: Path, settings: StepSettings, weights: str) -> dict[
             stage: float(np.median([one[stage] for one in stages])) for stage in stages[0] if stage != "total"
         },
         "made_s": float(np.median(made)),
-        "counters": {"iterations": None, "solves": None, "factorisations": None, "analyses": N_STEPS},
-        "members": N_MEMBERS,
-        "markers": N_MARKERS,
+        "counters": {"iterations": None, "solves": None, "factorisations": None, "analyses": PAPER.n_steps},
+        "members": PAPER.n_members,
+        "markers": PAPER.n_markers,
         "marker_sets": settings.n_sets,
         "members_decoded": int(np.median([members for members, _ in decoded])),
         "doubted": doubted,
@@ -192,11 +218,11 @@ def _markers(mesh: Mesh, rng: np.random.Generator) -> tuple[FloatArray, Any]:
     triangles = mesh.surface[~held]
     corners = mesh.nodes[triangles]
     areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-    chosen = triangles[rng.choice(len(triangles), N_MARKERS, replace=False, p=areas / areas.sum())]
-    shares = rng.dirichlet(np.ones(3), N_MARKERS)
-    rows = (np.repeat(np.arange(N_MARKERS), 3), chosen.ravel())
+    chosen = triangles[rng.choice(len(triangles), PAPER.n_markers, replace=False, p=areas / areas.sum())]
+    shares = rng.dirichlet(np.ones(3), PAPER.n_markers)
+    rows = (np.repeat(np.arange(PAPER.n_markers), 3), chosen.ravel())
     return np.einsum("kc,kcx->kx", shares, mesh.nodes[chosen]), sparse.csr_array(
-        (shares.ravel(), rows), (N_MARKERS, mesh.n_nodes)
+        (shares.ravel(), rows), (PAPER.n_markers, mesh.n_nodes)
     )
 
 

@@ -17,7 +17,7 @@ from tissuereg._base.arguments import place
 from tissuereg.diagnosis.material.answer import EXTENDED_FILE, answer_of
 from tissuereg.diagnosis.material.extend import extended, predicted_stresses
 from tissuereg.diagnosis.material.report import material_page
-from tissuereg.diagnosis.material.verdict import Outcome, find_out
+from tissuereg.diagnosis.material.verdict import SelectionOutcome, find_out
 from tissuereg.experiment.material_experiment import MaterialExperiment
 from tissuereg.io.atomic import OutputError, atomic_folder
 from tissuereg.io.experiment_out import write_experiment
@@ -38,14 +38,14 @@ class MaterialDiagnosis:
         Believed law and measured curves.
     extended : MaterialExperiment
         With the causes found as effects; the same where none was named.
-    outcome : Outcome
+    outcome : SelectionOutcome
         All intermediate results, for further work in Python.
     """
 
     answer: dict[str, Any]
     experiment: MaterialExperiment
     extended: MaterialExperiment
-    outcome: Outcome
+    outcome: SelectionOutcome
 
     @property
     def verdict(self) -> str:

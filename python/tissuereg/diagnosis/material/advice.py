@@ -10,7 +10,7 @@ from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.material.data import data_of
 from tissuereg.diagnosis.material.history import stress_of
 from tissuereg.diagnosis.material.model import Model
-from tissuereg.diagnosis.material.noise import USUAL_FACTOR, Noise, covariance
+from tissuereg.diagnosis.material.noise import USUAL_FACTOR, CurveNoise, covariance
 from tissuereg.diagnosis.material.scene import Scene
 from tissuereg.errors import ExperimentError
 from tissuereg.experiment.material_experiment import Curve, MaterialExperiment
@@ -66,7 +66,7 @@ def _separability(experiment: MaterialExperiment, curve: Curve, first: FloatArra
     except ExperimentError:
         return 0.0
     data = data_of(replace(experiment, curves=(measured,)))
-    noise = Noise(np.array([0.005 * float(np.abs(first).max())]), USUAL_FACTOR, 0.02, 0)
+    noise = CurveNoise(np.array([0.005 * float(np.abs(first).max())]), USUAL_FACTOR, 0.02, 0)
     own = covariance(data, noise) + USUAL_FACTOR**2 * np.outer(data.stress, data.stress)
     difference = (first - second)[data.rows[0]]
     return float(np.sqrt(difference @ np.linalg.solve(own, difference)))

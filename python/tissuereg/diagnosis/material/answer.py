@@ -12,9 +12,9 @@ from tissuereg._version import __version__
 from tissuereg.diagnosis.material.advice import best_test
 from tissuereg.diagnosis.material.causes import CAUSES
 from tissuereg.diagnosis.material.data import BoolArray
-from tissuereg.diagnosis.material.fit import Fit, effects_of
-from tissuereg.diagnosis.material.search import LEAST_SEPARABILITY, Finding
-from tissuereg.diagnosis.material.verdict import MISFIT, Outcome
+from tissuereg.diagnosis.material.fit import MaterialFit, effects_of
+from tissuereg.diagnosis.material.search import LEAST_SEPARABILITY, MaterialFinding
+from tissuereg.diagnosis.material.verdict import MISFIT, SelectionOutcome
 from tissuereg.experiment.effects import Effect
 from tissuereg.experiment.effects.history import Relaxation
 from tissuereg.experiment.material_experiment import Curve, MaterialExperiment
@@ -23,14 +23,14 @@ SCHEMA = "tissuereg.diagnosis/1"
 EXTENDED_FILE = "experiment.extended.toml"
 
 
-def answer_of(experiment: MaterialExperiment, outcome: Outcome, seed: int) -> dict[str, Any]:
+def answer_of(experiment: MaterialExperiment, outcome: SelectionOutcome, seed: int) -> dict[str, Any]:
     """Return the answer in JSON's types.
 
     Parameters
     ----------
     experiment : MaterialExperiment
         Believed law and measured curves.
-    outcome : Outcome
+    outcome : SelectionOutcome
         Result of all steps.
     seed : int
         Seed of the simulated null experiments.
@@ -89,12 +89,12 @@ def answer_of(experiment: MaterialExperiment, outcome: Outcome, seed: int) -> di
     }
 
 
-def parameters_of(fit: Fit, ids: Sequence[str]) -> dict[str, dict[str, list[float]]]:
+def parameters_of(fit: MaterialFit, ids: Sequence[str]) -> dict[str, dict[str, list[float]]]:
     """Return the parameters of every finding, with standard deviations by linear propagation of the fit's covariance.
 
     Parameters
     ----------
-    fit : Fit
+    fit : MaterialFit
         Of all findings together.
     ids : sequence of str
         Ids of its forms, in their order.
@@ -131,7 +131,7 @@ def _numbers(effect: Effect) -> dict[str, float]:
     return numbers
 
 
-def _held_out(outcome: Outcome) -> dict[str, Any]:
+def _held_out(outcome: SelectionOutcome) -> dict[str, Any]:
     base, named, generic = outcome.before, outcome.after, outcome.patch
     by_case = {
         case: {
@@ -156,7 +156,7 @@ def _held_out(outcome: Outcome) -> dict[str, Any]:
     }
 
 
-def _discrepancy(outcome: Outcome) -> dict[str, Any]:
+def _discrepancy(outcome: SelectionOutcome) -> dict[str, Any]:
     """Return in which curves and parts of them the believed law differs from the measured stress."""
     data = outcome.bench.problem.data
     residual = data.stress - data.modelled(outcome.believed.model)
@@ -189,7 +189,7 @@ def _names(curves: Sequence[Curve]) -> list[str]:
     return names
 
 
-def _when(outcome: Outcome, chi: FloatArray) -> str:
+def _when(outcome: SelectionOutcome, chi: FloatArray) -> str:
     data = outcome.bench.problem.data
     parts: dict[str, BoolArray] = {"at small strain": np.abs(data.strain) < 1 / 3}
     parts["at middle strain"] = (np.abs(data.strain) >= 1 / 3) & (np.abs(data.strain) < 2 / 3)
@@ -205,7 +205,7 @@ def _when(outcome: Outcome, chi: FloatArray) -> str:
     return max(seen, key=lambda name: seen[name])
 
 
-def _sentence(outcome: Outcome, finding: Finding) -> str:
+def _sentence(outcome: SelectionOutcome, finding: MaterialFinding) -> str:
     assert outcome.refined is not None  # there is a finding
     fit = outcome.refined.fit
     effect = fit.effects[outcome.known.ids.index(finding.id)]
@@ -221,7 +221,7 @@ def _sentence(outcome: Outcome, finding: Finding) -> str:
     return sentence
 
 
-def _sentences(outcome: Outcome) -> list[str]:
+def _sentences(outcome: SelectionOutcome) -> list[str]:
     base, named = outcome.before, outcome.after
     sentences = [_sentence(outcome, finding) for finding in outcome.findings]
     if outcome.verdict == "consistent":
@@ -251,7 +251,7 @@ def _sentences(outcome: Outcome) -> list[str]:
     return sentences
 
 
-def _again(outcome: Outcome) -> dict[str, Any]:
+def _again(outcome: SelectionOutcome) -> dict[str, Any]:
     """Return which test to repeat: the mode and the part of the curves with the largest residual."""
     worst = _discrepancy(outcome)
     mode, curves = worst["under"].replace("-", " "), outcome.bench.problem.data.curves
@@ -265,7 +265,7 @@ def _again(outcome: Outcome) -> dict[str, Any]:
     return {"action": action, "separates": [], "separability": None, "check": check}
 
 
-def _next(experiment: MaterialExperiment, outcome: Outcome) -> dict[str, Any] | None:
+def _next(experiment: MaterialExperiment, outcome: SelectionOutcome) -> dict[str, Any] | None:
     """Return the test that distinguishes tied causes; where nothing explains the curves, the test to repeat."""
     if outcome.verdict == "unexplained":
         return _again(outcome)

@@ -20,8 +20,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray
-from tissuereg.diagnosis.material.fit import Fit, prior_of
-from tissuereg.diagnosis.material.holdout import Bench
+from tissuereg.diagnosis.material.fit import MaterialFit, prior_of
+from tissuereg.diagnosis.material.holdout import ProofInput
 from tissuereg.diagnosis.material.hypothesis import NO_MISFIT
 from tissuereg.diagnosis.material.weights import SHARES
 
@@ -30,34 +30,34 @@ _STEP = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
-class Stated:
+class StatedFit:
     """A fit with the covariance that is reported.
 
     Attributes
     ----------
-    fit : Fit
+    fit : MaterialFit
         Its covariance includes noise, the form's model error and the prior.
     form_error : float
         Root mean square of the form's model error, over the stress.
     """
 
-    fit: Fit
+    fit: MaterialFit
     form_error: float
 
 
-def stated(bench: Bench, fit: Fit) -> Stated:
+def stated(bench: ProofInput, fit: MaterialFit) -> StatedFit:
     """Return a fit with the covariance due to noise, the model error of its form, and the prior.
 
     Parameters
     ----------
-    bench : Bench
+    bench : ProofInput
         Bench of the fit: its `noise` is that of the curves, its `fitting` the covariance that weights fits.
-    fit : Fit
+    fit : MaterialFit
         Of all rows.
 
     Returns
     -------
-    Stated
+    StatedFit
         The fit is otherwise unchanged.
 
     Notes
@@ -75,11 +75,11 @@ def stated(bench: Bench, fit: Fit) -> Stated:
     residual = data.stress - data.modelled(fit.model)
     squared = _squared_size(bench, slopes, gain, inverse, residual)
     errors = gain @ (bench.noise + squared * bench.generic) @ gain.T + inverse @ inverse
-    return Stated(replace(fit, covariance=scale[:, None] * errors * scale[None, :]), math.sqrt(squared))
+    return StatedFit(replace(fit, covariance=scale[:, None] * errors * scale[None, :]), math.sqrt(squared))
 
 
 def _squared_size(
-    bench: Bench, slopes: FloatArray, gain: FloatArray, inverse: FloatArray, residual: FloatArray
+    bench: ProofInput, slopes: FloatArray, gain: FloatArray, inverse: FloatArray, residual: FloatArray
 ) -> float:
     """Return the posterior mean square of the form's model error over the stress."""
     unit = np.sqrt(np.diag(bench.noise))
@@ -103,7 +103,7 @@ def _log_density(found: float, covariance: FloatArray) -> float:
     return (shape - 1.0) * math.log(found) - found / unit - math.lgamma(shape) - shape * math.log(unit)
 
 
-def _slopes(bench: Bench, fit: Fit, scale: FloatArray) -> FloatArray:
+def _slopes(bench: ProofInput, fit: MaterialFit, scale: FloatArray) -> FloatArray:
     """Return the derivatives of the stresses by the parameters, in units of their prior deviations."""
     problem = bench.problem
     columns = []

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray
-from tissuereg.diagnosis.material.fit import Fit
+from tissuereg.diagnosis.material.fit import MaterialFit
 from tissuereg.diagnosis.material.history import stress_of
 from tissuereg.diagnosis.material.model import model_of
 from tissuereg.experiment.effects import Effect
@@ -13,14 +13,14 @@ from tissuereg.experiment.effects.elastic import OtherLaw
 from tissuereg.experiment.material_experiment import MaterialExperiment
 
 
-def extended(experiment: MaterialExperiment, fit: Fit) -> MaterialExperiment:
+def extended(experiment: MaterialExperiment, fit: MaterialFit) -> MaterialExperiment:
     """Return an experiment with the causes found as its effects.
 
     Parameters
     ----------
     experiment : MaterialExperiment
         The believed experiment.
-    fit : Fit
+    fit : MaterialFit
         Of the causes found.
 
     Returns

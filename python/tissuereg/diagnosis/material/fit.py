@@ -27,7 +27,7 @@ _STEP = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
-class Problem:
+class FitProblem:
     """Data, weights and believed model of a fit.
 
     Attributes
@@ -60,7 +60,7 @@ class Problem:
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
+class MaterialFit:
     """A fitted hypothesis.
 
     Attributes
@@ -110,7 +110,7 @@ def effects_of(forms: Sequence[Form], x: FloatArray) -> list[Effect]:
     return effects
 
 
-def prior_of(problem: Problem, forms: Sequence[Form]) -> tuple[FloatArray, FloatArray]:
+def prior_of(problem: FitProblem, forms: Sequence[Form]) -> tuple[FloatArray, FloatArray]:
     """Return prior mean and standard deviation of the fitted parameters."""
     wide = any(form.effect is None for form in forms)
     mean = np.concatenate([[problem.young_log], *(form.mean for form in forms)])
@@ -118,12 +118,12 @@ def prior_of(problem: Problem, forms: Sequence[Form]) -> tuple[FloatArray, Float
     return mean, std
 
 
-def fitted(problem: Problem, forms: Sequence[Form], starts: Sequence[FloatArray], share: float = 0.0) -> Fit:
+def fitted(problem: FitProblem, forms: Sequence[Form], starts: Sequence[FloatArray], share: float = 0.0) -> MaterialFit:
     """Return the fit of a hypothesis, the best from several starts.
 
     Parameters
     ----------
-    problem : Problem
+    problem : FitProblem
         Data, weights and believed model.
     forms : sequence of Form
         Forms of its causes.
@@ -134,14 +134,14 @@ def fitted(problem: Problem, forms: Sequence[Form], starts: Sequence[FloatArray]
 
     Returns
     -------
-    Fit
+    MaterialFit
         With the largest log posterior.
     """
     ends = [_descent(problem, forms, start, share) for start in starts]
     return max(ends, key=lambda fit: fit.log_posterior)
 
 
-def _descent(problem: Problem, forms: Sequence[Form], start: FloatArray, share: float) -> Fit:
+def _descent(problem: FitProblem, forms: Sequence[Form], start: FloatArray, share: float) -> MaterialFit:
     mean, std = prior_of(problem, forms)
     measured = problem.data.stress
 
@@ -165,7 +165,7 @@ def _descent(problem: Problem, forms: Sequence[Form], start: FloatArray, share: 
     covariance = std[:, None] * np.linalg.inv(curvature + rounding) * std[None, :]
     x = mean + std * z
     model = problem.model(forms, x)
-    return Fit(tuple(forms), x, covariance, share, log_posterior - occam, log_posterior, model)
+    return MaterialFit(tuple(forms), x, covariance, share, log_posterior - occam, log_posterior, model)
 
 
 def _levenberg(residuals: Residuals, z: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.material.data import BoolArray, Data
-from tissuereg.diagnosis.material.fit import Fit, Problem, fitted
+from tissuereg.diagnosis.material.fit import FitProblem, MaterialFit, fitted
 from tissuereg.diagnosis.material.weights import block, patched, weights_of
 from tissuereg.experiment.material_experiment import HELD_OUT, MaterialExperiment
 
@@ -37,7 +37,7 @@ class Fold:
 
 
 @dataclass(frozen=True, eq=False)
-class Bench:
+class ProofInput:
     """Everything that held-out proofs need.
 
     Attributes
@@ -46,7 +46,7 @@ class Bench:
         ``mode``, ``rate``, ``specimen`` or ``part``.
     folds : tuple of Fold
         Every row is held out once at most.
-    problem : Problem
+    problem : FitProblem
         Of all rows.
     noise, generic : ndarray of float64, shape (n, n)
         Covariances of the noise and of a generic misfit of size 1, kPa^2.
@@ -58,7 +58,7 @@ class Bench:
 
     unit: str
     folds: tuple[Fold, ...]
-    problem: Problem
+    problem: FitProblem
     noise: FloatArray
     generic: FloatArray
     repeats: int = 0
@@ -105,7 +105,7 @@ def folds_of(experiment: MaterialExperiment, data: Data) -> tuple[str, tuple[Fol
     Returns
     -------
     unit : str
-        As in `Bench`.
+        As in `ProofInput`.
     folds : tuple of Fold
         At least one.
     """
@@ -139,14 +139,14 @@ def _named(unit: str, values: Sequence[object]) -> str:
     return ", ".join(str(v) for v in values)
 
 
-def held_out_errors(bench: Bench, fit: Fit, *, patch_share: float | None = None) -> HeldOutErrors:
+def held_out_errors(bench: ProofInput, fit: MaterialFit, *, patch_share: float | None = None) -> HeldOutErrors:
     """Return the errors of a hypothesis on every fold, each predicted by a fit to all other rows.
 
     Parameters
     ----------
-    bench : Bench
+    bench : ProofInput
         Rows, covariances and folds.
-    fit : Fit
+    fit : MaterialFit
         Of all rows; its parameters are the first guess.
     patch_share : float, optional
         Size of a generic misfit (Gaussian process) that is conditioned on the fitted rows and added to the prediction;

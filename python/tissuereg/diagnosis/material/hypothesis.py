@@ -12,7 +12,7 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.material.causes import CAUSES, Form
-from tissuereg.diagnosis.material.fit import Fit, Problem, fitted
+from tissuereg.diagnosis.material.fit import FitProblem, MaterialFit, fitted
 from tissuereg.diagnosis.material.weights import SHARES, weights_of
 
 #: Prior probability that there is no generic misfit in addition to the causes; the rest is divided among its sizes.
@@ -30,51 +30,51 @@ class Hypothesis:
     ----------
     ids : tuple of str
         Ids of the causes in the order of their discovery; empty for the believed model.
-    fit : Fit
+    fit : MaterialFit
         Fit in the best forms.
     evidence : float
         Log evidence, averaged over the forms tried and over the sizes of a generic misfit.
-    forms : tuple of Fit
+    forms : tuple of MaterialFit
         Fits with the newest cause in each form tried, likeliest first.
     """
 
     ids: tuple[str, ...]
-    fit: Fit
+    fit: MaterialFit
     evidence: float
-    forms: tuple[Fit, ...] = ()
+    forms: tuple[MaterialFit, ...] = ()
 
 
-def null_hypothesis(problem: Problem) -> Hypothesis:
+def null_hypothesis(problem: FitProblem) -> Hypothesis:
     """Return the null hypothesis: the believed law holds, with the modulus within its prior."""
     fit = fitted(problem, (), [np.array([problem.young_log])])
     return Hypothesis((), fit, fit.evidence)
 
 
-def plain_fit(problem: Problem, noise: FloatArray) -> Fit:
+def plain_fit(problem: FitProblem, noise: FloatArray) -> MaterialFit:
     """Return the believed law fitted with independent rows, as a user would do.
 
     Parameters
     ----------
-    problem : Problem
+    problem : FitProblem
         Data, weights and believed model.
     noise : ndarray of float64, shape (n, n)
         Covariance of the rows, kPa^2, of which only the diagonal is used.
 
     Returns
     -------
-    Fit
+    MaterialFit
         Its evidence cannot be compared with that of a hypothesis.
     """
     weights = weights_of(np.diag(np.diag(noise)), np.zeros_like(noise))
     return fitted(replace(problem, weights=weights), (), [np.array([problem.young_log])])
 
 
-def unknown(problem: Problem, known: Hypothesis) -> Hypothesis:
+def unknown(problem: FitProblem, known: Hypothesis) -> Hypothesis:
     """Return the generic rival: the causes found so far, and a smooth misfit that no cause explains.
 
     Parameters
     ----------
-    problem : Problem
+    problem : FitProblem
         Data, weights and believed model.
     known : Hypothesis
         Causes found so far.
@@ -90,12 +90,12 @@ def unknown(problem: Problem, known: Hypothesis) -> Hypothesis:
     return Hypothesis((*known.ids, "unknown"), best, evidence)
 
 
-def with_cause(problem: Problem, known: Hypothesis, cause: str, forms: Sequence[Form]) -> Hypothesis:
+def with_cause(problem: FitProblem, known: Hypothesis, cause: str, forms: Sequence[Form]) -> Hypothesis:
     """Return the hypothesis with one more cause, in its best form.
 
     Parameters
     ----------
-    problem : Problem
+    problem : FitProblem
         Data, weights and believed model.
     known : Hypothesis
         Causes found so far; their forms are kept, their parameters are fitted again.
@@ -109,7 +109,7 @@ def with_cause(problem: Problem, known: Hypothesis, cause: str, forms: Sequence[
     Hypothesis
         Evidence averaged over the forms.
     """
-    found: list[tuple[Fit, float]] = []
+    found: list[tuple[MaterialFit, float]] = []
     # The fit of a simpler form gives a first guess for a richer one.
     x = known.fit.x
     for form in forms:
@@ -125,12 +125,12 @@ def with_cause(problem: Problem, known: Hypothesis, cause: str, forms: Sequence[
     return Hypothesis((*known.ids, cause), best[0], evidence, tuple(fit for fit, _ in ordered))
 
 
-def refitted(problem: Problem, forms: Sequence[Form], starts: Sequence[FloatArray]) -> tuple[Fit, float]:
+def refitted(problem: FitProblem, forms: Sequence[Form], starts: Sequence[FloatArray]) -> tuple[MaterialFit, float]:
     """Return the fit of forms with or without a generic misfit, and their evidence.
 
     Parameters
     ----------
-    problem : Problem
+    problem : FitProblem
         Data, weights and believed model.
     forms : sequence of Form
         Forms of the causes.
@@ -139,7 +139,7 @@ def refitted(problem: Problem, forms: Sequence[Form], starts: Sequence[FloatArra
 
     Returns
     -------
-    fit : Fit
+    fit : MaterialFit
         The likelier of the two.
     evidence : float
         Log of the mean evidence with and without the generic misfit, weighted by their prior probabilities.
@@ -160,7 +160,7 @@ def forms_of(cause: str, known: Sequence[str], forms: dict[str, list[Form]]) -> 
     return [] if CAUSES[cause].slot in taken else forms[cause]
 
 
-def _likeliest_share(problem: Problem, fit: Fit) -> float:
+def _likeliest_share(problem: FitProblem, fit: MaterialFit) -> float:
     residual = problem.data.stress - problem.data.modelled(fit.model)
 
     def score(share: float) -> float:
@@ -171,7 +171,7 @@ def _likeliest_share(problem: Problem, fit: Fit) -> float:
     return max((0.0, *SHARES), key=score)
 
 
-def _grown(form: Form, found: Sequence[tuple[Fit, float]]) -> list[list[FloatArray]]:
+def _grown(form: Form, found: Sequence[tuple[MaterialFit, float]]) -> list[list[FloatArray]]:
     """Return first guesses for a relaxation from the fit with one term less."""
     if not found or not form.label.startswith("prony") or not found[-1][0].forms[-1].label.startswith("prony"):
         return []

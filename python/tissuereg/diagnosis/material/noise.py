@@ -23,7 +23,7 @@ ROUGH = 0.2
 
 
 @dataclass(frozen=True, eq=False)
-class Noise:
+class CurveNoise:
     """Standard deviations of the noise.
 
     Attributes
@@ -44,7 +44,7 @@ class Noise:
     repeats: int
 
 
-def noise_of(experiment: MaterialExperiment) -> Noise:
+def noise_of(experiment: MaterialExperiment) -> CurveNoise:
     """Return the estimated noise of an experiment.
 
     White noise is estimated from the difference between every row and a cubic through its four neighbours along the
@@ -58,7 +58,7 @@ def noise_of(experiment: MaterialExperiment) -> Noise:
 
     Returns
     -------
-    Noise
+    CurveNoise
         With typical values where no curve is repeated.
     """
     std = np.array([_white(curve, experiment.stress_std) for curve in experiment.curves])
@@ -71,17 +71,17 @@ def noise_of(experiment: MaterialExperiment) -> Noise:
     weight = repeats + _PRIOR_REPEATS
     factor = np.sqrt((factors + _PRIOR_REPEATS * USUAL_FACTOR**2) / weight)
     along = np.sqrt((rests + _PRIOR_REPEATS * USUAL_ALONG**2) / weight)
-    return Noise(std, float(factor), float(along), repeats)
+    return CurveNoise(std, float(factor), float(along), repeats)
 
 
-def covariance(data: Data, noise: Noise) -> FloatArray:
+def covariance(data: Data, noise: CurveNoise) -> FloatArray:
     """Return the covariance of measured stresses about a correct law.
 
     Parameters
     ----------
     data : Data
         Rows used.
-    noise : Noise
+    noise : CurveNoise
         Standard deviations.
 
     Returns

@@ -6,7 +6,7 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.material.causes import Form
-from tissuereg.diagnosis.material.fit import Fit, Problem, prior_of
+from tissuereg.diagnosis.material.fit import FitProblem, MaterialFit, prior_of
 from tissuereg.diagnosis.material.weights import SHARES, Weights
 from tissuereg.errors import TissueRegError
 
@@ -17,7 +17,11 @@ _NOISE_OF_NOISE = 0.15
 
 
 def threshold(
-    problem: Problem, known: Fit, forms: Mapping[str, Sequence[Form]], rng: np.random.Generator, n_nulls: int = 400
+    problem: FitProblem,
+    known: MaterialFit,
+    forms: Mapping[str, Sequence[Form]],
+    rng: np.random.Generator,
+    n_nulls: int = 400,
 ) -> float:
     """Return the log Bayes factor that the best cause exceeds in one of a hundred null experiments.
 
@@ -26,9 +30,9 @@ def threshold(
 
     Parameters
     ----------
-    problem : Problem
+    problem : FitProblem
         Data, weights and believed model.
-    known : Fit
+    known : MaterialFit
         Of the believed model.
     forms : mapping of str to sequence of Form
         By id.
@@ -98,7 +102,7 @@ def _evidence(draws: FloatArray, columns: FloatArray) -> FloatArray:
     return np.asarray(gain - 0.5 * np.linalg.slogdet(inner)[1])
 
 
-def _young_column(problem: Problem, known: Fit) -> FloatArray:
+def _young_column(problem: FitProblem, known: MaterialFit) -> FloatArray:
     _, std = prior_of(problem, ())
     moved = problem.model((), known.x + np.array([1e-3]))
     change = (problem.data.modelled(moved) - problem.data.modelled(known.model)) / 1e-3
@@ -106,7 +110,7 @@ def _young_column(problem: Problem, known: Fit) -> FloatArray:
     return column
 
 
-def _columns(problem: Problem, known: Fit, form: Form) -> FloatArray:
+def _columns(problem: FitProblem, known: MaterialFit, form: Form) -> FloatArray:
     plain = problem.data.modelled(known.model)
     columns = []
     for start in (*form.starts, tuple(form.mean)):

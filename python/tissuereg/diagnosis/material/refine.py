@@ -14,11 +14,11 @@ import numpy as np
 
 from tissuereg.diagnosis.material.causes import CAUSES, Form
 from tissuereg.diagnosis.material.deviations import stated
-from tissuereg.diagnosis.material.fit import Fit, fitted
-from tissuereg.diagnosis.material.holdout import Bench, HeldOutErrors, held_out_errors
+from tissuereg.diagnosis.material.fit import MaterialFit, fitted
+from tissuereg.diagnosis.material.holdout import HeldOutErrors, ProofInput, held_out_errors
 from tissuereg.diagnosis.material.hypothesis import Hypothesis
-from tissuereg.diagnosis.material.noise import Noise
-from tissuereg.diagnosis.material.search import Search
+from tissuereg.diagnosis.material.noise import CurveNoise
+from tissuereg.diagnosis.material.search import MaterialSearch
 from tissuereg.diagnosis.material.weights import weights_of
 
 #: Noise of a row over the peak of its curve, where all rows of a curve have equal weights.
@@ -33,7 +33,7 @@ class Refined:
 
     Attributes
     ----------
-    fit : Fit
+    fit : MaterialFit
         Of all rows; its covariance includes the model error of its form.
     held_out : HeldOutErrors
         Errors on held-out data with the same form and weights.
@@ -43,22 +43,22 @@ class Refined:
         Size of the form's model error, over the stress.
     """
 
-    fit: Fit
+    fit: MaterialFit
     held_out: HeldOutErrors
     weighting: str
     form_error: float = math.nan
 
 
-def refined(search: Search, none: Hypothesis, known: Hypothesis, noise: Noise) -> Refined:
+def refined(search: MaterialSearch, none: Hypothesis, known: Hypothesis, noise: CurveNoise) -> Refined:
     """Return the fit in the form and with the weights that predict best.
 
     Parameters
     ----------
-    search : Search
+    search : MaterialSearch
         With its bench.
     none, known : Hypothesis
         The believed law without and with the causes found.
-    noise : Noise
+    noise : CurveNoise
         Noise of the curves.
 
     Returns
@@ -78,7 +78,12 @@ def refined(search: Search, none: Hypothesis, known: Hypothesis, noise: Noise) -
 
 
 def _best_form(
-    search: Search, none: Hypothesis, known: Hypothesis, cause: str, best: Refined, benches: dict[str, Bench]
+    search: MaterialSearch,
+    none: Hypothesis,
+    known: Hypothesis,
+    cause: str,
+    best: Refined,
+    benches: dict[str, ProofInput],
 ) -> Refined:
     place = known.ids.index(cause)
     for fit in _in_each_form(search, none, known, cause):
@@ -93,14 +98,14 @@ def _best_form(
     return best
 
 
-def _in_each_form(search: Search, none: Hypothesis, known: Hypothesis, cause: str) -> list[Fit]:
+def _in_each_form(search: MaterialSearch, none: Hypothesis, known: Hypothesis, cause: str) -> list[MaterialFit]:
     rest = search.without(none, known, cause)
     fits = search.in_forms(rest, cause)
     order = [*rest.ids, cause]
     return [_reordered(fit, order, known.ids) for fit in fits]
 
 
-def _reordered(fit: Fit, order: list[str], wanted: tuple[str, ...]) -> Fit:
+def _reordered(fit: MaterialFit, order: list[str], wanted: tuple[str, ...]) -> MaterialFit:
     """Return a fit with its forms and their parameters in another order of the ids."""
     parts: dict[str, tuple[Form, slice]] = {}
     first = 1
@@ -112,13 +117,13 @@ def _reordered(fit: Fit, order: list[str], wanted: tuple[str, ...]) -> Fit:
     return replace(fit, forms=forms, x=fit.x[index], covariance=fit.covariance[np.ix_(index, index)])
 
 
-def _of(bench: Bench, fit: Fit, weighting: str) -> Refined:
+def _of(bench: ProofInput, fit: MaterialFit, weighting: str) -> Refined:
     if weighting == "rows alike":
         fit = fitted(bench.problem, fit.forms, [fit.x])
     return Refined(fit, held_out_errors(bench, fit), weighting)
 
 
-def _error(search: Search, refined: Refined) -> float:
+def _error(search: MaterialSearch, refined: Refined) -> float:
     """Return the error that decides: on held-out data, or of the fit itself for a single curve; kPa."""
     if search.bench.unit != "part":
         return refined.held_out.rms_all
@@ -126,19 +131,19 @@ def _error(search: Search, refined: Refined) -> float:
     return float(np.sqrt(np.mean((data.stress - data.modelled(refined.fit.model)) ** 2)))
 
 
-def rows_alike(bench: Bench, noise: Noise) -> Bench:
+def rows_alike(bench: ProofInput, noise: CurveNoise) -> ProofInput:
     """Return a bench on which the rows of a curve have equal weights in fits.
 
     Parameters
     ----------
-    bench : Bench
+    bench : ProofInput
         Rows, covariances and folds.
-    noise : Noise
+    noise : CurveNoise
         Noise of the curves.
 
     Returns
     -------
-    Bench
+    ProofInput
         Prediction errors are still measured in units of the full noise covariance.
     """
     data = bench.problem.data

@@ -131,8 +131,8 @@ def _chart(mode: str, drawn: Sequence[tuple["Curve", FloatArray, FloatArray | No
     stresses = np.concatenate([row for curve, *models in drawn for row in (curve.stress, *models) if row is not None])
     known = stresses[np.isfinite(stresses)]
     low, high = float(known.min()), float(known.max())
-    across = svg.Scale(float(amounts.min()), float(amounts.max()), _LEFT, _WIDTH - _RIGHT)
-    up = svg.Scale(min(low, 0.0), max(high, 0.0), _HEIGHT - 40.0, 20.0)
+    across = svg.PixelScale(float(amounts.min()), float(amounts.max()), _LEFT, _WIDTH - _RIGHT)
+    up = svg.PixelScale(min(low, 0.0), max(high, 0.0), _HEIGHT - 40.0, 20.0)
     parts = [
         svg.level(up(tick), _LEFT, _WIDTH - _RIGHT, "#e3e6ea")
         + svg.text(_LEFT - 6.0, up(tick) + 4.0, f"{tick:g}", "end", more="font-size='11'")

@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from tissuereg.diagnosis.material.causes import CAUSES, Form
-from tissuereg.diagnosis.material.fit import Fit
-from tissuereg.diagnosis.material.holdout import Bench, HeldOutErrors, held_out_errors
+from tissuereg.diagnosis.material.fit import MaterialFit
+from tissuereg.diagnosis.material.holdout import HeldOutErrors, ProofInput, held_out_errors
 from tissuereg.diagnosis.material.hypothesis import Hypothesis, forms_of, refitted, unknown, with_cause
 
 #: Separability below which two causes form a group (a difference of 8 in log posterior), and its members at most.
@@ -35,7 +35,7 @@ Progress = Callable[[str], None]
 
 
 @dataclass(frozen=True)
-class Candidate:
+class CandidateCause:
     """One cause in the race of single causes.
 
     Attributes
@@ -57,7 +57,7 @@ class Candidate:
 
 
 @dataclass(frozen=True, eq=False)
-class Finding:
+class MaterialFinding:
     """An accepted cause.
 
     Attributes
@@ -67,7 +67,7 @@ class Finding:
     group : tuple of str
         Ids that these data cannot distinguish from it, itself first.
     probability : float
-        As in `Candidate`.
+        As in `CandidateCause`.
     log_bayes_factor : float
         Against the other findings without it, nats.
     separability : dict of str to float
@@ -85,12 +85,12 @@ class Finding:
 
 
 @dataclass(eq=False)
-class Search:
+class MaterialSearch:
     """The selection of causes.
 
     Parameters
     ----------
-    bench : Bench
+    bench : ProofInput
         Data, believed model and folds.
     forms : dict of str to list of Form
         Forms by cause; causes without forms cannot be seen in these curves.
@@ -100,12 +100,12 @@ class Search:
         Called with the name of the step that begins.
     """
 
-    bench: Bench
+    bench: ProofInput
     forms: dict[str, list[Form]]
     threshold: float
     progress: Progress
     #: The race of single causes against the believed model, for the answer.
-    first_race: list[Candidate] = field(default_factory=list)
+    first_race: list[CandidateCause] = field(default_factory=list)
     _tried: dict[tuple[tuple[str, ...], tuple[str, ...], str], Hypothesis] = field(default_factory=dict)
 
     def run(self, none: Hypothesis) -> Hypothesis:
@@ -146,7 +146,7 @@ class Search:
             self._tried[key] = with_cause(self.bench.problem, known, cause, forms)
         return self._tried[key]
 
-    def in_forms(self, rest: Hypothesis, cause: str) -> tuple[Fit, ...]:
+    def in_forms(self, rest: Hypothesis, cause: str) -> tuple[MaterialFit, ...]:
         """Return the fits with one more cause, in each of its forms, likeliest first."""
         return self._with(rest, cause, self.forms[cause]).forms
 
@@ -215,7 +215,7 @@ class Search:
             self._proved(before, held_out_errors(self.bench, fit), patch) for fit in others if fit is not grown.fit
         )
 
-    def far_modulus(self, fit: Fit) -> bool:
+    def far_modulus(self, fit: MaterialFit) -> bool:
         """Return whether the prior mean is far from the range between the instantaneous and the relaxed modulus."""
         problem, relaxation = self.bench.problem, fit.model.relaxation
         relaxed = 0.0 if relaxation is None else float(np.log1p(-min(sum(relaxation.g), 0.999)))
@@ -276,7 +276,7 @@ class Search:
                 known = rest
         return known
 
-    def finding(self, none: Hypothesis, known: Hypothesis, cause: str) -> Finding:
+    def finding(self, none: Hypothesis, known: Hypothesis, cause: str) -> MaterialFinding:
         """Return the finding of one accepted cause.
 
         Parameters
@@ -290,7 +290,7 @@ class Search:
 
         Returns
         -------
-        Finding
+        MaterialFinding
             With its group.
         """
         self.progress(f"rivals of {cause}")
@@ -302,7 +302,7 @@ class Search:
         tied = tied[: LARGEST_GROUP - 1]
         among = [known.evidence, rest.evidence, generic.evidence, *(r.evidence for r in racers)]
         probability = float(np.exp(known.evidence - np.logaddexp.reduce(among)))
-        return Finding(
+        return MaterialFinding(
             cause,
             (cause, *(r.ids[-1] for r in tied)),
             probability,
@@ -312,12 +312,12 @@ class Search:
         )
 
 
-def candidates(known: Hypothesis, racers: list[Hypothesis], generic: Hypothesis) -> list[Candidate]:
+def candidates(known: Hypothesis, racers: list[Hypothesis], generic: Hypothesis) -> list[CandidateCause]:
     """Return the entries of the answer for a race, the generic rival included."""
     everyone = [*racers, generic]
     total = np.logaddexp.reduce([known.evidence, *(h.evidence for h in everyone)])
     return [
-        Candidate(
+        CandidateCause(
             hypothesis.ids[-1],
             hypothesis.evidence - known.evidence,
             float(np.sqrt(max(0.0, 2.0 * (hypothesis.fit.log_posterior - known.fit.log_posterior)))),

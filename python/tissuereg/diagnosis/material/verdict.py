@@ -9,15 +9,15 @@ import numpy as np
 from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.material.causes import CAUSES
 from tissuereg.diagnosis.material.data import data_of
-from tissuereg.diagnosis.material.fit import Fit, Problem
-from tissuereg.diagnosis.material.holdout import Bench, HeldOutErrors, folds_of, held_out_errors
+from tissuereg.diagnosis.material.fit import FitProblem, MaterialFit
+from tissuereg.diagnosis.material.holdout import HeldOutErrors, ProofInput, folds_of, held_out_errors
 from tissuereg.diagnosis.material.hypothesis import Hypothesis, null_hypothesis, plain_fit, unknown
 from tissuereg.diagnosis.material.model import model_of
-from tissuereg.diagnosis.material.noise import Noise, covariance, noise_of
+from tissuereg.diagnosis.material.noise import CurveNoise, covariance, noise_of
 from tissuereg.diagnosis.material.nulls import misfit_probability, threshold
 from tissuereg.diagnosis.material.refine import Refined, refined
 from tissuereg.diagnosis.material.scene import Scene, scene_of
-from tissuereg.diagnosis.material.search import Candidate, Finding, Search, visible
+from tissuereg.diagnosis.material.search import CandidateCause, MaterialFinding, MaterialSearch, visible
 from tissuereg.diagnosis.material.weights import generic_covariance, weights_of
 from tissuereg.experiment.material_experiment import MaterialExperiment
 
@@ -30,7 +30,7 @@ EXPLAINED = 0.8
 
 
 @dataclass(frozen=True, eq=False)
-class Outcome:
+class SelectionOutcome:
     """The result of all steps.
 
     Attributes
@@ -39,13 +39,13 @@ class Outcome:
         Verdict.
     known : Hypothesis
         The believed law with the causes found.
-    believed : Fit
+    believed : MaterialFit
         The believed law, fitted with independent rows.
     refined : Refined or None
         The reported fit of the findings; None without findings.
-    findings : tuple of Finding
+    findings : tuple of MaterialFinding
         Empty where the verdict is consistent or unexplained.
-    candidates : tuple of Candidate
+    candidates : tuple of CandidateCause
         The race of single causes, the generic rival included.
     threshold : float
         Log Bayes factor that a cause must exceed, nats.
@@ -57,9 +57,9 @@ class Outcome:
         Of the believed law, with the findings, and with a generic patch.
     unit : str
         Unit that was held out.
-    noise : Noise
+    noise : CurveNoise
         Noise of the curves.
-    bench : Bench
+    bench : ProofInput
         Rows, covariances and folds.
     scene : Scene
         Scope of the curves.
@@ -67,10 +67,10 @@ class Outcome:
 
     verdict: str
     known: Hypothesis
-    believed: Fit
+    believed: MaterialFit
     refined: Refined | None
-    findings: tuple[Finding, ...]
-    candidates: tuple[Candidate, ...]
+    findings: tuple[MaterialFinding, ...]
+    candidates: tuple[CandidateCause, ...]
     threshold: float
     p_misfit: float
     explained: float
@@ -78,12 +78,12 @@ class Outcome:
     after: HeldOutErrors
     patch: HeldOutErrors
     unit: str
-    noise: Noise
-    bench: Bench
+    noise: CurveNoise
+    bench: ProofInput
     scene: Scene
 
 
-def find_out(experiment: MaterialExperiment, seed: int, progress: Callable[[str], None]) -> Outcome:
+def find_out(experiment: MaterialExperiment, seed: int, progress: Callable[[str], None]) -> SelectionOutcome:
     """Return the result of all steps of a material diagnosis.
 
     Parameters
@@ -97,7 +97,7 @@ def find_out(experiment: MaterialExperiment, seed: int, progress: Callable[[str]
 
     Returns
     -------
-    Outcome
+    SelectionOutcome
         Everything that the answer is made from.
     """
     rng = np.random.default_rng(seed)
@@ -107,7 +107,7 @@ def find_out(experiment: MaterialExperiment, seed: int, progress: Callable[[str]
     forms = visible({id: cause.forms(scene) for id, cause in CAUSES.items()})
     progress("threshold from null experiments")
     limit = threshold(problem, none.fit, forms, rng)
-    search = Search(bench, forms, limit, progress)
+    search = MaterialSearch(bench, forms, limit, progress)
     known = _without_near_modulus(search, none, search.run(none))
     data = problem.data
     believed = plain_fit(problem, bench.noise)
@@ -116,7 +116,7 @@ def find_out(experiment: MaterialExperiment, seed: int, progress: Callable[[str]
     explained = _explained(bench, data.stress - data.modelled(believed.model), residual) if known.ids else math.nan
     generic = unknown(problem, none)
     verdict = "consistent" if p_misfit > MISFIT else "unexplained"
-    findings: tuple[Finding, ...] = ()
+    findings: tuple[MaterialFinding, ...] = ()
     if known.ids and (p_misfit > MISFIT or explained > EXPLAINED):
         findings = tuple(search.finding(none, known, cause) for cause in known.ids)
         verdict = "group" if any(len(finding.group) > 1 for finding in findings) else "named"
@@ -125,7 +125,7 @@ def find_out(experiment: MaterialExperiment, seed: int, progress: Callable[[str]
     before = held_out_errors(bench, believed)
     after = before if reported is None else reported.held_out
     patch = held_out_errors(bench, none.fit, patch_share=generic.fit.share)
-    return Outcome(
+    return SelectionOutcome(
         verdict,
         known,
         believed,
@@ -145,7 +145,7 @@ def find_out(experiment: MaterialExperiment, seed: int, progress: Callable[[str]
     )
 
 
-def bench_of(experiment: MaterialExperiment) -> tuple[Bench, Noise]:
+def bench_of(experiment: MaterialExperiment) -> tuple[ProofInput, CurveNoise]:
     """Return everything that fits and held-out proofs of an experiment need.
 
     Parameters
@@ -155,9 +155,9 @@ def bench_of(experiment: MaterialExperiment) -> tuple[Bench, Noise]:
 
     Returns
     -------
-    bench : Bench
+    bench : ProofInput
         Rows, covariances and folds.
-    noise : Noise
+    noise : CurveNoise
         Noise of the curves.
     """
     data, noise = data_of(experiment), noise_of(experiment)
@@ -165,18 +165,18 @@ def bench_of(experiment: MaterialExperiment) -> tuple[Bench, Noise]:
     base = model_of(experiment)
     young = float(base.material.young_array[0])
     std = USUAL_YOUNG if experiment.young_std is None else math.log1p(experiment.young_std / young)
-    problem = Problem(base, data, weights_of(own, generic), math.log(young), std)
+    problem = FitProblem(base, data, weights_of(own, generic), math.log(young), std)
     unit, folds = folds_of(experiment, data)
-    return Bench(unit, folds, problem, own, generic, noise.repeats), noise
+    return ProofInput(unit, folds, problem, own, generic, noise.repeats), noise
 
 
-def _without_near_modulus(search: Search, none: Hypothesis, known: Hypothesis) -> Hypothesis:
+def _without_near_modulus(search: MaterialSearch, none: Hypothesis, known: Hypothesis) -> Hypothesis:
     """Return the hypothesis without a finding of the modulus where that lies within its prior."""
     if "stiffness" not in known.ids:
         return known
     return known if search.far_modulus(known.fit) else search.without(none, known, "stiffness")
 
 
-def _explained(bench: Bench, before: FloatArray, after: FloatArray) -> float:
+def _explained(bench: ProofInput, before: FloatArray, after: FloatArray) -> float:
     sizes = [float(np.sum(bench.problem.weights.whitened(error) ** 2)) - len(error) for error in (before, after)]
     return 1.0 - max(sizes[1], 0.0) / sizes[0] if sizes[0] > 0 else 0.0

@@ -25,7 +25,7 @@ _WIDTH, _LEFT, _RIGHT = 900.0, 60.0, 20.0
 
 
 @dataclass(frozen=True, eq=False)
-class Curve:
+class ChannelCurve:
     """Residuals of one channel of one case over time, in noise deviations.
 
     Attributes
@@ -47,15 +47,17 @@ class Curve:
     low: FloatArray
     high: FloatArray
 
-    def worst(self, most: int = MOST_FRAMES) -> "Curve":
+    def worst(self, most: int = MOST_FRAMES) -> "ChannelCurve":
         """Return the curve in fewer frames: of every few consecutive ones, that with the largest residual before."""
         stride = -(-len(self.times) // most)
         size = np.where(np.isfinite(self.before), self.before, -1.0)
         rows = [i + int(np.argmax(size[i : i + stride])) for i in range(0, len(size), stride)]
-        return Curve(self.title, self.times[rows], self.before[rows], self.after[rows], self.low[rows], self.high[rows])
+        return ChannelCurve(
+            self.title, self.times[rows], self.before[rows], self.after[rows], self.low[rows], self.high[rows]
+        )
 
 
-def curves(found: "Diagnosis") -> dict[str, list[Curve]]:
+def curves(found: "Diagnosis") -> dict[str, list[ChannelCurve]]:
     """Return the curves of every case: markers, then every measured force.
 
     Residuals are reduced by the null covariance (tracker frame, drift, discretisation error), so that a correct model
@@ -67,7 +69,7 @@ def curves(found: "Diagnosis") -> dict[str, list[Curve]]:
     if search.final.parts and len(search.reduced):
         # Reduced also by the parameters of the causes found and by their discretisation error.
         after = search.reduced
-    charts: dict[str, list[Curve]] = {}
+    charts: dict[str, list[ChannelCurve]] = {}
     for part in layout.parts:
         seen = part.markers(layout.seen.astype(np.float64))
         charts[part.name] = [_curve("markers", part, part.markers(before), part.markers(after), seen)]
@@ -91,7 +93,7 @@ def histories(found: "Diagnosis") -> str:
     return "\n".join(parts)
 
 
-def _curve(title: str, part: "CasePart", before: FloatArray, after: FloatArray, seen: FloatArray) -> Curve:
+def _curve(title: str, part: "CasePart", before: FloatArray, after: FloatArray, seen: FloatArray) -> ChannelCurve:
     count = seen.reshape(part.n_frames, -1).sum(axis=1)
     known = np.maximum(count, 1.0)
 
@@ -100,7 +102,7 @@ def _curve(title: str, part: "CasePart", before: FloatArray, after: FloatArray, 
         return np.asarray(np.where(count > 0, np.sqrt(power / known), np.nan))
 
     low, high = (np.sqrt(chi2.ppf(p, known) / known) for p in (0.5 - SHARE / 2, 0.5 + SHARE / 2))
-    return Curve(title, part.times, chi(before), chi(after), low, high)
+    return ChannelCurve(title, part.times, chi(before), chi(after), low, high)
 
 
 def _load(case: "Case") -> dict[str, FloatArray]:
@@ -115,9 +117,9 @@ def _load(case: "Case") -> dict[str, FloatArray]:
     return load
 
 
-def _chart(name: str, several: list[Curve], load: dict[str, FloatArray]) -> str:
+def _chart(name: str, several: list[ChannelCurve], load: dict[str, FloatArray]) -> str:
     times = several[0].times
-    across = svg.Scale(float(times[0]), float(times[-1]), _LEFT, _WIDTH - _RIGHT)
+    across = svg.PixelScale(float(times[0]), float(times[-1]), _LEFT, _WIDTH - _RIGHT)
     parts, at = [], 4.0
     for curve in several:
         parts.append(_panel(curve.worst(), across, at, 120.0))
@@ -130,9 +132,9 @@ def _chart(name: str, several: list[Curve], load: dict[str, FloatArray]) -> str:
     return svg.picture(_WIDTH, at + 28.0, parts, f"Residuals of case {name} over time")
 
 
-def _panel(curve: Curve, across: svg.Scale, top: float, height: float) -> str:
+def _panel(curve: ChannelCurve, across: svg.PixelScale, top: float, height: float) -> str:
     largest = float(np.nanmax([curve.before, curve.after, curve.high]))
-    up = svg.Scale(0.0, 1.08 * largest, top + height, top + 16.0)
+    up = svg.PixelScale(0.0, 1.08 * largest, top + height, top + 16.0)
     x = np.array([across(t) for t in curve.times])
     if len(x) == 1:
         band = svg.bar(
@@ -156,8 +158,8 @@ def _panel(curve: Curve, across: svg.Scale, top: float, height: float) -> str:
     return "".join(parts)
 
 
-def _load_panel(load: dict[str, FloatArray], times: FloatArray, across: svg.Scale, top: float) -> str:
-    up = svg.Scale(0.0, 1.05, top + 56.0, top + 18.0)
+def _load_panel(load: dict[str, FloatArray], times: FloatArray, across: svg.PixelScale, top: float) -> str:
+    up = svg.PixelScale(0.0, 1.05, top + 56.0, top + 18.0)
     stride = -(-len(times) // MOST_FRAMES)
     x = np.array([across(t) for t in times[::stride]])
     parts = [

@@ -14,7 +14,7 @@ from tissuereg.report.markup import escape, table
 if TYPE_CHECKING:
     from tissuereg.diagnosis.answer import Diagnosis, Finding
     from tissuereg.diagnosis.proof import HeldOut
-    from tissuereg.diagnosis.signals import Layout
+    from tissuereg.diagnosis.signals import SignalLayout
 
 _MODELS = (
     ("base", "believed model", svg.BEFORE),
@@ -109,7 +109,7 @@ def _overall(finding: "Finding") -> str:
     return _bars([("all", bars)]) + table(head, rows) + log_density
 
 
-def _by_case(proof: "HeldOut", layout: "Layout") -> str:
+def _by_case(proof: "HeldOut", layout: "SignalLayout") -> str:
     rows, groups = [], []
     for part in layout.parts:
         mine = layout.of_case(part.name) & layout.seen & np.isfinite(proof.residuals).all(axis=0)
@@ -128,7 +128,7 @@ def _by_case(proof: "HeldOut", layout: "Layout") -> str:
 
 def _bars(groups: list[tuple[str, list[tuple[str, float, str]]]]) -> str:
     left, width, row = 250.0, 900.0, 18.0
-    across = svg.Scale(0.0, 1.05 * max([1.0] + [x for _, bars in groups for _, x, _ in bars]), left, width - 60.0)
+    across = svg.PixelScale(0.0, 1.05 * max([1.0] + [x for _, bars in groups for _, x, _ in bars]), left, width - 60.0)
     parts, at = [], 18.0
     for title, bars in groups:
         for i, (name, value, colour) in enumerate(bars):

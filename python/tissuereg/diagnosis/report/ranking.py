@@ -90,7 +90,7 @@ def ranking(rows: Sequence[Mapping[str, Any]], thresholds: Mapping[str, float], 
     limits = [thresholds.get(str(row["id"])) for row in rows]
     most = max([_scaled(v) for v in [*values, *(limit for limit in limits if limit is not None)]] + [1.0])
     least = min([_scaled(max(v, _LEAST)) for v in values] + [0.0])
-    across = svg.Scale(least, most, _LEFT, _WIDTH - _RIGHT)
+    across = svg.PixelScale(least, most, _LEFT, _WIDTH - _RIGHT)
     bottom = 26.0 + _ROW * len(rows)
     heads = (
         ("log_bayes_factor", "log Bayes factor", _WIDTH - _RIGHT + 10.0, "start"),

@@ -13,7 +13,7 @@ from tissuereg.io.json import plain
 if TYPE_CHECKING:
     from tissuereg.diagnosis.answer import Diagnosis
     from tissuereg.diagnosis.search import Search
-    from tissuereg.diagnosis.signals import CasePart, Layout
+    from tissuereg.diagnosis.signals import CasePart, SignalLayout
     from tissuereg.experiment.experiment import Experiment
 
 #: Number of residual vectors in a page, before and after together, at most; of longer cases every nth frame is shown.
@@ -71,7 +71,7 @@ def script_text(value: dict[str, Any]) -> str:
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 
-def _case(layout: "Layout", search: "Search", part: "CasePart", stride: int) -> dict[str, Any]:
+def _case(layout: "SignalLayout", search: "Search", part: "CasePart", stride: int) -> dict[str, Any]:
     rows = slice(None, None, stride)
     case: dict[str, Any] = {"name": part.name, "times": np.round(part.times[rows], 4).tolist(), "pads": list(part.pads)}
     for when, fit in (("before", search.base), ("after", search.final)):

@@ -12,7 +12,7 @@ MOST_TRIANGLES = 12_000
 
 
 @dataclass(frozen=True, eq=False)
-class Surface:
+class PatchedSurface:
     """Triangles with their patches.
 
     Attributes
@@ -30,7 +30,7 @@ class Surface:
     patch: IntArray
 
 
-def drawn_surface(experiment: Experiment, most: int = MOST_TRIANGLES) -> Surface:
+def drawn_surface(experiment: Experiment, most: int = MOST_TRIANGLES) -> PatchedSurface:
     """Return the surface of a body at rest.
 
     Parameters
@@ -42,7 +42,7 @@ def drawn_surface(experiment: Experiment, most: int = MOST_TRIANGLES) -> Surface
 
     Returns
     -------
-    Surface
+    PatchedSurface
         Nodes are merged on coarser and coarser grids until there are few enough triangles.
     """
     mesh = experiment.mesh
@@ -54,7 +54,7 @@ def drawn_surface(experiment: Experiment, most: int = MOST_TRIANGLES) -> Surface
     ]:
         patch[np.isin(mesh.surface, nodes).all(axis=1)] = number
     used, triangles = np.unique(mesh.surface, return_inverse=True)
-    found = Surface(mesh.nodes[used], triangles.reshape(-1, 3), patch)
+    found = PatchedSurface(mesh.nodes[used], triangles.reshape(-1, 3), patch)
     width = mesh.extent / 80.0
     while len(found.triangles) > most:
         found = _joined(found, width)
@@ -62,7 +62,7 @@ def drawn_surface(experiment: Experiment, most: int = MOST_TRIANGLES) -> Surface
     return found
 
 
-def _joined(surface: Surface, width: float) -> Surface:
+def _joined(surface: PatchedSurface, width: float) -> PatchedSurface:
     """Return the surface with all nodes of a grid cell replaced by their mean."""
     cells = np.floor((surface.nodes - surface.nodes.min(axis=0)) / width).astype(np.int64)
     _, group = np.unique(cells, axis=0, return_inverse=True)
@@ -71,4 +71,4 @@ def _joined(surface: Surface, width: float) -> Surface:
     nodes = np.stack([np.bincount(group, surface.nodes[:, axis]) / count for axis in range(3)], axis=1)
     triangles = group[surface.triangles]
     whole = (np.diff(np.sort(triangles, axis=1), axis=1) > 0).all(axis=1)
-    return Surface(nodes, triangles[whole], surface.patch[whole])
+    return PatchedSurface(nodes, triangles[whole], surface.patch[whole])

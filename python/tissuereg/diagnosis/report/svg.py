@@ -14,7 +14,7 @@ BEFORE, AFTER, GENERIC, FLOOR = "#c2571a", "#1f5fa8", "#8a8f98", "#2d8a4e"
 
 
 @dataclass(frozen=True)
-class Scale:
+class PixelScale:
     """A map from values to pixels.
 
     Parameters

@@ -22,7 +22,7 @@ _TRIANGLE_ROWS = 4
 _CANDIDATES = 4
 
 
-class Region(Protocol):
+class SharpRegion(Protocol):
     """A part of the body with a sharp edge."""
 
     @property
@@ -134,7 +134,7 @@ def _surface_of(mesh: Mesh) -> _FreeSurface:
     return _FreeSurface(mesh)
 
 
-def share_inside(region: Region, mesh: Mesh, n_points: int = 1) -> FloatArray:
+def share_inside(region: SharpRegion, mesh: Mesh, n_points: int = 1) -> FloatArray:
     """Return the share of every tet's volume, or of the volume around each of its points, that lies inside a region.
 
     Each tet that the edge may cross is sampled at a lattice of points, and the edge is smoothed over their spacing: the
@@ -142,7 +142,7 @@ def share_inside(region: Region, mesh: Mesh, n_points: int = 1) -> FloatArray:
 
     Parameters
     ----------
-    region : Region
+    region : SharpRegion
         With a sharp edge.
     mesh : Mesh
         Reference shape.
@@ -204,7 +204,7 @@ class Layer(Effect):
         return _stiffened(experiment, OuterLayer(experiment.mesh, self.thickness_mm), self.contrast, element)
 
 
-def _stiffened(experiment: Experiment, region: Region, contrast: float, element: str) -> Experiment:
+def _stiffened(experiment: Experiment, region: SharpRegion, contrast: float, element: str) -> Experiment:
     factor = 1.0 + (contrast - 1.0) * share_inside(region, experiment.mesh, 4 if element == "tet10" else 1)
     return replace(experiment, material=experiment.material.scaled(factor))
 

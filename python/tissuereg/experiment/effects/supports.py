@@ -9,8 +9,8 @@ from tissuereg._base.arrays import FloatArray, IntArray
 from tissuereg._base.fields import flag, number, numbers, text
 from tissuereg.body.mesh import Mesh
 from tissuereg.experiment.effects.base import Effect, Vector, exactly_one, refuse
+from tissuereg.experiment.experiment import BodyWeight as Weight
 from tissuereg.experiment.experiment import Boundary, Experiment
-from tissuereg.experiment.experiment import Gravity as Weight
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,21 +10,15 @@ from tissuereg.body.mesh import det_f
 from tissuereg.registration.contacts.draws import Draws, NodesOfContacts
 from tissuereg.registration.contacts.fit import ContactFit
 from tissuereg.registration.contacts.found import find_contacts
-from tissuereg.registration.contacts.moment import Moment
+from tissuereg.registration.contacts.moment import BodyState
 from tissuereg.registration.contacts.result import ContactRegistration
-from tissuereg.registration.contacts.seen import SeenMarkers
+from tissuereg.registration.contacts.seen import MarkerData
 from tissuereg.registration.contacts.spread import Points, Spread
 from tissuereg.registration.contacts.surface_fit import SurfaceFit
-from tissuereg.registration.contacts.surface_points import SeenPoints
+from tissuereg.registration.contacts.surface_points import PointData
 from tissuereg.registration.inputs import RegisterInput, rms_length
 from tissuereg.registration.result import NO_MARKER, MarkerFit, Target
 from tissuereg.registration.trust import LEVEL, Trust, judge
-
-#: A target is flagged if the markers remove less than this share of its variance under unseen contacts.
-LEAST_CONSTRAINED = 0.8
-
-#: A marker that is wrong with at least this probability is dropped.
-_WRONG = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +46,7 @@ def known_of(given: RegisterInput, fit: ContactFit, spread: Spread) -> Known:
     moment, observed, inner = fit.moment, given.observed, given.targets
     n_targets = len(inner.names)
     seen = np.isfinite(given.markers.measured).any(axis=1)
-    counts = np.asarray(seen & (fit.wrong < _WRONG))
+    counts = np.asarray(seen & (fit.wrong < given.settings.contacts.report.wrong))
     used, lost = np.flatnonzero(counts), np.flatnonzero(~counts)
     here = moment.displacement[observed.nodes]
     moved = np.concatenate([inner.predict(moment.displacement[inner.nodes]), observed.predict(here)])
@@ -74,7 +68,7 @@ class Answer:
         Checked input.
     fit : ContactFit
         The fit after its last pass.
-    start : Moment
+    start : BodyState
         The body under the believed load.
     knows : bool
         Whether a load is believed, so that the targets have a predicted place.
@@ -90,7 +84,7 @@ class Answer:
 
     given: RegisterInput
     fit: ContactFit
-    start: Moment
+    start: BodyState
     knows: bool
     known: Known
     nodes: NodesOfContacts
@@ -130,7 +124,7 @@ class Answer:
             seconds=clock.seconds,
             settings=given.settings,
             seed=given.seed,
-            contacts=find_contacts(fit),
+            contacts=find_contacts(fit, given.settings.contacts.report),
             work=dict(fit.counters),
             forces=_forces(fit),
             draw=self.draw,
@@ -174,7 +168,7 @@ class Answer:
             covariance,
             predicted if self.knows else None,
             share,
-            NO_MARKER if share < LEAST_CONSTRAINED else None,
+            NO_MARKER if share < self.given.settings.contacts.report.least_constrained else None,
         )
 
     def _wrong(self, unseen: list[Target]) -> list[str]:
@@ -204,10 +198,10 @@ class Answer:
         used = self.known.used
         given, fit, markers, surface = self.given, self.fit, self.given.markers, self.surface
         notes = [*given.suspicions, *self._wrong(unseen)]
-        notes += [] if surface is None else surface.reasons()
+        notes += [] if surface is None else surface.reasons(given.settings.contacts.report)
         points = (0.0, 0) if surface is None else (surface.misfit, surface.used)
         residual = markers.displacement[used] - self._of_markers(self.known.displacement)[used]
-        moved = SeenMarkers(given.observed, markers, given.settings.contacts.model_error).moved(fit.moment.frame)
+        moved = MarkerData(given.observed, markers, given.settings.contacts.model_error).moved(fit.moment.frame)
         variance = self._residual_variance(moved)[used].ravel()
         # Wrong markers were detected with the contacts; here each residual is compared with its noise alone.
         spread = np.zeros((3 * len(used), 3 * len(used)))
@@ -226,7 +220,7 @@ def _chance(residual: FloatArray, covariance: FloatArray) -> float:
     return float(chi2.sf(score, max(len(seen), 1)))
 
 
-def surface_fit(given: RegisterInput, points: SeenPoints | None, start: Moment, end: Moment) -> SurfaceFit | None:
+def surface_fit(given: RegisterInput, points: PointData | None, start: BodyState, end: BodyState) -> SurfaceFit | None:
     """Return the fit of the points of the surface; None if there are none."""
     if given.surface is None or points is None:
         return None
@@ -239,4 +233,4 @@ def _forces(fit: ContactFit) -> FloatArray:
     return np.asarray(forces[: fit.columns.body.mesh.n_nodes] @ fit.moment.frame.rotation.T)
 
 
-__all__ = ["LEAST_CONSTRAINED", "Answer", "Known", "known_of", "surface_fit"]
+__all__ = ["Answer", "Known", "known_of", "surface_fit"]

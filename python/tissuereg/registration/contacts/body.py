@@ -11,14 +11,9 @@ from tissuereg._base.arrays import FloatArray, IntArray
 from tissuereg.body.mesh import Mesh
 from tissuereg.registration.contacts.patches import Patches, make_patches
 from tissuereg.registration.contacts.places import smooth_fields
+from tissuereg.registration.contacts.settings import DISCRETISATION, EFFORT
 from tissuereg.registration.contacts.supports import Supports, springs_of
 from tissuereg.simulation.solve import Simulator
-
-#: Number of smooth fields of uncertain stiffness.
-_N_BLOBS = 60
-
-#: Bodies cached for the next call, at most.
-_N_KEPT = 4
 
 _kept: "OrderedDict[tuple[str, str, str], ContactBody]" = OrderedDict()
 _lock = threading.Lock()
@@ -98,7 +93,7 @@ class ContactBody:
         made = cls._made(mesh, supports, element)
         with _lock:
             _kept[key] = made
-            while len(_kept) > _N_KEPT:
+            while len(_kept) > EFFORT.bodies_kept:
                 _kept.popitem(last=False)
         return made
 
@@ -118,7 +113,7 @@ class ContactBody:
             make_patches(mesh, free),
             base,
             springs,
-            smooth_fields(mesh.nodes[mesh.tets].mean(axis=1), _N_BLOBS),
+            smooth_fields(mesh.nodes[mesh.tets].mean(axis=1), DISCRETISATION.stiffness_fields),
         )
 
 

@@ -11,12 +11,10 @@ from tissuereg.errors import ConvergenceError
 from tissuereg.registration.contacts.columns import Columns
 from tissuereg.registration.contacts.draws import Draws
 from tissuereg.registration.contacts.fit import Samples
-from tissuereg.registration.contacts.moment import Moment
+from tissuereg.registration.contacts.moment import BodyState
+from tissuereg.registration.contacts.settings import DISCRETISATION
 from tissuereg.registration.contacts.tangent import Tangent
 from tissuereg.simulation.sensitivity import Cause
-
-#: Relative change of the load below which the body's equilibrium is still that of the moment before.
-_SAME_LOAD = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,7 +25,7 @@ class Carried:
     ----------
     columns : Columns
         Causes, with the stiffness of doubtful supports that was found.
-    moment : Moment
+    moment : BodyState
         The equilibrium under the mean load.
     samples : tuple of ndarray
         Slots, levels and wrong markers of every sample; the last has a column for each marker of the next moment.
@@ -44,7 +42,7 @@ class Carried:
     """
 
     columns: Columns
-    moment: Moment
+    moment: BodyState
     samples: Samples
     tangent: Tangent
     material: Material
@@ -82,7 +80,7 @@ class Carried:
             return None
         return columns.made_of(self.material).on(self.columns.springs)
 
-    def begin(self, columns: Columns, solve: Callable[[FloatArray], FloatArray]) -> Moment | None:
+    def begin(self, columns: Columns, solve: Callable[[FloatArray], FloatArray]) -> BodyState | None:
         """Return the body under the contacts of the moment before and the believed load of the next one.
 
         Parameters
@@ -94,14 +92,14 @@ class Carried:
 
         Returns
         -------
-        Moment or None
+        BodyState or None
             None if that load has no equilibrium near the state before.
         """
         coefficients = self.moment.coefficients
-        if _differ(columns, self.columns, coefficients) <= _SAME_LOAD:
+        if _differ(columns, self.columns, coefficients) <= DISCRETISATION.same_load:
             return self.moment
         try:
-            return Moment(coefficients, solve(coefficients), self.moment.frame)
+            return BodyState(coefficients, solve(coefficients), self.moment.frame)
         except ConvergenceError:
             return None
 

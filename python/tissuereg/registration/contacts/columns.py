@@ -16,15 +16,9 @@ from tissuereg.body.load import Load
 from tissuereg.body.material import Material
 from tissuereg.registration.contacts.body import ContactBody
 from tissuereg.registration.contacts.patches import Patches
-from tissuereg.registration.contacts.settings import ContactSettings
+from tissuereg.registration.contacts.settings import DISCRETISATION, ContactSettings
 from tissuereg.simulation.sensitivity import Compliance
 from tissuereg.simulation.solve import LoadParts
-
-#: Levels of a family's size, in steps of its prior standard deviation.
-_LEVELS = np.arange(-6, 7) * 0.5
-
-#: Standard deviation of the background on each patch at size one.
-_BACKGROUND = 0.55
 
 
 @dataclass(frozen=True)
@@ -55,8 +49,9 @@ class Family:
     def of(cls, name: str, columns: slice, variance: float, size: tuple[float, float]) -> "Family":
         """Return a family whose size is log-normal with a median and a standard deviation of the logarithm."""
         median, spread = size
-        factors = np.asarray(median**2 * np.exp(2.0 * spread * _LEVELS), np.float64)
-        return cls(name, columns, variance, factors, np.asarray(-0.5 * _LEVELS**2))
+        levels = np.array(DISCRETISATION.levels)
+        factors = np.asarray(median**2 * np.exp(2.0 * spread * levels), np.float64)
+        return cls(name, columns, variance, factors, np.asarray(-0.5 * levels**2))
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +98,11 @@ class Columns:
         """Return the columns of a body under a believed load; `drifts` allows a small rigid motion of the tracker."""
         n_patches = 3 * body.patches.n_patches
         extent = body.mesh.extent
-        families = [Family.of("background", slice(0, n_patches), _BACKGROUND**2, _in_mm(settings.background, extent))]
+        families = [
+            Family.of(
+                "background", slice(0, n_patches), settings.background_share**2, _in_mm(settings.background, extent)
+            )
+        ]
         blocks = [("weight", 3, _in_mm(settings.weight, extent))]
         if any(part is not None for part in believed.values()):
             blocks.append(("believed", 3, settings.believed))

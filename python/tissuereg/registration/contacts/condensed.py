@@ -18,12 +18,10 @@ import numpy as np
 from tissuereg._base.arrays import FloatArray, IntArray
 from tissuereg.registration.contacts.columns import Columns
 from tissuereg.registration.contacts.fit import Passes, start_of
-from tissuereg.registration.contacts.frame import Frame
+from tissuereg.registration.contacts.frame import RigidMotion
 from tissuereg.registration.contacts.places import gathered
+from tissuereg.registration.contacts.settings import DISCRETISATION
 from tissuereg.registration.contacts.tangent import Row
-
-#: Number of cells of all springs together.
-N_CELLS = 60
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +52,7 @@ class Cells:
         for index, whole in enumerate(sets):
             corners = nodes[whole]
             across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-            cell = gathered(corners.mean(axis=1), np.linalg.norm(across, axis=1), N_CELLS // len(sets))
+            cell = gathered(corners.mean(axis=1), np.linalg.norm(across, axis=1), DISCRETISATION.cells // len(sets))
             triangles += [whole[cell == one] for one in range(int(cell.max()) + 1)]
             of_set += [index] * (int(cell.max()) + 1)
         weights = np.zeros((len(triangles), len(nodes)))
@@ -116,14 +114,14 @@ class Condensed:
     among: FloatArray
 
     @classmethod
-    def of(cls, passes: Passes, frame: Frame, known: float) -> "Condensed":
+    def of(cls, passes: Passes, frame: RigidMotion, known: float) -> "Condensed":
         """Return the condensed problem of a body at its start.
 
         Parameters
         ----------
         passes : Passes
             Body, material, data. Its work is counted.
-        frame : Frame
+        frame : RigidMotion
             Rigid motion to begin with.
         known : float
             Stiffness of the springs there, in Young's modulus over extent.

@@ -9,7 +9,7 @@ from tissuereg._base.arrays import FloatArray
 from tissuereg.body.material import Material
 from tissuereg.errors import ConvergenceError
 from tissuereg.registration.contacts.fit import ContactFit
-from tissuereg.registration.contacts.frame import Frame
+from tissuereg.registration.contacts.frame import RigidMotion
 from tissuereg.registration.contacts.spread import Spread
 from tissuereg.simulation.sensitivity import Cause
 
@@ -72,9 +72,9 @@ class Draws:
         moved = mesh.nodes + found.displacement
         return np.stack([frame.apply(places) for frame, places in zip(frames, moved, strict=True)]) - mesh.nodes
 
-    def _frame(self, coefficients: FloatArray) -> Frame:
+    def _frame(self, coefficients: FloatArray) -> RigidMotion:
         columns = self.fit.columns
-        first = self.fit.moment.frame if columns.body.supports.moves else Frame.still()
+        first = self.fit.moment.frame if columns.body.supports.moves else RigidMotion.still()
         return first.followed_by(columns.frame(coefficients), columns.rigid)
 
 

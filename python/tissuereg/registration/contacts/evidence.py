@@ -13,23 +13,18 @@ from tissuereg._base.arrays import FloatArray
 from tissuereg.registration.contacts.columns import Columns
 from tissuereg.registration.contacts.condensed import Condensed
 from tissuereg.registration.contacts.fit import Passes, start_of
-from tissuereg.registration.contacts.frame import Frame
-
-#: Candidate sizes of contacts, mm.
-_SIZES_MM = 10.0 ** np.arange(-2.0, 2.01, 0.25)
-
-#: Rounds over all sizes at most, and the gain that ends them.
-_ROUNDS, _LEAST_GAIN = 3, 1e-3
+from tissuereg.registration.contacts.frame import RigidMotion
+from tissuereg.registration.contacts.settings import EvidenceSettings
 
 
-def log_evidence(passes: Passes, frame: Frame) -> float:
+def log_evidence(passes: Passes, frame: RigidMotion) -> float:
     """Return the logarithm of the evidence of a body, up to a constant of its markers.
 
     Parameters
     ----------
     passes : Passes
         Body, material, data. Its work is counted.
-    frame : Frame
+    frame : RigidMotion
         Rigid motion to begin with.
 
     Returns
@@ -39,8 +34,9 @@ def log_evidence(passes: Passes, frame: Frame) -> float:
     """
     start = start_of(passes.columns, passes.material, None, frame, passes.threads)
     problem = passes.posed(start)
-    parts = _parts(passes.columns, problem.responses)
-    return _best_over_sizes(problem.innovation, np.diag(problem.variances), parts)
+    settings = passes.settings.evidence
+    parts = _parts(passes.columns, problem.responses, settings)
+    return _best_over_sizes(problem.innovation, np.diag(problem.variances), parts, settings)
 
 
 @dataclass(frozen=True)
@@ -59,14 +55,14 @@ class SupportStiffness:
     log_std: tuple[float, ...]
 
 
-def support_stiffness(passes: Passes, frame: Frame) -> SupportStiffness:
+def support_stiffness(passes: Passes, frame: RigidMotion) -> SupportStiffness:
     """Return the stiffness of doubtful supports that has the highest evidence.
 
     Parameters
     ----------
     passes : Passes
         Body, material, data.
-    frame : Frame
+    frame : RigidMotion
         Rigid motion to begin with.
 
     Returns
@@ -75,12 +71,12 @@ def support_stiffness(passes: Passes, frame: Frame) -> SupportStiffness:
         The best common value for all sets of springs, then the best for one set after the other, twice. Cost: one
         factorisation, one right-hand side per marker component and three per cell, for any number of candidates.
     """
-    tried = passes.settings.stiffness_tried
+    tried, settings = passes.settings.stiffness_tried, passes.settings.evidence
     n_sets = len(passes.columns.body.springs)
     if not n_sets:
         return SupportStiffness((), ())
     condensed = Condensed.of(passes, frame, tried[len(tried) // 2])
-    parts = _parts(condensed.columns, condensed.responses)
+    parts = _parts(condensed.columns, condensed.responses, settings)
     noise = np.diag(condensed.variances)
     known: dict[tuple[int, ...], float] = {}
 
@@ -88,7 +84,7 @@ def support_stiffness(passes: Passes, frame: Frame) -> SupportStiffness:
         if levels not in known:
             there = condensed.on([tried[level] for level in levels])
             seen = [(there.observed(covariance), factors, log_prior) for covariance, factors, log_prior in parts]
-            known[levels] = _best_over_sizes(there.innovation, noise, seen)
+            known[levels] = _best_over_sizes(there.innovation, noise, seen, settings)
         return known[levels]
 
     def others(levels: tuple[int, ...], index: int) -> list[tuple[int, ...]]:
@@ -105,26 +101,33 @@ def support_stiffness(passes: Passes, frame: Frame) -> SupportStiffness:
     return SupportStiffness(tuple(tried[level] for level in best), tuple(spread))
 
 
-def _parts(columns: Columns, responses: FloatArray) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
+def _parts(
+    columns: Columns, responses: FloatArray, settings: EvidenceSettings
+) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
     """Return covariances of the observations with factors and log priors: one contact anywhere, then all families."""
     patches = columns.body.patches
     count = np.bincount(patches.level)
     likely = np.repeat(1.0 / (3.0 * len(count) * count[patches.level]), 3)
     own = responses[:, : len(likely)]
-    parts = [((own * likely) @ own.T, _SIZES_MM**2, np.zeros(len(_SIZES_MM)))]
+    least, most = np.log10(settings.sizes_mm)
+    sizes = 10.0 ** np.arange(least, most + 0.01, 1.0 / settings.sizes_a_decade)
+    parts = [((own * likely) @ own.T, sizes**2, np.zeros(len(sizes)))]
     for variances, factors, log_prior in columns.core_families():
         parts.append(((responses * variances) @ responses.T, factors, log_prior))
     return parts
 
 
 def _best_over_sizes(
-    innovation: FloatArray, noise: FloatArray, parts: list[tuple[FloatArray, FloatArray, FloatArray]]
+    innovation: FloatArray,
+    noise: FloatArray,
+    parts: list[tuple[FloatArray, FloatArray, FloatArray]],
+    settings: EvidenceSettings,
 ) -> float:
     """Return the log evidence maximised over the sizes of all parts, one part after the other."""
     levels = [int(np.argmin(np.abs(np.log(factors)))) for _, factors, _ in parts]
     total = noise + sum(part[0] * part[1][level] for part, level in zip(parts, levels, strict=True))
     best = -np.inf
-    for _ in range(_ROUNDS):
+    for _ in range(settings.rounds):
         before = best
         for index, (covariance, factors, log_prior) in enumerate(parts):
             rest = total - factors[levels[index]] * covariance
@@ -132,7 +135,7 @@ def _best_over_sizes(
             levels[index] = int(np.argmax(values))
             total = rest + factors[levels[index]] * covariance
         best = _log_normal(innovation, total) + sum(float(p[2][i]) for p, i in zip(parts, levels, strict=True))
-        if best - before < _LEAST_GAIN:
+        if best - before < settings.least_gain:
             break
     return best
 

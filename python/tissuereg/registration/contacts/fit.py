@@ -19,50 +19,13 @@ from tissuereg.body.load import Load
 from tissuereg.body.material import Material
 from tissuereg.errors import ConvergenceError
 from tissuereg.registration.contacts.columns import Columns
-from tissuereg.registration.contacts.frame import Frame
-from tissuereg.registration.contacts.linear import AtBody, Linear
-from tissuereg.registration.contacts.moment import Moment
-from tissuereg.registration.contacts.posed import Posed
-from tissuereg.registration.contacts.seen import Seen
-from tissuereg.registration.contacts.settings import ContactSettings
+from tissuereg.registration.contacts.frame import RigidMotion
+from tissuereg.registration.contacts.linear import AtBody, Linearisation
+from tissuereg.registration.contacts.moment import BodyState
+from tissuereg.registration.contacts.posed import LinearObservations
+from tissuereg.registration.contacts.seen import ObservedData
+from tissuereg.registration.contacts.settings import DISCRETISATION, ContactSettings, PassSettings
 from tissuereg.registration.contacts.tangent import Tangent
-
-#: Relative residual of an equilibrium that is linearised.
-TOLERANCE = 3e-7
-
-#: Shortest share of a step towards the mean load.
-_SHORTEST_STEP = 0.02
-
-#: A load that takes more iterations than this is abandoned: a shorter step is tried.
-_MOST_ITERATIONS = 150
-
-#: A step must reduce the residual by this share of the predicted reduction, or to within this many times the limit.
-_DECREASE, _GOOD_ENOUGH = 0.3, 1.5
-
-#: The same share if points without labels are matched anew: the first steps gain least.
-_DECREASE_UNMATCHED = 0.01
-
-#: In that case a step of at least this length is accepted if it reduces the residual at all.
-_SHORTEST_UNMATCHED = 0.2
-
-#: Least number of first passes while the residual of the points is above the limit.
-_LEAST_ROUGH = 4
-
-#: Passes with markers alone, if there are markers as well as points.
-_MARKER_PASSES = 2
-
-#: Most passes with few points, and with all of them.
-_COARSE_PASSES, _FINE_PASSES = 8, 5
-
-#: Shares of the extent within which the errors of first matches are correlated: the second is tried if the first
-#: leaves more than this share of the points as outliers.
-_WIDTHS, _MOST_OUTLIERS = (0.12, 0.2), 0.13
-
-#: A step ended as predicted if its residual exceeds the predicted one by no more than this.
-_AS_PREDICTED = 0.2
-
-#: Matches have settled if a pass reduces the residual by less than this share.
-_SETTLED = 0.05
 
 Samples = tuple[Any, Any, Any]
 
@@ -75,17 +38,16 @@ class _Pass:
     it, `misfit` the mean over samples of the squared Mahalanobis length of the innovation.
     """
 
-    moment: Moment
+    moment: BodyState
     samples: Samples
     at: AtBody
     residual: float
     predicted: float
     misfit: float
 
-    @property
-    def as_predicted(self) -> bool:
+    def ended_as_predicted(self, margin: float) -> bool:
         """Whether the step ended as the linear model predicted, so that the linearisation also holds at its end."""
-        return self.residual < self.predicted + _AS_PREDICTED
+        return self.residual < self.predicted + margin
 
 
 @dataclass(frozen=True)
@@ -104,11 +66,11 @@ class ContactFit:
     ----------
     columns : Columns
         Causes.
-    moment : Moment
+    moment : BodyState
         The equilibrium under the mean load.
     tangent : Tangent
         The tangent there, or at the start of the last step if that step ended as its linear model predicted.
-    posed : Posed
+    posed : LinearObservations
         Data at that tangent, in the sampler's form.
     sampler : _core.Contacts
         Dictionary, prior and data there.
@@ -125,9 +87,9 @@ class ContactFit:
     """
 
     columns: Columns
-    moment: Moment
+    moment: BodyState
     tangent: Tangent
-    posed: Posed
+    posed: LinearObservations
     sampler: Any
     samples: Samples
     wrong: FloatArray
@@ -144,7 +106,7 @@ class Passes:
     ----------
     columns : Columns
         Causes.
-    seen : Seen
+    seen : ObservedData
         Data.
     material : Material
         Material of the body.
@@ -163,7 +125,7 @@ class Passes:
     """
 
     columns: Columns
-    seen: Seen
+    seen: ObservedData
     material: Material
     settings: ContactSettings
     rng: np.random.Generator
@@ -173,17 +135,24 @@ class Passes:
     kept: Tangent | None = None
     counters: Counter[str] = field(default_factory=Counter)
 
-    @cached_property
-    def linear(self) -> Linear:
-        """The linearisation; its work is counted with that of the passes."""
-        return Linear(self.columns, self.material, self.settings, self.threads, self.clock, self.counters, self.kept)
+    @property
+    def steps(self) -> PassSettings:
+        """When a step is accepted, and when the passes end."""
+        return self.settings.steps
 
-    def run(self, start: Moment) -> ContactFit:
+    @cached_property
+    def linear(self) -> Linearisation:
+        """The linearisation; its work is counted with that of the passes."""
+        return Linearisation(
+            self.columns, self.material, self.settings, self.threads, self.clock, self.counters, self.kept
+        )
+
+    def run(self, start: BodyState) -> ContactFit:
         """Return the fit from a start in equilibrium.
 
         Parameters
         ----------
-        start : Moment
+        start : BodyState
             The body under the believed load, zero coefficients.
 
         Returns
@@ -198,11 +167,11 @@ class Passes:
         """
         full = self.seen
         best: tuple[_Pass, list[float]] | None = None
-        for width in _WIDTHS if full.rematches else (0.0,):
+        for width in self.steps.widths if full.rematches else (0.0,):
             found = self._from(start, self._stages(full, width))
             if best is None or found[0].residual < best[0].residual:
                 best = found
-            if full.outliers(found[0].moment) < _MOST_OUTLIERS:
+            if full.outliers(found[0].moment) < self.steps.most_outliers:
                 break
         if best is None:
             message = "at least one width must be tried"
@@ -211,16 +180,16 @@ class Passes:
         self.seen = full
         return self._fit(last, self._at_end(last, full), history)
 
-    def _at_end(self, last: "_Pass", full: Seen) -> AtBody:
+    def _at_end(self, last: "_Pass", full: ObservedData) -> AtBody:
         """Return the linear problem at the end of a pass, or that at its start if the step ended as predicted."""
-        if last.as_predicted and not full.rematches:
+        if last.ended_as_predicted(self.steps.as_predicted) and not full.rematches:
             return last.at
         try:
             return self.linear.at(last.moment, full)
         except ConvergenceError:
             return last.at
 
-    def _from(self, start: Moment, stages: list[tuple[Seen, int]]) -> tuple["_Pass", list[float]]:
+    def _from(self, start: BodyState, stages: list[tuple[ObservedData, int]]) -> tuple["_Pass", list[float]]:
         """Return the closest pass from a start, and the cost after each pass."""
         last, moment, history = None, start, list[float]()
         samples = None if self.seen.weighed or self.seen.rematches else self.before
@@ -236,15 +205,15 @@ class Passes:
             raise ConvergenceError(message, where="max_passes")
         return last, history
 
-    def _stages(self, full: Seen, width: float) -> list[tuple[Seen, int]]:
+    def _stages(self, full: ObservedData, width: float) -> list[tuple[ObservedData, int]]:
         """Return the data of each stage with its largest number of passes."""
         if not full.rematches:
             return [(full, self.settings.max_passes)]
-        stages = [(full.coarser(width), _COARSE_PASSES), (full, _FINE_PASSES)]
+        stages = [(full.coarser(width), self.steps.coarse_passes), (full, self.steps.fine_passes)]
         # Markers have labels: they bring the body close before points are matched.
-        return stages if full.markers is None else [(Seen.of(full.markers), _MARKER_PASSES), *stages]
+        return stages if full.markers is None else [(ObservedData.of(full.markers), self.steps.marker_passes), *stages]
 
-    def _approach(self, moment: Moment, samples: Samples | None, most: int) -> tuple["_Pass", list[float]]:
+    def _approach(self, moment: BodyState, samples: Samples | None, most: int) -> tuple["_Pass", list[float]]:
         """Return the pass with the smallest residual of at most `most` passes, and all residuals."""
         reached: list[_Residuals] = []
         closest: _Pass | None = None
@@ -263,12 +232,14 @@ class Passes:
             if closest is None or made.residual < closest.residual:
                 closest = made
             del made
-            most_passes = _COARSE_PASSES + _FINE_PASSES if self.seen.rematches else self.settings.max_passes
+            most_passes = (
+                self.steps.coarse_passes + self.steps.fine_passes if self.seen.rematches else self.settings.max_passes
+            )
             self.clock.passed(min(self.counters["passes"], most_passes), most_passes)
         assert closest is not None  # the loop runs once at least
         return closest, [one.residual for one in reached]
 
-    def _one_pass(self, moment: Moment, samples: Samples | None) -> "_Pass":
+    def _one_pass(self, moment: BodyState, samples: Samples | None) -> "_Pass":
         """Return the pass that begins at a body, with samples that go on from those before."""
         at = self.linear.at(moment, self.seen)
         drawn = self._sample(at.sampler, samples)
@@ -278,7 +249,7 @@ class Passes:
             reached = self._solve(at, drawn, moment, wanted)
         return _Pass(reached, drawn, at, self.residual_rms(reached, drawn), predicted, misfit)
 
-    def posed(self, moment: Moment) -> Posed:
+    def posed(self, moment: BodyState) -> LinearObservations:
         """Return the data at a body with their responses to the columns."""
         tangent = self.linear.tangent(moment)
         return self.linear.posed(tangent, self.seen.read(moment), moment.coefficients, self.seen)
@@ -314,20 +285,21 @@ class Passes:
         found = at.sampler.moments(list(samples), no_points, threads=self.threads)
         return found[0], float(found[5])
 
-    def _solve(self, at: AtBody, samples: Samples, moment: Moment, wanted: FloatArray) -> Moment:
+    def _solve(self, at: AtBody, samples: Samples, moment: BodyState, wanted: FloatArray) -> BodyState:
         """Return the equilibrium under the wanted coefficients, or after the longest step that reduces the residual."""
-        share, decrease = 1.0, _DECREASE_UNMATCHED if self.seen.rematches else _DECREASE
+        steps, matched = self.steps, not self.seen.rematches
+        share, decrease = 1.0, steps.decrease if matched else steps.decrease_unmatched
         # Points are matched anew, but keep the weights for which the step was predicted.
         std = self.seen.read(moment).std if self.seen.rough else None
         before = self.residual_rms(moment, samples, std)
-        best: tuple[float, Moment] | None = None
-        while share > (_SHORTEST_UNMATCHED if self.seen.rematches and best is not None else _SHORTEST_STEP):
+        best: tuple[float, BodyState] | None = None
+        while share > (steps.shortest if matched or best is None else steps.shortest_unmatched):
             found = self._towards(at.tangent, moment, moment.coefficients + share * (wanted - moment.coefficients))
             if found is not None:
                 residual = self.residual_rms(found, samples, std)
                 if best is None or residual < best[0]:
                     best = (residual, found)
-                enough = 0.0 if self.seen.rematches else _GOOD_ENOUGH * self.settings.fit_limit
+                enough = steps.good_enough * self.settings.fit_limit if matched else 0.0
                 if residual < max((1.0 - decrease * share) * before, enough):
                     return found
             share *= 0.5
@@ -338,12 +310,15 @@ class Passes:
             return moment
         return best[1]
 
-    def _towards(self, tangent: Tangent, moment: Moment, coefficients: FloatArray) -> Moment | None:
+    def _towards(self, tangent: Tangent, moment: BodyState, coefficients: FloatArray) -> BodyState | None:
         """Return the equilibrium under coefficients; None where there is none."""
         try:
             load = self.columns.load(coefficients)
             found = tangent.linearised.solve_near(
-                load, springs=self.columns.springs, tolerance=TOLERANCE, max_iterations=_MOST_ITERATIONS
+                load,
+                springs=self.columns.springs,
+                tolerance=DISCRETISATION.tolerance,
+                max_iterations=self.steps.most_iterations,
             )
         except ConvergenceError:
             return None
@@ -352,11 +327,13 @@ class Passes:
         turned = self.columns.frame(coefficients)
         if not self.columns.body.supports.moves:
             # A drift is small and keeps its prior: its coefficients are relative to no motion.
-            return Moment(coefficients, found.all_displacement, Frame.still().followed_by(turned, self.columns.rigid))
+            return BodyState(
+                coefficients, found.all_displacement, RigidMotion.still().followed_by(turned, self.columns.rigid)
+            )
         frame = moment.frame.followed_by(turned, self.columns.rigid)
-        return Moment(self.columns.without_frame(coefficients), found.all_displacement, frame)
+        return BodyState(self.columns.without_frame(coefficients), found.all_displacement, frame)
 
-    def residual_rms(self, moment: Moment, samples: Samples, std: FloatArray | None = None) -> float:
+    def residual_rms(self, moment: BodyState, samples: Samples, std: FloatArray | None = None) -> float:
         """Return the root mean square residual over standard deviations, observations weighted by not being wrong."""
         reading = self.seen.read(moment)
         if std is not None:
@@ -374,8 +351,8 @@ class Passes:
         residual = reached[-1].residual
         if self.seen.rematches:
             before = reached[-2].residual if len(reached) > 1 else np.inf
-            few = len(reached) < _LEAST_ROUGH and self.seen.rough and residual > self.settings.fit_limit
-            return not few and residual > (1.0 - _SETTLED) * before
+            few = len(reached) < self.steps.least_rough and self.seen.rough and residual > self.settings.fit_limit
+            return not few and residual > (1.0 - self.steps.settled) * before
         met = residual < self.settings.fit_limit and residual < reached[-1].predicted + self.settings.promise_margin
         residuals = [one.residual for one in reached]
         return met or (len(reached) > 3 and min(residuals[-2:]) > 0.95 * min(residuals[:-2]))
@@ -396,7 +373,7 @@ class Passes:
             self.counters,
         )
 
-    def _wrong(self, moment: Moment, samples: Samples) -> FloatArray:
+    def _wrong(self, moment: BodyState, samples: Samples) -> FloatArray:
         """Return the probability that each marker is wrong, (n_markers,); zero for markers that were not seen."""
         markers = self.seen.markers
         if markers is None:
@@ -410,7 +387,7 @@ class Passes:
         return wrong
 
 
-def _predicted_residual(problem: Posed, coefficients: FloatArray, samples: Samples) -> float:
+def _predicted_residual(problem: LinearObservations, coefficients: FloatArray, samples: Samples) -> float:
     """Return the root mean square residual that the linear model predicts, over standard deviations."""
     residual = (problem.innovation - problem.responses @ coefficients) ** 2 / problem.variances
     weights = np.ones(len(residual))
@@ -419,7 +396,9 @@ def _predicted_residual(problem: Posed, coefficients: FloatArray, samples: Sampl
     return float(np.sqrt(np.average(residual, weights=weights)))
 
 
-def start_of(columns: Columns, material: Material, simulation: FloatArray | None, frame: Frame, threads: int) -> Moment:
+def start_of(
+    columns: Columns, material: Material, simulation: FloatArray | None, frame: RigidMotion, threads: int
+) -> BodyState:
     """Return the body under the believed load.
 
     Parameters
@@ -430,14 +409,14 @@ def start_of(columns: Columns, material: Material, simulation: FloatArray | None
         Material of the body.
     simulation : ndarray of float64, shape (n_element_nodes, 3), or None
         The displacement under the believed load, if it is known.
-    frame : Frame
+    frame : RigidMotion
         Initial rigid motion.
     threads : int
         Threads to use.
 
     Returns
     -------
-    Moment
+    BodyState
         Zero coefficients.
 
     Raises
@@ -448,9 +427,11 @@ def start_of(columns: Columns, material: Material, simulation: FloatArray | None
     zero = np.zeros(columns.n_columns)
     simulator = columns.body.simulator
     if simulation is not None:
-        return Moment(zero, simulation, frame)
+        return BodyState(zero, simulation, frame)
     if all(part is None for part in columns.believed.values()):
-        return Moment(zero, np.zeros((simulator.body.n_nodes, 3)), frame)
+        return BodyState(zero, np.zeros((simulator.body.n_nodes, 3)), frame)
     load: Load = columns.load(zero)
-    found = simulator.solve(load, material, springs=columns.springs, tolerance=TOLERANCE, threads=threads)
-    return Moment(zero, found.all_displacement, frame)
+    found = simulator.solve(
+        load, material, springs=columns.springs, tolerance=DISCRETISATION.tolerance, threads=threads
+    )
+    return BodyState(zero, found.all_displacement, frame)

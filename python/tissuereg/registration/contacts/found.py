@@ -7,12 +7,7 @@ import numpy as np
 
 from tissuereg._base.arrays import BoolArray, FloatArray
 from tissuereg.registration.contacts.fit import ContactFit
-
-#: Contacts less probable than this are not listed.
-_LEAST_PROBABILITY = 0.2
-
-#: Largest number of contacts that are listed.
-_MOST = 4
+from tissuereg.registration.contacts.settings import ReportSettings
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,13 +49,15 @@ class FoundContact:
         }
 
 
-def find_contacts(fit: ContactFit) -> tuple[FoundContact, ...]:
+def find_contacts(fit: ContactFit, settings: ReportSettings) -> tuple[FoundContact, ...]:
     """Return the contacts of a fit, the most probable first.
 
     Parameters
     ----------
     fit : ContactFit
         Where the passes ended.
+    settings : ReportSettings
+        Which contacts are listed.
 
     Returns
     -------
@@ -70,10 +67,10 @@ def find_contacts(fit: ContactFit) -> tuple[FoundContact, ...]:
     slots = np.asarray(fit.samples[0])[:, :, 0]
     left = slots >= 0
     found: list[FoundContact] = []
-    while len(found) < _MOST and left.any():
+    while len(found) < settings.most_contacts and left.any():
         contact, taken = _next(fit, slots, left)
         left &= ~taken
-        if contact.probability < _LEAST_PROBABILITY:
+        if contact.probability < settings.least_probability:
             break
         if contact.force_mN > 0.0:
             found.append(contact)

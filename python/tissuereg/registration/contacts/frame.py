@@ -11,7 +11,7 @@ TRACKERS = ("fixed", "drifts")
 
 
 @dataclass(frozen=True, eq=False)
-class Frame:
+class RigidMotion:
     """A rotation and a translation: tracker place = rotation body place + shift.
 
     Attributes
@@ -26,12 +26,12 @@ class Frame:
     shift: FloatArray
 
     @classmethod
-    def still(cls) -> "Frame":
+    def still(cls) -> "RigidMotion":
         """Return the identity."""
         return cls(np.eye(3), np.zeros(3))
 
     @classmethod
-    def between(cls, body: FloatArray, tracker: FloatArray) -> "Frame":
+    def between(cls, body: FloatArray, tracker: FloatArray) -> "RigidMotion":
         """Return the best rigid motion (Kabsch) of places (n, 3) to places (n, 3)."""
         middle, goal = body.mean(axis=0), tracker.mean(axis=0)
         u, _, vt = np.linalg.svd((tracker - goal).T @ (body - middle))
@@ -52,7 +52,7 @@ class Frame:
         """Return places (..., 3) of the tracker's frame in the body's."""
         return np.asarray((places - self.shift) @ self.rotation)
 
-    def followed_by(self, coefficients: FloatArray, rigid: FloatArray) -> "Frame":
+    def followed_by(self, coefficients: FloatArray, rigid: FloatArray) -> "RigidMotion":
         """Return this motion after a small one in the body's frame.
 
         Parameters
@@ -66,7 +66,7 @@ class Frame:
         turn = _rotation(coefficients[3:] / length[0])
         # x -> pivot + turn (x - pivot) + t, then this motion.
         move = pivot - turn @ pivot + coefficients[:3]
-        return Frame(self.rotation @ turn, self.rotation @ move + self.shift)
+        return RigidMotion(self.rotation @ turn, self.rotation @ move + self.shift)
 
 
 def _rotation(vector: FloatArray) -> FloatArray:

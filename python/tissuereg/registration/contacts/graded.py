@@ -18,13 +18,10 @@ from tissuereg.body.material import Material
 from tissuereg.body.mesh import Mesh
 from tissuereg.registration.contacts.evidence import log_evidence
 from tissuereg.registration.contacts.fit import Passes
-from tissuereg.registration.contacts.frame import Frame
+from tissuereg.registration.contacts.frame import RigidMotion
 
 #: Values of `stiffness`.
 STIFFNESS = ("believed", "graded")
-
-#: First and shortest step of the search, in units of the prior's standard deviation.
-_FIRST_STEP, _LAST_STEP = 1.0, 0.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,14 +55,14 @@ def profiles_of(mesh: Mesh) -> FloatArray:
     return np.asarray(((mesh.nodes[mesh.tets].mean(axis=1) @ axes - middle) / half).T)
 
 
-def grade(passes: Passes, frame: Frame) -> Grading:
+def grade(passes: Passes, frame: RigidMotion) -> Grading:
     """Return the grading of highest evidence.
 
     Parameters
     ----------
     passes : Passes
         Causes, data and believed material.
-    frame : Frame
+    frame : RigidMotion
         Initial rigid motion.
 
     Returns
@@ -76,8 +73,9 @@ def grade(passes: Passes, frame: Frame) -> Grading:
     trial = _Trial(passes, frame, profiles_of(passes.columns.body.mesh))
     prior = passes.settings.graded_log_std
     best, value = np.zeros(3), trial.log_evidence(np.zeros(3))
-    std, step = np.full(3, prior), _FIRST_STEP * prior
-    while step >= _LAST_STEP * prior:
+    search = passes.settings.evidence
+    std, step = np.full(3, prior), search.first_step * prior
+    while step >= search.last_step * prior:
         for axis in range(3):
             best, value, std[axis] = _along(trial, best, value, axis, step)
         step *= 0.5
@@ -89,7 +87,7 @@ class _Trial:
     """Inputs of every evaluation."""
 
     passes: Passes
-    frame: Frame
+    frame: RigidMotion
     profiles: FloatArray
 
     def material(self, rates: FloatArray) -> Material:

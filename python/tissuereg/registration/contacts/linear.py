@@ -10,18 +10,10 @@ from tissuereg._base.arrays import FloatArray
 from tissuereg._base.clock import Clock
 from tissuereg.body.material import Material
 from tissuereg.registration.contacts.columns import Columns, sampler
-from tissuereg.registration.contacts.moment import Moment
-from tissuereg.registration.contacts.posed import (
-    MOST_KEPT,
-    MOST_KEPT_COARSE,
-    Basis,
-    Posed,
-    moving_variances,
-    plain,
-    projected,
-)
-from tissuereg.registration.contacts.seen import Reading, Seen
-from tissuereg.registration.contacts.settings import ContactSettings
+from tissuereg.registration.contacts.moment import BodyState
+from tissuereg.registration.contacts.posed import Basis, LinearObservations, moving_variances, plain, projected
+from tissuereg.registration.contacts.seen import Observations, ObservedData
+from tissuereg.registration.contacts.settings import MATCHING, ContactSettings
 from tissuereg.registration.contacts.tangent import Row, Tangent, tangent_at
 
 
@@ -33,19 +25,19 @@ class AtBody:
     ----------
     tangent : Tangent
         The linearised equilibrium.
-    posed : Posed
+    posed : LinearObservations
         Observations with their responses to the columns.
     sampler : _core.Contacts
         Dictionary, prior and data.
     """
 
     tangent: Tangent
-    posed: Posed
+    posed: LinearObservations
     sampler: Any
 
 
 @dataclass(eq=False)
-class Linear:
+class Linearisation:
     """Linearises; counts its work and caches the projection of many observations while the data stay the same.
 
     Parameters
@@ -73,9 +65,9 @@ class Linear:
     clock: Clock
     counters: Counter[str]
     kept: Tangent | None = None
-    _basis: tuple[Seen, Basis] | None = field(default=None, repr=False)
+    _basis: tuple[ObservedData, Basis] | None = field(default=None, repr=False)
 
-    def at(self, moment: Moment, seen: Seen) -> AtBody:
+    def at(self, moment: BodyState, seen: ObservedData) -> AtBody:
         """Return data, tangent and sampler at a body."""
         tangent = self.tangent(moment)
         with self.clock.stage("match"):
@@ -85,7 +77,7 @@ class Linear:
             data = {"innovation": posed.innovation, "noise": np.diag(posed.variances), "groups": posed.groups}
             return AtBody(tangent, posed, sampler(self.columns, self.settings, posed.responses, data))
 
-    def tangent(self, moment: Moment) -> Tangent:
+    def tangent(self, moment: BodyState) -> Tangent:
         """Return the tangent at a body, or, once, the one that was kept."""
         if self.kept is not None:
             found, self.kept = self.kept, None
@@ -95,7 +87,9 @@ class Linear:
         self.counters["factorisations"] += factored
         return found
 
-    def posed(self, tangent: Tangent, reading: Reading, coefficients: FloatArray, seen: Seen) -> Posed:
+    def posed(
+        self, tangent: Tangent, reading: Observations, coefficients: FloatArray, seen: ObservedData
+    ) -> LinearObservations:
         """Return observations as they are, or, if they are many, a projection that keeps nearly all information."""
         rigid = self.columns.rigid_rows(reading.places, reading.directions)
         if not seen.weighed:
@@ -103,7 +97,7 @@ class Linear:
         if self._basis is None or self._basis[0] is not seen:
             every = self._responses(tangent, reading.rows, rigid)
             with self.clock.stage("prepare"):
-                most = MOST_KEPT_COARSE if seen.rough else MOST_KEPT
+                most = MATCHING.most_kept_coarse if seen.rough else MATCHING.most_kept
                 basis = Basis.of(reading, every, moving_variances(self.columns, self.settings), most)
             self._basis = (seen, basis)
             return projected(reading, basis, (basis.vectors / reading.std) @ every, coefficients)
@@ -122,4 +116,4 @@ class Linear:
         self.clock.tell("stage", f"sensitivities {done} of {in_all}")
 
 
-__all__ = ["AtBody", "Linear"]
+__all__ = ["AtBody", "Linearisation"]

@@ -3,11 +3,11 @@
 from dataclasses import dataclass
 
 from tissuereg._base.arrays import FloatArray
-from tissuereg.registration.contacts.frame import Frame
+from tissuereg.registration.contacts.frame import RigidMotion
 
 
 @dataclass(eq=False)
-class Moment:
+class BodyState:
     """Coefficients, the equilibrium under them, and the frame.
 
     Attributes
@@ -16,10 +16,10 @@ class Moment:
         Of all causes.
     displacement : ndarray of float64, shape (n_element_nodes, 3)
         In the body's frame, mm.
-    frame : Frame
+    frame : RigidMotion
         From the body's frame to the tracker's.
     """
 
     coefficients: FloatArray
     displacement: FloatArray
-    frame: Frame
+    frame: RigidMotion

@@ -15,19 +15,7 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray, IntArray
 from tissuereg.body.mesh import Mesh
-
-#: Radii of patches over the extent of the body.
-RADII_SHARES = (0.05, 0.083, 0.133, 0.208, 0.333)
-
-#: The smallest radius over the mean edge of the surface.
-_LEAST_EDGES = 1.2
-
-#: Centres of one radius are thinned to this share of it.
-_THINNING = 0.7
-
-#: Nodes whose normal differs from the centre's by more (cosine) are on the other side of a sheet: they do not belong to
-#: the patch, and do not exclude other centres.
-_LEAST_COSINE = 0.1
+from tissuereg.registration.contacts.settings import DISCRETISATION
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +76,7 @@ def make_patches(mesh: Mesh, free: IntArray, *, by_area: bool = True) -> Patches
     edges = mesh.nodes[mesh.surface] - mesh.nodes[np.roll(mesh.surface, 1, axis=1)]
     edge = float(np.linalg.norm(edges, axis=2).mean())
     radii = _radii(mesh.extent, edge)
-    chosen = [_thinned(places, normals[free], _THINNING * radius) for radius in radii]
+    chosen = [_thinned(places, normals[free], DISCRETISATION.thinning * radius) for radius in radii]
     level = np.repeat(np.arange(len(radii)), [len(c) for c in chosen])
     nodes = free[np.concatenate(chosen)]
     centres, across, radius = mesh.nodes[nodes], normals[nodes], radii[level]
@@ -119,9 +107,9 @@ def surface_of_nodes(mesh: Mesh) -> tuple[FloatArray, FloatArray]:
 
 
 def _radii(extent: float, edge: float) -> FloatArray:
-    """Return radii in mm, ascending: shares of the extent, none below `_LEAST_EDGES` mean edges of the surface."""
-    wanted = np.array(RADII_SHARES) * extent
-    least = _LEAST_EDGES * edge
+    """Return radii in mm, ascending: shares of the extent, none below a few mean edges of the surface."""
+    wanted = np.array(DISCRETISATION.radii_shares) * extent
+    least = DISCRETISATION.least_edges * edge
     return np.asarray(np.concatenate([[max(least, wanted[0])], wanted[wanted > 1.3 * max(least, wanted[0])]]))
 
 
@@ -137,7 +125,7 @@ def _thinned(places: FloatArray, normals: FloatArray, gap: float) -> IntArray:
             kept.append(index)
             near = np.asarray(tree.query_ball_point(places[index], gap))
             # The other side of a sheet has its own centres.
-            left[near[normals[near] @ normals[index] > _LEAST_COSINE]] = False
+            left[near[normals[near] @ normals[index] > DISCRETISATION.least_cosine]] = False
             left[index] = False
     return np.array(kept, np.int64)
 
@@ -157,7 +145,7 @@ def _shapes(
     rows = np.repeat(np.arange(len(centres)), [len(f) for f in found])
     own = np.concatenate([np.asarray(f, np.int64) for f in found])
     distance = np.linalg.norm(places[own] - centres[rows], axis=1)
-    same_side = np.einsum("ij,ij->i", normals[own], across[rows]) > _LEAST_COSINE
+    same_side = np.einsum("ij,ij->i", normals[own], across[rows]) > DISCRETISATION.least_cosine
     profile = np.clip(1.0 - (distance / radii[rows]) ** 2, 0.0, None)
     values = np.where(same_side, weights[own] * profile / scale[rows], 0.0)
     shapes = csr_array((values, (rows, nodes[own])), shape=(len(centres), n_nodes))
@@ -179,7 +167,7 @@ def _neighbours(
     centres: FloatArray, across: FloatArray, radii: FloatArray, level: IntArray
 ) -> tuple[IntArray, IntArray]:
     """Return, for each patch, those of its radius next to it and those of the next radii about its centre."""
-    trees, reach = _trees(centres, level), _THINNING * radii
+    trees, reach = _trees(centres, level), DISCRETISATION.thinning * radii
     found = []
     for of in range(len(trees)):
         found.append(_pairs(trees, (of, of), 1.5 * reach, across))
@@ -207,7 +195,7 @@ def _pairs(
     found = tree.query_ball_point(of.data, np.nextafter(reach[own], 0.0))
     patches = np.repeat(own, [len(one) for one in found])
     others = theirs[np.concatenate([np.asarray(one, np.int64) for one in found])]
-    same_side = np.einsum("ij,ij->i", across[patches], across[others]) > _LEAST_COSINE
+    same_side = np.einsum("ij,ij->i", across[patches], across[others]) > DISCRETISATION.least_cosine
     kept = same_side & (patches != others)
     return patches[kept], others[kept]
 

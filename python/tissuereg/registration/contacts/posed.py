@@ -17,18 +17,12 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray, IntArray
 from tissuereg.registration.contacts.columns import Columns, contact_sizes
-from tissuereg.registration.contacts.seen import Reading
-from tissuereg.registration.contacts.settings import ContactSettings
-
-#: Directions with a smaller signal (squared, over the noise) are dropped.
-LEAST_SIGNAL = 0.3
-
-#: Largest number of directions kept; fewer in first passes, whose answer is rough.
-MOST_KEPT, MOST_KEPT_COARSE = 80, 36
+from tissuereg.registration.contacts.seen import Observations
+from tissuereg.registration.contacts.settings import MATCHING, ContactSettings
 
 
 @dataclass(frozen=True, eq=False)
-class Posed:
+class LinearObservations:
     """Data of one linearisation.
 
     Attributes
@@ -71,15 +65,15 @@ class Basis:
     dropped_signal: float
 
     @classmethod
-    def of(cls, reading: Reading, responses: FloatArray, variances: FloatArray, most: int) -> "Basis":
+    def of(cls, reading: Observations, responses: FloatArray, variances: FloatArray, most: int) -> "Basis":
         """Return the basis of observations with given responses (n_obs, n_columns) to causes of given variances."""
         white = responses / reading.std[:, None]
         signals, vectors = np.linalg.eigh((white * variances) @ white.T)
-        n_kept = min(most, max(1, int(np.sum(signals > LEAST_SIGNAL))))
+        n_kept = min(most, max(1, int(np.sum(signals > MATCHING.least_signal))))
         dropped = float(signals[-n_kept - 1]) if n_kept < len(signals) else 0.0
         return cls(np.ascontiguousarray(vectors[:, ::-1][:, :n_kept].T), max(dropped, 0.0))
 
-    def rows(self, reading: Reading) -> list[tuple[IntArray, FloatArray]]:
+    def rows(self, reading: Observations) -> list[tuple[IntArray, FloatArray]]:
         """Return nodes and weights of the projected observations."""
         nodes, root = self.nodes(reading), self.vectors / reading.std
         weights = np.zeros((len(reading.rows), len(nodes), 3))
@@ -89,21 +83,25 @@ class Basis:
         return [(nodes, one) for one in joined]
 
     @staticmethod
-    def nodes(reading: Reading) -> IntArray:
+    def nodes(reading: Observations) -> IntArray:
         """Return all nodes on which observations depend, sorted."""
         return np.unique(np.concatenate([own for own, _ in reading.rows]))
 
 
-def plain(reading: Reading, responses: FloatArray, coefficients: FloatArray) -> Posed:
+def plain(reading: Observations, responses: FloatArray, coefficients: FloatArray) -> LinearObservations:
     """Return observations as they are, with their responses (n_obs, n_columns) at the present coefficients."""
-    return Posed(responses, reading.residual + responses @ coefficients, reading.std**2, reading.groups, reading.rows)
+    return LinearObservations(
+        responses, reading.residual + responses @ coefficients, reading.std**2, reading.groups, reading.rows
+    )
 
 
-def projected(reading: Reading, basis: Basis, responses: FloatArray, coefficients: FloatArray) -> Posed:
+def projected(
+    reading: Observations, basis: Basis, responses: FloatArray, coefficients: FloatArray
+) -> LinearObservations:
     """Return projected observations with their responses (n_kept, n_columns) at the present coefficients."""
     root = basis.vectors / reading.std
     innovation = root @ reading.residual + responses @ coefficients
-    return Posed(responses, innovation, np.ones(len(root)), [], basis.rows(reading), basis.dropped_signal)
+    return LinearObservations(responses, innovation, np.ones(len(root)), [], basis.rows(reading), basis.dropped_signal)
 
 
 def moving_variances(columns: Columns, settings: ContactSettings) -> FloatArray:

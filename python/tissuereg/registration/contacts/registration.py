@@ -17,29 +17,22 @@ from tissuereg.registration.contacts.carried import Carried
 from tissuereg.registration.contacts.columns import Columns, spring_stiffness
 from tissuereg.registration.contacts.draws import Draws, NodesOfContacts
 from tissuereg.registration.contacts.evidence import support_stiffness
-from tissuereg.registration.contacts.fit import TOLERANCE, ContactFit, Passes, start_of
-from tissuereg.registration.contacts.frame import Frame
+from tissuereg.registration.contacts.fit import ContactFit, Passes, start_of
+from tissuereg.registration.contacts.frame import RigidMotion
 from tissuereg.registration.contacts.graded import grade
 from tissuereg.registration.contacts.icp import closest_frame
-from tissuereg.registration.contacts.moment import Moment
+from tissuereg.registration.contacts.moment import BodyState
 from tissuereg.registration.contacts.result import ContactRegistration
-from tissuereg.registration.contacts.seen import Seen, SeenMarkers
-from tissuereg.registration.contacts.settings import ContactSettings
+from tissuereg.registration.contacts.seen import MarkerData, ObservedData
+from tissuereg.registration.contacts.settings import DISCRETISATION, ContactSettings
 from tissuereg.registration.contacts.size import announce
 from tissuereg.registration.contacts.spread import Spread
 from tissuereg.registration.contacts.supports import Supports
-from tissuereg.registration.contacts.surface_points import SeenPoints
+from tissuereg.registration.contacts.surface_points import PointData
 from tissuereg.registration.inputs import RegisterInput
 from tissuereg.registration.result import Registration
-from tissuereg.simulation.sensitivity import Cause, Field, Parameter
+from tissuereg.simulation.sensitivity import Cause, ModulusField, Parameter
 from tissuereg.simulation.solve import LoadParts
-
-#: The fit is repeated without the believed load if the markers' root mean square residual exceeds this many standard
-#: deviations; the belief is dropped if the residual is then less than this share.
-_UNMET, _MUCH_LESS = 3.0, 0.5
-
-#: A search from the contacts of the moment before is given up if it leaves so many times its residual.
-_MUCH_MORE = 1.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,10 +92,10 @@ def register_by_contacts(
     with clock.stage("body"):
         supports = Supports.of(given.mesh, given.body.held, given.body.held_nodes)
         body = ContactBody.of(given.mesh, supports, given.body.fitting_element)
-    points = None if given.surface is None else SeenPoints.of(given.mesh, given.surface, settings.model_error)
-    seen = Seen.of(SeenMarkers(given.observed, given.markers, settings.model_error), points)
+    points = None if given.surface is None else PointData.of(given.mesh, given.surface, settings.model_error)
+    seen = ObservedData.of(MarkerData(given.observed, given.markers, settings.model_error), points)
     announce(body, seen, given, clock)
-    found, note = _Search(given, body, seen, settings, clock, _carried(after, given)).least_left(believed)
+    found, note = _ContactSearch(given, body, seen, settings, clock, _carried(after, given)).least_left(believed)
     if note:
         given = replace(given, suspicions=(*given.suspicions, note))
     with clock.stage("spread"):
@@ -123,19 +116,19 @@ class _Found:
     """A fit with the state from which its passes began, the material and supports estimated before, and its moments."""
 
     fit: ContactFit
-    start: Moment
+    start: BodyState
     material: Material
     further: list[tuple[Cause, float]]
     moments: int = 1
 
 
 @dataclass(frozen=True, eq=False)
-class _Search:
+class _ContactSearch:
     """The search for contacts, for any believed load."""
 
     given: RegisterInput
     body: ContactBody
-    seen: Seen
+    seen: ObservedData
     settings: ContactSettings
     clock: Clock
     carried: Carried | None = None
@@ -147,7 +140,7 @@ class _Search:
         found = None
         with suppress(ConvergenceError):
             found = self.found(believed)
-        if found is not None and min(found.fit.residual_rms) < _UNMET:
+        if found is not None and min(found.fit.residual_rms) < self.settings.steps.unmet:
             return found, ""
         try:
             without = self.found(replace(believed, load=None, simulation=None))
@@ -157,7 +150,7 @@ class _Search:
             return found, ""
         if found is None:
             return without, "the believed load was left out: no equilibrium is found under it"
-        if min(without.fit.residual_rms) < _MUCH_LESS * min(found.fit.residual_rms):
+        if min(without.fit.residual_rms) < self.settings.steps.much_less * min(found.fit.residual_rms):
             return without, "the believed load was left out: no contacts added to it explain the markers"
         return found, ""
 
@@ -190,7 +183,7 @@ class _Search:
             start = start_of(passes.columns, passes.material, field, frame, given.threads)
         return _Found(passes.run(start), start, passes.material, further)
 
-    def _gone_on(self, carried: Carried, passes: Passes, field: FloatArray | None, frame: Frame) -> _Found | None:
+    def _gone_on(self, carried: Carried, passes: Passes, field: FloatArray | None, frame: RigidMotion) -> _Found | None:
         """Return the fit that goes on from the moment before; None if that is of no use."""
         columns = carried.columns_for(passes.columns)
         if columns is None:
@@ -204,7 +197,7 @@ class _Search:
         def solve(coefficients: FloatArray) -> FloatArray:
             near = carried.tangent.linearised
             return near.solve_near(
-                columns.load(coefficients), springs=columns.springs, tolerance=TOLERANCE
+                columns.load(coefficients), springs=columns.springs, tolerance=DISCRETISATION.tolerance
             ).all_displacement
 
         with self.clock.stage("simulate"):
@@ -216,7 +209,7 @@ class _Search:
             fit = passes.run(begin)
         except ConvergenceError:
             return None
-        if min(fit.residual_rms) > max(self.settings.fit_limit, _MUCH_MORE * carried.residual):
+        if min(fit.residual_rms) > max(self.settings.fit_limit, self.settings.steps.much_more * carried.residual):
             # The contacts of the moment before lead nowhere: look everywhere.
             return None
         return _Found(fit, start, carried.material, carried.further, carried.moments + 1)
@@ -235,7 +228,7 @@ def _carried(after: Registration | None, given: RegisterInput) -> Carried | None
     return Carried.of(after.draw, np.asarray(seen), np.asarray(now))
 
 
-def _supported(passes: Passes, frame: Frame) -> tuple[Passes, list[tuple[Cause, float]]]:
+def _supported(passes: Passes, frame: RigidMotion) -> tuple[Passes, list[tuple[Cause, float]]]:
     """Return the passes with supports of the stiffness of highest evidence, and its remaining uncertainty."""
     found = support_stiffness(passes, frame)
     columns = passes.columns.on_springs(found.best)
@@ -247,7 +240,9 @@ def _supported(passes: Passes, frame: Frame) -> tuple[Passes, list[tuple[Cause, 
     return replace(passes, columns=columns), causes
 
 
-def _graded(passes: Passes, frame: Frame, simulation: FloatArray | None) -> tuple[Passes, list[tuple[Cause, float]]]:
+def _graded(
+    passes: Passes, frame: RigidMotion, simulation: FloatArray | None
+) -> tuple[Passes, list[tuple[Cause, float]]]:
     """Return the passes with the graded stiffness of highest evidence, and its remaining uncertainty."""
     if simulation is not None:
         message = "a graded stiffness needs a load or none: it would change the forces that hold a `simulation`"
@@ -256,7 +251,8 @@ def _graded(passes: Passes, frame: Frame, simulation: FloatArray | None) -> tupl
     young = passes.columns.body.simulator.moduli(found.material)[0]
     by_tet = young if young.ndim == 1 else young.mean(axis=1)
     slopes: list[tuple[Cause, float]] = [
-        (Field("young", profile * by_tet), float(std)) for std, profile in zip(found.std, found.profiles, strict=True)
+        (ModulusField("young", profile * by_tet), float(std))
+        for std, profile in zip(found.std, found.profiles, strict=True)
     ]
     return replace(passes, material=found.material, columns=passes.columns.made_of(found.material)), slopes
 
@@ -280,14 +276,14 @@ def _believed(
     return parts, field
 
 
-def _first_frame(given: RegisterInput, supports: Supports) -> Frame:
+def _first_frame(given: RegisterInput, supports: Supports) -> RigidMotion:
     """Return the initial rigid motion, from the markers or else the points, if nothing is surely held."""
     if not supports.moves or supports.holds:
-        return Frame.still()
+        return RigidMotion.still()
     whole = given.markers.seen
     if whole.sum() >= 3:
-        return Frame.between(given.markers.reference[whole], given.markers.measured[whole])
-    return Frame.still() if given.surface is None else closest_frame(given.mesh, given.surface.places)
+        return RigidMotion.between(given.markers.reference[whole], given.markers.measured[whole])
+    return RigidMotion.still() if given.surface is None else closest_frame(given.mesh, given.surface.places)
 
 
 __all__ = ["ContactInput", "fitting_element", "register_by_contacts"]

@@ -13,18 +13,13 @@ import numpy as np
 from tissuereg._base.arrays import BoolArray, FloatArray, IntArray
 from tissuereg.body.markers import Markers
 from tissuereg.body.observe import MarkerObservation
-from tissuereg.registration.contacts.frame import Frame
-from tissuereg.registration.contacts.moment import Moment
-
-#: Degrees of freedom of the heavy-tailed noise of observations that have no indicator of their own.
-TAIL = 5.0
-
-#: Above this number of observations the sampler receives a projection of them.
-MOST_PLAIN = 120
+from tissuereg.registration.contacts.frame import RigidMotion
+from tissuereg.registration.contacts.moment import BodyState
+from tissuereg.registration.contacts.settings import MATCHING
 
 
 @dataclass(frozen=True, eq=False)
-class Reading:
+class Observations:
     """Observations at one deformed body.
 
     Attributes
@@ -53,13 +48,13 @@ class Reading:
     cost: FloatArray
     groups: list[list[int]]
 
-    def followed_by(self, other: "Reading") -> "Reading":
+    def followed_by(self, other: "Observations") -> "Observations":
         """Return these observations followed by others."""
 
         def joined(mine: FloatArray, theirs: FloatArray) -> FloatArray:
             return np.concatenate([mine, theirs])
 
-        return Reading(
+        return Observations(
             [*self.rows, *other.rows],
             joined(self.places, other.places),
             joined(self.directions, other.directions),
@@ -70,20 +65,20 @@ class Reading:
         )
 
 
-class Part(Protocol):
+class DataPart(Protocol):
     """One kind of data."""
 
     @property
     def n_obs(self) -> int:
         """Number of observations."""
 
-    def read(self, moment: Moment, *, weighed: bool) -> Reading:
+    def read(self, moment: BodyState, *, weighed: bool) -> Observations:
         """Return the observations at a deformed body, with weights instead of groups if `weighed`."""
 
-    def coarser(self, width: float) -> "Part":
+    def coarser(self, width: float) -> "DataPart":
         """Return the same data with fewer observations, for first passes; `width` is a share of the extent."""
 
-    def outliers(self, moment: Moment) -> float:
+    def outliers(self, moment: BodyState) -> float:
         """Return the share of observations without labels that a body does not explain."""
 
 
@@ -99,7 +94,7 @@ def _turned(rows: list[tuple[IntArray, FloatArray]], rotation: FloatArray) -> li
 
 
 @dataclass(frozen=True, eq=False)
-class SeenMarkers:
+class MarkerData:
     """The markers as data.
 
     Attributes
@@ -140,17 +135,17 @@ class SeenMarkers:
         owner = self.rows // 3
         return [np.flatnonzero(owner == marker).tolist() for marker in np.unique(owner)]
 
-    def moved(self, frame: Frame) -> FloatArray:
+    def moved(self, frame: RigidMotion) -> FloatArray:
         """Return each marker's motion relative to a rigid motion, (n_markers,) in mm; unseen components are zero."""
         places = frame.apply(self.markers.reference)
         return np.asarray(np.linalg.norm(np.where(self.mask, self.markers.measured - places, 0.0), axis=1))
 
-    def std(self, frame: Frame) -> FloatArray:
+    def std(self, frame: RigidMotion) -> FloatArray:
         """Return the standard deviation of each component seen: the tracker's and the model's, mm."""
         both = np.hypot(self.markers.axis_std, self.model_error * self.moved(frame)[:, None])
         return np.asarray(both.ravel()[self.rows])
 
-    def read(self, moment: Moment, *, weighed: bool) -> Reading:
+    def read(self, moment: BodyState, *, weighed: bool) -> Observations:
         """Return the components seen; `weighed` gives each marker a heavy tail instead of an indicator."""
         observation, reference = self.observation, self.markers.reference
         here = moment.displacement[observation.nodes]
@@ -165,7 +160,7 @@ class SeenMarkers:
             for group in self.groups:
                 std[group] *= np.sqrt(tail_variance(scaled[group].sum(), len(group)))
                 cost[group] = tail_cost(scaled[group].sum(), len(group)) / len(group)
-        return Reading(
+        return Observations(
             [all_rows[row] for row in self.rows],
             np.repeat(places, 3, axis=0)[self.rows],
             np.tile(moment.frame.rotation, (len(reference), 1))[self.rows],
@@ -175,12 +170,12 @@ class SeenMarkers:
             [] if weighed else self.groups,
         )
 
-    def wrong(self, moment: Moment, log_odds: float, wrong_std: float) -> FloatArray:
+    def wrong(self, moment: BodyState, log_odds: float, wrong_std: float) -> FloatArray:
         """Return the probability of each marker that was seen to be wrong, given a body, shape (n_seen,).
 
         Parameters
         ----------
-        moment : Moment
+        moment : BodyState
             The deformed body.
         log_odds : float
             Logarithm of the odds that a marker is wrong.
@@ -194,24 +189,24 @@ class SeenMarkers:
         logs = log_odds + np.array([gain[group].sum() for group in self.groups])
         return np.asarray(1.0 / (1.0 + np.exp(-np.clip(logs, -700.0, 700.0))))
 
-    def outliers(self, moment: Moment) -> float:
+    def outliers(self, moment: BodyState) -> float:
         """Return zero: markers have labels, and wrong ones indicators or weights."""
         del moment
         return 0.0
 
-    def coarser(self, width: float) -> "SeenMarkers":
+    def coarser(self, width: float) -> "MarkerData":
         """Return the same markers; having labels, they lead in the first passes."""
         del width
         return replace(self, rough=True)
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
+class ObservedData:
     """All data of one registration, in one or two parts.
 
     Attributes
     ----------
-    parts : tuple of Part
+    parts : tuple of DataPart
         Markers first.
     weighed : bool
         Whether markers, too, have a heavy tail instead of indicators; data are then projected.
@@ -219,20 +214,20 @@ class Seen:
         Whether these are data of first passes.
     """
 
-    parts: tuple[Part, ...]
+    parts: tuple[DataPart, ...]
     weighed: bool
     rough: bool = False
 
     @classmethod
-    def of(cls, *parts: Part | None) -> "Seen":
+    def of(cls, *parts: DataPart | None) -> "ObservedData":
         """Return the data of the parts that have observations."""
         kept = tuple(part for part in parts if part is not None and part.n_obs)
-        return cls(kept, sum(part.n_obs for part in kept) > MOST_PLAIN)
+        return cls(kept, sum(part.n_obs for part in kept) > MATCHING.most_plain)
 
     @property
-    def markers(self) -> SeenMarkers | None:
+    def markers(self) -> MarkerData | None:
         """The markers, if there are any."""
-        return next((part for part in self.parts if isinstance(part, SeenMarkers)), None)
+        return next((part for part in self.parts if isinstance(part, MarkerData)), None)
 
     @property
     def n_obs(self) -> int:
@@ -242,29 +237,29 @@ class Seen:
     @property
     def rematches(self) -> bool:
         """Whether some observations have no label, so that passes match them anew."""
-        return any(not isinstance(part, SeenMarkers) for part in self.parts)
+        return any(not isinstance(part, MarkerData) for part in self.parts)
 
-    def read(self, moment: Moment) -> Reading:
+    def read(self, moment: BodyState) -> Observations:
         """Return all observations at a deformed body."""
         first, *others = (part.read(moment, weighed=self.weighed) for part in self.parts)
         for other in others:
             first = first.followed_by(other)
         return first
 
-    def outliers(self, moment: Moment) -> float:
+    def outliers(self, moment: BodyState) -> float:
         """Return the largest share of observations without labels that a body does not explain."""
         return max(part.outliers(moment) for part in self.parts)
 
-    def coarser(self, width: float) -> "Seen":
+    def coarser(self, width: float) -> "ObservedData":
         """Return the same data with fewer points, with the same kind of noise."""
-        return Seen(tuple(part.coarser(width) for part in self.parts), self.weighed, rough=True)
+        return ObservedData(tuple(part.coarser(width) for part in self.parts), self.weighed, rough=True)
 
 
 def tail_variance(squares: FloatArray | float, count: int) -> FloatArray:
     """Return the factor on the variance of `count` observations that a Student tail gives for their scaled squares."""
-    return np.asarray((TAIL + squares) / (TAIL + count), np.float64)
+    return np.asarray((MATCHING.tail + squares) / (MATCHING.tail + count), np.float64)
 
 
 def tail_cost(squares: FloatArray | float, count: int) -> FloatArray:
     """Return minus twice the logarithm of Student's density, up to a constant; about `count` for noise alone."""
-    return np.asarray((TAIL + count) * np.log1p(np.asarray(squares) / TAIL), np.float64)
+    return np.asarray((MATCHING.tail + count) * np.log1p(np.asarray(squares) / MATCHING.tail), np.float64)

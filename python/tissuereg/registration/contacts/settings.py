@@ -1,14 +1,157 @@
-"""Prior of contacts, and how the posterior is sampled."""
+"""Prior of contacts, how the posterior is sampled, and how the search for it goes on.
+
+`ContactSettings` is what a call may set. Below it stand the numbers that no call sets: how a body is made discrete, how
+observations are matched and projected, and what is kept in memory.
+"""
 
 from dataclasses import dataclass, fields
 from typing import Any
 
-from tissuereg._base.arguments import each, real, whole
+from tissuereg._base.arguments import each, of_kind, real, whole
 from tissuereg.errors import ArgumentError
 
 
+class _Numbers:
+    """A record whose fields must have the types of their defaults: a count, a number, a pair, or a list of numbers."""
+
+    def __post_init__(self) -> None:
+        for one in fields(self):  # type: ignore[arg-type]
+            value, usual = getattr(self, one.name), one.default
+            if isinstance(usual, _Numbers):
+                of_kind(one.name, value, type(usual))
+            elif isinstance(usual, int):
+                whole(one.name, value)
+            elif isinstance(usual, float):
+                real(one.name, value, least=0.0)
+            else:
+                _numbers(one.name, value, n_numbers=2 if "tuple[float, float]" in str(one.type) else None)
+
+
+def _numbers(name: str, value: Any, n_numbers: int | None) -> None:
+    numbers = each(name, value, (int, float))
+    if not numbers or len(numbers) != (n_numbers or len(numbers)):
+        message = f"`{name}` must be a list of {n_numbers or 'one or more'} numbers, got {len(numbers)}"
+        raise ArgumentError(message, where=name)
+    for number in numbers:
+        real(name, number, least=0.0)
+
+
 @dataclass(frozen=True)
-class ContactSettings:
+class PassSettings(_Numbers):
+    """When a step of the passes is accepted, and when the passes end.
+
+    Parameters
+    ----------
+    shortest : float
+        Shortest share of a step towards the mean load that is tried.
+    most_iterations : int
+        A load that takes more iterations of the solver is abandoned: a shorter step costs less.
+    decrease : float
+        A step must reduce the residual by this share of the predicted reduction,
+    good_enough : float
+        or to within this many times `fit_limit`.
+    decrease_unmatched : float
+        `decrease` where points without labels are matched anew: the first steps gain least.
+    shortest_unmatched : float
+        In that case a step of at least this length is accepted if it reduces the residual at all.
+    as_predicted : float
+        A step ended as predicted, so that no linearisation at its end is needed, if its residual exceeds the predicted
+        one by no more, in standard deviations.
+    settled : float
+        Matches have settled if a pass reduces the residual by less than this share.
+    least_rough : int
+        Fewest first passes while the residual of the points is above the limit.
+    marker_passes : int
+        Passes with markers alone, if there are markers as well as points: labels bring the body close.
+    coarse_passes, fine_passes : int
+        Most passes with few points, and with all of them.
+    widths : tuple of float
+        Shares of the extent within which the errors of first matches are correlated: a later one is tried
+    most_outliers : float
+        if those before it leave more than this share of the points as outliers.
+    unmet : float
+        The fit is repeated without the believed load above this root mean square residual, in standard deviations,
+    much_less : float
+        and the belief is dropped if the residual is then less than this share.
+    much_more : float
+        A search from the contacts of the state before is given up if it leaves so many times its residual.
+    """
+
+    shortest: float = 0.02
+    most_iterations: int = 150
+    decrease: float = 0.3
+    good_enough: float = 1.5
+    decrease_unmatched: float = 0.01
+    shortest_unmatched: float = 0.2
+    as_predicted: float = 0.2
+    settled: float = 0.05
+    least_rough: int = 4
+    marker_passes: int = 2
+    coarse_passes: int = 8
+    fine_passes: int = 5
+    widths: tuple[float, ...] = (0.12, 0.2)
+    most_outliers: float = 0.13
+    unmet: float = 3.0
+    much_less: float = 0.5
+    much_more: float = 1.5
+
+
+@dataclass(frozen=True)
+class EvidenceSettings(_Numbers):
+    """How the evidence of supports and of a graded stiffness is maximised.
+
+    Parameters
+    ----------
+    sizes_mm : tuple of float
+        Smallest and largest candidate size of contacts, mm: from below any tracker's noise to beyond any motion,
+    sizes_a_decade : int
+        and how many of them a decade.
+    rounds : int
+        Rounds over all sizes at most,
+    least_gain : float
+        and the gain of the log evidence that ends them.
+    first_step, last_step : float
+        First and shortest step of the search for gradients of stiffness, in standard deviations of their prior.
+    """
+
+    sizes_mm: tuple[float, float] = (0.01, 100.0)
+    sizes_a_decade: int = 4
+    rounds: int = 3
+    least_gain: float = 1e-3
+    first_step: float = 1.0
+    last_step: float = 0.3
+
+
+@dataclass(frozen=True)
+class ReportSettings(_Numbers):
+    """What of a fit is reported, and what is a reason not to trust it.
+
+    Parameters
+    ----------
+    least_constrained : float
+        A target is flagged if the markers remove less than this share of its variance under unseen contacts.
+    wrong : float
+        A marker that is wrong with at least this probability is dropped.
+    least_probability : float
+        Contacts less probable than this are not listed.
+    most_contacts : int
+        Contacts listed at most.
+    most_off : float
+        Median distance of surface points over its expected value above which they do not lie on the surface.
+    most_outliers : float
+        Share of surface points above which they belong to something else.
+    """
+
+    least_constrained: float = 0.8
+    wrong: float = 0.5
+    least_probability: float = 0.2
+    most_contacts: int = 4
+    most_off: float = 2.0
+    most_outliers: float = 0.3
+
+
+@dataclass(frozen=True)
+class ContactSettings(_Numbers):
     """Prior of contacts, noise of the model, and chains.
 
     Parameters
@@ -75,6 +218,14 @@ class ContactSettings:
         and exceeds the linear model's prediction by less than this.
     n_draws : int
         Number of draws for the spread of nodes.
+    background_share : float
+        Standard deviation of the background on one patch, over that of all patches: neighbours overlap.
+    steps : PassSettings
+        When a step is accepted, and when the passes end.
+    evidence : EvidenceSettings
+        The search for supports and graded stiffness.
+    report : ReportSettings
+        What is listed, flagged and dropped.
     """
 
     n_slots: int = 3
@@ -111,23 +262,159 @@ class ContactSettings:
     fit_limit: float = 1.3
     promise_margin: float = 0.4
     n_draws: int = 64
-
-    def __post_init__(self) -> None:
-        # A field must have the type of its default: a count, a number, a pair, or a list of numbers.
-        for one in fields(self):
-            value, usual = getattr(self, one.name), one.default
-            if isinstance(usual, int):
-                whole(one.name, value)
-            elif isinstance(usual, float):
-                real(one.name, value, least=0.0)
-            else:
-                _numbers(one.name, value, n_numbers=2 if "tuple[float, float]" in str(one.type) else None)
+    background_share: float = 0.55
+    steps: PassSettings = PassSettings()
+    evidence: EvidenceSettings = EvidenceSettings()
+    report: ReportSettings = ReportSettings()
 
 
-def _numbers(name: str, value: Any, n_numbers: int | None) -> None:
-    numbers = each(name, value, (int, float))
-    if not numbers or len(numbers) != (n_numbers or len(numbers)):
-        message = f"`{name}` must be a list of {n_numbers or 'one or more'} numbers, got {len(numbers)}"
-        raise ArgumentError(message, where=name)
-    for number in numbers:
-        real(name, number, least=0.0)
+@dataclass(frozen=True)
+class Discretisation:
+    """How a body and its causes are made discrete.
+
+    Attributes
+    ----------
+    radii_shares : tuple of float
+        Radii of patches, shares of the extent: 1.6 times each other, from a fingertip to a hand.
+    least_edges : float
+        Smallest radius over the mean edge of the surface: a patch must hold a few nodes.
+    thinning : float
+        Centres of one radius are thinned to this share of it.
+    least_cosine : float
+        Nodes whose normal differs from the centre's by more (cosine) are on the other side of a sheet: they do not
+        belong to the patch, and do not exclude other centres.
+    levels : tuple of float
+        Levels of a family's size, in standard deviations of its logarithm.
+    stiffness_fields : int
+        Smooth fields of uncertain stiffness.
+    support_fields : int
+        The same of doubtful supports.
+    cells : int
+        Cells of doubtful supports, on which springs of any stiffness are condensed.
+    bed : float
+        Stiffness of the bed around a free body, in Young's modulus over extent: too soft to hold it.
+    tolerance : float
+        Relative residual of an equilibrium that is linearised.
+    same_load : float
+        Relative difference of two loads below which they are one.
+    """
+
+    radii_shares: tuple[float, ...] = (0.05, 0.083, 0.133, 0.208, 0.333)
+    least_edges: float = 1.2
+    thinning: float = 0.7
+    least_cosine: float = 0.1
+    levels: tuple[float, ...] = tuple(0.5 * half for half in range(-6, 7))
+    stiffness_fields: int = 60
+    support_fields: int = 12
+    cells: int = 60
+    bed: float = 0.1
+    tolerance: float = 3e-7
+    same_load: float = 1e-9
+
+
+@dataclass(frozen=True)
+class Matching:
+    """How observations are weighed, points matched to a surface, and many observations projected.
+
+    Attributes
+    ----------
+    tail : float
+        Degrees of freedom of the heavy-tailed noise of observations that have no indicator of their own.
+    most_plain : int
+        Above this number of observations the sampler, whose cost is quadratic, receives a projection of them.
+    least_signal : float
+        Directions with a smaller signal (squared, over the noise) are dropped.
+    most_kept, most_kept_coarse : int
+        Directions kept at most, and in first passes, whose answer is rough.
+    coarse_points : int
+        Points in first passes.
+    alike_share : float
+        Model errors are correlated within this share of the extent: points so close are not independent.
+    least_cosine : float
+        Edges with a larger angle between their triangles (cosine) are edges of the body, not of the mesh.
+    far : float
+        A point is far from the surface beyond this many standard deviations of its noise.
+    outlier : float
+        A point is an outlier beyond this many standard deviations.
+    closest : int
+        Closest surface samples whose triangles are tested exactly.
+    rigid_points : int
+        Points by which a free body is first moved onto its measured surface.
+    rigid_first, rigid_last : int
+        Iterations from each start of that motion, and from the best of them.
+    rigid_share : float
+        Share of the points, the closest ones, that count: a deformed part must not rotate the body.
+    rigid_along : float
+        Weight of distances along the surface: with zero weight a round body could rotate indefinitely.
+    rigid_clearly : float
+        Another start is preferred if its residual is less than this share of that from the frame as given.
+    """
+
+    tail: float = 5.0
+    most_plain: int = 120
+    least_signal: float = 0.3
+    most_kept: int = 80
+    most_kept_coarse: int = 36
+    coarse_points: int = 150
+    alike_share: float = 0.08
+    least_cosine: float = 0.8
+    far: float = 3.0
+    outlier: float = 4.0
+    closest: int = 8
+    rigid_points: int = 150
+    rigid_first: int = 12
+    rigid_last: int = 40
+    rigid_share: float = 0.8
+    rigid_along: float = 0.05
+    rigid_clearly: float = 0.7
+
+
+@dataclass(frozen=True)
+class Effort:
+    """What is kept, what is made at the same time, and the work to expect; no answer depends on it.
+
+    Attributes
+    ----------
+    bodies_kept : int
+        Bodies that are kept analysed for the next call.
+    remembered : int
+        Observations whose sensitivities are kept: more belong to points, which no later call repeats.
+    kept_entries : int
+        A tangent at rest with more entries (1 GB) is not kept: later passes need the memory.
+    many_unknowns : int
+        From so many unknowns on right-hand sides are solved in parts,
+    block : int
+        of the solver's block per thread.
+    fields_at_once : int
+        Fields of the whole body made at the same time: a multiple of the block, whatever the number of threads.
+    passes, passes_of_points : int
+        Passes to expect with markers, and with points that are matched anew.
+    factors, factors_of_points : int
+        Factors held at the same time: of the best pass and the next one; with points also of the stage before.
+    fields : int
+        Whole fields held beside the responses: errors of the model, and draws with their ingredients.
+    tet_fields : int
+        Numbers per tet: fields of uncertain stiffness with a copy of each, and what the solver keeps.
+    later_bytes : int
+        Memory of modules imported and pictures drawn later.
+    tet_flops : float
+        Reading, attaching, regions, files and pictures, in operations per tet.
+    """
+
+    bodies_kept: int = 4
+    remembered: int = 400
+    kept_entries: int = 250_000_000
+    many_unknowns: int = 100_000
+    block: int = 16
+    fields_at_once: int = 32
+    passes: int = 2
+    passes_of_points: int = 6
+    factors: int = 2
+    factors_of_points: int = 3
+    fields: int = 260
+    tet_fields: int = 160
+    later_bytes: int = 200_000_000
+    tet_flops: float = 7e6
+
+
+DISCRETISATION, MATCHING, EFFORT = Discretisation(), Matching(), Effort()

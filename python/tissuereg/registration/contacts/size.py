@@ -2,38 +2,20 @@
 
 from tissuereg._base.clock import Clock
 from tissuereg.registration.contacts.body import ContactBody
-from tissuereg.registration.contacts.posed import MOST_KEPT
-from tissuereg.registration.contacts.seen import Seen
+from tissuereg.registration.contacts.seen import ObservedData
+from tissuereg.registration.contacts.settings import EFFORT, MATCHING
 from tissuereg.registration.inputs import RegisterInput
 from tissuereg.simulation.size import BodySize, Estimate, Work
 
-#: Passes to expect with markers, and with points that are matched anew.
-_PASSES, _PASSES_OF_POINTS = 2, 6
 
-#: Factors that are held at the same time: those of the best pass and the next one; with points also the stage before's.
-_FACTORS, _FACTORS_OF_POINTS = 2, 3
-
-#: Whole fields held in addition to the responses: errors of the model, and draws with their ingredients.
-_FIELDS = 260
-
-#: Numbers per tet: fields of uncertain stiffness with a copy of each, and what the solver keeps.
-_TET_FIELDS = 160
-
-#: Memory of modules imported and pictures drawn later, in bytes.
-_LATER = 200_000_000
-
-#: Reading, attaching, regions, files and pictures, in operations per tet.
-_TET_FLOPS = 7e6
-
-
-def announce(body: ContactBody, seen: Seen, given: RegisterInput, clock: Clock) -> Estimate:
+def announce(body: ContactBody, seen: ObservedData, given: RegisterInput, clock: Clock) -> Estimate:
     """Report a body's size and the estimated memory and time, and refuse a body that would not fit into memory.
 
     Parameters
     ----------
     body : ContactBody
         Analysed.
-    seen : Seen
+    seen : ObservedData
         Data.
     given : RegisterInput
         Input, with targets, settings and threads.
@@ -77,19 +59,19 @@ def expected_work(n_obs: int, n_targets: int, n_draws: int, *, matched: bool) ->
     Work
         Factors of single precision.
     """
-    passes = _PASSES_OF_POINTS if matched else _PASSES
-    again = min(n_obs, MOST_KEPT) if matched else n_obs
+    passes = EFFORT.passes_of_points if matched else EFFORT.passes
+    again = min(n_obs, MATCHING.most_kept) if matched else n_obs
     right_hand_sides = n_obs + (passes - 1) * again + n_targets + n_draws
-    fields = n_obs + again + n_targets + _FIELDS
+    fields = n_obs + again + n_targets + EFFORT.fields
     return Work(
         passes,
-        _FACTORS_OF_POINTS if matched else _FACTORS,
+        EFFORT.factors_of_points if matched else EFFORT.factors,
         4,
         right_hand_sides,
         fields,
-        _TET_FIELDS,
-        _LATER,
-        _TET_FLOPS,
+        EFFORT.tet_fields,
+        EFFORT.later_bytes,
+        EFFORT.tet_flops,
     )
 
 

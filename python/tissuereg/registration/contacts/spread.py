@@ -17,15 +17,9 @@ from tissuereg.body.material import Material
 from tissuereg.registration.contacts.fit import ContactFit
 from tissuereg.registration.contacts.patches import Patches
 from tissuereg.registration.contacts.places import smooth_fields
-from tissuereg.registration.contacts.settings import ContactSettings
+from tissuereg.registration.contacts.settings import DISCRETISATION, EFFORT, ContactSettings
 from tissuereg.registration.contacts.tangent import Row
-from tissuereg.simulation.sensitivity import Cause, Compliance, Field
-
-#: Number of smooth fields of the stiffness of doubtful supports.
-_N_SUPPORT_FIELDS = 12
-
-#: Fields of the whole body made at the same time: a multiple of the solver's block, whatever the number of threads.
-_AT_ONCE = 32
+from tissuereg.simulation.sensitivity import Cause, Compliance, ModulusField
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,8 +209,8 @@ class Spread:
 
 def _in_parts(count: int) -> Iterator[slice]:
     """Yield consecutive slices of a count: whole fields are large and are made in blocks."""
-    for first in range(0, count, _AT_ONCE):
-        yield slice(first, min(first + _AT_ONCE, count))
+    for first in range(0, count, EFFORT.fields_at_once):
+        yield slice(first, min(first + EFFORT.fields_at_once, count))
 
 
 def _forces_of_errors(
@@ -261,7 +255,7 @@ def _model_errors(fit: ContactFit, material: Material, settings: ContactSettings
     by_tet = young if young.ndim == 1 else young.mean(axis=1)
     fields = fit.columns.body.blobs * (settings.young_log_std * by_tet)
     poisson = np.full(simulator.mesh.n_tets, settings.poisson_std)
-    return [*(Field("young", one) for one in fields), Field("poisson", poisson)]
+    return [*(ModulusField("young", one) for one in fields), ModulusField("poisson", poisson)]
 
 
 def _support_errors(fit: ContactFit, settings: ContactSettings) -> FloatArray:
@@ -274,7 +268,7 @@ def _support_errors(fit: ContactFit, settings: ContactSettings) -> FloatArray:
     nodes = np.flatnonzero(np.abs(forces).max(axis=1) > 0.0)
     if not len(nodes):
         return np.zeros((0, simulator.body.n_nodes, 3))
-    smooth = smooth_fields(simulator.body.nodes[nodes], _N_SUPPORT_FIELDS)
+    smooth = smooth_fields(simulator.body.nodes[nodes], DISCRETISATION.support_fields)
     fields = np.zeros((len(smooth), simulator.body.n_nodes))
     fields[:, nodes] = smooth
     return np.asarray(settings.support_log_std * fields[:, :, None] * forces)

@@ -10,15 +10,13 @@ from tissuereg._base.arrays import FloatArray, IntArray, index_array
 from tissuereg._base.choice import check_choice
 from tissuereg.body.mesh import Mesh
 from tissuereg.errors import SupportError
+from tissuereg.registration.contacts.settings import DISCRETISATION
 
 #: Name of the node set that may or may not be held.
 PERHAPS = "perhaps_fixed"
 
 #: Ways to take the node set ``fixed``.
 HELD = ("sure", "perhaps", "free")
-
-#: Stiffness of the bed around a free body, in Young's modulus over extent.
-_BED = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,7 +109,7 @@ def springs_of(mesh: Mesh, supports: Supports) -> list[tuple[IntArray, FloatArra
         the rim of the doubtful supports and their inside, or the bed; empty if all supports are sure.
     """
     if not supports.holds:
-        return [(mesh.surface, np.full(2, _BED / mesh.extent))]
+        return [(mesh.surface, np.full(2, DISCRETISATION.bed / mesh.extent))]
     triangles = _covering(mesh, supports.perhaps)
     unit = np.full(2, 1.0 / mesh.extent)
     return [(zone, unit) for zone in _zones(mesh, triangles) if len(zone)]

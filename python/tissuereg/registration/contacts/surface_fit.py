@@ -7,14 +7,9 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray, IntArray
 from tissuereg.body.surface import SurfacePoints
-from tissuereg.registration.contacts.moment import Moment
-from tissuereg.registration.contacts.surface_points import OUTLIER, SeenPoints
-
-#: A larger ratio of the median distance to its expected value is a reason not to trust the result.
-_MOST_OFF = 2.0
-
-#: A larger share of outliers is one, too.
-_MOST_OUTLIERS = 0.3
+from tissuereg.registration.contacts.moment import BodyState
+from tissuereg.registration.contacts.settings import MATCHING, ReportSettings
+from tissuereg.registration.contacts.surface_points import PointData
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,10 +48,10 @@ class SurfaceFit:
     places: FloatArray
 
     @classmethod
-    def of(cls, seen: SeenPoints, given: SurfacePoints, start: Moment, end: Moment) -> "SurfaceFit":
+    def of(cls, seen: PointData, given: SurfacePoints, start: BodyState, end: BodyState) -> "SurfaceFit":
         """Return the fit of the points at the start and the end of a registration."""
         before, after = seen.distances(start)[0], seen.distances(end)
-        good = after[1] <= OUTLIER
+        good = after[1] <= MATCHING.outlier
         return cls(
             points=len(given),
             used=int(good.sum()),
@@ -80,16 +75,16 @@ class SurfaceFit:
             "outliers": self.outliers.tolist(),
         }
 
-    def reasons(self) -> list[str]:
+    def reasons(self, settings: ReportSettings) -> list[str]:
         """Return the reasons not to trust the result, in sentences."""
         found = []
-        if self.typical > _MOST_OFF:
+        if self.typical > settings.most_off:
             found.append(
                 f"the surface points do not lie on the registered surface: they are typically {self.typical:.1f} "
                 f"times as far off as their noise allows ({self.after_rms_mm:.2f} mm rms)"
             )
         share = 1.0 - self.used / self.points
-        if share > _MOST_OUTLIERS:
+        if share > settings.most_outliers:
             found.append(f"{100 * share:.0f} % of the surface points belong to no part of the registered surface")
         return found
 

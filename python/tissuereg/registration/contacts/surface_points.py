@@ -17,27 +17,10 @@ import numpy as np
 from tissuereg._base.arrays import FloatArray, IntArray
 from tissuereg.body.mesh import Mesh
 from tissuereg.body.surface import SurfacePoints, evenly
-from tissuereg.registration.contacts.moment import Moment
-from tissuereg.registration.contacts.seen import Reading, tail_cost, tail_variance
+from tissuereg.registration.contacts.moment import BodyState
+from tissuereg.registration.contacts.seen import Observations, tail_cost, tail_variance
+from tissuereg.registration.contacts.settings import MATCHING
 from tissuereg.registration.readings.skin import closest_on_triangles
-
-#: Number of points in first passes.
-N_COARSE = 150
-
-#: Model errors are correlated within this share of the body's extent: points so close are not independent.
-_ALIKE_SHARE = 0.08
-
-#: Edges with a larger angle between their triangles (cosine) are edges of the body, not of the mesh.
-_LEAST_COSINE = 0.8
-
-#: A point is far from the surface beyond this many standard deviations of its noise.
-_FAR = 3.0
-
-#: A point counts as an outlier beyond this many standard deviations.
-OUTLIER = 4.0
-
-#: Number of closest surface samples whose triangles are tested exactly.
-_N_CLOSEST = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +62,7 @@ class Feet:
 
 
 @dataclass(frozen=True, eq=False)
-class SeenPoints:
+class PointData:
     """The points of the surface as data.
 
     Attributes
@@ -103,7 +86,7 @@ class SeenPoints:
     rough: float = 0.0
 
     @classmethod
-    def of(cls, mesh: Mesh, points: SurfacePoints, model_error: float) -> "SeenPoints":
+    def of(cls, mesh: Mesh, points: SurfacePoints, model_error: float) -> "PointData":
         """Return the data of checked points."""
         return cls(mesh, points.places, points.std, model_error)
 
@@ -115,7 +98,7 @@ class SeenPoints:
     @cached_property
     def _alike(self) -> FloatArray:
         """Return the number of points with the same model error as each, itself included, shape (n_points,)."""
-        return self._within(_ALIKE_SHARE)
+        return self._within(MATCHING.alike_share)
 
     @cached_property
     def _matched(self) -> FloatArray:
@@ -132,20 +115,20 @@ class SeenPoints:
     def _facets(self) -> FloatArray:
         return facet_errors(self.mesh)
 
-    def feet(self, moment: Moment) -> Feet:
+    def feet(self, moment: BodyState) -> Feet:
         """Return the closest places of the deformed surface, in the body's frame."""
         moved = self.mesh.nodes + moment.displacement[: self.mesh.n_nodes]
         return closest_feet(moved, self.mesh.surface, moment.frame.undo(self.places))
 
-    def read(self, moment: Moment, *, weighed: bool = True) -> Reading:
+    def read(self, moment: BodyState, *, weighed: bool = True) -> Observations:
         """Return one observation per point; points always have weights."""
         del weighed
         feet = self.feet(moment)
         std = self.std(moment, feet)
-        residual, directions = feet.off(moment.frame.undo(self.places), _FAR * self.noise)
+        residual, directions = feet.off(moment.frame.undo(self.places), MATCHING.far * self.noise)
         scaled = (residual / std) ** 2
         across = feet.weights[:, :, None] * directions[:, None, :]
-        return Reading(
+        return Observations(
             list(zip(feet.corners, across, strict=True)),
             feet.places,
             directions,
@@ -155,7 +138,7 @@ class SeenPoints:
             [],
         )
 
-    def std(self, moment: Moment, feet: Feet) -> FloatArray:
+    def std(self, moment: BodyState, feet: Feet) -> FloatArray:
         """Return the standard deviation of each point before its tail, (n_points,), mm.
 
         It combines the instrument's noise with errors of the model and of the facets. Nearby points share the latter,
@@ -166,19 +149,19 @@ class SeenPoints:
         facet = self._facets[feet.triangles]
         return np.asarray(np.sqrt(self.noise**2 + self._alike * (size**2 + facet**2)))
 
-    def distances(self, moment: Moment) -> tuple[FloatArray, FloatArray]:
+    def distances(self, moment: BodyState) -> tuple[FloatArray, FloatArray]:
         """Return the distance of every point from the surface along the normal, mm, and over its standard deviation."""
         feet = self.feet(moment)
-        residual, _ = feet.off(moment.frame.undo(self.places), _FAR * self.noise)
+        residual, _ = feet.off(moment.frame.undo(self.places), MATCHING.far * self.noise)
         return np.abs(residual), np.abs(residual) / self.std(moment, feet)
 
-    def outliers(self, moment: Moment) -> float:
+    def outliers(self, moment: BodyState) -> float:
         """Return the share of points that a body does not explain."""
-        return float(np.mean(self.distances(moment)[1] > OUTLIER))
+        return float(np.mean(self.distances(moment)[1] > MATCHING.outlier))
 
-    def coarser(self, width: float) -> "SeenPoints":
+    def coarser(self, width: float) -> "PointData":
         """Return fewer points, spread evenly; matching errors are correlated within a share `width` of the extent."""
-        return replace(self, places=self.places[evenly(self.places, N_COARSE)], rough=width)
+        return replace(self, places=self.places[evenly(self.places, MATCHING.coarse_points)], rough=width)
 
 
 def closest_feet(nodes: FloatArray, triangles: IntArray, points: FloatArray) -> Feet:
@@ -203,7 +186,7 @@ def closest_feet(nodes: FloatArray, triangles: IntArray, points: FloatArray) -> 
     corners = nodes[triangles]
     shares = np.array([[4.0, 1.0, 1.0], [1.0, 4.0, 1.0], [1.0, 1.0, 4.0], [2.0, 2.0, 2.0]]) / 6.0
     samples: Any = cKDTree(np.einsum("sc,tcx->tsx", shares, corners).reshape(-1, 3), balanced_tree=False)
-    near = np.asarray(samples.query(points, k=min(_N_CLOSEST, 4 * len(triangles)))[1]) // 4
+    near = np.asarray(samples.query(points, k=min(MATCHING.closest, 4 * len(triangles)))[1]) // 4
     feet = closest_on_triangles(points[:, None], corners[near])
     best = np.argmin(np.sum((points[:, None] - feet) ** 2, axis=2), axis=1)
     rows = np.arange(len(points))
@@ -236,7 +219,7 @@ def facet_errors(mesh: Mesh) -> FloatArray:
     one, other, ends = first[pairs] // 3, second[pairs] // 3, edges[first[pairs]]
     cosine = np.clip(np.einsum("ex,ex->e", own[one], own[other]), -1.0, 1.0)
     length = np.linalg.norm(mesh.nodes[ends[:, 0]] - mesh.nodes[ends[:, 1]], axis=1)
-    height = np.where(cosine > _LEAST_COSINE, 1.7 * length * np.arccos(cosine) / 8.0, 0.0)
+    height = np.where(cosine > MATCHING.least_cosine, 1.7 * length * np.arccos(cosine) / 8.0, 0.0)
     largest = np.zeros(len(corners))
     np.maximum.at(largest, one, height)
     np.maximum.at(largest, other, height)

@@ -10,17 +10,9 @@ from tissuereg._base.arrays import FloatArray, IntArray
 from tissuereg._base.machine import n_cores
 from tissuereg.body.material import Material
 from tissuereg.registration.contacts.columns import Columns
-from tissuereg.registration.contacts.moment import Moment
+from tissuereg.registration.contacts.moment import BodyState
+from tissuereg.registration.contacts.settings import EFFORT
 from tissuereg.simulation.sensitivity import Compliance, Linearised, Observation
-
-#: Largest number of observations that are cached: more belong to points, which no later call repeats.
-MOST_REMEMBERED = 400
-
-#: A tangent at rest with more entries than this (1 GB) is not kept: later passes need the memory.
-MOST_KEPT_ENTRIES = 250_000_000
-
-#: From so many unknowns on right-hand sides are solved in parts: one block of the solver per thread.
-_MANY_UNKNOWNS, _BLOCK = 100_000, 16
 
 Row = tuple[IntArray, FloatArray]
 
@@ -43,7 +35,9 @@ class Tangent:
     def __init__(self, linearised: Linearised, threads: int = 0) -> None:
         self.linearised = linearised
         body = linearised.simulator.body
-        self._at_once = _BLOCK * (threads or n_cores()) if body.n_unknowns >= _MANY_UNKNOWNS else sys.maxsize
+        self._at_once = (
+            EFFORT.block * (threads or n_cores()) if body.n_unknowns >= EFFORT.many_unknowns else sys.maxsize
+        )
         self._known: dict[bytes, Compliance] = {}
         self._lock = threading.Lock()
 
@@ -92,7 +86,7 @@ class Tangent:
 
     def _remember(self, new: dict[bytes, Compliance]) -> None:
         with self._lock:
-            if len(self._known) + len(new) <= MOST_REMEMBERED:
+            if len(self._known) + len(new) <= EFFORT.remembered:
                 self._known |= new
 
 
@@ -117,7 +111,7 @@ _rest: tuple[tuple[object, ...], Tangent] | None = None
 _lock = threading.Lock()
 
 
-def tangent_at(columns: Columns, material: Material, moment: Moment, threads: int) -> tuple[Tangent, int]:
+def tangent_at(columns: Columns, material: Material, moment: BodyState, threads: int) -> tuple[Tangent, int]:
     """Return the tangent at a body, and the number of factorisations it took.
 
     Parameters
@@ -126,7 +120,7 @@ def tangent_at(columns: Columns, material: Material, moment: Moment, threads: in
         Causes, with the supports of the body.
     material : Material
         Material of the body.
-    moment : Moment
+    moment : BodyState
         An equilibrium.
     threads : int
         Threads to use.
@@ -155,7 +149,7 @@ def tangent_at(columns: Columns, material: Material, moment: Moment, threads: in
         threads=threads,
     )
     made = Tangent(linearised, threads)
-    if key is not None and columns.body.simulator.body.factor_size[0] <= MOST_KEPT_ENTRIES:
+    if key is not None and columns.body.simulator.body.factor_size[0] <= EFFORT.kept_entries:
         with _lock:
             _rest = (key, made)
     return made, 1
@@ -168,7 +162,7 @@ def forget_rest() -> None:
         _rest = None
 
 
-def _rest_key(columns: Columns, material: Material, moment: Moment, threads: int) -> tuple[object, ...] | None:
+def _rest_key(columns: Columns, material: Material, moment: BodyState, threads: int) -> tuple[object, ...] | None:
     """Return the key of a tangent at rest; None if the body is not at rest."""
     loaded = any(part is not None for part in columns.believed.values())
     if loaded or moment.displacement.any() or moment.coefficients.any():

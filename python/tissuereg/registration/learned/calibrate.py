@@ -23,7 +23,7 @@ from tissuereg.registration.learned.calibration import (
 )
 from tissuereg.registration.learned.honest import Honest
 from tissuereg.registration.learned.kinds import Kinds, probabilities
-from tissuereg.registration.learned.mixture import Component, Linear, condition, log_evidence
+from tissuereg.registration.learned.mixture import Component, LinearDecoder, condition, log_evidence
 from tissuereg.registration.learned.model import LatentModel, rms_displacement
 from tissuereg.registration.learned.network import NetworkModel
 from tissuereg.registration.learned.relinearise import conditioned, spread_of
@@ -127,7 +127,7 @@ def calibrate(
         Cost: about six decodes of 2 n_latent + 1 columns at some nodes for every rehearsed event.
     """
     how = settings or RehearsalSettings()
-    rehearsal = _Rehearsal(model, mesh, how)
+    rehearsal = _Rehearsing(model, mesh, how)
     kinds = Kinds.fit(codes, n_kinds, how.seed)
     coded = model.codes(unseen)
     missed = np.concatenate([unseen[i : i + _BATCH] - model.decode(coded[i : i + _BATCH].T) for i in _parts(unseen)])
@@ -299,7 +299,7 @@ class _Places:
 
 
 @dataclass(frozen=True, eq=False)
-class _Event:
+class _RegisteredEvent:
     """A registered truth: its prior, of which the first `n_own` components are the event's own, and the decoder there.
 
     Rows of `observed` are those of the markers, of `rows` the true ones of markers and targets, mm.
@@ -308,12 +308,12 @@ class _Event:
     made: Calibration
     prior: list[Component]
     n_own: int
-    linear: Linear
+    linear: LinearDecoder
     observed: FloatArray
     rows: FloatArray
 
 
-class _Rehearsal:
+class _Rehearsing:
     """Registers truths from random markers, with scales equally probable at first; see `Rehearsal`."""
 
     def __init__(self, model: Codes, mesh: Mesh, how: RehearsalSettings) -> None:
@@ -321,7 +321,7 @@ class _Rehearsal:
         self._rng = np.random.default_rng([how.seed, 22])
         self._noise = how.std**2 * np.eye(3 * how.n_markers)
 
-    def registered(self, made: Calibration, simulation: FloatArray | None, truth: FloatArray) -> _Event:
+    def registered(self, made: Calibration, simulation: FloatArray | None, truth: FloatArray) -> _RegisteredEvent:
         """Register one truth."""
         how, model, n_obs = self._how, self._model, len(self._noise)
         places = _Places.drawn(self._mesh, how, self._rng)
@@ -345,9 +345,9 @@ class _Rehearsal:
             spread_of(made.kinds),
             _PASSES,
         )
-        return _Event(made, prior, n_own, linear, observed, rows)
+        return _RegisteredEvent(made, prior, n_own, linear, observed, rows)
 
-    def shown(self, event: _Event, scale_weights: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def shown(self, event: _RegisteredEvent, scale_weights: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the signs of an event under probabilities of scales, and the misfits of its targets."""
         own, forms = event.prior[: event.n_own], len(scale_weights)
         # Of one form the kinds keep their shares.
@@ -359,7 +359,7 @@ class _Rehearsal:
         shown = signs_of(event.made, found, event.n_own)
         return shown.row, _misfits(event.rows - found.mean, found.covariance, n_obs)
 
-    def outcome(self, events: list[_Event], law: Rehearsal, kind: IntArray | None = None) -> Rehearsal:
+    def outcome(self, events: list[_RegisteredEvent], law: Rehearsal, kind: IntArray | None = None) -> Rehearsal:
         """Return the likeliest scales, and what registrations with these give; honest ones of each kind are a group."""
         n_forms, n_scales = law.scale_weights.shape
         logs = np.array([self._log_evidence(event, n_forms).ravel() for event in events])
@@ -372,7 +372,7 @@ class _Rehearsal:
             honest = honest.beside(shown[group == number])
         return replace(law, scale_weights=scale_weights, widening=widening, tail=tail, honest=honest)
 
-    def _log_evidence(self, event: _Event, n_forms: int) -> FloatArray:
+    def _log_evidence(self, event: _RegisteredEvent, n_forms: int) -> FloatArray:
         """Return the log-evidence of every form and scale of the event's own components, (n_forms, n_scales)."""
         prior = event.prior[: event.n_own]
         logs = log_evidence(prior, event.linear, event.observed, self._noise)

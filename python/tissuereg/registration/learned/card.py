@@ -11,7 +11,7 @@ import numpy as np
 from tissuereg._base.arguments import is_number
 from tissuereg._base.arrays import FloatArray
 from tissuereg.errors import FormatError, ModelError
-from tissuereg.io.bounds import TEXT_MB, existing_file, read_text
+from tissuereg.io.bounds import FILES, existing_file, read_text
 
 CARD_SCHEMA = "tissuereg.model/1"
 
@@ -60,7 +60,7 @@ def read_card(folder: Path) -> dict[str, Any]:
         message = f"a model folder must hold model.json; there is none in {folder}"
         raise ModelError(message, where=str(folder))
     try:
-        card = json.loads(read_text(existing_file(path, TEXT_MB)))
+        card = json.loads(read_text(existing_file(path, FILES.text_mb)))
     except (OSError, ValueError, RecursionError, FormatError) as error:
         message = f"{path} must be a JSON model card: {error}"
         raise ModelError(message, where=str(path)) from error

@@ -54,7 +54,7 @@ class Component:
 
 
 @dataclass(frozen=True, eq=False)
-class Linear:
+class LinearDecoder:
     """A decoder about a point: ``rows(z) = at + slopes (z - point)``, rows as in `Component.errors`, mm."""
 
     point: FloatArray
@@ -129,7 +129,7 @@ class Conditioned:
     ----------
     prior : list of Component
         The mixture.
-    model : Linear
+    model : LinearDecoder
         Decoder at markers and targets.
     observed : ndarray of float64, shape (n_obs,)
         Measured displacements, mm; the first n_obs rows of the model.
@@ -156,7 +156,7 @@ class Conditioned:
     def __init__(
         self,
         prior: list[Component],
-        model: Linear,
+        model: LinearDecoder,
         observed: FloatArray,
         noise: FloatArray,
         earlier: FloatArray | None = None,
@@ -219,7 +219,9 @@ class Conditioned:
         return np.asarray(lapack.dtrtrs(factor[:-1, :-1], factor[-1, :-1], lower=1, trans=1)[0])
 
 
-def condition(prior: list[Component], model: Linear, observed: FloatArray, noise: FloatArray) -> MixturePosterior:
+def condition(
+    prior: list[Component], model: LinearDecoder, observed: FloatArray, noise: FloatArray
+) -> MixturePosterior:
     """Return the posterior of markers and targets given the markers; see `Conditioned`."""
     return Conditioned(prior, model, observed, noise).posterior()
 
@@ -251,7 +253,7 @@ def left_out(found: MixturePosterior) -> tuple[FloatArray, FloatArray]:
     return found.weights @ misfits, found.weights @ chdtrc(3, misfits)
 
 
-def log_evidence(prior: list[Component], model: Linear, observed: FloatArray, noise: FloatArray) -> FloatArray:
+def log_evidence(prior: list[Component], model: LinearDecoder, observed: FloatArray, noise: FloatArray) -> FloatArray:
     """Return log N(v; 0, S), (n_components, n_scales), without weights and constant; arguments as for `condition`."""
     return _innovations(prior, model, observed, noise).logs.reshape(len(prior), -1)
 
@@ -281,7 +283,7 @@ class _Innovations:
 
 
 def _innovations(
-    prior: list[Component], model: Linear, observed: FloatArray, noise: FloatArray, pairs: IntArray | None = None
+    prior: list[Component], model: LinearDecoder, observed: FloatArray, noise: FloatArray, pairs: IntArray | None = None
 ) -> _Innovations:
     """Return the innovations of some pairs, by default of all; other arguments and errors as for `Conditioned`."""
     n_obs = len(observed)

@@ -14,7 +14,7 @@ from tissuereg._base.arrays import FloatArray, IntArray
 from tissuereg.body.mesh import Mesh
 from tissuereg.registration.inputs import RegisterInput
 from tissuereg.registration.learned.calibration import FieldErrors, PointCalibration, Rehearsal, RowErrors
-from tissuereg.registration.learned.mixture import Component, Linear, MixturePosterior
+from tissuereg.registration.learned.mixture import Component, LinearDecoder, MixturePosterior
 from tissuereg.registration.learned.model import rms_displacement
 from tissuereg.registration.learned.network import AnchoredModel
 from tissuereg.registration.learned.points import PointsAround
@@ -71,7 +71,7 @@ class CalibratedPosterior:
         Markers in the order of the rows.
     prior : list of Component
         Of the mixture.
-    linear : Linear
+    linear : LinearDecoder
         The decoder as it was linearised last.
     found : MixturePosterior
         The mixture at markers and targets.
@@ -90,7 +90,7 @@ class CalibratedPosterior:
     at: PointCalibration
     order: IntArray
     prior: list[Component]
-    linear: Linear
+    linear: LinearDecoder
     found: MixturePosterior
     observed: FloatArray
     noise: FloatArray

@@ -148,7 +148,7 @@ class _Drawn:
 
 
 @dataclass(frozen=True, eq=False)
-class _Fit:
+class _EnsembleFit:
     """A posterior ensemble with its prior and noise; of a minimum also the predictions there, and their covariance."""
 
     prior: Gaussian
@@ -161,7 +161,7 @@ class _Fit:
 
 def _without_wrong(
     model: PointsAround, drawn: _Drawn, given: RegisterInput, seen: IntArray
-) -> tuple[_Fit, dict[int, float]]:
+) -> tuple[_EnsembleFit, dict[int, float]]:
     """Return the fit, and the markers that were dropped because they do not fit the others, with their p-values.
 
     Only where the fit is a minimum with its derivatives: the covariance of an ensemble is no exact share of the noise.
@@ -169,7 +169,7 @@ def _without_wrong(
     if given.settings.smoother.update != "gauss-newton":
         return _fit(model, drawn, given, seen), {}
 
-    def scored(kept: IntArray) -> tuple[_Fit, _core.GroupScores]:
+    def scored(kept: IntArray) -> tuple[_EnsembleFit, _core.GroupScores]:
         fit = _fit(model, drawn, given, seen[kept])
         residual = given.markers.displacement[seen[kept]] - fit.predicted.reshape(-1, 3)
         return fit, score_markers(residual, fit.noise, fit.absorbed)
@@ -178,7 +178,7 @@ def _without_wrong(
     return fit, {int(seen[index]): chance for index, chance in dropped}
 
 
-def _fit(model: PointsAround, drawn: _Drawn, given: RegisterInput, seen: IntArray) -> _Fit:
+def _fit(model: PointsAround, drawn: _Drawn, given: RegisterInput, seen: IntArray) -> _EnsembleFit:
     """Return the posterior ensemble, with the noise at the state that a linear model finds."""
     markers, settings = given.markers, given.settings.smoother
     measured = markers.displacement[seen].ravel()
@@ -194,7 +194,7 @@ def _fit(model: PointsAround, drawn: _Drawn, given: RegisterInput, seen: IntArra
     if settings.update == "gauss-newton":
         found = gauss_newton(predict, measured, noise, prior, start=near, settings=_SEARCH)
         ensemble = found.ensemble(rng, settings.n_members)
-        return _Fit(prior, widening, noise, ensemble, found.predicted, found.absorbed)
+        return _EnsembleFit(prior, widening, noise, ensemble, found.predicted, found.absorbed)
     first = drawn.start(prior, widening, seen) if latents.shape[1] == settings.n_members else None
     if searches and not settings.decode_all and first is not None:
         # Only a search: the answer is found about the ensemble's mean, by true decodes.
@@ -203,7 +203,7 @@ def _fit(model: PointsAround, drawn: _Drawn, given: RegisterInput, seen: IntArra
         predict = Between(predict, {settings.n_steps - 1}, first.latents, known)
     how = AssimilationSettings(settings.n_members, settings.n_steps, decrease=settings.decrease, threads=1)
     ensemble = assimilate(predict, measured, noise, prior, rng=rng, settings=how, first=first)
-    return _Fit(prior, widening, noise, ensemble, np.empty(0), np.empty(0))
+    return _EnsembleFit(prior, widening, noise, ensemble, np.empty(0), np.empty(0))
 
 
 @lru_cache(maxsize=4)
@@ -224,7 +224,7 @@ def _result(
     wrong: dict[int, float],
     simulation: FloatArray | None,
     latent: LatentModel,
-    fit: _Fit,
+    fit: _EnsembleFit,
     posterior: Posterior | CalibratedPosterior,
     clock: Clock,
 ) -> LearnedRegistration:
@@ -303,7 +303,7 @@ def _trust(
     names: tuple[str, ...],
     residual: FloatArray,
     seen: IntArray,
-    fit: _Fit,
+    fit: _EnsembleFit,
     posterior: Posterior,
     min_det_f: float,
     notes: list[str],

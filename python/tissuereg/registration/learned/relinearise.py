@@ -6,7 +6,7 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.registration.learned.kinds import Kinds
-from tissuereg.registration.learned.mixture import Component, Conditioned, Linear, MixturePosterior
+from tissuereg.registration.learned.mixture import Component, Conditioned, LinearDecoder, MixturePosterior
 
 #: Neighbours of a point for the decoder's derivatives, in standard deviations of the training set's codes: secants over
 #: the region where the posterior lies.
@@ -29,13 +29,13 @@ def spread_of(kinds: Kinds) -> FloatArray:
     return np.asarray(np.sqrt(kinds.weights @ variance))
 
 
-def linearised(decode: Decode, point: FloatArray, spread: FloatArray) -> Linear:
+def linearised(decode: Decode, point: FloatArray, spread: FloatArray) -> LinearDecoder:
     """Return the decoder about a point by central differences. Cost: one decode of 2 n_latent + 1 columns."""
     steps = _STEP * np.diag(spread)
     columns = np.concatenate([point[:, None], point[:, None] + steps, point[:, None] - steps], axis=1)
     rows = decode(columns)
     n = len(point)
-    return Linear(point, rows[0], np.asarray((rows[1 : n + 1] - rows[n + 1 :]).T / (2.0 * _STEP * spread)))
+    return LinearDecoder(point, rows[0], np.asarray((rows[1 : n + 1] - rows[n + 1 :]).T / (2.0 * _STEP * spread)))
 
 
 def conditioned(
@@ -46,7 +46,7 @@ def conditioned(
     start: FloatArray,
     spread: FloatArray,
     passes: int,
-) -> tuple[MixturePosterior, Linear]:
+) -> tuple[MixturePosterior, LinearDecoder]:
     """Return the posterior of markers and targets, and the linear decoder that it rests on.
 
     Parameters

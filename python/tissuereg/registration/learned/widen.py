@@ -18,7 +18,7 @@ _LEVEL = 0.05
 
 
 @dataclass(frozen=True, eq=False)
-class Linearised:
+class LinearPredictions:
     """Predictions as a linear function of latents, about the mean of their prior.
 
     Attributes
@@ -33,7 +33,9 @@ class Linearised:
     slope: FloatArray
 
     @classmethod
-    def of(cls, prior: Gaussian, latents: FloatArray, predicted: FloatArray, centre: FloatArray) -> "Linearised | None":
+    def of(
+        cls, prior: Gaussian, latents: FloatArray, predicted: FloatArray, centre: FloatArray
+    ) -> "LinearPredictions | None":
         """Return the regression of predictions on latents drawn from the prior.
 
         Parameters
@@ -49,7 +51,7 @@ class Linearised:
 
         Returns
         -------
-        Linearised or None
+        LinearPredictions or None
             None if too few predictions are finite.
         """
         whole = np.isfinite(predicted).all(axis=0)
@@ -68,7 +70,7 @@ class Linearised:
 
 
 def widened(
-    prior: Gaussian, family: Gaussian, linear: Linearised, observed: FloatArray, noise: FloatArray
+    prior: Gaussian, family: Gaussian, linear: LinearPredictions, observed: FloatArray, noise: FloatArray
 ) -> tuple[Gaussian, float]:
     """Return the prior, widened if the innovation is too large for it, and the factor.
 
@@ -78,7 +80,7 @@ def widened(
         Prior of the latents.
     family : Gaussian
         Distribution of the latents of all training fields; no direction is widened beyond its spread.
-    linear : Linearised
+    linear : LinearPredictions
         Predictions about the prior's mean.
     observed : ndarray of float64, shape (n_obs,)
         Measured marker displacements in mm.
@@ -178,7 +180,7 @@ def stated(
         Where no linear model can be fitted to the draws, the model's own prior and the errors at its mean.
     """
     measured = markers.displacement[seen].ravel()
-    linear = Linearised.of(model.prior, latents, predicted, centre)
+    linear = LinearPredictions.of(model.prior, latents, predicted, centre)
 
     def prior_for(noise: FloatArray) -> tuple[Gaussian, float]:
         return (model.prior, 1.0) if linear is None else widened(model.prior, model.family, linear, measured, noise)

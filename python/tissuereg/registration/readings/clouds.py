@@ -6,22 +6,12 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.body.mesh import Mesh
+from tissuereg.registration.readings.settings import CLOUDS
 from tissuereg.registration.readings.skin import Skin, skin_of
 from tissuereg.registration.readings.words import Suspicion
 
 #: Units that lengths may be in by mistake, with the factor that converts them to millimetres.
 _UNITS = {"metres": 1000.0, "centimetres": 10.0, "inches": 25.4, "micrometres": 0.001}
-
-#: Median distances from the undeformed surface, as shares of the extent, above which points are suspicious or refused.
-_ODD, _LOST = 0.12, 0.5
-
-#: Another reading must bring the points closer by this factor, and within this share of the extent.
-_TIMES, _NEAR = 4.0, 0.06
-
-#: If the body is free, a cloud larger or smaller than the body by this factor is in other units.
-_LARGER, _SMALLER = 2.0, 0.02
-
-_N_POINTS = 100
 
 
 def suspect_points(mesh: Mesh, points: FloatArray, *, free: bool) -> list[Suspicion]:
@@ -41,24 +31,24 @@ def suspect_points(mesh: Mesh, points: FloatArray, *, free: bool) -> list[Suspic
     list of Suspicion
         At most one; empty if the input is plausible.
     """
-    few = points[:: max(1, len(points) // _N_POINTS)]
+    few = points[:: max(1, len(points) // CLOUDS.points)]
     ratio = float(np.max(np.ptp(points, axis=0))) / mesh.extent
     if free:
-        return [_size(ratio)] if not _SMALLER <= ratio <= _LARGER else []
+        return [_size(ratio)] if not CLOUDS.smaller <= ratio <= CLOUDS.larger else []
     skin = skin_of(mesh)
     typical = _typical(skin, few)
-    if typical <= _ODD * mesh.extent:
+    if typical <= CLOUDS.odd * mesh.extent:
         return []
     others = [(f"in {unit}, not millimetres", "unit", factor * few) for unit, factor in _UNITS.items()]
     others += [(f"with the axes ({words})", "frame", turned) for words, turned in _turned(few)]
     found = min(((_typical(skin, places), kind, words) for words, kind, places in others), key=lambda one: one[0])
-    if found[0] * _TIMES < typical and found[0] < _NEAR * mesh.extent:
+    if found[0] * CLOUDS.times < typical and found[0] < CLOUDS.near * mesh.extent:
         text = (
             f"{found[1]}: the surface points lie typically {typical:.1f} mm from the undeformed surface; read "
             f"{found[2]}, they would lie {found[0]:.1f} mm from it"
         )
         return [Suspicion(found[1], text)]
-    if typical > _LOST * mesh.extent:
+    if typical > CLOUDS.lost * mesh.extent:
         text = (
             f"far from the surface: the surface points lie typically {typical:.1f} mm from a body of extent "
             f"{mesh.extent:.1f} mm"

@@ -6,6 +6,7 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.registration.readings.reading import Given, Reading
+from tissuereg.registration.readings.settings import COSTS
 
 #: Factor that converts a length to mm, and the name of the unit.
 UNITS = {
@@ -19,11 +20,6 @@ UNITS = {
 #: A mesh in other units needs the inverse factor.
 MESH_UNITS = {0.1: "centimetres", 1.0 / 25.4: "inches"}
 
-_UNIT_COST, _FLIP_COST, _AXES_COST, _COLUMN_COST = 7.0, 6.0, 10.0, 11.0
-
-#: Additional costs: one of the two triples alone; about the body's middle instead of the origin.
-_ALONE_COST, _MIDDLE_COST = 1.0, 2.0
-
 _ALL, _REFERENCE, _MEASURED = "all markers", "the reference places", "the measured places"
 
 
@@ -35,14 +31,14 @@ def units(given: Given) -> list[Reading]:
         words = f"if read in {name} (times {factor:g})"
         log_scale = float(np.log(factor))
         readings += [
-            Reading("unit", f"{_ALL} {words}", _UNIT_COST, factor * x, factor * (y - x), factor * x, log_scale),
-            Reading("unit", f"{_REFERENCE} {words}", _UNIT_COST + _ALONE_COST, factor * x, y - factor * x, factor * x),
-            Reading("unit", f"{_MEASURED} {words}", _UNIT_COST + _ALONE_COST, x, factor * y - x, x, log_scale),
+            Reading("unit", f"{_ALL} {words}", COSTS.unit, factor * x, factor * (y - x), factor * x, log_scale),
+            Reading("unit", f"{_REFERENCE} {words}", COSTS.unit + COSTS.alone, factor * x, y - factor * x, factor * x),
+            Reading("unit", f"{_MEASURED} {words}", COSTS.unit + COSTS.alone, x, factor * y - x, x, log_scale),
         ]
     for factor, name in MESH_UNITS.items():
         words = f"{_ALL} if the mesh is in {name} (markers times {factor:.3g})"
         log_scale = float(np.log(factor))
-        readings.append(Reading("unit", words, _UNIT_COST, factor * x, factor * (y - x), factor * x, log_scale))
+        readings.append(Reading("unit", words, COSTS.unit, factor * x, factor * (y - x), factor * x, log_scale))
     return readings
 
 
@@ -55,16 +51,16 @@ def frames(given: Given) -> list[Reading]:
         back = x @ turn.T
         kind = "mirrored" if np.linalg.det(turn) < 0 and np.count_nonzero(np.diag(turn)) == 3 else "frame"
         words = f"if read as {title}"
-        alone = cost + _ALONE_COST
+        alone = cost + COSTS.alone
         readings += [
             Reading(kind, f"{_ALL} {words}", cost, back, motion, x),
             Reading("frame", f"{_REFERENCE} {words}", alone, back, y - back, back),
             Reading("frame", f"{_MEASURED} {words}", alone, x, y - x @ turn, x @ turn),
         ]
-        if kind == "mirrored" and cost == _FLIP_COST:
+        if kind == "mirrored" and cost == COSTS.flip:
             about = (x - middle) @ turn.T + middle
             words = f"{_ALL} {words} about the body's middle"
-            readings.append(Reading(kind, words, cost + _MIDDLE_COST, about, motion, x))
+            readings.append(Reading(kind, words, cost + COSTS.middle, about, motion, x))
     return readings
 
 
@@ -78,7 +74,7 @@ def columns(given: Given) -> list[Reading]:
         rolled = np.roll(np.concatenate([x, y], axis=1), step, axis=1)
         places, moved = rolled[:, :3], rolled[:, 3:]
         words = f"all markers if the six columns are moved by one to the {title}"
-        readings.append(Reading("columns", words, _COLUMN_COST, places, moved - places, places))
+        readings.append(Reading("columns", words, COSTS.column, places, moved - places, places))
     for step, title in ((1, "down"), (-1, "up")):
         for axis, name in enumerate("xyz"):
             moved, places = y.copy(), x.copy()
@@ -86,8 +82,8 @@ def columns(given: Given) -> list[Reading]:
             places[:, axis] = np.roll(x[:, axis], step)
             words = f"if their column {name} is moved {title} by one row"
             readings += [
-                Reading("columns", f"{_MEASURED} {words}", _COLUMN_COST + 1.0, x, moved - x, x),
-                Reading("columns", f"{_REFERENCE} {words}", _COLUMN_COST + 1.0, places, y - places, places),
+                Reading("columns", f"{_MEASURED} {words}", COSTS.column + 1.0, x, moved - x, x),
+                Reading("columns", f"{_REFERENCE} {words}", COSTS.column + 1.0, places, y - places, places),
             ]
     return readings
 
@@ -104,5 +100,5 @@ def _signed_permutations() -> list[tuple[FloatArray, float, str]]:
                 continue
             cheap = order == (0, 1, 2) and (negated == 1 or signs == (-1.0, -1.0, 1.0))
             title = ", ".join(("-" if sign < 0 else "") + "xyz"[axis] for sign, axis in zip(signs, order, strict=True))
-            found.append((turn, _FLIP_COST if cheap else _AXES_COST, f"({title})"))
+            found.append((turn, COSTS.flip if cheap else COSTS.axes, f"({title})"))
     return found

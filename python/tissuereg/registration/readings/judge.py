@@ -12,22 +12,11 @@ from tissuereg.registration.readings.orders import orders
 from tissuereg.registration.readings.reading import Given, as_given
 from tissuereg.registration.readings.repeats import repeated, stale
 from tissuereg.registration.readings.rigid import measured_moved, places_moved
-from tissuereg.registration.readings.weigh import MARGIN, chosen_rows, weigh
+from tissuereg.registration.readings.settings import CHECKS, COSTS
+from tissuereg.registration.readings.weigh import chosen_rows, weigh
 from tissuereg.registration.readings.words import Suspicion, explained, far, held, unrelated
 from tissuereg.registration.readings.words import repeated as said_twice
 from tissuereg.registration.readings.words import stale as said_stale
-
-#: Places nearer to the surface than this share of the extent (root mean square) need no rigid motion onto it.
-_NEAR_SHARE = 0.01
-
-#: A marker deeper inside the body than this share of its extent was not placed there on purpose.
-_DEEPEST_SHARE = 0.2
-
-#: Costs of the two suspicions that name no other reading.
-_FAR_COST, _UNRELATED_COST = 5.0, 6.0
-
-#: A marker on held surface that moves by more is suspicious: mm and share of the extent, plus noise.
-_HELD_MM, _HELD_SHARE = 3.0, 0.02
 
 
 def suspect(mesh: Mesh, markers: Markers, observation: MarkerObservation | None = None) -> list[Suspicion]:
@@ -98,7 +87,7 @@ def _other_reading(given: Given) -> list[Suspicion]:
     rows = chosen_rows(given)
     readings = [as_given(given), *units(given), *frames(given), *columns(given)]
     readings += [*measured_moved(given), *orders(given)]
-    distance, near = given.skin.closest(given.reference).distance, _NEAR_SHARE * given.skin.extent
+    distance, near = given.skin.closest(given.reference).distance, CHECKS.near_share * given.skin.extent
     # Places that all lie inside the body were placed there on purpose; a rigid motion would have moved some outside.
     if float(np.mean(distance**2)) > near**2 and float(np.max(distance)) > 0.5 * near:
         readings += places_moved(given)
@@ -106,9 +95,9 @@ def _other_reading(given: Given) -> list[Suspicion]:
     extent = given.skin.extent
     others = [weighed for weighed in others if weighed.total > plain.total and weighed.believable(extent)]
     best = max(others, key=lambda weighed: weighed.total, default=plain)
-    nowhere = plain.of_layout + plain.of_motion + nowhere_likelihood(plain.distance, extent) - _FAR_COST
-    apart = plain.of_layout + plain.of_places + unrelated_likelihood(plain.motion, extent) - _UNRELATED_COST
-    if max(best.total, nowhere, apart) < plain.total + MARGIN:
+    nowhere = plain.of_layout + plain.of_motion + nowhere_likelihood(plain.distance, extent) - COSTS.far
+    apart = plain.of_layout + plain.of_places + unrelated_likelihood(plain.motion, extent) - COSTS.unrelated
+    if max(best.total, nowhere, apart) < plain.total + COSTS.margin:
         return []
     if best is not plain and best.total >= max(nowhere, apart):
         return [explained(plain, best, others, given.names)]
@@ -120,7 +109,7 @@ def _other_reading(given: Given) -> list[Suspicion]:
 def _lost(markers: Markers, distance: FloatArray, extent: float) -> list[Suspicion]:
     """Return markers farther from the surface (negative: inside) than any marker is plausibly mounted or placed."""
     outside = 1.5 * standoff(extent) + 0.03 * extent + 4.0 * markers.std
-    rows = np.flatnonzero((distance > outside) | (-distance > np.maximum(outside, _DEEPEST_SHARE * extent)))
+    rows = np.flatnonzero((distance > outside) | (-distance > np.maximum(outside, CHECKS.deepest_share * extent)))
     return [far([markers.names[i] for i in rows], np.abs(distance[rows]).tolist(), extent)] if len(rows) else []
 
 
@@ -128,5 +117,5 @@ def _slipped(markers: Markers, resting: BoolArray, extent: float) -> list[Suspic
     """Return markers on held surface that move."""
     seen = np.where(np.isfinite(markers.displacement), markers.displacement, 0.0)
     size = np.linalg.norm(seen, axis=1)
-    rows = np.flatnonzero(resting & (size > max(_HELD_MM, _HELD_SHARE * extent) + 4.0 * markers.std))
+    rows = np.flatnonzero(resting & (size > max(CHECKS.held_mm, CHECKS.held_share * extent) + 4.0 * markers.std))
     return [held([markers.names[i] for i in rows], float(size[rows].max()))] if len(rows) else []

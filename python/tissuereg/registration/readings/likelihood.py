@@ -23,45 +23,12 @@ from functools import cache
 import numpy as np
 
 from tissuereg._base.arrays import BoolArray, FloatArray
-
-#: Largest plausible height of a marker's centre above the skin: mm, and share of the extent if that is less.
-STANDOFF_MM, STANDOFF_SHARE = 6.0, 0.06
-
-#: Share of markers that may lie anywhere.
-_WRONG_SHARE = 0.03
-
-#: Depth of markers that were placed inside the body, share of the extent, and log-odds that all were.
-_DEPTH, _INSIDE_ODDS = 0.1, -5.0
-
-#: Log-odds of a marker on held surface.
-_HELD_ODDS = -1.5
-
-#: Spread of a layout over that of the skin, below and above which it becomes unlikely.
-_SPECK, _SPRAWL = 0.12, 1.3
-
-#: Fewest markers for which a spread is meaningful.
-_FEWEST_SPREAD = 3
-
-#: Up to so many readings are part of a Cholesky factor.
-_FEW_READINGS = 6
-
-#: Sizes of a deformation and lengths over which it varies, as shares of the extent; log-weights of the sizes.
-_SIZES, _LENGTHS = np.array([0.002, 0.008, 0.03, 0.08, 0.2]), (0.1, 0.3, 0.8)
-_SIZE_WEIGHTS = np.log([0.23, 0.23, 0.23, 0.23, 0.08])
-
-#: Sizes of a rigid motion that fades towards held nodes: that of the deformation, or larger (a tip that swings).
-_TOGETHER, _TOGETHER_WEIGHTS = np.array([0.0, 0.12]), np.log([0.6, 0.4])
-
-#: Additions to the tracker's noise, mm, with log-weights: nothing, small misfits of the model, a wrong marker.
-_EXTRA_NOISE_MM, _NOISE_WEIGHTS = np.array([0.05, 0.7, 3.0]), np.log([0.6, 0.3, 0.1])
-
-#: Standard deviations of a rigid motion: share of the extent, and radian.
-_RIGID_SHARE, _RIGID_RADIAN = 0.3, 0.5
+from tissuereg.registration.readings.settings import MOTION, PLACES
 
 
 def standoff(extent: float) -> float:
     """Return the largest plausible height above the skin for a body of this extent, mm."""
-    return min(STANDOFF_MM, STANDOFF_SHARE * extent)
+    return min(PLACES.standoff_mm, PLACES.standoff_share * extent)
 
 
 def places_likelihood(distance: FloatArray, extent: float) -> FloatArray:
@@ -80,7 +47,7 @@ def places_likelihood(distance: FloatArray, extent: float) -> FloatArray:
         Up to a constant that all readings share.
     """
     highest = standoff(extent)
-    finest = 0.3 * highest / STANDOFF_MM + 0.003 * extent
+    finest = 0.3 * highest / PLACES.standoff_mm + 0.003 * extent
     parts = []
     for height in highest * np.array([0.0, 0.25, 0.5, 0.9]):
         for error in (finest, 2.0 * finest, 0.4 * highest):
@@ -89,10 +56,12 @@ def places_likelihood(distance: FloatArray, extent: float) -> FloatArray:
             anywhere = np.exp(-0.5 * (distance / (0.2 * extent)) ** 2) / (0.2 * extent)
             # The cost is bounded: beyond the body's own size a marker is wrong in any case.
             anywhere = np.maximum(anywhere, np.exp(-8.0) / (0.2 * extent))
-            parts.append(np.log((1 - _WRONG_SHARE) * good + _WRONG_SHARE * anywhere).sum(axis=1))
-    deep = np.exp(-0.5 * (distance / _DEPTH / extent) ** 2) / (_DEPTH * extent)
-    inside = np.log((1 - _WRONG_SHARE) * np.where(distance < 0.0, deep, 0.0) + _WRONG_SHARE * anywhere).sum(axis=1)
-    return np.asarray(np.logaddexp(log_mean_exp(np.array(parts)), _INSIDE_ODDS + inside))
+            parts.append(np.log((1 - PLACES.wrong_share) * good + PLACES.wrong_share * anywhere).sum(axis=1))
+    deep = np.exp(-0.5 * (distance / PLACES.depth / extent) ** 2) / (PLACES.depth * extent)
+    inside = np.log((1 - PLACES.wrong_share) * np.where(distance < 0.0, deep, 0.0) + PLACES.wrong_share * anywhere).sum(
+        axis=1
+    )
+    return np.asarray(np.logaddexp(log_mean_exp(np.array(parts)), PLACES.inside_odds + inside))
 
 
 def nowhere_likelihood(distance: FloatArray, extent: float) -> float:
@@ -117,12 +86,12 @@ def layout_likelihood(places: FloatArray, held: BoolArray, skin_spread: float) -
     -------
     ndarray of float64, shape (n_readings,)
     """
-    glued, n_markers = _HELD_ODDS * held.sum(axis=1), places.shape[1]
-    if n_markers < _FEWEST_SPREAD:
+    glued, n_markers = PLACES.held_odds * held.sum(axis=1), places.shape[1]
+    if n_markers < PLACES.fewest_spread:
         return np.asarray(glued)
     spread = np.sqrt(np.sum((places - places.mean(axis=1, keepdims=True)) ** 2, axis=2).mean(axis=1))
     ratio = np.maximum(spread / skin_spread, 1e-9)
-    outside = np.clip(np.log(_SPECK / ratio), 0.0, 3.0) + np.clip(np.log(ratio / _SPRAWL), 0.0, 3.0)
+    outside = np.clip(np.log(PLACES.speck / ratio), 0.0, 3.0) + np.clip(np.log(ratio / PLACES.sprawl), 0.0, 3.0)
     return np.asarray(glued - max(6.0, n_markers) * outside)
 
 
@@ -159,7 +128,7 @@ def motion_likelihood(
     sizes, together, noises, weights = _grid(noise, extent)
     factors = np.ones((len(sizes), columns.shape[2]))
     factors[:, : 6 * len(freedom)] = together[:, None]
-    values, turned, mixed = _diagonal(arms, freedom[0], motion, columns, seen, np.array(_LENGTHS) * extent)
+    values, turned, mixed = _diagonal(arms, freedom[0], motion, columns, seen, np.array(MOTION.lengths) * extent)
     variance = sizes[:, None] ** 2 * values[:, None] + noises[:, None] ** 2
     logs = _gaussian(variance, turned, mixed, factors) + weights[:, None]
     # Weights sum to one for each length.
@@ -171,9 +140,9 @@ def _grid(noise: float, extent: float) -> tuple[FloatArray, FloatArray, FloatArr
     """Return sizes of the deformation, of the common motion, and noises, all in mm, and log-weights: (h,) each."""
     points = [
         (size * extent, max(size, common) * extent, float(np.hypot(noise, extra)), of_size + of_common + of_noise)
-        for size, of_size in zip(_SIZES, _SIZE_WEIGHTS, strict=True)
-        for common, of_common in zip(_TOGETHER, _TOGETHER_WEIGHTS, strict=True)
-        for extra, of_noise in zip(_EXTRA_NOISE_MM, _NOISE_WEIGHTS, strict=True)
+        for size, of_size in zip(MOTION.sizes, np.log(MOTION.size_weights), strict=True)
+        for common, of_common in zip(MOTION.together, np.log(MOTION.together_weights), strict=True)
+        for extra, of_noise in zip(MOTION.extra_noise_mm, np.log(MOTION.noise_weights), strict=True)
         if common == 0.0 or common > size
     ]
     sizes, together, noises, weights = np.array(points).T
@@ -182,7 +151,7 @@ def _grid(noise: float, extent: float) -> tuple[FloatArray, FloatArray, FloatArr
 
 def likeliest(noise: float) -> float:
     """Return the largest log-likelihood that any motion can have, a coordinate."""
-    return -float(np.log(np.sqrt(2 * np.pi) * np.hypot(noise, _EXTRA_NOISE_MM[0])))
+    return -float(np.log(np.sqrt(2 * np.pi) * np.hypot(noise, MOTION.extra_noise_mm[0])))
 
 
 def unrelated_likelihood(motion: FloatArray, extent: float) -> float:
@@ -203,8 +172,8 @@ def _rigid_columns(arms: FloatArray, freedom: FloatArray, extent: float) -> tupl
         columns[:, third, 3 + axis] = centred[:, second]
     local, whole = columns.copy(), columns.copy()
     local[:, :, 3:] /= radius
-    whole[:, :, :3] *= _RIGID_SHARE * extent
-    whole[:, :, 3:] *= _RIGID_RADIAN
+    whole[:, :, :3] *= MOTION.rigid_share * extent
+    whole[:, :, 3:] *= MOTION.rigid_radian
     return [local * fade[:, None, None] for fade in freedom], whole
 
 
@@ -247,7 +216,7 @@ def _gaussian(variance: FloatArray, turned: FloatArray, columns: FloatArray, fac
     plain = (1.0 / variance) @ turned**2
     whole = np.eye(n) + (weighted @ columns[:, None]) * factors[:, None]
     w = weighted @ turned[:, None]
-    if n_readings > _FEW_READINGS:
+    if n_readings > MOTION.few_readings:
         lower = np.linalg.cholesky(whole)
         explained = np.sum((np.linalg.inv(lower) @ w) ** 2, axis=2)
     else:

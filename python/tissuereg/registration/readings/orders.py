@@ -8,17 +8,7 @@ import numpy as np
 from tissuereg._base.arrays import FloatArray, IntArray
 from tissuereg.registration.readings.reading import Given, Reading
 from tissuereg.registration.readings.rigid import best_rigid, moved
-
-_SWAP_COST, _ORDER_COST = 6.0, 8.0
-
-#: Up to this number of markers all pairs are tried; of more, the pairs of markers that differ most from neighbours.
-_ALL_PAIRS = 20
-
-#: Number of orders that are evaluated: those with the least motion after a common motion is removed.
-_N_WEIGHED = 32
-
-#: Number of neighbours with which a marker's motion is compared.
-_N_NEIGHBOURS = 5
+from tissuereg.registration.readings.settings import COSTS, PROPOSALS
 
 
 def orders(given: Given) -> list[Reading]:
@@ -32,7 +22,7 @@ def orders(given: Given) -> list[Reading]:
     smooth = np.median(y - x, axis=0)
     size = np.linalg.norm(y[candidates] - x - smooth, axis=2).sum(axis=1)
     size += 1e6 * (candidates == np.arange(len(rows))).all(axis=1)
-    best = np.argsort(size, kind="stable")[:_N_WEIGHED]
+    best = np.argsort(size, kind="stable")[: PROPOSALS.orders]
     return [_reading(given, rows, candidates[i], costs[i]) for i in best if size[i] < 1e6]
 
 
@@ -57,8 +47,8 @@ def _reading(given: Given, rows: IntArray, order: IntArray, cost: float) -> Read
 def _pairs(x: FloatArray, y: FloatArray) -> list[tuple[IntArray, float]]:
     """Return exchanges of two rows."""
     n = len(x)
-    tried = np.arange(n) if n <= _ALL_PAIRS else np.sort(np.argsort(oddness(x, y))[-_ALL_PAIRS:])
-    cost = _SWAP_COST + log(n * (n - 1) / 2)
+    tried = np.arange(n) if n <= PROPOSALS.all_pairs else np.sort(np.argsort(oddness(x, y))[-PROPOSALS.all_pairs :])
+    cost = COSTS.swap + log(n * (n - 1) / 2)
     found = []
     for i, j in itertools.combinations(tried, 2):
         order = np.arange(n)
@@ -78,7 +68,7 @@ def _rolls(x: FloatArray, y: FloatArray, names: list[str]) -> list[tuple[IntArra
         order = np.empty(n, np.int64)
         order[np.argsort(x[:, axis], kind="stable")] = np.argsort(y[:, axis], kind="stable")
         found.append(order)
-    return [(order, _ORDER_COST + log(n)) for order in found]
+    return [(order, COSTS.order + log(n)) for order in found]
 
 
 def _matches(x: FloatArray, y: FloatArray) -> list[tuple[IntArray, float]]:
@@ -95,11 +85,11 @@ def _matches(x: FloatArray, y: FloatArray) -> list[tuple[IntArray, float]]:
         gaps = np.linalg.norm(start[:, None] - y[None], axis=2)
         order = np.asarray(linear_sum_assignment(gaps)[1], np.int64)
         changed = int((order != np.arange(n)).sum())
-        found.append((order, _SWAP_COST + lgamma(n + 1) - lgamma(n - changed + 1)))
+        found.append((order, COSTS.swap + lgamma(n + 1) - lgamma(n - changed + 1)))
         for cycle in _cycles(order):
             one = np.arange(n)
             one[cycle] = order[cycle]
-            found.append((one, _SWAP_COST + lgamma(n + 1) - lgamma(n - len(cycle) + 1) - log(len(cycle))))
+            found.append((one, COSTS.swap + lgamma(n + 1) - lgamma(n - len(cycle) + 1) - log(len(cycle))))
     return found
 
 
@@ -120,6 +110,6 @@ def oddness(x: FloatArray, y: FloatArray) -> FloatArray:
     """Return the difference of every marker's motion from the median of its neighbours', mm."""
     from scipy.spatial import cKDTree
 
-    neighbours = np.asarray(cKDTree(x).query(x, k=min(_N_NEIGHBOURS + 1, len(x)))[1])[:, 1:]
+    neighbours = np.asarray(cKDTree(x).query(x, k=min(PROPOSALS.neighbours + 1, len(x)))[1])[:, 1:]
     motion = y - x
     return np.asarray(np.linalg.norm(motion - np.median(motion[neighbours], axis=1), axis=1))

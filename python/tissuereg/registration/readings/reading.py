@@ -8,10 +8,8 @@ import numpy as np
 from tissuereg._base.arrays import BoolArray, FloatArray, IntArray
 from tissuereg.body.markers import Markers
 from tissuereg.body.mesh import Mesh
+from tissuereg.registration.readings.settings import MOTION
 from tissuereg.registration.readings.skin import Skin, skin_of
-
-#: Upper limit on the noise of a coordinate, mm: a larger stated value is more likely an error of units.
-_LARGEST_NOISE_MM = 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +51,7 @@ class Given:
             markers.reference[rows],
             markers.measured[rows],
             markers.displacement[rows],
-            min(float(np.median(markers.std[rows])), _LARGEST_NOISE_MM),
+            min(float(np.median(markers.std[rows])), MOTION.largest_noise_mm),
         )
 
     @property

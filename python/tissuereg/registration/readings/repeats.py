@@ -11,12 +11,7 @@ import numpy as np
 
 from tissuereg._base.arrays import BoolArray, FloatArray
 from tissuereg.body.markers import Markers
-
-#: Logarithm of the odds that a finding needs.
-_MARGIN = log(1000.0)
-
-#: Finest step of numbers that came through text or single precision, mm.
-_FINEST_MM = 1e-6
+from tissuereg.registration.readings.settings import CHECKS, COSTS
 
 
 def stale(markers: Markers, resting: BoolArray) -> list[int]:
@@ -39,14 +34,14 @@ def stale(markers: Markers, resting: BoolArray) -> list[int]:
     odds = -float(np.sum(seen[found].sum(axis=1) * np.log(chance)))
     n = len(markers)
     choices = lgamma(n + 1) - lgamma(len(found) + 1) - lgamma(n - len(found) + 1)
-    return [int(i) for i in found] if odds - choices > _MARGIN else []
+    return [int(i) for i in found] if odds - choices > COSTS.margin else []
 
 
 def repeated(markers: Markers, extent: float) -> list[tuple[int, int, str]]:
     """Return pairs of markers with the same place, "reference", "measured" or "both", that chance does not explain."""
     n = len(markers)
     chance = (_step(markers) / (0.3 * extent)) ** 2 * max(n * (n - 1) / 2, 1.0)
-    if n < 2 or -log(chance) < _MARGIN:
+    if n < 2 or -log(chance) < COSTS.margin:
         return []
     found = {}
     for what, places in (("reference", markers.reference), ("measured", markers.measured)):
@@ -60,12 +55,12 @@ def repeated(markers: Markers, extent: float) -> list[tuple[int, int, str]]:
 
 
 def _step(markers: Markers) -> float:
-    """Return the steps in mm in which the numbers were written: 10, 1, 0.1, ..., at the finest `_FINEST_MM`."""
+    """Return the steps in mm in which the numbers were written: 10, 1, 0.1, ..., at the finest `CHECKS.finest_mm`."""
     values: FloatArray = np.concatenate([markers.reference.ravel(), markers.measured.ravel()])
     values = values[np.isfinite(values)]
     step = 10.0
-    while step > _FINEST_MM * 1.5:
+    while step > CHECKS.finest_mm * 1.5:
         if np.all(np.abs(values / step - np.round(values / step)) < 1e-7 * np.maximum(np.abs(values / step), 1.0)):
             return step
         step /= 10.0
-    return _FINEST_MM
+    return CHECKS.finest_mm

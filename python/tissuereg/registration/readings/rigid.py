@@ -4,18 +4,7 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.registration.readings.reading import Given, Reading
-
-#: Costs: a moved measured triple, whose six parameters the likelihood integrates; a fitted motion, whose six parameters
-#: cost a factor of eight each.
-_MOVED_COST, _FITTED_COST = 13.0, 18.0
-
-#: Fewest markers whose places alone, or whose motion, determine six parameters.
-_FEWEST_PLACES, _FEWEST_MOVED = 7, 4
-
-#: A rigid motion smaller than this at the held nodes is not a misreading, mm and share of the extent.
-_SMALLEST_MM, _SMALLEST_SHARE = 3.0, 0.03
-
-_N_ALIGN, _N_SLIDE = 8, 8
+from tissuereg.registration.readings.settings import COSTS, PROPOSALS
 
 
 def best_rigid(start: FloatArray, end: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -31,7 +20,7 @@ def best_rigid(start: FloatArray, end: FloatArray) -> tuple[FloatArray, FloatArr
     Kabsch's rotation with weights 1 / distance, iterated: it minimises the sum of distances, not of their squares.
     """
     weights = np.ones(end.shape[:-1])
-    for _ in range(_N_ALIGN):
+    for _ in range(PROPOSALS.align):
         share = (weights / weights.sum(axis=-1, keepdims=True))[..., None]
         middle, target = (share * start).sum(axis=-2), (share * end).sum(axis=-2)
         across = np.swapaxes(end - target[..., None, :], -1, -2) @ (share * (start - middle[..., None, :]))
@@ -52,17 +41,17 @@ def moved(points: FloatArray, turn: FloatArray, shift: FloatArray) -> FloatArray
 def measured_moved(given: Given) -> list[Reading]:
     """Return the reading in which all measured places were moved rigidly; none if the body may move rigidly."""
     rows = given.complete
-    if rows.sum() < _FEWEST_MOVED or not len(given.held_nodes):
+    if rows.sum() < PROPOSALS.fewest_moved or not len(given.held_nodes):
         return []
     turn, shift = best_rigid(given.reference[rows], given.measured[rows])
     held = given.held_nodes
     slip = float(np.linalg.norm(moved(held, turn, shift) - held, axis=1).mean())
-    if slip < max(_SMALLEST_MM, _SMALLEST_SHARE * given.skin.extent) + 4.0 * given.noise:
+    if slip < max(PROPOSALS.smallest_mm, PROPOSALS.smallest_share * given.skin.extent) + 4.0 * given.noise:
         return []
     arms = moved(given.reference, turn, shift)
     words = f"the measured places if moved back {_described(turn, shift, given)}"
     return [
-        Reading("rigid motion", words, _MOVED_COST, given.reference, given.measured - arms, arms, rigid=True),
+        Reading("rigid motion", words, COSTS.moved, given.reference, given.measured - arms, arms, rigid=True),
     ]
 
 
@@ -70,10 +59,10 @@ def places_moved(given: Given) -> list[Reading]:
     """Return readings in which reference places, alone or with the measured ones, are moved onto the surface."""
     x, y, rows = given.reference, given.measured, given.complete
     starts, alone = [], []
-    if rows.sum() >= _FEWEST_MOVED:
+    if rows.sum() >= PROPOSALS.fewest_moved:
         starts.append(best_rigid(x[rows], y[rows]))
         alone.append(True)
-    if len(x) >= _FEWEST_PLACES:
+    if len(x) >= PROPOSALS.fewest_places:
         surface = given.skin.closest(x).foot.mean(axis=0)
         for shift in (np.zeros(3), given.skin.middle - x.mean(axis=0), surface - x.mean(axis=0)):
             starts.append((np.eye(3), shift))
@@ -86,7 +75,7 @@ def places_moved(given: Given) -> list[Reading]:
         places = moved(x, turn, shift)
         words = f"{'the reference places' if apart else 'all markers'} if moved {_described(turn, shift, given)}"
         motion, arms = (y - places, places) if apart else (given.motion, x)
-        readings.append(Reading("rigid motion", words, _FITTED_COST + (0.0 if apart else 2.0), places, motion, arms))
+        readings.append(Reading("rigid motion", words, COSTS.fitted + (0.0 if apart else 2.0), places, motion, arms))
     return readings
 
 
@@ -94,7 +83,7 @@ def _slid(given: Given, turn: FloatArray, shift: FloatArray) -> tuple[FloatArray
     """Return motions (s, 3, 3) and (s, 3) that bring the reference places near the surface, point to plane."""
     extent = given.skin.extent
     size = np.concatenate([np.ones(3), np.full(3, (0.5 * extent) ** 2)])
-    for _ in range(_N_SLIDE):
+    for _ in range(PROPOSALS.slide):
         places = moved(given.reference, turn, shift)
         near = given.skin.closest(places)
         middle = places.mean(axis=1)

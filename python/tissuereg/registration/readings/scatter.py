@@ -4,17 +4,8 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.registration.readings.likelihood import standoff
+from tissuereg.registration.readings.settings import CHECKS
 from tissuereg.registration.readings.words import Suspicion
-
-#: Largest plausible error of a mounting as a share of the largest height above the skin; that of a marker placed inside
-#: the body, mm and share of the extent: it cannot stick out.
-_MOUNTED, _INSIDE_MM, _INSIDE_SHARE = 0.4, 0.3, 0.003
-
-#: Chance below which a mounting is out of the question.
-_LEVEL = 1e-3
-
-#: Fewest markers whose scatter tells.
-_FEWEST = 5
 
 
 def scattered(distance: FloatArray, extent: float) -> list[Suspicion]:
@@ -36,12 +27,12 @@ def scattered(distance: FloatArray, extent: float) -> list[Suspicion]:
     from scipy.stats import chi2
 
     n = len(distance)
-    if n < _FEWEST:
+    if n < CHECKS.fewest:
         return []
     height = float(np.clip(distance.mean(), 0.0, standoff(extent)))
-    mounted = np.sum((distance - height) ** 2) / (_MOUNTED * standoff(extent)) ** 2
-    inside = np.sum(np.maximum(distance, 0.0) ** 2) / (_INSIDE_MM + _INSIDE_SHARE * extent) ** 2
-    if max(chi2.sf(mounted, n - 1), chi2.sf(inside, n)) >= _LEVEL:
+    mounted = np.sum((distance - height) ** 2) / (CHECKS.mounted * standoff(extent)) ** 2
+    inside = np.sum(np.maximum(distance, 0.0) ** 2) / (CHECKS.inside_mm + CHECKS.inside_share * extent) ** 2
+    if max(chi2.sf(mounted, n - 1), chi2.sf(inside, n)) >= CHECKS.level:
         return []
     low, high = float(distance.min()), float(distance.max())
     text = (

@@ -8,18 +8,12 @@ import numpy as np
 from tissuereg._base.arrays import BoolArray, FloatArray, IntArray
 from tissuereg.body.mesh import Mesh
 from tissuereg.body.per_mesh import per_mesh
+from tissuereg.registration.readings.settings import MOTION, PROPOSALS
 
-#: Number of closest surface samples whose triangles are tested exactly.
-_N_CLOSEST = 4
-
-#: Numbers that describe the closest place of a point; sets of points that are remembered.
-_VALUES, _N_KEPT = 8, 512
+#: Numbers that describe the closest place of a point.
+_VALUES = 8
 
 _KEEPING = Lock()
-
-
-#: Lengths over which motion fades towards held nodes, as shares of the extent.
-_FADING = (0.08, 0.25, 0.7)
 
 
 class Closest(NamedTuple):
@@ -95,14 +89,14 @@ class Skin:
             found |= dict(zip(fresh, flat, strict=True))
             with _KEEPING:
                 self._known |= {key: found[key] for key in fresh}
-                while len(self._known) > _N_KEPT:
+                while len(self._known) > PROPOSALS.sets_kept:
                     self._known.pop(next(iter(self._known)))
         values = np.array([found[key] for key in keys]).reshape(*points.shape[:-1], _VALUES)
         return Closest(values[..., 0], values[..., 1:4], values[..., 4:7], values[..., 7] > 0.0)
 
     def _closest(self, flat: FloatArray) -> FloatArray:
         """Return distance, foot, normal and whether it is held (1 or 0) for every point, (n, 8)."""
-        _, samples = self._samples.query(flat, k=_N_CLOSEST)
+        _, samples = self._samples.query(flat, k=PROPOSALS.closest)
         triangles = np.asarray(samples) // 4
         corners = self._corners[triangles]
         feet = closest_on_triangles(flat[:, None], corners)
@@ -130,9 +124,9 @@ class Skin:
             extents (a beam that bends); 1 where nothing is held.
         """
         if self._held_tree is None:
-            return np.ones((len(_FADING), len(points)))
+            return np.ones((len(MOTION.fading), len(points)))
         distance = np.asarray(self._held_tree.query(points)[0]) / self.extent
-        return np.asarray(np.maximum(-np.expm1(-distance / np.array(_FADING)[:, None]), 0.02))
+        return np.asarray(np.maximum(-np.expm1(-distance / np.array(MOTION.fading)[:, None]), 0.02))
 
 
 def skin_of(mesh: Mesh) -> Skin:

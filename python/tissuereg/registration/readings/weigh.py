@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import log
 
 import numpy as np
 
@@ -18,15 +17,7 @@ from tissuereg.registration.readings.likelihood import (
 from tissuereg.registration.readings.orders import oddness
 from tissuereg.registration.readings.reading import Given, Reading
 from tissuereg.registration.readings.rigid import best_rigid, moved
-
-#: Largest number of markers that are used: some spread over the body, some that differ most from their neighbours.
-_SPREAD_MARKERS, _ODD_MARKERS = 32, 16
-
-#: Log-odds by which another reading must beat the input as given.
-MARGIN = log(1000.0)
-
-#: Number of readings with other places, and with measured places in other frames, whose motion is evaluated.
-_N_PLACES, _N_TURNED = 12, 4
+from tissuereg.registration.readings.settings import COSTS, PROPOSALS
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,13 +59,13 @@ class Weighed:
 def chosen_rows(given: Given) -> IntArray:
     """Return the markers that are used: all, or of many those spread over the body and the unusual ones."""
     n = len(given.names)
-    if n <= _SPREAD_MARKERS + _ODD_MARKERS:
+    if n <= PROPOSALS.spread_markers + PROPOSALS.odd_markers:
         return np.arange(n)
     rows = np.flatnonzero(given.complete)
-    odd = rows[np.argsort(-oddness(given.reference[rows], given.measured[rows]))[:_ODD_MARKERS]]
+    odd = rows[np.argsort(-oddness(given.reference[rows], given.measured[rows]))[: PROPOSALS.odd_markers]]
     taken = list(odd) or [0]
     gap = np.min([np.linalg.norm(given.reference - given.reference[i], axis=1) for i in taken], axis=0)
-    while len(taken) < _SPREAD_MARKERS + _ODD_MARKERS:
+    while len(taken) < PROPOSALS.spread_markers + PROPOSALS.odd_markers:
         taken.append(int(np.argmax(gap)))
         gap = np.minimum(gap, np.linalg.norm(given.reference - given.reference[taken[-1]], axis=1))
     return np.unique(taken)
@@ -142,7 +133,7 @@ def _worth(readings: list[Reading], likely: FloatArray, rows: IntArray) -> tuple
     size = _sizes([readings[i] for i in (0, *turned)], rows)
     smaller = [turned[i] for i in np.argsort(size[1:], kind="stable") if size[1 + i] < size[0]]
     elsewhere.sort(key=lambda i: readings[i].cost - likely[i])
-    return same, [*smaller[:_N_TURNED], *elsewhere[:_N_PLACES]]
+    return same, [*smaller[: PROPOSALS.turned], *elsewhere[: PROPOSALS.places]]
 
 
 def _hopeless(plain: Weighed, reading: Reading, likely: float, given: Given, rows: IntArray) -> bool:
@@ -151,11 +142,11 @@ def _hopeless(plain: Weighed, reading: Reading, likely: float, given: Given, row
     If the motion is unchanged, the places decide; otherwise the bound is the likelihood of no motion at all.
     """
     if reading.motion is plain.reading.motion:
-        return likely - reading.cost < plain.of_layout + plain.of_places + MARGIN
+        return likely - reading.cost < plain.of_layout + plain.of_places + COSTS.margin
     values = reading.motion[rows]
     n_seen = int(np.isfinite(values).sum())
     best = n_seen * (reading.log_scale + likeliest(given.noise))
-    return likely + best - reading.cost < plain.total + MARGIN
+    return likely + best - reading.cost < plain.total + COSTS.margin
 
 
 def _sizes(readings: list[Reading], rows: IntArray) -> FloatArray:

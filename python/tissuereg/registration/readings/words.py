@@ -6,13 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray
+from tissuereg.registration.readings.settings import COSTS
 from tissuereg.registration.readings.weigh import Weighed
 
 #: Odds are stated up to this power of ten.
 _MOST_DIGITS = 9
-
-#: Readings whose log-odds differ by less fit equally well.
-_TIE = 2.0
 
 
 @dataclass(frozen=True)
@@ -57,7 +55,7 @@ def explained(plain: Weighed, best: Weighed, others: Sequence[Weighed], names: t
     if reading.places is plain.reading.places or best.of_motion > plain.of_motion + 3.0:
         facts.append(f"the markers then move by {_size(best.motion)} mm instead of {_size(plain.motion)} mm")
     ties = sorted(
-        (w for w in others if w.total > best.total - _TIE and w is not best and w.reading.kind == reading.kind),
+        (w for w in others if w.total > best.total - COSTS.tie and w is not best and w.reading.kind == reading.kind),
         key=lambda w: -w.total,
     )
     also = f"; as good: {ties[0].reading.words}" if ties else ""

@@ -8,6 +8,7 @@ import numpy as np
 from tissuereg._base.arrays import FloatArray, IntArray
 from tissuereg.body.mesh import Mesh
 from tissuereg.errors import MeshError
+from tissuereg.simulation.settings import FINE
 
 #: Corners of a tet's edges, and the two others.
 _EDGES = np.array([[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]])
@@ -17,9 +18,6 @@ _PAIR = np.array([[0, 1]])
 
 #: Corners of a triangle's edges.
 _SIDES = np.array([[0, 1], [1, 2], [2, 0]])
-
-#: Largest number of rounds: more than any refinement to a size above a millionth of the body takes.
-_MOST_ROUNDS = 1000
 
 
 class Bisection:
@@ -108,7 +106,7 @@ class Bisection:
         """
         allowed = size(self.nodes[self.tets].mean(axis=1))
         length, longest = self._longest(self.tets)
-        for _ in range(_MOST_ROUNDS):
+        for _ in range(FINE.most_rounds):
             if not (length > allowed).any():
                 return
             marked = np.unique(longest[length > allowed])
@@ -131,7 +129,7 @@ class Bisection:
             longest = np.concatenate([longest, np.empty(len(more_room), np.int64)])
             allowed[fresh] = size(self.nodes[self.tets[fresh]].mean(axis=1))
             length[fresh], longest[fresh] = self._longest(self.tets[fresh])
-        message = f"refinement must end within {_MOST_ROUNDS} rounds; the requested sizes are too small"
+        message = f"refinement must end within {FINE.most_rounds} rounds; the requested sizes are too small"
         raise MeshError(message, where="refine")
 
     def mesh(self, node_sets: Mapping[str, IntArray]) -> Mesh:

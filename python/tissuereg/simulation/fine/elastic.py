@@ -14,16 +14,8 @@ from tissuereg.experiment.experiment import Case, Experiment
 from tissuereg.simulation.experiment import believed_case
 from tissuereg.simulation.loading import distinct_states, pads_of
 from tissuereg.simulation.memory import SolvedCase
+from tissuereg.simulation.settings import FINE
 from tissuereg.simulation.solve import Simulator
-
-#: Loads whose directions differ by less than this are collinear.
-_ALONG = 1e-6
-
-#: Largest number of solved states for an extrapolated guess: a parabola.
-_MOST_POINTS = 3
-
-#: Relative residual at which a frame counts as solved: errors of about 1e-5 mm in markers and 1e-2 mN in forces.
-TOLERANCE = 1e-4
 
 
 def solve_states(
@@ -31,7 +23,7 @@ def solve_states(
     case: Case,
     *,
     element: str = "tet10",
-    tolerance: float = TOLERANCE,
+    tolerance: float = FINE.tolerance,
     threads: int = 0,
     near: FloatArray | None = None,
     progress: Callable[[int], object] | None = None,
@@ -128,7 +120,7 @@ def guess(state: FloatArray, solved: list[tuple[FloatArray, FloatArray]]) -> Flo
     size = float(np.linalg.norm(state))
     if not solved or size == 0.0:
         return solved[0][1] if solved and not solved[0][0].any() else None
-    on_line = sorted(_along(state, solved), key=lambda point: abs(point[0] - size))[:_MOST_POINTS]
+    on_line = sorted(_along(state, solved), key=lambda point: abs(point[0] - size))[: FINE.most_states]
     if len(on_line) < 2:
         nearest = min(solved, key=lambda one: float(np.linalg.norm(one[0] - state)))
         # The undeformed body is not used as a guess, a body that sags under its weight is.
@@ -144,7 +136,7 @@ def _along(state: FloatArray, solved: list[tuple[FloatArray, FloatArray]]) -> li
     """Return the solved states on the line from no load to a state: position along it, and fields."""
     size = max(float(np.linalg.norm(state)), 1e-300)
     line = state / size
-    return [(float(s @ line), u) for s, u in solved if np.linalg.norm(s - (s @ line) * line) <= _ALONG * size]
+    return [(float(s @ line), u) for s, u in solved if np.linalg.norm(s - (s @ line) * line) <= FINE.along * size]
 
 
 def _solve(

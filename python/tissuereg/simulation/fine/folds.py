@@ -5,9 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray, IntArray
-
-#: Facets that meet at a sharper angle (cosine between normals) form an edge of the body itself.
-SHARP = 0.7
+from tissuereg.simulation.settings import FINE
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +35,7 @@ class Folds:
     @property
     def is_sharp(self) -> np.ndarray:
         """Whether each is an edge of the body, rather than one of facets along a smooth face, shape (n_edges,)."""
-        return np.asarray(self.cosines < SHARP)
+        return np.asarray(self.cosines < FINE.sharp)
 
 
 def folds_of(nodes: FloatArray, surface: IntArray) -> Folds:

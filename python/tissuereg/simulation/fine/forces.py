@@ -3,12 +3,7 @@
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray
-
-#: Frames whose force is less than this share of the largest do not determine a ratio.
-LEAST_LOADED = 0.02
-
-#: Largest change of a force by a map, along and across it; larger differences are not mapped.
-MOST_CHANGED = 0.6
+from tissuereg.simulation.settings import FINE
 
 
 def force_maps(rough: FloatArray, fine: FloatArray) -> FloatArray:
@@ -22,8 +17,8 @@ def force_maps(rough: FloatArray, fine: FloatArray) -> FloatArray:
     Returns
     -------
     ndarray of float64, shape (n_frames, 3, 3)
-        ``map @ rough`` is ``fine`` in loaded frames, unless they differ by more than `MOST_CHANGED`. A frame without
-        load has the map of the least loaded one; all are the identity if no frame is loaded.
+        ``map @ rough`` is ``fine`` in loaded frames, unless they differ too much (`FineRules`). A frame without load
+        has the map of the least loaded one; all are the identity if no frame is loaded.
 
     Notes
     -----
@@ -36,15 +31,15 @@ def force_maps(rough: FloatArray, fine: FloatArray) -> FloatArray:
     identity: FloatArray = np.tile(np.eye(3), (len(rough), 1, 1))
     if not np.nanmax(size, initial=0.0) > 0.0:
         return identity
-    loaded = size > LEAST_LOADED * np.nanmax(size)
+    loaded = size > FINE.least_loaded * np.nanmax(size)
     least = int(np.argmin(np.where(loaded, size, np.inf)))
     taken = np.where(loaded, np.arange(len(rough)), least)
     before, after = rough[taken], fine[taken]
     power = (before**2).sum(axis=1)[:, None]
     ratio = (before * after).sum(axis=1)[:, None] / power
-    along = np.clip(ratio, 1.0 - MOST_CHANGED, 1.0 + MOST_CHANGED)
+    along = np.clip(ratio, 1.0 - FINE.most_changed, 1.0 + FINE.most_changed)
     across = (after - ratio * before) / np.sqrt(power)
-    across *= np.minimum(1.0, MOST_CHANGED / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-300))
+    across *= np.minimum(1.0, FINE.most_changed / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-300))
     turned = across[:, :, None] * (before / np.sqrt(power))[:, None, :]
     return np.asarray(along[:, :, None] * identity + turned)
 

@@ -29,22 +29,17 @@ from tissuereg.experiment.effects.base import Vector
 from tissuereg.experiment.effects.history import Memory
 from tissuereg.experiment.experiment import Actuator, Case, Experiment
 from tissuereg.simulation.experiment import CaseSimulation
-from tissuereg.simulation.fine.elastic import TOLERANCE, solve_states
+from tissuereg.simulation.fine.elastic import solve_states
 from tissuereg.simulation.fine.meshing import FineMeshing, fine_experiment, rim_of
-from tissuereg.simulation.fine.reading import Reader, Reading, corrected
-from tissuereg.simulation.fine.rims import INSIDE, Rim
+from tissuereg.simulation.fine.reading import FineFrames, Reader, corrected
+from tissuereg.simulation.fine.rims import Rim
 from tissuereg.simulation.frames import FrameSettings, Similar
 from tissuereg.simulation.loading import distinct_states, first_frames
 from tissuereg.simulation.memory import SolvedCase, goes_through_time, is_carried, remembers, solve_through_time
-
-#: Poisson's ratio above which four-node tets lock.
-_LOCKS_ABOVE = 0.475
+from tissuereg.simulation.settings import FINE
 
 #: Displacement of all nodes in the states of each case, (n_states, n_element_nodes, 3).
 Fields = dict[str, FloatArray]
-
-#: Number of cached elastic solutions: coarse and fine ones of ten cases.
-_MOST_KEPT = 20
 
 
 class FineModel:
@@ -84,7 +79,7 @@ class FineModel:
         self.fine = fine_experiment(experiment, self.meshing)
         self._own: tuple[tuple[Rim | None, ...], Experiment] | None = None
         # Cached elastic solutions for corrections, newest last.
-        self._elastic: dict[tuple[Any, ...], Reading] = {}
+        self._elastic: dict[tuple[Any, ...], FineFrames] = {}
         # Initial guesses by case for the next warm call, and their mesh.
         self._near: tuple[Mesh, Fields] | None = None
 
@@ -183,7 +178,7 @@ class FineModel:
         fully: bool,
         threads: int,
         progress: Callable[[int, int], None] | None,
-    ) -> dict[str, Reading]:
+    ) -> dict[str, FineFrames]:
         """Return the observables of cases with memory, by name.
 
         If `fully`, ten-node elements solve every frame. Otherwise first-order elements do, and `corrected` adds the
@@ -207,7 +202,7 @@ class FineModel:
 
     def _kept(
         self, twin: Experiment, cases: Sequence[Case], element: str, threads: int, report: "FrameCount", part: str
-    ) -> dict[str, Reading]:
+    ) -> dict[str, FineFrames]:
         """Return the observables of elastic cases by name, from the cache if possible."""
         keys = {case.name: (case.name, element, twin.mesh, twin.gravity is None, twin.effects) for case in cases}
         missing = [case for case in cases if keys[case.name] not in self._elastic]
@@ -217,7 +212,7 @@ class FineModel:
         fresh = _elastic(twin, self.experiment.mesh, missing, element, threads, report, part) if missing else {}
         found = {name: fresh[name] if name in fresh else self._elastic.pop(key) for name, key in keys.items()}
         self._elastic |= {keys[name]: reading for name, reading in found.items()}
-        while len(self._elastic) > _MOST_KEPT:
+        while len(self._elastic) > FINE.solutions_kept:
             del self._elastic[next(iter(self._elastic))]
         return found
 
@@ -238,7 +233,7 @@ class FineModel:
             rest.append(effect)
             if isinstance(effect, Detachment) and effect.centre_mm is not None and effect.radius_mm is not None:
                 # Nodes on this rim are not in the ball: they stay held.
-                loose.append(Rim(effect.centre_mm, effect.radius_mm * (1.0 + 2.0 * INSIDE)))
+                loose.append(Rim(effect.centre_mm, effect.radius_mm * (1.0 + 2.0 * FINE.inside)))
         key = (*(rim_of(pad) for pad in pads.values()), *loose)
         if key == tuple(rim_of(pad) for pad in self.experiment.actuators if pad.name in pads):
             return replace(self.fine, effects=tuple(rest))
@@ -256,7 +251,7 @@ def _shifted(pad: Actuator, shift: Vector) -> Actuator:
 
 def rough_element(experiment: Experiment) -> str:
     """Return elements of first order for an experiment: four-node ones, averaged where they would lock."""
-    locks = float(extended(experiment, "tet4").material.poisson_array.max()) > _LOCKS_ABOVE
+    locks = float(extended(experiment, "tet4").material.poisson_array.max()) > FINE.locks_above
     return "tet4-averaged" if locks else "tet4"
 
 
@@ -291,13 +286,13 @@ def _elastic(
     report: "FrameCount",
     part: str,
     near: Fields | None = None,
-) -> dict[str, Reading]:
+) -> dict[str, FineFrames]:
     """Return elastic cases, solved in parallel; they start from the fields `near`, if given, and update them."""
     ready = extended(fine, element)
     reader = Reader(fine, given, quadratic=element == "tet10")
     share = max(1, threads // max(len(cases), 1))
 
-    def read(case: Case) -> Reading:
+    def read(case: Case) -> FineFrames:
         notify = report.of(f"{part} of {case.name}")
         # Effects on actuators are worked into the cases.
         moved = ready.cases[case.name]
@@ -327,7 +322,7 @@ def _by_load(
     threads: int,
     near: Fields | None,
     progress: Callable[[int, int], None] | None,
-) -> dict[str, Reading]:
+) -> dict[str, FineFrames]:
     """Return cases without memory in ten-node elements; they start from the fields `near`, if given, and update them.
 
     `worked` has the effects of `fine` applied. With springs or friction, or if the mesh was imaged under gravity, a
@@ -365,7 +360,7 @@ def _remembering(
     settings, similar = FrameSettings(element, threads=threads), None
     if near is not None:
         similar = Similar({case.name: near[case.name][distinct_states(case)[1]] for case in cases})
-        settings = replace(settings, tolerance=TOLERANCE)
+        settings = replace(settings, tolerance=FINE.tolerance)
     if is_carried(ready):
         notify = report.of("history")
         return solve_through_time(ready, cases, settings=settings, similar=similar, progress=notify)

@@ -13,7 +13,7 @@ from tissuereg.simulation.memory import SolvedCase
 
 
 @dataclass(frozen=True, eq=False)
-class Reading:
+class FineFrames:
     """Frames of one case, as observables of the experiment.
 
     Attributes
@@ -62,14 +62,14 @@ class Reader:
         self._marker_reference = experiment.marker_reference
         self._targets = TargetObservation(experiment.mesh, experiment.targets, quadratic=quadratic)
 
-    def read(self, solved: SolvedCase) -> Reading:
+    def read(self, solved: SolvedCase) -> FineFrames:
         """Return the observables of the frames of a case."""
         field = solved.all_displacement
         displacement = solved.displacement[:, : self._n_given].copy()
         if self._old is not None:
             # The node's place before it was moved onto the rim.
             displacement[:, self._moved] = self._old.predict(field[:, self._old.nodes])
-        return Reading(
+        return FineFrames(
             displacement,
             self._marker_reference + self._markers.predict(field[:, self._markers.nodes]),
             self._targets.reference + self._targets.predict(field[:, self._targets.nodes]),
@@ -78,21 +78,21 @@ class Reader:
         )
 
 
-def corrected(rough: Reading, rough_elastic: Reading, fine_elastic: Reading) -> Reading:
+def corrected(rough: FineFrames, rough_elastic: FineFrames, fine_elastic: FineFrames) -> FineFrames:
     """Return frames with memory, corrected for finer elements.
 
     Parameters
     ----------
-    rough : Reading
+    rough : FineFrames
         With memory, by elements of first order.
-    rough_elastic : Reading
+    rough_elastic : FineFrames
         The same case without memory, by the same elements.
-    fine_elastic : Reading
+    fine_elastic : FineFrames
         Without memory, by finer elements on the same mesh.
 
     Returns
     -------
-    Reading
+    FineFrames
         Places are corrected by the difference of the two elastic solutions, forces by the maps between them
         (`force_maps`) and the remaining difference.
     """
@@ -101,7 +101,7 @@ def corrected(rough: Reading, rough_elastic: Reading, fine_elastic: Reading) -> 
         before, after = rough_elastic.forces[name], fine_elastic.forces[name]
         forces[name] = after + mapped(force - before, force_maps(before, after))
     lost = dict(rough_elastic.failed) | dict(fine_elastic.failed) | dict(rough.failed)
-    return Reading(
+    return FineFrames(
         rough.displacement + (fine_elastic.displacement - rough_elastic.displacement),
         rough.markers + (fine_elastic.markers - rough_elastic.markers),
         rough.targets + (fine_elastic.targets - rough_elastic.targets),

@@ -13,18 +13,7 @@ import numpy as np
 from tissuereg._base.arrays import FloatArray, IntArray
 from tissuereg.simulation.fine.bisection import Bisection, shape_quality
 from tissuereg.simulation.fine.folds import folds_of
-
-#: An end of a crossing edge slides onto the rim if the crossing is nearer to it than this share of the edge.
-SNAP_SHARE = 0.35
-
-#: After a slide every tetrahedron must keep this share of its quality, and have at least this quality.
-_KEPT_QUALITY, _LEAST_QUALITY = 0.5, 0.1
-
-#: Nodes of the rim lie this share of the radius inside it, so that rounding leaves none outside.
-INSIDE = 1e-11
-
-#: Edges between outer nodes are cut if they enter the ball by this share of their length.
-_DIP_SHARE = 0.1
+from tissuereg.simulation.settings import FINE
 
 
 @dataclass(frozen=True)
@@ -45,13 +34,13 @@ class Rim:
     def depth(self, points: FloatArray) -> FloatArray:
         """Return the depth of points (..., 3) in the ball, mm; 0 on the rim, up to rounding."""
         depth = self.radius - np.linalg.norm(points - np.asarray(self.centre), axis=-1)
-        return np.asarray(np.where(np.abs(depth) <= 1e3 * INSIDE * self.radius, 0.0, depth))
+        return np.asarray(np.where(np.abs(depth) <= 1e3 * FINE.inside * self.radius, 0.0, depth))
 
     def crossing(self, outer: FloatArray, inner: FloatArray) -> FloatArray:
         """Return where segments (n, 3) from outside the ball to inside pass its sphere, shares of the way (n,)."""
         start, along = outer - np.asarray(self.centre), inner - outer
         a, b = (along**2).sum(axis=1), (start * along).sum(axis=1)
-        c = (start**2).sum(axis=1) - (self.radius * (1.0 - INSIDE)) ** 2
+        c = (start**2).sum(axis=1) - (self.radius * (1.0 - FINE.inside)) ** 2
         return np.asarray(c / (-b + np.sqrt(np.maximum(b**2 - a * c, 0.0))))
 
 
@@ -131,7 +120,7 @@ def cut_along(cutter: Bisection, rim: Rim, stay: IntArray) -> None:
     stay : ndarray of int64, shape (n,)
         Nodes that must not slide.
     """
-    edges, deepest = _dipping_edges(cutter, rim, _DIP_SHARE)
+    edges, deepest = _dipping_edges(cutter, rim, FINE.dip_share)
     if len(edges):
         cutter.cut(edges, deepest)
     _snap(cutter, rim, stay)
@@ -189,14 +178,14 @@ def _snap(cutter: Bisection, rim: Rim, stay: IntArray) -> None:
     node = np.where(share < 0.5, outer, inner)
     near = np.minimum(share, 1.0 - share)
     blocked = np.isin(node, stay) | np.isin(node, sharp_nodes(cutter.nodes, cutter.surface))
-    able = np.flatnonzero((near < SNAP_SHARE) & ~blocked)
+    able = np.flatnonzero((near < FINE.snap_share) & ~blocked)
     able = able[np.argsort(near[able], kind="stable")]
     _, first = np.unique(node[able], return_index=True)
     able = able[np.sort(first)]
     moving, towards = node[able], places[able]
     around = np.flatnonzero(np.isin(cutter.tets, moving).any(axis=1))
     tets = cutter.tets[around]
-    wanted = np.minimum(_KEPT_QUALITY * shape_quality(cutter.nodes, tets), _LEAST_QUALITY)
+    wanted = np.minimum(FINE.kept_quality * shape_quality(cutter.nodes, tets), FINE.least_quality)
     moved = cutter.nodes.copy()
     moved[moving] = towards
     while True:

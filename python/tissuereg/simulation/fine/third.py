@@ -19,18 +19,7 @@ from tissuereg.simulation.fine.folds import folds_of
 from tissuereg.simulation.fine.meshing import FineMeshing, rim_of
 from tissuereg.simulation.fine.model import FineModel
 from tissuereg.simulation.fine.rims import sharp_nodes
-
-#: Largest motion of a node, over its shortest edge.
-JITTER_SHARE = 0.25
-
-#: Range of the edge length at the rims, over that of the fine mesh; uniform.
-RIM_FACTORS = (1.0, 1.8)
-
-#: Range of the outward motion of the surface, over the mean gap between facets and a smooth surface; uniform.
-BULGE_SHARES = (0.0, 1.5)
-
-#: After a node is moved, every tet must keep this share of its quality.
-_KEPT_QUALITY = 0.5
+from tissuereg.simulation.settings import FINE
 
 
 def third_meshes(experiment: Experiment, n: int, seed: int, *, meshing: FineMeshing | None = None) -> list[FineModel]:
@@ -56,7 +45,7 @@ def third_meshes(experiment: Experiment, n: int, seed: int, *, meshing: FineMesh
     models = []
     for number in range(n):
         rng = np.random.default_rng([seed, number])
-        other = replace(meshing, rim_edge=meshing.rim_edge * rng.uniform(*RIM_FACTORS))
+        other = replace(meshing, rim_edge=meshing.rim_edge * rng.uniform(*FINE.rim_factors))
         models.append(FineModel(replace(experiment, mesh=jittered(experiment, rng)), other))
     return models
 
@@ -79,13 +68,13 @@ def jittered(experiment: Experiment, rng: np.random.Generator) -> Mesh:
     mesh = experiment.mesh
     shortest = _shortest_edges(mesh)
     step = rng.standard_normal(mesh.nodes.shape)
-    step *= (JITTER_SHARE * shortest * np.cbrt(rng.random(mesh.n_nodes)) / np.linalg.norm(step, axis=1))[:, None]
-    outwards = rng.uniform(*BULGE_SHARES) * gaps(mesh)
+    step *= (FINE.jitter_share * shortest * np.cbrt(rng.random(mesh.n_nodes)) / np.linalg.norm(step, axis=1))[:, None]
+    outwards = rng.uniform(*FINE.bulge_shares) * gaps(mesh)
     step[mesh.surface_nodes] = (_slides(mesh, shortest, rng) + outwards)[mesh.surface_nodes]
     given = [boundary.nodes for boundary in experiment.boundaries]
     given += [pad.nodes for pad in experiment.actuators if rim_of(pad) is None]
     step[np.unique(np.concatenate([sharp_nodes(mesh.nodes, mesh.surface), *given]))] = 0.0
-    wanted = _KEPT_QUALITY * shape_quality(mesh.nodes, mesh.tets)
+    wanted = FINE.kept_quality * shape_quality(mesh.nodes, mesh.tets)
     while (spoilt := shape_quality(mesh.nodes + step, mesh.tets) < wanted).any():
         step[mesh.tets[spoilt]] *= 0.5
     return Mesh(mesh.nodes + step, mesh.tets, mesh.node_sets)
@@ -109,7 +98,7 @@ def _slides(mesh: Mesh, shortest: FloatArray, rng: np.random.Generator) -> Float
         along = others - mesh.nodes[triangles[:, corner]]
         # Of several facets the last one written counts.
         step[triangles[:, corner]] = along / np.linalg.norm(along, axis=1, keepdims=True)
-    return np.asarray(step * (JITTER_SHARE * shortest * np.sqrt(rng.random(mesh.n_nodes)))[:, None])
+    return np.asarray(step * (FINE.jitter_share * shortest * np.sqrt(rng.random(mesh.n_nodes)))[:, None])
 
 
 def gaps(mesh: Mesh) -> FloatArray:

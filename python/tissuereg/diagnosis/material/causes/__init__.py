@@ -1,15 +1,15 @@
 """The catalogue of causes of material tests, in the order in which their effects are applied."""
 
-from tissuereg.diagnosis.material.causes.base import Cause, Form
+from tissuereg.diagnosis.material.causes.base import Form, MaterialCause
 from tissuereg.diagnosis.material.causes.fibre import FIBRE
 from tissuereg.diagnosis.material.causes.laws import ASYMMETRY, MOONEY, STIFFENING
 from tissuereg.diagnosis.material.causes.memory import RATE, RELAXATION, SET, SOFTENING
 from tissuereg.diagnosis.material.causes.moduli import POISSON, STIFFNESS, WIDE_YOUNG
 
 #: By id.
-CAUSES: dict[str, Cause] = {
+CAUSES: dict[str, MaterialCause] = {
     cause.id: cause
     for cause in (STIFFNESS, POISSON, STIFFENING, MOONEY, ASYMMETRY, FIBRE, RELAXATION, RATE, SOFTENING, SET)
 }
 
-__all__ = ["CAUSES", "WIDE_YOUNG", "Cause", "Form"]
+__all__ = ["CAUSES", "WIDE_YOUNG", "Form", "MaterialCause"]

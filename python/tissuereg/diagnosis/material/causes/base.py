@@ -34,7 +34,7 @@ class Form:
 
 
 @dataclass(frozen=True)
-class Cause:
+class MaterialCause:
     """One cause that a material test can show.
 
     Attributes

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from tissuereg._base.arrays import FloatArray
-from tissuereg.diagnosis.material.causes.base import Cause, Form, exponential, form
+from tissuereg.diagnosis.material.causes.base import Form, MaterialCause, exponential, form
 from tissuereg.diagnosis.material.scene import Scene
 from tissuereg.experiment.effects.elastic import Fibre
 
@@ -31,4 +31,4 @@ def _sentence(table: Mapping[str, Any]) -> str:
     return f"Fibres {label} carry load when they lengthen, with {table['k1_over_mu']:.2g} times the shear modulus."
 
 
-FIBRE = Cause("fibre", "fibre", _forms, _sentence)
+FIBRE = MaterialCause("fibre", "fibre", _forms, _sentence)

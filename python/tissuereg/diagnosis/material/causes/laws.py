@@ -6,7 +6,7 @@ from typing import Any
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.body.laws import main_key, shape_of
-from tissuereg.diagnosis.material.causes.base import Cause, Form, exponential, form, sigmoid
+from tissuereg.diagnosis.material.causes.base import Form, MaterialCause, exponential, form, sigmoid
 from tissuereg.diagnosis.material.scene import Scene
 from tissuereg.experiment.effects.elastic import Asymmetry, Mooney, OtherLaw, Stiffening
 
@@ -95,8 +95,8 @@ def _shape(table: Mapping[str, Any]) -> str:
     return "; ".join(f"{key} {text(value)}" for key, value in table.items() if key not in ("id", "law"))
 
 
-STIFFENING = Cause("stiffening", "law", _stiffening_forms, _stiffening_sentence)
-MOONEY = Cause(
+STIFFENING = MaterialCause("stiffening", "law", _stiffening_forms, _stiffening_sentence)
+MOONEY = MaterialCause(
     "mooney",
     "law",
     _mooney_forms,
@@ -104,4 +104,4 @@ MOONEY = Cause(
         f"The second invariant has a share of {table[main_key(_MOONEY)]:.2g} of the stiffness (Mooney-Rivlin)."
     ),
 )
-ASYMMETRY = Cause("asymmetry", "law", _asymmetry_forms, _asymmetry_sentence)
+ASYMMETRY = MaterialCause("asymmetry", "law", _asymmetry_forms, _asymmetry_sentence)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray
-from tissuereg.diagnosis.material.causes.base import Cause, Form, exponential, form, sigmoid
+from tissuereg.diagnosis.material.causes.base import Form, MaterialCause, exponential, form, sigmoid
 from tissuereg.diagnosis.material.scene import Scene
 from tissuereg.experiment.effects.history import Rate, Relaxation, Set, Softening
 
@@ -67,20 +67,20 @@ def _set_forms(scene: Scene) -> list[Form]:
     return [form("set", [(-2.5, 1.2)], [], lambda x: Set(fraction=sigmoid(float(x[0]))))]
 
 
-RELAXATION = Cause("relaxation", "relaxation", _relaxation_forms, _relaxation_sentence)
-RATE = Cause(
+RELAXATION = MaterialCause("relaxation", "relaxation", _relaxation_forms, _relaxation_sentence)
+RATE = MaterialCause(
     "rate",
     "rate",
     _rate_forms,
     lambda table: f"The stress grows with the rate of strain: a viscosity of {table['viscosity_kpa_s']:.3g} kPa s.",
 )
-SOFTENING = Cause(
+SOFTENING = MaterialCause(
     "softening",
     "softening",
     _softening_forms,
     lambda table: f"Below the largest load so far the material is softer (Mullins effect, r = {table['r']:.3g}).",
 )
-SET = Cause(
+SET = MaterialCause(
     "set",
     "set",
     _set_forms,

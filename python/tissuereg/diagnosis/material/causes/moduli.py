@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from tissuereg.diagnosis.material.causes.base import Cause, Form, form, sigmoid
+from tissuereg.diagnosis.material.causes.base import Form, MaterialCause, form, sigmoid
 from tissuereg.diagnosis.material.scene import Scene
 from tissuereg.experiment.effects.elastic import Poisson
 
@@ -27,7 +27,7 @@ def _poisson_forms(scene: Scene) -> list[Form]:
     return [form("poisson", [(mean, 1.5)], starts, lambda x: Poisson(poisson=0.5 * sigmoid(min(float(x[0]), 8.0))))]
 
 
-STIFFNESS = Cause(
+STIFFNESS = MaterialCause(
     "stiffness",
     "young",
     _stiffness_forms,
@@ -35,7 +35,7 @@ STIFFNESS = Cause(
     {"young_kpa": "young_kpa"},
 )
 
-POISSON = Cause(
+POISSON = MaterialCause(
     "poisson",
     "poisson",
     _poisson_forms,
