@@ -9,7 +9,7 @@ from tissuereg.baselines import EnsembleOfSimulations, Setting, VariedNetwork
 from tissuereg.errors import ArgumentError, FormatError, ShapeError
 from tissuereg.io.npz import write_npz
 from tissuereg.registration.learned.calibration import UNRELATED, Calibration, Change, FieldErrors, Rehearsal
-from tissuereg.registration.learned.kinds import Kinds
+from tissuereg.registration.learned.components import Components
 from tissuereg.registration.learned.network import NetworkModel
 from tissuereg.registration.learned.variants import Variants
 from tissuereg.studies.rigs import Pad, Rig
@@ -44,7 +44,7 @@ def calibrated(mesh, change_mm, widening=1.0, pairs=True, unrelated_mm=1.0):
         np.array([0.0, 0.3]), 1e-10 * np.eye(26)[None], FieldErrors(pattern, np.full((1, 1, 1), change_mm**2), none)
     )
     model.calibration = Calibration(
-        Kinds(np.ones(1), np.zeros((1, 26)), 1e-10 * np.eye(26)[None]),
+        Components(np.ones(1), np.zeros((1, 26)), 1e-10 * np.eye(26)[None]),
         FieldErrors(pattern, np.full((1, 1, 1), unrelated_mm**2), none),
         Rehearsal(np.ones(1), np.ones((1, 1))),
         change if pairs else None,
