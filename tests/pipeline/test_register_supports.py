@@ -6,7 +6,7 @@ import pytest
 import tissuereg as tr
 from support.meshes import block
 from tissuereg.errors import ArgumentError, MaterialError
-from tissuereg.registration.contacts.frame import RigidMotion
+from tissuereg.registration.contacts.state import RigidMotion
 
 SILICONE = tr.Material(8.0, 0.45)
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import tissuereg as tr
-from tissuereg.registration.contacts.frame import RigidMotion
+from tissuereg.registration.contacts.state import RigidMotion
 
 INNER = {"deep": (18.0, 12.0, 22.0), "near the top": (12.0, 8.0, 34.0)}
 

@@ -5,7 +5,7 @@ import numpy as np
 import tissuereg as tr
 from support.small_model import SMALL_MODEL
 from tissuereg.registration.learned.calibration import Calibration, Change, FieldErrors, Rehearsal
-from tissuereg.registration.learned.kinds import Kinds
+from tissuereg.registration.learned.components import Components
 from tissuereg.registration.learned.network import NetworkModel
 
 STD = 0.05
@@ -31,7 +31,7 @@ def calibrated(mesh, change_mm, widening=1.0, pairs=True, unrelated_mm=1.0):
         np.array([0.0, 0.3]), 1e-10 * np.eye(26)[None], FieldErrors(pattern, np.full((1, 1, 1), change_mm**2), none)
     )
     model.calibration = Calibration(
-        Kinds(np.ones(1), np.zeros((1, 26)), 1e-10 * np.eye(26)[None]),
+        Components(np.ones(1), np.zeros((1, 26)), 1e-10 * np.eye(26)[None]),
         FieldErrors(pattern, np.full((1, 1, 1), unrelated_mm**2), none),
         Rehearsal(np.ones(1), np.ones((1, 1))),
         change if pairs else None,

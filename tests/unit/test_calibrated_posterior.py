@@ -10,8 +10,8 @@ from support.meshes import block
 from support.small_model import SMALL_MODEL
 from tissuereg.registration.learned.calibrate import _mixing
 from tissuereg.registration.learned.calibration import Calibration, Change, FieldErrors, Rehearsal
-from tissuereg.registration.learned.honest import Honest
-from tissuereg.registration.learned.kinds import Kinds, probabilities
+from tissuereg.registration.learned.calibration_set import CalibrationSet
+from tissuereg.registration.learned.components import Components, probabilities
 from tissuereg.registration.learned.network import NetworkModel
 from tissuereg.registration.learned.pca import PcaModel
 from tissuereg.registration.learned.registration import _against
@@ -37,7 +37,7 @@ def calibration(mesh):
     patterns = smooth_fields(mesh, 5, 1)
     covariances = np.array([0.3 * np.eye(5), 1.5 * np.diag(np.arange(1.0, 6.0))])
     errors = FieldErrors(patterns, covariances, np.zeros((mesh.n_nodes, 3)))
-    kinds = Kinds(np.array([0.6, 0.4]), np.zeros((2, 4)), np.array([0.5 * np.eye(4), 3.0 * np.eye(4)]))
+    kinds = Components(np.array([0.6, 0.4]), np.zeros((2, 4)), np.array([0.5 * np.eye(4), 3.0 * np.eye(4)]))
     return Calibration(kinds, errors, Rehearsal(np.array([0.6, 1.8]), np.array([[0.5, 0.5]])))
 
 
@@ -93,7 +93,7 @@ def phantom():
     change = Change(np.array([0.0, 0.1]), (0.1 / size) ** 2 * np.eye(26)[None], errors)
     law = Rehearsal(np.ones(1), np.full((2, 1), 0.5))
     model.calibration = Calibration(
-        Kinds(np.ones(1), np.zeros((1, 26)), np.eye(26)[None]),
+        Components(np.ones(1), np.zeros((1, 26)), np.eye(26)[None]),
         replace(errors, covariances=np.ones((1, 1, 1))),
         Rehearsal(np.ones(1), np.ones((1, 1))),
         change,
@@ -137,7 +137,7 @@ def test_a_shape_that_no_honest_event_has_is_unfamiliar(mesh, calibration):
     signs = np.column_stack([np.random.default_rng(4).exponential(size=(300, 2)), np.zeros((300, 2))])
     for most, trusted in ((1e6, True), (1e-3, False)):
         signs[:, 2] = np.linspace(0.0, most, 300)
-        known = replace(calibration, alone=replace(calibration.alone, honest=Honest.none().beside(signs)))
+        known = replace(calibration, alone=replace(calibration.alone, honest=CalibrationSet.none().beside(signs)))
         reasons = registered(mesh, known)[0].trust.reasons
         assert any(reason.startswith("unfamiliar") for reason in reasons) is not trusted
 

@@ -7,8 +7,8 @@ import tissuereg as tr
 from support.pushes import MATERIAL, TIGHT, body, columns_of
 from tissuereg.body.observe import MarkerObservation
 from tissuereg.registration.contacts.columns import contact_sizes, log_filled
-from tissuereg.registration.contacts.frame import RigidMotion
 from tissuereg.registration.contacts.settings import ContactSettings
+from tissuereg.registration.contacts.state import RigidMotion
 from tissuereg.simulation.sensitivity import Linearised, Observation
 
 

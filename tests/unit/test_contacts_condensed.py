@@ -12,10 +12,10 @@ from tissuereg.body.observe import MarkerObservation
 from tissuereg.registration.contacts.condensed import Condensed
 from tissuereg.registration.contacts.evidence import log_evidence, support_stiffness
 from tissuereg.registration.contacts.fit import Passes, start_of
-from tissuereg.registration.contacts.frame import RigidMotion
+from tissuereg.registration.contacts.measured import MarkerData, ObservedData
 from tissuereg.registration.contacts.places import gathered
-from tissuereg.registration.contacts.seen import MarkerData, ObservedData
 from tissuereg.registration.contacts.settings import ContactSettings
+from tissuereg.registration.contacts.state import RigidMotion
 
 SETTINGS = ContactSettings()
 

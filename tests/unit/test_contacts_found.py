@@ -168,7 +168,7 @@ def test_a_target_that_few_markers_constrain_is_flagged(result):
 def test_the_nodal_forces_hold_the_registered_body(result):
     fit = result.draw.fit
     simulator = fit.columns.body.simulator
-    weight = fit.columns.weight_forces(np.asarray(fit.columns.load(fit.moment.coefficients).body_force))
+    weight = fit.columns.weight_forces(np.asarray(fit.columns.load(fit.state.coefficients).body_force))
     left = simulator.internal_forces(np.ascontiguousarray(result.displacement), MATERIAL) - result.forces - weight
     free = np.setdiff1d(np.arange(push().mesh.n_nodes), simulator.held_nodes)
     assert np.linalg.norm(left[free]) < 1e-5 * np.linalg.norm(result.forces)

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from support.pushes import columns_of
-from tissuereg.registration.contacts.frame import RigidMotion
+from tissuereg.registration.contacts.state import RigidMotion
 
 PLACES = np.random.default_rng(1).uniform(-30.0, 50.0, (12, 3))
 RIGID = np.array([[4.0, -2.0, 11.0], [25.0, 25.0, 25.0]])

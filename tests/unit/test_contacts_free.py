@@ -8,8 +8,8 @@ import pytest
 import tissuereg as tr
 from support import doors
 from support.pushes import ELEMENT, MATERIAL, push
-from tissuereg.registration.contacts.frame import RigidMotion
 from tissuereg.registration.contacts.spread import linear_fields
+from tissuereg.registration.contacts.state import RigidMotion
 
 INNER = {"deep": (40.0, 20.0, 9.0), "near": (24.0, 35.0, 15.0)}
 
@@ -77,13 +77,13 @@ def test_draws_of_a_free_body_move_as_a_whole_as_well(turned: tr.Registration) -
     coefficients = draw.spread.coefficients(np.random.default_rng([0, 8]), 16)
     for field, one in zip(drawn, coefficients, strict=True):
         # Taken back by its own motion, a draw is the equilibrium under its load, in the body's frame.
-        frame = draw.fit.moment.frame.followed_by(draw.fit.columns.frame(one), draw.fit.columns.rigid)
+        frame = draw.fit.state.frame.followed_by(draw.fit.columns.frame(one), draw.fit.columns.rigid)
         back = frame.undo(places(turned, field)) - first
         found = simulator.solve(
             draw.fit.columns.load(one),
             MATERIAL,
             springs=draw.fit.columns.springs,
-            start=draw.fit.moment.displacement,
+            start=draw.fit.state.displacement,
             tolerance=1e-8,
         )
         assert np.abs(back - found.displacement).max() < 1e-3 * np.abs(found.displacement).max()
@@ -100,7 +100,7 @@ def test_nodes_are_as_uncertain_as_points_there_rigid_motion_included(turned: tr
     draw: Any = turned.draw
     fit, nodes = draw.fit, turned.mesh.surface_nodes[::9]
     rows = [(np.array([node]), np.eye(3)[axis : axis + 1]) for node in nodes for axis in range(3)]
-    here = turned.mesh.nodes[nodes] + fit.moment.displacement[nodes]
+    here = turned.mesh.nodes[nodes] + fit.state.displacement[nodes]
     wanted = np.trace(draw.spread.points(rows, here).covariance, axis1=1, axis2=2)
     # As the mean over nodes of variances from 64 draws has it.
     assert np.mean(turned.std[nodes] ** 2) == pytest.approx(wanted.mean(), rel=0.35)

@@ -29,12 +29,12 @@ def passes_with(monkeypatch, residuals):
 def test_the_pass_with_the_smallest_residual_counts_not_the_last(monkeypatch):
     passes = passes_with(monkeypatch, [9.0, 4.0, 6.0, 7.0])
     closest, residuals = passes._approach("start", None, 4)
-    assert closest.moment == 4.0
+    assert closest.state == 4.0
     assert residuals == [9.0, 4.0, 6.0, 7.0]
 
 
 def test_a_limit_point_ends_the_passes_with_the_best_so_far(monkeypatch):
     closest, residuals = passes_with(monkeypatch, [9.0, 5.0, 8.0, None])._approach("start", None, 8)
-    assert (closest.moment, residuals) == (5.0, [9.0, 5.0, 8.0])
+    assert (closest.state, residuals) == (5.0, [9.0, 5.0, 8.0])
     with pytest.raises(ConvergenceError):
         passes_with(monkeypatch, [None])._approach("start", None, 8)

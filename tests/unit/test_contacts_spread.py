@@ -27,7 +27,7 @@ def rows_of(nodes):
 
 
 def places_of(fit, nodes):
-    return fit.columns.body.mesh.nodes[nodes] + fit.moment.displacement[nodes]
+    return fit.columns.body.mesh.nodes[nodes] + fit.state.displacement[nodes]
 
 
 def free_nodes(count):
@@ -48,9 +48,9 @@ def test_the_spread_of_nodes_is_the_covariance_of_points_there(result, spread):
 
 def test_errors_of_the_model_are_slopes_of_solves(spread):
     fit, nodes = spread._fit, free_nodes(4)
-    simulator, load = fit.columns.body.simulator, fit.columns.load(fit.moment.coefficients)
+    simulator, load = fit.columns.body.simulator, fit.columns.load(fit.state.coefficients)
     # At the end itself: the passes may have kept the tangent where the last step began.
-    here, _ = tangent_at(fit.columns, MATERIAL, fit.moment, 1)
+    here, _ = tangent_at(fit.columns, MATERIAL, fit.state, 1)
     exact = Spread(replace(fit, tangent=here), MATERIAL, spread._settings, 1)
     found = exact._by_model(here.compliance(rows_of(nodes))[0])
     assert np.abs(found - spread._by_model(fit.tangent.compliance(rows_of(nodes))[0])).max() < 0.1 * np.abs(found).max()
@@ -59,7 +59,7 @@ def test_errors_of_the_model_are_slopes_of_solves(spread):
 
     def moved(sign, by_young, by_poisson):
         material = tr.Material(young + sign * step * by_young, poisson + sign * step * by_poisson)
-        return simulator.solve(load, material, start=fit.moment.displacement, **TIGHT).displacement[nodes].ravel()
+        return simulator.solve(load, material, start=fit.state.displacement, **TIGHT).displacement[nodes].ravel()
 
     assert found.shape == (12, len(blobs) + 1)
     for k, by_young in [(0, 0.2 * 8.0 * blobs[0]), (7, 0.2 * 8.0 * blobs[7]), (len(blobs), np.zeros(n_tets))]:
@@ -76,13 +76,13 @@ def test_the_errors_of_the_model_have_one_standard_deviation_everywhere(spread):
 def test_the_model_is_part_of_the_covariance_and_markers_take_most_of_it_back(spread):
     fit = spread._fit
     alone = Spread(fit, MATERIAL, replace(spread._settings, unseen_chance=0.0), 1)
-    at_data = alone._by_model(fit.tangent.compliance(fit.posed.rows)[0])
+    at_data = alone._by_model(fit.tangent.compliance(fit.observations.rows)[0])
     for nodes, most in ((push().nodes, 0.35), (free_nodes(10), 1.0)):
         rows = rows_of(nodes)
         compliance = fit.tangent.compliance(rows)[0]
         responses = fit.columns.responses(compliance, places_of(fit, nodes))
         _, gain, means, contacts, *_ = fit.sampler.moments(list(fit.samples), np.ascontiguousarray(responses))
-        off = means - (responses @ fit.moment.coefficients).reshape(-1, 3)
+        off = means - (responses @ fit.state.coefficients).reshape(-1, 3)
         contacts = contacts + np.einsum("pa,pb->pab", off, off)
         model = alone.points(rows, places_of(fit, nodes)).covariance - contacts
         by_model = alone._by_model(compliance)
@@ -125,8 +125,10 @@ def test_room_for_an_unseen_contact_is_in_the_regions(spread):
     # The textbook's covariance of a linear Gaussian model.
     responses = fit.columns.responses(fit.tangent.compliance(rows)[0], places)
     prior = np.diag(unseen_variances(fit.columns.body.patches, spread._settings, fit.columns.n_columns))
-    own = fit.posed.responses
-    left = prior - prior @ own.T @ np.linalg.solve(own @ prior @ own.T + np.diag(fit.posed.variances), own @ prior)
+    own = fit.observations.responses
+    left = prior - prior @ own.T @ np.linalg.solve(
+        own @ prior @ own.T + np.diag(fit.observations.variances), own @ prior
+    )
     wanted = np.einsum("pc,cd,pd->p", responses, left, responses).reshape(-1, 3).sum(axis=1)
     assert whole.unseen_std**2 == pytest.approx(wanted, rel=1e-6)
     before = np.einsum("pc,c,pc->p", responses, np.diag(prior), responses).reshape(-1, 3).sum(axis=1)
@@ -139,7 +141,7 @@ def test_drawn_coefficients_have_the_mean_and_the_gain_of_the_moments(spread):
     mean, gain, *_ = fit.sampler.moments(list(fit.samples), np.zeros((0, fit.columns.n_columns)))
     error = drawn.std(axis=0) / np.sqrt(len(drawn))
     assert (np.abs(drawn.mean(axis=0) - mean) < 6 * error + 1e-12).all()
-    assert gain.shape == (fit.columns.n_columns, len(fit.posed.variances))
+    assert gain.shape == (fit.columns.n_columns, len(fit.observations.variances))
 
 
 @pytest.mark.parametrize("doubt", [{"held": "perhaps"}, {"stiffness": "graded"}])

@@ -12,9 +12,8 @@ from support.pushes import MATERIAL, TIGHT, columns_of, push
 from tissuereg.body.per_mesh import per_mesh
 from tissuereg.errors import ConvergenceError
 from tissuereg.registration.contacts.body import forget_bodies
-from tissuereg.registration.contacts.frame import RigidMotion
-from tissuereg.registration.contacts.moment import BodyState
 from tissuereg.registration.contacts.settings import EFFORT
+from tissuereg.registration.contacts.state import BodyState, RigidMotion
 from tissuereg.registration.contacts.tangent import Tangent, forget_rest, tangent_at
 from tissuereg.registration.readings.skin import skin_of
 

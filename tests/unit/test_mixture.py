@@ -14,11 +14,11 @@ from tissuereg.phantom import phantom_mesh
 from tissuereg.registration.learned.calibrate import RehearsalSettings, _folds, calibrate, field_errors
 from tissuereg.registration.learned.calibration import Calibration, FieldErrors, Rehearsal
 from tissuereg.registration.learned.calibration_file import write_calibration
-from tissuereg.registration.learned.kinds import Kinds
+from tissuereg.registration.learned.components import Components
+from tissuereg.registration.learned.linearise import conditioned
 from tissuereg.registration.learned.mixture import Component, Conditioned, LinearDecoder, condition, log_evidence
 from tissuereg.registration.learned.network import NetworkModel
 from tissuereg.registration.learned.pca import PcaModel
-from tissuereg.registration.learned.relinearise import conditioned
 
 
 def spread_matrix(size, rng):
@@ -40,7 +40,7 @@ def one_component(rng, n_latent=4, n_rows=9, scales=(1.0,)):
 def test_kinds_of_very_different_size_are_told_apart():
     rng = np.random.default_rng(0)
     small, large = 0.05 * rng.standard_normal((600, 5)), 3.0 * rng.standard_normal((300, 5))
-    kinds = Kinds.fit(np.concatenate([small, large]), 2, seed=0)
+    kinds = Components.fit(np.concatenate([small, large]), 2, seed=0)
     order = np.argsort(np.trace(kinds.covariances, axis1=1, axis2=2))
     # A share of 900 codes is exact to 1.6 %, a variance of 300 x 5 numbers to 3.7 %; three standard errors.
     np.testing.assert_allclose(kinds.weights[order], [2 / 3, 1 / 3], atol=0.05)
@@ -294,7 +294,7 @@ def test_a_calibration_in_a_models_folder_is_used_and_one_that_was_altered_is_re
     mesh = phantom_mesh("small")
     assert NetworkModel(folder, mesh).calibration is None
     n = mesh.n_nodes
-    kinds = Kinds(np.ones(1), np.zeros((1, 26)), np.eye(26)[None])
+    kinds = Components(np.ones(1), np.zeros((1, 26)), np.eye(26)[None])
     errors = FieldErrors(np.ones((2, n, 3)), np.eye(2)[None], np.zeros((n, 3)))
     write_calibration(folder, Calibration(kinds, errors, Rehearsal(np.ones(1), np.ones((1, 1)))))
     assert NetworkModel(folder, mesh).calibration is not None

@@ -11,12 +11,11 @@ from tissuereg.body.surface import MOST_POINTS, SurfacePoints, evenly
 from tissuereg.errors import MarkerError, ModelError, SurfaceError
 from tissuereg.registration.contacts.body import ContactBody
 from tissuereg.registration.contacts.columns import Columns
-from tissuereg.registration.contacts.frame import RigidMotion
 from tissuereg.registration.contacts.icp import closest_frame
-from tissuereg.registration.contacts.moment import BodyState
-from tissuereg.registration.contacts.posed import Basis, moving_variances
-from tissuereg.registration.contacts.seen import MarkerData, ObservedData, tail_cost, tail_variance
+from tissuereg.registration.contacts.measured import MarkerData, ObservedData, tail_cost, tail_variance
+from tissuereg.registration.contacts.observations import Basis, moving_variances
 from tissuereg.registration.contacts.settings import MATCHING, ContactSettings
+from tissuereg.registration.contacts.state import BodyState, RigidMotion
 from tissuereg.registration.contacts.supports import Supports
 from tissuereg.registration.contacts.surface_points import PointData, closest_feet, facet_errors
 from tissuereg.registration.readings.clouds import suspect_points
@@ -221,7 +220,7 @@ def test_thirty_markers_projected_and_plain_agree(block_mesh, monkeypatch):
     )
     targets = {"deep": (18.0, 12.0, 22.0), "top": (12.0, 8.0, 34.0)}
     plain = tr.register(block_mesh, markers, targets=targets)
-    monkeypatch.setattr("tissuereg.registration.contacts.seen.MATCHING", replace(MATCHING, most_plain=60))
+    monkeypatch.setattr("tissuereg.registration.contacts.measured.MATCHING", replace(MATCHING, most_plain=60))
     few = tr.register(block_mesh, markers, targets=targets)
     moved = np.linalg.norm(truth, axis=1).mean()
     # Measured at four seeds: 0.021 to 0.026 of the motion, seeds alone 0.005. Heavy tails weigh markers otherwise; what
@@ -235,7 +234,7 @@ def test_thirty_markers_projected_and_plain_agree(block_mesh, monkeypatch):
 
 
 def test_a_wrong_marker_among_many_is_named_by_its_weight(block_mesh, monkeypatch):
-    monkeypatch.setattr("tissuereg.registration.contacts.seen.MATCHING", replace(MATCHING, most_plain=20))
+    monkeypatch.setattr("tissuereg.registration.contacts.measured.MATCHING", replace(MATCHING, most_plain=20))
     top = block_mesh.surface[(block_mesh.nodes[block_mesh.surface][:, :, 2] > 40 - 1e-9).all(axis=1)]
     truth = tr.simulate(block_mesh, tr.Load(traction=(top, (0.2, 0.07, 0.03))), tr.Material(10.0, 0.45)).displacement
     nodes = block_mesh.surface_nodes[block_mesh.nodes[block_mesh.surface_nodes, 2] > 8][::4]

@@ -6,8 +6,8 @@ from typing import Any
 from tissuereg._base.arguments import MOST_COUNTED, check_running, flag, of_kind, real, whole
 from tissuereg._base.choice import check_choice
 from tissuereg.errors import ArgumentError
-from tissuereg.registration.contacts.frame import TRACKERS
 from tissuereg.registration.contacts.settings import ContactSettings
+from tissuereg.registration.contacts.state import TRACKERS
 
 #: How the latents of a trained model are found.
 UPDATES = ("esmda", "gauss-newton")

@@ -117,7 +117,7 @@ def judge(
 
 
 class Shown(Protocol):
-    """Test statistics of a registration; see `tissuereg.registration.learned.signs.Signs`."""
+    """Test statistics of a registration; see `tissuereg.registration.learned.test_statistics.Statistics`."""
 
     @property
     def row(self) -> FloatArray:
@@ -136,7 +136,7 @@ class Shown(Protocol):
 
 
 class Compared(Protocol):
-    """Honest events; see `tissuereg.registration.learned.honest.Honest`."""
+    """Honest events; see `tissuereg.registration.learned.calibration_set.CalibrationSet`."""
 
     def p_value(self, signs: FloatArray) -> float:
         """Return the share of honest events whose rarest sign is as rare as that of signs (4,)."""

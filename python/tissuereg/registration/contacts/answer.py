@@ -10,10 +10,10 @@ from tissuereg.body.mesh import det_f
 from tissuereg.registration.contacts.draws import Draws, NodesOfContacts
 from tissuereg.registration.contacts.fit import ContactFit
 from tissuereg.registration.contacts.found import find_contacts
-from tissuereg.registration.contacts.moment import BodyState
+from tissuereg.registration.contacts.measured import MarkerData
 from tissuereg.registration.contacts.result import ContactRegistration
-from tissuereg.registration.contacts.seen import MarkerData
 from tissuereg.registration.contacts.spread import Points, Spread
+from tissuereg.registration.contacts.state import BodyState
 from tissuereg.registration.contacts.surface_fit import SurfaceFit
 from tissuereg.registration.contacts.surface_points import PointData
 from tissuereg.registration.inputs import RegisterInput, rms_length
@@ -43,19 +43,19 @@ class Known:
 
 def known_of(given: RegisterInput, fit: ContactFit, spread: Spread) -> Known:
     """Return the registered targets and markers."""
-    moment, observed, inner = fit.moment, given.observed, given.targets
+    state, observed, inner = fit.state, given.observed, given.targets
     n_targets = len(inner.names)
     seen = np.isfinite(given.markers.measured).any(axis=1)
     counts = np.asarray(seen & (fit.wrong < given.settings.contacts.report.wrong))
     used, lost = np.flatnonzero(counts), np.flatnonzero(~counts)
-    here = moment.displacement[observed.nodes]
-    moved = np.concatenate([inner.predict(moment.displacement[inner.nodes]), observed.predict(here)])
+    here = state.displacement[observed.nodes]
+    moved = np.concatenate([inner.predict(state.displacement[inner.nodes]), observed.predict(here)])
     reference = np.concatenate([inner.reference.reshape(-1, 3), given.markers.reference])
     of_markers = observed.rows(here) if len(lost) else []
     rows = [*inner.rows(), *(of_markers[3 * marker + axis] for marker in lost for axis in range(3))]
     some = np.concatenate([np.arange(n_targets), n_targets + lost])
     points = spread.points(rows, (reference + moved)[some])
-    return Known(used, lost, moment.frame.apply(reference + moved) - reference, points)
+    return Known(used, lost, state.frame.apply(reference + moved) - reference, points)
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,8 +94,8 @@ class Answer:
     def registration(self, clock: Clock) -> ContactRegistration:
         """Return the result."""
         given, fit, markers = self.given, self.fit, self.given.markers
-        mesh, moment, names = given.mesh, fit.moment, given.markers.names
-        body = moment.displacement[: mesh.n_nodes]
+        mesh, state, names = given.mesh, fit.state, given.markers.names
+        body = state.displacement[: mesh.n_nodes]
         fitted = self._of_markers(self.known.displacement)
         used, lost = self.known.used, self.known.lost
         some = np.asarray(np.isfinite(markers.measured).any(axis=1))
@@ -103,7 +103,7 @@ class Answer:
         unseen = [self._unseen(k, start_displacement[i]) for k, i in enumerate(lost)]
         return ContactRegistration(
             body=given.body,
-            displacement=moment.frame.apply(mesh.nodes + body) - mesh.nodes,
+            displacement=state.frame.apply(mesh.nodes + body) - mesh.nodes,
             nodes=self.nodes,
             targets=self._targets(),
             unseen={names[i]: target for i, target in zip(lost, unseen, strict=True)},
@@ -190,7 +190,7 @@ class Answer:
         part grows there, in this test alone. `moved` is the length of each marker's motion, mm.
         """
         settings, observed = self.given.settings.contacts, self.given.observed
-        local = observed.variation(self.fit.moment.displacement[observed.nodes])
+        local = observed.variation(self.fit.state.displacement[observed.nodes])
         model = (settings.model_error * moved) ** 2 + (settings.local_error * local) ** 2
         return np.asarray(self.given.markers.axis_std**2 + model[:, None])
 
@@ -201,7 +201,7 @@ class Answer:
         notes += [] if surface is None else surface.reasons(given.settings.contacts.report)
         points = (0.0, 0) if surface is None else (surface.misfit, surface.used)
         residual = markers.displacement[used] - self._of_markers(self.known.displacement)[used]
-        moved = MarkerData(given.observed, markers, given.settings.contacts.model_error).moved(fit.moment.frame)
+        moved = MarkerData(given.observed, markers, given.settings.contacts.model_error).moved(fit.state.frame)
         variance = self._residual_variance(moved)[used].ravel()
         # Wrong markers were detected with the contacts; here each residual is compared with its noise alone.
         spread = np.zeros((3 * len(used), 3 * len(used)))
@@ -229,8 +229,8 @@ def surface_fit(given: RegisterInput, points: PointData | None, start: BodyState
 
 def _forces(fit: ContactFit) -> FloatArray:
     """Return the nodal forces (n_nodes, 3) of the mean load in the tracker's frame, mN."""
-    forces = np.asarray(fit.columns.load(fit.moment.coefficients).forces)
-    return np.asarray(forces[: fit.columns.body.mesh.n_nodes] @ fit.moment.frame.rotation.T)
+    forces = np.asarray(fit.columns.load(fit.state.coefficients).forces)
+    return np.asarray(forces[: fit.columns.body.mesh.n_nodes] @ fit.state.frame.rotation.T)
 
 
 __all__ = ["Answer", "Known", "known_of", "surface_fit"]

@@ -11,8 +11,8 @@ from tissuereg.errors import ConvergenceError
 from tissuereg.registration.contacts.columns import Columns
 from tissuereg.registration.contacts.draws import Draws
 from tissuereg.registration.contacts.fit import Samples
-from tissuereg.registration.contacts.moment import BodyState
 from tissuereg.registration.contacts.settings import DISCRETISATION
+from tissuereg.registration.contacts.state import BodyState
 from tissuereg.registration.contacts.tangent import Tangent
 from tissuereg.simulation.sensitivity import Cause
 
@@ -25,7 +25,7 @@ class Carried:
     ----------
     columns : Columns
         Causes, with the stiffness of doubtful supports that was found.
-    moment : BodyState
+    state : BodyState
         The equilibrium under the mean load.
     samples : tuple of ndarray
         Slots, levels and wrong markers of every sample; the last has a column for each marker of the next moment.
@@ -42,7 +42,7 @@ class Carried:
     """
 
     columns: Columns
-    moment: BodyState
+    state: BodyState
     samples: Samples
     tangent: Tangent
     material: Material
@@ -72,7 +72,7 @@ class Carried:
         every[:, before] = wrong
         samples = (slots, levels, np.ascontiguousarray(every[:, now]))
         left = min(fit.residual_rms)
-        return cls(fit.columns, fit.moment, samples, fit.tangent, draw.material, list(draw.further), left, draw.moments)
+        return cls(fit.columns, fit.state, samples, fit.tangent, draw.material, list(draw.further), left, draw.moments)
 
     def columns_for(self, columns: Columns) -> Columns | None:
         """Return the columns of the next moment with what was found; None if body or causes are others."""
@@ -95,11 +95,11 @@ class Carried:
         BodyState or None
             None if that load has no equilibrium near the state before.
         """
-        coefficients = self.moment.coefficients
+        coefficients = self.state.coefficients
         if _differ(columns, self.columns, coefficients) <= DISCRETISATION.same_load:
-            return self.moment
+            return self.state
         try:
-            return BodyState(coefficients, solve(coefficients), self.moment.frame)
+            return BodyState(coefficients, solve(coefficients), self.state.frame)
         except ConvergenceError:
             return None
 

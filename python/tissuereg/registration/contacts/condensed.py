@@ -18,9 +18,9 @@ import numpy as np
 from tissuereg._base.arrays import FloatArray, IntArray
 from tissuereg.registration.contacts.columns import Columns
 from tissuereg.registration.contacts.fit import Passes, start_of
-from tissuereg.registration.contacts.frame import RigidMotion
 from tissuereg.registration.contacts.places import gathered
 from tissuereg.registration.contacts.settings import DISCRETISATION
+from tissuereg.registration.contacts.state import RigidMotion
 from tissuereg.registration.contacts.tangent import Row
 
 
@@ -137,9 +137,9 @@ class Condensed:
         start = start_of(columns, passes.material, None, frame, passes.threads)
         tangent = passes.linear.tangent(start)
         reading = passes.seen.read(start)
-        posed = passes.linear.posed(tangent, reading, start.coefficients, passes.seen)
+        observations = passes.linear.observations(tangent, reading, start.coefficients, passes.seen)
         cells = Cells.of(body.mesh.nodes, [triangles for triangles, _ in body.springs])
-        own, solved = tangent.compliance(posed.rows)
+        own, solved = tangent.compliance(observations.rows)
         whole, more = tangent.compliance(cells.rows)
         passes.counters["right_hand_sides"] += solved + more
         n_nodes = body.mesh.n_nodes
@@ -155,9 +155,9 @@ class Condensed:
             cells,
             known,
             unit * cells.areas,
-            posed.innovation,
-            posed.variances,
-            np.concatenate([posed.responses, by_causes]),
+            observations.innovation,
+            observations.variances,
+            np.concatenate([observations.responses, by_causes]),
             (cells.weights @ start.displacement[:n_nodes]).ravel(),
             by_cell[0],
             0.5 * (by_cell[1] + by_cell[1].T),

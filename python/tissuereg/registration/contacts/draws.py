@@ -9,8 +9,8 @@ from tissuereg._base.arrays import FloatArray
 from tissuereg.body.material import Material
 from tissuereg.errors import ConvergenceError
 from tissuereg.registration.contacts.fit import ContactFit
-from tissuereg.registration.contacts.frame import RigidMotion
 from tissuereg.registration.contacts.spread import Spread
+from tissuereg.registration.contacts.state import RigidMotion
 from tissuereg.simulation.sensitivity import Cause
 
 
@@ -57,7 +57,7 @@ class Draws:
         found = simulator.solve_many(
             [fit.columns.load(one) for one in coefficients],
             [self.material] * count,
-            start=fit.moment.displacement,
+            start=fit.state.displacement,
             springs=fit.columns.springs,
             threads=self.threads,
             tolerance=1e-6,
@@ -74,7 +74,7 @@ class Draws:
 
     def _frame(self, coefficients: FloatArray) -> RigidMotion:
         columns = self.fit.columns
-        first = self.fit.moment.frame if columns.body.supports.moves else RigidMotion.still()
+        first = self.fit.state.frame if columns.body.supports.moves else RigidMotion.still()
         return first.followed_by(columns.frame(coefficients), columns.rigid)
 
 

@@ -13,8 +13,8 @@ from tissuereg._base.arrays import FloatArray
 from tissuereg.registration.contacts.columns import Columns
 from tissuereg.registration.contacts.condensed import Condensed
 from tissuereg.registration.contacts.fit import Passes, start_of
-from tissuereg.registration.contacts.frame import RigidMotion
 from tissuereg.registration.contacts.settings import EvidenceSettings
+from tissuereg.registration.contacts.state import RigidMotion
 
 
 def log_evidence(passes: Passes, frame: RigidMotion) -> float:
@@ -33,7 +33,7 @@ def log_evidence(passes: Passes, frame: RigidMotion) -> float:
         At the best sizes, with their prior.
     """
     start = start_of(passes.columns, passes.material, None, frame, passes.threads)
-    problem = passes.posed(start)
+    problem = passes.observations(start)
     settings = passes.settings.evidence
     parts = _parts(passes.columns, problem.responses, settings)
     return _best_over_sizes(problem.innovation, np.diag(problem.variances), parts, settings)

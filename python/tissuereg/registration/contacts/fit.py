@@ -19,12 +19,11 @@ from tissuereg.body.load import Load
 from tissuereg.body.material import Material
 from tissuereg.errors import ConvergenceError
 from tissuereg.registration.contacts.columns import Columns
-from tissuereg.registration.contacts.frame import RigidMotion
 from tissuereg.registration.contacts.linear import AtBody, Linearisation
-from tissuereg.registration.contacts.moment import BodyState
-from tissuereg.registration.contacts.posed import LinearObservations
-from tissuereg.registration.contacts.seen import ObservedData
+from tissuereg.registration.contacts.measured import ObservedData
+from tissuereg.registration.contacts.observations import LinearObservations
 from tissuereg.registration.contacts.settings import DISCRETISATION, ContactSettings, PassSettings
+from tissuereg.registration.contacts.state import BodyState, RigidMotion
 from tissuereg.registration.contacts.tangent import Tangent
 
 Samples = tuple[Any, Any, Any]
@@ -38,7 +37,7 @@ class _Pass:
     it, `misfit` the mean over samples of the squared Mahalanobis length of the innovation.
     """
 
-    moment: BodyState
+    state: BodyState
     samples: Samples
     at: AtBody
     residual: float
@@ -66,11 +65,11 @@ class ContactFit:
     ----------
     columns : Columns
         Causes.
-    moment : BodyState
+    state : BodyState
         The equilibrium under the mean load.
     tangent : Tangent
         The tangent there, or at the start of the last step if that step ended as its linear model predicted.
-    posed : LinearObservations
+    observations : LinearObservations
         Data at that tangent, in the sampler's form.
     sampler : _core.Contacts
         Dictionary, prior and data there.
@@ -87,9 +86,9 @@ class ContactFit:
     """
 
     columns: Columns
-    moment: BodyState
+    state: BodyState
     tangent: Tangent
-    posed: LinearObservations
+    observations: LinearObservations
     sampler: Any
     samples: Samples
     wrong: FloatArray
@@ -171,7 +170,7 @@ class Passes:
             found = self._from(start, self._stages(full, width))
             if best is None or found[0].residual < best[0].residual:
                 best = found
-            if full.outliers(found[0].moment) < self.steps.most_outliers:
+            if full.outliers(found[0].state) < self.steps.most_outliers:
                 break
         if best is None:
             message = "at least one width must be tried"
@@ -185,20 +184,20 @@ class Passes:
         if last.ended_as_predicted(self.steps.as_predicted) and not full.rematches:
             return last.at
         try:
-            return self.linear.at(last.moment, full)
+            return self.linear.at(last.state, full)
         except ConvergenceError:
             return last.at
 
     def _from(self, start: BodyState, stages: list[tuple[ObservedData, int]]) -> tuple["_Pass", list[float]]:
         """Return the closest pass from a start, and the cost after each pass."""
-        last, moment, history = None, start, list[float]()
+        last, state, history = None, start, list[float]()
         samples = None if self.seen.weighed or self.seen.rematches else self.before
         for seen, most in stages:
             if self.seen.weighed != seen.weighed:
                 samples = None  # samples of markers with indicators do not fit weights
             self.seen = seen
-            last, reached = self._approach(moment, samples, most)
-            moment, samples = last.moment, last.samples
+            last, reached = self._approach(state, samples, most)
+            state, samples = last.state, last.samples
             history += reached
         if last is None:
             message = "at least one pass must be allowed"
@@ -213,19 +212,19 @@ class Passes:
         # Markers have labels: they bring the body close before points are matched.
         return stages if full.markers is None else [(ObservedData.of(full.markers), self.steps.marker_passes), *stages]
 
-    def _approach(self, moment: BodyState, samples: Samples | None, most: int) -> tuple["_Pass", list[float]]:
+    def _approach(self, state: BodyState, samples: Samples | None, most: int) -> tuple["_Pass", list[float]]:
         """Return the pass with the smallest residual of at most `most` passes, and all residuals."""
         reached: list[_Residuals] = []
         closest: _Pass | None = None
         while len(reached) < max(most, 1) and not self._ended(reached):
             try:
-                made = self._one_pass(moment, samples)
+                made = self._one_pass(state, samples)
             except ConvergenceError:
                 # There is no tangent at a limit point: use the passes so far.
                 if closest is None:
                     raise
                 break
-            moment, samples = made.moment, made.samples
+            state, samples = made.state, made.samples
             reached.append(_Residuals(made.residual, made.predicted))
             # Past a limit point of the load passes may lead away again: the best one is kept, and only that one, since
             # each holds a factor.
@@ -239,20 +238,20 @@ class Passes:
         assert closest is not None  # the loop runs once at least
         return closest, [one.residual for one in reached]
 
-    def _one_pass(self, moment: BodyState, samples: Samples | None) -> "_Pass":
+    def _one_pass(self, state: BodyState, samples: Samples | None) -> "_Pass":
         """Return the pass that begins at a body, with samples that go on from those before."""
-        at = self.linear.at(moment, self.seen)
+        at = self.linear.at(state, self.seen)
         drawn = self._sample(at.sampler, samples)
         with self.clock.stage("solve"):
             wanted, misfit = self._mean(at, drawn)
-            predicted = _predicted_residual(at.posed, wanted, drawn)
-            reached = self._solve(at, drawn, moment, wanted)
+            predicted = _predicted_residual(at.observations, wanted, drawn)
+            reached = self._solve(at, drawn, state, wanted)
         return _Pass(reached, drawn, at, self.residual_rms(reached, drawn), predicted, misfit)
 
-    def posed(self, moment: BodyState) -> LinearObservations:
+    def observations(self, state: BodyState) -> LinearObservations:
         """Return the data at a body with their responses to the columns."""
-        tangent = self.linear.tangent(moment)
-        return self.linear.posed(tangent, self.seen.read(moment), moment.coefficients, self.seen)
+        tangent = self.linear.tangent(state)
+        return self.linear.observations(tangent, self.seen.read(state), state.coefficients, self.seen)
 
     def _sample(self, core: Any, before: Samples | None) -> Samples:
         settings = self.settings
@@ -285,16 +284,16 @@ class Passes:
         found = at.sampler.moments(list(samples), no_points, threads=self.threads)
         return found[0], float(found[5])
 
-    def _solve(self, at: AtBody, samples: Samples, moment: BodyState, wanted: FloatArray) -> BodyState:
+    def _solve(self, at: AtBody, samples: Samples, state: BodyState, wanted: FloatArray) -> BodyState:
         """Return the equilibrium under the wanted coefficients, or after the longest step that reduces the residual."""
         steps, matched = self.steps, not self.seen.rematches
         share, decrease = 1.0, steps.decrease if matched else steps.decrease_unmatched
         # Points are matched anew, but keep the weights for which the step was predicted.
-        std = self.seen.read(moment).std if self.seen.rough else None
-        before = self.residual_rms(moment, samples, std)
+        std = self.seen.read(state).std if self.seen.rough else None
+        before = self.residual_rms(state, samples, std)
         best: tuple[float, BodyState] | None = None
         while share > (steps.shortest if matched or best is None else steps.shortest_unmatched):
-            found = self._towards(at.tangent, moment, moment.coefficients + share * (wanted - moment.coefficients))
+            found = self._towards(at.tangent, state, state.coefficients + share * (wanted - state.coefficients))
             if found is not None:
                 residual = self.residual_rms(found, samples, std)
                 if best is None or residual < best[0]:
@@ -307,10 +306,10 @@ class Passes:
         if best is None or (best[0] >= before and self.seen.rematches):
             # No load on the way has an equilibrium, or none reduces the residual: the next samples may.
             self.counters["stuck_passes"] += 1
-            return moment
+            return state
         return best[1]
 
-    def _towards(self, tangent: Tangent, moment: BodyState, coefficients: FloatArray) -> BodyState | None:
+    def _towards(self, tangent: Tangent, state: BodyState, coefficients: FloatArray) -> BodyState | None:
         """Return the equilibrium under coefficients; None where there is none."""
         try:
             load = self.columns.load(coefficients)
@@ -330,12 +329,12 @@ class Passes:
             return BodyState(
                 coefficients, found.all_displacement, RigidMotion.still().followed_by(turned, self.columns.rigid)
             )
-        frame = moment.frame.followed_by(turned, self.columns.rigid)
+        frame = state.frame.followed_by(turned, self.columns.rigid)
         return BodyState(self.columns.without_frame(coefficients), found.all_displacement, frame)
 
-    def residual_rms(self, moment: BodyState, samples: Samples, std: FloatArray | None = None) -> float:
+    def residual_rms(self, state: BodyState, samples: Samples, std: FloatArray | None = None) -> float:
         """Return the root mean square residual over standard deviations, observations weighted by not being wrong."""
-        reading = self.seen.read(moment)
+        reading = self.seen.read(state)
         if std is not None:
             return float(np.sqrt(np.mean((reading.residual / std) ** 2)))
         weights = np.ones(len(reading.cost))
@@ -359,12 +358,12 @@ class Passes:
 
     def _fit(self, last: "_Pass", at: AtBody, history: list[float]) -> ContactFit:
         misfit = last.misfit if at is last.at else self._mean(at, last.samples)[1]
-        wrong = self._wrong(last.moment, last.samples)
+        wrong = self._wrong(last.state, last.samples)
         return ContactFit(
             self.columns,
-            last.moment,
+            last.state,
             at.tangent,
-            at.posed,
+            at.observations,
             at.sampler,
             last.samples,
             wrong,
@@ -373,7 +372,7 @@ class Passes:
             self.counters,
         )
 
-    def _wrong(self, moment: BodyState, samples: Samples) -> FloatArray:
+    def _wrong(self, state: BodyState, samples: Samples) -> FloatArray:
         """Return the probability that each marker is wrong, (n_markers,); zero for markers that were not seen."""
         markers = self.seen.markers
         if markers is None:
@@ -382,7 +381,7 @@ class Passes:
         found = samples[2].mean(axis=0)
         if self.seen.weighed:
             spread = self.settings.wrong_share * self.columns.body.mesh.extent
-            found = markers.wrong(moment, float(np.log(self.settings.wrong_odds)), spread)
+            found = markers.wrong(state, float(np.log(self.settings.wrong_odds)), spread)
         wrong[np.unique(markers.rows // 3)] = found
         return wrong
 

@@ -91,7 +91,7 @@ def _next(fit: ContactFit, slots: Any, left: BoolArray) -> tuple[FoundContact, B
     weights = count[members] / count[members].sum()
     centre = weights @ patches.centres[members]
     radius = float(weights @ patches.radii[members])
-    force = fit.moment.frame.rotation @ _force(fit, centre, radius)
+    force = fit.state.frame.rotation @ _force(fit, centre, radius)
     size = float(np.linalg.norm(force))
     nodes = fit.columns.body.mesh.surface_nodes
     node = nodes[np.argmin(np.linalg.norm(fit.columns.body.mesh.nodes[nodes] - centre, axis=1))]
@@ -99,7 +99,7 @@ def _next(fit: ContactFit, slots: Any, left: BoolArray) -> tuple[FoundContact, B
         centre,
         radius,
         force / max(size, 1e-300),
-        float(np.linalg.norm(fit.moment.displacement[node])),
+        float(np.linalg.norm(fit.state.displacement[node])),
         size,
         float(taken.any(axis=1).mean()),
     ), taken
@@ -109,6 +109,6 @@ def _force(fit: ContactFit, centre: FloatArray, radius: float) -> FloatArray:
     """Return the mean force on the surface within a ball, mN."""
     columns = fit.columns
     within = np.linalg.norm(columns.body.mesh.nodes - centre, axis=1) <= 1.2 * radius
-    loads = columns.load(fit.moment.coefficients)
+    loads = columns.load(fit.state.coefficients)
     forces = np.asarray(loads.forces)[: columns.body.mesh.n_nodes]
     return np.asarray(forces[within].sum(axis=0))

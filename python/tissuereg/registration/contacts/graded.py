@@ -18,7 +18,7 @@ from tissuereg.body.material import Material
 from tissuereg.body.mesh import Mesh
 from tissuereg.registration.contacts.evidence import log_evidence
 from tissuereg.registration.contacts.fit import Passes
-from tissuereg.registration.contacts.frame import RigidMotion
+from tissuereg.registration.contacts.state import RigidMotion
 
 #: Values of `stiffness`.
 STIFFNESS = ("believed", "graded")

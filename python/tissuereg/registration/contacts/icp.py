@@ -5,8 +5,8 @@ import numpy as np
 from tissuereg._base.arrays import FloatArray
 from tissuereg.body.mesh import Mesh
 from tissuereg.body.surface import evenly
-from tissuereg.registration.contacts.frame import RigidMotion
 from tissuereg.registration.contacts.settings import MATCHING
+from tissuereg.registration.contacts.state import RigidMotion
 from tissuereg.registration.contacts.surface_points import closest_feet
 
 

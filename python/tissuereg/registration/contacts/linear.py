@@ -10,10 +10,10 @@ from tissuereg._base.arrays import FloatArray
 from tissuereg._base.clock import Clock
 from tissuereg.body.material import Material
 from tissuereg.registration.contacts.columns import Columns, sampler
-from tissuereg.registration.contacts.moment import BodyState
-from tissuereg.registration.contacts.posed import Basis, LinearObservations, moving_variances, plain, projected
-from tissuereg.registration.contacts.seen import Observations, ObservedData
+from tissuereg.registration.contacts.measured import Observations, ObservedData
+from tissuereg.registration.contacts.observations import Basis, LinearObservations, moving_variances, plain, projected
 from tissuereg.registration.contacts.settings import MATCHING, ContactSettings
+from tissuereg.registration.contacts.state import BodyState
 from tissuereg.registration.contacts.tangent import Row, Tangent, tangent_at
 
 
@@ -25,14 +25,14 @@ class AtBody:
     ----------
     tangent : Tangent
         The linearised equilibrium.
-    posed : LinearObservations
+    observations : LinearObservations
         Observations with their responses to the columns.
     sampler : _core.Contacts
         Dictionary, prior and data.
     """
 
     tangent: Tangent
-    posed: LinearObservations
+    observations: LinearObservations
     sampler: Any
 
 
@@ -67,27 +67,31 @@ class Linearisation:
     kept: Tangent | None = None
     _basis: tuple[ObservedData, Basis] | None = field(default=None, repr=False)
 
-    def at(self, moment: BodyState, seen: ObservedData) -> AtBody:
+    def at(self, state: BodyState, seen: ObservedData) -> AtBody:
         """Return data, tangent and sampler at a body."""
-        tangent = self.tangent(moment)
+        tangent = self.tangent(state)
         with self.clock.stage("match"):
-            reading = seen.read(moment)
-        posed = self.posed(tangent, reading, moment.coefficients, seen)
+            reading = seen.read(state)
+        observations = self.observations(tangent, reading, state.coefficients, seen)
         with self.clock.stage("prepare"):
-            data = {"innovation": posed.innovation, "noise": np.diag(posed.variances), "groups": posed.groups}
-            return AtBody(tangent, posed, sampler(self.columns, self.settings, posed.responses, data))
+            data = {
+                "innovation": observations.innovation,
+                "noise": np.diag(observations.variances),
+                "groups": observations.groups,
+            }
+            return AtBody(tangent, observations, sampler(self.columns, self.settings, observations.responses, data))
 
-    def tangent(self, moment: BodyState) -> Tangent:
+    def tangent(self, state: BodyState) -> Tangent:
         """Return the tangent at a body, or, once, the one that was kept."""
         if self.kept is not None:
             found, self.kept = self.kept, None
             return found
         with self.clock.stage("linearise"):
-            found, factored = tangent_at(self.columns, self.material, moment, self.threads)
+            found, factored = tangent_at(self.columns, self.material, state, self.threads)
         self.counters["factorisations"] += factored
         return found
 
-    def posed(
+    def observations(
         self, tangent: Tangent, reading: Observations, coefficients: FloatArray, seen: ObservedData
     ) -> LinearObservations:
         """Return observations as they are, or, if they are many, a projection that keeps nearly all information."""

@@ -18,15 +18,14 @@ from tissuereg.registration.contacts.columns import Columns, spring_stiffness
 from tissuereg.registration.contacts.draws import Draws, NodesOfContacts
 from tissuereg.registration.contacts.evidence import support_stiffness
 from tissuereg.registration.contacts.fit import ContactFit, Passes, start_of
-from tissuereg.registration.contacts.frame import RigidMotion
 from tissuereg.registration.contacts.graded import grade
 from tissuereg.registration.contacts.icp import closest_frame
-from tissuereg.registration.contacts.moment import BodyState
+from tissuereg.registration.contacts.measured import MarkerData, ObservedData
 from tissuereg.registration.contacts.result import ContactRegistration
-from tissuereg.registration.contacts.seen import MarkerData, ObservedData
 from tissuereg.registration.contacts.settings import DISCRETISATION, ContactSettings
 from tissuereg.registration.contacts.size import announce
 from tissuereg.registration.contacts.spread import Spread
+from tissuereg.registration.contacts.state import BodyState, RigidMotion
 from tissuereg.registration.contacts.supports import Supports
 from tissuereg.registration.contacts.surface_points import PointData
 from tissuereg.registration.inputs import RegisterInput
@@ -107,7 +106,7 @@ def register_by_contacts(
         with clock.stage("ensemble"):
             fields = draw(given.settings.ensemble)
     nodes = NodesOfContacts(spread, given.seed, fields)
-    fared = surface_fit(given, points, found.start, found.fit.moment)
+    fared = surface_fit(given, points, found.start, found.fit.state)
     return Answer(given, found.fit, found.start, believed.any_load, known, nodes, draw, fared).registration(clock)
 
 

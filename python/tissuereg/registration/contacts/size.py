@@ -2,7 +2,7 @@
 
 from tissuereg._base.clock import Clock
 from tissuereg.registration.contacts.body import ContactBody
-from tissuereg.registration.contacts.seen import ObservedData
+from tissuereg.registration.contacts.measured import ObservedData
 from tissuereg.registration.contacts.settings import EFFORT, MATCHING
 from tissuereg.registration.inputs import RegisterInput
 from tissuereg.simulation.size import BodySize, Estimate, Work

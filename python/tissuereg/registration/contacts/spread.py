@@ -71,7 +71,7 @@ class Spread:
         scales = np.array([1.0] * len(errors) + [scale for _, scale in further])
         causes = [*errors, *(cause for cause, _ in further)]
         self._model_forces = _forces_of_errors(fit, (causes, scales), _support_errors(fit, settings))
-        self._model_at_data = self._by_model(self._compliance(fit.posed.rows))
+        self._model_at_data = self._by_model(self._compliance(fit.observations.rows))
         self._suggested: FloatArray | None = None
         self._unseen_variances = unseen_variances(fit.columns.body.patches, settings, fit.columns.n_columns)
 
@@ -120,13 +120,13 @@ class Spread:
         responses = fit.columns.responses(compliance, places)
         means, covariance, suggested = self._moments(responses)
         # Second moment about the answer, which is not quite the mean of the last linearisation.
-        off = means - (responses @ fit.moment.coefficients).reshape(-1, 3)
+        off = means - (responses @ fit.state.coefficients).reshape(-1, 3)
         covariance = covariance + np.einsum("pa,pb->pab", off, off)
         remaining = self._by_model(compliance) - responses @ suggested
         remaining = remaining.reshape(len(places), 3, len(self._model_forces))
         covariance = covariance + np.einsum("pak,pbk->pab", remaining, remaining)
         unseen, constrained = self._unseen(responses)
-        turn = fit.moment.frame.rotation
+        turn = fit.state.frame.rotation
         covariance = covariance + self._settings.unseen_chance * unseen
         std = np.sqrt(np.maximum(np.trace(unseen, axis1=1, axis2=2), 0.0))
         return Points(turn @ covariance @ turn.T, constrained, std)
@@ -134,14 +134,14 @@ class Spread:
     @cached_property
     def _under_unseen(self) -> FloatArray:
         """Cholesky factor (n_obs, n_obs) of the covariance of the observations under one more contact alone."""
-        own = self._fit.posed.responses
+        own = self._fit.observations.responses
         return np.asarray(
-            np.linalg.cholesky((own * self._unseen_variances) @ own.T + np.diag(self._fit.posed.variances))
+            np.linalg.cholesky((own * self._unseen_variances) @ own.T + np.diag(self._fit.observations.variances))
         )
 
     def _unseen(self, responses: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the covariance (n, 3, 3) of points under one more contact given the markers, and the share removed."""
-        cross = (responses * self._unseen_variances) @ self._fit.posed.responses.T
+        cross = (responses * self._unseen_variances) @ self._fit.observations.responses.T
         taken = np.linalg.solve(self._under_unseen, cross.T).T.reshape(len(cross) // 3, 3, cross.shape[1])
         scaled = (responses * np.sqrt(self._unseen_variances)).reshape(len(taken), 3, responses.shape[1])
         before, after = (np.matmul(part, np.moveaxis(part, 1, 2)) for part in (scaled, taken))
@@ -151,9 +151,9 @@ class Spread:
 
     def _unseen_draws(self, rng: np.random.Generator, count: int) -> FloatArray:
         """Return coefficients (count, n_columns) of one more contact, drawn given that the markers detected none."""
-        own, variances = self._fit.posed.responses, self._unseen_variances
+        own, variances = self._fit.observations.responses, self._unseen_variances
         drawn = np.sqrt(variances) * rng.standard_normal((count, len(variances)))
-        seen = drawn @ own.T + np.sqrt(self._fit.posed.variances) * rng.standard_normal((count, len(own)))
+        seen = drawn @ own.T + np.sqrt(self._fit.observations.variances) * rng.standard_normal((count, len(own)))
         half = np.linalg.solve(self._under_unseen, seen.T)
         return np.asarray(drawn - (variances * (own.T @ np.linalg.solve(self._under_unseen.T, half)).T))
 
@@ -173,10 +173,10 @@ class Spread:
             mm^2, contacts and model, tracker's frame. Cost: one right-hand side per draw.
         """
         fit = self._fit
-        turn = fit.moment.frame.rotation
+        turn = fit.state.frame.rotation
         drawn = np.zeros((self._settings.n_draws, fit.columns.n_columns))
         if fields is None:
-            drawn = self.coefficients(rng, self._settings.n_draws) - fit.moment.coefficients
+            drawn = self.coefficients(rng, self._settings.n_draws) - fit.state.coefficients
         errors = rng.standard_normal((len(drawn), len(self._model_forces)))
         suggested = self._suggested
         if suggested is None:
@@ -198,7 +198,7 @@ class Spread:
     def coefficients(self, rng: np.random.Generator, count: int) -> FloatArray:
         """Return coefficients drawn from the posterior, shape (count, n_columns)."""
         fit = self._fit
-        n_obs, n_samples = len(fit.posed.variances), len(fit.samples[0])
+        n_obs, n_samples = len(fit.observations.variances), len(fit.samples[0])
         order = (
             (np.arange(count) * max(1, n_samples // count)) % n_samples if count < n_samples else np.arange(n_samples)
         )
@@ -241,7 +241,7 @@ def linear_fields(fit: ContactFit, change: FloatArray, forces: FloatArray) -> Fl
     total = forces + columns.forces(change)
     fields = fit.tangent.linearised.responses(np.ascontiguousarray(total))
     if columns.moves:
-        places = columns.body.simulator.body.nodes + fit.moment.displacement
+        places = columns.body.simulator.body.nodes + fit.state.displacement
         rigid = columns.rigid_field(places)
         frames = np.stack([columns.frame(one) for one in change])
         fields = fields + np.tensordot(frames, rigid, 1)
@@ -264,7 +264,7 @@ def _support_errors(fit: ContactFit, settings: ContactSettings) -> FloatArray:
     simulator = columns.body.simulator
     if columns.body.base is None or columns.springs is None:
         return np.zeros((0, simulator.body.n_nodes, 3))
-    forces = np.asarray(simulator.spring_forces(fit.moment.displacement, springs=columns.springs)).sum(axis=0)
+    forces = np.asarray(simulator.spring_forces(fit.state.displacement, springs=columns.springs)).sum(axis=0)
     nodes = np.flatnonzero(np.abs(forces).max(axis=1) > 0.0)
     if not len(nodes):
         return np.zeros((0, simulator.body.n_nodes, 3))

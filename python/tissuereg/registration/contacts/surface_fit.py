@@ -7,8 +7,8 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray, IntArray
 from tissuereg.body.surface import SurfacePoints
-from tissuereg.registration.contacts.moment import BodyState
 from tissuereg.registration.contacts.settings import MATCHING, ReportSettings
+from tissuereg.registration.contacts.state import BodyState
 from tissuereg.registration.contacts.surface_points import PointData
 
 

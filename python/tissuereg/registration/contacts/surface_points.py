@@ -17,9 +17,9 @@ import numpy as np
 from tissuereg._base.arrays import FloatArray, IntArray
 from tissuereg.body.mesh import Mesh
 from tissuereg.body.surface import SurfacePoints, evenly
-from tissuereg.registration.contacts.moment import BodyState
-from tissuereg.registration.contacts.seen import Observations, tail_cost, tail_variance
+from tissuereg.registration.contacts.measured import Observations, tail_cost, tail_variance
 from tissuereg.registration.contacts.settings import MATCHING
+from tissuereg.registration.contacts.state import BodyState
 from tissuereg.registration.readings.skin import closest_on_triangles
 
 
@@ -115,17 +115,17 @@ class PointData:
     def _facets(self) -> FloatArray:
         return facet_errors(self.mesh)
 
-    def feet(self, moment: BodyState) -> Feet:
+    def feet(self, state: BodyState) -> Feet:
         """Return the closest places of the deformed surface, in the body's frame."""
-        moved = self.mesh.nodes + moment.displacement[: self.mesh.n_nodes]
-        return closest_feet(moved, self.mesh.surface, moment.frame.undo(self.places))
+        moved = self.mesh.nodes + state.displacement[: self.mesh.n_nodes]
+        return closest_feet(moved, self.mesh.surface, state.frame.undo(self.places))
 
-    def read(self, moment: BodyState, *, weighed: bool = True) -> Observations:
+    def read(self, state: BodyState, *, weighed: bool = True) -> Observations:
         """Return one observation per point; points always have weights."""
         del weighed
-        feet = self.feet(moment)
-        std = self.std(moment, feet)
-        residual, directions = feet.off(moment.frame.undo(self.places), MATCHING.far * self.noise)
+        feet = self.feet(state)
+        std = self.std(state, feet)
+        residual, directions = feet.off(state.frame.undo(self.places), MATCHING.far * self.noise)
         scaled = (residual / std) ** 2
         across = feet.weights[:, :, None] * directions[:, None, :]
         return Observations(
@@ -138,26 +138,26 @@ class PointData:
             [],
         )
 
-    def std(self, moment: BodyState, feet: Feet) -> FloatArray:
+    def std(self, state: BodyState, feet: Feet) -> FloatArray:
         """Return the standard deviation of each point before its tail, (n_points,), mm.
 
         It combines the instrument's noise with errors of the model and of the facets. Nearby points share the latter,
         so that their variance is multiplied by the number of such points.
         """
-        motion = moment.displacement[feet.corners]
+        motion = state.displacement[feet.corners]
         size = self.model_error * np.linalg.norm(np.einsum("pc,pcx->px", feet.weights, motion), axis=1)
         facet = self._facets[feet.triangles]
         return np.asarray(np.sqrt(self.noise**2 + self._alike * (size**2 + facet**2)))
 
-    def distances(self, moment: BodyState) -> tuple[FloatArray, FloatArray]:
+    def distances(self, state: BodyState) -> tuple[FloatArray, FloatArray]:
         """Return the distance of every point from the surface along the normal, mm, and over its standard deviation."""
-        feet = self.feet(moment)
-        residual, _ = feet.off(moment.frame.undo(self.places), MATCHING.far * self.noise)
-        return np.abs(residual), np.abs(residual) / self.std(moment, feet)
+        feet = self.feet(state)
+        residual, _ = feet.off(state.frame.undo(self.places), MATCHING.far * self.noise)
+        return np.abs(residual), np.abs(residual) / self.std(state, feet)
 
-    def outliers(self, moment: BodyState) -> float:
+    def outliers(self, state: BodyState) -> float:
         """Return the share of points that a body does not explain."""
-        return float(np.mean(self.distances(moment)[1] > MATCHING.outlier))
+        return float(np.mean(self.distances(state)[1] > MATCHING.outlier))
 
     def coarser(self, width: float) -> "PointData":
         """Return fewer points, spread evenly; matching errors are correlated within a share `width` of the extent."""

@@ -10,8 +10,8 @@ from tissuereg._base.arrays import FloatArray, IntArray
 from tissuereg._base.machine import n_cores
 from tissuereg.body.material import Material
 from tissuereg.registration.contacts.columns import Columns
-from tissuereg.registration.contacts.moment import BodyState
 from tissuereg.registration.contacts.settings import EFFORT
+from tissuereg.registration.contacts.state import BodyState
 from tissuereg.simulation.sensitivity import Compliance, Linearised, Observation
 
 Row = tuple[IntArray, FloatArray]
@@ -111,7 +111,7 @@ _rest: tuple[tuple[object, ...], Tangent] | None = None
 _lock = threading.Lock()
 
 
-def tangent_at(columns: Columns, material: Material, moment: BodyState, threads: int) -> tuple[Tangent, int]:
+def tangent_at(columns: Columns, material: Material, state: BodyState, threads: int) -> tuple[Tangent, int]:
     """Return the tangent at a body, and the number of factorisations it took.
 
     Parameters
@@ -120,7 +120,7 @@ def tangent_at(columns: Columns, material: Material, moment: BodyState, threads:
         Causes, with the supports of the body.
     material : Material
         Material of the body.
-    moment : BodyState
+    state : BodyState
         An equilibrium.
     threads : int
         Threads to use.
@@ -134,16 +134,16 @@ def tangent_at(columns: Columns, material: Material, moment: BodyState, threads:
         Factorisations: 0 or 1.
     """
     global _rest
-    key = _rest_key(columns, material, moment, threads)
+    key = _rest_key(columns, material, state, threads)
     if key is not None:
         with _lock:
             if _rest is not None and _rest[0] == key:
                 return _rest[1], 0
     linearised = Linearised(
         columns.body.simulator,
-        columns.load(moment.coefficients),
+        columns.load(state.coefficients),
         material,
-        moment.displacement,
+        state.displacement,
         springs=columns.springs,
         precision="single",
         threads=threads,
@@ -162,10 +162,10 @@ def forget_rest() -> None:
         _rest = None
 
 
-def _rest_key(columns: Columns, material: Material, moment: BodyState, threads: int) -> tuple[object, ...] | None:
+def _rest_key(columns: Columns, material: Material, state: BodyState, threads: int) -> tuple[object, ...] | None:
     """Return the key of a tangent at rest; None if the body is not at rest."""
     loaded = any(part is not None for part in columns.believed.values())
-    if loaded or moment.displacement.any() or moment.coefficients.any():
+    if loaded or state.displacement.any() or state.coefficients.any():
         return None
     springs = None if columns.springs is None else columns.springs.tobytes()
     # The body itself, not its address: the address of a deleted body may be reused by another.

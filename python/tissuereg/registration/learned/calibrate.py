@@ -21,14 +21,14 @@ from tissuereg.registration.learned.calibration import (
     Rehearsal,
     RowsOf,
 )
-from tissuereg.registration.learned.honest import Honest
-from tissuereg.registration.learned.kinds import Kinds, probabilities
+from tissuereg.registration.learned.calibration_set import CalibrationSet
+from tissuereg.registration.learned.components import Components, probabilities
+from tissuereg.registration.learned.linearise import conditioned, spread_of
 from tissuereg.registration.learned.mixture import Component, LinearDecoder, condition, log_evidence
 from tissuereg.registration.learned.model import LatentModel, rms_displacement
 from tissuereg.registration.learned.network import NetworkModel
-from tissuereg.registration.learned.relinearise import conditioned, spread_of
-from tissuereg.registration.learned.signs import signs_of
 from tissuereg.registration.learned.spread_law import squared_radius
+from tissuereg.registration.learned.test_statistics import statistics_of
 
 #: Scales of events of one kind: their standard deviations over those of the kind.
 _SCALES = np.array([0.2, 0.4, 0.7, 1.2, 2.0, 3.5])
@@ -128,7 +128,7 @@ def calibrate(
     """
     how = settings or RehearsalSettings()
     rehearsal = _Rehearsing(model, mesh, how)
-    kinds = Kinds.fit(codes, n_kinds, how.seed)
+    kinds = Components.fit(codes, n_kinds, how.seed)
     coded = model.codes(unseen)
     missed = np.concatenate([unseen[i : i + _BATCH] - model.decode(coded[i : i + _BATCH].T) for i in _parts(unseen)])
     shares = kinds.shares(coded)
@@ -356,7 +356,7 @@ class _Rehearsing:
         own = [replace(one, weights=share * law) for one, share, law in zip(own, total, laws, strict=True)]
         prior, n_obs = [*own, *event.prior[event.n_own :]], len(self._noise)
         found = condition(prior, event.linear, event.observed, self._noise)
-        shown = signs_of(event.made, found, event.n_own)
+        shown = statistics_of(event.made, found, event.n_own)
         return shown.row, _misfits(event.rows - found.mean, found.covariance, n_obs)
 
     def outcome(self, events: list[_RegisteredEvent], law: Rehearsal, kind: IntArray | None = None) -> Rehearsal:
@@ -367,7 +367,7 @@ class _Rehearsing:
         signs, misfits = zip(*(self.shown(event, scale_weights) for event in events), strict=True)
         widening, tail = _regions(np.concatenate(misfits))
         shown, group = np.array(signs), np.zeros(len(events), np.int64) if kind is None else kind
-        honest = Honest.none()
+        honest = CalibrationSet.none()
         for number in np.unique(group):
             honest = honest.beside(shown[group == number])
         return replace(law, scale_weights=scale_weights, widening=widening, tail=tail, honest=honest)

@@ -14,8 +14,8 @@ import numpy as np
 from tissuereg._base.arrays import FloatArray, IntArray
 from tissuereg.errors import FormatError
 from tissuereg.io.npz import Archive, open_npz
-from tissuereg.registration.learned.honest import SIGNS, Honest
-from tissuereg.registration.learned.kinds import Kinds
+from tissuereg.registration.learned.calibration_set import SIGNS, CalibrationSet
+from tissuereg.registration.learned.components import Components
 from tissuereg.registration.learned.mixture import Component
 
 #: Form of ``calibration.npz``.
@@ -135,7 +135,7 @@ class Rehearsal:
     tail : float or None
         Degrees of freedom of the t law of the targets about their means, with which 50 % regions hold their share too;
         None for a Gaussian.
-    honest : Honest
+    honest : CalibrationSet
         What honest events show.
     """
 
@@ -143,7 +143,7 @@ class Rehearsal:
     scale_weights: FloatArray
     widening: float = 1.0
     tail: float | None = None
-    honest: Honest = field(default_factory=Honest.none)
+    honest: CalibrationSet = field(default_factory=CalibrationSet.none)
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,7 +152,7 @@ class Calibration:
 
     Attributes
     ----------
-    kinds : Kinds
+    kinds : Components
         Of the codes of the training set.
     errors : FieldErrors
         Truth minus decoder(encoder(truth)), by kind.
@@ -164,7 +164,7 @@ class Calibration:
         With a simulation.
     """
 
-    kinds: Kinds
+    kinds: Components
     errors: FieldErrors
     alone: Rehearsal
     change: Change | None = None
@@ -221,7 +221,7 @@ class Calibration:
                 raise FormatError(message, where=str(path))
             weights = file.floats("kind_weights", None)
             n_kinds = len(weights)
-            kinds = Kinds(
+            kinds = Components(
                 weights,
                 file.floats("kind_means", n_kinds, n_latent),
                 file.floats("kind_covariances", n_kinds, n_latent, n_latent),
@@ -362,5 +362,5 @@ def _rehearsal_in(file: Archive, name: str, n_forms: int) -> Rehearsal:
         file.floats(f"{name}_scale_weights", n_forms, len(scales)),
         float(file.floats(f"{name}_widening")),
         tail or None,
-        Honest(signs, file.indices(f"{name}_groups", len(signs))),
+        CalibrationSet(signs, file.indices(f"{name}_groups", len(signs))),
     )

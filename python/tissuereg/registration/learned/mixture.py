@@ -19,7 +19,7 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray, IntArray
 from tissuereg.errors import NoiseError
-from tissuereg.registration.learned.kinds import probabilities
+from tissuereg.registration.learned.components import probabilities
 
 #: Pairs of component and scale that are less probable than this share of the most probable one are left out.
 _NEGLIGIBLE = 1e-4

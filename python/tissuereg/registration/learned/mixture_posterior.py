@@ -14,13 +14,13 @@ from tissuereg._base.arrays import FloatArray, IntArray
 from tissuereg.body.mesh import Mesh
 from tissuereg.registration.inputs import RegisterInput
 from tissuereg.registration.learned.calibration import FieldErrors, PointCalibration, Rehearsal, RowErrors
+from tissuereg.registration.learned.linearise import conditioned, spread_of
 from tissuereg.registration.learned.mixture import Component, LinearDecoder, MixturePosterior
 from tissuereg.registration.learned.model import rms_displacement
 from tissuereg.registration.learned.network import AnchoredModel
 from tissuereg.registration.learned.points import PointsAround
-from tissuereg.registration.learned.relinearise import conditioned, spread_of
-from tissuereg.registration.learned.signs import Signs, signs_of
-from tissuereg.registration.learned.untangle import untangled
+from tissuereg.registration.learned.repair import repaired
+from tissuereg.registration.learned.test_statistics import Statistics, statistics_of
 from tissuereg.registration.learned.variants import Variants
 
 #: Linearisations about the ensemble's mean and then about the mixture's.
@@ -188,13 +188,13 @@ class CalibratedPosterior:
 
     @cached_property
     def _whole(self) -> tuple[FloatArray, FloatArray]:
-        return untangled(self.mesh, self._decoded + self._correction)
+        return repaired(self.mesh, self._decoded + self._correction)
 
     @property
     def displacement(self) -> FloatArray:
         """Displacement of every node (n_nodes, 3): decoded, and corrected by what the markers tell of the error.
 
-        Neither decoder nor correction knows mechanics: tetrahedra that are inside out are mended (`untangled`).
+        Neither decoder nor correction knows mechanics: tetrahedra that are inside out are mended (`repaired`).
         """
         return self._whole[0]
 
@@ -273,9 +273,9 @@ class CalibratedPosterior:
         """Degrees of freedom of the law of the targets about their means; None for a Gaussian."""
         return self.rehearsal.tail
 
-    def signs(self) -> Signs:
+    def signs(self) -> Statistics:
         """Return what is compared with honest events."""
-        return signs_of(self.at.whole, self.found, len(self.anchor.forms) or len(self.prior))
+        return statistics_of(self.at.whole, self.found, len(self.anchor.forms) or len(self.prior))
 
     def _factor(self, number: int) -> float:
         """Return the variance of the factor on the simulation in a component."""

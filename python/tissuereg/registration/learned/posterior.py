@@ -10,7 +10,7 @@ from tissuereg.body.mesh import Mesh
 from tissuereg.registration.learned.assimilate import Assimilation
 from tissuereg.registration.learned.model import error_covariance
 from tissuereg.registration.learned.points import ErrorsAt, PointsAround
-from tissuereg.registration.learned.untangle import untangled
+from tissuereg.registration.learned.repair import repaired
 
 #: Members decoded to full fields at once.
 _BATCH = 50
@@ -24,7 +24,7 @@ class Posterior:
     ----------
     displacement : ndarray of float64, shape (n_nodes, 3)
         Decoded from the mean of the latents; inverted tetrahedra are mended
-        (`tissuereg.registration.learned.untangle`).
+        (`tissuereg.registration.learned.repair`).
     ratios : ndarray of float64, shape (n_tets,)
         Volume ratio of every tetrahedron.
     marker_mean : ndarray of float64, shape (n_markers, 3)
@@ -71,7 +71,7 @@ class Posterior:
         factor, mean = ensemble.spread_factor, ensemble.mean
         moved = model.decode(ensemble.latents)
         at_markers, at_targets = model.markers(moved), model.targets(moved)
-        displacement, ratios = untangled(mesh, model.latent.decode(mean[:, None])[0])
+        displacement, ratios = repaired(mesh, model.latent.decode(mean[:, None])[0])
         own = model.errors(mean)
         n = len(moved)
         return cls(

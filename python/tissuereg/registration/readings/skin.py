@@ -97,7 +97,7 @@ class Skin:
     def _closest(self, flat: FloatArray) -> FloatArray:
         """Return distance, foot, normal and whether it is held (1 or 0) for every point, (n, 8)."""
         _, samples = self._samples.query(flat, k=PROPOSALS.closest)
-        triangles = np.asarray(samples) // 4
+        triangles = np.asarray(samples, np.int64) // 4
         corners = self._corners[triangles]
         feet = closest_on_triangles(flat[:, None], corners)
         off = flat[:, None] - feet

@@ -28,7 +28,7 @@ _LEAST = 1e-300
 
 
 @dataclass(frozen=True, eq=False)
-class Honest:
+class CalibrationSet:
     """Signs of honest events.
 
     Attributes
@@ -43,14 +43,14 @@ class Honest:
     groups: IntArray
 
     @classmethod
-    def none(cls) -> "Honest":
+    def none(cls) -> "CalibrationSet":
         """Return no events: chances are then taken as they are."""
         return cls(np.empty((0, len(SIGNS))), np.empty(0, np.int64))
 
-    def beside(self, signs: FloatArray) -> "Honest":
+    def beside(self, signs: FloatArray) -> "CalibrationSet":
         """Return the same with a further group of events, signs (n_more, 4)."""
         group = int(self.groups.max(initial=-1)) + 1
-        return Honest(np.concatenate([self.signs, signs]), np.append(self.groups, np.full(len(signs), group)))
+        return CalibrationSet(np.concatenate([self.signs, signs]), np.append(self.groups, np.full(len(signs), group)))
 
     def __len__(self) -> int:
         return len(self.signs)

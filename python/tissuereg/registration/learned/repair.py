@@ -17,7 +17,7 @@ _LEAST = 0.02
 _ROUNDS, _GROWTH = 60, 10
 
 
-def untangled(mesh: Mesh, field: FloatArray) -> tuple[FloatArray, FloatArray]:
+def repaired(mesh: Mesh, field: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return a field without inverted tetrahedra, if smoothing near them is enough, and its volume ratios.
 
     Parameters

@@ -13,13 +13,13 @@ _LEAST = 1e-300
 
 
 @dataclass(frozen=True, eq=False)
-class Signs:
+class Statistics:
     """Signs of one registration.
 
     Attributes
     ----------
     row : ndarray of float64, shape (4,)
-        As `tissuereg.registration.learned.honest.SIGNS`.
+        As `tissuereg.registration.learned.calibration_set.SIGNS`.
     marker_rows : ndarray of float64, shape (n_markers,)
         The sign of each marker: the second of `row` is the largest of them.
     marker_misfits : ndarray of float64, shape (n_markers,)
@@ -31,11 +31,11 @@ class Signs:
     marker_misfits: FloatArray
 
 
-def signs_of(
+def statistics_of(
     calibration: Calibration,
     found: MixturePosterior,
     n_own: int,
-) -> Signs:
+) -> Statistics:
     """Return the signs of a registration.
 
     Parameters
@@ -49,7 +49,7 @@ def signs_of(
 
     Returns
     -------
-    Signs
+    Statistics
         Cost: an inverse of a factor of size n_obs for every pair of component and scale that was kept.
     """
     misfits, chances = left_out(found)
@@ -60,4 +60,4 @@ def signs_of(
         unrelated = max(float(others - own), 0.0)
     misfit = -np.log(max(found.p_value, _LEAST))
     row = np.array([misfit, markers.max(initial=-np.inf), calibration.distance(found.mean_latents), unrelated])
-    return Signs(row, markers, misfits)
+    return Statistics(row, markers, misfits)

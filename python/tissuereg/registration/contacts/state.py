@@ -1,4 +1,4 @@
-"""A rigid motion between the body's frame and the tracker's."""
+"""A state of the body between rest and the measured deformation, and its rigid motion in the tracker's frame."""
 
 from dataclasses import dataclass
 
@@ -77,3 +77,22 @@ def _rotation(vector: FloatArray) -> FloatArray:
     x, y, z = vector / angle
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     return np.asarray(np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross)
+
+
+@dataclass(eq=False)
+class BodyState:
+    """Coefficients, the equilibrium under them, and the frame.
+
+    Attributes
+    ----------
+    coefficients : ndarray of float64, shape (n_columns,)
+        Of all causes.
+    displacement : ndarray of float64, shape (n_element_nodes, 3)
+        In the body's frame, mm.
+    frame : RigidMotion
+        From the body's frame to the tracker's.
+    """
+
+    coefficients: FloatArray
+    displacement: FloatArray
+    frame: RigidMotion

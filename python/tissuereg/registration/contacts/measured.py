@@ -13,9 +13,8 @@ import numpy as np
 from tissuereg._base.arrays import BoolArray, FloatArray, IntArray
 from tissuereg.body.markers import Markers
 from tissuereg.body.observe import MarkerObservation
-from tissuereg.registration.contacts.frame import RigidMotion
-from tissuereg.registration.contacts.moment import BodyState
 from tissuereg.registration.contacts.settings import MATCHING
+from tissuereg.registration.contacts.state import BodyState, RigidMotion
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,13 +71,13 @@ class DataPart(Protocol):
     def n_obs(self) -> int:
         """Number of observations."""
 
-    def read(self, moment: BodyState, *, weighed: bool) -> Observations:
+    def read(self, state: BodyState, *, weighed: bool) -> Observations:
         """Return the observations at a deformed body, with weights instead of groups if `weighed`."""
 
     def coarser(self, width: float) -> "DataPart":
         """Return the same data with fewer observations, for first passes; `width` is a share of the extent."""
 
-    def outliers(self, moment: BodyState) -> float:
+    def outliers(self, state: BodyState) -> float:
         """Return the share of observations without labels that a body does not explain."""
 
 
@@ -145,14 +144,14 @@ class MarkerData:
         both = np.hypot(self.markers.axis_std, self.model_error * self.moved(frame)[:, None])
         return np.asarray(both.ravel()[self.rows])
 
-    def read(self, moment: BodyState, *, weighed: bool) -> Observations:
+    def read(self, state: BodyState, *, weighed: bool) -> Observations:
         """Return the components seen; `weighed` gives each marker a heavy tail instead of an indicator."""
         observation, reference = self.observation, self.markers.reference
-        here = moment.displacement[observation.nodes]
+        here = state.displacement[observation.nodes]
         places = reference + observation.predict(here)
-        residual = (self.markers.measured - moment.frame.apply(places)).ravel()[self.rows]
-        all_rows = _turned(observation.rows(here), moment.frame.rotation)
-        std = self.std(moment.frame)
+        residual = (self.markers.measured - state.frame.apply(places)).ravel()[self.rows]
+        all_rows = _turned(observation.rows(here), state.frame.rotation)
+        std = self.std(state.frame)
         scaled = (residual / std) ** 2
         cost = scaled
         if weighed and not self.rough:
@@ -163,35 +162,35 @@ class MarkerData:
         return Observations(
             [all_rows[row] for row in self.rows],
             np.repeat(places, 3, axis=0)[self.rows],
-            np.tile(moment.frame.rotation, (len(reference), 1))[self.rows],
+            np.tile(state.frame.rotation, (len(reference), 1))[self.rows],
             residual,
             std,
             cost,
             [] if weighed else self.groups,
         )
 
-    def wrong(self, moment: BodyState, log_odds: float, wrong_std: float) -> FloatArray:
+    def wrong(self, state: BodyState, log_odds: float, wrong_std: float) -> FloatArray:
         """Return the probability of each marker that was seen to be wrong, given a body, shape (n_seen,).
 
         Parameters
         ----------
-        moment : BodyState
+        state : BodyState
             The deformed body.
         log_odds : float
             Logarithm of the odds that a marker is wrong.
         wrong_std : float
             Additional standard deviation of a wrong marker, mm.
         """
-        residual = self.read(moment, weighed=False).residual
-        narrow = self.std(moment.frame)
+        residual = self.read(state, weighed=False).residual
+        narrow = self.std(state.frame)
         wide = np.hypot(narrow, wrong_std)
         gain = 0.5 * residual**2 * (1.0 / narrow**2 - 1.0 / wide**2) - np.log(wide / narrow)
         logs = log_odds + np.array([gain[group].sum() for group in self.groups])
         return np.asarray(1.0 / (1.0 + np.exp(-np.clip(logs, -700.0, 700.0))))
 
-    def outliers(self, moment: BodyState) -> float:
+    def outliers(self, state: BodyState) -> float:
         """Return zero: markers have labels, and wrong ones indicators or weights."""
-        del moment
+        del state
         return 0.0
 
     def coarser(self, width: float) -> "MarkerData":
@@ -239,16 +238,16 @@ class ObservedData:
         """Whether some observations have no label, so that passes match them anew."""
         return any(not isinstance(part, MarkerData) for part in self.parts)
 
-    def read(self, moment: BodyState) -> Observations:
+    def read(self, state: BodyState) -> Observations:
         """Return all observations at a deformed body."""
-        first, *others = (part.read(moment, weighed=self.weighed) for part in self.parts)
+        first, *others = (part.read(state, weighed=self.weighed) for part in self.parts)
         for other in others:
             first = first.followed_by(other)
         return first
 
-    def outliers(self, moment: BodyState) -> float:
+    def outliers(self, state: BodyState) -> float:
         """Return the largest share of observations without labels that a body does not explain."""
-        return max(part.outliers(moment) for part in self.parts)
+        return max(part.outliers(state) for part in self.parts)
 
     def coarser(self, width: float) -> "ObservedData":
         """Return the same data with fewer points, with the same kind of noise."""

@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray
-from tissuereg.registration.learned.kinds import Kinds
+from tissuereg.registration.learned.components import Components
 from tissuereg.registration.learned.mixture import Component, Conditioned, LinearDecoder, MixturePosterior
 
 #: Neighbours of a point for the decoder's derivatives, in standard deviations of the training set's codes: secants over
@@ -22,7 +22,7 @@ _CLOSE = 0.5
 Decode = Callable[[FloatArray], FloatArray]
 
 
-def spread_of(kinds: Kinds) -> FloatArray:
+def spread_of(kinds: Components) -> FloatArray:
     """Return the standard deviation (n_latent,) of the codes of all kinds."""
     centre = kinds.weights @ kinds.means
     variance = np.diagonal(kinds.covariances, axis1=1, axis2=2) + (kinds.means - centre) ** 2

@@ -17,7 +17,7 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray, IntArray
 from tissuereg.registration.contacts.columns import Columns, contact_sizes
-from tissuereg.registration.contacts.seen import Observations
+from tissuereg.registration.contacts.measured import Observations
 from tissuereg.registration.contacts.settings import MATCHING, ContactSettings
 
 

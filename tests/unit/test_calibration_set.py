@@ -5,10 +5,10 @@ import pytest
 from scipy.stats import chi2
 
 from tissuereg.registration.learned.calibrate import _regions
-from tissuereg.registration.learned.honest import SIGNS, Honest
+from tissuereg.registration.learned.calibration_set import SIGNS, CalibrationSet
 from tissuereg.registration.learned.mixture import Component, LinearDecoder, condition, left_out
-from tissuereg.registration.learned.signs import signs_of
 from tissuereg.registration.learned.spread_law import squared_radius
+from tissuereg.registration.learned.test_statistics import statistics_of
 
 
 def drawn(n_events, rng, heavier=1.0):
@@ -24,7 +24,7 @@ def test_one_in_a_hundred_honest_events_raises_an_alarm_whatever_their_number(n_
     rng = np.random.default_rng(0)
     rates = []
     for _ in range(30):
-        honest = Honest.none().beside(drawn(n_events, rng))
+        honest = CalibrationSet.none().beside(drawn(n_events, rng))
         rates.append(np.mean([honest.p_value(signs) < 0.01 for signs in drawn(200, rng)]))
     # The rate of one yardstick of n events varies by sqrt(0.01 / n), up to 0.9 %; the mean of 30, of 200 asked each, by
     # 0.2 %: three standard errors.
@@ -33,7 +33,7 @@ def test_one_in_a_hundred_honest_events_raises_an_alarm_whatever_their_number(n_
 
 def test_p_values_of_honest_events_are_uniform():
     rng = np.random.default_rng(1)
-    honest = Honest.none().beside(drawn(2000, rng))
+    honest = CalibrationSet.none().beside(drawn(2000, rng))
     p = np.sort([honest.p_value(signs) for signs in drawn(400, rng)])
     # Kolmogorov's 1 % point, of both samples.
     assert np.abs(p - (np.arange(400) + 0.5) / 400).max() < 1.63 * np.sqrt(1 / 400 + 1 / 2000)
@@ -42,29 +42,29 @@ def test_p_values_of_honest_events_are_uniform():
 def test_the_group_that_looks_worst_is_the_yardstick():
     rng = np.random.default_rng(2)
     known, foreign = drawn(500, rng), drawn(200, rng, heavier=2.0)
-    alone, both = Honest.none().beside(known), Honest.none().beside(known).beside(foreign)
+    alone, both = CalibrationSet.none().beside(known), CalibrationSet.none().beside(known).beside(foreign)
     assert np.array_equal(np.unique(both.groups), [0, 1])
     signs = np.array([9.0, 1.0, 1.0, 0.0])
     assert alone.p_value(signs) < 0.01 < both.p_value(signs)
     assert (both.shares(signs) >= alone.shares(signs)).all()
-    only = Honest.none().beside(foreign)
+    only = CalibrationSet.none().beside(foreign)
     assert both.p_value(signs) == pytest.approx(only.p_value(signs))
 
 
 def test_shares_go_on_beyond_the_largest_honest_value():
-    honest = Honest.none().beside(np.tile(np.random.default_rng(3).exponential(size=(3000, 1)), 4))
+    honest = CalibrationSet.none().beside(np.tile(np.random.default_rng(3).exponential(size=(3000, 1)), 4))
     asked = np.linspace(0.0, 12.0, 40)
     shares = np.array([honest.shares(np.full(4, one))[0] for one in asked])
     assert (np.diff(shares) <= 0).all()
     # The scale of the tail is known from 300 values, to 6 %: 0.6 in the logarithm at 10 beyond; three standard errors.
     np.testing.assert_allclose(np.log(shares), -asked, atol=1.9)
-    equal = Honest.none().beside(np.zeros((12, 4)))
+    equal = CalibrationSet.none().beside(np.zeros((12, 4)))
     assert equal.shares(np.zeros(4))[0] == 1.0
     assert equal.shares(np.full(4, 3.0))[0] < 0.1
 
 
 def test_without_honest_events_chances_are_taken_as_they_are():
-    honest = Honest.none()
+    honest = CalibrationSet.none()
     assert honest.p_value(np.array([3.0, 1.0, 8.0, 0.0])) == pytest.approx(np.exp(-3.0))
     np.testing.assert_allclose(honest.shares(np.array([3.0, 1.0, 8.0, 2.0])), [np.exp(-3.0), np.exp(-1.0), 1.0, 1.0])
 
@@ -111,11 +111,11 @@ def test_markers_of_another_event_than_the_simulated_one_show_it(gaussian):
     for name, latents in (("own", [3.1, 0, 0, 0]), ("another", [-1.0, 1.5, 0, 0])):
         observed = linear.at[:12] + linear.slopes[:12] @ np.array(latents) + 0.2 * rng.standard_normal(12)
         posterior = condition([about, other], linear, observed, noise)
-        found[name] = signs_of(Nowhere(), posterior, 1).row
+        found[name] = statistics_of(Nowhere(), posterior, 1).row
     simulation = SIGNS.index("simulation")
     assert found["own"][simulation] == 0.0
     assert found["another"][simulation] > 10.0
-    honest = Honest.none().beside(np.column_stack([drawn(200, np.random.default_rng(5))[:, :3], np.zeros(200)]))
+    honest = CalibrationSet.none().beside(np.column_stack([drawn(200, np.random.default_rng(5))[:, :3], np.zeros(200)]))
     assert honest.p_value(found["another"]) < 0.01
 
 

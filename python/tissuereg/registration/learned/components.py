@@ -27,7 +27,7 @@ _FEWEST = 20
 
 
 @dataclass(frozen=True, eq=False)
-class Kinds:
+class Components:
     """A mixture of Gaussians over latents.
 
     Attributes
@@ -45,7 +45,7 @@ class Kinds:
     covariances: FloatArray
 
     @classmethod
-    def fit(cls, codes: FloatArray, n_kinds: int, seed: int) -> "Kinds":
+    def fit(cls, codes: FloatArray, n_kinds: int, seed: int) -> "Components":
         """Return the kinds of a training set.
 
         Parameters
@@ -59,7 +59,7 @@ class Kinds:
 
         Returns
         -------
-        Kinds
+        Components
             Cost: 40 rounds of n_kinds products (n_latent, n_codes).
         """
         shares = _sorted_by_direction_and_size(codes, n_kinds, np.random.default_rng([seed, 21]))
@@ -69,7 +69,7 @@ class Kinds:
         return kinds
 
     @classmethod
-    def _of(cls, codes: FloatArray, shares: FloatArray) -> "Kinds":
+    def _of(cls, codes: FloatArray, shares: FloatArray) -> "Components":
         """Return the mixture in which code i belongs to kind k by `shares` (n_codes, n_kinds)."""
         n_latent = codes.shape[1]
         counts = shares.sum(axis=0)

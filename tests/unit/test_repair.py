@@ -5,8 +5,8 @@ import pytest
 
 from support.meshes import block
 from tissuereg.body.mesh import det_f
-from tissuereg.registration.learned import untangle
-from tissuereg.registration.learned.untangle import untangled
+from tissuereg.registration.learned import repair
+from tissuereg.registration.learned.repair import repaired
 
 
 @pytest.fixture(scope="module")
@@ -22,7 +22,7 @@ def smooth_field(mesh):
 
 def test_a_field_without_inverted_tetrahedra_is_returned_as_it_is(mesh):
     field = smooth_field(mesh)
-    found, ratios = untangled(mesh, field)
+    found, ratios = repaired(mesh, field)
     assert found is field
     assert np.array_equal(ratios, det_f(mesh, field))
 
@@ -33,7 +33,7 @@ def test_a_node_that_was_pushed_through_its_neighbours_is_mended_and_the_rest_is
     spoilt = field.copy()
     spoilt[node] -= 2.0 * mesh.extent
     assert det_f(mesh, spoilt).min() < 0
-    found, ratios = untangled(mesh, spoilt)
+    found, ratios = repaired(mesh, spoilt)
     assert ratios.min() > 0
     assert np.array_equal(ratios, det_f(mesh, found))
     near = np.unique(mesh.tets[(mesh.tets == node).any(axis=1)])
@@ -57,8 +57,8 @@ def test_held_nodes_stay_and_the_best_of_all_rounds_is_returned(mesh, monkeypatc
         tried.append((field, det_f(mesh, field)))
         return tried[-1][1]
 
-    monkeypatch.setattr(untangle, "det_f", recorded)
-    found, ratios = untangled(mesh, spoilt)
+    monkeypatch.setattr(repair, "det_f", recorded)
+    found, ratios = repaired(mesh, spoilt)
     least = [each.min() for _, each in tried]
     best = int(np.argmax(least))
     assert 0 < best < len(tried) - 1
