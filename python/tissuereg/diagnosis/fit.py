@@ -234,7 +234,7 @@ def fit(
             jacobian, exact = solver.jacobian(x, prediction), True
         slopes = solver.reduced(jacobian)
     information = slopes @ slopes.T + np.diag(1.0 / solver.deviation**2)
-    covariance: FloatArray = np.linalg.inv(information)
+    covariance = np.asarray(np.linalg.inv(information), np.float64)
     inner = information * solver.deviation[:, None] * solver.deviation
     log_evidence = -objective - 0.5 * float(np.linalg.slogdet(inner)[1]) - float(np.log(choices))
     residual = target.white(np.where(target.bench.layout.seen, target.bench.layout.measured - prediction, 0.0))

@@ -70,7 +70,7 @@ def stated(bench: ProofInput, fit: MaterialFit) -> StatedFit:
     slopes = _slopes(bench, fit, scale)
     own = bench.noise if bench.fitting is None else bench.fitting
     weighed = np.linalg.solve(own + fit.share**2 * bench.generic, slopes)
-    inverse: FloatArray = np.linalg.inv(slopes.T @ weighed + np.eye(len(scale)))
+    inverse = np.asarray(np.linalg.inv(slopes.T @ weighed + np.eye(len(scale))), np.float64)
     gain = inverse @ weighed.T
     residual = data.stress - data.modelled(fit.model)
     squared = _squared_size(bench, slopes, gain, inverse, residual)

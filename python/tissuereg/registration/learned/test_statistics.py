@@ -1,4 +1,4 @@
-"""The signs by which a registration with a calibrated model is compared with honest events (`Honest`)."""
+"""The test statistics by which a registration with a calibrated model is compared with the calibration set."""
 
 from dataclasses import dataclass
 
