@@ -1,6 +1,7 @@
 """The silicone beam with an unknown load: registered to two tip markers, evaluated at the third."""
 
-import importlib.util
+import sys
+from importlib import import_module
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -9,17 +10,14 @@ import numpy as np
 
 import tissuereg as tr
 
-EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "beam.py"
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 
 
 def example() -> ModuleType:
     """Return the example, which reads mesh and recordings."""
-    spec = importlib.util.spec_from_file_location("beam_example", EXAMPLE)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    if str(EXAMPLES) not in sys.path:
+        sys.path.append(str(EXAMPLES))
+    return import_module("beam")
 
 
 def run(mesh: tr.Mesh, path: Path, element: str = "tet10") -> dict[str, Any]:

@@ -88,6 +88,8 @@ def copy_of_crates(root: Path) -> Path:
     for name in ("Cargo.toml", "Cargo.lock", "rustfmt.toml", "clippy.toml", "README.md"):
         shutil.copy2(REPOSITORY / name, root / name)
     shutil.copytree(REPOSITORY / "crates", root / "crates", ignore=shutil.ignore_patterns("target"))
+    # A member of the workspace.
+    shutil.copytree(REPOSITORY / "paper" / "crate", root / "paper" / "crate")
     return root
 
 

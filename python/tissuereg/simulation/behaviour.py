@@ -173,6 +173,17 @@ class Behaviour:
         return numbers
 
 
+#: The law of each behaviour, by the field of `Behaviour` that holds it: the id of its effect.
+LAWS: dict[str, type[Any]] = {
+    "relaxation": RelaxationLaw,
+    "rate": RateLaw,
+    "softening": SofteningLaw,
+    "set": SetLaw,
+    "drainage": DrainageLaw,
+    "swelling": SwellingLaw,
+}
+
+
 @dataclass(frozen=True, eq=False)
 class Springs:
     """Springs between triangles of the surface and their undeformed place.

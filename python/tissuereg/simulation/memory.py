@@ -266,7 +266,7 @@ def behaviour_of(experiment: Experiment) -> behaviour.Behaviour | None:
     given = {}
     for effect in experiment.effects:
         if isinstance(effect, Memory):
-            kind = getattr(behaviour, type(effect).__name__)
+            kind = behaviour.LAWS[effect.id]
             given[effect.id] = kind(**{key.name: getattr(effect, key.name) for key in fields(kind)})
     return behaviour.Behaviour(**given) if given else None
 
