@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from support.pages import anchors, slug
+from support.anchors import anchors, slug
 from support.scripts import REPOSITORY
 
 DECISIONS = REPOSITORY / "docs" / "decisions"

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import tissuereg
-from support.pages import anchors
+from support.anchors import anchors
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 PACKAGE = Path(tissuereg.__file__).parent

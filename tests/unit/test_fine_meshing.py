@@ -66,7 +66,7 @@ def test_refinement_ends_where_all_edges_are_short_enough_and_keeps_shapes(block
 
 
 def test_refinement_to_nothing_is_refused(block_mesh, monkeypatch):
-    monkeypatch.setattr(bisection, "_MOST_ROUNDS", 3)
+    monkeypatch.setattr(bisection, "FINE", replace(bisection.FINE, most_rounds=3))
     with pytest.raises(MeshError, match="refinement must end within 3 rounds"):
         Bisection(block_mesh).refine(lambda centres: np.full(len(centres), 1.0))
 

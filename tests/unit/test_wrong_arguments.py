@@ -643,14 +643,14 @@ def test_options_of_a_reader_that_are_wrong_are_refused(tmp_path):
     (tmp_path / "sit.fcsv").write_text(FIDUCIALS)
     np.savez(tmp_path / "m.npz", nodes_mm=mesh().nodes, tets=mesh().tets, fixed_nodes=mesh().fixed_nodes)
     for wrong in WRONG.values():
-        ends_well(tr.read_markers, "std", path=tmp_path / "m.csv", std=wrong)
+        ends_well(tr.read_markers, "std", {}, path=tmp_path / "m.csv", std=wrong)
         for frame in ("frame", "table_frame"):
             for read in (tr.read_markers, tr.read_targets, tr.read_surface):
-                ends_well(read, frame, path=tmp_path / f"{read.__name__}.csv", **{"frame": "LPS", frame: wrong})
-        ends_well(tr.read_mesh, "fixed", path=tmp_path / "m.npz", fixed=wrong)
-        ends_well(tr.read_mesh, "frame", path=tmp_path / "m.npz", frame=wrong)
-        ends_well(tr.read_markers, "measured", path=tmp_path / "sit.fcsv", measured=wrong)
-        ends_well(tr.read_markers, "std", path=tmp_path / "sit.fcsv", measured=tmp_path / "sit.fcsv", std=wrong)
+                ends_well(read, frame, {}, path=tmp_path / f"{read.__name__}.csv", **{"frame": "LPS", frame: wrong})
+        ends_well(tr.read_mesh, "fixed", {}, path=tmp_path / "m.npz", fixed=wrong)
+        ends_well(tr.read_mesh, "frame", {}, path=tmp_path / "m.npz", frame=wrong)
+        ends_well(tr.read_markers, "measured", {}, path=tmp_path / "sit.fcsv", measured=wrong)
+        ends_well(tr.read_markers, "std", {}, path=tmp_path / "sit.fcsv", measured=tmp_path / "sit.fcsv", std=wrong)
 
 
 @pytest.mark.parametrize(
@@ -675,7 +675,10 @@ def test_a_modulus_that_no_solid_has_is_refused(young):
 
 #: Public names that take no argument, or are made by us alone.
 NO_ARGUMENTS = {
+    "ContactRegistration",
+    "LearnedRegistration",
     "MarkerAdvice",
+    "Progress",
     "Registration",
     "Simulation",
     "TissueRegError",
