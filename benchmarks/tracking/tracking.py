@@ -151,7 +151,7 @@ def tracked(motion: Motion, tracker: tr.Tracker, frames: range) -> dict[str, Any
         rows["alone"].append(motion.of(frame, tracker.last.alone))
         rows["tracked"].append(motion.of(frame, result))
         rows["gain"].append(tracker.last.gain)
-        rows["passes"].append(result.work.get("passes", 0))
+        rows["passes"].append(result.work.get("passes", 0) if isinstance(result, tr.ContactRegistration) else 0)
     rows["fallbacks"] = tracker.fallbacks
     return rows
 
