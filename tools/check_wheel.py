@@ -65,7 +65,7 @@ def files_of(wheel: Path) -> set[str]:
     must("-cp311-abi3-" in wheel.name, f"a wheel must serve every Python from 3.11 on, got {wheel.name}")
     size = wheel.stat().st_size
     must(size <= LARGEST_WHEEL, f"{wheel.name} must have at most {LARGEST_WHEEL} bytes, it has {size}")
-    info = f"{wheel.name.split('-cp310', maxsplit=1)[0]}.dist-info"
+    info = f"{wheel.name.split('-cp311', maxsplit=1)[0]}.dist-info"
     needed = NEEDED | {f"{info}/licenses/{name}" for name in LICENCES} | {f"{info}/entry_points.txt"}
     must(needed <= names, f"{wheel.name} lacks {sorted(needed - names)}")
     compiled = [name for name in names if re.search(r"\.(so|pyd|dylib)$", name)]

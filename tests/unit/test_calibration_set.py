@@ -8,7 +8,7 @@ from tissuereg.registration.learned.calibrate import _regions
 from tissuereg.registration.learned.calibration_set import SIGNS, CalibrationSet
 from tissuereg.registration.learned.mixture import Component, LinearDecoder, condition, left_out
 from tissuereg.registration.learned.spread_law import squared_radius
-from tissuereg.registration.learned.test_statistics import statistics_of
+from tissuereg.registration.learned.statistics import statistics_of
 
 
 def drawn(n_events, rng, heavier=1.0):

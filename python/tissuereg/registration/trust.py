@@ -117,7 +117,7 @@ def judge(
 
 
 class Shown(Protocol):
-    """Test statistics of a registration; see `tissuereg.registration.learned.test_statistics.Statistics`."""
+    """Test statistics of a registration; see `tissuereg.registration.learned.statistics.Statistics`."""
 
     @property
     def row(self) -> FloatArray:

@@ -28,7 +28,7 @@ from tissuereg.registration.learned.mixture import Component, LinearDecoder, con
 from tissuereg.registration.learned.model import LatentModel, rms_displacement
 from tissuereg.registration.learned.network import NetworkModel
 from tissuereg.registration.learned.spread_law import squared_radius
-from tissuereg.registration.learned.test_statistics import statistics_of
+from tissuereg.registration.learned.statistics import statistics_of
 
 #: Scales of events of one kind: their standard deviations over those of the kind.
 _SCALES = np.array([0.2, 0.4, 0.7, 1.2, 2.0, 3.5])

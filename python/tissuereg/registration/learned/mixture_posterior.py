@@ -20,7 +20,7 @@ from tissuereg.registration.learned.model import rms_displacement
 from tissuereg.registration.learned.network import AnchoredModel
 from tissuereg.registration.learned.points import PointsAround
 from tissuereg.registration.learned.repair import repaired
-from tissuereg.registration.learned.test_statistics import Statistics, statistics_of
+from tissuereg.registration.learned.statistics import Statistics, statistics_of
 from tissuereg.registration.learned.variants import Variants
 
 #: Linearisations about the ensemble's mean and then about the mixture's.
