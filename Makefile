@@ -67,9 +67,11 @@ WORKERS ?= logical
 test-python: $(VENV)/.installed-dev
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -m "not slow" -n $(WORKERS) --maxprocesses 8 --dist loadfile --no-loadscope-reorder
 
-# Tests that take minutes; among them, each bench once with its smallest case.
+# Tests that take minutes; among them, each bench and each study of the paper once with its smallest case.
 test-slow: $(VENV)/.installed-dev
+	$(MAKE) -C paper install
 	$(BIN)/python -m pytest -m slow
+	$(MAKE) -C paper test-slow
 
 # What would be published, and what a stranger does with it. DIRTY=--allow-dirty: with what is not committed.
 crates: $(BIN)/python

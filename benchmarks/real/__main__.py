@@ -1,8 +1,9 @@
 """Measured bodies registered without a known load -> archive/, RESULTS.md.
 
-    python -m real [--page] [--data ../shared/data]
+    python -m real [--page] [--quick] [--data ../shared/data]
 
-`--page` writes the page again from the archive.
+`--page` writes the page again from the archive; `--quick` registers one recording of the beam and one draw of each
+number of beads.
 """
 
 import argparse
@@ -23,6 +24,7 @@ N_DRAWS = 5
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--page", action="store_true", help="write the page from the archive, register nothing")
+    parser.add_argument("--quick", action="store_true", help="one recording, one draw")
     parser.add_argument("--data", type=Path, default=SHARED / "data")
     options = parser.parse_args()
     if not options.page:
@@ -30,18 +32,19 @@ def main() -> int:
         trials = [
             path for name in ("own_weight", "load_*g") for path in sorted((options.data / "beam").glob(f"{name}_*.csv"))
         ]
+        n_draws = 1 if options.quick else N_DRAWS
         answer = {
             "schema": "tissuereg.loadfree-real/1",
             "n_targets": hydrogel.N_TARGETS,
-            "beam": [beam.run(mesh, path) for path in trials],
-            "hydrogel": [_told(options.data / "hydrogel", n, seed) for n in (20, 60) for seed in range(N_DRAWS)],
+            "beam": [beam.run(mesh, path) for path in (trials[:1] if options.quick else trials)],
+            "hydrogel": [_printed(options.data / "hydrogel", n, seed) for n in (20, 60) for seed in range(n_draws)],
         }
         write_archive(ARCHIVE, answer, TABLES)
     PAGE.write_text(page(read_archive(ARCHIVE)), encoding="utf-8")
     return 0
 
 
-def _told(folder: Path, n_markers: int, seed: int) -> dict:
+def _printed(folder: Path, n_markers: int, seed: int) -> dict:
     row = hydrogel.run(folder, n_markers, seed)
     print(json.dumps(row), file=sys.stderr, flush=True)
     return row

@@ -26,6 +26,7 @@ from common import read_archive, write_archive
 from tissuereg._base.machine import machine, versions
 from tissuereg.body.mesh import free_surface
 from tissuereg.body.observe import MarkerObservation, TargetObservation
+from tissuereg.errors import EnsembleError, MarkerError
 from tissuereg.io.atomic import atomic_file
 from tissuereg.io.pairs import read_pairs
 from tissuereg.registration.learned.assimilate import AssimilationSettings, assimilate
@@ -293,7 +294,7 @@ def alarms(mesh: tr.Mesh, model: Any, events: list[Event], simulated: list[Event
             return not tr.register(
                 mesh, markers, model=model, simulation=simulation, settings=tr.RegisterSettings(threads=1)
             ).trust.ok
-        except tr.MarkerError:
+        except MarkerError:
             return True
 
     rng = np.random.default_rng([seed, 32])
@@ -336,7 +337,7 @@ def make_foreign(out: Path, n_files: int) -> None:
         begun = time.perf_counter()
         try:
             simulations, truths = simulated_pairs(maker, 1, max_iterations=_ITERATIONS)
-        except tr.EnsembleError as error:
+        except EnsembleError as error:
             print(f"{path.name}: {error}", flush=True)
             continue
         with atomic_file(path) as draft, draft.open("wb") as stream:

@@ -1,6 +1,7 @@
 """Every bench runs once, with its smallest case, in a copy: archives and pages stay as they are."""
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -77,8 +78,42 @@ def test_speed(copy):
     assert read_archive(copy / "large")["rows"][0]["measured"]["solve"]["wall_s"] > 0.0
 
 
+@pytest.fixture(scope="module")
+def few_shapes(copy):
+    """A data set of the phantom as the shipped model's, of 120 members: its folder."""
+    recipe = re.sub(
+        r"(?m)^(members|chunk) = \d{2,}", r"\1 = 120", (copy / "training/recipes/breast.toml").read_text("utf-8")
+    )
+    (copy / "few.toml").write_text(recipe, "utf-8")
+    run(copy, "tissuereg", "simulate", "few.toml", "--out", "few")
+    return copy / "few"
+
+
+def test_advise(copy, few_shapes):
+    run(copy, "advise.advise", "--data", few_shapes, "--train", 80, "--test", 5)
+    assert "80 members choose, 5 held-out members" in (copy / "benchmarks/advise/RESULTS.md").read_text("utf-8")
+
+
+def test_spread(copy, few_shapes):
+    recipe = copy / "benchmarks" / "spread" / "spread-foreign.toml"
+    recipe.write_text(recipe.read_text("utf-8").replace("members = 10 ", "members = 1 "), "utf-8")
+    run(copy, "spread.spread", "--make-foreign", "foreign", "--files", 4)
+    model = REPOSITORY / "python" / "tissuereg" / "phantom" / "model"
+    few = ("--events", 2, "--rivals", 1, "--alarms", 1)
+    run(copy, "spread.spread", "--model", model, "--data", few_shapes, "--foreign", "foreign", *few)
+    assert read_archive(copy / "benchmarks" / "spread" / "archive")["sets"]["known"]["ours"]["events"] == 2
+
+
 @pytest.mark.skipif(not SHARED.is_dir(), reason="the folder `shared` next to the repository is absent")
 def test_with_shared_data(copy):
     run(copy, "loadfree", "--bench", "reference", "--limit", 1, "--bodies", "dome_4k_pull", "--methods", "contacts")
     run(copy, "speed.solver", "--quick", "--peers", "none", "--out", "solver")
     assert read_archive(copy / "solver")["solves"]
+
+
+@pytest.mark.skipif(not (SHARED / "data").is_dir(), reason="the recordings next to the repository are absent")
+def test_real(copy):
+    run(copy, "real", "--quick", "--data", SHARED / "data")
+    found = read_archive(copy / "benchmarks" / "real" / "archive")
+    assert [len(found[body]) for body in ("beam", "hydrogel")] == [1, 2]
+    assert all(row["registered"] < 0.6 * row["none"] for row in found["hydrogel"])
