@@ -34,24 +34,9 @@ def _refuse_kind(value: Any) -> NoReturn:
 def float_array(name: str, value: Any, shape: tuple[int | None, ...]) -> FloatArray:
     """Return `value` as a C-ordered float64 array of the wanted shape.
 
-    Parameters
-    ----------
-    name : str
-        Name of the argument, for the message.
-    value : array_like
-        Anything numpy can turn into numbers.
-    shape : tuple of int or None
-        Wanted shape; None means any length.
-
-    Returns
-    -------
-    ndarray of float64
-        The same memory where it already fits, otherwise a copy.
-
-    Raises
-    ------
-    ShapeError
-        If `value` is not numeric or has another shape.
+    `name`: name of the argument, for the message; `value`: anything numpy can turn into numbers; `shape`: wanted shape;
+    None means any length. Result: the same memory where it already fits, otherwise a copy. Raises `ShapeError` if
+    `value` is not numeric or has another shape.
     """
     try:
         given = np.asarray(value)
@@ -81,24 +66,9 @@ def depth(name: str, value: Any) -> int:
 def index_array(name: str, value: Any, shape: tuple[int | None, ...]) -> IntArray:
     """Return `value` as a C-ordered int64 array of the wanted shape.
 
-    Parameters
-    ----------
-    name : str
-        Name of the argument, for the message.
-    value : array_like
-        Whole numbers; a float array is refused, not rounded.
-    shape : tuple of int or None
-        Wanted shape; None means any length.
-
-    Returns
-    -------
-    ndarray of int64
-        The same memory where it already fits, otherwise a copy.
-
-    Raises
-    ------
-    ShapeError
-        If `value` is not of an integer type or has another shape.
+    `name`: name of the argument, for the message; `value`: whole numbers; a float array is refused, not rounded;
+    `shape`: wanted shape; None means any length. Result: the same memory where it already fits, otherwise a copy.
+    Raises `ShapeError` if `value` is not of an integer type or has another shape.
     """
     try:
         array = np.asarray(value)

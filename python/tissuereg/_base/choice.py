@@ -10,16 +10,8 @@ from tissuereg.errors import TissueRegError
 def check_choice(name: str, value: Any, choices: Collection[str], error: type[TissueRegError]) -> None:
     """Raise an error unless a value is one of the choices; the message names all of them.
 
-    Parameters
-    ----------
-    name : str
-        The argument.
-    value : object
-        The given value.
-    choices : collection of str
-        The allowed values.
-    error : type of TissueRegError
-        Raised where the value is none of these.
+    `name`: the argument; `value`: the given value; `choices`: the allowed values; `error`: raised where the value is
+    none of these.
     """
     if not isinstance(value, str) or value not in choices:
         message = f"`{name}` must be one of {', '.join(choices)}, got {found(value)}"

@@ -33,15 +33,8 @@ Listener = Callable[[Progress], None]
 class Clock:
     """Adds up the seconds spent in named stages, and notifies a listener when one begins.
 
-    Parameters
-    ----------
-    listener : callable of Progress, optional
-        Called when a stage begins, when a pass is finished, and with every message that is passed to the method `tell`.
-
-    Attributes
-    ----------
-    seconds : dict of str to float
-        Wall time per stage, in the order in which the stages ended.
+    `listener`: called when a stage begins, when a pass is finished, and with every message that is passed to the method
+    `tell`. `seconds`: wall time per stage, in the order in which the stages ended.
     """
 
     def __init__(self, listener: Listener | None = None) -> None:

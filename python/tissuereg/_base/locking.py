@@ -10,12 +10,8 @@ from tissuereg.errors import LockingWarning
 def warn_of_locking(poisson: float) -> None:
     """Warn at the first line outside this package.
 
-    The core calls it wherever a body of four-node tets meets a material of `Material::locks_linear_tets`.
-
-    Parameters
-    ----------
-    poisson : float
-        Largest Poisson's ratio.
+    The core calls it wherever a body of four-node tets meets a material of `Material::locks_linear_tets`. `poisson`:
+    largest Poisson's ratio.
     """
     level = 1
     frame: FrameType | None = sys._getframe()

@@ -39,12 +39,8 @@ def available_bytes() -> int | None:
     """Return the memory that this process may still take; None if it is unknown or without limit.
 
     What `LIMIT` leaves, where that is set. Otherwise the least of what the system has without swapping
-    (``MemAvailable``), and of what the control groups of the process leave of their limits.
-
-    Raises
-    ------
-    ArgumentError
-        If `LIMIT` is set to anything but a positive number; ``inf`` is no limit.
+    (``MemAvailable``), and of what the control groups of the process leave of their limits. Raises `ArgumentError` if
+    `LIMIT` is set to anything but a positive number; ``inf`` is no limit.
     """
     stated = os.environ.get(LIMIT)
     if stated is not None:

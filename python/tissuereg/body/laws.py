@@ -11,14 +11,8 @@ from tissuereg import _core
 class ShapeKey:
     """One shape parameter of a law, dimensionless.
 
-    Attributes
-    ----------
-    name : str
-        In `Material.shape`.
-    series : bool
-        Whether it is a list, one number a term.
-    least, largest : float
-        Between which a fit seeks it; infinite where there is no bound.
+    `name`: in `Material.shape`; `series`: whether it is a list, one number a term; `least`, `largest`: between which a
+    fit seeks it; infinite where there is no bound.
     """
 
     name: str
@@ -31,14 +25,8 @@ class ShapeKey:
 class Declaration:
     """A law of the solver.
 
-    Attributes
-    ----------
-    name : str
-        In `Material.law`.
-    shape : tuple of ShapeKey
-        Its shape parameters, in order.
-    starts : tuple of tuple of float
-        Shapes at which a fit begins; none where the number of terms decides.
+    `name`: in `Material.law`; `shape`: its shape parameters, in order; `starts`: shapes at which a fit begins; none
+    where the number of terms decides.
     """
 
     name: str
@@ -66,17 +54,8 @@ DECLARED: Mapping[str, Declaration] = _declared()
 def shape_of(law: str, *values: float) -> dict[str, Any]:
     """Return the shape parameters of a law whose first ones have some values; all others vanish.
 
-    Parameters
-    ----------
-    law : str
-        Without series of terms.
-    *values : float
-        Of the first parameters, in the order of the declaration.
-
-    Returns
-    -------
-    dict of str to float
-        As `Material.shape` takes them.
+    `law`: without series of terms; `*values`: of the first parameters, in the order of the declaration. Result: as
+    `Material.shape` takes them.
 
     Examples
     --------

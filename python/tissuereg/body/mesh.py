@@ -216,17 +216,8 @@ class Mesh:
 def node_normals(mesh: Mesh, areas: FloatArray) -> FloatArray:
     """Return unit normals at the nodes of a surface: means over the triangles that meet there, by their areas.
 
-    Parameters
-    ----------
-    mesh : Mesh
-        The body.
-    areas : ndarray of float64, shape (n_triangles, 3)
-        Outward normal of every triangle of `Mesh.surface`, as long as its area, in any unit.
-
-    Returns
-    -------
-    ndarray of float64, shape (n_nodes, 3)
-        Zero inside.
+    `areas` (n_triangles, 3): outward normal of every triangle of `Mesh.surface`, as long as its area, in any unit.
+    Result: (n_nodes, 3), zero inside.
     """
     total = np.zeros_like(mesh.nodes)
     for corner in range(3):
@@ -247,17 +238,8 @@ def free_surface(mesh: Mesh) -> tuple[IntArray, FloatArray]:
 def det_f(mesh: Mesh, displacement: FloatArray) -> FloatArray:
     """Return the volume ratio of every tet under a displacement of its corners.
 
-    Parameters
-    ----------
-    mesh : Mesh
-        Reference shape.
-    displacement : ndarray of float64, shape (..., n_nodes, 3)
-        Displacement in mm; leading axes are kept.
-
-    Returns
-    -------
-    ndarray of float64, shape (..., n_tets)
-        det F, dimensionless; not positive where a tet is inverted.
+    `mesh`: reference shape; `displacement` (..., n_nodes, 3): displacement in mm; leading axes are kept. Result: (...,
+    n_tets), det F, dimensionless; not positive where a tet is inverted.
     """
     places = np.ascontiguousarray(mesh.nodes + displacement)
     volumes = [tet_volumes(one, mesh.tets) for one in places.reshape(-1, mesh.n_nodes, 3)]

@@ -62,12 +62,8 @@ def options(parser: Parser) -> None:
 def run(args: argparse.Namespace) -> Outcome:
     """Choose and write.
 
-    Schema ``tissuereg.advise/1``.
-
-    Raises
-    ------
-    UsageError
-        If options do not go together, or an output would replace an input.
+    Schema ``tissuereg.advise/1``. Raises `UsageError` if options do not go together, or an output would replace an
+    input.
     """
     from tissuereg.io.atomic import check_folder_target
     from tissuereg.io.tables import read_surface, read_targets

@@ -38,12 +38,7 @@ def options(parser: Parser) -> None:
 def run(args: argparse.Namespace) -> Outcome:
     """Time the requested parts.
 
-    Schema ``tissuereg.bench/1``.
-
-    Raises
-    ------
-    UsageError
-        If a name cannot be timed.
+    Schema ``tissuereg.bench/1``. Raises `UsageError` if a name cannot be timed.
     """
     from tissuereg.cli.benchmark.stages import BENCHES, BenchSettings
 

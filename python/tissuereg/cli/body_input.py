@@ -26,12 +26,7 @@ _LEAST_GRAVITY = 20.0
 def add_body_options(more: Any, tables: str) -> None:
     """Add the options for frames, targets, held nodes and noise.
 
-    Parameters
-    ----------
-    more : argparse argument group
-        Of the command.
-    tables : str
-        The tables that ``--tables-frame`` is of.
+    `more`: of the command; `tables`: the tables that ``--tables-frame`` is of.
     """
     text = (
         "LPS or RAS: frame of MESH, of tables and of the answer; points of 3D Slicer in the other one are converted "
@@ -52,13 +47,7 @@ def add_body_options(more: Any, tables: str) -> None:
 
 
 def add_belief_options(what: Any) -> None:
-    """Add the options for what is believed of the body and its load.
-
-    Parameters
-    ----------
-    what : argparse argument group
-        Of the command.
-    """
+    """Add the options for what is believed of the body and its load. `what`: of the command."""
     text = "whether the node set 'fixed' is held for sure, perhaps, or not at all (default: sure)"
     what.add_argument("--held", choices=["sure", "perhaps", "free"], help=text)
     text = "whether the tracker kept its place relative to the supports, or may have drifted (default: fixed)"
@@ -78,13 +67,7 @@ def add_belief_options(what: Any) -> None:
 
 
 def add_method_options(how: Any) -> None:
-    """Add the options for the model and the method.
-
-    Parameters
-    ----------
-    how : argparse argument group
-        Of the command.
-    """
+    """Add the options for the model and the method. `how`: of the command."""
     text = "folder of a trained model, or 'phantom' for the one that is shipped (default: unknown contacts)"
     how.add_argument("--model", metavar="DIR", help=text)
     text = "elements of the simulations (default: auto, those that suit the mesh)"
@@ -101,15 +84,7 @@ def add_method_options(how: Any) -> None:
 def method_of(args: argparse.Namespace) -> dict[str, Any]:
     """Return the arguments of `register`, and of `Registrar`, that say how to register.
 
-    Parameters
-    ----------
-    args : argparse.Namespace
-        Parsed command line.
-
-    Returns
-    -------
-    dict
-        ``model``, ``seed`` and ``settings``.
+    `args`: parsed command line. Result: ``model``, ``seed`` and ``settings``.
     """
     return {"model": args.model, "seed": args.seed or 0, "settings": _settings(args)}
 
@@ -130,19 +105,8 @@ def _given(**options: Any) -> dict[str, Any]:
 def believed_body(args: argparse.Namespace, mesh: "Mesh", material: "Material | None") -> "Body":
     """Return what is believed of a body, given its mesh and material.
 
-    Parameters
-    ----------
-    args : argparse.Namespace
-        Parsed command line.
-    mesh : Mesh
-        Undeformed body.
-    material : Material or None
-        As `beliefs_of` returns it.
-
-    Returns
-    -------
-    Body
-        With the elements and supports of the options.
+    `args`: parsed command line; `mesh`: undeformed body; `material`: as `beliefs_of` returns it. Result: with the
+    elements and supports of the options.
     """
     from tissuereg.registration.body import Body
 
@@ -152,22 +116,8 @@ def believed_body(args: argparse.Namespace, mesh: "Mesh", material: "Material | 
 def frames_of(args: argparse.Namespace, files: Sequence[str | Path | None]) -> dict[str, str | None]:
     """Return the frame of the answer and that of tables; note the first if it is that of a file of 3D Slicer.
 
-    Parameters
-    ----------
-    args : argparse.Namespace
-        Parsed command line.
-    files : sequence of path-like or None
-        Files that may be points of 3D Slicer; the first one that is counts.
-
-    Returns
-    -------
-    dict
-        ``frame`` and ``table_frame``, as readers take them.
-
-    Raises
-    ------
-    UsageError
-        If options do not go together.
+    `args`: parsed command line; `files`: files that may be points of 3D Slicer; the first one that is counts. Result:
+    ``frame`` and ``table_frame``, as readers take them. Raises `UsageError` if options do not go together.
     """
     from tissuereg.io.point_files import frame_of_files
 
@@ -185,22 +135,8 @@ def frames_of(args: argparse.Namespace, files: Sequence[str | Path | None]) -> d
 def read_body(args: argparse.Namespace, path: str) -> "Mesh":
     """Return the body, of which something is held if something must be.
 
-    Parameters
-    ----------
-    args : argparse.Namespace
-        Parsed command line.
-    path : str
-        The mesh file.
-
-    Returns
-    -------
-    Mesh
-        In the frame of the file.
-
-    Raises
-    ------
-    FormatError, MeshError
-        If the file cannot be used, or nothing is held.
+    `args`: parsed command line; `path`: the mesh file. Result: in the frame of the file. Raises `FormatError` or
+    `MeshError` if the file cannot be used, or nothing is held.
     """
     from tissuereg.io.meshes import read_mesh
 
@@ -218,24 +154,9 @@ def read_body(args: argparse.Namespace, path: str) -> "Mesh":
 def beliefs_of(args: argparse.Namespace, simulation: str) -> "tuple[Material | None, Load | None]":
     """Return the believed material and load.
 
-    Parameters
-    ----------
-    args : argparse.Namespace
-        Parsed command line.
-    simulation : str
-        Name of the option for a simulation, which gravity must not come with.
-
-    Returns
-    -------
-    (Material or None, Load or None)
-        None where they are not given.
-
-    Raises
-    ------
-    UsageError
-        If options do not go together.
-    MaterialError
-        If a modulus or a density is out of its range.
+    `args`: parsed command line; `simulation`: name of the option for a simulation, which gravity must not come with.
+    Result: None where they are not given. Raises `UsageError` if options do not go together; `MaterialError` if a
+    modulus or a density is out of its range.
     """
     if args.density is not None and args.gravity is None:
         refuse("--density must come with --gravity", "--density")

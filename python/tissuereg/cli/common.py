@@ -46,15 +46,7 @@ class Outcome:
 def envelope(threads: int) -> dict[str, Any]:
     """Return the entries that the JSON of every command has.
 
-    Parameters
-    ----------
-    threads : int
-        Requested number; 0 is all cores.
-
-    Returns
-    -------
-    dict
-        ``threads``, ``machine``, ``versions``.
+    `threads`: requested number; 0 is all cores. Result: ``threads``, ``machine``, ``versions``.
     """
     return {"threads": threads or n_cores(), "machine": machine(), "versions": versions()}
 
@@ -62,15 +54,7 @@ def envelope(threads: int) -> dict[str, Any]:
 def paragraph(text: str) -> str:
     """Return a text as one wrapped paragraph.
 
-    Parameters
-    ----------
-    text : str
-        Any white space.
-
-    Returns
-    -------
-    str
-        Lines of at most 100 characters; long names are kept whole.
+    `text`: any white space. Result: lines of at most 100 characters; long names are kept whole.
     """
     return textwrap.fill(" ".join(text.split()), 100, break_long_words=False, break_on_hyphens=False)
 
@@ -79,15 +63,7 @@ def paragraph(text: str) -> str:
 def warnings_as_lines(*, debug: bool) -> Iterator[list[str]]:
     """Show warnings to users as plain lines on standard error, and collect them.
 
-    Parameters
-    ----------
-    debug : bool
-        Show those for programmers (deprecations) as well.
-
-    Yields
-    ------
-    list of str
-        Fills with what was shown.
+    `debug`: show those for programmers (deprecations) as well. Gives: fills with what was shown.
     """
     notes: list[str] = []
 
@@ -113,13 +89,7 @@ def warnings_as_lines(*, debug: bool) -> Iterator[list[str]]:
 
 
 def note(text: str) -> None:
-    """Print a note, which is not a warning, on standard error in one line.
-
-    Parameters
-    ----------
-    text : str
-        Any white space.
-    """
+    """Print a note, which is not a warning, on standard error in one line. `text`: any white space."""
     print(f"note: {' '.join(text.split())}", file=sys.stderr)
 
 
@@ -127,17 +97,7 @@ def note(text: str) -> None:
 def progress_bar(what: str, *, quiet: bool) -> Iterator[Progress | None]:
     """Give a function that shows progress and the time left on standard error: a bar, or in a file a line at times.
 
-    Parameters
-    ----------
-    what : str
-        What is being counted.
-    quiet : bool
-        Give None instead.
-
-    Yields
-    ------
-    callable of (int, int) or None
-        Takes the number done and the number in all.
+    `what`: what is being counted; `quiet`: give None instead. Gives: takes the number done and the number in all.
     """
     if quiet:
         yield None
@@ -185,18 +145,7 @@ def duration(seconds: float) -> str:
 
 
 def seconds_line(seconds: dict[str, float]) -> str:
-    """Return the times of all stages in one line.
-
-    Parameters
-    ----------
-    seconds : dict of str to float
-        By stage.
-
-    Returns
-    -------
-    str
-        The total last.
-    """
+    """Return the times of all stages in one line. `seconds`: by stage. Result: the total last."""
     stages = [f"{name} {value:.3g} s" for name, value in seconds.items() if name != "total"]
     return ", ".join([*stages, f"total {seconds['total']:.3g} s"])
 
@@ -209,18 +158,7 @@ class Stopwatch:
         self._stages: dict[str, float] = {}
 
     def lap(self, stage: str) -> float:
-        """Give the time since the last lap to a stage.
-
-        Parameters
-        ----------
-        stage : str
-            Its name.
-
-        Returns
-        -------
-        float
-            That time in s.
-        """
+        """Give the time since the last lap to a stage. Result: that time in s."""
         now = time.perf_counter()
         spent, self._last = now - self._last, now
         self._stages[stage] = self._stages.get(stage, 0.0) + spent

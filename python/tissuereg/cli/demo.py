@@ -27,12 +27,8 @@ def options(parser: Parser) -> None:
 def run(args: argparse.Namespace) -> Outcome:
     """Run the demonstration.
 
-    Schema ``tissuereg.registration/1`` with ``truth``; with ``--files`` ``tissuereg.samples/1``.
-
-    Raises
-    ------
-    UsageError
-        If ``--files`` is given with ``--out`` or ``--seed``.
+    Schema ``tissuereg.registration/1`` with ``truth``; with ``--files`` ``tissuereg.samples/1``. Raises `UsageError` if
+    ``--files`` is given with ``--out`` or ``--seed``.
     """
     if args.files is not None:
         return _write_files(args)

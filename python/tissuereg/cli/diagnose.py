@@ -33,12 +33,8 @@ def options(parser: Parser) -> None:
 def run(args: argparse.Namespace) -> Outcome:
     """Diagnose and write.
 
-    Schema ``tissuereg.diagnosis/1``.
-
-    Raises
-    ------
-    UsageError
-        If OUT would replace the experiment's file, or a material test is given elements.
+    Schema ``tissuereg.diagnosis/1``. Raises `UsageError` if OUT would replace the experiment's file, or a material test
+    is given elements.
     """
     from tissuereg.diagnosis import diagnose
     from tissuereg.io.atomic import check_folder_target

@@ -48,12 +48,7 @@ def options(parser: Parser) -> None:
 def run(args: argparse.Namespace) -> Outcome:
     """Fill and write.
 
-    Schema ``tissuereg.mesh/1``.
-
-    Raises
-    ------
-    UsageError
-        If BODY is no .vtu, or would replace the surface.
+    Schema ``tissuereg.mesh/1``. Raises `UsageError` if BODY is no .vtu, or would replace the surface.
     """
     from tissuereg.io.atomic import check_file_target
     from tissuereg.io.meshes import write_vtu

@@ -57,16 +57,8 @@ _THREADS = "threads to use (default: all cores); the result does not depend on i
 class Help:
     """What ``tissuereg COMMAND --help`` says besides the command's arguments.
 
-    Attributes
-    ----------
-    details : str
-        A paragraph below the purpose.
-    example : str
-        Command lines that work.
-    seed : str, optional
-        Help of ``--seed``; None leaves the option out.
-    threads : str
-        Help of ``--threads``.
+    `details`: a paragraph below the purpose; `example`: command lines that work; `seed`: help of ``--seed``; None
+    leaves the option out; `threads`: help of ``--threads``.
     """
 
     details: str
@@ -77,21 +69,8 @@ class Help:
     def parser(self, commands: Any, name: str, purpose: str, options: Callable[[Parser], None]) -> Parser:
         """Add a command's parser: its own options, and those that every command has.
 
-        Parameters
-        ----------
-        commands : argparse sub-parsers action
-            Where to add it.
-        name : str
-            Of the command.
-        purpose : str
-            One line.
-        options : callable of Parser
-            Adds the command's own arguments.
-
-        Returns
-        -------
-        Parser
-            Of the command.
+        `commands`: where to add it; `name`: of the command; `options`: adds the command's own arguments. Result: of the
+        command.
         """
         parser: Parser = commands.add_parser(name, help=purpose, **self.words(purpose))
         self.fill(parser, options)
@@ -136,17 +115,9 @@ def option_type(check: Check) -> Callable[[str], Any]:
 def add_option(to: Any, name: str, declared: Any, metavar: str | None = None) -> None:
     """Add an option whose type, range, help and default are those of a field.
 
-    Parameters
-    ----------
-    to : Parser or argparse argument group
-        Where to.
-    name : str
-        Of the option, with its dashes.
-    declared : dataclass field
-        As the functions of `tissuereg._base.fields` return it, or that of a record:
-        ``Settings.__dataclass_fields__["std_mm"]``. The option is required where it has no default.
-    metavar : str, optional
-        Name of the value in the help; not needed for a choice.
+    `name`: of the option, with its dashes; `declared`: as the functions of `tissuereg._base.fields` return it, or that
+    of a record: ``Settings.__dataclass_fields__["std_mm"]``. The option is required where it has no default; `metavar`:
+    name of the value in the help; not needed for a choice.
     """
     check: Check = declared.metadata["check"]
     text = check.meaning
@@ -167,23 +138,9 @@ def _shown(default: Any) -> str:
 def parse(parser: Parser, words: Sequence[str]) -> argparse.Namespace:
     """Parse a command line; positional words after options may continue a list from before them.
 
-    Parameters
-    ----------
-    parser : Parser
-        Of the whole command line.
-    words : sequence of str
-        After the program's name.
-
-    Returns
-    -------
-    argparse.Namespace
-        argparse does not accept such words (Python issue 15112), so a command's defaults ``late`` and ``room`` name
-        the list that they are added to, and the number of words allowed.
-
-    Raises
-    ------
-    UsageError
-        If a word has no meaning.
+    `parser`: of the whole command line; `words`: after the program's name. Result: argparse does not accept such words
+    (Python issue 15112), so a command's defaults ``late`` and ``room`` name the list that they are added to, and the
+    number of words allowed. Raises `UsageError` if a word has no meaning.
     """
     args, rest = parser.parse_known_args(list(words))
     room = getattr(args, "room", 0)
@@ -199,17 +156,8 @@ def parse(parser: Parser, words: Sequence[str]) -> argparse.Namespace:
 def refuse_overwriting(written: Iterable[Path], inputs: Iterable[str | Path | None]) -> None:
     """Refuse outputs that would replace the command's own input.
 
-    Parameters
-    ----------
-    written : iterable of Path
-        Files that the command is going to write.
-    inputs : iterable of str, Path or None
-        Files that it reads; None where one is not given.
-
-    Raises
-    ------
-    UsageError
-        If a file is both.
+    `written`: files that the command is going to write; `inputs`: files that it reads; None where one is not given.
+    Raises `UsageError` if a file is both.
     """
     read = {Path(file).resolve() for file in inputs if file is not None}
     for file in written:
@@ -221,15 +169,7 @@ def refuse_overwriting(written: Iterable[Path], inputs: Iterable[str | Path | No
 def json_target(words: Sequence[str]) -> str | None:
     """Return the FILE of ``--json``, also from a line that is otherwise wrong.
 
-    Parameters
-    ----------
-    words : sequence of str
-        The command line.
-
-    Returns
-    -------
-    str or None
-        None where there is no such option.
+    `words`: the command line. Result: None where there is no such option.
     """
     scanner = Parser(add_help=False)
     scanner.add_argument("--json")

@@ -21,13 +21,7 @@ if TYPE_CHECKING:
 
 
 def add_input_options(parser: Parser) -> None:
-    """Add the options for data and beliefs about the moment.
-
-    Parameters
-    ----------
-    parser : Parser
-        Of the command.
-    """
+    """Add the options for data and beliefs about the moment. `parser`: of the command."""
     frame = parser.add_argument_group("frame of an experiment")
     frame.add_argument("--case", metavar="C", help="name of the case")
     add_option(frame, "--time", number("time in s on the experiment's clock", unit="s", default=None), "T")
@@ -38,24 +32,9 @@ def add_input_options(parser: Parser) -> None:
 def registration_input(args: argparse.Namespace) -> dict[str, Any]:
     """Return the arguments of `register`.
 
-    Parameters
-    ----------
-    args : argparse.Namespace
-        Parsed command line.
-
-    Returns
-    -------
-    dict
-        Arguments of `register` by name.
-
-    Raises
-    ------
-    UsageError
-        If options do not go together.
-    FormatError, MeshError, MarkerError, ExperimentError
-        If a file cannot be used.
-    MaterialError
-        If a modulus or a density is out of its range.
+    `args`: parsed command line. Result: arguments of `register` by name. Raises `UsageError` if options do not go
+    together; `FormatError`, `MeshError`, `MarkerError` or `ExperimentError` if a file cannot be used; `MaterialError`
+    if a modulus or a density is out of its range.
     """
     from tissuereg.body.surface import SurfacePoints
     from tissuereg.io.experiments import is_experiment

@@ -30,15 +30,7 @@ _SILENT = 2.0
 
 
 class Stages:
-    """Shows stages and passes.
-
-    Parameters
-    ----------
-    bar : tqdm bar or None
-        On a terminal; lines where there is none.
-    quiet : bool
-        Show nothing.
-    """
+    """Shows stages and passes. `bar`: on a terminal; lines where there is none; `quiet`: show nothing."""
 
     def __init__(self, bar: Any, *, quiet: bool) -> None:
         self._bar, self._quiet = bar, quiet
@@ -90,15 +82,7 @@ class Stages:
 def stage_lines(*, quiet: bool) -> Iterator[Stages]:
     """Give an object that shows the stages of a registration on standard error.
 
-    Parameters
-    ----------
-    quiet : bool
-        Show nothing.
-
-    Yields
-    ------
-    Stages
-        A bar on a terminal, else lines; both only in runs of more than a few seconds.
+    `quiet`: show nothing. Gives: a bar on a terminal, else lines; both only in runs of more than a few seconds.
     """
     if quiet or not sys.stderr.isatty():
         yield Stages(None, quiet=quiet)

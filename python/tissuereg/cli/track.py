@@ -68,16 +68,10 @@ def options(parser: Parser) -> None:
 def run(args: argparse.Namespace) -> Outcome:
     """Track and write.
 
-    Schema ``tissuereg.track/1``; exit code 4 where a frame is not to be trusted or could not be registered.
-
-    Raises
-    ------
-    UsageError
-        If options do not go together, or an output would replace an input.
-    FormatError, MeshError, MarkerError, MaterialError
-        If a file cannot be used.
-    MarkerError, ConvergenceError, EnsembleError
-        Of the first frame, if no frame can be registered.
+    Schema ``tissuereg.track/1``; exit code 4 where a frame is not to be trusted or could not be registered. Raises
+    `UsageError` if options do not go together, or an output would replace an input; `FormatError`, `MeshError`,
+    `MarkerError` or `MaterialError` if a file cannot be used; `MarkerError`, `ConvergenceError` or `EnsembleError` of
+    the first frame, if no frame can be registered.
     """
     from tissuereg.io.atomic import check_folder_target
 

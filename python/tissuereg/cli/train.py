@@ -34,10 +34,7 @@ def options(parser: Parser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Hand over to the training package, which writes its own JSON and summary.
 
-    Raises
-    ------
-    MissingPackageError
-        If the training package is not installed.
+    Raises `MissingPackageError` if the training package is not installed.
     """
     from tissuereg.io.atomic import check_folder_target
 

@@ -9,17 +9,8 @@ from tissuereg.cli.common import seconds_line
 def registration_words(content: dict[str, Any], out: str) -> str:
     """Return the result as text; contacts, flags and the verdict come last.
 
-    Parameters
-    ----------
-    content : dict
-        Of ``registration.json``.
-    out : str
-        Folder of the results.
-
-    Returns
-    -------
-    str
-        Several lines; the last states whether to trust the result.
+    `content`: of ``registration.json``; `out`: folder of the results. Result: several lines; the last states whether to
+    trust the result.
     """
     from tissuereg.report.words import fallback_lines, start_word
 
@@ -96,17 +87,8 @@ def _verdict_lines(targets: dict[str, Any], trust: dict[str, Any]) -> list[str]:
 def tracking_words(content: dict[str, Any], out: str) -> str:
     """Return the result as text; the verdict comes last.
 
-    Parameters
-    ----------
-    content : dict
-        Of ``track.json``.
-    out : str
-        Folder of the results.
-
-    Returns
-    -------
-    str
-        Several lines; the last says whether any frame is not to be trusted.
+    `content`: of ``track.json``; `out`: folder of the results. Result: several lines; the last says whether any frame
+    is not to be trusted.
     """
     import numpy as np
 

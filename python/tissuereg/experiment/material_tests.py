@@ -27,24 +27,10 @@ NEARLY_INCOMPRESSIBLE = 0.495
 def uniaxial_stress(material: Material, stretch: Any, *, incompressible: bool = False) -> FloatArray:
     """Return the nominal stress of a bar with free sides.
 
-    Parameters
-    ----------
-    material : Material
-        The same everywhere.
-    stretch : array_like of float, shape (n,)
-        Length over undeformed length; tension above 1.
-    incompressible : bool
-        Keep the volume for any Poisson's ratio, with the same shear modulus.
-
-    Returns
-    -------
-    ndarray of float64, shape (n,)
-        First Piola-Kirchhoff stress in kPa, compression negative; NaN where the law has none.
-
-    Raises
-    ------
-    MaterialError
-        If the material varies over a body, or has no incompressible limit (st-venant-kirchhoff, hooke).
+    `material`: the same everywhere; `stretch` (n,): length over undeformed length; tension above 1; `incompressible`:
+    keep the volume for any Poisson's ratio, with the same shear modulus. Result: (n,), first Piola-Kirchhoff stress in
+    kPa, compression negative; NaN where the law has none. Raises `MaterialError` if the material varies over a body, or
+    has no incompressible limit (st-venant-kirchhoff, hooke).
 
     Examples
     --------
@@ -59,24 +45,8 @@ def uniaxial_stress(material: Material, stretch: Any, *, incompressible: bool = 
 def equibiaxial_stress(material: Material, stretch: Any, *, incompressible: bool = False) -> FloatArray:
     """Return the nominal stress of a sheet that is stretched equally along two axes.
 
-    Parameters
-    ----------
-    material : Material
-        The same everywhere.
-    stretch : array_like of float, shape (n,)
-        Along both axes.
-    incompressible : bool
-        As in `uniaxial_stress`.
-
-    Returns
-    -------
-    ndarray of float64, shape (n,)
-        Along either axis, kPa; NaN where the law has none.
-
-    Raises
-    ------
-    MaterialError
-        As in `uniaxial_stress`.
+    `material`: the same everywhere; `stretch` (n,): along both axes; `incompressible`: as in `uniaxial_stress`. Result:
+    (n,), along either axis, kPa; NaN where the law has none. Raises `MaterialError` as in `uniaxial_stress`.
     """
     return _stress(material, "equibiaxial", stretch, incompressible)
 
@@ -84,22 +54,8 @@ def equibiaxial_stress(material: Material, stretch: Any, *, incompressible: bool
 def shear_stress(material: Material, shear: Any) -> FloatArray:
     """Return the nominal shear stress of simple shear, which keeps the volume.
 
-    Parameters
-    ----------
-    material : Material
-        The same everywhere.
-    shear : array_like of float, shape (n,)
-        Amount of shear, displacement over height.
-
-    Returns
-    -------
-    ndarray of float64, shape (n,)
-        In kPa; NaN where the law has none.
-
-    Raises
-    ------
-    MaterialError
-        If the material varies over a body.
+    `material`: the same everywhere; `shear` (n,): amount of shear, displacement over height. Result: (n,), in kPa; NaN
+    where the law has none. Raises `MaterialError` if the material varies over a body.
     """
     return _stress(material, "simple-shear", shear, False)
 
@@ -121,21 +77,9 @@ def _stress(material: Material, mode: str, amount: Any, incompressible: bool) ->
 class MaterialTest:
     """One measured curve.
 
-    Parameters
-    ----------
-    mode : str
-        ``tension``, ``compression``, ``equibiaxial`` or ``simple-shear``.
-    amount : array_like of float, shape (n,)
-        Stretches, or amounts of shear.
-    stress : array_like of float, shape (n,)
-        Nominal stress in kPa, compression negative.
-    name : str
-        Title.
-
-    Raises
-    ------
-    MaterialError
-        If the mode is unknown, or the columns differ in length, are empty or not finite.
+    `mode`: ``tension``, ``compression``, ``equibiaxial`` or ``simple-shear``; `amount` (n,): stretches, or amounts of
+    shear; `stress` (n,): nominal stress in kPa, compression negative; `name`: title. Raises `MaterialError` if the mode
+    is unknown, or the columns differ in length, are empty or not finite.
     """
 
     mode: str
@@ -156,34 +100,15 @@ class MaterialTest:
     def predicted(self, material: Material, *, incompressible: bool = True) -> FloatArray:
         """Return the stress that a material predicts for this test.
 
-        Parameters
-        ----------
-        material : Material
-            The same everywhere.
-        incompressible : bool
-            As in `uniaxial_stress`.
-
-        Returns
-        -------
-        ndarray of float64, shape (n,)
-            Nominal stress in kPa.
+        `material`: the same everywhere; `incompressible`: as in `uniaxial_stress`. Result: (n,), nominal stress in kPa.
         """
         return _stress(material, MODES[self.mode], self.amount, incompressible)
 
     def r_squared(self, material: Material, *, incompressible: bool = True) -> float:
         """Return the share of the variance of the stress that a material explains.
 
-        Parameters
-        ----------
-        material : Material
-            The same everywhere.
-        incompressible : bool
-            As in `uniaxial_stress`.
-
-        Returns
-        -------
-        float
-            1 for a perfect prediction, below 0 for one worse than the mean stress.
+        `material`: the same everywhere; `incompressible`: as in `uniaxial_stress`. Result: 1 for a perfect prediction,
+        below 0 for one worse than the mean stress.
         """
         misfit = self.stress - self.predicted(material, incompressible=incompressible)
         return float(1 - np.sum(misfit**2) / np.sum((self.stress - self.stress.mean()) ** 2))
@@ -193,18 +118,9 @@ class MaterialTest:
 class LawFit:
     """A law fitted to tests.
 
-    Attributes
-    ----------
-    material : Material
-        The law with its parameters.
-    incompressible : bool
-        Whether it was fitted in its incompressible limit.
-    cost : float
-        Sum of squared weighted residuals.
-    n_parameters : int
-        Number of fitted parameters, including Young's modulus.
-    standard_error : float
-        Root of the sum of squared residuals over (points - parameters), kPa, without weights.
+    `material`: the law with its parameters; `incompressible`: whether it was fitted in its incompressible limit;
+    `cost`: sum of squared weighted residuals; `n_parameters`: number of fitted parameters, including Young's modulus;
+    `standard_error`: root of the sum of squared residuals over (points - parameters), kPa, without weights.
     """
 
     material: Material
@@ -236,35 +152,12 @@ def fit_law(
     """Fit a law to material tests by least squares.
 
     Stress is linear in Young's modulus, which is solved for at every shape; the shape is found by scipy's trust-region
-    method from a few fixed starts, so the result is the same at each call.
-
-    Parameters
-    ----------
-    tests : sequence of MaterialTest
-        Fitted together.
-    law : str
-        One of the laws of `Material`.
-    terms : int
-        Terms of an Ogden law, 1 to 3.
-    weighting : str
-        ``"mode"``: residuals of a test over (its largest stress x root of its number of points), so that all tests
-        have equal weight; ``"plain"``: residuals in kPa.
-    incompressible : bool
-        Fit in the incompressible limit; st-venant-kirchhoff and hooke need False.
-    poisson : float
-        Poisson's ratio of the fitted material.
-    volumetric : str
-        As in `Material`.
-
-    Returns
-    -------
-    LawFit
-        The material and how well it fits.
-
-    Raises
-    ------
-    MaterialError
-        If the law is unknown, there are no tests, or no start leads to finite stresses.
+    method from a few fixed starts, so the result is the same at each call. `tests`: fitted together; `law`: one of the
+    laws of `Material`; `terms`: terms of an Ogden law, 1 to 3; `weighting`: ``"mode"``: residuals of a test over (its
+    largest stress x root of its number of points), so that all tests have equal weight; ``"plain"``: residuals in kPa;
+    `incompressible`: fit in the incompressible limit; st-venant-kirchhoff and hooke need False; `poisson`: Poisson's
+    ratio of the fitted material; `volumetric`: as in `Material`. Result: the material and how well it fits. Raises
+    `MaterialError` if the law is unknown, there are no tests, or no start leads to finite stresses.
 
     Examples
     --------

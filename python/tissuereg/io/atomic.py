@@ -24,20 +24,8 @@ class OutputError(TissueRegError, OSError):
 def atomic_file(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Give a temporary file to write; it becomes `path` when the block ends well.
 
-    Parameters
-    ----------
-    path : path-like
-        Where the file shall stand; missing folders are made, an older file is replaced.
-
-    Yields
-    ------
-    Path
-        The temporary file, same suffix.
-
-    Raises
-    ------
-    OutputError
-        If the operating system refuses: a folder of that name, no permission, no space.
+    `path`: where the file shall stand; missing folders are made, an older file is replaced. Gives: the temporary file,
+    same suffix. Raises `OutputError` if the operating system refuses: a folder of that name, no permission, no space.
 
     Examples
     --------
@@ -64,23 +52,9 @@ def atomic_file(path: str | os.PathLike[str]) -> Iterator[Path]:
 def atomic_folder(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Give a temporary folder to fill; its content moves to `path` when the block ends well.
 
-    A new folder appears in one step. In a folder that stands already each file is replaced whole,
-    and files of other names stay.
-
-    Parameters
-    ----------
-    path : path-like
-        Where the folder shall stand; missing parents are made.
-
-    Yields
-    ------
-    Path
-        The temporary folder.
-
-    Raises
-    ------
-    OutputError
-        If `path` is a file, or the operating system refuses.
+    A new folder appears in one step. In a folder that stands already each file is replaced whole, and files of other
+    names stay. `path`: where the folder shall stand; missing parents are made. Gives: the temporary folder. Raises
+    `OutputError` if `path` is a file, or the operating system refuses.
     """
     target = place("path", path, error=OutputError)
     check_folder_target(target)
@@ -97,15 +71,7 @@ def atomic_folder(path: str | os.PathLike[str]) -> Iterator[Path]:
 def check_file_target(path: str | os.PathLike[str]) -> None:
     """Refuse early a file name that could not be written at the end of a long run.
 
-    Parameters
-    ----------
-    path : path-like
-        Name of a file to be written.
-
-    Raises
-    ------
-    OutputError
-        If it is a folder, or lies where nothing may be written.
+    Raises `OutputError` if it is a folder, or lies where nothing may be written.
     """
     target = place("path", path, error=OutputError)
     if target.is_dir():
@@ -117,15 +83,7 @@ def check_file_target(path: str | os.PathLike[str]) -> None:
 def check_folder_target(path: str | os.PathLike[str]) -> None:
     """Refuse early a folder name that could not be written at the end of a long run; what it holds does not matter.
 
-    Parameters
-    ----------
-    path : path-like
-        Name of a folder to be written.
-
-    Raises
-    ------
-    OutputError
-        If it is a file, or lies where nothing may be written.
+    Raises `OutputError` if it is a file, or lies where nothing may be written.
     """
     target = place("path", path, error=OutputError)
     if target.exists() and not target.is_dir():

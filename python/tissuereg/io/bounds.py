@@ -87,22 +87,7 @@ _BINARY_STL_HEAD, _BINARY_STL_ROW = 84, 50
 def existing_file(path: str | os.PathLike[str], most_mb: int | None = None) -> Path:
     """Return `path` if it is a file that can be read.
 
-    Parameters
-    ----------
-    path : path-like
-        Name of the file.
-    most_mb : int, optional
-        Largest size, MB.
-
-    Returns
-    -------
-    Path
-        The same.
-
-    Raises
-    ------
-    FormatError
-        If it does not exist, is a folder, may not be read or is larger.
+    `most_mb`: largest size, MB. Raises `FormatError` if it does not exist, is a folder, may not be read or is larger.
     """
     file = place("path", path, error=FormatError)
     if file.is_dir():
@@ -122,22 +107,8 @@ def existing_file(path: str | os.PathLike[str], most_mb: int | None = None) -> P
 def mesh_file(path: str | os.PathLike[str], what: str) -> Path:
     """Return `path` if it is a mesh or surface of at most `FILES.mesh_mb` that begins as files of its suffix do.
 
-    Parameters
-    ----------
-    path : path-like
-        Name of the file.
-    what : str
-        What it is read as, for messages: ``"mesh"`` or ``"surface"``.
-
-    Returns
-    -------
-    Path
-        The same.
-
-    Raises
-    ------
-    FormatError
-        If it is no file, too large, or begins otherwise. Only the head of the file is read.
+    `what`: what it is read as, for messages: ``"mesh"`` or ``"surface"``. Raises `FormatError` if it is no file, too
+    large, or begins otherwise. Only the head of the file is read.
     """
     file = existing_file(path, FILES.mesh_mb)
     suffix = file.suffix.lower()
@@ -160,17 +131,8 @@ def mesh_file(path: str | os.PathLike[str], what: str) -> Path:
 def bounded_stream(file: Path, most_mb: int) -> BinaryIO:
     """Open a file whose size cannot be known beforehand, such as a pipe, for reading up to a bound.
 
-    Parameters
-    ----------
-    file : Path
-        From `existing_file`.
-    most_mb : int
-        Largest size, MB.
-
-    Returns
-    -------
-    binary stream
-        Raises `FormatError` when it is read beyond the bound.
+    `file`: from `existing_file`; `most_mb`: largest size, MB. Result: raises `FormatError` when it is read beyond the
+    bound.
     """
     return io.BufferedReader(_Bounded(file, most_mb))
 
@@ -178,24 +140,8 @@ def bounded_stream(file: Path, most_mb: int) -> BinaryIO:
 def read_text(file: Path, most_mb: int = FILES.text_mb) -> str:
     """Return the whole text of a file.
 
-    Parameters
-    ----------
-    file : Path
-        UTF-8, with or without byte order mark.
-    most_mb : int
-        Largest size, MB.
-
-    Returns
-    -------
-    str
-        Line ends as they stand.
-
-    Raises
-    ------
-    FormatError
-        If it is larger.
-    UnicodeDecodeError, OSError
-        If it is no such text, or cannot be read.
+    `file`: UTF-8, with or without byte order mark; `most_mb`: largest size, MB. Result: line ends as they stand. Raises
+    `FormatError` if it is larger; `UnicodeDecodeError` or `OSError` if it is no such text, or cannot be read.
     """
     with bounded_stream(file, most_mb) as stream:
         return stream.read().decode("utf-8-sig")

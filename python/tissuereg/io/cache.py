@@ -24,10 +24,7 @@ _WARNED: set[Path | None] = set()
 def cache_folder() -> Path:
     """Return the folder of cached entries; it may not exist yet.
 
-    Raises
-    ------
-    RuntimeError
-        If neither ``$TISSUEREG_CACHE`` nor ``$XDG_CACHE_HOME`` is set and the user has no home.
+    Raises `RuntimeError` if neither ``$TISSUEREG_CACHE`` nor ``$XDG_CACHE_HOME`` is set and the user has no home.
     """
     chosen = os.environ.get("TISSUEREG_CACHE")
     if chosen:
@@ -38,15 +35,7 @@ def cache_folder() -> Path:
 def read_entry(name: str) -> bytes | None:
     """Return the content of the entry of a name.
 
-    Parameters
-    ----------
-    name : str
-        As it was given to `keep_entry`.
-
-    Returns
-    -------
-    bytes or None
-        None if there is no entry, or a damaged one.
+    `name`: as it was given to `keep_entry`. Result: None if there is no entry, or a damaged one.
     """
     try:
         whole = (cache_folder() / f"{name}{_SUFFIX}").read_bytes()
@@ -60,14 +49,8 @@ def read_entry(name: str) -> bytes | None:
 def keep_entry(name: str, content: bytes, most: int) -> None:
     """Keep an entry, and delete the oldest of its kind; where that cannot be done, warn, once per process.
 
-    Parameters
-    ----------
-    name : str
-        The part before the first underscore is the entry's kind.
-    content : bytes
-        The content that `read_entry` is to return.
-    most : int
-        Number of entries of this kind that are kept.
+    `name`: the part before the first underscore is the entry's kind; `content`: the content that `read_entry` is to
+    return; `most`: number of entries of this kind that are kept.
     """
     folder = None
     try:

@@ -22,14 +22,8 @@ from tissuereg.io.experiment_keys import CsvTable
 class History:
     """Rows of one marker, actuator or target in one case.
 
-    Attributes
-    ----------
-    rows : list of Row
-        Where each was read.
-    times : list of float
-        s, strictly increasing.
-    values : list of tuple of float
-        Three numbers each, NaN where the cell is empty.
+    `rows`: where each was read; `times`: s, strictly increasing; `values`: three numbers each, NaN where the cell is
+    empty.
     """
 
     rows: list[Row] = field(default_factory=list)
@@ -44,26 +38,9 @@ Histories = dict[str, dict[str, History]]
 def read_histories(path: Path, table: CsvTable, known: Iterable[str] | None) -> Histories:
     """Read a table of an experiment folder.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    table : CsvTable
-        Its columns.
-    known : iterable of str or None
-        Names that may stand in the third column; None allows any.
-
-    Returns
-    -------
-    dict of str to dict of str to History
-        By case, then by name, in file order.
-
-    Raises
-    ------
-    ExperimentError
-        If a name is unknown, a row is repeated or time runs backwards; the message names the line.
-    FormatError
-        If the table cannot be read.
+    `known`: names that may stand in the third column; None allows any. Result: by case, then by name, in file order.
+    Raises `ExperimentError` if a name is unknown, a row is repeated or time runs backwards; the message names the line;
+    `FormatError` if the table cannot be read.
     """
     who, components = table.who, table.columns[3:]
     names = None if known is None else tuple(known)
@@ -102,28 +79,10 @@ def assemble_cases(
 ) -> dict[str, Case]:
     """Put all tables onto the frames of each case.
 
-    Parameters
-    ----------
-    markers, forces, targets : dict of str to dict of str to History
-        Measured.
-    marker_names : sequence of str
-        Order of the marker arrays.
-    actuators : sequence of Actuator
-        Declared actuators.
-    controls : mapping of str to histories
-        Prescribed values of actuators by kind: ``displacement`` in mm, ``force`` in mN.
-    forces, targets : dict of str to dict of str to History
-        Measured.
-
-    Returns
-    -------
-    dict of str to Case
-        Cases with marker rows in file order, then those that appear only in actuator tables.
-
-    Raises
-    ------
-    ExperimentError
-        If a measured row falls on no frame, an actuator's rows do not cover the frames, or a case is unknown.
+    `marker_names`: order of the marker arrays; `actuators`: declared actuators; `controls`: prescribed values of
+    actuators by kind: ``displacement`` in mm, ``force`` in mN. Result: cases with marker rows in file order, then those
+    that appear only in actuator tables. Raises `ExperimentError` if a measured row falls on no frame, an actuator's
+    rows do not cover the frames, or a case is unknown.
     """
     kinds = {actuator.name: actuator.kind for actuator in actuators}
     names = list(dict.fromkeys([*markers, *(case for table in controls.values() for case in table)]))
@@ -208,14 +167,7 @@ def write_histories(
 ) -> None:
     """Write a table of an experiment folder, whole or not at all.
 
-    Parameters
-    ----------
-    path : Path
-        Where to.
-    table : CsvTable
-        Its columns.
-    histories : mapping of str to tuple of (ndarray of float64 (n_frames,), mapping of str to ndarray (n_frames, 3))
-        By case: times in s, then values by name; NaN becomes an empty cell.
+    `histories`: by case: times in s, then values by name; NaN becomes an empty cell.
     """
     rows = (
         (case, float(time), name, *map(float, values[frame]))

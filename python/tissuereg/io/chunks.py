@@ -24,18 +24,9 @@ Fields = npt.NDArray[np.float32]
 class Chunk:
     """Members made together.
 
-    Attributes
-    ----------
-    number : int
-        Of the chunk, from 0 on.
-    index : ndarray of int64, shape (k,)
-        Number of each member in the recipe, ascending.
-    displacement : ndarray of float32, shape (k, n_nodes, 3)
-        In mm.
-    parameters : dict of str to ndarray, each of shape (k, ...)
-        Columns; NaN where a member has none.
-    failed : list of (int, str)
-        Members without equilibrium, each with its reason.
+    `number`: of the chunk, from 0 on; `index` int64 (k,): number of each member in the recipe, ascending;
+    `displacement` float32 (k, n_nodes, 3): in mm; `parameters` (k, ...): columns; NaN where a member has none;
+    `failed`: members without equilibrium, each with its reason.
     """
 
     number: int
@@ -53,19 +44,8 @@ def chunk_name(number: int) -> str:
 def pack_chunk(chunk: Chunk, mark: str, version: str) -> bytes:
     """Return the file of a chunk.
 
-    Parameters
-    ----------
-    chunk : Chunk
-        What it holds.
-    mark : str
-        Fingerprint of recipe, seed, mesh and version.
-    version : str
-        Of tissuereg.
-
-    Returns
-    -------
-    bytes
-        The same bytes for the same content.
+    `chunk`: what it holds; `mark`: fingerprint of recipe, seed, mesh and version; `version`: of tissuereg. Result: the
+    same bytes for the same content.
     """
     reasons = [reason for _, reason in chunk.failed]
     arrays: dict[str, npt.NDArray[Any]] = {
@@ -82,28 +62,9 @@ def pack_chunk(chunk: Chunk, mark: str, version: str) -> bytes:
 def read_chunk(store: Store, number: int, n_nodes: int, mark: str, content: bytes | None = None) -> Chunk:
     """Read a chunk as a whole; its checksums are compared.
 
-    Parameters
-    ----------
-    store : Store
-        Where it lies.
-    number : int
-        Its number.
-    n_nodes : int
-        Nodes of the mesh.
-    mark : str
-        Fingerprint that it must have.
-    content : bytes, optional
-        The file's content, where it has been read already.
-
-    Returns
-    -------
-    Chunk
-        Every number of the displacements finite.
-
-    Raises
-    ------
-    FormatError
-        If the file is missing, spoilt, or of another data set.
+    `n_nodes`: nodes of the mesh; `mark`: fingerprint that it must have; `content`: the file's content, where it has
+    been read already. Result: every number of the displacements finite. Raises `FormatError` if the file is missing,
+    spoilt, or of another data set.
     """
     name = chunk_name(number)
     where = store.where(name)

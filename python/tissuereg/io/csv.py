@@ -16,17 +16,7 @@ from tissuereg.io.bounds import FILES, bounded_stream, existing_file
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One line of a table.
-
-    Attributes
-    ----------
-    file : Path
-        The table.
-    line : int
-        Line number, the header is 1.
-    cells : dict of str to str
-        Stripped text by column.
-    """
+    """One line of a table. `line`: line number, the header is 1; `cells`: stripped text by column."""
 
     file: Path
     line: int
@@ -38,23 +28,7 @@ class Row:
         return f"{self.file}:{self.line}"
 
     def text(self, column: str) -> str:
-        """Return the text of a cell that must not be empty.
-
-        Parameters
-        ----------
-        column : str
-            Name of the column.
-
-        Returns
-        -------
-        str
-            Stripped.
-
-        Raises
-        ------
-        FormatError
-            If it is empty.
-        """
+        """Return the text of a cell that must not be empty. Result: stripped. Raises `FormatError` if it is empty."""
         if not self.cells[column]:
             message = f"column '{column}' must not be empty, at {self.file} line {self.line}"
             raise FormatError(message, where=self.where)
@@ -63,22 +37,8 @@ class Row:
     def number(self, column: str, *, may_miss: bool = False) -> float:
         """Return a cell as a finite number.
 
-        Parameters
-        ----------
-        column : str
-            Name of the column.
-        may_miss : bool
-            Whether an empty cell, or the word ``nan``, is allowed and gives NaN.
-
-        Returns
-        -------
-        float
-            Finite, or NaN where missing.
-
-        Raises
-        ------
-        FormatError
-            If it is no number, not finite, or empty where it must not be.
+        `may_miss`: whether an empty cell, or the word ``nan``, is allowed and gives NaN. Result: finite, or NaN where
+        missing. Raises `FormatError` if it is no number, not finite, or empty where it must not be.
         """
         text = self.cells[column]
         if may_miss and text.lower() in ("", "nan"):
@@ -96,17 +56,7 @@ class Row:
     def numbers(self, columns: Iterable[str], *, may_miss: bool = False) -> tuple[float, ...]:
         """Return several cells as numbers.
 
-        Parameters
-        ----------
-        columns : iterable of str
-            Names of the columns.
-        may_miss : bool
-            As in `number`.
-
-        Returns
-        -------
-        tuple of float
-            In that order.
+        `columns`: names of the columns; `may_miss`: as in `number`. Result: in that order.
         """
         return tuple(self.number(column, may_miss=may_miss) for column in columns)
 
@@ -116,27 +66,10 @@ def read_table(
 ) -> list[Row]:
     """Read a table with a header line.
 
-    Parameters
-    ----------
-    path : path-like
-        UTF-8 text; empty lines are skipped.
-    columns : sequence of str
-        Columns that must be there, in any order.
-    optional : sequence of str
-        Columns that may be there.
-    most_rows : int, optional
-        Rows that there may be; no further ones are read.
-
-    Returns
-    -------
-    list of Row
-        At least one.
-
-    Raises
-    ------
-    FormatError
-        If the file is missing, too large or too long, no text, has another header, a line of another length, or no
-        line at all.
+    `path`: UTF-8 text; empty lines are skipped; `columns`: columns that must be there, in any order; `optional`:
+    columns that may be there; `most_rows`: rows that there may be; no further ones are read. Result: at least one.
+    Raises `FormatError` if the file is missing, too large or too long, no text, has another header, a line of another
+    length, or no line at all.
     """
     file = existing_file(path, FILES.table_mb)
     try:
@@ -174,14 +107,7 @@ def _rows(file: Path, reader: Any, columns: Sequence[str], optional: Sequence[st
 def write_table(path: str | os.PathLike[str], header: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
     """Write a table, whole or not at all.
 
-    Parameters
-    ----------
-    path : path-like
-        Where to.
-    header : sequence of str
-        Column names.
-    rows : iterable of sequence
-        One value per column; None and NaN become empty cells, floats keep nine digits.
+    `header`: column names; `rows`: one value per column; None and NaN become empty cells, floats keep nine digits.
     """
     with atomic_file(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as handle:
         writer = csv.writer(handle, lineterminator="\n")

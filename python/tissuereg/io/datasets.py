@@ -271,17 +271,7 @@ class _Chunks:
 def split_of(n_members: int, seed: int) -> dict[str, IntArray]:
     """Return the rows of the three splits: 80, 10 and 10 % of the members.
 
-    Parameters
-    ----------
-    n_members : int
-        Members with equilibrium.
-    seed : int
-        Of the data set.
-
-    Returns
-    -------
-    dict of str to ndarray of int64
-        ``train``, ``valid``, ``test``, each ascending.
+    `n_members`: members with equilibrium. Result: ``train``, ``valid``, ``test``, each ascending.
     """
     n_held_out = int(n_members * FILES.held_out_share)
     n_train = n_members - 2 * n_held_out
@@ -293,20 +283,8 @@ def split_of(n_members: int, seed: int) -> dict[str, IntArray]:
 def read_card(store: Store) -> dict[str, Any]:
     """Return the content of ``dataset.json``, checked.
 
-    Parameters
-    ----------
-    store : Store
-        Where the data set lies.
-
-    Returns
-    -------
-    dict
-        As `docs/files.md` states.
-
-    Raises
-    ------
-    FormatError
-        If it is missing, of the older form, or not as it must be.
+    `store`: where the data set lies. Result: as `docs/files.md` states. Raises `FormatError` if it is missing, of the
+    older form, or not as it must be.
     """
     where = store.where(CARD_NAME)
     if not store.exists(CARD_NAME):
@@ -406,10 +384,7 @@ def pack_mesh(mesh: Mesh) -> bytes:
 def read_data_mesh(store: Store) -> Mesh:
     """Return the mesh of a data set from its place.
 
-    Raises
-    ------
-    FormatError, MeshError, ShapeError
-        If it is missing, spoilt or unusable.
+    Raises `FormatError`, `MeshError` or `ShapeError` if it is missing, spoilt or unusable.
     """
     with npz_of_bytes(store.where(MESH_NAME), store.read(MESH_NAME)) as kept:
         return mesh_from_archive(kept)

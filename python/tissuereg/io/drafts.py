@@ -37,20 +37,9 @@ _LOCK, _CONTENT = "lock", "content"
 def draft(folder: Path) -> Iterator[Path]:
     """Give an empty folder to write in, and remove drafts in `folder` that killed processes left.
 
-    Parameters
-    ----------
-    folder : Path
-        Where the draft stands: the folder of the output, so that a rename stays on one file system.
-
-    Yields
-    ------
-    Path
-        An empty folder within the draft; whatever is still in it at the end is removed.
-
-    Raises
-    ------
-    OSError
-        If the draft cannot be made.
+    `folder`: where the draft stands: the folder of the output, so that a rename stays on one file system. Gives: an
+    empty folder within the draft; whatever is still in it at the end is removed. Raises `OSError` if the draft cannot
+    be made.
     """
     remove_stale_drafts(folder)
     made, lock = _make(folder)
@@ -64,13 +53,7 @@ def draft(folder: Path) -> Iterator[Path]:
 
 
 def remove_stale_drafts(folder: Path) -> None:
-    """Remove drafts whose writer has ended; those that cannot be removed stay.
-
-    Parameters
-    ----------
-    folder : Path
-        Where outputs are written.
-    """
+    """Remove drafts whose writer has ended; those that cannot be removed stay. `folder`: where outputs are written."""
     with contextlib.suppress(OSError):
         for entry in sorted(os.scandir(folder), key=lambda entry: entry.name):
             if _NAME.fullmatch(entry.name) and entry.is_dir(follow_symlinks=False):

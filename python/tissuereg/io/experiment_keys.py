@@ -217,18 +217,8 @@ NODE_FORMS = (
 class CsvTable:
     """One comma-separated table of an experiment folder.
 
-    Attributes
-    ----------
-    file : str
-        Its name.
-    who : str
-        Name of the third column: marker, actuator or target.
-    unit : str
-        Unit of the three numbers.
-    meaning : str
-        What a row holds.
-    presence : str
-        When the file must be there.
+    `who`: name of the third column: marker, actuator or target; `unit`: unit of the three numbers; `meaning`: what a
+    row holds; `presence`: when the file must be there.
     """
 
     file: str
@@ -287,22 +277,8 @@ CONTROL_TABLES = {"displacement": ACTUATORS_CSV, "force": APPLIED_CSV}
 def folder_and_name(top: Table) -> tuple[Path, str]:
     """Take the keys above the first table of an experiment file.
 
-    Parameters
-    ----------
-    top : Table
-        Of a rig or a material test.
-
-    Returns
-    -------
-    folder : Path
-        Of the comma-separated tables.
-    name : str
-        Title; that of the file's folder where none is given.
-
-    Raises
-    ------
-    ExperimentError
-        If a key does not hold what it must.
+    `top`: of a rig or a material test. Result: `folder`: of the comma-separated tables; `name`: title; that of the
+    file's folder where none is given. Raises `ExperimentError` if a key does not hold what it must.
     """
     given = Top.of(top)
     tables = top.file.parent / (given.tables or "")
@@ -312,22 +288,8 @@ def folder_and_name(top: Table) -> tuple[Path, str]:
 def read_material(top: Table) -> tuple[Material, float | None, float | None]:
     """Return the believed material, and standard deviations of Young's modulus and Poisson's ratio where stated.
 
-    Parameters
-    ----------
-    top : Table
-        Of a rig or a material test.
-
-    Returns
-    -------
-    material : Material
-        Means.
-    young_std, poisson_std : float or None
-        kPa; dimensionless.
-
-    Raises
-    ------
-    ExperimentError
-        If the table is absent, a key is missing or unknown, or a value out of its range.
+    `top`: of a rig or a material test. Result: `material`: means; `young_std`, `poisson_std`: kPa; dimensionless.
+    Raises `ExperimentError` if the table is absent, a key is missing or unknown, or a value out of its range.
     """
     table = MaterialKeys.found(top)
     assert table is not None  # it is needed
@@ -345,22 +307,8 @@ def read_material(top: Table) -> tuple[Material, float | None, float | None]:
 def material_table(material: Material, young_std: float | None, poisson_std: float | None) -> dict[str, Any]:
     """Return ``[material]`` as `read_material` reads it.
 
-    Parameters
-    ----------
-    material : Material
-        One for the whole body.
-    young_std, poisson_std : float or None
-        kPa; dimensionless.
-
-    Returns
-    -------
-    dict of str to object
-        By key.
-
-    Raises
-    ------
-    ExperimentError
-        If a modulus or Poisson's ratio varies over the body.
+    `material`: one for the whole body; `young_std`, `poisson_std`: kPa; dimensionless. Result: by key. Raises
+    `ExperimentError` if a modulus or Poisson's ratio varies over the body.
     """
     return {
         "law": material.law,

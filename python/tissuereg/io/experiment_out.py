@@ -64,22 +64,7 @@ def write_experiment(
 def experiment_text(experiment: Experiment | MaterialExperiment, folder: str | os.PathLike[str]) -> str:
     """Return what `write_experiment` writes for a folder.
 
-    Parameters
-    ----------
-    experiment : Experiment
-        As there.
-    folder : path-like
-        In which the file is to be read; need not exist.
-
-    Returns
-    -------
-    str
-        TOML.
-
-    Raises
-    ------
-    ExperimentError
-        As there.
+    `folder`: in which the file is to be read; need not exist. Result: TOML. Raises `ExperimentError` as there.
     """
     return toml_text(_content(experiment, Path(folder)))
 
@@ -175,23 +160,9 @@ def write_simulated(
 ) -> None:
     """Write a simulated experiment, all or nothing.
 
-    Parameters
-    ----------
-    out : Path
-        Folder to write.
-    experiment : Experiment
-        What was simulated; its mesh stays where it is.
-    answers : mapping of str to CaseSimulation
-        All cases.
-    model : Simulated
-        The model that was used; the experiment file states it.
-
-    Raises
-    ------
-    ExperimentError
-        If a belief cannot be written to an experiment file.
-    OutputError
-        If the folder cannot be written.
+    `out`: folder to write; `experiment`: what was simulated; its mesh stays where it is; `answers`: all cases; `model`:
+    the model that was used; the experiment file states it. Raises `ExperimentError` if a belief cannot be written to an
+    experiment file; `OutputError` if the folder cannot be written.
     """
     with atomic_folder(out) as folder:
         # Paths are those seen from where the folder will be.
@@ -209,17 +180,7 @@ def simulated_tables(
 ) -> list[tuple[CsvTable, _Histories]]:
     """Return the tables of an experiment folder with simulated values; tables without a row are left out.
 
-    Parameters
-    ----------
-    experiment : Experiment
-        What was simulated.
-    answers : mapping of str to CaseSimulation
-        All cases.
-
-    Returns
-    -------
-    list of (CsvTable, mapping)
-        As `write_histories` takes them.
+    `experiment`: what was simulated; `answers`: all cases. Result: as `write_histories` takes them.
     """
     names = experiment.marker_names
     cases = experiment.cases

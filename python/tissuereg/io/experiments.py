@@ -114,15 +114,7 @@ def read_experiment(path: str | os.PathLike[str], *, measured: bool = True) -> E
 def is_experiment(path: str | os.PathLike[str]) -> bool:
     """Return whether a path is that of an experiment: a folder, or a TOML file of a rig or a material test.
 
-    Parameters
-    ----------
-    path : path-like
-        Folder or file.
-
-    Returns
-    -------
-    bool
-        False for data-set recipes and everything else.
+    `path`: folder or file. Result: False for data-set recipes and everything else.
     """
     place = Path(path)
     if place.is_dir() or place.suffix.lower() != ".toml":
@@ -134,15 +126,7 @@ def is_experiment(path: str | os.PathLike[str]) -> bool:
 def is_material_test(path: str | os.PathLike[str]) -> bool:
     """Return whether a path is that of a material test: a folder or file with ``kind = "material-test"``.
 
-    Parameters
-    ----------
-    path : path-like
-        Folder or file.
-
-    Returns
-    -------
-    bool
-        False also where there is no such file; reading it then raises the error.
+    `path`: folder or file. Result: False also where there is no such file; reading it then raises the error.
     """
     place = Path(path)
     file = place / "experiment.toml" if place.is_dir() else place

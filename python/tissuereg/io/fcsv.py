@@ -24,21 +24,10 @@ _SETTING = re.compile(r"#\s*(CoordinateSystem|columns)\s*=\s*(.*)$")
 def read_fcsv(path: str | os.PathLike[str]) -> NamedPoints:
     """Read the points of a file of fiducials.
 
-    Parameters
-    ----------
-    path : path-like
-        With the line ``# CoordinateSystem = LPS`` (or RAS, or 1 and 0 for the two).
-
-    Returns
-    -------
-    NamedPoints
-        In the file's frame, in mm. A point whose coordinates are empty is not defined, nor is one that has the number
-        of another status behind the named columns (0 undefined, 1 preview, 3 missing), where Slicer 5 puts it.
-
-    Raises
-    ------
-    FormatError
-        If the file is missing, does not state its frame, or a line is not a point; the message names the line.
+    `path`: with the line ``# CoordinateSystem = LPS`` (or RAS, or 1 and 0 for the two). Result: in the file's frame, in
+    mm. A point whose coordinates are empty is not defined, nor is one that has the number of another status behind the
+    named columns (0 undefined, 1 preview, 3 missing), where Slicer 5 puts it. Raises `FormatError` if the file is
+    missing, does not state its frame, or a line is not a point; the message names the line.
     """
     file = existing_file(path, FILES.text_mb)
     try:

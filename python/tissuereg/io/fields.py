@@ -17,26 +17,11 @@ from tissuereg.io.npz import open_npz
 def read_displacement(path: str | os.PathLike[str], mesh: Mesh, name: str = "displacement") -> FloatArray:
     """Read the displacement that another solver found at the nodes of a mesh.
 
-    Parameters
-    ----------
-    path : path-like
-        A .vtu, .vtk or .msh file with the undeformed mesh and vectors at its points; or an .npz with the array
-        ``displacement_mm``. Lengths in mm.
-    mesh : Mesh
-        Whose nodes the file has, in the same order. Further points after them, such as middles of edges, are left out.
-    name : str
-        Of the point data; not of an .npz.
-
-    Returns
-    -------
-    ndarray of float64, shape (n_nodes, 3)
-        mm.
-
-    Raises
-    ------
-    FormatError
-        If the file cannot be read, has no such data, is of another mesh or of the deformed one, or holds numbers that
-        are not finite.
+    `path`: a .vtu, .vtk or .msh file with the undeformed mesh and vectors at its points; or an .npz with the array
+    ``displacement_mm``. Lengths in mm; `mesh`: whose nodes the file has, in the same order. Further points after them,
+    such as middles of edges, are left out; `name`: of the point data; not of an .npz. Result: (n_nodes, 3), mm. Raises
+    `FormatError` if the file cannot be read, has no such data, is of another mesh or of the deformed one, or holds
+    numbers that are not finite.
     """
     text("name", name)
     file = mesh_file(path, "mesh")

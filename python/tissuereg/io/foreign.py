@@ -26,17 +26,8 @@ def hushed() -> Iterator[None]:
 def reading(file: Path, what: str) -> Iterator[None]:
     """Run a reader of another package silently; any error of it counts as an invalid file.
 
-    Parameters
-    ----------
-    file : Path
-        The file that is read.
-    what : str
-        What it must be: "a mesh", "a surface".
-
-    Raises
-    ------
-    FormatError
-        If the block raises anything but an error of this package.
+    `file`: the file that is read; `what`: what it must be: "a mesh", "a surface". Raises `FormatError` if the block
+    raises anything but an error of this package.
     """
     try:
         with hushed():
@@ -52,22 +43,8 @@ def reading(file: Path, what: str) -> Iterator[None]:
 def meshio_content(file: Path, what: str) -> Any:
     """Return a file as meshio reads it.
 
-    Parameters
-    ----------
-    file : Path
-        With an ending of `MESHIO_MODULES`.
-    what : str
-        As `reading` takes it.
-
-    Returns
-    -------
-    meshio.Mesh
-        As it stands.
-
-    Raises
-    ------
-    FormatError
-        If meshio cannot read it.
+    `file`: with an ending of `MESHIO_MODULES`; `what`: as `reading` takes it. Result: as it stands. Raises
+    `FormatError` if meshio cannot read it.
     """
     import meshio
 

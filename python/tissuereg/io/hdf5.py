@@ -22,19 +22,9 @@ _SPOILT = (OSError, RuntimeError, ValueError, TypeError, KeyError, MemoryError, 
 def packed(arrays: Mapping[str, npt.NDArray[Any]], attributes: Mapping[str, Any], by_row: frozenset[str]) -> bytes:
     """Return an HDF5 file of arrays.
 
-    Parameters
-    ----------
-    arrays : mapping of str to ndarray
-        By name; a slash makes a group. Text is written as UTF-8.
-    attributes : mapping of str to str or number
-        Attributes of the whole file.
-    by_row : frozenset of str
-        Names of arrays that are chunked by rows, so that one row can be read alone; the others are one chunk.
-
-    Returns
-    -------
-    bytes
-        The same bytes for the same content.
+    `arrays`: by name; a slash makes a group. Text is written as UTF-8; `attributes`: attributes of the whole file;
+    `by_row`: names of arrays that are chunked by rows, so that one row can be read alone; the others are one chunk.
+    Result: the same bytes for the same content.
     """
     import h5py
 
@@ -66,24 +56,8 @@ def _utf8(texts: npt.NDArray[Any]) -> npt.NDArray[Any]:
 def opened(store: Store, name: str, content: bytes | None = None) -> Iterator[Any]:
     """Open an HDF5 file for reading; what h5py raises on the way is said with the file's name.
 
-    Parameters
-    ----------
-    store : Store
-        Where it lies.
-    name : str
-        Its name there.
-    content : bytes, optional
-        The file's content, where it has been read already.
-
-    Yields
-    ------
-    h5py.File
-        The open file.
-
-    Raises
-    ------
-    FormatError
-        If it is missing or spoilt, also if that shows only while it is read.
+    `name`: its name there; `content`: the file's content, where it has been read already. Gives: the open file. Raises
+    `FormatError` if it is missing or spoilt, also if that shows only while it is read.
     """
     with spoilt_is_said(store, name):
         whole = OpenFile(store, name, content)
@@ -96,15 +70,7 @@ def opened(store: Store, name: str, content: bytes | None = None) -> Iterator[An
 class OpenFile:
     """An open HDF5 file, to be closed by its owner; without the messages of `opened`.
 
-    Parameters
-    ----------
-    store, name, content
-        As `opened`.
-
-    Attributes
-    ----------
-    file : h5py.File
-        The file.
+    `store`, `name`, `content`: as `opened`.
     """
 
     def __init__(self, store: Store, name: str, content: bytes | None = None) -> None:
@@ -144,28 +110,9 @@ def spoilt_is_said(store: Store, name: str) -> Iterator[None]:
 def array_of(file: Any, where: str, name: str, kinds: str, shape: tuple[int | None, ...]) -> npt.NDArray[Any]:
     """Return an array of an open file, checked.
 
-    Parameters
-    ----------
-    file : h5py.File
-        The open file.
-    where : str
-        Its name, for messages.
-    name : str
-        The array's.
-    kinds : str
-        Kinds of dtype that it may have.
-    shape : tuple of int or None
-        Its shape; None means any length.
-
-    Returns
-    -------
-    ndarray
-        As stored.
-
-    Raises
-    ------
-    FormatError
-        If it is missing, or of another kind or shape.
+    `file`: the open file; `where`: its name, for messages; `name`: the array's; `kinds`: kinds of dtype that it may
+    have; `shape`: its shape; None means any length. Result: as stored. Raises `FormatError` if it is missing, or of
+    another kind or shape.
     """
     data = checked(file, where, name, kinds, shape)
     content: npt.NDArray[Any] = data[()]

@@ -16,20 +16,8 @@ from tissuereg.io.atomic import atomic_file
 def plain(value: Any) -> Any:
     """Return `value` made of dicts, lists, strings, bools, finite numbers and None only.
 
-    Parameters
-    ----------
-    value : object
-        Mappings, sequences, sets, numpy arrays and scalars, paths, nested at will.
-
-    Returns
-    -------
-    object
-        NaN and infinities become None, arrays become lists.
-
-    Raises
-    ------
-    FormatError
-        If something else is found.
+    `value`: mappings, sequences, sets, numpy arrays and scalars, paths, nested at will. Result: naN and infinities
+    become None, arrays become lists. Raises `FormatError` if something else is found.
 
     Examples
     --------
@@ -56,29 +44,13 @@ def plain(value: Any) -> Any:
 def dumps(value: Any) -> str:
     """Return `value` as JSON text, indented by two, one newline at the end.
 
-    Parameters
-    ----------
-    value : object
-        What `plain` takes.
-
-    Returns
-    -------
-    str
-        Strict JSON: no NaN, no Infinity.
+    `value`: what `plain` takes. Result: strict JSON: no NaN, no Infinity.
     """
     return json.dumps(plain(value), indent=2, allow_nan=False, ensure_ascii=False) + "\n"
 
 
 def write_json(path: str | os.PathLike[str], value: Any) -> None:
-    """Write `value` as a JSON file, whole or not at all.
-
-    Parameters
-    ----------
-    path : path-like
-        Where to.
-    value : object
-        What `plain` takes.
-    """
+    """Write `value` as a JSON file, whole or not at all. `value`: what `plain` takes."""
     text = dumps(value)
     with atomic_file(path) as temporary:
         temporary.write_text(text, encoding="utf-8")

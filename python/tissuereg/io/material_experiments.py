@@ -69,15 +69,7 @@ def read_material_experiment(path: str | os.PathLike[str]) -> MaterialExperiment
 
 
 def write_test_table(path: str | os.PathLike[str], curves: Iterable[Curve]) -> None:
-    """Write curves as a ``test.csv``, whole or not at all.
-
-    Parameters
-    ----------
-    path : path-like
-        Where to.
-    curves : iterable of Curve
-        What is not known becomes an empty cell.
-    """
+    """Write curves as a ``test.csv``, whole or not at all. `curves`: what is not known becomes an empty cell."""
     rows = [
         (curve.specimen, curve.mode, curve.rate, float(time), float(amount), float(stress))
         for curve in curves

@@ -67,15 +67,7 @@ def read_mesh(path: str | os.PathLike[str], fixed: NodeRule | None = None, *, fr
 def mesh_from_archive(archive: Archive) -> Mesh:
     """Return the mesh that an open .npz holds.
 
-    Parameters
-    ----------
-    archive : Archive
-        With ``nodes_mm``, ``tets`` and any ``<name>_nodes``.
-
-    Returns
-    -------
-    Mesh
-        Its node sets are named without ``_nodes``.
+    `archive`: with ``nodes_mm``, ``tets`` and any ``<name>_nodes``. Result: its node sets are named without ``_nodes``.
     """
     nodes = archive.floats("nodes_mm", None, 3, finite=False)  # `Mesh` names the node that is not
     tets = archive.indices("tets", None, 4)
@@ -97,23 +89,11 @@ def write_vtu(
 ) -> None:
     """Write a mesh with values at its nodes as .vtu, whole or not at all.
 
-    Parameters
-    ----------
-    path : path-like
-        Where to; should end in .vtu.
-    mesh : Mesh
-        Nodes in mm; its node sets are written as 0/1 point data, so that `read_mesh` finds them.
-    point_data : mapping of str to array_like of float, shape (n_nodes,) or (n_nodes, 3), optional
-        Values at the nodes, named with their unit.
-    says : str
-        A note for viewers about the whole file, in words joined by underscores: the name of an array of field data.
-    places : array_like of float, shape (n_nodes, 3), optional
-        Where the nodes are drawn, mm, in place of the mesh's own; tets may be inside out there.
-
-    Raises
-    ------
-    ShapeError
-        If an array does not have one row per node.
+    `path`: where to; should end in .vtu; `mesh`: nodes in mm; its node sets are written as 0/1 point data, so that
+    `read_mesh` finds them; `point_data` (n_nodes,): values at the nodes, named with their unit; `says`: a note for
+    viewers about the whole file, in words joined by underscores: the name of an array of field data; `places` (n_nodes,
+    3): where the nodes are drawn, mm, in place of the mesh's own; tets may be inside out there. Raises `ShapeError` if
+    an array does not have one row per node.
     """
     import meshio
 

@@ -29,20 +29,9 @@ _UNKNOWN = (math.nan, math.nan, math.nan)
 def read_mrk_json(path: str | os.PathLike[str]) -> NamedPoints:
     """Read the list of points in a file of markups.
 
-    Parameters
-    ----------
-    path : path-like
-        One list of points. Where the file does not state them, the frame is LPS and the unit mm, as in Slicer.
-
-    Returns
-    -------
-    NamedPoints
-        In the file's frame, in mm; a point whose ``positionStatus`` is not ``defined`` has no place.
-
-    Raises
-    ------
-    FormatError
-        If the file is missing or no such list; the message names the place in it.
+    `path`: one list of points. Where the file does not state them, the frame is LPS and the unit mm, as in Slicer.
+    Result: in the file's frame, in mm; a point whose ``positionStatus`` is not ``defined`` has no place. Raises
+    `FormatError` if the file is missing or no such list; the message names the place in it.
     """
     file = existing_file(path, FILES.text_mb)
     markup = _only_list(file, _content(file))
@@ -61,14 +50,8 @@ def write_mrk_json(
 ) -> None:
     """Write a list of points for Slicer, whole or not at all.
 
-    Parameters
-    ----------
-    path : path-like
-        Where to; should end in ``.mrk.json``.
-    points : mapping of str to (sequence of float, str)
-        Place in mm and description by label.
-    frame : str, optional
-        ``"LPS"`` or ``"RAS"``, the frame of the places; LPS where absent, which is what Slicer takes for granted.
+    `path`: where to; should end in ``.mrk.json``; `points`: place in mm and description by label; `frame`: ``"LPS"`` or
+    ``"RAS"``, the frame of the places; LPS where absent, which is what Slicer takes for granted.
     """
     name = path_of("path", path, error=OutputError).name.removesuffix(".json").removesuffix(".mrk")
     markup = {

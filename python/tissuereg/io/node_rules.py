@@ -27,28 +27,12 @@ _PLANE_KEYS, _BALL_KEYS = ("plane", "tolerance_mm"), ("centre_mm", "radius_mm")
 def nodes_by_rule(mesh: Mesh, rule: NodeRule, name: str = "fixed") -> IntArray:
     """Return the nodes that a rule chooses.
 
-    Parameters
-    ----------
-    mesh : Mesh
-        The body, mm.
-    rule : str, sequence of float or mapping
-        The name of a node set. Or all nodes near a plane: ``"plane nx ny nz d [tol]"``, those four or five numbers, or
-        ``{"plane": [nx, ny, nz, d], "tolerance_mm": tol}``; `tol` is 0.1 mm where it is absent. Or the surface nodes in
-        a ball: ``"ball x y z r"`` or ``{"centre_mm": [x, y, z], "radius_mm": r}``. A table may be given as TOML text.
-    name : str
-        Name of the argument or key, for the message.
-
-    Returns
-    -------
-    ndarray of int64, shape (n,)
-        Sorted indices, at least one.
-
-    Raises
-    ------
-    FormatError
-        If the rule cannot be read.
-    MeshError
-        If there is no such node set, or the plane or ball catches no node.
+    `mesh`: the body, mm; `rule`: the name of a node set. Or all nodes near a plane: ``"plane nx ny nz d [tol]"``, those
+    four or five numbers, or ``{"plane": [nx, ny, nz, d], "tolerance_mm": tol}``; `tol` is 0.1 mm where it is absent. Or
+    the surface nodes in a ball: ``"ball x y z r"`` or ``{"centre_mm": [x, y, z], "radius_mm": r}``. A table may be
+    given as TOML text; `name`: name of the argument or key, for the message. Result: int64 (n,), sorted indices, at
+    least one. Raises `FormatError` if the rule cannot be read; `MeshError` if there is no such node set, or the plane
+    or ball catches no node.
     """
     kind, numbers = parsed_rule(rule, name)
     if kind == "plane":
@@ -61,24 +45,9 @@ def nodes_by_rule(mesh: Mesh, rule: NodeRule, name: str = "fixed") -> IntArray:
 def parsed_rule(rule: NodeRule, name: str = "fixed") -> tuple[str, list[float]]:
     """Return the kind and the numbers of a rule, so that a wrong one is refused before long work.
 
-    Parameters
-    ----------
-    rule : str, sequence of float or mapping
-        As `nodes_by_rule` takes it.
-    name : str
-        Name of the argument or key, for the message.
-
-    Returns
-    -------
-    kind : str
-        ``plane``, ``ball``, or the name of a node set.
-    numbers : list of float
-        ``nx, ny, nz, d, tol`` or ``x, y, z, r``, lengths in mm; none for a node set.
-
-    Raises
-    ------
-    FormatError
-        If a plane or a ball is not given by such numbers.
+    `rule`: as `nodes_by_rule` takes it; `name`: name of the argument or key, for the message. Result: `kind`:
+    ``plane``, ``ball``, or the name of a node set; `numbers`: ``nx, ny, nz, d, tol`` or ``x, y, z, r``, lengths in mm;
+    none for a node set. Raises `FormatError` if a plane or a ball is not given by such numbers.
     """
     kind, given = _kind_and_words(rule, name)
     if kind not in ("plane", "ball"):
@@ -99,22 +68,9 @@ def parsed_rule(rule: NodeRule, name: str = "fixed") -> tuple[str, list[float]]:
 def rule_for_file(rule: NodeRule, name: str = "nodes") -> str | dict[str, Any]:
     """Return a rule as experiment files hold it: the name of a node set, or a table.
 
-    Parameters
-    ----------
-    rule : str, sequence of float or mapping
-        As `nodes_by_rule` takes it.
-    name : str
-        Name of the argument or key, for the message.
-
-    Returns
-    -------
-    str or dict
-        ``{"plane": [nx, ny, nz, d], "tolerance_mm": tol}`` or ``{"centre_mm": [x, y, z], "radius_mm": r}``.
-
-    Raises
-    ------
-    FormatError
-        If the rule cannot be read.
+    `rule`: as `nodes_by_rule` takes it; `name`: name of the argument or key, for the message. Result: ``{"plane": [nx,
+    ny, nz, d], "tolerance_mm": tol}`` or ``{"centre_mm": [x, y, z], "radius_mm": r}``. Raises `FormatError` if the rule
+    cannot be read.
     """
     kind, numbers = parsed_rule(rule, name)
     if kind == "plane":
@@ -187,26 +143,9 @@ def _refuse(name: str, rules: str, rule: Any) -> NoReturn:
 def nodes_near_plane(mesh: Mesh, normal: Sequence[float], offset: float, tolerance: float) -> IntArray:
     """Return the nodes with ``|n . x - offset| <= tolerance``, n normalised.
 
-    Parameters
-    ----------
-    mesh : Mesh
-        The body, mm.
-    normal : sequence of float, length 3
-        Normal of the plane, of any length but zero.
-    offset : float
-        Distance of the plane from the origin along the unit normal, mm.
-    tolerance : float
-        How far a node may lie from the plane, mm.
-
-    Returns
-    -------
-    ndarray of int64, shape (n,)
-        Sorted indices, at least one.
-
-    Raises
-    ------
-    MeshError
-        If no node is that close.
+    `mesh`: the body, mm; `normal`: normal of the plane, of any length but zero; `offset`: distance of the plane from
+    the origin along the unit normal, mm; `tolerance`: how far a node may lie from the plane, mm. Result: int64 (n,),
+    sorted indices, at least one. Raises `MeshError` if no node is that close.
     """
     unit = np.asarray(normal, dtype=np.float64)
     unit = unit / np.abs(unit).max()  # the squares of very long or short normals are no numbers
@@ -225,24 +164,8 @@ def nodes_near_plane(mesh: Mesh, normal: Sequence[float], offset: float, toleran
 def surface_nodes_in_ball(mesh: Mesh, centre: Sequence[float] | FloatArray, radius: float) -> IntArray:
     """Return the nodes of the surface within a distance of a point.
 
-    Parameters
-    ----------
-    mesh : Mesh
-        The body, mm.
-    centre : sequence of float, length 3
-        mm.
-    radius : float
-        mm.
-
-    Returns
-    -------
-    ndarray of int64, shape (n,)
-        Sorted indices, at least one.
-
-    Raises
-    ------
-    MeshError
-        If no node of the surface is that close.
+    `mesh`: the body, mm; `centre`: mm; `radius`: mm. Result: int64 (n,), sorted indices, at least one. Raises
+    `MeshError` if no node of the surface is that close.
     """
     middle = np.asarray(centre, dtype=np.float64)
     nodes = mesh.surface_nodes_within(middle, radius)

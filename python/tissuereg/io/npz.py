@@ -27,12 +27,7 @@ _SPOILT = (
 class Archive:
     """An open .npz file whose arrays are checked as they are read.
 
-    Parameters
-    ----------
-    path : Path or str
-        Where it came from, for messages.
-    arrays : mapping of str to ndarray
-        numpy's lazy archive.
+    `path`: where it came from, for messages; `arrays`: numpy's lazy archive.
     """
 
     def __init__(self, path: Path | str, arrays: Mapping[str, Any]) -> None:
@@ -50,24 +45,9 @@ class Archive:
     def floats(self, name: str, *shape: int | None, finite: bool = True) -> FloatArray:
         """Return an array of numbers.
 
-        Parameters
-        ----------
-        name : str
-            Name in the archive.
-        *shape : int or None
-            Wanted shape; None means any length.
-        finite : bool
-            Whether NaN and infinities are refused.
-
-        Returns
-        -------
-        ndarray of float64
-            Of that shape.
-
-        Raises
-        ------
-        FormatError
-            If it is missing, spoilt, not numeric, of another shape or not finite.
+        `name`: name in the archive; `*shape`: wanted shape; None means any length; `finite`: whether NaN and infinities
+        are refused. Result: of that shape. Raises `FormatError` if it is missing, spoilt, not numeric, of another shape
+        or not finite.
         """
         array = self._checked(name, float_array, shape)
         if finite and not np.isfinite(array).all():
@@ -79,37 +59,15 @@ class Archive:
     def indices(self, name: str, *shape: int | None) -> IntArray:
         """Return an array of whole numbers.
 
-        Parameters
-        ----------
-        name : str
-            Name in the archive.
-        *shape : int or None
-            Wanted shape; None means any length.
-
-        Returns
-        -------
-        ndarray of int64
-            Of that shape.
+        `name`: name in the archive; `*shape`: wanted shape; None means any length. Result: of that shape.
         """
         return self._checked(name, index_array, shape)
 
     def raw(self, name: str) -> npt.NDArray[Any]:
         """Return an array as it stands.
 
-        Parameters
-        ----------
-        name : str
-            Name in the archive.
-
-        Returns
-        -------
-        ndarray
-            Any dtype but object.
-
-        Raises
-        ------
-        FormatError
-            If it is missing, holds pickled objects or is spoilt.
+        `name`: name in the archive. Result: any dtype but object. Raises `FormatError` if it is missing, holds pickled
+        objects or is spoilt.
         """
         where = f"{self.path}:{name}"
         if name not in self._arrays:
@@ -141,20 +99,8 @@ class Archive:
 def open_npz(path: str | os.PathLike[str]) -> Iterator[Archive]:
     """Open an .npz file for checked reading.
 
-    Parameters
-    ----------
-    path : path-like
-        The file.
-
-    Yields
-    ------
-    Archive
-        Its arrays.
-
-    Raises
-    ------
-    FormatError
-        If there is no such file, if it is no archive of numpy arrays, or if it is too large, packed or unpacked.
+    Gives: its arrays. Raises `FormatError` if there is no such file, if it is no archive of numpy arrays, or if it is
+    too large, packed or unpacked.
     """
     file = existing_file(path, FILES.mesh_mb)
     with file.open("rb") as handle, _unpacked(file, handle) as archive:
@@ -165,22 +111,8 @@ def open_npz(path: str | os.PathLike[str]) -> Iterator[Archive]:
 def npz_of_bytes(where: str, content: bytes) -> Iterator[Archive]:
     """Open the content of an .npz file for checked reading.
 
-    Parameters
-    ----------
-    where : str
-        Where it was read, for messages.
-    content : bytes
-        The whole file.
-
-    Yields
-    ------
-    Archive
-        Its arrays.
-
-    Raises
-    ------
-    FormatError
-        If it is no archive of numpy arrays, or is too large, unpacked.
+    `where`: where it was read, for messages; `content`: the whole file. Gives: its arrays. Raises `FormatError` if it
+    is no archive of numpy arrays, or is too large, unpacked.
     """
     with _unpacked(where, io.BytesIO(content)) as archive:
         yield archive
@@ -213,12 +145,7 @@ def _loaded(file: Path | str, handle: BinaryIO) -> "np.lib.npyio.NpzFile":
 def write_npz(path: str | os.PathLike[str], arrays: Mapping[str, Any]) -> None:
     """Write named arrays as an .npz file, whole or not at all.
 
-    Parameters
-    ----------
-    path : path-like
-        Where to; the name is kept as given.
-    arrays : mapping of str to array_like
-        What to write.
+    `path`: where to; the name is kept as given; `arrays`: what to write.
     """
     with atomic_file(path) as temporary, temporary.open("wb") as handle:
         content: dict[str, Any] = {name: np.asarray(array) for name, array in arrays.items()}

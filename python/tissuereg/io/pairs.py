@@ -17,19 +17,8 @@ PAIRS_SCHEMA = "tissuereg.pairs/1"
 def check_pairs(file: Any, where: str, mark: str) -> None:
     """Check that an open file holds the pairs of a data set.
 
-    Parameters
-    ----------
-    file : h5py.File
-        The open file.
-    where : str
-        Its name, for messages.
-    mark : str
-        SHA-256 of the data set's recipe.
-
-    Raises
-    ------
-    FormatError
-        If it holds something else.
+    `file`: the open file; `where`: its name, for messages; `mark`: SHA-256 of the data set's recipe. Raises
+    `FormatError` if it holds something else.
     """
     if (file.attrs.get("schema"), file.attrs.get("recipe_sha256")) != (PAIRS_SCHEMA, mark):
         message = f"{where} must hold the pairs of this data set ({PAIRS_SCHEMA}); it holds something else"
@@ -39,23 +28,9 @@ def check_pairs(file: Any, where: str, mark: str) -> None:
 def read_pairs(folder: str | os.PathLike[str], n_nodes: int) -> tuple[FloatArray, FloatArray]:
     """Return simulations and truths of the same events.
 
-    Parameters
-    ----------
-    folder : path-like
-        Holds ``pairs_*.npz`` with ``simulation_mm`` and ``truth_mm``, each (n, n_nodes, 3); they are joined in the
-        order of their names.
-    n_nodes : int
-        Nodes of the mesh.
-
-    Returns
-    -------
-    simulations, truths : ndarray of float64, shape (n_pairs, n_nodes, 3)
-        In mm.
-
-    Raises
-    ------
-    FormatError
-        If there is no such file, or an array is missing or of another shape.
+    `folder`: holds ``pairs_*.npz`` with ``simulation_mm`` and ``truth_mm``, each (n, n_nodes, 3); they are joined in
+    the order of their names; `n_nodes`: nodes of the mesh. Result: `simulations`, `truths` (n_pairs, n_nodes, 3): in
+    mm. Raises `FormatError` if there is no such file, or an array is missing or of another shape.
     """
     files = sorted(Path(folder).glob("pairs_*.npz"))
     if not files:

@@ -30,20 +30,8 @@ def is_point_file(path: str | os.PathLike[str]) -> bool:
 def read_points(path: str | os.PathLike[str]) -> NamedPoints:
     """Read the points of a file.
 
-    Parameters
-    ----------
-    path : path-like
-        A file that `is_point_file` takes.
-
-    Returns
-    -------
-    NamedPoints
-        In the file's frame, in mm.
-
-    Raises
-    ------
-    FormatError
-        If the file is missing, spoilt or of another kind; the message names the place in it.
+    `path`: a file that `is_point_file` takes. Result: in the file's frame, in mm. Raises `FormatError` if the file is
+    missing, spoilt or of another kind; the message names the place in it.
     """
     ending = _ending(path)
     if ending is None:
@@ -59,22 +47,8 @@ def _ending(path: str | os.PathLike[str]) -> str | None:
 def targets_of(path: str | os.PathLike[str], frame: str | None) -> dict[str, FloatArray]:
     """Read inner points.
 
-    Parameters
-    ----------
-    path : path-like
-        A file of points.
-    frame : str or None
-        ``"LPS"`` or ``"RAS"`` that they are wanted in; None: the file's.
-
-    Returns
-    -------
-    dict of str to ndarray of float64, shape (3,)
-        Place in mm by label, in file order.
-
-    Raises
-    ------
-    FormatError
-        If the file cannot be read, or a target has no place.
+    `path`: a file of points; `frame`: ``"LPS"`` or ``"RAS"`` that they are wanted in; None: the file's. Result: (3,),
+    place in mm by label, in file order. Raises `FormatError` if the file cannot be read, or a target has no place.
     """
     points = read_points(path)
     if not points.defined.all():
@@ -89,27 +63,12 @@ def markers_of(
 ) -> Markers:
     """Read markers from where they sit and where they were seen.
 
-    Parameters
-    ----------
-    reference, measured : path-like
-        Files of points; those of the same label belong together. They may have frames and units of their own.
-    std : float
-        Standard deviation of a measured coordinate, mm.
-    frame : str or None
-        ``"LPS"`` or ``"RAS"`` that the markers are wanted in; None: that of `reference`.
-
-    Returns
-    -------
-    Markers
-        In the order of `reference`. A marker that `measured` lacks, or does not define, was not seen; one that
-        `reference` does not define is left out, with a warning.
-
-    Raises
-    ------
-    FormatError
-        If there are not two such files, one cannot be read, or `measured` has a label that `reference` lacks.
-    MarkerError
-        If `std` is not positive.
+    `reference`, `measured`: files of points; those of the same label belong together. They may have frames and units of
+    their own; `std`: standard deviation of a measured coordinate, mm; `frame`: ``"LPS"`` or ``"RAS"`` that the markers
+    are wanted in; None: that of `reference`. Result: in the order of `reference`. A marker that `measured` lacks, or
+    does not define, was not seen; one that `reference` does not define is left out, with a warning. Raises
+    `FormatError` if there are not two such files, one cannot be read, or `measured` has a label that `reference` lacks;
+    `MarkerError` if `std` is not positive.
     """
     files = {"reference": reference, "measured": measured}
     for role, path in files.items():
@@ -129,24 +88,8 @@ def markers_of(
 def reference_of(path: str | os.PathLike[str], std: float, frame: str | None) -> Markers:
     """Read markers from where they sit alone.
 
-    Parameters
-    ----------
-    path : path-like
-        A file of points.
-    std, frame
-        As in `markers_of`.
-
-    Returns
-    -------
-    Markers
-        None of them seen; one without a place is left out, with a warning.
-
-    Raises
-    ------
-    FormatError
-        If the file cannot be read.
-    MarkerError
-        If `std` is not positive.
+    `path`: a file of points; `std`, `frame`: as in `markers_of`. Result: None of them seen; one without a place is left
+    out, with a warning. Raises `FormatError` if the file cannot be read; `MarkerError` if `std` is not positive.
     """
     sit = read_points(path)
     return _markers(sit, {}, std, frame or sit.frame)

@@ -17,16 +17,8 @@ MM_PER_UNIT = {"nm": 1e-6, "um": 1e-3, "mm": 1.0, "cm": 10.0, "m": 1e3}
 class NamedPoints:
     """Points of one file.
 
-    Attributes
-    ----------
-    file : Path
-        Where they were read.
-    frame : str
-        ``"LPS"`` or ``"RAS"``, that of the file.
-    names : tuple of str
-        One per point, no repeats.
-    places : ndarray of float64, shape (n_points, 3)
-        mm, in `frame`; NaN where a point is not defined in the file.
+    `file`: where they were read; `frame`: ``"LPS"`` or ``"RAS"``, that of the file; `names`: one per point, no repeats;
+    `places` (n_points, 3): mm, in `frame`; NaN where a point is not defined in the file.
     """
 
     file: Path
@@ -38,24 +30,9 @@ class NamedPoints:
     def of(cls, file: Path, frame: str, points: Sequence[tuple[str, str, tuple[float, float, float]]]) -> "NamedPoints":
         """Gather points and check their names.
 
-        Parameters
-        ----------
-        file : Path
-            Where they were read.
-        frame : str
-            ``"LPS"`` or ``"RAS"``.
-        points : sequence of (str, str, tuple of float)
-            Where each stands in the file in words ("line 4"), its name, and its place in mm; NaN = not defined.
-
-        Returns
-        -------
-        NamedPoints
-            In file order.
-
-        Raises
-        ------
-        FormatError
-            If there is none, or a name is empty or stands twice.
+        `file`: where they were read; `frame`: ``"LPS"`` or ``"RAS"``; `points`: where each stands in the file in words
+        ("line 4"), its name, and its place in mm; NaN = not defined. Result: in file order. Raises `FormatError` if
+        there is none, or a name is empty or stands twice.
         """
         if not points:
             message = f"{file} must hold at least one point; its list is empty"
@@ -79,15 +56,7 @@ class NamedPoints:
     def places_in(self, frame: str | None) -> FloatArray:
         """Return the places in another frame.
 
-        Parameters
-        ----------
-        frame : str or None
-            ``"LPS"`` or ``"RAS"``; None leaves them as they are.
-
-        Returns
-        -------
-        ndarray of float64, shape (n_points, 3)
-            mm.
+        `frame`: ``"LPS"`` or ``"RAS"``; None leaves them as they are. Result: (n_points, 3), mm.
         """
         return turned(self.places, self.frame, frame)
 
@@ -95,17 +64,8 @@ class NamedPoints:
 def turned(points: FloatArray, source: str | None, target: str | None) -> FloatArray:
     """Return points of one frame in another: LPS and RAS differ by half a turn about z.
 
-    Parameters
-    ----------
-    points : ndarray of float64, shape (..., 3)
-        Places or directions in `source`.
-    source, target : str or None
-        ``"LPS"`` or ``"RAS"``; None: the same as the other one, nothing is converted.
-
-    Returns
-    -------
-    ndarray of float64, shape (..., 3)
-        In `target`.
+    `points` (..., 3): places or directions in `source`; `source`, `target`: ``"LPS"`` or ``"RAS"``; None: the same as
+    the other one, nothing is converted. Result: (..., 3), in `target`.
 
     Examples
     --------

@@ -19,16 +19,9 @@ from tissuereg.io.npz import Archive, open_npz, write_npz
 class Problem:
     """A body with its material and load.
 
-    Attributes
-    ----------
-    mesh : Mesh
-        Reference shape; node set ``fixed`` is held.
-    material : Material
-        Neo-Hookean, Young's modulus in kPa.
-    load : Load
-        Nodal forces in mN; also body force and prescribed displacement where the file has them.
-    reference : ndarray of float64, shape (n_nodes, 3), or None
-        Another solver's displacement in mm, where the file has one.
+    `mesh`: reference shape; node set ``fixed`` is held; `material`: neo-Hookean, Young's modulus in kPa; `load`: nodal
+    forces in mN; also body force and prescribed displacement where the file has them; `reference` (n_nodes, 3) or None:
+    another solver's displacement in mm, where the file has one.
     """
 
     mesh: Mesh
@@ -40,25 +33,11 @@ class Problem:
 def read_problem(path: str | os.PathLike[str]) -> Problem:
     """Read a static problem.
 
-    Parameters
-    ----------
-    path : path-like
-        An .npz with ``nodes_mm (n, 3)``, ``tets (m, 4)``, ``fixed_nodes (f,)``, ``forces_mN (n, 3)``,
-        ``young_kPa`` and ``poisson`` (one for all, or one per tet); optional are
-        ``body_force_mN_per_mm3 (3,)``, ``prescribed_mm (f, 3)`` (in the order of ``fixed_nodes``) and
-        ``displacement_mm (n, 3)`` to compare with. Other arrays are ignored.
-
-    Returns
-    -------
-    Problem
-        Ready to solve.
-
-    Raises
-    ------
-    FormatError
-        If the file is no such archive; the message names the array.
-    MeshError, MaterialError
-        If mesh or moduli are out of their range.
+    `path`: an .npz with ``nodes_mm (n, 3)``, ``tets (m, 4)``, ``fixed_nodes (f,)``, ``forces_mN (n, 3)``, ``young_kPa``
+    and ``poisson`` (one for all, or one per tet); optional are ``body_force_mN_per_mm3 (3,)``, ``prescribed_mm (f, 3)``
+    (in the order of ``fixed_nodes``) and ``displacement_mm (n, 3)`` to compare with. Other arrays are ignored. Result:
+    ready to solve. Raises `FormatError` if the file is no such archive; the message names the array; `MeshError` or
+    `MaterialError` if mesh or moduli are out of their range.
     """
     with open_npz(path) as archive:
         mesh = mesh_from_archive(archive)
@@ -77,16 +56,9 @@ def read_problem(path: str | os.PathLike[str]) -> Problem:
 def write_solution(path: str | os.PathLike[str], problem: Problem, displacement: Any, reactions: Any) -> None:
     """Write the solution of a problem, whole or not at all.
 
-    Parameters
-    ----------
-    path : path-like
-        The .npz; `read_simulation` and ``tissuereg register --simulation`` take it.
-    problem : Problem
-        The problem that was solved.
-    displacement : array_like of float, shape (n_nodes, 3)
-        mm.
-    reactions : array_like of float, shape (n_fixed, 3)
-        Force on the body at every held node in mN, in the order of ``fixed_nodes``.
+    `path`: the .npz; `read_simulation` and ``tissuereg register --simulation`` take it; `problem`: the problem that was
+    solved; `displacement` (n_nodes, 3): mm; `reactions` (n_fixed, 3): force on the body at every held node in mN, in
+    the order of ``fixed_nodes``.
     """
     write_npz(
         path,
@@ -101,22 +73,8 @@ def write_solution(path: str | os.PathLike[str], problem: Problem, displacement:
 def read_simulation(path: str | os.PathLike[str], n_nodes: int | None = None) -> FloatArray:
     """Read a simulation's displacement field.
 
-    Parameters
-    ----------
-    path : path-like
-        An .npz with ``displacement_mm (n, 3)``.
-    n_nodes : int, optional
-        How many nodes it must have.
-
-    Returns
-    -------
-    ndarray of float64, shape (n_nodes, 3)
-        mm.
-
-    Raises
-    ------
-    FormatError
-        If there is no such array, or it has another shape or a value that is not finite.
+    `path`: an .npz with ``displacement_mm (n, 3)``; `n_nodes`: how many nodes it must have. Result: (n_nodes, 3), mm.
+    Raises `FormatError` if there is no such array, or it has another shape or a value that is not finite.
     """
     with open_npz(path) as archive:
         return archive.floats("displacement_mm", n_nodes, 3)
@@ -125,22 +83,8 @@ def read_simulation(path: str | os.PathLike[str], n_nodes: int | None = None) ->
 def read_variants(path: str | os.PathLike[str], n_nodes: int | None = None) -> FloatArray:
     """Read displacement fields of one moment, simulated with several values of what is uncertain.
 
-    Parameters
-    ----------
-    path : path-like
-        An .npz with ``displacement_mm (k, n, 3)``.
-    n_nodes : int, optional
-        How many nodes they must have.
-
-    Returns
-    -------
-    ndarray of float64, shape (k, n_nodes, 3)
-        mm.
-
-    Raises
-    ------
-    FormatError
-        If there is no such array, or it has another shape or a value that is not finite.
+    `path`: an .npz with ``displacement_mm (k, n, 3)``; `n_nodes`: how many nodes they must have. Result: (k, n_nodes,
+    3), mm. Raises `FormatError` if there is no such array, or it has another shape or a value that is not finite.
     """
     with open_npz(path) as archive:
         return archive.floats("displacement_mm", None, n_nodes, 3)
@@ -149,24 +93,9 @@ def read_variants(path: str | os.PathLike[str], n_nodes: int | None = None) -> F
 def read_simulations(path: str | os.PathLike[str], n_nodes: int | None = None) -> tuple[FloatArray, FloatArray]:
     """Read a simulation's displacement fields at several moments.
 
-    Parameters
-    ----------
-    path : path-like
-        An .npz with ``times_s (k,)``, ascending, and ``displacement_mm (k, n, 3)``.
-    n_nodes : int, optional
-        How many nodes it must have.
-
-    Returns
-    -------
-    times : ndarray of float64, shape (k,)
-        s.
-    fields : ndarray of float64, shape (k, n_nodes, 3)
-        mm.
-
-    Raises
-    ------
-    FormatError
-        If an array is missing, has another shape or a value that is not finite, or there are not two ascending times.
+    `path`: an .npz with ``times_s (k,)``, ascending, and ``displacement_mm (k, n, 3)``; `n_nodes`: how many nodes it
+    must have. Result: `times` (k,): s; `fields` (k, n_nodes, 3): mm. Raises `FormatError` if an array is missing, has
+    another shape or a value that is not finite, or there are not two ascending times.
     """
     with open_npz(path) as archive:
         times = archive.floats("times_s", None)
@@ -180,14 +109,7 @@ def read_simulations(path: str | os.PathLike[str], n_nodes: int | None = None) -
 def write_simulations(path: str | os.PathLike[str], times: Any, fields: Any) -> None:
     """Write displacement fields at several moments as `read_simulations` reads them, whole or not at all.
 
-    Parameters
-    ----------
-    path : path-like
-        The .npz.
-    times : array_like of float, shape (k,)
-        s.
-    fields : array_like of float, shape (k, n_nodes, 3)
-        mm.
+    `path`: the .npz; `times` (k,): s; `fields` (k, n_nodes, 3): mm.
     """
     write_npz(path, {"times_s": np.asarray(times, np.float64), "displacement_mm": np.asarray(fields, np.float64)})
 

@@ -18,12 +18,7 @@ _PLACE = ("x_mm", "y_mm", "z_mm")
 class Recording:
     """Where markers were seen, frame after frame; iterating gives ``(time_s, measured_mm)``, as `Tracker.run` takes.
 
-    Attributes
-    ----------
-    times : ndarray of float64, shape (n_frames,)
-        s, ascending.
-    measured : ndarray of float64, shape (n_frames, n_markers, 3)
-        mm; NaN = not seen.
+    `times` (n_frames,): s, ascending; `measured` (n_frames, n_markers, 3): mm; NaN = not seen.
     """
 
     times: FloatArray
@@ -45,26 +40,11 @@ def read_recording(
 ) -> Recording:
     """Read a recording of markers.
 
-    Parameters
-    ----------
-    path : path-like
-        Table ``time_s,marker,x_mm,y_mm,z_mm``, a row for each marker that was seen, in the order of time. A marker
-        without a row at some time, or with empty cells, was not seen then.
-    names : sequence of str
-        The markers, in the order in which they are wanted.
-    frame, table_frame : {"LPS", "RAS"}, optional
-        Frame of the mesh, and that of the table where it is another one.
-
-    Returns
-    -------
-    Recording
-        One frame for each time in the table.
-
-    Raises
-    ------
-    FormatError
-        If the table cannot be read, has a marker that is not among `names` or twice at one time, or if time goes back;
-        the message names the line.
+    `path`: table ``time_s,marker,x_mm,y_mm,z_mm``, a row for each marker that was seen, in the order of time. A marker
+    without a row at some time, or with empty cells, was not seen then; `names`: the markers, in the order in which they
+    are wanted; `frame`, `table_frame` {"LPS", "RAS"}: frame of the mesh, and that of the table where it is another one.
+    Result: one frame for each time in the table. Raises `FormatError` if the table cannot be read, has a marker that is
+    not among `names` or twice at one time, or if time goes back; the message names the line.
     """
     index = {name: i for i, name in enumerate(names)}
     times: list[float] = []

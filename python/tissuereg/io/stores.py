@@ -23,12 +23,8 @@ _WHOLE_OBJECTS = {"s3", "s3a", "gs", "gcs", "abfs", "abfss", "az", "adl", "oss",
 class Store(Protocol):
     """A flat place for files, by plain names.
 
-    Attributes
-    ----------
-    url : str
-        The place as it was given, for messages.
-    address : str
-        The place for other processes, which may run in another folder.
+    `url`: the place as it was given, for messages; `address`: the place for other processes, which may run in another
+    folder.
     """
 
     url: str
@@ -59,25 +55,10 @@ class Store(Protocol):
 def store_of(given: str | os.PathLike[str] | Store, *, error: type[TissueRegError] = ArgumentError) -> Store:
     """Return the store of a folder or a URL.
 
-    Parameters
-    ----------
-    given : path-like, str or Store
-        A folder of this machine, or a URL of fsspec such as ``s3://bucket/data``; what the file system needs (keys,
-        ports) comes from fsspec's own configuration.
-    error : type
-        Class of the error where it is neither.
-
-    Returns
-    -------
-    Store
-        Nothing is touched yet.
-
-    Raises
-    ------
-    TissueRegError
-        Of that class, if it is no path or fsspec does not know the protocol.
-    MissingPackageError
-        If fsspec, or the package behind the protocol, is not installed.
+    `given`: a folder of this machine, or a URL of fsspec such as ``s3://bucket/data``; what the file system needs
+    (keys, ports) comes from fsspec's own configuration; `error`: class of the error where it is neither. Result:
+    nothing is touched yet. Raises `TissueRegError` of that class, if it is no path or fsspec does not know the
+    protocol; `MissingPackageError` if fsspec, or the package behind the protocol, is not installed.
     """
     if isinstance(given, LocalStore | RemoteStore):
         return given
@@ -88,13 +69,7 @@ def store_of(given: str | os.PathLike[str] | Store, *, error: type[TissueRegErro
 
 
 class LocalStore:
-    """A folder of this machine, or one that several machines share.
-
-    Parameters
-    ----------
-    folder : Path
-        Made when the first file is written.
-    """
+    """A folder of this machine, or one that several machines share. `folder`: made when the first file is written."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -141,17 +116,7 @@ class LocalStore:
 
 
 class RemoteStore:
-    """A folder of a file system of fsspec.
-
-    Parameters
-    ----------
-    url : str
-        As given.
-    files : fsspec.AbstractFileSystem
-        The file system.
-    folder : str
-        Its name for the folder.
-    """
+    """A folder of a file system of fsspec. `files`: the file system; `folder`: its name for the folder."""
 
     def __init__(self, url: str, files: Any, folder: str) -> None:
         self.url = self.address = url.rstrip("/")

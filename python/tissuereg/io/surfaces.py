@@ -40,29 +40,13 @@ _UNIT_NOTE = re.compile(r"\bunits?\b\s*[:= ]\s*(milli|centi)?(mm|cm|m|met(?:er|r
 def read_triangles(surface: SurfaceInput, unit: str | None = None) -> Triangles:
     """Read a surface, in mm.
 
-    Parameters
-    ----------
-    surface : path-like, pair of arrays, or Triangles
-        A .stl, .ply, .obj, .off, .vtp, .vtu, .vtk or .msh file; or vertices (n, 3) and triangles (m, 3).
-    unit : {"mm", "cm", "m"}, optional
-        Unit of the coordinates. Where absent, that stated in the file's head, or else mm.
-
-    Returns
-    -------
-    Triangles
-        As given, in mm; four-cornered faces are cut in two. The corners of an .stl, which repeats them for every
-        triangle, are joined where they are equal to the last bit.
-
-    Raises
-    ------
-    FormatError
-        If the file is missing, spoilt, of another kind, or holds no faces; or if `unit` is no such unit.
-    MeshError, ShapeError
-        If coordinates are not finite, or indices out of range.
-    UnitError
-        If the largest extent is not that of an organ, 5 to 2,000 mm.
-    MissingPackageError
-        If a .vtp is given and pyvista is not installed.
+    `surface`: a .stl, .ply, .obj, .off, .vtp, .vtu, .vtk or .msh file; or vertices (n, 3) and triangles (m, 3); `unit`
+    {"mm", "cm", "m"}: unit of the coordinates. Where absent, that stated in the file's head, or else mm. Result: as
+    given, in mm; four-cornered faces are cut in two. The corners of an .stl, which repeats them for every triangle, are
+    joined where they are equal to the last bit. Raises `FormatError` if the file is missing, spoilt, of another kind,
+    or holds no faces; or if `unit` is no such unit; `MeshError` or `ShapeError` if coordinates are not finite, or
+    indices out of range; `UnitError` if the largest extent is not that of an organ, 5 to 2,000 mm;
+    `MissingPackageError` if a .vtp is given and pyvista is not installed.
 
     Examples
     --------

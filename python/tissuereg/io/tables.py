@@ -93,27 +93,12 @@ def read_reference(
 ) -> Markers:
     """Read where markers sit on the undeformed body, without a moment at which they were seen.
 
-    Parameters
-    ----------
-    path : path-like
-        Table ``marker,x_mm,y_mm,z_mm[,std_mm]``, or that of `read_markers`, whose measured places are left aside. Or
-        points of 3D Slicer (``.mrk.json``, ``.fcsv``).
-    std : float, optional
-        Standard deviation in mm of a measured coordinate, for markers without their own; 0.1 where absent.
-    frame, table_frame : {"LPS", "RAS"}, optional
-        As in `read_markers`.
-
-    Returns
-    -------
-    Markers
-        In file order, none of them seen.
-
-    Raises
-    ------
-    FormatError
-        If the file cannot be read, or a marker stands in it twice; the message names the line.
-    MarkerError
-        If a standard deviation is not positive, a frame none of the two, or `table_frame` given without `frame`.
+    `path`: table ``marker,x_mm,y_mm,z_mm[,std_mm]``, or that of `read_markers`, whose measured places are left aside.
+    Or points of 3D Slicer (``.mrk.json``, ``.fcsv``); `std`: standard deviation in mm of a measured coordinate, for
+    markers without their own; 0.1 where absent; `frame`, `table_frame` {"LPS", "RAS"}: as in `read_markers`. Result: in
+    file order, none of them seen. Raises `FormatError` if the file cannot be read, or a marker stands in it twice; the
+    message names the line; `MarkerError` if a standard deviation is not positive, a frame none of the two, or
+    `table_frame` given without `frame`.
     """
     _check_frames(frame, table_frame)
     usual = FILES.std_mm if std is None else std
@@ -198,12 +183,7 @@ def read_surface(
 def write_markers(path: str | os.PathLike[str], markers: Markers) -> None:
     """Write markers as `read_markers` reads them, whole or not at all.
 
-    Parameters
-    ----------
-    path : path-like
-        Where to.
-    markers : Markers
-        Those that were not seen get empty cells.
+    `markers`: those that were not seen get empty cells.
     """
     same = np.array_equal(markers.axis_std, markers.axis_std[:, [0, 0, 0]])
     spread = markers.axis_std[:, :1] if same else markers.axis_std
@@ -215,12 +195,7 @@ def write_markers(path: str | os.PathLike[str], markers: Markers) -> None:
 def write_points(path: str | os.PathLike[str], points: Mapping[str, Any]) -> None:
     """Write inner points of the undeformed body as `read_targets` reads them, whole or not at all.
 
-    Parameters
-    ----------
-    path : path-like
-        Where to.
-    points : mapping of str to array_like of float, shape (3,)
-        mm.
+    `points` (3,): mm.
     """
     write_table(path, ("target", *_PLACE), [(name, *map(float, place)) for name, place in points.items()])
 
@@ -228,13 +203,8 @@ def write_points(path: str | os.PathLike[str], points: Mapping[str, Any]) -> Non
 def write_targets(path: str | os.PathLike[str], targets: Mapping[str, Mapping[str, Any]]) -> None:
     """Write registered targets as a table, whole or not at all.
 
-    Parameters
-    ----------
-    path : path-like
-        Where to.
-    targets : mapping of str to mapping
-        Each with ``reference_mm (3,)``, ``mean_mm (3,)``, ``covariance_mm2 (3, 3)``, ``region90_radii_mm (3,)``
-        and ``simulation_mm (3,)`` or None, as in ``registration.json``.
+    `targets`: each with ``reference_mm (3,)``, ``mean_mm (3,)``, ``covariance_mm2 (3, 3)``, ``region90_radii_mm (3,)``
+    and ``simulation_mm (3,)`` or None, as in ``registration.json``.
     """
     header = ("target", *_PLACE, *_MOVED, *_COVARIANCE, *_RADII, *_SIMULATED)
     write_table(path, header, [(name, *_target_cells(values)) for name, values in targets.items()])
@@ -245,12 +215,8 @@ def write_tracked_targets(
 ) -> None:
     """Write registered targets of many moments as one table, whole or not at all.
 
-    Parameters
-    ----------
-    path : path-like
-        Where to. The columns are ``time_s`` and those of `write_targets`.
-    moments : iterable of (float, mapping)
-        Time in s, and the targets as `write_targets` takes them.
+    `path`: where to. The columns are ``time_s`` and those of `write_targets`; `moments`: time in s, and the targets as
+    `write_targets` takes them.
     """
     rows = ((float(time_s), name, *_target_cells(one)) for time_s, all_of in moments for name, one in all_of.items())
     write_table(path, ("time_s", "target", *_PLACE, *_MOVED, *_COVARIANCE, *_RADII, *_SIMULATED), rows)

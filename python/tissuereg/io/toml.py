@@ -281,20 +281,7 @@ class Keys(CheckedRecord):
 def experiment_file(path: str | os.PathLike[str]) -> Path:
     """Return the file of an experiment: the path itself, or ``experiment.toml`` in that folder.
 
-    Parameters
-    ----------
-    path : path-like
-        Folder or file.
-
-    Returns
-    -------
-    Path
-        A file that exists.
-
-    Raises
-    ------
-    FormatError
-        If there is none.
+    `path`: folder or file. Result: a file that exists. Raises `FormatError` if there is none.
     """
     given = place("path", path, error=FormatError)
     file = given / "experiment.toml" if given.is_dir() else given
@@ -307,10 +294,7 @@ def experiment_file(path: str | os.PathLike[str]) -> Path:
 def parsed_toml(text: str) -> dict[str, Any]:
     """Return the content of a TOML text.
 
-    Raises
-    ------
-    ValueError
-        If it is no TOML, or holds a number of thousands of digits.
+    Raises `ValueError` if it is no TOML, or holds a number of thousands of digits.
     """
     content: dict[str, Any] = tomllib.loads(text)
     return content
@@ -319,22 +303,8 @@ def parsed_toml(text: str) -> dict[str, Any]:
 def read_toml(path: str | os.PathLike[str]) -> Table:
     """Read a TOML file.
 
-    Parameters
-    ----------
-    path : path-like
-        The file.
-
-    Returns
-    -------
-    Table
-        Its top; `Table.rest` gives it as a plain dict.
-
-    Raises
-    ------
-    ExperimentError
-        If it is no TOML; the message has the line.
-    FormatError
-        If there is no such file, or it is too large.
+    Result: its top; `Table.rest` gives it as a plain dict. Raises `ExperimentError` if it is no TOML; the message has
+    the line; `FormatError` if there is no such file, or it is too large.
     """
     file = existing_file(path, FILES.text_mb)
     try:

@@ -19,20 +19,9 @@ _BARE = re.compile(r"[A-Za-z0-9_-]+")
 def toml_text(content: Mapping[str, Any]) -> str:
     """Return a mapping as TOML.
 
-    Parameters
-    ----------
-    content : mapping of str to object
-        Texts, numbers, truth values, lists of them, mappings (tables), lists of mappings (lists of tables).
-
-    Returns
-    -------
-    str
-        Floats in the shortest form that reads back to the same bits.
-
-    Raises
-    ------
-    ExperimentError
-        If a value is of no TOML type.
+    `content`: texts, numbers, truth values, lists of them, mappings (tables), lists of mappings (lists of tables).
+    Result: floats in the shortest form that reads back to the same bits. Raises `ExperimentError` if a value is of no
+    TOML type.
 
     Examples
     --------
@@ -55,19 +44,8 @@ def toml_text(content: Mapping[str, Any]) -> str:
 def write_toml(path: str | os.PathLike[str], content: Mapping[str, Any]) -> None:
     """Write a mapping as a TOML file, whole or not at all.
 
-    Parameters
-    ----------
-    path : path-like
-        Where to.
-    content : mapping of str to object
-        As for `toml_text`.
-
-    Raises
-    ------
-    ExperimentError
-        If a value is of no TOML type.
-    OutputError
-        If it cannot be written there.
+    `content`: as for `toml_text`. Raises `ExperimentError` if a value is of no TOML type; `OutputError` if it cannot be
+    written there.
     """
     text = toml_text(content)
     with atomic_file(path) as temporary:
@@ -102,20 +80,7 @@ def toml_key(key: str) -> str:
 def toml_value(value: Any) -> str:
     """Return one value as TOML; a mapping becomes an inline table.
 
-    Parameters
-    ----------
-    value : object
-        As `toml_text` takes them.
-
-    Returns
-    -------
-    str
-        On one line.
-
-    Raises
-    ------
-    ExperimentError
-        If it is of no TOML type.
+    `value`: as `toml_text` takes them. Result: on one line. Raises `ExperimentError` if it is of no TOML type.
     """
     if isinstance(value, bool):
         return "true" if value else "false"
@@ -139,18 +104,10 @@ def _text(text: str) -> str:
 def commented_toml(head: Sequence[str], tables: Sequence[tuple[type[Keys], Mapping[str, Any] | None]]) -> str:
     """Return an experiment file in which every declared key stands, with its meaning above it.
 
-    Parameters
-    ----------
-    head : sequence of str
-        Lines of the comment at the top.
-    tables : sequence of pairs
-        Declared keys, and values by key, in the order of the file; a list of tables has one pair per table. None: the
-        table is left out, and shown behind ``#``. A mapping as a value becomes a table of its own.
-
-    Returns
-    -------
-    str
-        TOML. Keys without a value stand behind ``#``, without a space; all other comments have one.
+    `head`: lines of the comment at the top; `tables`: declared keys, and values by key, in the order of the file; a
+    list of tables has one pair per table. None: the table is left out, and shown behind ``#``. A mapping as a value
+    becomes a table of its own. Result: TOML. Keys without a value stand behind ``#``, without a space; all other
+    comments have one.
     """
     lines = [f"# {line}" for line in head]
     for declaration, values in tables:

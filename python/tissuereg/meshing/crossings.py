@@ -12,15 +12,8 @@ from tissuereg.meshing.settings import MESHING
 def crossing_pairs(surface: Triangles) -> IntArray | None:
     """Return the pairs of triangles of which an edge of one passes through the inside of the other.
 
-    Parameters
-    ----------
-    surface : Triangles
-        Vertices merged. Triangles that touch, or lie in one plane, do not cross.
-
-    Returns
-    -------
-    ndarray of int64, shape (n_pairs, 2), or None
-        None where there are more than `MESHING.most_pairs` candidates.
+    `surface`: vertices merged. Triangles that touch, or lie in one plane, do not cross. Result: int64 (n_pairs, 2) or
+    None, None where there are more than `MESHING.most_pairs` candidates.
 
     Notes
     -----

@@ -22,13 +22,7 @@ _RUN = "import runpy, sys; sys.argv = sys.argv[1:]; runpy.run_path(sys.argv[0], 
 
 
 def check_mesher() -> None:
-    """Refuse early if the mesher is not installed.
-
-    Raises
-    ------
-    MissingPackageError
-        If pytetwild cannot be found.
-    """
+    """Refuse early if the mesher is not installed. Raises `MissingPackageError` if pytetwild cannot be found."""
     if importlib.util.find_spec(_MESHER) is None:
         raise _missing(_MESHER)
 
@@ -38,34 +32,11 @@ def filled(
 ) -> tuple[FloatArray, IntArray, str]:
     """Return tetrahedra that fill a surface.
 
-    Parameters
-    ----------
-    surface : Triangles
-        Normals outward.
-    size_mm : float
-        Target edge length, mm.
-    deviation_mm : float
-        Largest distance of the faces of the tetrahedra from the surface, mm.
-    threads : int
-        0: all cores.
-
-    Returns
-    -------
-    nodes : ndarray of float64, shape (n_nodes, 3)
-        mm; every one belongs to a tetrahedron.
-    tets : ndarray of int64, shape (n_tets, 4)
-        Positive volume.
-    mesher : str
-        Name and version of the mesher.
-
-    Raises
-    ------
-    MissingPackageError
-        If pytetwild, or one of its dependencies, is not installed.
-    MeshingError
-        If the mesher fails, or makes an element without volume.
-    MemoryError
-        If memory is spent.
+    `surface`: normals outward; `size_mm`: target edge length, mm; `deviation_mm`: largest distance of the faces of the
+    tetrahedra from the surface, mm; `threads`: 0: all cores. Result: `nodes` (n_nodes, 3): mm; every one belongs to a
+    tetrahedron; `tets` int64 (n_tets, 4): positive volume; `mesher`: name and version of the mesher. Raises
+    `MissingPackageError` if pytetwild, or one of its dependencies, is not installed; `MeshingError` if the mesher
+    fails, or makes an element without volume; `MemoryError` if memory is spent.
 
     Notes
     -----

@@ -25,17 +25,8 @@ from tissuereg.meshing.words import place, several, were
 def closed(surface: Triangles) -> tuple[Triangles, list[str]]:
     """Return the surface with its holes closed.
 
-    Parameters
-    ----------
-    surface : Triangles
-        Neighbours agree in their winding.
-
-    Returns
-    -------
-    Triangles
-        The same, with caps after the existing triangles and centres of fans after the existing vertices.
-    list of str
-        The repair, one sentence.
+    `surface`: neighbours agree in their winding. Result: the same, with caps after the existing triangles and centres
+    of fans after the existing vertices. list of str The repair, one sentence.
 
     Examples
     --------
@@ -76,18 +67,9 @@ def closed(surface: Triangles) -> tuple[Triangles, list[str]]:
 def least_area_cap(corners: FloatArray, barred: BoolArray | None = None) -> IntArray:
     """Return the triangles of least total area that close a rim.
 
-    Parameters
-    ----------
-    corners : ndarray of float64, shape (n, 3)
-        Corners of the rim in order, mm.
-    barred : ndarray of bool, shape (n, n), optional
-        Pairs of corners that an edge of the surface joins already. The cap gets another edge between such a pair only
-        if no cap does without.
-
-    Returns
-    -------
-    ndarray of int64, shape (n - 2, 3)
-        Rows of `corners`, going round as the rim does.
+    `corners` (n, 3): corners of the rim in order, mm; `barred` bool (n, n): pairs of corners that an edge of the
+    surface joins already. The cap gets another edge between such a pair only if no cap does without. Result: int64 (n -
+    2, 3), rows of `corners`, going round as the rim does.
 
     Examples
     --------

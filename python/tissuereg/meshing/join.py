@@ -12,22 +12,8 @@ from tissuereg.meshing.words import several, were
 def joined(surface: Triangles) -> tuple[Triangles, list[str]]:
     """Return the surface with every vertex and every triangle once.
 
-    Parameters
-    ----------
-    surface : Triangles
-        As read.
-
-    Returns
-    -------
-    Triangles
-        The remaining vertices and triangles keep their order.
-    list of str
-        The repairs, one sentence each.
-
-    Raises
-    ------
-    MeshError
-        If no triangle is left.
+    Result: the remaining vertices and triangles keep their order. list of str The repairs, one sentence each. Raises
+    `MeshError` if no triangle is left.
 
     Examples
     --------

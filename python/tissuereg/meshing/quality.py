@@ -14,21 +14,11 @@ from tissuereg.simulation.fine.bisection import shape_quality
 def quality(mesh: Mesh, surface: Triangles) -> dict[str, Any]:
     """Return quality measures of a mesh that fills a surface.
 
-    Parameters
-    ----------
-    mesh : Mesh
-        Tetrahedra.
-    surface : Triangles
-        The surface that they fill, closed, normals outward.
-
-    Returns
-    -------
-    dict
-        ``min_quality``, ``median_quality`` (mean ratio, 1 where regular), ``shortest_edge_mm``, ``median_edge_mm``,
-        ``surface_distance_mm`` (largest distance of the tets' boundary from the surface, at its nodes and the middles
-        of its triangles), ``missed_mm`` (the same from the surface to the tets' boundary: thin parts that were lost,
-        and inner shells), ``volume_mm3``, ``volume_change_percent`` (against what the surface encloses), ``parts``
-        (that share no node).
+    `mesh`: tetrahedra; `surface`: the surface that they fill, closed, normals outward. Result: ``min_quality``,
+    ``median_quality`` (mean ratio, 1 where regular), ``shortest_edge_mm``, ``median_edge_mm``, ``surface_distance_mm``
+    (largest distance of the tets' boundary from the surface, at its nodes and the middles of its triangles),
+    ``missed_mm`` (the same from the surface to the tets' boundary: thin parts that were lost, and inner shells),
+    ``volume_mm3``, ``volume_change_percent`` (against what the surface encloses), ``parts`` (that share no node).
 
     Notes
     -----

@@ -16,26 +16,9 @@ def repaired(surface: Triangles, least_volume: float) -> tuple[Triangles, list[s
 
     In this order: vertices at one place are merged, triangles without an area and duplicates are removed, neighbours
     are made to agree in their winding, holes are closed, normals are turned outwards, tiny shells are removed; then
-    crossing triangles are counted.
-
-    Parameters
-    ----------
-    surface : Triangles
-        As read.
-    least_volume : float
-        Closed shells of less volume are removed, except the largest, mm^3.
-
-    Returns
-    -------
-    Triangles
-        Normals outward.
-    list of str
-        One sentence each; empty if there was nothing to repair.
-
-    Raises
-    ------
-    MeshError
-        If no triangle has an area, a shell has one side only, or nothing is enclosed.
+    crossing triangles are counted. `least_volume`: closed shells of less volume are removed, except the largest, mm^3.
+    Result: normals outward. list of str One sentence each; empty if there was nothing to repair. Raises `MeshError` if
+    no triangle has an area, a shell has one side only, or nothing is enclosed.
 
     Examples
     --------

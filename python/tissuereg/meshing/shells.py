@@ -15,27 +15,9 @@ def outward(surface: Triangles, shell: IntArray, least_volume: float) -> tuple[T
 
     A shell inside no other is turned so that its normals point outwards, together with all shells within it. A shell
     within another whose normals then point inwards is the wall of a cavity; otherwise it lies in solid material.
-
-    Parameters
-    ----------
-    surface : Triangles
-        Neighbours agree in their winding.
-    shell : ndarray of int64, shape (n_triangles,)
-        Shell of every triangle, from 0.
-    least_volume : float
-        Closed shells of less volume are removed, except the largest, mm^3.
-
-    Returns
-    -------
-    Triangles
-        Without loose vertices.
-    list of str
-        Repairs and findings, one sentence each.
-
-    Raises
-    ------
-    MeshError
-        If nothing is enclosed.
+    `surface`: neighbours agree in their winding; `shell` int64 (n_triangles,): shell of every triangle, from 0;
+    `least_volume`: closed shells of less volume are removed, except the largest, mm^3. Result: without loose vertices.
+    list of str Repairs and findings, one sentence each. Raises `MeshError` if nothing is enclosed.
     """
     volumes = shell_volumes(surface, shell)
     largest = int(np.argmax(np.abs(volumes)))
@@ -61,19 +43,8 @@ def outward(surface: Triangles, shell: IntArray, least_volume: float) -> tuple[T
 def winding_number(point: FloatArray, corners: FloatArray) -> float:
     """Return the winding number of a surface about a point: for a closed surface oriented outwards 1 inside, 0 outside.
 
-    The sum of the solid angles of its triangles over 4 pi, each by Van Oosterom and Strackee's formula [1]_.
-
-    Parameters
-    ----------
-    point : ndarray of float64, shape (3,)
-        mm.
-    corners : ndarray of float64, shape (n, 3, 3)
-        Of the triangles, mm.
-
-    Returns
-    -------
-    float
-        Dimensionless.
+    The sum of the solid angles of its triangles over 4 pi, each by Van Oosterom and Strackee's formula [1]_. `point`
+    (3,): mm; `corners` (n, 3, 3): of the triangles, mm. Result: dimensionless.
 
     References
     ----------

@@ -13,16 +13,9 @@ from tissuereg.errors import MeshError
 class Edges:
     """The edges of m triangles, three per triangle: from its first to its second corner, and so on.
 
-    Attributes
-    ----------
-    ends : ndarray of int64, shape (3 m, 2)
-        From, to, in the orientation of the triangle.
-    owner : ndarray of int64, shape (3 m,)
-        The triangle.
-    group : ndarray of int64, shape (3 m,)
-        The same number for all edges between the same two vertices.
-    count : ndarray of int64, shape (n_groups,)
-        Number of edges in each group: 1 at the rim of a hole, 2 inside, more where walls meet.
+    `ends` int64 (3 m, 2): from, to, in the orientation of the triangle; `owner` int64 (3 m,): the triangle; `group`
+    int64 (3 m,): the same number for all edges between the same two vertices; `count` int64 (n_groups,): number of
+    edges in each group: 1 at the rim of a hole, 2 inside, more where walls meet.
     """
 
     ends: IntArray
@@ -48,24 +41,9 @@ def agreed_winding(surface: Triangles) -> tuple[IntArray, IntArray]:
     """Return which triangles must be turned for all neighbours to agree, and the shell of every triangle.
 
     Every triangle is two vertices of a graph, as given and turned; neighbours are joined where they agree. An
-    orientable shell consists of two halves of the graph, of which the one that turns less area is chosen.
-
-    Parameters
-    ----------
-    surface : Triangles
-        Any surface.
-
-    Returns
-    -------
-    turned : ndarray of int64, shape (n_turned,)
-        Sorted triangles.
-    shell : ndarray of int64, shape (n_triangles,)
-        Numbered from 0, the largest area first.
-
-    Raises
-    ------
-    MeshError
-        If a shell is not orientable, like a Moebius strip.
+    orientable shell consists of two halves of the graph, of which the one that turns less area is chosen. `surface`:
+    any surface. Result: `turned` int64 (n_turned,): sorted triangles; `shell` int64 (n_triangles,): numbered from 0,
+    the largest area first. Raises `MeshError` if a shell is not orientable, like a Moebius strip.
     """
     n, areas = len(surface.triangles), surface.areas
     neighbours, same = Edges.of(surface.triangles).pairs()

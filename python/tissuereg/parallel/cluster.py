@@ -327,24 +327,8 @@ class Cluster(AbstractContextManager["Cluster"]):
 def reach(address: str, *, task_limit: float, patience: float) -> Cluster:
     """Return the executor over a scheduler that runs already.
 
-    Parameters
-    ----------
-    address : str
-        ``tcp://HOST:PORT``.
-    task_limit, patience : float
-        As in `Cluster`.
-
-    Returns
-    -------
-    Cluster
-        Open.
-
-    Raises
-    ------
-    MissingPackageError
-        If dask.distributed is not installed.
-    ClusterError
-        If nothing answers.
+    `address`: ``tcp://HOST:PORT``; `task_limit`, `patience`: as in `Cluster`. Result: open. Raises
+    `MissingPackageError` if dask.distributed is not installed; `ClusterError` if nothing answers.
     """
     need_dask()
     return Cluster(address, address, task_limit=task_limit, patience=patience)
@@ -353,24 +337,9 @@ def reach(address: str, *, task_limit: float, patience: float) -> Cluster:
 def local(n: int, *, task_limit: float, patience: float) -> Cluster:
     """Return the executor over worker processes of this machine, one thread each.
 
-    Parameters
-    ----------
-    n : int
-        How many.
-    task_limit, patience : float
-        As in `Cluster`.
-
-    Returns
-    -------
-    Cluster
-        Open; its processes end with it, and with this process.
-
-    Raises
-    ------
-    MissingPackageError
-        If dask.distributed is not installed.
-    ClusterError
-        If the processes do not start.
+    `n`: how many; `task_limit`, `patience`: as in `Cluster`. Result: open; its processes end with it, and with this
+    process. Raises `MissingPackageError` if dask.distributed is not installed; `ClusterError` if the processes do not
+    start.
     """
     need_dask()
     import logging

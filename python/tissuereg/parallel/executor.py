@@ -118,19 +118,8 @@ class InProcess(AbstractContextManager["InProcess"]):
 def outcome_of(function: Callable[[Any], Any], index: int, task: Any) -> Finished | Failed:
     """Return what became of a task that is run here and now.
 
-    Parameters
-    ----------
-    function : callable
-        Of one task.
-    index : int
-        Place of the task.
-    task : object
-        The task.
-
-    Returns
-    -------
-    Finished or Failed
-        Failed for any exception but an interrupt.
+    `function`: of one task; `index`: place of the task; `task`: the task. Result: failed for any exception but an
+    interrupt.
     """
     try:
         return Finished(index, function(task))

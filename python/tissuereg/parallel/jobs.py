@@ -21,27 +21,10 @@ KINDS = {
 def submitted(path: str, *, task_limit: float, patience: float) -> Cluster:
     """Return the executor over workers that a batch system starts.
 
-    Parameters
-    ----------
-    path : str
-        YAML file with ``kind`` (default ``slurm``), ``workers`` (``minimum``, ``maximum``) and ``job``, the arguments
-        of dask-jobqueue's class.
-    task_limit, patience : float
-        As in `Cluster`.
-
-    Returns
-    -------
-    Cluster
-        Open; its jobs end with it.
-
-    Raises
-    ------
-    FormatError
-        If the file cannot be read, or an entry is unknown or wrong.
-    MissingPackageError
-        If dask.distributed or dask-jobqueue is not installed.
-    ClusterError
-        If the scheduler does not start.
+    `path`: YAML file with ``kind`` (default ``slurm``), ``workers`` (``minimum``, ``maximum``) and ``job``, the
+    arguments of dask-jobqueue's class; `task_limit`, `patience`: as in `Cluster`. Result: open; its jobs end with it.
+    Raises `FormatError` if the file cannot be read, or an entry is unknown or wrong; `MissingPackageError` if
+    dask.distributed or dask-jobqueue is not installed; `ClusterError` if the scheduler does not start.
     """
     need_dask()
     kind, job, minimum, maximum = read_jobs(path)
@@ -70,24 +53,9 @@ def submitted(path: str, *, task_limit: float, patience: float) -> Cluster:
 def read_jobs(path: str) -> tuple[str, dict[str, Any], int, int]:
     """Read the file.
 
-    Parameters
-    ----------
-    path : str
-        As in `submitted`.
-
-    Returns
-    -------
-    kind : str
-        One of `KINDS`.
-    job : dict
-        Arguments of the class. Where there is a walltime and no lifetime, workers leave before the walltime is over.
-    minimum, maximum : int
-        Numbers of workers.
-
-    Raises
-    ------
-    FormatError
-        If the file cannot be read, or an entry is unknown or wrong.
+    `path`: as in `submitted`. Result: `kind`: one of `KINDS`; `job`: arguments of the class. Where there is a walltime
+    and no lifetime, workers leave before the walltime is over; `minimum`, `maximum`: numbers of workers. Raises
+    `FormatError` if the file cannot be read, or an entry is unknown or wrong.
     """
     import yaml
 

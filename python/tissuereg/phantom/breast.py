@@ -61,15 +61,8 @@ BREAST = BreastShape()
 def inside_breast(points: FloatArray) -> FloatArray:
     """Return how deep points lie inside the body, in its horizontal sections.
 
-    Parameters
-    ----------
-    points : ndarray of float64, shape (n, 3)
-        In mm; z is the height above the chest wall.
-
-    Returns
-    -------
-    ndarray of float64, shape (n,)
-        Radius of the skin in the point's direction less the point's own, mm; negative outside.
+    `points` (n, 3): in mm; z is the height above the chest wall. Result: (n,), radius of the skin in the point's
+    direction less the point's own, mm; negative outside.
     """
     x, y, z = points.T
     height = z / BREAST.height_mm

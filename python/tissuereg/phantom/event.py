@@ -148,18 +148,9 @@ def make_event(*, seed: int = 0, size: str = "full") -> PhantomEvent:
 def solve_truth(size: str, *, threads: int = 0) -> tuple[FloatArray, FloatArray]:
     """Solve for the truth of the event: ten-node elements, stiffer tissue and lesion, pushes larger and rotated.
 
-    Parameters
-    ----------
-    size : str
-        Of the body; see `phantom_mesh`.
-    threads : int
-        Threads to use; 0 takes all cores.
-
-    Returns
-    -------
-    on_truth_mesh, on_body : ndarray of float64, shape (n_nodes, 3)
-        True displacement at the nodes of ``truth_mesh(size)`` and of ``phantom_mesh(size)``, mm. Cost: a solve of
-        36,500 nodes (``full``: seconds) or 12,500.
+    `size`: of the body; see `phantom_mesh`; `threads`: threads to use; 0 takes all cores. Result: `on_truth_mesh`,
+    `on_body` (n_nodes, 3): True displacement at the nodes of ``truth_mesh(size)`` and of ``phantom_mesh(size)``, mm.
+    Cost: a solve of 36,500 nodes (``full``: seconds) or 12,500.
     """
     fine = truth_mesh(size)
     stiffness = np.where(_in_lesion(fine), PHANTOM.lesion_contrast, 1.0) * PHANTOM.true_young

@@ -23,21 +23,9 @@ _BISECTIONS = 45
 def stuffed(inside: Inside, low: FloatArray, high: FloatArray, size: float) -> tuple[FloatArray, IntArray]:
     """Return nodes and tetrahedra of the body above z = 0.
 
-    Parameters
-    ----------
-    inside : callable
-        Positive inside the body, negative outside, continuous; its surface should stand upright on z = 0.
-    low, high : ndarray of float64, shape (3,)
-        Box around the body in mm; ``low[2]`` is 0.
-    size : float
-        Edge of the lattice's cubes in mm.
-
-    Returns
-    -------
-    nodes : ndarray of float64, shape (n_nodes, 3)
-        In mm; those on the plane have z = 0 exactly.
-    tets : ndarray of int64, shape (n_tets, 4)
-        All of positive volume.
+    `inside`: positive inside the body, negative outside, continuous; its surface should stand upright on z = 0; `low`,
+    `high` (3,): box around the body in mm; ``low[2]`` is 0; `size`: edge of the lattice's cubes in mm. Result: `nodes`
+    (n_nodes, 3): in mm; those on the plane have z = 0 exactly; `tets` int64 (n_tets, 4): all of positive volume.
     """
     nodes, tets = _lattice(low, high, size)
     sign = np.sign(inside(nodes))

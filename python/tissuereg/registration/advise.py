@@ -175,14 +175,8 @@ def advise_markers(
 class _ConditionedTargets:
     """Covariances of targets and candidates, conditioned on one measured marker after another.
 
-    Parameters
-    ----------
-    seen : ndarray of float64, shape (n_members, n_places, 3)
-        Anomalies of the places.
-    wanted : ndarray of float64, shape (n_members, n_targets, 3)
-        Those of the targets.
-    variance : float
-        Of the noise in each measured coordinate, mm^2.
+    `seen` (n_members, n_places, 3): anomalies of the places; `wanted` (n_members, n_targets, 3): those of the targets;
+    `variance`: of the noise in each measured coordinate, mm^2.
     """
 
     def __init__(self, seen: FloatArray, wanted: FloatArray, variance: float) -> None:

@@ -27,15 +27,7 @@ LARGEST = 50_000
 
 @dataclass(frozen=True, eq=False)
 class ElasticFallback:
-    """A body with markers and targets, linearised at rest.
-
-    Parameters
-    ----------
-    body : ElasticBody
-        With the markers.
-    targets : TargetObservation
-        Inner points.
-    """
+    """A body with markers and targets, linearised at rest. `body`: with the markers; `targets`: inner points."""
 
     body: ElasticBody
     targets: TargetObservation
@@ -46,10 +38,7 @@ class ElasticFallback:
     ) -> "ElasticFallback":
         """Return the fallback of a body.
 
-        Raises
-        ------
-        SupportError
-            If the body can move freely.
+        Raises `SupportError` if the body can move freely.
 
         Notes
         -----
@@ -65,19 +54,8 @@ class ElasticFallback:
     def about(self, markers: Markers, used: tuple[str, ...], simulation: FloatArray | None) -> Fallback | None:
         """Return where the body is at one moment.
 
-        Parameters
-        ----------
-        markers : Markers
-            Measured.
-        used : tuple of str
-            Those that a registration found fit to be used; of them whole places count.
-        simulation : ndarray of float64, shape (n_nodes, 3), or None
-            Displacement by a simulation, mm.
-
-        Returns
-        -------
-        Fallback or None
-            None if no marker is left.
+        `used`: those that a registration found fit to be used; of them whole places count; `simulation` (n_nodes, 3) or
+        None: displacement by a simulation, mm. Result: None if no marker is left.
         """
         whole = np.isfinite(markers.measured).all(axis=1) & np.isin(markers.names, used)
         seen = np.flatnonzero(whole)

@@ -69,16 +69,9 @@ class SimulationVariants:
 class MomentInput:
     """What is known of one moment.
 
-    Attributes
-    ----------
-    markers : Markers
-        Measured, with the reference places that the registrar was made for.
-    surface : SurfacePoints or None
-        Points of the surface; without a model only.
-    simulation : array_like of float, shape (n_nodes, 3), SimulationVariants or None
-        Displacement of the moment, mm.
-    after : Registration or None
-        Of a moment shortly before; without a model only.
+    `markers`: measured, with the reference places that the registrar was made for; `surface`: points of the surface;
+    without a model only; `simulation` (n_nodes, 3) or None: displacement of the moment, mm; `after`: of a moment
+    shortly before; without a model only.
     """
 
     markers: Markers

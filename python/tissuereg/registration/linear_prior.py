@@ -33,14 +33,8 @@ _KEPT = 64
 class LinearAnswer:
     """The most probable field given the markers.
 
-    Attributes
-    ----------
-    displacement_mm : ndarray of float64, shape (n_nodes, 3)
-        The field.
-    scale : float
-        Factor s on the prior's covariance.
-    log_evidence : float
-        Logarithm of the density of the whitened displacements at this scale; comparable among priors.
+    `displacement_mm` (n_nodes, 3): the field; `scale`: factor s on the prior's covariance; `log_evidence`: logarithm of
+    the density of the whitened displacements at this scale; comparable among priors.
     """
 
     displacement_mm: FloatArray
@@ -84,19 +78,9 @@ class _Directions:
 class LinearPrior:
     """A Gaussian prior of displacement fields at markers.
 
-    Parameters
-    ----------
-    at_markers : array_like of float, shape (3 n_markers, 3 n_markers)
-        Covariance W of the markers' displacements at scale one, mm^2.
-    to_nodes : array_like of float, shape (n_nodes, 3, 3 n_markers)
-        Covariance U of the nodes' displacements with them, mm^2.
-    std_mm : array_like of float, shape (n_markers,)
-        Standard deviation of a measured coordinate.
-
-    Raises
-    ------
-    ShapeError
-        If an array has another shape.
+    `at_markers` (3 n_markers, 3 n_markers): covariance W of the markers' displacements at scale one, mm^2; `to_nodes`
+    (n_nodes, 3, 3 n_markers): covariance U of the nodes' displacements with them, mm^2; `std_mm` (n_markers,): standard
+    deviation of a measured coordinate. Raises `ShapeError` if an array has another shape.
     """
 
     def __init__(self, at_markers: FloatArray, to_nodes: FloatArray, std_mm: FloatArray) -> None:
@@ -113,13 +97,8 @@ class LinearPrior:
     def plus(self, fields: FloatArray, seen: FloatArray, share: float) -> "LinearPrior":
         """Return this prior with random multiples of further fields added, independent of it and equally likely.
 
-        Parameters
-        ----------
-        fields : ndarray of float64, shape (n_fields, n_nodes, 3)
-        seen : ndarray of float64, shape (n_fields, 3 n_markers)
-            The same at the markers.
-        share : float
-            Their variance at the markers over that of this prior, both as means over the markers.
+        `fields` (n_fields, n_nodes, 3); `seen` (n_fields, 3 n_markers): the same at the markers; `share`: their
+        variance at the markers over that of this prior, both as means over the markers.
         """
         variance = share * np.trace(self._at_markers) / float(np.sum(seen * seen))
         to_nodes = self._to_nodes + variance * fields.reshape(len(fields), -1).T @ seen
@@ -135,22 +114,10 @@ class LinearPrior:
     ) -> tuple[float, float, FloatArray]:
         """Return scale, log evidence, and the weights (3 n_markers,) of the most probable field on the columns of U.
 
-        Parameters
-        ----------
-        displacement_mm : ndarray of float64, shape (n_seen, 3)
-            Displacements of the markers that were seen.
-        seen : ndarray of int64, shape (n_seen,)
-            Which these are.
-        scale : float, optional
-            Scale to use; by default that of the highest evidence.
-        std_mm : ndarray of float64, shape (n_seen,), optional
-            Standard deviation of each coordinate at this moment; by default that of the prior.
-
-        Returns
-        -------
-        tuple of (float, float, ndarray of float64)
-            Cost: two products with a matrix of (3 n_seen, 3 n_seen), and its eigenvalues where `std_mm` is given or the
-            markers were never seen together before.
+        `displacement_mm` (n_seen, 3): displacements of the markers that were seen; `seen` int64 (n_seen,): which these
+        are; `scale`: scale to use; by default that of the highest evidence; `std_mm` (n_seen,): standard deviation of
+        each coordinate at this moment; by default that of the prior. Cost: two products with a matrix of (3
+        n_seen, 3 n_seen), and its eigenvalues where `std_mm` is given or the markers were never seen together before.
         """
         here = self._kept_directions(seen) if std_mm is None else self._directions(seen, np.repeat(std_mm, 3))
         observed = float_array("displacement_mm", displacement_mm, (len(seen), 3)).ravel()

@@ -119,12 +119,7 @@ class _Task:
 class _Moments:
     """Registers moments of one body; what it gives can be sent to another process.
 
-    Parameters
-    ----------
-    body : Body
-        What is believed of the undeformed body.
-    options : dict
-        Of `register`, settings among them.
+    `body`: what is believed of the undeformed body; `options`: of `register`, settings among them.
     """
 
     def __init__(self, body: Body, options: dict[str, Any]) -> None:

@@ -64,29 +64,11 @@ def judge(
 ) -> Trust:
     """Return whether a registration can be trusted, and why not.
 
-    Parameters
-    ----------
-    names : tuple of str
-        Markers that were used.
-    residual : ndarray of float64, shape (n_markers, 3)
-        Measured minus fitted, mm; NaN = not seen, ignored.
-    noise : ndarray of float64, shape (3 n_markers, 3 n_markers)
-        Covariance C_d, mm^2.
-    posterior_spread : ndarray of float64, shape (3 n_markers, 3 n_markers)
-        Posterior covariance H P+ H' of the markers' predictions, mm^2.
-    prior_misfit : float
-        Prior term of J.
-    min_det_f : float
-        Smallest volume ratio of the registered body.
-    notes : list of str
-        Reasons found earlier in the registration.
-    points : (float, int)
-        Data term of the points of the surface, and their number.
-
-    Returns
-    -------
-    Trust
-        With one reason per failed test.
+    `names`: markers that were used; `residual` (n_markers, 3): measured minus fitted, mm; NaN = not seen, ignored;
+    `noise` (3 n_markers, 3 n_markers): covariance C_d, mm^2; `posterior_spread` (3 n_markers, 3 n_markers): posterior
+    covariance H P+ H' of the markers' predictions, mm^2; `prior_misfit`: prior term of J; `min_det_f`: smallest volume
+    ratio of the registered body; `notes`: reasons found earlier in the registration; `points`: data term of the points
+    of the surface, and their number. Result: with one reason per failed test.
     """
     from scipy.stats import chi2
 
@@ -158,29 +140,11 @@ def judge_by_rehearsal(
 ) -> Trust:
     """Return whether a registration with a calibrated model can be trusted, and why not.
 
-    Its signs are judged together: an honest event raises an alarm by any of them at a rate of one percent.
-
-    Parameters
-    ----------
-    names : tuple of str
-        Markers that were used.
-    residual : ndarray of float64, shape (n_markers, 3)
-        Measured minus fitted, mm.
-    noise : ndarray of float64, shape (3 n_markers, 3 n_markers)
-        Covariance of the tracker's noise, mm^2.
-    honest : Compared
-        Honest events.
-    shown : Shown
-        Test statistics of the registration.
-    min_det_f : float
-        Smallest volume ratio of the registered body.
-    notes : list of str
-        Reasons found earlier in the registration.
-
-    Returns
-    -------
-    Trust
-        With a reason for each sign that is rare enough to be one, and at least for the rarest.
+    Its signs are judged together: an honest event raises an alarm by any of them at a rate of one percent. `names`:
+    markers that were used; `residual` (n_markers, 3): measured minus fitted, mm; `noise` (3 n_markers, 3 n_markers):
+    covariance of the tracker's noise, mm^2; `honest`: honest events; `shown`: test statistics of the registration;
+    `min_det_f`: smallest volume ratio of the registered body; `notes`: reasons found earlier in the registration.
+    Result: with a reason for each sign that is rare enough to be one, and at least for the rarest.
     """
     flat = residual.ravel()
     data = float(flat @ np.linalg.solve(noise, flat))

@@ -73,25 +73,11 @@ def drop_wrong(
     """Return a fit without the markers that do not fit the others.
 
     The worst marker is dropped if it is beyond the level, the rest is fitted again, and so on: a wrong marker spoils
-    the residuals of good ones, so only one may go at a time.
-
-    Parameters
-    ----------
-    fit : callable
-        Markers to use, int64 (n_kept,), ascending, to a fit and its scores, in that order.
-    n_markers : int
-        Number of markers.
-    level : float
-        Rate at which a good marker is dropped from a set without wrong ones, at most.
-    max_dropped : int, optional
-        No more are dropped; by default fewer than half, since wrong ones in the majority cannot be told.
-
-    Returns
-    -------
-    fit : object
-        The last fit.
-    dropped : list of (int, float)
-        Markers that were dropped, in this order, each with the p-value that it had.
+    the residuals of good ones, so only one may go at a time. `fit`: markers to use, int64 (n_kept,), ascending, to a
+    fit and its scores, in that order; `n_markers`: number of markers; `level`: rate at which a good marker is dropped
+    from a set without wrong ones, at most; `max_dropped`: no more are dropped; by default fewer than half, since wrong
+    ones in the majority cannot be told. Result: `fit`: the last fit; `dropped`: markers that were dropped, in this
+    order, each with the p-value that it had.
     """
     most = (n_markers - 1) // 2 if max_dropped is None else max_dropped
     kept = np.arange(n_markers)

@@ -26,26 +26,9 @@ DEFORMED = "registered_deformed.vtu"
 def save_registration(result: "Registration", folder: Path, extra: dict[str, Any], *, deformed: bool = False) -> Path:
     """Write the files in `WRITTEN`.
 
-    Parameters
-    ----------
-    result : Registration
-        What to write.
-    folder : Path
-        Made where absent.
-    extra : dict
-        Entries added to the JSON; they replace its own of the same name.
-    deformed : bool
-        Write ``registered_deformed.vtu`` too.
-
-    Returns
-    -------
-    Path
-        The folder.
-
-    Raises
-    ------
-    OutputError
-        If the folder cannot be written; nothing is changed then.
+    `result`: what to write; `folder`: made where absent; `extra`: entries added to the JSON; they replace its own of
+    the same name; `deformed`: write ``registered_deformed.vtu`` too. Raises `OutputError` if the folder cannot be
+    written; nothing is changed then.
     """
     mesh = result.mesh
     fields = {"displacement_mm": result.displacement, "std_mm": result.std}

@@ -16,17 +16,7 @@ if TYPE_CHECKING:
 def write_heading(figure: Any, result: "Registration") -> float:
     """Write the verdict, large, with its reasons.
 
-    Parameters
-    ----------
-    figure : matplotlib.figure.Figure
-        Where to.
-    result : Registration
-        The result that is described.
-
-    Returns
-    -------
-    float
-        Lower end of the text, over the figure's height.
+    `result`: the result that is described. Result: lower end of the text, over the figure's height.
     """
     trust = result.trust
     good = "#176f2c" if trust.ok else "#a3180d"

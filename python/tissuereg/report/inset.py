@@ -18,12 +18,7 @@ if TYPE_CHECKING:
 class _Panel:
     """One target as its panel shows it: places (2,) in mm across the line of sight, relative to the registered place.
 
-    Attributes
-    ----------
-    ellipse : ndarray of float64, shape (n, 2)
-        Outline of the region.
-    before : ndarray of float64, shape (2,)
-        Where the target was: undeformed, or as simulated.
+    `ellipse` (n, 2): outline of the region; `before` (2,): where the target was: undeformed, or as simulated.
     """
 
     ellipse: FloatArray
@@ -33,16 +28,8 @@ class _Panel:
 def draw_panels(figure: Any, result: "Registration", towards: FloatArray, frame: tuple[float, ...]) -> None:
     """Draw one panel per target.
 
-    Parameters
-    ----------
-    figure : matplotlib.figure.Figure
-        Where to.
-    result : Registration
-        With targets.
-    towards : ndarray of float64, shape (3,)
-        Unit vector from the body to the viewer; the picture is upright.
-    frame : tuple of float
-        Left, bottom, width and height of the room for all panels, in parts of the figure.
+    `result`: with targets; `towards` (3,): unit vector from the body to the viewer; the picture is upright; `frame`:
+    left, bottom, width and height of the room for all panels, in parts of the figure.
     """
     chosen = list(result.targets.items())[: STYLE.panels]
     left, bottom, width, height = frame

@@ -14,19 +14,8 @@ from tissuereg.report.style import STYLE
 def place_labels(figure: Any, views: Sequence[View], body: FloatArray) -> int:
     """Write the labels of views, each with a line to the place that it describes.
 
-    Parameters
-    ----------
-    figure : matplotlib.figure.Figure
-        Its axes have their final places.
-    views : sequence of View
-        With labels.
-    body : ndarray of float64, shape (n, 3)
-        Places of the body's surface, mm.
-
-    Returns
-    -------
-    int
-        Number of labels that were left out because no place was free.
+    `figure`: its axes have their final places; `views`: with labels; `body` (n, 3): places of the body's surface, mm.
+    Result: number of labels that were left out because no place was free.
     """
     left_out = 0
     for view in views:

@@ -15,15 +15,7 @@ td:first-child, th:first-child { text-align: left; }
 def escape(text: object) -> str:
     """Return text escaped for HTML, quotes included.
 
-    Parameters
-    ----------
-    text : object
-        Its ``str`` is taken.
-
-    Returns
-    -------
-    str
-        Safe in an element or an attribute.
+    `text`: its ``str`` is taken. Result: safe in an element or an attribute.
 
     Examples
     --------
@@ -36,17 +28,7 @@ def escape(text: object) -> str:
 def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """Return a table.
 
-    Parameters
-    ----------
-    head : sequence of str
-        HTML of the top cells.
-    rows : sequence of sequence of str
-        HTML of the others.
-
-    Returns
-    -------
-    str
-        HTML.
+    `head`: HTML of the top cells; `rows`: HTML of the others. Result: HTML.
 
     Examples
     --------
@@ -61,19 +43,7 @@ def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 def document(title: str, parts: Sequence[str], style: str = "") -> str:
     """Return a whole page.
 
-    Parameters
-    ----------
-    title : str
-        Plain text.
-    parts : sequence of str
-        HTML of the body.
-    style : str
-        CSS in addition to `STYLE`.
-
-    Returns
-    -------
-    str
-        HTML.
+    `title`: plain text; `parts`: HTML of the body; `style`: CSS in addition to `STYLE`. Result: HTML.
     """
     return (
         f"<!doctype html>\n<html lang='en'><head><meta charset='utf-8'><title>{escape(title)}</title>"

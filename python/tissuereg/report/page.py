@@ -25,22 +25,7 @@ _STYLE = """
 def write_page(result: "Registration", path: Path) -> Path:
     """Write the page, whole or not at all.
 
-    Parameters
-    ----------
-    result : Registration
-        What to show.
-    path : Path
-        File to write.
-
-    Returns
-    -------
-    Path
-        The file.
-
-    Raises
-    ------
-    OutputError
-        If the file cannot be written.
+    `result`: what to show; `path`: file to write. Raises `OutputError` if the file cannot be written.
     """
     parts = [
         _summary(result),

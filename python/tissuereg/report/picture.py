@@ -19,15 +19,8 @@ if TYPE_CHECKING:
 def registration_figure(result: "Registration") -> Any:
     """Return a figure: the registered body from two sides, its markers, contacts and targets, each target enlarged.
 
-    Parameters
-    ----------
-    result : Registration
-        What to draw.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Not bound to any window. Labels do not overlap; the number of those without room is written below the views.
+    `result`: what to draw. Result: not bound to any window. Labels do not overlap; the number of those without room is
+    written below the views.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure

@@ -22,17 +22,7 @@ CONTACT, TARGET, FLAGGED, REGION = "#a01c10", "black", "#6a1fb0", "#8fb3d9"
 
 @dataclass(frozen=True, eq=False)
 class Label:
-    """Text about a place.
-
-    Attributes
-    ----------
-    place : ndarray of float64, shape (3,)
-        mm.
-    text : str
-        One or two lines.
-    colour : str
-        Of text and leader line.
-    """
+    """Text about a place. `place` (3,): mm; `text`: one or two lines; `colour`: of text and leader line."""
 
     place: FloatArray
     text: str
@@ -43,18 +33,9 @@ class Label:
 class View:
     """One axes object with its direction of view and its labels.
 
-    Attributes
-    ----------
-    axes : matplotlib axes
-        Three-dimensional.
-    towards : ndarray of float64, shape (3,)
-        Unit vector from the body to the viewer.
-    labels : list of Label
-        Filled by the functions below.
-    keep_clear : list of ndarray of float64, shape (3,)
-        Places that labels should not cover, filled likewise.
-    taken : list of ndarray of float64, shape (2, 2)
-        Lower left and upper right corners, in heights of the figure, of what labels must not cover.
+    `axes`: three-dimensional; `towards` (3,): unit vector from the body to the viewer; `labels`: filled by the
+    functions below; `keep_clear` (3,): places that labels should not cover, filled likewise; `taken` (2, 2): lower left
+    and upper right corners, in heights of the figure, of what labels must not cover.
     """
 
     axes: Any
@@ -68,14 +49,8 @@ class View:
 class Surface:
     """The registered surface.
 
-    Attributes
-    ----------
-    places : ndarray of float64, shape (n_nodes, 3)
-        All nodes, mm.
-    normals : ndarray of float64, shape (n_nodes, 3)
-        Outward unit normals of its nodes, zero inside.
-    nodes : ndarray of int64, shape (n,)
-        Nodes of the surface.
+    `places` (n_nodes, 3): all nodes, mm; `normals` (n_nodes, 3): outward unit normals of its nodes, zero inside;
+    `nodes` int64 (n,): nodes of the surface.
     """
 
     places: FloatArray

@@ -13,20 +13,8 @@ from tissuereg.errors import ArgumentError
 def core_springs(springs: Sequence[tuple[Any, Any]]) -> list[tuple[IntArray, list[float]]]:
     """Return sets of springs checked.
 
-    Parameters
-    ----------
-    springs : sequence of (array_like of int (n, 3), array_like of float (2,))
-        Surface triangles with the stiffness along the normal and in the plane in kPa/mm.
-
-    Returns
-    -------
-    list of (ndarray of int64 (n, 3), list of float)
-        In the same order.
-
-    Raises
-    ------
-    ShapeError
-        If triangles or stiffness have another shape.
+    `springs`: surface triangles with the stiffness along the normal and in the plane in kPa/mm. Result: in the same
+    order. Raises `ShapeError` if triangles or stiffness have another shape.
     """
     pairs = each("springs", springs, (tuple, list))
     if not all(len(pair) == 2 for pair in pairs):
@@ -41,22 +29,8 @@ def core_springs(springs: Sequence[tuple[Any, Any]]) -> list[tuple[IntArray, lis
 def stiffness_array(stiffness: Any, shape: tuple[int | None, ...]) -> FloatArray | None:
     """Return the stiffness of springs; None where absent, each member's alike where the member axis is absent.
 
-    Parameters
-    ----------
-    stiffness : array_like of float, optional
-        Stiffness along the normal and in the plane of every set in kPa/mm.
-    shape : tuple of int or None
-        Wanted shape: (n_sets, 2) or (n_members, n_sets, 2).
-
-    Returns
-    -------
-    ndarray of float64 or None
-        In the wanted shape.
-
-    Raises
-    ------
-    ShapeError
-        If it cannot have that shape.
+    `stiffness`: stiffness along the normal and in the plane of every set in kPa/mm; `shape`: wanted shape: (n_sets, 2)
+    or (n_members, n_sets, 2). Result: in the wanted shape. Raises `ShapeError` if it cannot have that shape.
     """
     if stiffness is None:
         return None

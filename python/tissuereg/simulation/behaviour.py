@@ -17,14 +17,8 @@ from tissuereg._base.arrays import index_array
 class RelaxationLaw:
     """Stress relaxation, as a Prony series; moduli are instantaneous.
 
-    Parameters
-    ----------
-    g : sequence of float
-        Share of the stress that each term relaxes; above 0, sum below 1.
-    tau_s : sequence of float
-        Relaxation time of each term in s.
-    part : {"whole", "isochoric"}
-        Which part of the stress relaxes.
+    `g`: share of the stress that each term relaxes; above 0, sum below 1; `tau_s`: relaxation time of each term in s;
+    `part` {"whole", "isochoric"}: which part of the stress relaxes.
     """
 
     g: Sequence[float]
@@ -34,13 +28,7 @@ class RelaxationLaw:
 
 @dataclass(frozen=True)
 class RateLaw:
-    """Viscous stress ``2 eta D``, added to the elastic Cauchy stress.
-
-    Parameters
-    ----------
-    viscosity_kpa_s : float
-        Viscosity ``eta`` in kPa s.
-    """
+    """Viscous stress ``2 eta D``, added to the elastic Cauchy stress. `viscosity_kpa_s`: viscosity ``eta`` in kPa s."""
 
     viscosity_kpa_s: float
 
@@ -49,20 +37,12 @@ class RateLaw:
 class SofteningLaw:
     """Softening by the largest energy so far, `Wm`.
 
-    Parameters
-    ----------
-    r : float
-        Largest softening is ``1 - 1/r``; at least 1.
-    m_kpa : float
-        Energy over which small loads soften, in kPa.
-    beta : float
-        Share of the largest energy added to it; 0 for damage.
-    form : {'ogden-roxburgh', 'damage'}
-        The Mullins effect: below the largest isochoric energy the isochoric stress is multiplied by
-        ``1 - erf((Wm - W) / (m + beta Wm)) / r``; first loading is unaffected (Ogden and
-        Roxburgh, Proc. R. Soc. A 455, 1999). Damage: the whole stress, under a first load too, is multiplied by
-        ``1 - (1 - 1/r) (1 - exp(-Wm/m))`` with the whole energy (after Simo, Comput. Methods Appl. Mech. Eng. 60,
-        1987).
+    `r`: largest softening is ``1 - 1/r``; at least 1; `m_kpa`: energy over which small loads soften, in kPa; `beta`:
+    share of the largest energy added to it; 0 for damage; `form` {'ogden-roxburgh', 'damage'}: the Mullins effect:
+    below the largest isochoric energy the isochoric stress is multiplied by ``1 - erf((Wm - W) / (m + beta Wm)) / r``;
+    first loading is unaffected (Ogden and Roxburgh, Proc. R. Soc. A 455, 1999). Damage: the whole stress, under a first
+    load too, is multiplied by ``1 - (1 - 1/r) (1 - exp(-Wm/m))`` with the whole energy (after Simo, Comput. Methods
+    Appl. Mech. Eng. 60, 1987).
     """
 
     r: float
@@ -73,13 +53,7 @@ class SofteningLaw:
 
 @dataclass(frozen=True)
 class SetLaw:
-    """Permanent set: a share of the largest strain remains; it acts from the next frame on.
-
-    Parameters
-    ----------
-    fraction : float
-        In (0, 1).
-    """
+    """Permanent set: a share of the largest strain remains; it acts from the next frame on. `fraction`: in (0, 1)."""
 
     fraction: float
 
@@ -88,12 +62,7 @@ class SetLaw:
 class DrainageLaw:
     """Relaxation of the volumetric stress, as a simple model of drainage.
 
-    Parameters
-    ----------
-    share : float
-        Share that drains, in (0, 1).
-    tau_s : float
-        Relaxation time in s.
+    `share`: share that drains, in (0, 1); `tau_s`: relaxation time in s.
     """
 
     share: float
@@ -104,14 +73,8 @@ class DrainageLaw:
 class SwellingLaw:
     """Isotropic, uniform growth along a ramp in time.
 
-    Parameters
-    ----------
-    linear_strain : float
-        Strain at the end of the ramp, above -1.
-    from_time_s : float
-        Start of the ramp in s.
-    to_time_s : float
-        End of the ramp in s.
+    `linear_strain`: strain at the end of the ramp, above -1; `from_time_s`: start of the ramp in s; `to_time_s`: end of
+    the ramp in s.
     """
 
     linear_strain: float
@@ -123,20 +86,8 @@ class SwellingLaw:
 class Behaviour:
     """Inelastic behaviour of a material; purely elastic if all are None.
 
-    Parameters
-    ----------
-    relaxation : RelaxationLaw, optional
-        Stress relaxation.
-    rate : RateLaw, optional
-        Viscous stress.
-    softening : SofteningLaw, optional
-        Softening by earlier load.
-    set : SetLaw, optional
-        Permanent strain.
-    drainage : DrainageLaw, optional
-        Relaxation of the volumetric stress.
-    swelling : SwellingLaw, optional
-        Growth.
+    `relaxation`: stress relaxation; `rate`: viscous stress; `softening`: softening by earlier load; `set`: permanent
+    strain; `drainage`: relaxation of the volumetric stress; `swelling`: growth.
     """
 
     relaxation: RelaxationLaw | None = None
@@ -147,13 +98,7 @@ class Behaviour:
     swelling: SwellingLaw | None = None
 
     def as_dict(self) -> dict[str, Any]:
-        """Return what the compiled solver takes.
-
-        Returns
-        -------
-        dict
-            Parameters of every behaviour that is present.
-        """
+        """Return what the compiled solver takes. Result: parameters of every behaviour that is present."""
         numbers: dict[str, Any] = {}
         if self.relaxation is not None:
             g, tau = ([float(v) for v in np.atleast_1d(x)] for x in (self.relaxation.g, self.relaxation.tau_s))
@@ -188,19 +133,10 @@ LAWS: dict[str, type[Any]] = {
 class Springs:
     """Springs between triangles of the surface and their undeformed place.
 
-    Parameters
-    ----------
-    triangles : array_like of int, shape (n, 3)
-        Boundary triangles.
-    normal_kpa_per_mm : float
-        Stiffness along the undeformed normal, in kPa/mm.
-    tangential_kpa_per_mm : float
-        Stiffness in the plane, in kPa/mm.
-    friction : float, optional
-        Coefficient of Coulomb friction: the traction of the springs in the plane is at most the cohesion plus this
-        coefficient times the pressure of the normal springs.
-    cohesion_kpa : float
-        Traction that holds without pressure; used with friction only.
+    `triangles` (n, 3): boundary triangles; `normal_kpa_per_mm`: stiffness along the undeformed normal, in kPa/mm;
+    `tangential_kpa_per_mm`: stiffness in the plane, in kPa/mm; `friction`: coefficient of Coulomb friction: the
+    traction of the springs in the plane is at most the cohesion plus this coefficient times the pressure of the normal
+    springs; `cohesion_kpa`: traction that holds without pressure; used with friction only.
     """
 
     triangles: Any
@@ -212,10 +148,7 @@ class Springs:
     def as_tuple(self) -> tuple[Any, list[float]]:
         """Return what the compiled solver takes.
 
-        Returns
-        -------
-        tuple of (ndarray of int64, list of float)
-            Triangles and stiffness, followed by coefficient and cohesion if there is friction.
+        Result: triangles and stiffness, followed by coefficient and cohesion if there is friction.
         """
         numbers = [float(self.normal_kpa_per_mm), float(self.tangential_kpa_per_mm)]
         if self.friction is not None:

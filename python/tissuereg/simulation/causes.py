@@ -15,14 +15,9 @@ from tissuereg.simulation.solve import Simulator
 class Parameter:
     """A scalar parameter, changed uniformly: of the law, or of springs on the surface.
 
-    Parameters
-    ----------
-    name : str
-        ``"young"``, ``"poisson"``, a shape parameter of the law (as in `Material.shape`), or ``"k1_over_mu"`` and
-        ``"k2"`` of fibres, or that of springs (``"springs.normal_kpa_per_mm"``,
-        ``"springs.tangential_kpa_per_mm"``).
-    term : int
-        Index of the term of an Ogden law, or of the springs; from 0 on.
+    `name`: ``"young"``, ``"poisson"``, a shape parameter of the law (as in `Material.shape`), or ``"k1_over_mu"`` and
+    ``"k2"`` of fibres, or that of springs (``"springs.normal_kpa_per_mm"``, ``"springs.tangential_kpa_per_mm"``);
+    `term`: index of the term of an Ogden law, or of the springs; from 0 on.
     """
 
     name: str
@@ -33,12 +28,7 @@ class Parameter:
 class ModulusField:
     """A change of a modulus by a field of rates; of an inclusion or a layer, 1 inside and 0 outside.
 
-    Parameters
-    ----------
-    name : {"young", "poisson"}
-        Which modulus.
-    rates : array_like of float, shape (n_tets,) or (n_tets, n_points)
-        Change of the modulus per unit of the cause.
+    `name` {"young", "poisson"}: which modulus; `rates` (n_tets,): change of the modulus per unit of the cause.
     """
 
     name: str
@@ -53,16 +43,8 @@ Cause = Parameter | ModulusField | Load
 class Observation:
     """A scalar observation of an equilibrium: weights times displacements plus weights times reactions.
 
-    Parameters
-    ----------
-    nodes : array_like of int, shape (k,)
-        Nodes whose displacement is used; repeated nodes add up.
-    weights : array_like of float, shape (k, 3)
-        Weights of their components.
-    held_nodes : array_like of int, shape (r,)
-        Held nodes whose reaction is used.
-    held_weights : array_like of float, shape (r, 3)
-        Weights of its components.
+    `nodes` (k,): nodes whose displacement is used; repeated nodes add up; `weights` (k, 3): weights of their
+    components; `held_nodes` (r,): held nodes whose reaction is used; `held_weights` (r, 3): weights of its components.
     """
 
     nodes: Any = ()
@@ -74,24 +56,8 @@ class Observation:
 def core_cause(simulator: Simulator, cause: Cause) -> _core.Cause:
     """Return a cause in the form of the compiled solver.
 
-    Parameters
-    ----------
-    simulator : Simulator
-        The analysed body.
-    cause : Parameter, ModulusField or Load
-        The cause.
-
-    Returns
-    -------
-    _core.Cause
-        Checked as far as possible without a law.
-
-    Raises
-    ------
-    TissueRegError
-        If there is no such parameter or field.
-    LoadError, ShapeError
-        If rates do not fit the body.
+    `simulator`: the analysed body; `cause`: the cause. Result: checked as far as possible without a law. Raises
+    `TissueRegError` if there is no such parameter or field; `LoadError` or `ShapeError` if rates do not fit the body.
     """
     if isinstance(cause, Parameter):
         return _core.Cause.parameter(cause.name, cause.term)
@@ -107,20 +73,8 @@ def core_cause(simulator: Simulator, cause: Cause) -> _core.Cause:
 def core_observation(observation: Observation) -> tuple[IntArray, FloatArray, IntArray, FloatArray]:
     """Return an observation in the form of the compiled solver.
 
-    Parameters
-    ----------
-    observation : Observation
-        The observation.
-
-    Returns
-    -------
-    tuple of ndarray
-        Nodes and weights of displacements, nodes and weights of reactions.
-
-    Raises
-    ------
-    ShapeError
-        If there is not one row of weights per node.
+    `observation`: the observation. Result: nodes and weights of displacements, nodes and weights of reactions. Raises
+    `ShapeError` if there is not one row of weights per node.
     """
     nodes = index_array("nodes", observation.nodes, (None,))
     held = index_array("held_nodes", observation.held_nodes, (None,))

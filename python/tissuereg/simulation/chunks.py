@@ -106,14 +106,7 @@ class ChunkReport:
 class ChunkMaker:
     """Makes the chunks of one data set; the mesh is analysed once.
 
-    Parameters
-    ----------
-    recipe : Recipe
-        Recipe of the data set.
-    mesh : Mesh
-        Its mesh.
-    seed : int
-        Seed of all random numbers.
+    `recipe`: recipe of the data set; `mesh`: its mesh; `seed`: seed of all random numbers.
     """
 
     def __init__(self, recipe: Recipe, mesh: Mesh, seed: int) -> None:
@@ -134,27 +127,11 @@ class ChunkMaker:
     ) -> Chunk:
         """Return a chunk, or some of its members.
 
-        Parameters
-        ----------
-        number : int
-            Its number, from 0 on.
-        threads : int
-            Threads to use; 0 takes all cores. The chunk does not depend on it.
-        progress : callable of int, optional
-            Called with the members of this chunk that are done.
-        rows : ndarray of int64, shape (k,), optional
-            Members of the chunk that are wanted, ascending; all by default. They are the same, bit for bit, with others
-            or without: all events are drawn, and only these are solved.
-
-        Returns
-        -------
-        Chunk
-            Members that found equilibrium, and the others with their reasons.
-
-        Raises
-        ------
-        EnsembleError
-            If more than half of at least eight members fail.
+        `number`: its number, from 0 on; `threads`: threads to use; 0 takes all cores. The chunk does not depend on it;
+        `progress`: called with the members of this chunk that are done; `rows` int64 (k,): members of the chunk that
+        are wanted, ascending; all by default. They are the same, bit for bit, with others or without: all events are
+        drawn, and only these are solved. Result: members that found equilibrium, and the others with their reasons.
+        Raises `EnsembleError` if more than half of at least eight members fail.
         """
         recipe = self.recipe
         rng = np.random.default_rng([self.seed, 3, number])
@@ -242,29 +219,10 @@ def make_one_chunk(task: ChunkTask, progress: Callable[[int], None] | None = Non
     """Make a chunk and write it, or find that it is there and whole.
 
     Safe to be called again, and by several processes at once: all write the same bytes, each whole or not at all.
-
-    Parameters
-    ----------
-    task : ChunkTask
-        Which chunk.
-    progress : callable of int, optional
-        Called with the members of this chunk that are done.
-
-    Returns
-    -------
-    ChunkReport
-        A few kB.
-
-    Raises
-    ------
-    EnsembleError
-        If more than half of a chunk of at least eight members fails.
-    ExperimentError
-        If the destination holds another mesh, or this process another version, than the task was made for.
-    FormatError
-        If the chunk is there but spoilt, or the mesh is.
-    OutputError
-        If it cannot be written.
+    `task`: which chunk; `progress`: called with the members of this chunk that are done. Result: a few kB. Raises
+    `EnsembleError` if more than half of a chunk of at least eight members fails; `ExperimentError` if the destination
+    holds another mesh, or this process another version, than the task was made for; `FormatError` if the chunk is there
+    but spoilt, or the mesh is; `OutputError` if it cannot be written.
     """
     start = time.perf_counter()
     store, name = store_of(task.destination), chunk_name(task.number)

@@ -25,12 +25,7 @@ from tissuereg.simulation.solve import Simulator
 class Believed:
     """One case of an experiment, ready to be solved.
 
-    Attributes
-    ----------
-    simulator : Simulator
-        With fixed boundaries and bonded pads held.
-    loads : list of Load
-        One per frame.
+    `simulator`: with fixed boundaries and bonded pads held; `loads`: one per frame.
     """
 
     simulator: Simulator
@@ -79,30 +74,12 @@ def believed_case(
 ) -> Believed:
     """Return the solver's input for a case: held nodes, and the load of every frame.
 
-    Parameters
-    ----------
-    experiment : Experiment
-        The believed model, effects applied (`tissuereg.experiment.effects.extended`).
-    case : Case
-        One of its cases.
-    element : {"tet4", "tet4-averaged", "tet10"}
-        Elements to use.
-    threads : int
-        Threads to use; 0 takes all cores.
-    simulators : dict, optional
-        Cached simulators of the same mesh; new ones are added.
-
-    Returns
-    -------
-    Believed
-        A pad is bonded to the shape that the body has when the case begins: with gravity acting, the sagged one.
-        A weight under which the mesh was imaged is left out: it is in balance there, and its influence on the response
-        to other loads is neglected. `simulate_plain` includes it.
-
-    Raises
-    ------
-    ConvergenceError
-        If the body's own weight finds no equilibrium.
+    `experiment`: the believed model, effects applied (`tissuereg.experiment.effects.extended`); `case`: one of its
+    cases; `element` {"tet4", "tet4-averaged", "tet10"}: elements to use; `threads`: threads to use; 0 takes all cores;
+    `simulators`: cached simulators of the same mesh; new ones are added. Result: a pad is bonded to the shape that the
+    body has when the case begins: with gravity acting, the sagged one. A weight under which the mesh was imaged is left
+    out: it is in balance there, and its influence on the response to other loads is neglected. `simulate_plain`
+    includes it. Raises `ConvergenceError` if the body's own weight finds no equilibrium.
     """
     mesh = experiment.mesh
     pads = pads_of(experiment, case)
@@ -134,28 +111,11 @@ def simulate_plain(
 ) -> dict[str, CaseSimulation]:
     """Return the prediction of the believed model, effects included, for every case, on the mesh as it is.
 
-    Parameters
-    ----------
-    experiment : Experiment
-        The believed model.
-    element : {"tet4", "tet4-averaged", "tet10"}
-        Elements to use.
-    threads : int
-        Threads to use; 0 takes all cores. The result does not depend on it.
-    progress : callable of (int, int), optional
-        Called with frames done and frames in all.
-
-    Returns
-    -------
-    dict of str to CaseSimulation
-        One per case, in the experiment's order.
-
-    Raises
-    ------
-    ConvergenceError
-        If no frame of a case finds equilibrium, or a mesh that was imaged under gravity has no unloaded shape.
-    ExperimentError
-        If an effect does not fit the experiment.
+    `experiment`: the believed model; `element` {"tet4", "tet4-averaged", "tet10"}: elements to use; `threads`: threads
+    to use; 0 takes all cores. The result does not depend on it; `progress`: called with frames done and frames in all.
+    Result: one per case, in the experiment's order. Raises `ConvergenceError` if no frame of a case finds equilibrium,
+    or a mesh that was imaged under gravity has no unloaded shape; `ExperimentError` if an effect does not fit the
+    experiment.
     """
     experiment = extended(experiment, element)
     markers = MarkerObservation(experiment.mesh, experiment.marker_reference, experiment.marker_names)
@@ -188,28 +148,10 @@ def solve_cases(
 ) -> dict[str, SolvedCase]:
     """Return the equilibria of cases: elastic frames in parallel, frames with memory in order.
 
-    Parameters
-    ----------
-    experiment : Experiment
-        With effects applied (`tissuereg.experiment.effects.extended`).
-    cases : sequence of Case
-        Some of its cases.
-    settings : FrameSettings, optional
-        Elements, tolerance, threads. The result does not depend on the threads.
-    similar : Similar, optional
-        Solutions of similar models to begin from: by case of those that go through time; solvers of elastic ones.
-    progress : callable of (int, int), optional
-        Called with frames done and frames in all.
-
-    Returns
-    -------
-    dict of str to SolvedCase
-        One per case.
-
-    Raises
-    ------
-    ConvergenceError, ExperimentError
-        As `simulate_plain`.
+    `experiment`: with effects applied (`tissuereg.experiment.effects.extended`); `cases`: some of its cases;
+    `settings`: elements, tolerance, threads. The result does not depend on the threads; `similar`: solutions of similar
+    models to begin from: by case of those that go through time; solvers of elastic ones; `progress`: called with frames
+    done and frames in all. Result: one per case. Raises `ConvergenceError` or `ExperimentError` as `simulate_plain`.
     """
     in_all = sum(len(case.times) for case in cases)
     if goes_through_time(experiment):

@@ -21,15 +21,9 @@ from tissuereg.simulation.solve import Simulator
 class Pad:
     """A patch of nodes that an actuator holds in some of the frames.
 
-    Parameters
-    ----------
-    name : str
-        Key of its forces in the answer.
-    nodes : array_like of int, shape (n,)
-        Nodes of the patch; nodes that are held anyway stay where they are.
-    motion : array_like of float, shape (n_frames, 3)
-        Translation in mm in every frame, relative to the shape of the body when the pad attaches. Rows of NaN are
-        frames in which it is absent and its nodes are free.
+    `name`: key of its forces in the answer; `nodes` (n,): nodes of the patch; nodes that are held anyway stay where
+    they are; `motion` (n_frames, 3): translation in mm in every frame, relative to the shape of the body when the pad
+    attaches. Rows of NaN are frames in which it is absent and its nodes are free.
     """
 
     name: str
@@ -81,14 +75,7 @@ class Frames:
 class KeptRig:
     """A cached rig from which others are made.
 
-    Attributes
-    ----------
-    mesh : Mesh
-        Its mesh.
-    spreader : Simulator
-        Spreads loads over nodes.
-    rig : _core.Rig
-        In the frame in which it was last used.
+    `mesh`: its mesh; `spreader`: spreads loads over nodes; `rig`: in the frame in which it was last used.
     """
 
     mesh: Mesh
@@ -104,25 +91,12 @@ Rigs = dict[tuple[object, ...], KeptRig]
 class Acting:
     """What acts on a body through its frames, and what carries it.
 
-    Parameters
-    ----------
-    loads : Load or sequence of Load, optional
-        The same in all frames, or one per frame. Prescribed rows are those of the held nodes.
-    pads : sequence of Pad
-        Patches that are held in some frames.
-    springs : sequence of Springs
-        Springs under the surface; they can support the body without held nodes.
-    weight : array_like of float, shape (3,), optional
-        Body force in all frames, mN/mm^3, added to that of the loads; `Material.weight` gives gravity's.
-    in_reference : bool
-        Whether the mesh is given in its shape under `weight`. The unloaded shape is then found first.
-    held_nodes : array_like of int, optional
-        Nodes whose displacement is given by the loads (zero where absent); by default the node set ``fixed``.
-
-    Raises
-    ------
-    LoadError
-        If a mesh hangs in a weight that is not given.
+    `loads`: the same in all frames, or one per frame. Prescribed rows are those of the held nodes; `pads`: patches that
+    are held in some frames; `springs`: springs under the surface; they can support the body without held nodes;
+    `weight` (3,): body force in all frames, mN/mm^3, added to that of the loads; `Material.weight` gives gravity's;
+    `in_reference`: whether the mesh is given in its shape under `weight`. The unloaded shape is then found first;
+    `held_nodes`: nodes whose displacement is given by the loads (zero where absent); by default the node set ``fixed``.
+    Raises `LoadError` if a mesh hangs in a weight that is not given.
     """
 
     loads: Load | Sequence[Load] | None = None
@@ -161,16 +135,12 @@ class FrameSettings:
 class Similar:
     """What solutions of similar bodies left: saves work, and changes no answer beyond the tolerance.
 
-    Parameters
-    ----------
-    near : array_like of float, shape (n_frames, n_element_nodes, 3), or mapping of case to such an array, optional
-        `Frames.all_displacement` of a similar body, or by case `SolvedCase.all_displacement`, mm; the initial guess of
-        a frame is the last frame plus the change of that body. NaN where unknown. Of bodies that go through time.
-    rigs : dict, optional
-        Cached rigs of the same mesh, whose analyses and factors are reused; new ones are added. For many
-        histories that differ in material and behaviour; rigs with springs or `in_reference` are made anew.
-    simulators : dict, optional
-        Solvers of elastic models by element and held nodes, as in `tissuereg.simulation.experiment.believed_case`.
+    `near` (n_frames, n_element_nodes, 3): `Frames.all_displacement` of a similar body, or by case
+    `SolvedCase.all_displacement`, mm; the initial guess of a frame is the last frame plus the change of that body. NaN
+    where unknown. Of bodies that go through time; `rigs`: cached rigs of the same mesh, whose analyses and factors are
+    reused; new ones are added. For many histories that differ in material and behaviour; rigs with springs or
+    `in_reference` are made anew; `simulators`: solvers of elastic models by element and held nodes, as in
+    `tissuereg.simulation.experiment.believed_case`.
     """
 
     near: Any = None
@@ -192,40 +162,13 @@ def solve_frames(
     """Return the equilibria of a body in successive time frames.
 
     The first frame is reached instantaneously (the elastic solution). Between frames, forces and motions change
-    linearly; the step to a frame without equilibrium is subdivided.
-
-    Parameters
-    ----------
-    mesh : Mesh
-        Reference shape; its node set ``fixed`` is held unless other nodes are.
-    material : Material
-        The elastic law; instantaneous moduli where the stress relaxes.
-    times : array_like of float, shape (n_frames,)
-        s, never decreasing.
-    acting : Acting, optional
-        Loads, pads and supports.
-    behaviour : Behaviour, optional
-        Inelastic behaviour of the material.
-    settings : FrameSettings, optional
-        Elements, tolerance, threads.
-    similar : Similar, optional
-        Solutions of similar bodies to begin from.
-    progress : callable of int, optional
-        Called with the number of frames done.
-
-    Returns
-    -------
-    Frames
-        Displacements, forces, failures.
-
-    Raises
-    ------
-    LoadError
-        If loads, pads and times do not fit together.
-    ConvergenceError
-        If no frame finds equilibrium, or the mesh has no unloaded shape.
-    MaterialError, ShapeError, SupportError
-        If the input does not fit the body.
+    linearly; the step to a frame without equilibrium is subdivided. `mesh`: reference shape; its node set ``fixed`` is
+    held unless other nodes are; `material`: the elastic law; instantaneous moduli where the stress relaxes; `times`
+    (n_frames,): s, never decreasing; `acting`: loads, pads and supports; `behaviour`: inelastic behaviour of the
+    material; `settings`: elements, tolerance, threads; `similar`: solutions of similar bodies to begin from;
+    `progress`: called with the number of frames done. Result: displacements, forces, failures. Raises `LoadError` if
+    loads, pads and times do not fit together; `ConvergenceError` if no frame finds equilibrium, or the mesh has no
+    unloaded shape; `MaterialError`, `ShapeError` or `SupportError` if the input does not fit the body.
 
     Warns
     -----

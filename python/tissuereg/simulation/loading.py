@@ -28,19 +28,8 @@ def hangs_already(experiment: Experiment) -> bool:
 def traction_of(experiment: Experiment, case: Case, frame: int) -> tuple[IntArray, FloatArray] | None:
     """Return the tractions of the force actuators in a frame.
 
-    Parameters
-    ----------
-    experiment : Experiment
-        With its actuators.
-    case : Case
-        One of its cases.
-    frame : int
-        Row of the case.
-
-    Returns
-    -------
-    tuple of ndarray of int64 (n, 3) and ndarray of float64 (n, 3), or None
-        Boundary triangles and the dead traction on each in kPa; None if no force actuator is present.
+    `experiment`: with its actuators; `case`: one of its cases; `frame`: row of the case. Result: boundary triangles and
+    the dead traction on each in kPa; None if no force actuator is present.
     """
     triangles, tractions = [], []
     for pad in experiment.actuators:
@@ -54,15 +43,8 @@ def traction_of(experiment: Experiment, case: Case, frame: int) -> tuple[IntArra
 def distinct_states(case: Case) -> tuple[FloatArray, IntArray]:
     """Return the distinct loads of a case in the order in which they first appear, and their index for every frame.
 
-    Parameters
-    ----------
-    case : Case
-        With the commands of its actuators.
-
-    Returns
-    -------
-    tuple of ndarray of float64 (n_states, n_parts) and ndarray of int64 (n_frames,)
-        Motions in mm and forces in mN in columns, every part over the largest of its actuator.
+    `case`: with the commands of its actuators. Result: motions in mm and forces in mN in columns, every part over the
+    largest of its actuator.
     """
     given = [np.asarray(v) for v in (*case.displacements.values(), *case.applied_forces.values())]
     parts = [values / max(float(np.abs(values).max()), np.finfo(float).tiny) for values in given]

@@ -31,16 +31,10 @@ _TIMELESS = (Softening,)
 class SolvedCase:
     """Frames of one case.
 
-    Attributes
-    ----------
-    displacement : ndarray of float64, shape (n_frames, n_nodes, 3)
-        mm; NaN in frames without equilibrium.
-    forces : dict of str to ndarray of float64, shape (n_frames, 3)
-        Force on the body at every displacement actuator that is present, mN.
-    failed : list of (int, str)
-        Frames without equilibrium, with the reason.
-    all_displacement : ndarray of float64, shape (n_frames, n_element_nodes, 3)
-        The displacement with the mid-edge nodes of ten-node elements after the mesh's nodes.
+    `displacement` (n_frames, n_nodes, 3): mm; NaN in frames without equilibrium; `forces` (n_frames, 3): force on the
+    body at every displacement actuator that is present, mN; `failed`: frames without equilibrium, with the reason;
+    `all_displacement` (n_frames, n_element_nodes, 3): the displacement with the mid-edge nodes of ten-node elements
+    after the mesh's nodes.
     """
 
     displacement: FloatArray
@@ -63,15 +57,8 @@ class SolvedCase:
 def goes_through_time(experiment: Experiment) -> bool:
     """Return whether frames must be solved one after another.
 
-    Parameters
-    ----------
-    experiment : Experiment
-        With the effects on body, supports and actuators applied (`tissuereg.experiment.effects.extended`).
-
-    Returns
-    -------
-    bool
-        True with memory, swelling, sliding supports, or a mesh that was imaged under gravity.
+    `experiment`: with the effects on body, supports and actuators applied (`tissuereg.experiment.effects.extended`).
+    Result: True with memory, swelling, sliding supports, or a mesh that was imaged under gravity.
     """
     return hangs_already(experiment) or any(isinstance(effect, Memory | Sliding) for effect in experiment.effects)
 
@@ -79,15 +66,7 @@ def goes_through_time(experiment: Experiment) -> bool:
 def remembers(experiment: Experiment) -> bool:
     """Return whether the material depends on earlier frames.
 
-    Parameters
-    ----------
-    experiment : Experiment
-        With effects applied.
-
-    Returns
-    -------
-    bool
-        True with memory or swelling.
+    `experiment`: with effects applied. Result: True with memory or swelling.
     """
     return any(isinstance(effect, Memory) for effect in experiment.effects)
 
@@ -110,30 +89,11 @@ def solve_through_time(
 ) -> dict[str, SolvedCase]:
     """Return the equilibria of cases, solved frame after frame.
 
-    Parameters
-    ----------
-    experiment : Experiment
-        With the effects on body, supports and actuators applied.
-    cases : sequence of Case
-        The cases to solve: with softening, set or friction, every case from the first one on.
-    settings : FrameSettings, optional
-        Elements, tolerance, threads.
-    similar : Similar, optional
-        Solutions of similar models to begin from, by case.
-    progress : callable of int, optional
-        Called with frames done.
-
-    Returns
-    -------
-    dict of str to SolvedCase
-        One per case, in the order given.
-
-    Raises
-    ------
-    ConvergenceError
-        If no frame of a case finds equilibrium.
-    ExperimentError
-        If cases that depend on each other overlap in time.
+    `experiment`: with the effects on body, supports and actuators applied; `cases`: the cases to solve: with softening,
+    set or friction, every case from the first one on; `settings`: elements, tolerance, threads; `similar`: solutions of
+    similar models to begin from, by case; `progress`: called with frames done. Result: one per case, in the order
+    given. Raises `ConvergenceError` if no frame of a case finds equilibrium; `ExperimentError` if cases that depend on
+    each other overlap in time.
     """
     groups = [sorted(cases, key=lambda case: float(case.times[0]))] if is_carried(experiment) else [[c] for c in cases]
     settings, similar = settings or FrameSettings(), similar or Similar()
@@ -159,18 +119,9 @@ def solve_through_time(
 def frames_of_own(experiment: Experiment, case: Case) -> tuple[IntArray, IntArray]:
     """Return the frames of a case that must be solved, and for every frame the index of its solved equal.
 
-    Parameters
-    ----------
-    experiment : Experiment
-        With effects applied.
-    case : Case
-        One of its cases.
-
-    Returns
-    -------
-    tuple of ndarray of int64, shapes (n_solved,) and (n_frames,)
-        If memory depends on time, all frames; if it depends on the load path alone, or with friction, the frames whose
-        load differs from the previous one; otherwise one frame per distinct load.
+    `experiment`: with effects applied; `case`: one of its cases. Result: if memory depends on time, all frames; if it
+    depends on the load path alone, or with friction, the frames whose load differs from the previous one; otherwise one
+    frame per distinct load.
     """
     if any(isinstance(effect, Memory) and not isinstance(effect, _TIMELESS) for effect in experiment.effects):
         every = np.arange(len(case.times))

@@ -17,12 +17,8 @@ QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 class Motion:
     """Motion of some members.
 
-    Attributes
-    ----------
-    mean_mm, largest_mm : ndarray of float64, shape (k,)
-        Mean and largest displacement of a member's nodes.
-    apart_mm : ndarray of float64, shape (n_pairs,)
-        Mean distance between corresponding nodes of two members, over pairs.
+    `mean_mm`, `largest_mm` (k,): mean and largest displacement of a member's nodes; `apart_mm` (n_pairs,): mean
+    distance between corresponding nodes of two members, over pairs.
     """
 
     mean_mm: FloatArray
@@ -33,15 +29,7 @@ class Motion:
 def motion_of(displacement: Fields) -> Motion:
     """Return the motion of a chunk's members.
 
-    Parameters
-    ----------
-    displacement : ndarray of float32, shape (k, n_nodes, 3)
-        In mm.
-
-    Returns
-    -------
-    Motion
-        All pairs of the first 32 members.
+    `displacement` float32 (k, n_nodes, 3): in mm. Result: all pairs of the first 32 members.
     """
     moved = np.linalg.norm(displacement.astype(np.float64), axis=2)
     few = displacement[: DATA_SET.paired].astype(np.float64)
@@ -52,16 +40,9 @@ def motion_of(displacement: Fields) -> Motion:
 def motion_summary(motions: Sequence[Motion]) -> dict[str, object]:
     """Return means and quantiles of the motion of all members.
 
-    Parameters
-    ----------
-    motions : sequence of Motion
-        One a chunk.
-
-    Returns
-    -------
-    dict
-        ``quantiles`` (the probabilities), for ``mean_node_mm``, ``largest_mm`` and ``apart_mm`` a dict of ``mean``,
-        ``quantiles`` and ``largest``; ``n_pairs``; ``share_apart_7_mm``, the share of pairs at least 7 mm apart.
+    `motions`: one a chunk. Result: ``quantiles`` (the probabilities), for ``mean_node_mm``, ``largest_mm`` and
+    ``apart_mm`` a dict of ``mean``, ``quantiles`` and ``largest``; ``n_pairs``; ``share_apart_7_mm``, the share of
+    pairs at least 7 mm apart.
     """
     mean, largest, apart = (
         np.concatenate([np.empty(0), *(getattr(motion, name) for motion in motions)])

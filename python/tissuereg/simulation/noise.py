@@ -14,20 +14,9 @@ def with_noise(
 ) -> dict[str, CaseSimulation]:
     """Return simulated cases with measurement noise.
 
-    Parameters
-    ----------
-    experiment : Experiment
-        With the standard deviations of markers and forces.
-    answers : mapping of str to CaseSimulation
-        Without noise.
-    seed : int
-        Seed of all random numbers.
-
-    Returns
-    -------
-    dict of str to CaseSimulation
-        White normal noise on the markers, and on the forces if their standard deviation is stated; targets and
-        displacements unchanged.
+    `experiment`: with the standard deviations of markers and forces; `answers`: without noise; `seed`: seed of all
+    random numbers. Result: white normal noise on the markers, and on the forces if their standard deviation is stated;
+    targets and displacements unchanged.
     """
     generator = np.random.default_rng([seed, 6])
     std = experiment.force_std or 0.0

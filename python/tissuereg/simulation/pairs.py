@@ -32,24 +32,9 @@ class PairsReport:
 def make_pairs(task: ChunkTask) -> PairsReport:
     """Make the pairs and write them, or find that they are there.
 
-    Parameters
-    ----------
-    task : ChunkTask
-        Any task of the data set; its number does not matter.
-
-    Returns
-    -------
-    PairsReport
-        Size and fingerprint of the file.
-
-    Raises
-    ------
-    EnsembleError
-        If more than half of the pairs fail.
-    FormatError
-        If the pairs are there already, but spoilt.
-    OutputError
-        If they cannot be written.
+    `task`: any task of the data set; its number does not matter. Result: size and fingerprint of the file. Raises
+    `EnsembleError` if more than half of the pairs fail; `FormatError` if the pairs are there already, but spoilt;
+    `OutputError` if they cannot be written.
     """
     store = store_of(task.destination)
     made = not store.exists(PAIRS_NAME)
@@ -83,25 +68,10 @@ def simulated_pairs(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the pairs of a data set.
 
-    Parameters
-    ----------
-    maker : ChunkMaker
-        Recipe, mesh and seed.
-    threads : int
-        Threads to use; 0 takes all cores. The pairs do not depend on it.
-    max_iterations : int
-        A simulation that needs more fails, and its pair with it.
-
-    Returns
-    -------
-    simulations, truths : ndarray of float64, shape (n_pairs, n_nodes, 3)
-        Displacements of the believed model and of the other one, mm; pairs of which one found no equilibrium are left
-        out.
-
-    Raises
-    ------
-    EnsembleError
-        If more than half of the pairs fail.
+    `maker`: recipe, mesh and seed; `threads`: threads to use; 0 takes all cores. The pairs do not depend on it;
+    `max_iterations`: a simulation that needs more fails, and its pair with it. Result: `simulations`, `truths`
+    (n_pairs, n_nodes, 3): displacements of the believed model and of the other one, mm; pairs of which one found no
+    equilibrium are left out. Raises `EnsembleError` if more than half of the pairs fail.
     """
     recipe, simulator = maker.recipe, maker.simulator
     # A stream of its own: what else is drawn does not depend on Poisson's ratio.

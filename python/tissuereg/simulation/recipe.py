@@ -181,20 +181,8 @@ class Recipe:
 def read_recipe(path: str | os.PathLike[str]) -> Recipe:
     """Read a recipe.
 
-    Parameters
-    ----------
-    path : path-like
-        A TOML file.
-
-    Returns
-    -------
-    Recipe
-        With defaults for missing keys.
-
-    Raises
-    ------
-    ExperimentError
-        If a table or key is unknown, or a value has the wrong type or is out of its range.
+    `path`: a TOML file. Result: with defaults for missing keys. Raises `ExperimentError` if a table or key is unknown,
+    or a value has the wrong type or is out of its range.
     """
     return recipe_of(read_toml(path).rest(), path)
 
@@ -202,22 +190,8 @@ def read_recipe(path: str | os.PathLike[str]) -> Recipe:
 def recipe_of(raw: dict[str, Any], path: str | os.PathLike[str]) -> Recipe:
     """Return a recipe from the content of its file.
 
-    Parameters
-    ----------
-    raw : dict
-        Content of the file.
-    path : path-like
-        The file, for messages and as the place of a mesh file.
-
-    Returns
-    -------
-    Recipe
-        With defaults for missing keys.
-
-    Raises
-    ------
-    ExperimentError
-        As `read_recipe`.
+    `raw`: content of the file; `path`: the file, for messages and as the place of a mesh file. Result: with defaults
+    for missing keys. Raises `ExperimentError` as `read_recipe`.
     """
     top = Table(Path(path), "", raw)
     seed = top.take("seed", partial(arguments.whole, most=2**64 - 1)) if "seed" in top else 0

@@ -49,19 +49,9 @@ class EventSettings:
 class EventSampler:
     """Draws random events on one body.
 
-    Parameters
-    ----------
-    mesh : Mesh
-        Reference shape with its held nodes.
-    settings : EventSettings
-        Settings of the events.
-    held_nodes : ndarray of int64, optional
-        Nodes that patches avoid; by default the node set ``fixed``.
-
-    Raises
-    ------
-    MeshError
-        If the whole surface is held, so that nothing could be loaded.
+    `mesh`: reference shape with its held nodes; `settings`: settings of the events; `held_nodes`: nodes that patches
+    avoid; by default the node set ``fixed``. Raises `MeshError` if the whole surface is held, so that nothing could be
+    loaded.
     """
 
     def __init__(self, mesh: Mesh, settings: EventSettings | None = None, held_nodes: Any = None) -> None:
@@ -84,15 +74,7 @@ class EventSampler:
     def draw(self, rng: np.random.Generator) -> "Event":
         """Return one event of unit total force (1 mN a patch, 1 mN for the body force).
 
-        Parameters
-        ----------
-        rng : numpy.random.Generator
-            Source of random numbers.
-
-        Returns
-        -------
-        Event
-            Shape of the load, not yet scaled.
+        `rng`: source of random numbers. Result: shape of the load, not yet scaled.
         """
         settings = self.settings
         other = settings.plate_share + settings.gravity_share
@@ -147,20 +129,11 @@ class EventSampler:
     def columns(self, events: Sequence["Event"], sizes: FloatArray) -> dict[str, FloatArray]:
         """Return a table of events with their sizes.
 
-        Parameters
-        ----------
-        events : sequence of Event
-            As drawn.
-        sizes : ndarray of float64, shape (n_events,)
-            Their sizes in mN.
-
-        Returns
-        -------
-        dict of str to ndarray
-            ``patch_centre_mm`` (n_events, p, 3), ``patch_radius_mm`` (n_events, p), ``patch_force_mN`` (n_events, p, 3)
-            with p the largest number of patches, NaN where an event has fewer; ``body_force_mN_per_mm3`` (n_events, 3);
-            where plates are drawn, ``plate_centre_mm``, ``plate_force_mN`` (n_events, 3), ``plate_radius_mm``,
-            ``plate_depth_mm`` (n_events,), NaN where an event has none.
+        `events`: as drawn; `sizes` (n_events,): their sizes in mN. Result: ``patch_centre_mm`` (n_events, p, 3),
+        ``patch_radius_mm`` (n_events, p), ``patch_force_mN`` (n_events, p, 3) with p the largest number of patches, NaN
+        where an event has fewer; ``body_force_mN_per_mm3`` (n_events, 3); where plates are drawn, ``plate_centre_mm``,
+        ``plate_force_mN`` (n_events, 3), ``plate_radius_mm``, ``plate_depth_mm`` (n_events,), NaN where an event has
+        none.
         """
         shape = (len(events), self.settings.n_patches[1])
         centre, force = np.full((*shape, 3), np.nan), np.full((*shape, 3), np.nan)
@@ -230,19 +203,8 @@ class Event:
     def load(self, simulator: Simulator, scale: float, base: Load | None = None) -> Load:
         """Return the event as a load of a given size on top of another load.
 
-        Parameters
-        ----------
-        simulator : Simulator
-            Body on which tractions become nodal forces.
-        scale : float
-            Size of the event in mN.
-        base : Load, optional
-            Load that acts in addition.
-
-        Returns
-        -------
-        Load
-            Tractions added up where patches share a triangle.
+        `simulator`: body on which tractions become nodal forces; `scale`: size of the event in mN; `base`: load that
+        acts in addition. Result: tractions added up where patches share a triangle.
         """
         base = base or Load()
         body_force = scale * self.body_force + (0.0 if base.body_force is None else np.asarray(base.body_force))
@@ -267,23 +229,9 @@ def linear_answers(
 ) -> tuple[FloatArray, FloatArray]:
     """Return each event's linear displacement, scaled to a largest node displacement of 1 mm, and its size for that.
 
-    Parameters
-    ----------
-    simulator : Simulator
-        Analysed body.
-    events : sequence of Event
-        Unit events.
-    material : Material
-        Material of the body.
-    threads : int
-        Threads to use; 0 takes all cores.
-
-    Returns
-    -------
-    displacement : ndarray of float64, shape (n_events, n_nodes, 3)
-        mm, largest node displacement 1 mm.
-    scale : ndarray of float64, shape (n_events,)
-        mN that give it.
+    `simulator`: analysed body; `events`: unit events; `material`: material of the body; `threads`: threads to use; 0
+    takes all cores. Result: `displacement` (n_events, n_nodes, 3): mm, largest node displacement 1 mm; `scale`
+    (n_events,): mN that give it.
 
     Notes
     -----
@@ -314,34 +262,12 @@ def random_changes(
 ) -> FloatArray:
     """Return fields of random pushes and pulls, linear about the undeformed body.
 
-    Parameters
-    ----------
-    mesh : Mesh
-        Undeformed body.
-    material : Material
-        Believed material.
-    largest_mm : float
-        Largest node displacement of a usual event, mm; sizes are log-normal about it.
-    n_events : int
-        Events drawn.
-    rng : numpy.random.Generator
-        Source of places, directions and sizes.
-    held_nodes : array_like of int, optional
-        Nodes that are held; by default the node set ``fixed``.
-    threads : int
-        Threads to use; 0 takes all cores.
-
-    Returns
-    -------
-    ndarray of float64, shape (n, n_nodes, 3)
-        Of the events with an equilibrium, mm. Cost: a nearly linear solve each.
-
-    Raises
-    ------
-    MeshError, SupportError
-        If nothing of the surface is free, or the body can move freely.
-    EnsembleError
-        If half of the events find no equilibrium.
+    `mesh`: undeformed body; `material`: believed material; `largest_mm`: largest node displacement of a usual event,
+    mm; sizes are log-normal about it; `n_events`: events drawn; `rng`: source of places, directions and sizes;
+    `held_nodes`: nodes that are held; by default the node set ``fixed``; `threads`: threads to use; 0 takes all cores.
+    Result: (n, n_nodes, 3), of the events with an equilibrium, mm. Cost: a nearly linear solve each. Raises `MeshError`
+    or `SupportError` if nothing of the surface is free, or the body can move freely; `EnsembleError` if half of the
+    events find no equilibrium.
     """
     simulator = Simulator(mesh, held_nodes=held_nodes)
     sampler = EventSampler(mesh, held_nodes=held_nodes)

@@ -33,14 +33,9 @@ __all__ = [
 class Derivatives:
     """Derivatives of an equilibrium by each cause, per unit of the cause.
 
-    Attributes
-    ----------
-    displacement : ndarray of float64, shape (n_causes, n_nodes, 3)
-        Of the mesh's nodes, mm.
-    reactions : ndarray of float64, shape (n_causes, n_held, 3)
-        Of the force on the body at every held node, mN.
-    all_displacement : ndarray of float64, shape (n_causes, n_element_nodes, 3)
-        Of all nodes, with the mid-edge nodes of ten-node elements after the mesh's nodes.
+    `displacement` (n_causes, n_nodes, 3): of the mesh's nodes, mm; `reactions` (n_causes, n_held, 3): of the force on
+    the body at every held node, mN; `all_displacement` (n_causes, n_element_nodes, 3): of all nodes, with the mid-edge
+    nodes of ten-node elements after the mesh's nodes.
     """
 
     displacement: FloatArray
@@ -80,14 +75,9 @@ class Adjoints:
 class Compliance:
     """Derivatives of observations of displacements by forces and prescribed displacements.
 
-    Attributes
-    ----------
-    forces : ndarray of float64, shape (n_obs, n_element_nodes, 3)
-        Derivative by the force at every node, per mN; zero at held nodes.
-    body_force : ndarray of float64, shape (n_obs, 3)
-        By the body force, per mN/mm^3.
-    prescribed : ndarray of float64, shape (n_obs, n_held, 3)
-        By the prescribed displacement of every held node, per mm.
+    `forces` (n_obs, n_element_nodes, 3): derivative by the force at every node, per mN; zero at held nodes;
+    `body_force` (n_obs, 3): by the body force, per mN/mm^3; `prescribed` (n_obs, n_held, 3): by the prescribed
+    displacement of every held node, per mm.
     """
 
     forces: FloatArray
@@ -98,30 +88,13 @@ class Compliance:
 class Linearised:
     """An equilibrium with its exact tangent, factored once for any number of causes and observations.
 
-    Parameters
-    ----------
-    simulator : Simulator
-        The analysed body.
-    load : Load
-        The load.
-    material : Material
-        Material of the body.
-    displacement : array_like of float, shape (n_element_nodes, 3)
-        Equilibrium under them in mm: `Simulation.all_displacement`.
-    springs : array_like of float, shape (n_sets, 2), optional
-        Stiffness of the simulator's springs in kPa/mm; by default that given to the simulator.
-    precision : {"double", "single"}
-        Precision of the factor. A single one takes 60 to 80 % of the time and half the memory; its solutions are
-        refined to a relative error of 1e-9. If the tangent is too close to singular for that, a double one is used.
-    threads : int
-        Threads to use; 0 takes all cores. The result does not depend on it.
-
-    Raises
-    ------
-    ConvergenceError
-        If the displacement is not an equilibrium, or not a stable one.
-    LoadError, MaterialError, ShapeError
-        If the input does not fit the body.
+    `simulator`: the analysed body; `load`: the load; `material`: material of the body; `displacement` (n_element_nodes,
+    3): equilibrium under them in mm: `Simulation.all_displacement`; `springs` (n_sets, 2): stiffness of the simulator's
+    springs in kPa/mm; by default that given to the simulator; `precision` {"double", "single"}: precision of the
+    factor. A single one takes 60 to 80 % of the time and half the memory; its solutions are refined to a relative error
+    of 1e-9. If the tangent is too close to singular for that, a double one is used; `threads`: threads to use; 0 takes
+    all cores. The result does not depend on it. Raises `ConvergenceError` if the displacement is not an equilibrium, or
+    not a stable one; `LoadError`, `MaterialError` or `ShapeError` if the input does not fit the body.
 
     Examples
     --------
@@ -166,22 +139,8 @@ class Linearised:
     def derivatives(self, causes: Sequence[Cause]) -> Derivatives:
         """Return the derivatives of displacement and reactions by each cause.
 
-        Parameters
-        ----------
-        causes : sequence of Parameter, ModulusField or Load
-            Causes; the cost is one solution each.
-
-        Returns
-        -------
-        Derivatives
-            One entry per cause, in their order.
-
-        Raises
-        ------
-        MaterialError
-            If the law does not have a parameter.
-        LoadError, ShapeError
-            If rates do not fit the body.
+        `causes`: causes; the cost is one solution each. Result: one entry per cause, in their order. Raises
+        `MaterialError` if the law does not have a parameter; `LoadError` or `ShapeError` if rates do not fit the body.
         """
         everything, reactions = self._core.derivatives([core_cause(self.simulator, cause) for cause in causes])
         n_nodes = self.simulator.mesh.n_nodes
@@ -190,22 +149,9 @@ class Linearised:
     def adjoints(self, observations: Sequence[Observation]) -> Adjoints:
         """Return the derivatives of each observation by all inputs.
 
-        Parameters
-        ----------
-        observations : sequence of Observation
-            Observations; the cost is one solution each.
-
-        Returns
-        -------
-        Adjoints
-            One entry per observation, in their order.
-
-        Raises
-        ------
-        LoadError
-            If a node does not exist or is not held.
-        ShapeError
-            If there is not one row of weights per node.
+        `observations`: observations; the cost is one solution each. Result: one entry per observation, in their order.
+        Raises `LoadError` if a node does not exist or is not held; `ShapeError` if there is not one row of weights per
+        node.
         """
         found = self._core.adjoints([core_observation(observation) for observation in observations])
         return Adjoints(found.young, found.poisson, found.forces, found.body_force, found.prescribed, found.springs)
@@ -213,22 +159,9 @@ class Linearised:
     def compliance(self, observations: Sequence[Observation]) -> Compliance:
         """Return the derivatives of observations of displacements by forces and supports only; fast for many.
 
-        Parameters
-        ----------
-        observations : sequence of Observation
-            Observations, without reactions.
-
-        Returns
-        -------
-        Compliance
-            One entry per observation, in their order; each has the same bits whatever the others are.
-
-        Raises
-        ------
-        LoadError
-            If a node does not exist, or if an observation weighs reactions.
-        ShapeError
-            If there is not one row of weights per node.
+        `observations`: observations, without reactions. Result: one entry per observation, in their order; each has the
+        same bits whatever the others are. Raises `LoadError` if a node does not exist, or if an observation weighs
+        reactions; `ShapeError` if there is not one row of weights per node.
         """
         found = self._core.compliance([core_observation(observation) for observation in observations])
         return Compliance(found.forces, found.body_force, found.prescribed)
@@ -236,45 +169,19 @@ class Linearised:
     def responses(self, forces: Any) -> FloatArray:
         """Return the linear response of the displacement to each of many fields of nodal forces.
 
-        Parameters
-        ----------
-        forces : array_like of float, shape (n_fields, n_element_nodes, 3)
-            Nodal forces in mN.
-
-        Returns
-        -------
-        ndarray of float64, shape (n_fields, n_element_nodes, 3)
-            Displacement in mm, to first order; zero at held nodes.
-
-        Raises
-        ------
-        LoadError, ShapeError
-            If the forces are not finite or do not fit the body.
+        `forces` (n_fields, n_element_nodes, 3): nodal forces in mN. Result: (n_fields, n_element_nodes, 3),
+        displacement in mm, to first order; zero at held nodes. Raises `LoadError` or `ShapeError` if the forces are not
+        finite or do not fit the body.
         """
         return self._core.responses(float_array("forces", forces, (None, self.simulator.body.n_nodes, 3)))
 
     def unbalanced(self, causes: Sequence[Cause]) -> FloatArray:
         """Return the unbalanced nodal forces of each cause at fixed displacement.
 
-        The derivative of an observation ``o`` of free nodes by cause ``c`` is
-        ``-sum(compliance.forces[o] * unbalanced[c])``: one matrix product for many of both.
-
-        Parameters
-        ----------
-        causes : sequence of Parameter, ModulusField or Load
-            Causes.
-
-        Returns
-        -------
-        ndarray of float64, shape (n_causes, n_element_nodes, 3)
-            In mN per unit of the cause.
-
-        Raises
-        ------
-        MaterialError
-            If the law does not have a parameter.
-        LoadError, ShapeError
-            If rates do not fit the body.
+        The derivative of an observation ``o`` of free nodes by cause ``c`` is ``-sum(compliance.forces[o] *
+        unbalanced[c])``: one matrix product for many of both. `causes`: causes. Result: (n_causes, n_element_nodes, 3),
+        in mN per unit of the cause. Raises `MaterialError` if the law does not have a parameter; `LoadError` or
+        `ShapeError` if rates do not fit the body.
         """
         return self._core.unbalanced([core_cause(self.simulator, cause) for cause in causes])
 
@@ -283,28 +190,10 @@ class Linearised:
     ) -> Simulation:
         """Return the equilibrium under another load, starting from this one with its factor.
 
-        Parameters
-        ----------
-        load : Load
-            The load.
-        springs : array_like of float, shape (n_sets, 2), optional
-            Stiffness of the simulator's springs in kPa/mm; by default that given to the simulator.
-        tolerance : float
-            Norm of the residual over the norm of the load, free degrees of freedom.
-        max_iterations : int
-            Iterations allowed.
-
-        Returns
-        -------
-        Simulation
-            As `Simulator.solve` with the material of this equilibrium.
-
-        Raises
-        ------
-        ConvergenceError
-            If no equilibrium is found.
-        LoadError, ShapeError
-            If the load does not fit the body.
+        `load`: the load; `springs` (n_sets, 2): stiffness of the simulator's springs in kPa/mm; by default that given
+        to the simulator; `tolerance`: norm of the residual over the norm of the load, free degrees of freedom;
+        `max_iterations`: iterations allowed. Result: as `Simulator.solve` with the material of this equilibrium. Raises
+        `ConvergenceError` if no equilibrium is found; `LoadError` or `ShapeError` if the load does not fit the body.
         """
         found = self._core.solve_near(
             **self.simulator.load_parts(load),

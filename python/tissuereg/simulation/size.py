@@ -26,18 +26,10 @@ if TYPE_CHECKING:
 class BodySize:
     """Result of the symbolic analysis.
 
-    Attributes
-    ----------
-    n_nodes, n_tets, n_unknowns : int
-        Nodes of the mesh, elements, and displacement components that are not held.
-    n_entries : int
-        Entries of the factor of the stiffness.
-    flops : float
-        Floating-point operations of one factorisation.
-    n_working : int
-        Most additional entries that one thread holds while it makes the factor.
-    element : str
-        Elements of the solver.
+    `n_nodes`, `n_tets`, `n_unknowns`: nodes of the mesh, elements, and displacement components that are not held;
+    `n_entries`: entries of the factor of the stiffness; `flops`: floating-point operations of one factorisation;
+    `n_working`: most additional entries that one thread holds while it makes the factor; `element`: elements of the
+    solver.
     """
 
     n_nodes: int
@@ -160,10 +152,7 @@ class Estimate:
     def sentence(self) -> str:
         """Return size and need in one line.
 
-        Returns
-        -------
-        str
-            Nodes, tets, unknowns, the factor, how often it is made, time and memory.
+        Result: nodes, tets, unknowns, the factor, how often it is made, time and memory.
         """
         size, work = self.size, self.work
         times = f"about {work.factorisations} factorisation{'' if work.factorisations == 1 else 's'}"
@@ -178,10 +167,8 @@ class Estimate:
     def check(self) -> None:
         """Refuse a body that does not fit into memory, and warn of one that takes more than half of it.
 
-        Raises
-        ------
-        LargeBodyError
-            If the estimated memory is more than what is available; the message names the size of a mesh that would fit.
+        Raises `LargeBodyError` if the estimated memory is more than what is available; the message names the size of a
+        mesh that would fit.
         """
         there = self.available_bytes
         if there is None or self.added_bytes <= SIZE.warned_share * there:
@@ -214,15 +201,8 @@ class Estimate:
 def check_fits(simulator: "Simulator") -> None:
     """Refuse a body whose smallest factor would not fit into memory.
 
-    Parameters
-    ----------
-    simulator : Simulator
-        Analysed. The available memory is not looked up for a small body.
-
-    Raises
-    ------
-    LargeBodyError
-        If one factor of 16-bit integers, with the memory for making it, is more than what is available.
+    `simulator`: analysed. The available memory is not looked up for a small body. Raises `LargeBodyError` if one factor
+    of 16-bit integers, with the memory for making it, is more than what is available.
     """
     if simulator.body.factor_size[0] < SIZE.large_entries:
         return

@@ -74,21 +74,9 @@ def random_inclusion(
 ) -> FloatArray:
     """Return the factor on Young's modulus of every tet for a ball around a random node.
 
-    Parameters
-    ----------
-    mesh : Mesh
-        Reference shape.
-    rng : numpy.random.Generator
-        Source of random numbers.
-    radius : (float, float)
-        Range of the ball's radius in mm.
-    contrast : (float, float)
-        Range of the modulus inside over that outside.
-
-    Returns
-    -------
-    ndarray of float64, shape (n_tets,)
-        `contrast` where a tet's centre lies in the ball, 1 elsewhere.
+    `mesh`: reference shape; `rng`: source of random numbers; `radius`: range of the ball's radius in mm; `contrast`:
+    range of the modulus inside over that outside. Result: (n_tets,), `contrast` where a tet's centre lies in the ball,
+    1 elsewhere.
     """
     centres = mesh.nodes[mesh.tets].mean(axis=1)
     centre = mesh.nodes[rng.integers(mesh.n_nodes)]

@@ -49,12 +49,7 @@ class Layout:
     """Where the parts of a registration lie in the array that the temporal prior filters.
 
     First the markers, whose innovations tell the rate of motion, then the targets, then the nodes; three components
-    each.
-
-    Attributes
-    ----------
-    attached : Attachment
-        Markers and targets on the body.
+    each. `attached`: markers and targets on the body.
     """
 
     attached: Attachment
@@ -90,19 +85,9 @@ class Layout:
         """Return a registration with filtered places.
 
         Covariances stay those of the frame: errors of consecutive frames are correlated, and what the filter removes of
-        them is not more than the frame states.
-
-        Parameters
-        ----------
-        result : Registration
-            Of the frame alone.
-        values, alone : ndarray of float64, shape (n_values,)
-            Filtered and own values, mm.
-
-        Returns
-        -------
-        Registration
-            Displacement, targets, unseen markers, residuals and volume ratios are those of the filtered places.
+        them is not more than the frame states. `result`: of the frame alone; `values`, `alone` (n_values,): filtered
+        and own values, mm. Result: displacement, targets, unseen markers, residuals and volume ratios are those of the
+        filtered places.
         """
         moved = values - alone
         of_markers = moved[self.markers].reshape(-1, 3)

@@ -16,10 +16,7 @@ from tissuereg.tracking.restart import SimulatedFrame
 class Lineage:
     """The variance that was carried on since the last frame that started from the plain simulation.
 
-    Parameters
-    ----------
-    noise_mm : float
-        Standard deviation of the tracker's noise: the least size of an event.
+    `noise_mm`: standard deviation of the tracker's noise: the least size of an event.
     """
 
     noise_mm: float
@@ -30,12 +27,7 @@ class Lineage:
     def widening(self, variance: float, simulated: SimulatedFrame | None) -> float:
         """Return the factor on the covariances of a frame.
 
-        Parameters
-        ----------
-        variance : float
-            What its own registration states, mm^2.
-        simulated : SimulatedFrame or None
-            Its simulation.
+        `variance`: what its own registration states, mm^2; `simulated`: its simulation.
         """
         if simulated is None:
             return 1.0

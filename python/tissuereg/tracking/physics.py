@@ -229,10 +229,7 @@ class CalledPhysics:
 def as_physics(given: Any, name: str) -> Physics:
     """Return a physics simulation that is given as the argument `name`; functions are wrapped.
 
-    Raises
-    ------
-    ArgumentError
-        If it is neither a `Physics` nor a function.
+    Raises `ArgumentError` if it is neither a `Physics` nor a function.
     """
     if isinstance(given, Physics) and not isinstance(given, type):
         return given

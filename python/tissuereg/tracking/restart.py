@@ -32,16 +32,9 @@ RESTARTS = ("forces", "displacement", "guess", "reference")
 class SimulatedFrame:
     """The simulation of a frame.
 
-    Attributes
-    ----------
-    field : ndarray of float64, shape (n_nodes, 3)
-        Displacement from which the frame is registered, mm.
-    change : ndarray of float64, shape (n_nodes, 3)
-        Its change since the last frame that is due to the actuators, mm.
-    plain : ndarray of float64, shape (n_nodes, 3)
-        Displacement with nothing carried on, mm.
-    carried : bool
-        Whether a registered state was carried on.
+    `field` (n_nodes, 3): displacement from which the frame is registered, mm; `change` (n_nodes, 3): its change since
+    the last frame that is due to the actuators, mm; `plain` (n_nodes, 3): displacement with nothing carried on, mm;
+    `carried`: whether a registered state was carried on.
     """
 
     field: FloatArray
@@ -63,21 +56,11 @@ class _CarriedState:
 class Restart:
     """Simulates each frame from a registered state.
 
-    Parameters
-    ----------
-    physics : Physics
-        The simulation.
-    how : {"forces", "displacement", "guess", "reference"}
-        How the registered state is carried on. A simulation that cannot hold a shape by forces gets ``displacement``
-        for ``forces``.
-    noise_mm : float
-        Standard deviation of the tracker's noise. Another state is carried on once the simulation has moved farther
-        than this (root mean square over nodes) from the one before.
-
-    Attributes
-    ----------
-    fallbacks : int
-        Frames in which the body lost its equilibrium under dead loads, so that the displacement was carried on.
+    `physics`: the simulation; `how` {"forces", "displacement", "guess", "reference"}: how the registered state is
+    carried on. A simulation that cannot hold a shape by forces gets ``displacement`` for ``forces``; `noise_mm`:
+    standard deviation of the tracker's noise. Another state is carried on once the simulation has moved farther than
+    this (root mean square over nodes) from the one before. `fallbacks`: frames in which the body lost its equilibrium
+    under dead loads, so that the displacement was carried on.
 
     Notes
     -----
@@ -108,20 +91,8 @@ class Restart:
     def simulated(self, actuator: Any) -> SimulatedFrame:
         """Return the simulation of the next frame; nothing is remembered of it before `registered`.
 
-        Parameters
-        ----------
-        actuator : object
-            What the actuators do.
-
-        Returns
-        -------
-        SimulatedFrame
-            Cost: one simulation; with ``forces`` two.
-
-        Raises
-        ------
-        ConvergenceError
-            If the simulation finds no equilibrium.
+        `actuator`: what the actuators do. Cost: one simulation; with ``forces`` two. Raises `ConvergenceError`
+        if the simulation finds no equilibrium.
         """
         start = {"reference": None, "guess": self._last_shape}.get(self.how, self._expected_plain())
         plain = self._physics.field(actuator, start=start)
@@ -132,19 +103,8 @@ class Restart:
     def registered(self, simulated: SimulatedFrame, displacement: FloatArray, actuator: Any) -> bool:
         """Remember a frame.
 
-        Parameters
-        ----------
-        simulated : SimulatedFrame
-            Its simulation.
-        displacement : ndarray of float64, shape (n_nodes, 3)
-            Registered, mm.
-        actuator : object
-            What the actuators did.
-
-        Returns
-        -------
-        bool
-            Whether this frame's registered state is carried on from now on.
+        `simulated`: its simulation; `displacement` (n_nodes, 3): registered, mm; `actuator`: what the actuators did.
+        Result: whether this frame's registered state is carried on from now on.
         """
         self._plain_before = self._last_plain
         self._last_field, self._last_shape, self._last_plain = simulated.field, displacement, simulated.plain

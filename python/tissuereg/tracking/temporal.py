@@ -64,15 +64,8 @@ RATES = 10.0 ** np.arange(-2.0, 7.0)
 class TemporalPrior:
     """Filters for all rates of motion on one stream of answers.
 
-    Parameters
-    ----------
-    variance : float
-        Stated variance of the tracker's noise, mm^2: a first guess of that of an answer's noise.
-
-    Attributes
-    ----------
-    gain : float
-        Mean gain of the last frame: 1 = this frame alone.
+    `variance`: stated variance of the tracker's noise, mm^2: a first guess of that of an answer's noise. `gain`: mean
+    gain of the last frame: 1 = this frame alone.
     """
 
     variance: float
@@ -89,23 +82,10 @@ class TemporalPrior:
     ) -> FloatArray:
         """Return the filtered answer of a frame.
 
-        Parameters
-        ----------
-        answer : ndarray of float64, shape (n_values,)
-            Registered displacement of everything that is filtered, mm.
-        change : ndarray of float64, shape (n_values,)
-            Its simulated change since the last frame, mm.
-        elapsed : float
-            Time since the last frame, s.
-        relative : float
-            Variance of the noise of this frame's answer over that of a frame with all markers.
-        scored : slice
-            The values whose innovations count: those near the data.
-
-        Returns
-        -------
-        ndarray of float64, shape (n_values,)
-            mm. Cost: three passes over an array (n_rates, n_values).
+        `answer` (n_values,): registered displacement of everything that is filtered, mm; `change` (n_values,): its
+        simulated change since the last frame, mm; `elapsed`: time since the last frame, s; `relative`: variance of the
+        noise of this frame's answer over that of a frame with all markers; `scored`: the values whose innovations
+        count: those near the data. Result: (n_values,), mm. Cost: three passes over an array (n_rates, n_values).
         """
         if self._states is None:
             self._states = np.tile(answer, (len(RATES), 1))

@@ -24,18 +24,9 @@ from tissuereg.registration.learned.onnx_bytes import OnnxGraph
 class Table2Network:
     """The network of the paper's Table II, with random weights.
 
-    Attributes
-    ----------
-    channels : tuple
-        Channels of its levels.
-    n_bases : int
-        Bases of a convolution.
-    n_latent : int
-        Latents.
-    n_errors : int
-        Error fields: as many as trained ones have.
-    scale_mm : float
-        Size of its displacements, mm: they turn no tetrahedron inside out, as a trained network's do not.
+    `channels`: channels of its levels; `n_bases`: bases of a convolution; `n_latent`: latents; `n_errors`: error
+    fields: as many as trained ones have; `scale_mm`: size of its displacements, mm: they turn no tetrahedron inside
+    out, as a trained network's do not.
     """
 
     channels: tuple[int, int, int] = (32, 64, 128)
@@ -51,14 +42,7 @@ TABLE2 = Table2Network()
 def write_random_table2(mesh: Mesh, folder: Path, seed: int = 0) -> None:
     """Write a model folder with a random network of Table II.
 
-    Parameters
-    ----------
-    mesh : Mesh
-        The mesh that it knows.
-    folder : Path
-        An empty folder.
-    seed : int
-        Of the weights.
+    `mesh`: the mesh that it knows; `folder`: an empty folder; `seed`: of the weights.
     """
     rng = np.random.default_rng(seed)
     levels = _levels(mesh)

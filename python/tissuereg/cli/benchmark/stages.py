@@ -84,15 +84,7 @@ class _Run:
 def bench_solve(settings: BenchSettings) -> list[Row]:
     """Time whole static solves: analysis, factorisations, iterations.
 
-    Parameters
-    ----------
-    settings : BenchSettings
-        Problems, elements, repeats.
-
-    Returns
-    -------
-    list of dict
-        One row per problem and element; nothing is cached between repeats.
+    `settings`: problems, elements, repeats. Result: one row per problem and element; nothing is cached between repeats.
     """
     rows = []
     for name, problem in _problems(settings):
@@ -105,15 +97,7 @@ def bench_solve(settings: BenchSettings) -> list[Row]:
 def bench_ensemble(settings: BenchSettings) -> list[Row]:
     """Time many solves on one body: random events on the phantom.
 
-    Parameters
-    ----------
-    settings : BenchSettings
-        Members, elements, repeats.
-
-    Returns
-    -------
-    list of dict
-        One row an element; the analysis is a stage.
+    `settings`: members, elements, repeats. Result: one row an element; the analysis is a stage.
     """
     mesh = phantom_mesh()
     rows = []
@@ -126,15 +110,7 @@ def bench_ensemble(settings: BenchSettings) -> list[Row]:
 def bench_esmda(settings: BenchSettings) -> list[Row]:
     """Time one ES-MDA update.
 
-    Parameters
-    ----------
-    settings : BenchSettings
-        Repeats, seed.
-
-    Returns
-    -------
-    list of dict
-        One row per size of `ESMDA_SIZES` and kind of noise.
+    `settings`: repeats, seed. Result: one row per size of `ESMDA_SIZES` and kind of noise.
     """
     rows = []
     for sizes in ESMDA_SIZES:
@@ -147,15 +123,8 @@ def bench_esmda(settings: BenchSettings) -> list[Row]:
 def bench_register(settings: BenchSettings) -> list[Row]:
     """Time whole registrations of the phantom: contacts first on the mesh and again, shipped network; and single steps.
 
-    Parameters
-    ----------
-    settings : BenchSettings
-        Repeats, seed.
-
-    Returns
-    -------
-    list of dict
-        Two rows by contacts, one by the shipped network where there is one, and those of `step_rows`.
+    `settings`: repeats, seed. Result: two rows by contacts, one by the shipped network where there is one, and those of
+    `step_rows`.
     """
     event = make_event(seed=settings.seed)
     simulator = Simulator(event.mesh)

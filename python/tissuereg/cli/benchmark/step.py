@@ -97,20 +97,8 @@ class StepSettings:
 def step_rows(settings: StepSettings) -> list[dict[str, Any]]:
     """Time one step with the shipped model and with a network of Table II.
 
-    Parameters
-    ----------
-    settings : StepSettings
-        Repeats, threads, models.
-
-    Returns
-    -------
-    list of dict
-        Rows ``step/shipped`` and ``step/table2``.
-
-    Raises
-    ------
-    ModelError
-        If a model knows none of the phantom's meshes, or its decoder cannot be cut.
+    `settings`: repeats, threads, models. Result: rows ``step/shipped`` and ``step/table2``. Raises `ModelError` if a
+    model knows none of the phantom's meshes, or its decoder cannot be cut.
     """
     folder = Path(settings.model) if settings.model else shipped_model_folder()
     rows = [_row("step/shipped", folder, settings, "trained")] if folder.exists() else []

@@ -60,12 +60,7 @@ _Tables = list[tuple[type[Keys], Mapping[str, Any] | None]]
 class Begun:
     """Result of `new_experiment`: the files written, and guesses.
 
-    Attributes
-    ----------
-    files : tuple of str
-        Names in the folder.
-    guessed : tuple of str
-        One sentence each.
+    `files`: names in the folder; `guessed`: one sentence each.
     """
 
     files: tuple[str, ...]

@@ -19,18 +19,9 @@ N_MARKERS, _N_PADS = 10, 2
 class MadeUpRig:
     """Made-up pads, markers and a target on a body.
 
-    Attributes
-    ----------
-    centres : ndarray of float64, shape (2, 3)
-        Centres of the balls whose surface nodes are the pads, mm; above the surface of a thin body.
-    radii : ndarray of float64, shape (2,)
-        Their radii, mm.
-    pushes : ndarray of float64, shape (2, 3)
-        Largest motion of each pad, mm.
-    markers : ndarray of float64, shape (N_MARKERS, 3)
-        Nodes of the surface, mm.
-    target : ndarray of float64, shape (3,)
-        A point near the body's middle, mm.
+    `centres` (2, 3): centres of the balls whose surface nodes are the pads, mm; above the surface of a thin body;
+    `radii` (2,): their radii, mm; `pushes` (2, 3): largest motion of each pad, mm; `markers` (N_MARKERS, 3): nodes of
+    the surface, mm; `target` (3,): a point near the body's middle, mm.
     """
 
     centres: FloatArray
@@ -43,22 +34,8 @@ class MadeUpRig:
     def on(cls, body: Mesh, held: IntArray) -> "MadeUpRig":
         """Put pads and markers far from what is held and from each other.
 
-        Parameters
-        ----------
-        body : Mesh
-            mm.
-        held : ndarray of int64, shape (n,)
-            Held nodes.
-
-        Returns
-        -------
-        MadeUpRig
-            Whose pads are free nodes, and share none.
-
-        Raises
-        ------
-        MeshError
-            If the free surface has no room for them.
+        `body`: mm; `held` int64 (n,): held nodes. Result: whose pads are free nodes, and share none. Raises `MeshError`
+        if the free surface has no room for them.
         """
         free = np.setdiff1d(body.surface_nodes, held)
         corners = body.nodes[body.surface]

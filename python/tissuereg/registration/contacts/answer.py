@@ -25,14 +25,9 @@ from tissuereg.registration.trust import LEVEL, Trust, judge
 class Known:
     """Registered targets and markers.
 
-    Attributes
-    ----------
-    used, lost : ndarray of int64
-        Markers that were used, and those that were not seen or are wrong.
-    displacement : ndarray of float64, shape (n_targets + n_markers, 3)
-        In the tracker's frame, targets first, mm.
-    points : Points
-        Uncertainty of the targets, then of the lost markers.
+    `used`, `lost`: markers that were used, and those that were not seen or are wrong; `displacement` (n_targets +
+    n_markers, 3): in the tracker's frame, targets first, mm; `points`: uncertainty of the targets, then of the lost
+    markers.
     """
 
     used: IntArray

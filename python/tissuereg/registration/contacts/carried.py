@@ -54,17 +54,8 @@ class Carried:
     def of(cls, draw: Draws, before: BoolArray, now: BoolArray) -> "Carried":
         """Return what a registration leaves.
 
-        Parameters
-        ----------
-        draw : Draws
-            Of the registration.
-        before, now : ndarray of bool, shape (n_markers,)
-            Markers that were seen at that moment, and those that are seen now.
-
-        Returns
-        -------
-        Carried
-            Markers that were not seen before are taken for right.
+        `draw`: of the registration; `before`, `now` bool (n_markers,): markers that were seen at that moment, and those
+        that are seen now. Result: markers that were not seen before are taken for right.
         """
         fit = draw.fit
         slots, levels, wrong = fit.samples
@@ -83,17 +74,8 @@ class Carried:
     def begin(self, columns: Columns, solve: Callable[[FloatArray], FloatArray]) -> BodyState | None:
         """Return the body under the contacts of the moment before and the believed load of the next one.
 
-        Parameters
-        ----------
-        columns : Columns
-            Of the next moment.
-        solve : callable of ndarray (n_columns,) -> ndarray of float64, shape (n_element_nodes, 3)
-            Returns the equilibrium under coefficients, mm.
-
-        Returns
-        -------
-        BodyState or None
-            None if that load has no equilibrium near the state before.
+        `columns`: of the next moment; `solve` (n_element_nodes, 3): returns the equilibrium under coefficients, mm.
+        Result: None if that load has no equilibrium near the state before.
         """
         coefficients = self.state.coefficients
         if _differ(columns, self.columns, coefficients) <= DISCRETISATION.same_load:

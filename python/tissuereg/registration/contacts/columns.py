@@ -25,18 +25,9 @@ from tissuereg.simulation.solve import LoadParts
 class Family:
     """Causes that share one unknown standard deviation.
 
-    Attributes
-    ----------
-    name : str
-        Name of the block.
-    columns : slice
-        Columns of the block.
-    variance : float
-        Variance of each coefficient at factor one.
-    factors : ndarray of float64, shape (n_levels,)
-        Candidate factors on the variance.
-    log_prior : ndarray of float64, shape (n_levels,)
-        Logarithm of each level's prior probability, up to a constant.
+    `columns`: columns of the block; `variance`: variance of each coefficient at factor one; `factors` (n_levels,):
+    candidate factors on the variance; `log_prior` (n_levels,): logarithm of each level's prior probability, up to a
+    constant.
     """
 
     name: str
@@ -156,19 +147,9 @@ class Columns:
     def responses(self, compliance: Compliance, places: FloatArray, rigid: FloatArray | None = None) -> FloatArray:
         """Return the responses of observations to unit coefficients.
 
-        Parameters
-        ----------
-        compliance : Compliance
-            Sensitivities of the observations to nodal forces.
-        places : ndarray of float64, shape (n_points, 3)
-            Deformed positions of the points, mm, for rigid motions; three rows per point.
-        rigid : ndarray of float64, shape (n_rows, 6), optional
-            Responses of the rows to rigid motions, if they are not three per point.
-
-        Returns
-        -------
-        ndarray of float64, shape (n_rows, n_columns)
-            mm per unit coefficient.
+        `compliance`: sensitivities of the observations to nodal forces; `places` (n_points, 3): deformed positions of
+        the points, mm, for rigid motions; three rows per point; `rigid` (n_rows, 6): responses of the rows to rigid
+        motions, if they are not three per point. Result: (n_rows, n_columns), mm per unit coefficient.
         """
         n_nodes = self.body.mesh.n_nodes
         out = np.zeros((len(compliance.forces), self.n_columns))
@@ -297,14 +278,8 @@ def contact_sizes(columns: Columns, settings: ContactSettings) -> FloatArray:
 def spring_stiffness(body: ContactBody, material: Material, stiffness: float) -> FloatArray | None:
     """Return the stiffness (n_sets, 2) of a body's springs in kPa/mm; that of a soft bed is fixed.
 
-    Parameters
-    ----------
-    body : ContactBody
-        With its supports.
-    material : Material
-        Its mean modulus is the unit.
-    stiffness : float
-        Of doubtful supports, in Young's modulus over extent.
+    `body`: with its supports; `material`: its mean modulus is the unit; `stiffness`: of doubtful supports, in Young's
+    modulus over extent.
     """
     young = float(np.mean(material.young_array)) * (stiffness if body.base is not None else 1.0)
     return np.array([unit * young for _, unit in body.springs]) if body.springs else None
@@ -342,21 +317,9 @@ def log_filled(columns: Columns, settings: ContactSettings) -> FloatArray:
 def sampler(columns: Columns, settings: ContactSettings, responses: FloatArray, data: dict[str, Any]) -> Any:
     """Return the compiled sampling problem of one linearisation.
 
-    Parameters
-    ----------
-    columns : Columns
-        Causes.
-    settings : ContactSettings
-        Prior.
-    responses : ndarray of float64, shape (n_obs, n_columns)
-        Responses of the observations to the columns.
-    data : dict
-        ``innovation`` (n_obs,), ``noise`` (n_obs, n_obs), ``groups``: rows of each marker.
-
-    Returns
-    -------
-    _core.Contacts
-        Runs the sampler, and computes moments from its samples.
+    `columns`: causes; `settings`: prior; `responses` (n_obs, n_columns): responses of the observations to the columns;
+    `data`: ``innovation`` (n_obs,), ``noise`` (n_obs, n_obs), ``groups``: rows of each marker. Result: runs the
+    sampler, and computes moments from its samples.
     """
     from tissuereg import _core
 

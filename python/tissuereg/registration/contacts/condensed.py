@@ -28,16 +28,8 @@ from tissuereg.registration.contacts.tangent import Row
 class Cells:
     """Small parts of a surface on springs, each of which moves nearly as one.
 
-    Attributes
-    ----------
-    weights : ndarray of float64, shape (n_cells, n_nodes)
-        Share of each node in the mean motion of a cell; rows add up to one.
-    areas : ndarray of float64, shape (n_cells,)
-        mm^2.
-    centres : ndarray of float64, shape (n_cells, 3)
-        mm.
-    of_set : ndarray of int64, shape (n_cells,)
-        Set of springs of each cell.
+    `weights` (n_cells, n_nodes): share of each node in the mean motion of a cell; rows add up to one; `areas`
+    (n_cells,): mm^2; `centres` (n_cells, 3): mm; `of_set` int64 (n_cells,): set of springs of each cell.
     """
 
     weights: FloatArray
@@ -117,19 +109,9 @@ class Condensed:
     def of(cls, passes: Passes, frame: RigidMotion, known: float) -> "Condensed":
         """Return the condensed problem of a body at its start.
 
-        Parameters
-        ----------
-        passes : Passes
-            Body, material, data. Its work is counted.
-        frame : RigidMotion
-            Rigid motion to begin with.
-        known : float
-            Stiffness of the springs there, in Young's modulus over extent.
-
-        Returns
-        -------
-        Condensed
-            Cost: a factorisation, one right-hand side per observation and three per cell.
+        `passes`: body, material, data. Its work is counted; `frame`: rigid motion to begin with; `known`: stiffness of
+        the springs there, in Young's modulus over extent. Cost: a factorisation, one right-hand side per
+        observation and three per cell.
         """
         body = passes.columns.body
         columns = passes.columns.on_springs([known] * len(body.springs))
@@ -173,12 +155,8 @@ class Condensed:
 class OnSprings:
     """Observations on springs of one stiffness.
 
-    Attributes
-    ----------
-    condensed : Condensed
-        On springs of the known stiffness.
-    pull : ndarray of float64, shape (3 n_cells,)
-        Force per mm of every cell in excess of the known springs, mN/mm.
+    `condensed`: on springs of the known stiffness; `pull` (3 n_cells,): force per mm of every cell in excess of the
+    known springs, mN/mm.
     """
 
     condensed: Condensed

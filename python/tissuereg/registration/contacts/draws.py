@@ -45,10 +45,7 @@ class Draws:
     def __call__(self, count: int) -> FloatArray:
         """Return fields (count, n_nodes, 3) in the tracker's frame, mm.
 
-        Raises
-        ------
-        ConvergenceError
-            If a drawn load finds no equilibrium.
+        Raises `ConvergenceError` if a drawn load finds no equilibrium.
         """
         fit = self.fit
         rng = np.random.default_rng([self.seed, 8])
@@ -82,14 +79,8 @@ class Draws:
 class NodesOfContacts:
     """The covariance of every node, computed on call.
 
-    Attributes
-    ----------
-    spread : Spread
-        Uncertainty of the fit.
-    seed : int
-        Of the registration.
-    fields : ndarray of float64, shape (n_draws, n_nodes, 3), or None
-        Posterior fields in equilibrium, if they have been solved; else linear draws are used.
+    `spread`: uncertainty of the fit; `seed`: of the registration; `fields` (n_draws, n_nodes, 3) or None: posterior
+    fields in equilibrium, if they have been solved; else linear draws are used.
     """
 
     spread: Spread

@@ -32,30 +32,11 @@ from tissuereg.simulation.solve import Simulator
 class ElasticBody:
     """A body at rest with markers, linearised once for any number of priors.
 
-    Parameters
-    ----------
-    mesh : Mesh
-        Undeformed body; its node set ``fixed`` is held.
-    material : Material
-        Material; its law does not matter at rest.
-    markers : Markers
-        Reference places and noise; what was measured does not matter.
-    element : {"tet4", "tet4-averaged", "tet10"}
-        Elements of the solver.
-    threads : int
-        Threads to use; 0 takes all cores.
-
-    Raises
-    ------
-    MarkerError
-        If a marker lies far from the body.
-    SupportError, MeshError, MaterialError
-        If the body cannot be linearised.
-
-    Attributes
-    ----------
-    observed : MarkerObservation
-        Attachment of the markers.
+    `mesh`: undeformed body; its node set ``fixed`` is held; `material`: material; its law does not matter at rest;
+    `markers`: reference places and noise; what was measured does not matter; `element` {"tet4", "tet4-averaged",
+    "tet10"}: elements of the solver; `threads`: threads to use; 0 takes all cores. Raises `MarkerError` if a marker
+    lies far from the body; `SupportError`, `MeshError` or `MaterialError` if the body cannot be linearised. `observed`:
+    attachment of the markers.
 
     Notes
     -----
@@ -102,12 +83,8 @@ class ElasticBody:
     def residual(self, displacement_mm: FloatArray, seen: IntArray, simulation_mm: FloatArray | None) -> FloatArray:
         """Return what displacements (n_seen, 3) of the markers `seen` have in excess of a simulation's, mm.
 
-        Parameters
-        ----------
-        displacement_mm : ndarray of float64, shape (n_seen, 3)
-        seen : ndarray of int64, shape (n_seen,)
-        simulation_mm : ndarray of float64, shape (n_nodes, 3), or None
-            None: the body at rest.
+        `displacement_mm` (n_seen, 3); `seen` int64 (n_seen,); `simulation_mm` (n_nodes, 3) or None: None: the body at
+        rest.
         """
         if simulation_mm is None:
             return displacement_mm
@@ -121,10 +98,7 @@ class ElasticBody:
     def patch_loads(self, level: int) -> LinearPrior:
         """Return the prior of independent loads on patches of one radius.
 
-        Parameters
-        ----------
-        level : int
-            Which radius of `patches`, 0 the smallest. Of scale one a patch alone moves by about 1 mm.
+        `level`: which radius of `patches`, 0 the smallest. Of scale one a patch alone moves by about 1 mm.
         """
         whole("level", level, most=int(self.patches.level.max()))
         shapes = self._young * self.patches.shapes[np.flatnonzero(self.patches.level == level)]
@@ -140,10 +114,7 @@ class ElasticBody:
     def control_loads(self, n_cells: int) -> LinearPrior:
         """Return the prior of the strain energy among combinations of responses to unit loads on cells of the surface.
 
-        Parameters
-        ----------
-        n_cells : int
-            Number of cells, into which the free nodes of the surface are gathered; at most one a node.
+        `n_cells`: number of cells, into which the free nodes of the surface are gathered; at most one a node.
         """
         areas, _ = surface_of_nodes(self.mesh)
         cell = gathered(self.mesh.nodes[self._free], areas[self._free], whole("n_cells", n_cells, least=1))
@@ -163,12 +134,8 @@ class ElasticBody:
     def priors(self, smooth: bool = True, rigid: float = 1.0) -> dict[str, LinearPrior]:
         """Return priors by name of which the one of the highest evidence is to be taken.
 
-        Parameters
-        ----------
-        smooth : bool
-            Whether smooth tractions on patches of several radii are among them beside the strain energy.
-        rigid : float
-            Variance of the markers by rigid motions of the whole body over that by elasticity: a base may give.
+        `smooth`: whether smooth tractions on patches of several radii are among them beside the strain energy; `rigid`:
+        variance of the markers by rigid motions of the whole body over that by elasticity: a base may give.
         """
         found = {"least energy": self.least_energy()}
         for level in range(int(self.patches.level.max()) + 1 if smooth else 0):
@@ -179,12 +146,7 @@ class ElasticBody:
     def given_way(self, prior: LinearPrior, share: float) -> LinearPrior:
         """Return a prior with small rigid motions of the whole body, held nodes included, added.
 
-        Parameters
-        ----------
-        prior : LinearPrior
-            Of this body.
-        share : float
-            Variance of the markers by these motions over that by `prior`; 0 adds none.
+        `prior`: of this body; `share`: variance of the markers by these motions over that by `prior`; 0 adds none.
         """
         off = self.mesh.nodes - self.mesh.nodes.mean(axis=0)
         turns = np.cross(np.eye(3)[:, None], off) / np.sqrt(np.mean(off**2))

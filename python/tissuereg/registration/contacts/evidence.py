@@ -20,17 +20,8 @@ from tissuereg.registration.contacts.state import RigidMotion
 def log_evidence(passes: Passes, frame: RigidMotion) -> float:
     """Return the logarithm of the evidence of a body, up to a constant of its markers.
 
-    Parameters
-    ----------
-    passes : Passes
-        Body, material, data. Its work is counted.
-    frame : RigidMotion
-        Rigid motion to begin with.
-
-    Returns
-    -------
-    float
-        At the best sizes, with their prior.
+    `passes`: body, material, data. Its work is counted; `frame`: rigid motion to begin with. Result: at the best sizes,
+    with their prior.
     """
     start = start_of(passes.columns, passes.material, None, frame, passes.threads)
     problem = passes.observations(start)
@@ -43,12 +34,7 @@ def log_evidence(passes: Passes, frame: RigidMotion) -> float:
 class SupportStiffness:
     """Stiffness of doubtful supports, one number per set of springs, in Young's modulus over extent.
 
-    Attributes
-    ----------
-    best : tuple of float
-        Of the highest evidence.
-    log_std : tuple of float
-        Standard deviation of the logarithm of each, with the others fixed.
+    `best`: of the highest evidence; `log_std`: standard deviation of the logarithm of each, with the others fixed.
     """
 
     best: tuple[float, ...]
@@ -58,18 +44,9 @@ class SupportStiffness:
 def support_stiffness(passes: Passes, frame: RigidMotion) -> SupportStiffness:
     """Return the stiffness of doubtful supports that has the highest evidence.
 
-    Parameters
-    ----------
-    passes : Passes
-        Body, material, data.
-    frame : RigidMotion
-        Rigid motion to begin with.
-
-    Returns
-    -------
-    SupportStiffness
-        The best common value for all sets of springs, then the best for one set after the other, twice. Cost: one
-        factorisation, one right-hand side per marker component and three per cell, for any number of candidates.
+    `passes`: body, material, data; `frame`: rigid motion to begin with. Result: the best common value for all sets of
+    springs, then the best for one set after the other, twice. Cost: one factorisation, one right-hand side per marker
+    component and three per cell, for any number of candidates.
     """
     tried, settings = passes.settings.stiffness_tried, passes.settings.evidence
     n_sets = len(passes.columns.body.springs)

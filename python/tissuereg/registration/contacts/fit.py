@@ -101,26 +101,10 @@ class ContactFit:
 class Passes:
     """The loop over passes with its data and settings.
 
-    Parameters
-    ----------
-    columns : Columns
-        Causes.
-    seen : ObservedData
-        Data.
-    material : Material
-        Material of the body.
-    settings : ContactSettings
-        Prior and chains.
-    rng : numpy.random.Generator
-        Source of all random numbers.
-    threads : int
-        Threads to use; 0 takes all cores.
-    clock : Clock
-        Records the times of the stages; notified of every pass.
-    before : tuple of ndarray, optional
-        Samples from which the first pass goes on, if the data are not matched anew.
-    kept : Tangent, optional
-        A tangent near the start.
+    `columns`: causes; `seen`: data; `material`: material of the body; `settings`: prior and chains; `rng`: source of
+    all random numbers; `threads`: threads to use; 0 takes all cores; `clock`: records the times of the stages; notified
+    of every pass; `before`: samples from which the first pass goes on, if the data are not matched anew; `kept`: a
+    tangent near the start.
     """
 
     columns: Columns
@@ -149,20 +133,8 @@ class Passes:
     def run(self, start: BodyState) -> ContactFit:
         """Return the fit from a start in equilibrium.
 
-        Parameters
-        ----------
-        start : BodyState
-            The body under the believed load, zero coefficients.
-
-        Returns
-        -------
-        ContactFit
-            With a linearisation at its end.
-
-        Raises
-        ------
-        ConvergenceError
-            If no pass is allowed.
+        `start`: the body under the believed load, zero coefficients. Result: with a linearisation at its end. Raises
+        `ConvergenceError` if no pass is allowed.
         """
         full = self.seen
         best: tuple[_Pass, list[float]] | None = None
@@ -400,28 +372,9 @@ def start_of(
 ) -> BodyState:
     """Return the body under the believed load.
 
-    Parameters
-    ----------
-    columns : Columns
-        Causes.
-    material : Material
-        Material of the body.
-    simulation : ndarray of float64, shape (n_element_nodes, 3), or None
-        The displacement under the believed load, if it is known.
-    frame : RigidMotion
-        Initial rigid motion.
-    threads : int
-        Threads to use.
-
-    Returns
-    -------
-    BodyState
-        Zero coefficients.
-
-    Raises
-    ------
-    ConvergenceError
-        If the believed load finds no equilibrium.
+    `columns`: causes; `material`: material of the body; `simulation` (n_element_nodes, 3) or None: the displacement
+    under the believed load, if it is known; `frame`: initial rigid motion; `threads`: threads to use. Result: zero
+    coefficients. Raises `ConvergenceError` if the believed load finds no equilibrium.
     """
     zero = np.zeros(columns.n_columns)
     simulator = columns.body.simulator

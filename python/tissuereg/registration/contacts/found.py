@@ -52,17 +52,8 @@ class FoundContact:
 def find_contacts(fit: ContactFit, settings: ReportSettings) -> tuple[FoundContact, ...]:
     """Return the contacts of a fit, the most probable first.
 
-    Parameters
-    ----------
-    fit : ContactFit
-        Where the passes ended.
-    settings : ReportSettings
-        Which contacts are listed.
-
-    Returns
-    -------
-    tuple of FoundContact
-        Patches of all samples, clustered around the most frequent one.
+    `fit`: where the passes ended; `settings`: which contacts are listed. Result: patches of all samples, clustered
+    around the most frequent one.
     """
     slots = np.asarray(fit.samples[0])[:, :, 0]
     left = slots >= 0

@@ -28,16 +28,8 @@ STIFFNESS = ("believed", "graded")
 class Grading:
     """An estimated graded stiffness.
 
-    Attributes
-    ----------
-    material : Material
-        With one modulus per tet.
-    rates : ndarray of float64, shape (3,)
-        g along the principal axes.
-    std : ndarray of float64, shape (3,)
-        Their standard deviations.
-    profiles : ndarray of float64, shape (3, n_tets)
-        xi along the principal axes at the middle of every tet.
+    `material`: with one modulus per tet; `rates` (3,): g along the principal axes; `std` (3,): their standard
+    deviations; `profiles` (3, n_tets): xi along the principal axes at the middle of every tet.
     """
 
     material: Material
@@ -58,17 +50,8 @@ def profiles_of(mesh: Mesh) -> FloatArray:
 def grade(passes: Passes, frame: RigidMotion) -> Grading:
     """Return the grading of highest evidence.
 
-    Parameters
-    ----------
-    passes : Passes
-        Causes, data and believed material.
-    frame : RigidMotion
-        Initial rigid motion.
-
-    Returns
-    -------
-    Grading
-        Cost: about twenty evaluations of the evidence.
+    `passes`: causes, data and believed material; `frame`: initial rigid motion. Cost: about twenty evaluations
+    of the evidence.
     """
     trial = _Trial(passes, frame, profiles_of(passes.columns.body.mesh))
     prior = passes.settings.graded_log_std

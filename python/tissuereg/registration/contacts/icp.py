@@ -13,18 +13,9 @@ from tissuereg.registration.contacts.surface_points import closest_feet
 def closest_frame(mesh: Mesh, points: FloatArray) -> RigidMotion:
     """Return the rigid motion of a body to points of its surface.
 
-    Parameters
-    ----------
-    mesh : Mesh
-        Undeformed body.
-    points : ndarray of float64, shape (n, 3)
-        Points of all or part of its deformed surface, in the tracker's frame, mm.
-
-    Returns
-    -------
-    RigidMotion
-        From the body's frame to the tracker's: the best of six starts (as given, moved onto the points' middle, and the
-        latter with principal axes aligned in four ways), the first two preferred.
+    `mesh`: undeformed body; `points` (n, 3): points of all or part of its deformed surface, in the tracker's frame, mm.
+    Result: from the body's frame to the tracker's: the best of six starts (as given, moved onto the points' middle, and
+    the latter with principal axes aligned in four ways), the first two preferred.
     """
     chosen = points[evenly(points, MATCHING.rigid_points)]
     found = [_iterated(mesh, chosen, start, MATCHING.rigid_first) for start in _starts(mesh, chosen)]

@@ -21,14 +21,8 @@ from tissuereg.registration.contacts.tangent import Row, Tangent, tangent_at
 class AtBody:
     """Everything that is linearised at one body.
 
-    Attributes
-    ----------
-    tangent : Tangent
-        The linearised equilibrium.
-    observations : LinearObservations
-        Observations with their responses to the columns.
-    sampler : _core.Contacts
-        Dictionary, prior and data.
+    `tangent`: the linearised equilibrium; `observations`: observations with their responses to the columns; `sampler`:
+    dictionary, prior and data.
     """
 
     tangent: Tangent
@@ -40,22 +34,9 @@ class AtBody:
 class Linearisation:
     """Linearises; counts its work and caches the projection of many observations while the data stay the same.
 
-    Parameters
-    ----------
-    columns : Columns
-        Causes.
-    material : Material
-        Material of the body.
-    settings : ContactSettings
-        Prior.
-    threads : int
-        Threads to use.
-    clock : Clock
-        Records the times of the stages.
-    counters : collections.Counter
-        Records the work.
-    kept : Tangent, optional
-        A tangent near the first body, in place of the one there.
+    `columns`: causes; `material`: material of the body; `settings`: prior; `threads`: threads to use; `clock`: records
+    the times of the stages; `counters`: records the work; `kept`: a tangent near the first body, in place of the one
+    there.
     """
 
     columns: Columns

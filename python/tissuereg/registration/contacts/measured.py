@@ -96,16 +96,9 @@ def _turned(rows: list[tuple[IntArray, FloatArray]], rotation: FloatArray) -> li
 class MarkerData:
     """The markers as data.
 
-    Attributes
-    ----------
-    observation : MarkerObservation
-        Attachment of the markers to the mesh.
-    markers : Markers
-        As given.
-    model_error : float
-        Standard deviation of the model's error at a marker, over the marker's motion.
-    rough : bool
-        Whether unlabelled points are still far from the surface: markers then have no heavy tail, and lead.
+    `observation`: attachment of the markers to the mesh; `model_error`: standard deviation of the model's error at a
+    marker, over the marker's motion; `rough`: whether unlabelled points are still far from the surface: markers then
+    have no heavy tail, and lead.
     """
 
     observation: MarkerObservation
@@ -172,14 +165,8 @@ class MarkerData:
     def wrong(self, state: BodyState, log_odds: float, wrong_std: float) -> FloatArray:
         """Return the probability of each marker that was seen to be wrong, given a body, shape (n_seen,).
 
-        Parameters
-        ----------
-        state : BodyState
-            The deformed body.
-        log_odds : float
-            Logarithm of the odds that a marker is wrong.
-        wrong_std : float
-            Additional standard deviation of a wrong marker, mm.
+        `state`: the deformed body; `log_odds`: logarithm of the odds that a marker is wrong; `wrong_std`: additional
+        standard deviation of a wrong marker, mm.
         """
         residual = self.read(state, weighed=False).residual
         narrow = self.std(state.frame)
@@ -203,14 +190,8 @@ class MarkerData:
 class ObservedData:
     """All data of one registration, in one or two parts.
 
-    Attributes
-    ----------
-    parts : tuple of DataPart
-        Markers first.
-    weighed : bool
-        Whether markers, too, have a heavy tail instead of indicators; data are then projected.
-    rough : bool
-        Whether these are data of first passes.
+    `parts`: markers first; `weighed`: whether markers, too, have a heavy tail instead of indicators; data are then
+    projected; `rough`: whether these are data of first passes.
     """
 
     parts: tuple[DataPart, ...]

@@ -53,12 +53,8 @@ class LinearObservations:
 class Basis:
     """Directions of whitened observations that span the effects of all causes.
 
-    Attributes
-    ----------
-    vectors : ndarray of float64, shape (n_kept, n_obs)
-        Orthonormal rows.
-    dropped_signal : float
-        Largest signal, squared and over the noise, of a direction that was dropped.
+    `vectors` (n_kept, n_obs): orthonormal rows; `dropped_signal`: largest signal, squared and over the noise, of a
+    direction that was dropped.
     """
 
     vectors: FloatArray

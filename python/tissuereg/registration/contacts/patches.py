@@ -57,19 +57,9 @@ class Patches:
 def make_patches(mesh: Mesh, free: IntArray, *, by_area: bool = True) -> Patches:
     """Return the patches of a part of a mesh's surface.
 
-    Parameters
-    ----------
-    mesh : Mesh
-        Undeformed body.
-    free : ndarray of int64, shape (n_free,)
-        Nodes of the surface that patches may contain.
-    by_area : bool
-        Whether shapes are forces, as above; else the profile alone, for supports that move.
-
-    Returns
-    -------
-    Patches
-        About a thousand; larger radii have fewer centres.
+    `mesh`: undeformed body; `free` int64 (n_free,): nodes of the surface that patches may contain; `by_area`: whether
+    shapes are forces, as above; else the profile alone, for supports that move. Result: about a thousand; larger radii
+    have fewer centres.
     """
     areas, normals = surface_of_nodes(mesh)
     places = mesh.nodes[free]

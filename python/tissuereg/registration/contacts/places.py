@@ -8,17 +8,8 @@ from tissuereg._base.arrays import FloatArray, IntArray
 def smooth_fields(middles: FloatArray, count: int) -> FloatArray:
     """Return Gaussian fields centred at places far from each other.
 
-    Parameters
-    ----------
-    middles : ndarray of float64, shape (n, 3)
-        Places at which the fields are evaluated, mm.
-    count : int
-        Largest number of fields.
-
-    Returns
-    -------
-    ndarray of float64, shape (n_fields, n)
-        Their squares sum to one at every place.
+    `middles` (n, 3): places at which the fields are evaluated, mm; `count`: largest number of fields. Result:
+    (n_fields, n), their squares sum to one at every place.
     """
     from scipy.spatial import cKDTree
 
@@ -57,21 +48,8 @@ def far_apart(places: FloatArray, count: int) -> IntArray:
 def gathered(places: FloatArray, weights: FloatArray, count: int, rounds: int = 5) -> IntArray:
     """Return the compact group of each place (Lloyd's algorithm, started from places far apart).
 
-    Parameters
-    ----------
-    places : ndarray of float64, shape (n, 3)
-        mm.
-    weights : ndarray of float64, shape (n,)
-        Weight of each place in the centre of its group.
-    count : int
-        Largest number of groups.
-    rounds : int
-        Number of iterations.
-
-    Returns
-    -------
-    ndarray of int64, shape (n,)
-        0 to the number of groups minus one; none is empty.
+    `places` (n, 3): mm; `weights` (n,): weight of each place in the centre of its group; `count`: largest number of
+    groups; `rounds`: number of iterations. Result: int64 (n,), 0 to the number of groups minus one; none is empty.
     """
     from scipy.spatial import cKDTree
 

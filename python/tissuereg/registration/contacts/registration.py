@@ -38,12 +38,8 @@ from tissuereg.simulation.solve import LoadParts
 class ContactInput:
     """What is believed of the load.
 
-    Attributes
-    ----------
-    load : Load or None
-        Believed load.
-    simulation : ndarray of float64, shape (n_nodes, 3), or None
-        A displacement; the forces that hold it in equilibrium are the believed load.
+    `load`: believed load; `simulation` (n_nodes, 3) or None: a displacement; the forces that hold it in equilibrium are
+    the believed load.
     """
 
     load: Load | None = None
@@ -60,29 +56,10 @@ def register_by_contacts(
 ) -> ContactRegistration:
     """Register without a model.
 
-    Parameters
-    ----------
-    given : RegisterInput
-        Checked input.
-    believed : ContactInput
-        Believed load.
-    clock : Clock
-        Records the times of the stages.
-    after : Registration, optional
-        Of a moment shortly before, with the same markers: its contacts are the start, and what it found of supports and
-        graded stiffness is kept.
-
-    Returns
-    -------
-    ContactRegistration
-        The equilibrium under the posterior mean of the load.
-
-    Raises
-    ------
-    ConvergenceError
-        If no equilibrium is found.
-    SupportError, LoadError, MaterialError
-        If a believed quantity does not fit the body.
+    `given`: checked input; `believed`: believed load; `clock`: records the times of the stages; `after`: of a moment
+    shortly before, with the same markers: its contacts are the start, and what it found of supports and graded
+    stiffness is kept. Result: the equilibrium under the posterior mean of the load. Raises `ConvergenceError` if no
+    equilibrium is found; `SupportError`, `LoadError` or `MaterialError` if a believed quantity does not fit the body.
     """
     settings = given.settings.contacts
     if given.suspicions:

@@ -11,26 +11,9 @@ from tissuereg.simulation.size import BodySize, Estimate, Work
 def announce(body: ContactBody, seen: ObservedData, given: RegisterInput, clock: Clock) -> Estimate:
     """Report a body's size and the estimated memory and time, and refuse a body that would not fit into memory.
 
-    Parameters
-    ----------
-    body : ContactBody
-        Analysed.
-    seen : ObservedData
-        Data.
-    given : RegisterInput
-        Input, with targets, settings and threads.
-    clock : Clock
-        Its listener gets a message ``"size"``, and a ``"warning"`` if the registration takes long.
-
-    Returns
-    -------
-    Estimate
-        The reported estimate.
-
-    Raises
-    ------
-    LargeBodyError
-        If it would not fit into memory.
+    `body`: analysed; `seen`: data; `given`: input, with targets, settings and threads; `clock`: its listener gets a
+    message ``"size"``, and a ``"warning"`` if the registration takes long. Result: the reported estimate. Raises
+    `LargeBodyError` if it would not fit into memory.
     """
     n_draws = given.settings.contacts.n_draws
     work = expected_work(seen.n_obs, 3 * len(given.targets.names), n_draws, matched=seen.rematches)
@@ -45,19 +28,8 @@ def announce(body: ContactBody, seen: ObservedData, given: RegisterInput, clock:
 def expected_work(n_obs: int, n_targets: int, n_draws: int, *, matched: bool) -> Work:
     """Return the work to expect of a registration.
 
-    Parameters
-    ----------
-    n_obs, n_targets : int
-        Observations, and components of targets.
-    n_draws : int
-        Draws for the spread of the nodes.
-    matched : bool
-        Whether points of a surface are matched anew in every pass.
-
-    Returns
-    -------
-    Work
-        Factors of single precision.
+    `n_obs`, `n_targets`: observations, and components of targets; `n_draws`: draws for the spread of the nodes;
+    `matched`: whether points of a surface are matched anew in every pass. Result: factors of single precision.
     """
     passes = EFFORT.passes_of_points if matched else EFFORT.passes
     again = min(n_obs, MATCHING.most_kept) if matched else n_obs

@@ -26,14 +26,9 @@ from tissuereg.simulation.sensitivity import Cause, Compliance, ModulusField
 class Points:
     """Uncertainty of points of the body.
 
-    Attributes
-    ----------
-    covariance : ndarray of float64, shape (n_points, 3, 3)
-        mm^2, contacts and model.
-    constrained : ndarray of float64, shape (n_points,)
-        Share of the variance under unseen contacts that the markers remove, 0 to 1.
-    unseen_std : ndarray of float64, shape (n_points,)
-        Standard deviation due to an unseen contact, given the markers, mm.
+    `covariance` (n_points, 3, 3): mm^2, contacts and model; `constrained` (n_points,): share of the variance under
+    unseen contacts that the markers remove, 0 to 1; `unseen_std` (n_points,): standard deviation due to an unseen
+    contact, given the markers, mm.
     """
 
     covariance: FloatArray
@@ -44,18 +39,8 @@ class Points:
 class Spread:
     """Uncertainty of one fit.
 
-    Parameters
-    ----------
-    fit : ContactFit
-        The fit after its last pass.
-    material : Material
-        Material of the body.
-    settings : ContactSettings
-        Uncertainty of the model.
-    threads : int
-        Threads to use.
-    further : sequence of (Cause, float)
-        Other uncertain parameters of the model, each with its standard deviation.
+    `fit`: the fit after its last pass; `material`: material of the body; `settings`: uncertainty of the model;
+    `threads`: threads to use; `further`: other uncertain parameters of the model, each with its standard deviation.
     """
 
     def __init__(
@@ -103,17 +88,8 @@ class Spread:
     def points(self, rows: Sequence[tuple[IntArray, FloatArray]], places: FloatArray) -> Points:
         """Return the uncertainty of points.
 
-        Parameters
-        ----------
-        rows : list of (ndarray, ndarray)
-            Nodes and weights, three rows per point.
-        places : ndarray of float64, shape (n_points, 3)
-            Their positions in the body's frame, mm.
-
-        Returns
-        -------
-        Points
-            Cost: one right-hand side per row.
+        `rows`: nodes and weights, three rows per point; `places` (n_points, 3): their positions in the body's frame,
+        mm. Cost: one right-hand side per row.
         """
         fit = self._fit
         compliance = self._compliance(rows)
@@ -160,17 +136,9 @@ class Spread:
     def nodes(self, rng: np.random.Generator, fields: FloatArray | None = None) -> FloatArray:
         """Return the covariance of every node, from draws.
 
-        Parameters
-        ----------
-        rng : numpy.random.Generator
-            Source of all random numbers.
-        fields : ndarray of float64, shape (n_draws, n_nodes, 3), optional
-            Posterior fields in equilibrium, tracker's frame, mm; linear draws if absent.
-
-        Returns
-        -------
-        ndarray of float64, shape (n_nodes, 3, 3)
-            mm^2, contacts and model, tracker's frame. Cost: one right-hand side per draw.
+        `rng`: source of all random numbers; `fields` (n_draws, n_nodes, 3): posterior fields in equilibrium, tracker's
+        frame, mm; linear draws if absent. Result: (n_nodes, 3, 3), mm^2, contacts and model, tracker's frame. Cost: one
+        right-hand side per draw.
         """
         fit = self._fit
         turn = fit.state.frame.rotation

@@ -14,12 +14,7 @@ TRACKERS = ("fixed", "drifts")
 class RigidMotion:
     """A rotation and a translation: tracker place = rotation body place + shift.
 
-    Attributes
-    ----------
-    rotation : ndarray of float64, shape (3, 3)
-        T_tracker_from_body's rotation.
-    shift : ndarray of float64, shape (3,)
-        mm.
+    `rotation` (3, 3): T_tracker_from_body's rotation; `shift` (3,): mm.
     """
 
     rotation: FloatArray
@@ -55,12 +50,8 @@ class RigidMotion:
     def followed_by(self, coefficients: FloatArray, rigid: FloatArray) -> "RigidMotion":
         """Return this motion after a small one in the body's frame.
 
-        Parameters
-        ----------
-        coefficients : ndarray of float64, shape (6,)
-            Translations in mm and rotations in mm at `rigid`'s length.
-        rigid : ndarray of float64, shape (2, 3)
-            Pivot and length, mm.
+        `coefficients` (6,): translations in mm and rotations in mm at `rigid`'s length; `rigid` (2, 3): pivot and
+        length, mm.
         """
         pivot, length = rigid
         turn = _rotation(coefficients[3:] / length[0])
@@ -83,14 +74,8 @@ def _rotation(vector: FloatArray) -> FloatArray:
 class BodyState:
     """Coefficients, the equilibrium under them, and the frame.
 
-    Attributes
-    ----------
-    coefficients : ndarray of float64, shape (n_columns,)
-        Of all causes.
-    displacement : ndarray of float64, shape (n_element_nodes, 3)
-        In the body's frame, mm.
-    frame : RigidMotion
-        From the body's frame to the tracker's.
+    `coefficients` (n_columns,): of all causes; `displacement` (n_element_nodes, 3): in the body's frame, mm; `frame`:
+    from the body's frame to the tracker's.
     """
 
     coefficients: FloatArray

@@ -23,12 +23,8 @@ HELD = ("sure", "perhaps", "free")
 class Supports:
     """Nodes that are held.
 
-    Attributes
-    ----------
-    sure : ndarray of int64, shape (n,)
-        Surely held.
-    perhaps : ndarray of int64, shape (m,)
-        Doubtful: on springs of unknown stiffness, with unknown tractions.
+    `sure` int64 (n,): surely held; `perhaps` int64 (m,): doubtful: on springs of unknown stiffness, with unknown
+    tractions.
     """
 
     sure: IntArray
@@ -53,24 +49,9 @@ class Supports:
     def of(cls, mesh: Mesh, held: str, held_nodes: Any = None) -> "Supports":
         """Return the supports of a mesh.
 
-        Parameters
-        ----------
-        mesh : Mesh
-            Its node sets ``fixed`` and ``perhaps_fixed`` are used; a mesh without either is free.
-        held : {"sure", "perhaps", "free"}
-            How the set ``fixed`` is taken.
-        held_nodes : array_like of int, optional
-            Nodes instead of the set ``fixed``.
-
-        Returns
-        -------
-        Supports
-            No node is in both parts.
-
-        Raises
-        ------
-        SupportError
-            If `held` is none of these.
+        `mesh`: its node sets ``fixed`` and ``perhaps_fixed`` are used; a mesh without either is free; `held` {"sure",
+        "perhaps", "free"}: how the set ``fixed`` is taken; `held_nodes`: nodes instead of the set ``fixed``. Result: no
+        node is in both parts. Raises `SupportError` if `held` is none of these.
         """
         check_choice("held", held, HELD, SupportError)
         none = np.empty(0, np.int64)
@@ -95,18 +76,9 @@ def _held(mesh: Mesh, nodes: Any) -> IntArray:
 def springs_of(mesh: Mesh, supports: Supports) -> list[tuple[IntArray, FloatArray]]:
     """Return the springs under doubtful supports, or the soft bed of a free body.
 
-    Parameters
-    ----------
-    mesh : Mesh
-        Undeformed body.
-    supports : Supports
-        Its supports.
-
-    Returns
-    -------
-    list of (ndarray of int64 (n, 3), ndarray of float64 (2,))
-        Sets of surface triangles, each with the unit of its stiffness per kPa of Young's modulus (normal, tangential):
-        the rim of the doubtful supports and their inside, or the bed; empty if all supports are sure.
+    `mesh`: undeformed body; `supports`: its supports. Result: sets of surface triangles, each with the unit of its
+    stiffness per kPa of Young's modulus (normal, tangential): the rim of the doubtful supports and their inside, or the
+    bed; empty if all supports are sure.
     """
     if not supports.holds:
         return [(mesh.surface, np.full(2, DISCRETISATION.bed / mesh.extent))]

@@ -27,18 +27,9 @@ from tissuereg.registration.readings.skin import closest_on_triangles
 class Feet:
     """Closest places of a deformed surface.
 
-    Attributes
-    ----------
-    corners : ndarray of int64, shape (n_points, 3)
-        Nodes of the triangle that contains each foot.
-    weights : ndarray of float64, shape (n_points, 3)
-        Barycentric.
-    places : ndarray of float64, shape (n_points, 3)
-        mm.
-    normals : ndarray of float64, shape (n_points, 3)
-        Outward.
-    triangles : ndarray of int64, shape (n_points,)
-        Which triangle of the surface.
+    `corners` int64 (n_points, 3): nodes of the triangle that contains each foot; `weights` (n_points, 3): barycentric;
+    `places` (n_points, 3): mm; `normals` (n_points, 3): outward; `triangles` int64 (n_points,): which triangle of the
+    surface.
     """
 
     corners: IntArray
@@ -65,18 +56,9 @@ class Feet:
 class PointData:
     """The points of the surface as data.
 
-    Attributes
-    ----------
-    mesh : Mesh
-        Undeformed body.
-    places : ndarray of float64, shape (n_points, 3)
-        In the tracker's frame, mm.
-    noise : float
-        Standard deviation along the normal, mm.
-    model_error : float
-        Standard deviation of the model's error at a point, over its motion.
-    rough : float
-        Share of the extent within which matching errors are correlated, while the body is far away; 0 once it is near.
+    `mesh`: undeformed body; `places` (n_points, 3): in the tracker's frame, mm; `noise`: standard deviation along the
+    normal, mm; `model_error`: standard deviation of the model's error at a point, over its motion; `rough`: share of
+    the extent within which matching errors are correlated, while the body is far away; 0 once it is near.
     """
 
     mesh: Mesh
@@ -167,19 +149,8 @@ class PointData:
 def closest_feet(nodes: FloatArray, triangles: IntArray, points: FloatArray) -> Feet:
     """Return the closest places of a surface.
 
-    Parameters
-    ----------
-    nodes : ndarray of float64, shape (n_nodes, 3)
-        Deformed places of nodes, mm.
-    triangles : ndarray of int64, shape (n_triangles, 3)
-        Their surface, outward.
-    points : ndarray of float64, shape (n_points, 3)
-        mm.
-
-    Returns
-    -------
-    Feet
-        Cost: about 3 ms for 500 points on 5,000 triangles.
+    `nodes` (n_nodes, 3): deformed places of nodes, mm; `triangles` int64 (n_triangles, 3): their surface, outward;
+    `points` (n_points, 3): mm. Cost: about 3 ms for 500 points on 5,000 triangles.
     """
     from scipy.spatial import cKDTree
 

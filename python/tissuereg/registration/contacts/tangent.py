@@ -20,16 +20,7 @@ Row = tuple[IntArray, FloatArray]
 class Tangent:
     """A linearised equilibrium with the sensitivities computed so far.
 
-    Parameters
-    ----------
-    linearised : Linearised
-        The equilibrium.
-    threads : int
-        Threads that it uses; 0: all cores.
-
-    Attributes
-    ----------
-    linearised : Linearised
+    `linearised`: the equilibrium; `threads`: threads that it uses; 0: all cores. `linearised`.
     """
 
     def __init__(self, linearised: Linearised, threads: int = 0) -> None:
@@ -46,19 +37,8 @@ class Tangent:
     ) -> tuple[Compliance, int]:
         """Return the sensitivities of observations to nodal forces, and how many of them had to be solved.
 
-        Parameters
-        ----------
-        rows : list of (ndarray of int64 (k,), ndarray of float64 (k, 3))
-            Nodes and weights of each observation.
-        progress : callable of (int, int), optional
-            Called with right-hand sides solved and to solve, on large bodies.
-
-        Returns
-        -------
-        Compliance
-            One entry per row. The same bits whether cached or not.
-        int
-            Right-hand sides solved.
+        `rows`: nodes and weights of each observation; `progress`: called with right-hand sides solved and to solve, on
+        large bodies. Result: one entry per row. The same bits whether cached or not. int Right-hand sides solved.
         """
         keys = [nodes.tobytes() + b"|" + weights.tobytes() for nodes, weights in rows]
         with self._lock:
@@ -114,24 +94,9 @@ _lock = threading.Lock()
 def tangent_at(columns: Columns, material: Material, state: BodyState, threads: int) -> tuple[Tangent, int]:
     """Return the tangent at a body, and the number of factorisations it took.
 
-    Parameters
-    ----------
-    columns : Columns
-        Causes, with the supports of the body.
-    material : Material
-        Material of the body.
-    state : BodyState
-        An equilibrium.
-    threads : int
-        Threads to use.
-
-    Returns
-    -------
-    Tangent
-        The tangent at rest is cached, unless it is very large: the next call on the same mesh and material reuses it,
-        with the sensitivities of markers at the same positions.
-    int
-        Factorisations: 0 or 1.
+    `columns`: causes, with the supports of the body; `material`: material of the body; `state`: an equilibrium;
+    `threads`: threads to use. Result: the tangent at rest is cached, unless it is very large: the next call on the same
+    mesh and material reuses it, with the sensitivities of markers at the same positions. int Factorisations: 0 or 1.
     """
     global _rest
     key = _rest_key(columns, material, state, threads)

@@ -17,19 +17,8 @@ _UNITS = {"metres": 1000.0, "centimetres": 10.0, "inches": 25.4, "micrometres": 
 def suspect_points(mesh: Mesh, points: FloatArray, *, free: bool) -> list[Suspicion]:
     """Return the suspicion that points of a surface are misread.
 
-    Parameters
-    ----------
-    mesh : Mesh
-        Undeformed body, mm.
-    points : ndarray of float64, shape (n, 3)
-        As given, mm.
-    free : bool
-        Whether the body may have moved rigidly: units can then be recognised by sizes alone.
-
-    Returns
-    -------
-    list of Suspicion
-        At most one; empty if the input is plausible.
+    `mesh`: undeformed body, mm; `points` (n, 3): as given, mm; `free`: whether the body may have moved rigidly: units
+    can then be recognised by sizes alone. Result: at most one; empty if the input is plausible.
     """
     few = points[:: max(1, len(points) // CLOUDS.points)]
     ratio = float(np.max(np.ptp(points, axis=0))) / mesh.extent

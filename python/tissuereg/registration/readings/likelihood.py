@@ -34,17 +34,8 @@ def standoff(extent: float) -> float:
 def places_likelihood(distance: FloatArray, extent: float) -> FloatArray:
     """Return the log-likelihood of the markers' distances from the surface under each of many readings.
 
-    Parameters
-    ----------
-    distance : ndarray of float64, shape (n_readings, n_markers)
-        From the surface, negative inside, mm.
-    extent : float
-        Of the body, mm.
-
-    Returns
-    -------
-    ndarray of float64, shape (n_readings,)
-        Up to a constant that all readings share.
+    `distance` (n_readings, n_markers): from the surface, negative inside, mm; `extent`: of the body, mm. Result:
+    (n_readings,), up to a constant that all readings share.
     """
     highest = standoff(extent)
     finest = 0.3 * highest / PLACES.standoff_mm + 0.003 * extent
@@ -73,18 +64,8 @@ def nowhere_likelihood(distance: FloatArray, extent: float) -> float:
 def layout_likelihood(places: FloatArray, held: BoolArray, skin_spread: float) -> FloatArray:
     """Return the log-likelihood of layouts: many markers are spread over the body, and few are on held surface.
 
-    Parameters
-    ----------
-    places : ndarray of float64, shape (n_readings, n_markers, 3)
-        mm.
-    held : ndarray of bool, shape (n_readings, n_markers)
-        Whether the closest surface is held.
-    skin_spread : float
-        Root mean square distance of the surface from its mean, mm.
-
-    Returns
-    -------
-    ndarray of float64, shape (n_readings,)
+    `places` (n_readings, n_markers, 3): mm; `held` bool (n_readings, n_markers): whether the closest surface is held;
+    `skin_spread`: root mean square distance of the surface from its mean, mm. Result: (n_readings,).
     """
     glued, n_markers = PLACES.held_odds * held.sum(axis=1), places.shape[1]
     if n_markers < PLACES.fewest_spread:
@@ -100,25 +81,11 @@ def motion_likelihood(
 ) -> FloatArray:
     """Return the log-likelihood of displacements under each of many readings that share their places.
 
-    Parameters
-    ----------
-    arms : ndarray of float64, shape (n_markers, 3)
-        Places, in the frame of the displacements, mm.
-    freedom : ndarray of float64, shape (3, n_markers)
-        Freedom of the body at each place, as in `Skin.freedom`.
-    motion : ndarray of float64, shape (n_readings, n_markers, 3)
-        Displacements in mm; NaN = not seen, the same coordinates in all readings.
-    noise : float
-        Standard deviation of a measured coordinate, mm.
-    extent : float
-        Of the body, mm.
-    rigid : bool
-        Whether the body may move rigidly as a whole.
-
-    Returns
-    -------
-    ndarray of float64, shape (n_readings,)
-        The density is per mm: a reading in other units adds the logarithm of its volume change.
+    `arms` (n_markers, 3): places, in the frame of the displacements, mm; `freedom` (3, n_markers): freedom of the body
+    at each place, as in `Skin.freedom`; `motion` (n_readings, n_markers, 3): displacements in mm; NaN = not seen, the
+    same coordinates in all readings; `noise`: standard deviation of a measured coordinate, mm; `extent`: of the body,
+    mm; `rigid`: whether the body may move rigidly as a whole. Result: (n_readings,), the density is per mm: a reading
+    in other units adds the logarithm of its volume change.
     """
     seen = np.isfinite(motion[0])
     if not seen.any():

@@ -17,12 +17,7 @@ from tissuereg.registration.readings.settings import CHECKS, COSTS
 def stale(markers: Markers, resting: BoolArray) -> list[int]:
     """Return the markers whose measured coordinates equal their reference places bit for bit, beyond chance.
 
-    Parameters
-    ----------
-    markers : Markers
-        The input.
-    resting : ndarray of bool, shape (n_markers,)
-        Markers on the held part of the surface, which may be at rest.
+    `markers`: the input; `resting` bool (n_markers,): markers on the held part of the surface, which may be at rest.
     """
     seen = np.isfinite(markers.measured)
     same = (seen.any(axis=1) & ((markers.measured == markers.reference) | ~seen).all(axis=1)) & ~resting

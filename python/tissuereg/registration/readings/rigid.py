@@ -10,10 +10,7 @@ from tissuereg.registration.readings.settings import COSTS, PROPOSALS
 def best_rigid(start: FloatArray, end: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return rotations (..., 3, 3) and shifts (..., 3) in mm that move points onto others, robust to a few wrong ones.
 
-    Parameters
-    ----------
-    start, end : ndarray of float64, shape (..., n, 3)
-        mm.
+    `start`, `end` (..., n, 3): mm.
 
     Notes
     -----

@@ -11,18 +11,9 @@ from tissuereg.registration.readings.words import Suspicion
 def scattered(distance: FloatArray, extent: float) -> list[Suspicion]:
     """Return the suspicion that markers are those of another body.
 
-    Parameters
-    ----------
-    distance : ndarray of float64, shape (n_markers,)
-        Signed distances of the reference places from the surface, negative inside, mm.
-    extent : float
-        Of the body, mm.
-
-    Returns
-    -------
-    list of Suspicion
-        At most one: where markers mounted on the skin at one height, each with an error, are as improbable as markers
-        that were all placed inside (chi-squares of the distances).
+    `distance` (n_markers,): signed distances of the reference places from the surface, negative inside, mm; `extent`:
+    of the body, mm. Result: at most one: where markers mounted on the skin at one height, each with an error, are as
+    improbable as markers that were all placed inside (chi-squares of the distances).
     """
     from scipy.stats import chi2
 

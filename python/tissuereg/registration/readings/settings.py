@@ -239,19 +239,10 @@ class MarkerChecks:
 class CloudChecks:
     """When unlabelled points of a surface are suspicious.
 
-    Attributes
-    ----------
-    odd, lost : float
-        Median distances from the undeformed surface, shares of the extent, above which points are suspicious, or
-        refused.
-    times : float
-        Another reading must bring the points closer by this factor,
-    near : float
-        and within this share of the extent.
-    larger, smaller : float
-        Size of a cloud over that of a free body, above or below which it is in other units.
-    points : int
-        Points whose distances are computed.
+    `odd`, `lost`: median distances from the undeformed surface, shares of the extent, above which points are
+    suspicious, or refused; `times`: another reading must bring the points closer by this factor; `near`: and within
+    this share of the extent; `larger`, `smaller`: size of a cloud over that of a free body, above or below which it is
+    in other units; `points`: points whose distances are computed.
     """
 
     odd: float = 0.12

@@ -19,16 +19,8 @@ _KEEPING = Lock()
 class Closest(NamedTuple):
     """Positions of points relative to a surface; shapes as those of the points.
 
-    Attributes
-    ----------
-    distance : ndarray of float64, shape (...)
-        mm, negative inside the body.
-    foot : ndarray of float64, shape (..., 3)
-        Closest point of the surface, mm.
-    normal : ndarray of float64, shape (..., 3)
-        Outward unit normal of the triangle that contains the foot.
-    held : ndarray of bool, shape (...)
-        Whether all its corners are held.
+    `distance` (...): mm, negative inside the body; `foot` (..., 3): closest point of the surface, mm; `normal` (...,
+    3): outward unit normal of the triangle that contains the foot; `held` bool (...): whether all its corners are held.
     """
 
     distance: FloatArray
@@ -40,21 +32,9 @@ class Closest(NamedTuple):
 class Skin:
     """The surface of a mesh, sampled once for nearest-triangle queries.
 
-    Parameters
-    ----------
-    mesh : Mesh
-        Reference shape.
-
-    Attributes
-    ----------
-    extent : float
-        Largest extent of the body along an axis, mm.
-    middle : ndarray of float64, shape (3,)
-        Middle of its bounding box, mm.
-    spread : float
-        Root mean square distance of the surface nodes from their mean, mm.
-    held : ndarray of int64, shape (n_held,)
-        Held nodes; none if the mesh has no set ``fixed``.
+    `mesh`: reference shape. `extent`: largest extent of the body along an axis, mm; `middle` (3,): middle of its
+    bounding box, mm; `spread`: root mean square distance of the surface nodes from their mean, mm; `held` int64
+    (n_held,): held nodes; none if the mesh has no set ``fixed``.
     """
 
     def __init__(self, mesh: Mesh) -> None:
@@ -112,16 +92,8 @@ class Skin:
     def freedom(self, points: FloatArray) -> FloatArray:
         """Return how freely the body can move at points: 0 at held nodes, towards 1 far from them.
 
-        Parameters
-        ----------
-        points : ndarray of float64, shape (n, 3)
-            mm.
-
-        Returns
-        -------
-        ndarray of float64, shape (3, n)
-            ``1 - exp(-d / l)`` with the distance d from the closest held node, l from 0.08 (a layer that shears) to 0.7
-            extents (a beam that bends); 1 where nothing is held.
+        `points` (n, 3): mm. Result: (3, n), ``1 - exp(-d / l)`` with the distance d from the closest held node, l from
+        0.08 (a layer that shears) to 0.7 extents (a beam that bends); 1 where nothing is held.
         """
         if self._held_tree is None:
             return np.ones((len(MOTION.fading), len(points)))

@@ -24,16 +24,9 @@ from tissuereg.registration.readings.settings import COSTS, PROPOSALS
 class Weighed:
     """A reading with its log-likelihoods, without constants that all readings share.
 
-    Attributes
-    ----------
-    reading : Reading
-        The reading.
-    distance : ndarray of float64, shape (n_weighed,)
-        Of the markers' places from the surface, signed, mm.
-    motion : ndarray of float64, shape (n_weighed, 3)
-        Displacements, mm, without the rigid motion of a free body.
-    of_layout, of_places, of_motion : float
-        Log-likelihoods of the layout on the body, of the distances from its surface, and of the motion.
+    `reading`: the reading; `distance` (n_weighed,): of the markers' places from the surface, signed, mm; `motion`
+    (n_weighed, 3): displacements, mm, without the rigid motion of a free body; `of_layout`, `of_places`, `of_motion`:
+    log-likelihoods of the layout on the body, of the distances from its surface, and of the motion.
     """
 
     reading: Reading
@@ -74,14 +67,8 @@ def chosen_rows(given: Given) -> IntArray:
 def weigh(given: Given, readings: list[Reading], rows: IntArray) -> list[Weighed]:
     """Return the readings to evaluate in full; the input as given stays first.
 
-    Parameters
-    ----------
-    given : Given
-        The input.
-    readings : list of Reading
-        Candidates, the input as given first.
-    rows : ndarray of int64, shape (n_weighed,)
-        Markers that are used.
+    `given`: the input; `readings`: candidates, the input as given first; `rows` int64 (n_weighed,): markers that are
+    used.
     """
     where: dict[int, int] = {}
     stacked: list[FloatArray] = []

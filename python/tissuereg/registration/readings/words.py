@@ -36,14 +36,8 @@ class Suspicion:
 def explained(plain: Weighed, best: Weighed, others: Sequence[Weighed], names: tuple[str, ...]) -> Suspicion:
     """Return the suspicion that another reading is right.
 
-    Parameters
-    ----------
-    plain, best : Weighed
-        The input as given, and the reading that beats it.
-    others : sequence of Weighed
-        All readings that were evaluated, to list those that fit equally well.
-    names : tuple of str
-        Names of all markers.
+    `plain`, `best`: the input as given, and the reading that beats it; `others`: all readings that were evaluated, to
+    list those that fit equally well; `names`: names of all markers.
     """
     reading = best.reading
     facts = []

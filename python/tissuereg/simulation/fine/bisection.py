@@ -23,23 +23,10 @@ _SIDES = np.array([[0, 1], [1, 2], [2, 0]])
 class Bisection:
     """A mesh whose edges can be cut.
 
-    Parameters
-    ----------
-    mesh : Mesh
-        The initial mesh; it is not changed.
-
-    Attributes
-    ----------
-    nodes : ndarray of float64, shape (n_nodes, 3)
-        Those of the mesh, then new ones, mm.
-    tets : ndarray of int64, shape (n_tets, 4)
-        With positive orientation, as in the mesh.
-    surface : ndarray of int64, shape (n_triangles, 3)
-        Boundary triangles.
-    parents : ndarray of int64, shape (n_nodes, 2)
-        Ends of the edge cut by each new node; a node of the initial mesh has itself twice.
-    on_surface : ndarray of bool, shape (n_nodes,)
-        Whether a node lies on the boundary.
+    `mesh`: the initial mesh; it is not changed. `nodes` (n_nodes, 3): those of the mesh, then new ones, mm; `tets`
+    int64 (n_tets, 4): with positive orientation, as in the mesh; `surface` int64 (n_triangles, 3): boundary triangles;
+    `parents` int64 (n_nodes, 2): ends of the edge cut by each new node; a node of the initial mesh has itself twice;
+    `on_surface` bool (n_nodes,): whether a node lies on the boundary.
     """
 
     def __init__(self, mesh: Mesh) -> None:
@@ -59,17 +46,8 @@ class Bisection:
     def cut(self, edges: IntArray, places: FloatArray) -> IntArray:
         """Cut edges.
 
-        Parameters
-        ----------
-        edges : ndarray of int64, shape (n, 2)
-            Ends, each edge once.
-        places : ndarray of float64, shape (n, 3)
-            Positions of the new nodes, on or near their edges, mm.
-
-        Returns
-        -------
-        ndarray of int64, shape (n,)
-            The new nodes.
+        `edges` int64 (n, 2): ends, each edge once; `places` (n, 3): positions of the new nodes, on or near their edges,
+        mm. Result: int64 (n,), the new nodes.
 
         Notes
         -----
@@ -89,15 +67,8 @@ class Bisection:
     def refine(self, size: Callable[[FloatArray], FloatArray]) -> None:
         """Cut longest edges until no tetrahedron is too large (Rivara 1984).
 
-        Parameters
-        ----------
-        size : callable
-            From centres of tetrahedra (n, 3) in mm to the largest edge length allowed for each, (n,) in mm.
-
-        Raises
-        ------
-        MeshError
-            If that takes more than a thousand rounds.
+        `size`: from centres of tetrahedra (n, 3) in mm to the largest edge length allowed for each, (n,) in mm. Raises
+        `MeshError` if that takes more than a thousand rounds.
 
         Notes
         -----
@@ -135,16 +106,8 @@ class Bisection:
     def mesh(self, node_sets: Mapping[str, IntArray]) -> Mesh:
         """Return the mesh as it is now.
 
-        Parameters
-        ----------
-        node_sets : mapping of str to ndarray of int64
-            Sets of the initial mesh. A new node belongs to a set if both ends of its edge do, and to a set of surface
-            nodes only if it lies on the surface.
-
-        Returns
-        -------
-        Mesh
-            With the sets carried over.
+        `node_sets`: sets of the initial mesh. A new node belongs to a set if both ends of its edge do, and to a set of
+        surface nodes only if it lies on the surface. Result: with the sets carried over.
         """
         return Mesh(self.nodes, self.tets, {name: self.carried(nodes) for name, nodes in node_sets.items()})
 
@@ -230,17 +193,8 @@ def _halved(
 def shape_quality(nodes: FloatArray, tets: IntArray) -> FloatArray:
     """Return the mean ratio of tetrahedra: 1 where regular, 0 where flat, negative where inverted.
 
-    Parameters
-    ----------
-    nodes : ndarray of float64, shape (n_nodes, 3)
-        mm.
-    tets : ndarray of int64, shape (n_tets, 4)
-        Nodes of each.
-
-    Returns
-    -------
-    ndarray of float64, shape (n_tets,)
-        ``12 (3 V)^(2/3) / sum of squared edges``, with the sign of the volume.
+    `nodes` (n_nodes, 3): mm; `tets` int64 (n_tets, 4): nodes of each. Result: (n_tets,), ``12 (3 V)^(2/3) / sum of
+    squared edges``, with the sign of the volume.
     """
     corners = nodes[tets]
     a, b, c = (corners[:, i] - corners[:, 0] for i in (1, 2, 3))

@@ -30,32 +30,11 @@ def solve_states(
 ) -> SolvedCase:
     """Return the equilibria of a case whose frames depend on their own load alone.
 
-    Parameters
-    ----------
-    experiment : Experiment
-        On a fine mesh, effects applied.
-    case : Case
-        One of its cases.
-    element : {"tet4", "tet4-averaged", "tet10"}
-        Elements to use.
-    tolerance : float
-        Norm of the residual over the norm of the load.
-    threads : int
-        Threads to use; 0 takes all cores. The result does not depend on it.
-    near : ndarray of float64, shape (n_states, n_element_nodes, 3), optional
-        Fields of a similar model in the `distinct_states` of the case; NaN if unknown.
-    progress : callable of int, optional
-        Called with frames done.
-
-    Returns
-    -------
-    SolvedCase
-        Frames of equal load have equal rows.
-
-    Raises
-    ------
-    ConvergenceError
-        If no frame finds equilibrium.
+    `experiment`: on a fine mesh, effects applied; `case`: one of its cases; `element` {"tet4", "tet4-averaged",
+    "tet10"}: elements to use; `tolerance`: norm of the residual over the norm of the load; `threads`: threads to use; 0
+    takes all cores. The result does not depend on it; `near` (n_states, n_element_nodes, 3): fields of a similar model
+    in the `distinct_states` of the case; NaN if unknown; `progress`: called with frames done. Result: frames of equal
+    load have equal rows. Raises `ConvergenceError` if no frame finds equilibrium.
 
     Notes
     -----
@@ -104,18 +83,9 @@ def solve_states(
 def guess(state: FloatArray, solved: list[tuple[FloatArray, FloatArray]]) -> FloatArray | None:
     """Return an initial guess for the field of a state from states solved before.
 
-    Parameters
-    ----------
-    state : ndarray of float64, shape (n_parts,)
-        Loads.
-    solved : list of tuple of ndarray
-        Loads and field (n_nodes, 3) of each.
-
-    Returns
-    -------
-    ndarray of float64, shape (n_nodes, 3), or None
-        Extrapolated from the three nearest states with collinear loads; the nearest state's field if there are no two
-        collinear ones; None if there are no states.
+    `state` (n_parts,): loads; `solved`: loads and field (n_nodes, 3) of each. Result: (n_nodes, 3) or None,
+    extrapolated from the three nearest states with collinear loads; the nearest state's field if there are no two
+    collinear ones; None if there are no states.
     """
     size = float(np.linalg.norm(state))
     if not solved or size == 0.0:

@@ -12,18 +12,9 @@ from tissuereg.simulation.settings import FINE
 class Folds:
     """Edges of a closed surface of triangles.
 
-    Attributes
-    ----------
-    edges : ndarray of int64, shape (n_edges, 2)
-        Nodes, ascending.
-    facets : ndarray of int64, shape (n_edges, 2)
-        Numbers of the triangles at each.
-    cosines : ndarray of float64, shape (n_edges,)
-        Of the angles between their normals.
-    normals : ndarray of float64, shape (n_triangles, 3)
-        Unit normals of all triangles, as their corners turn.
-    areas : ndarray of float64, shape (n_triangles,)
-        Of all triangles, mm^2.
+    `edges` int64 (n_edges, 2): nodes, ascending; `facets` int64 (n_edges, 2): numbers of the triangles at each;
+    `cosines` (n_edges,): of the angles between their normals; `normals` (n_triangles, 3): unit normals of all
+    triangles, as their corners turn; `areas` (n_triangles,): of all triangles, mm^2.
     """
 
     edges: IntArray
@@ -41,17 +32,8 @@ class Folds:
 def folds_of(nodes: FloatArray, surface: IntArray) -> Folds:
     """Return the edges of a closed surface.
 
-    Parameters
-    ----------
-    nodes : ndarray of float64, shape (n_nodes, 3)
-        mm.
-    surface : ndarray of int64, shape (n_triangles, 3)
-        Triangles, two at every edge.
-
-    Returns
-    -------
-    Folds
-        Edges in ascending order of their nodes.
+    `nodes` (n_nodes, 3): mm; `surface` int64 (n_triangles, 3): triangles, two at every edge. Result: edges in ascending
+    order of their nodes.
     """
     corners = nodes[surface]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

@@ -9,16 +9,9 @@ from tissuereg.simulation.settings import FINE
 def force_maps(rough: FloatArray, fine: FloatArray) -> FloatArray:
     """Return matrices that map forces on a coarse mesh to those on a fine one.
 
-    Parameters
-    ----------
-    rough, fine : ndarray of float64, shape (n_frames, 3)
-        Elastic forces of one pad in one case, mN; NaN in frames without equilibrium.
-
-    Returns
-    -------
-    ndarray of float64, shape (n_frames, 3, 3)
-        ``map @ rough`` is ``fine`` in loaded frames, unless they differ too much (`FineRules`). A frame without load
-        has the map of the least loaded one; all are the identity if no frame is loaded.
+    `rough`, `fine` (n_frames, 3): elastic forces of one pad in one case, mN; NaN in frames without equilibrium. Result:
+    (n_frames, 3, 3), ``map @ rough`` is ``fine`` in loaded frames, unless they differ too much (`FineRules`). A frame
+    without load has the map of the least loaded one; all are the identity if no frame is loaded.
 
     Notes
     -----

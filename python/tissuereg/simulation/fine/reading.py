@@ -16,18 +16,10 @@ from tissuereg.simulation.memory import SolvedCase
 class FineFrames:
     """Frames of one case, as observables of the experiment.
 
-    Attributes
-    ----------
-    displacement : ndarray of float64, shape (n_frames, n_nodes, 3)
-        Of the given mesh's nodes, mm; NaN in frames without equilibrium.
-    markers : ndarray of float64, shape (n_frames, n_markers, 3)
-        Positions of the markers, mm, without errors of their tracker.
-    targets : ndarray of float64, shape (n_frames, n_targets, 3)
-        Positions of the targets, mm.
-    forces : dict of str to ndarray of float64, shape (n_frames, 3)
-        Force on the body at every displacement actuator that is present, mN.
-    failed : list of (int, str)
-        Frames without equilibrium, with the reason.
+    `displacement` (n_frames, n_nodes, 3): of the given mesh's nodes, mm; NaN in frames without equilibrium; `markers`
+    (n_frames, n_markers, 3): positions of the markers, mm, without errors of their tracker; `targets` (n_frames,
+    n_targets, 3): positions of the targets, mm; `forces` (n_frames, 3): force on the body at every displacement
+    actuator that is present, mN; `failed`: frames without equilibrium, with the reason.
     """
 
     displacement: FloatArray
@@ -40,14 +32,8 @@ class FineFrames:
 class Reader:
     """Evaluates markers and targets of fields on one mesh.
 
-    Parameters
-    ----------
-    experiment : Experiment
-        With the mesh.
-    given : Mesh
-        The mesh from which it was refined: its nodes come first, some of them moved onto a rim.
-    quadratic : bool
-        Whether fields are those of ten-node elements.
+    `experiment`: with the mesh; `given`: the mesh from which it was refined: its nodes come first, some of them moved
+    onto a rim; `quadratic`: whether fields are those of ten-node elements.
     """
 
     def __init__(self, experiment: Experiment, given: Mesh, *, quadratic: bool) -> None:
@@ -81,20 +67,10 @@ class Reader:
 def corrected(rough: FineFrames, rough_elastic: FineFrames, fine_elastic: FineFrames) -> FineFrames:
     """Return frames with memory, corrected for finer elements.
 
-    Parameters
-    ----------
-    rough : FineFrames
-        With memory, by elements of first order.
-    rough_elastic : FineFrames
-        The same case without memory, by the same elements.
-    fine_elastic : FineFrames
-        Without memory, by finer elements on the same mesh.
-
-    Returns
-    -------
-    FineFrames
-        Places are corrected by the difference of the two elastic solutions, forces by the maps between them
-        (`force_maps`) and the remaining difference.
+    `rough`: with memory, by elements of first order; `rough_elastic`: the same case without memory, by the same
+    elements; `fine_elastic`: without memory, by finer elements on the same mesh. Result: places are corrected by the
+    difference of the two elastic solutions, forces by the maps between them (`force_maps`) and the remaining
+    difference.
     """
     forces = {}
     for name, force in rough.forces.items():

@@ -65,16 +65,8 @@ def samples(cutter: Bisection, rim: Rim) -> FloatArray:
 def refine_round(cutter: Bisection, rims: Sequence[Rim], shortest: float, growth: float) -> None:
     """Make elements small round rims.
 
-    Parameters
-    ----------
-    cutter : Bisection
-        Changed in place.
-    rims : sequence of Rim
-        Where.
-    shortest : float
-        Longest edge of an element at a rim over the rim's radius.
-    growth : float
-        Increase of the allowed edge length per mm of distance from the rim, mm/mm.
+    `cutter`: changed in place; `rims`: where; `shortest`: longest edge of an element at a rim over the rim's radius;
+    `growth`: increase of the allowed edge length per mm of distance from the rim, mm/mm.
     """
     for rim in rims:
         # The rim of a coarse surface is known by few points, so it is refined in steps.
@@ -87,16 +79,8 @@ def refine_round(cutter: Bisection, rims: Sequence[Rim], shortest: float, growth
 def refine_near(cutter: Bisection, points: FloatArray, edge: float, growth: float) -> None:
     """Make elements small near points.
 
-    Parameters
-    ----------
-    cutter : Bisection
-        Changed in place.
-    points : ndarray of float64, shape (n, 3)
-        mm.
-    edge : float
-        Longest edge of an element at a point, mm.
-    growth : float
-        Increase of the allowed edge length per mm of distance from the points, mm/mm.
+    `cutter`: changed in place; `points` (n, 3): mm; `edge`: longest edge of an element at a point, mm; `growth`:
+    increase of the allowed edge length per mm of distance from the points, mm/mm.
     """
     from scipy.spatial import KDTree
 
@@ -111,14 +95,7 @@ def refine_near(cutter: Bisection, points: FloatArray, edge: float, growth: floa
 def cut_along(cutter: Bisection, rim: Rim, stay: IntArray) -> None:
     """Cut the surface along a rim.
 
-    Parameters
-    ----------
-    cutter : Bisection
-        Changed in place.
-    rim : Rim
-        Where.
-    stay : ndarray of int64, shape (n,)
-        Nodes that must not slide.
+    `cutter`: changed in place; `rim`: where; `stay` int64 (n,): nodes that must not slide.
     """
     edges, deepest = _dipping_edges(cutter, rim, FINE.dip_share)
     if len(edges):
@@ -200,17 +177,7 @@ def _snap(cutter: Bisection, rim: Rim, stay: IntArray) -> None:
 def sharp_nodes(nodes: FloatArray, surface: IntArray) -> IntArray:
     """Return the nodes on edges of the body, which do not slide.
 
-    Parameters
-    ----------
-    nodes : ndarray of float64, shape (n_nodes, 3)
-        mm.
-    surface : ndarray of int64, shape (n_triangles, 3)
-        Boundary triangles.
-
-    Returns
-    -------
-    ndarray of int64, shape (n,)
-        Sorted.
+    `nodes` (n_nodes, 3): mm; `surface` int64 (n_triangles, 3): boundary triangles. Result: int64 (n,), sorted.
     """
     folds = folds_of(nodes, surface)
     return np.unique(folds.edges[folds.is_sharp])

@@ -53,17 +53,8 @@ def third_meshes(experiment: Experiment, n: int, seed: int, *, meshing: FineMesh
 def jittered(experiment: Experiment, rng: np.random.Generator) -> Mesh:
     """Return the mesh of an experiment with its nodes moved.
 
-    Parameters
-    ----------
-    experiment : Experiment
-        Nodes of its boundaries and of pads without a ball stay, as do those on edges of the body.
-    rng : numpy.random.Generator
-        Source of random numbers.
-
-    Returns
-    -------
-    Mesh
-        The same tets and sets; every tet keeps half of its quality at least.
+    `experiment`: nodes of its boundaries and of pads without a ball stay, as do those on edges of the body; `rng`:
+    source of random numbers. Result: the same tets and sets; every tet keeps half of its quality at least.
     """
     mesh = experiment.mesh
     shortest = _shortest_edges(mesh)
@@ -104,16 +95,8 @@ def _slides(mesh: Mesh, shortest: FloatArray, rng: np.random.Generator) -> Float
 def gaps(mesh: Mesh) -> FloatArray:
     """Return the mean gap between facets and a smooth surface at every node.
 
-    Parameters
-    ----------
-    mesh : Mesh
-        Reference shape.
-
-    Returns
-    -------
-    ndarray of float64, shape (n_nodes, 3)
-        Vectors in mm, outward where the body is convex, inward where it is concave; zero inside, on flat faces, at
-        sharp edges.
+    `mesh`: reference shape. Result: (n_nodes, 3), vectors in mm, outward where the body is convex, inward where it is
+    concave; zero inside, on flat faces, at sharp edges.
 
     Notes
     -----
