@@ -28,7 +28,7 @@ from tissuereg.body.mesh import free_surface
 from tissuereg.body.observe import MarkerObservation, TargetObservation
 from tissuereg.errors import EnsembleError, MarkerError
 from tissuereg.io.atomic import atomic_file
-from tissuereg.io.pairs import read_pairs
+from tissuereg.io.fields import read_pairs
 from tissuereg.registration.learned.assimilate import AssimilationSettings, assimilate
 from tissuereg.registration.learned.calibrate import RehearsalSettings, calibrate, codes_of
 from tissuereg.registration.learned.model import Gaussian

@@ -93,7 +93,7 @@ def _trust(found: dict[str, Any]) -> str:
     known, foreign = (found["sets"][name]["ours"] for name in ("known", "foreign"))
     lines = [
         "## Trust\n",
-        "`result.trust` compares with honest events that calibrated; it is to warn of 1 % of them.\n",
+        "`result.trust` compares with the events of the calibration set; it is to warn of 1 % of them.\n",
         "| input | cases | warned or refused |",
         "|---|---|---|",
         f"| honest, known physics | {known['events']} | {100 * known['alarms']:.1f} % |",

@@ -10,7 +10,7 @@ import tissuereg as tr
 from support.small_model import SMALL_MODEL
 from tissuereg._base.clock import Clock
 from tissuereg.errors import ArgumentError, FormatError, MarkerError
-from tissuereg.io.npz import write_npz
+from tissuereg.io.fields import write_npz
 from tissuereg.registration.learned.network import NetworkModel
 from tissuereg_paper.rivals import (
     EnsembleOfSimulations,

@@ -6,7 +6,7 @@ import pytest
 import tissuereg as tr
 from support.varied import STD, calibrated, drawn, measured, places
 from tissuereg.errors import ArgumentError, FormatError
-from tissuereg.io.npz import write_npz
+from tissuereg.io.fields import write_npz
 from tissuereg_paper.rivals import EnsembleOfSimulations, Setting, VariedNetwork
 from tissuereg_paper.studies.rigs import Pad, Rig
 from tissuereg_paper.studies.variants import N_MODULI, STORED_KPA, YOUNG_KPA, RigVariants, read_variants

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tissuereg.diagnosis.probability import LOOK_ALIKE
+from tissuereg.diagnosis.evidence import LOOK_ALIKE
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "diagnose_beam.py"
 

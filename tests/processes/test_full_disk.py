@@ -15,9 +15,9 @@ from support.meshes import block
 from support.processes import Command
 from tissuereg.io.atomic import OutputError, atomic_file, atomic_folder
 from tissuereg.io.cache import keep_entry
+from tissuereg.io.fields import write_npz
 from tissuereg.io.json import write_json
 from tissuereg.io.meshes import write_vtu
-from tissuereg.io.npz import write_npz
 
 RECIPE = '[mesh]\nfile = "mesh.vtu"\n[data]\nmembers = 12\nchunk = 4\n[pairs]\nmembers = 4\n'
 

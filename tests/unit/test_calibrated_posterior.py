@@ -137,7 +137,9 @@ def test_a_shape_that_no_honest_event_has_is_unfamiliar(mesh, calibration):
     signs = np.column_stack([np.random.default_rng(4).exponential(size=(300, 2)), np.zeros((300, 2))])
     for most, trusted in ((1e6, True), (1e-3, False)):
         signs[:, 2] = np.linspace(0.0, most, 300)
-        known = replace(calibration, alone=replace(calibration.alone, honest=CalibrationSet.none().beside(signs)))
+        known = replace(
+            calibration, alone=replace(calibration.alone, calibration_set=CalibrationSet.none().beside(signs))
+        )
         reasons = registered(mesh, known)[0].trust.reasons
         assert any(reason.startswith("unfamiliar") for reason in reasons) is not trusted
 

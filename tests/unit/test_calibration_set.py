@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import chi2
 
 from tissuereg.registration.learned.calibrate import _regions
-from tissuereg.registration.learned.calibration_set import SIGNS, CalibrationSet
+from tissuereg.registration.learned.calibration_set import STATISTICS, CalibrationSet
 from tissuereg.registration.learned.mixture import Component, LinearDecoder, condition, left_out
 from tissuereg.registration.learned.spread_law import squared_radius
 from tissuereg.registration.learned.statistics import statistics_of
@@ -112,7 +112,7 @@ def test_markers_of_another_event_than_the_simulated_one_show_it(gaussian):
         observed = linear.at[:12] + linear.slopes[:12] @ np.array(latents) + 0.2 * rng.standard_normal(12)
         posterior = condition([about, other], linear, observed, noise)
         found[name] = statistics_of(Nowhere(), posterior, 1).row
-    simulation = SIGNS.index("simulation")
+    simulation = STATISTICS.index("simulation")
     assert found["own"][simulation] == 0.0
     assert found["another"][simulation] > 10.0
     honest = CalibrationSet.none().beside(np.column_stack([drawn(200, np.random.default_rng(5))[:, :3], np.zeros(200)]))

@@ -27,8 +27,8 @@ def passes_of(believed=None):
     """Return passes over a slab whose base is perhaps held, pushed at its top."""
     columns, markers = columns_of("perhaps", believed), push().markers()
     observed = MarkerObservation.of(columns.body.mesh, markers)
-    seen = ObservedData.of(MarkerData(observed, markers, SETTINGS.model_error))
-    return Passes(columns, seen, MATERIAL, SETTINGS, np.random.default_rng(0), 1, Clock())
+    observed = ObservedData.of(MarkerData(observed, markers, SETTINGS.model_error))
+    return Passes(columns, observed, MATERIAL, SETTINGS, np.random.default_rng(0), 1, Clock())
 
 
 @cache
@@ -73,20 +73,22 @@ def test_motions_on_other_springs_balance_the_pull_of_these():
     forces[0, :n_nodes] -= np.einsum("qn,qx->nx", cells.weights, (there.pull * cell_motion).reshape(-1, 3))
     field = passes.linear.tangent(start).linearised.responses(forces)[0, :n_nodes]
     assert (cells.weights @ field).ravel() == pytest.approx(cell_motion, abs=1e-5 * np.abs(cell_motion).max())
-    seen = moved[:n_obs] + there.by_motion @ moved[n_obs:]
-    wanted = np.array([np.sum(field[nodes] * weights) for nodes, weights in passes.seen.read(start).rows])
-    assert seen == pytest.approx(wanted, abs=1e-5 * np.abs(wanted).max())
-    assert np.abs(seen - moved[:n_obs]).max() > 0.02 * np.abs(seen).max()
+    observed = moved[:n_obs] + there.by_motion @ moved[n_obs:]
+    wanted = np.array([np.sum(field[nodes] * weights) for nodes, weights in passes.observed.read(start).rows])
+    assert observed == pytest.approx(wanted, abs=1e-5 * np.abs(wanted).max())
+    assert np.abs(observed - moved[:n_obs]).max() > 0.02 * np.abs(observed).max()
     # One cause alone: its covariance is the outer product of what it does.
-    assert there.observed(np.outer(moved, moved)) == pytest.approx(np.outer(seen, seen), abs=1e-9 * np.max(seen**2))
+    assert there.observed(np.outer(moved, moved)) == pytest.approx(
+        np.outer(observed, observed), abs=1e-9 * np.max(observed**2)
+    )
 
 
 def test_innovations_follow_the_stiffness_as_solves_do():
     found, passes, start = condensed()
-    before = passes.seen.read(start).residual
+    before = passes.observed.read(start).residual
     assert found.on([3.0, 3.0]).innovation == pytest.approx(before)
     for other in ([6.0, 6.0], [6.0, 2.0]):
-        solved = passes.seen.read(
+        solved = passes.observed.read(
             start_of(found.columns.on_springs(other), MATERIAL, None, RigidMotion.still(), 1)
         ).residual
         change = found.on(other).innovation - before

@@ -20,9 +20,9 @@ TURNED = RigidMotion(np.diag([-1.0, 1.0, -1.0]), np.array([50.0, -20.0, 10.0]))
 
 def registered(frame: RigidMotion) -> tr.Registration:
     markers = push().markers()
-    seen = tr.Markers(markers.reference, frame.apply(markers.measured), 0.03)
+    observed = tr.Markers(markers.reference, frame.apply(markers.measured), 0.03)
     options: dict[str, Any] = {"material": MATERIAL, "element": ELEMENT, "threads": 1, "targets": INNER}
-    return doors.registered(tr.Mesh(push().mesh.nodes, push().mesh.tets), seen, **options)
+    return doors.registered(tr.Mesh(push().mesh.nodes, push().mesh.tets), observed, **options)
 
 
 @pytest.fixture(scope="module")

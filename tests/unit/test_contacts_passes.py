@@ -22,8 +22,8 @@ def passes_with(monkeypatch, residuals):
         return _Pass(residual, samples, None, residual, 0.0, 0.0)
 
     monkeypatch.setattr(Passes, "_one_pass", one_pass)
-    seen = SimpleNamespace(rematches=False)
-    return Passes(None, seen, None, ContactSettings(), None, 1, Clock())
+    observed = SimpleNamespace(rematches=False)
+    return Passes(None, observed, None, ContactSettings(), None, 1, Clock())
 
 
 def test_the_pass_with_the_smallest_residual_counts_not_the_last(monkeypatch):

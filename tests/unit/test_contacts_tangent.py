@@ -9,7 +9,7 @@ import pytest
 import tissuereg as tr
 from support.meshes import block
 from support.pushes import MATERIAL, TIGHT, columns_of, push
-from tissuereg.body.per_mesh import per_mesh
+from tissuereg.body.mesh import per_mesh
 from tissuereg.errors import ConvergenceError
 from tissuereg.registration.contacts.body import forget_bodies
 from tissuereg.registration.contacts.settings import EFFORT

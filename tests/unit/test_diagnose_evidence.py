@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal, norm
 
-from tissuereg.diagnosis.evidence import Blocks, Null, fit_amplitudes, log_mean_exp
+from tissuereg.diagnosis.evidence import TEMPER, Blocks, Null, fit_amplitudes, log_mean_exp, probabilities
 from tissuereg.diagnosis.nulls import LEAST_THRESHOLD, LEVEL, _thresholds
-from tissuereg.diagnosis.probability import TEMPER, probabilities
 from tissuereg.diagnosis.proof import LinearModel, held_out
 
 SIZE = 30

@@ -14,12 +14,11 @@ from tissuereg.diagnosis.candidates import FURTHER, LEAST_FURTHER, Candidate, _f
 from tissuereg.diagnosis.causes import CAUSES
 from tissuereg.diagnosis.causes.base import knobs
 from tissuereg.diagnosis.correction import make_correction
-from tissuereg.diagnosis.evidence import Null
+from tissuereg.diagnosis.evidence import LOOK_ALIKE, Null
 from tissuereg.diagnosis.findings import _chances, group_of
 from tissuereg.diagnosis.fit import FitTarget, FittedCause, at_believed_modulus, best_start, fit
 from tissuereg.diagnosis.modulus import _pinned, modulus_finding
 from tissuereg.diagnosis.nuisances import FORM_ERROR, other_forms
-from tissuereg.diagnosis.probability import LOOK_ALIKE
 from tissuereg.diagnosis.proof import figure_blocks, proof_blocks
 from tissuereg.diagnosis.recorrect import UNCORRECTED, corrected_fit, recorrected
 from tissuereg.diagnosis.refined import refined_effects

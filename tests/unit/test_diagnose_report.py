@@ -25,8 +25,7 @@ from tissuereg.diagnosis.proof import HeldOut
 from tissuereg.diagnosis.report.history import curves
 from tissuereg.diagnosis.report.proved import blocks_words
 from tissuereg.diagnosis.report.ranking import ranking
-from tissuereg.diagnosis.report.scene import scene, script_text
-from tissuereg.diagnosis.report.surface import drawn_surface
+from tissuereg.diagnosis.report.scene import drawn_surface, scene, script_text
 from tissuereg.diagnosis.screen import Screened
 from tissuereg.diagnosis.search import Search, Step
 from tissuereg.diagnosis.signals import SignalLayout

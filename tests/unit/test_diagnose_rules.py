@@ -11,6 +11,7 @@ from support.rigs import rig
 from support.targets import part, target_of
 from tissuereg.diagnosis import search as search_module
 from tissuereg.diagnosis.causes import CAUSES
+from tissuereg.diagnosis.discrepancy import residual_summary
 from tissuereg.diagnosis.evidence import Null
 from tissuereg.diagnosis.fit import fit
 from tissuereg.diagnosis.misfit import Misfit
@@ -19,7 +20,6 @@ from tissuereg.diagnosis.nuisances import EFFECT_ERROR, MESH_SHARE, effect_nuisa
 from tissuereg.diagnosis.nulls import MESH_SPREAD, draw_nulls
 from tissuereg.diagnosis.proof import BEFORE, BELIEVED, GENERIC, NAMED, HeldOut, held_out_figures, linear_model
 from tissuereg.diagnosis.report.words import ties
-from tissuereg.diagnosis.residual import residual_summary
 from tissuereg.diagnosis.screen import UNKNOWN, Screen
 from tissuereg.diagnosis.search import Search, search
 from tissuereg.diagnosis.signals import SignalLayout

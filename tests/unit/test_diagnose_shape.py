@@ -14,8 +14,7 @@ from tissuereg.diagnosis.noise import Noise
 from tissuereg.diagnosis.nuisances import make_nuisances
 from tissuereg.diagnosis.refined import flat_of
 from tissuereg.diagnosis.run import make_believed
-from tissuereg.diagnosis.shape import HEIGHT_SHARE, PLACE_SHARE, SIZE_SHARE, WAVES, shape_directions
-from tissuereg.diagnosis.shape_columns import shape_columns
+from tissuereg.diagnosis.shape import HEIGHT_SHARE, PLACE_SHARE, SIZE_SHARE, WAVES, shape_columns, shape_directions
 from tissuereg.diagnosis.signals import SignalLayout
 from tissuereg.diagnosis.tangents import Tangents
 from tissuereg.experiment.effects import Relaxation

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tissuereg.simulation.fine.forces import force_maps
+from tissuereg.simulation.fine.reading import force_maps
 from tissuereg.simulation.settings import FINE
 
 

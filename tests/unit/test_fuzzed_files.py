@@ -20,9 +20,8 @@ from tissuereg.io.cache import keep_entry, read_entry
 from tissuereg.io.meshes import write_vtu
 from tissuereg.io.mrk_json import write_mrk_json
 from tissuereg.io.problems import read_problem, read_simulation, read_simulations, read_variants
-from tissuereg.io.recordings import read_recording
 from tissuereg.io.surfaces import read_triangles
-from tissuereg.io.tables import read_reference
+from tissuereg.io.tables import read_recording, read_reference
 from tissuereg.registration.learned.card import CARD_SCHEMA, MODEL_FILES, check_files, read_card
 from tissuereg.simulation.dataset import make_dataset
 from tissuereg.simulation.recipe import read_recipe

@@ -238,7 +238,7 @@ def test_of_which_kind_a_change_is_and_how_far_its_factor_is_off_pairs_tell(cali
     assert of_kind[0, 2:].sum() > 0.6 * of_kind[0].sum()
     assert weights.sum() == pytest.approx(1.0)
     # Honest events of each kind are a group: how few may look worse is counted in the one that looks worst.
-    assert np.bincount(made.anchored.honest.groups).tolist() == [40, 40]
+    assert np.bincount(made.anchored.calibration_set.groups).tolist() == [40, 40]
 
 
 def test_regions_of_heavy_tailed_events_hold_their_share_of_targets(calibrated):
@@ -273,8 +273,8 @@ def test_a_calibration_is_the_same_after_it_was_written_and_read(calibrated, tmp
     np.savez(tmp_path / "calibration.npz", **calibration.save())
     again = Calibration.read(tmp_path / "calibration.npz", 6, mesh.n_nodes)
     np.testing.assert_array_equal(again.kinds.covariances, calibration.kinds.covariances)
-    np.testing.assert_array_equal(again.alone.honest.signs, calibration.alone.honest.signs)
-    np.testing.assert_array_equal(again.alone.honest.groups, calibration.alone.honest.groups)
+    np.testing.assert_array_equal(again.alone.calibration_set.statistics, calibration.alone.calibration_set.statistics)
+    np.testing.assert_array_equal(again.alone.calibration_set.groups, calibration.alone.calibration_set.groups)
     assert again.alone.tail == calibration.alone.tail
     # Patterns are kept in float16.
     np.testing.assert_allclose(

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tissuereg.registration.readings.scatter import scattered
+from tissuereg.registration.readings.clouds import scattered
 
 EXTENT = 120.0
 

@@ -11,13 +11,12 @@ from tissuereg.body.surface import MOST_POINTS, SurfacePoints, evenly
 from tissuereg.errors import MarkerError, ModelError, SurfaceError
 from tissuereg.registration.contacts.body import ContactBody
 from tissuereg.registration.contacts.columns import Columns
-from tissuereg.registration.contacts.icp import closest_frame
 from tissuereg.registration.contacts.measured import MarkerData, ObservedData, tail_cost, tail_variance
 from tissuereg.registration.contacts.observations import Basis, moving_variances
 from tissuereg.registration.contacts.settings import MATCHING, ContactSettings
 from tissuereg.registration.contacts.state import BodyState, RigidMotion
 from tissuereg.registration.contacts.supports import Supports
-from tissuereg.registration.contacts.surface_points import PointData, closest_feet, facet_errors
+from tissuereg.registration.contacts.surface_points import PointData, closest_feet, closest_frame, facet_errors
 from tissuereg.registration.readings.clouds import suspect_points
 
 

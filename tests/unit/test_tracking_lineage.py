@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from tissuereg.tracking.lineage import Lineage
 from tissuereg.tracking.restart import Restart, SimulatedFrame
+from tissuereg.tracking.temporal import Lineage
 
 FIELD = np.ones((5, 3))
 

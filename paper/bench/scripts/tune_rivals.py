@@ -27,7 +27,7 @@ from threadpoolctl import threadpool_limits
 
 import tissuereg as tr
 from scripts.tune_rivals_page import page
-from tissuereg.io.npz import write_npz
+from tissuereg.io.fields import write_npz
 from tissuereg.phantom import phantom_mesh
 from tissuereg.registration.learned.registration import as_model
 from tissuereg_paper import rivals as b

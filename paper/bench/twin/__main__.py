@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tissuereg.io.npz import write_npz
+from tissuereg.io.fields import write_npz
 from twin.rig import DEVELOPMENT_SEEDS, FRAME_S, SCENARIOS, SEEDS, draw, pushes
 
 FOLDER = Path(__file__).resolve().parent

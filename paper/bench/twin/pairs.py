@@ -12,7 +12,7 @@ import numpy as np
 
 import tissuereg as tr
 from tissuereg.errors import ConvergenceError
-from tissuereg.io.npz import write_npz
+from tissuereg.io.fields import write_npz
 from tissuereg.phantom import phantom_mesh
 from tissuereg_paper.studies.believed import Believed, moved_by_pads
 from tissuereg_paper.studies.rigs import Pad

@@ -22,7 +22,7 @@ from pathlib import Path
 import numpy as np
 
 from tissuereg.errors import ConvergenceError
-from tissuereg.io.npz import write_npz
+from tissuereg.io.fields import write_npz
 from tissuereg.phantom import phantom_mesh
 from tissuereg_paper.studies.believed import BELIEVED, Believed
 from tissuereg_paper.studies.rigs import read_rig

@@ -5,9 +5,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 from tissuereg import Simulator
-from tissuereg._base.arguments import real, whole
+from tissuereg._base.arguments import check_choice, real, whole
 from tissuereg._base.arrays import FloatArray
-from tissuereg._base.choice import check_choice
 from tissuereg.body.observe import MarkerObservation
 from tissuereg.errors import ArgumentError, LoadError
 from tissuereg_paper import _core

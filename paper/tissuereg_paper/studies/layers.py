@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Any
 
-from tissuereg.io.npz import Archive
+from tissuereg.io.fields import Archive
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ import numpy as np
 from tissuereg._base.arguments import place
 from tissuereg._base.arrays import FloatArray
 from tissuereg.errors import FormatError
-from tissuereg.io.npz import Archive, open_npz
+from tissuereg.io.fields import Archive, open_npz
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,8 +10,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from tissuereg import open_dataset
-from tissuereg._base.arguments import called, check_running, each, maybe, place
-from tissuereg._base.choice import check_choice
+from tissuereg._base.arguments import called, check_choice, check_running, each, maybe, place
 from tissuereg._base.clock import Clock
 from tissuereg.errors import ArgumentError
 from tissuereg.io.atomic import OutputError, atomic_folder, check_folder_target

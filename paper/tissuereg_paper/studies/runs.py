@@ -14,7 +14,7 @@ from tissuereg import __version__
 from tissuereg._base.arguments import place
 from tissuereg._base.arrays import FloatArray
 from tissuereg.errors import FormatError
-from tissuereg.io.npz import open_npz, write_npz
+from tissuereg.io.fields import open_npz, write_npz
 from tissuereg_paper.studies.rigs import Rig
 
 

@@ -8,7 +8,7 @@ from typing import Any, Protocol
 from tissuereg._base.arguments import place
 from tissuereg._base.arrays import FloatArray, IntArray
 from tissuereg.errors import ModelError
-from tissuereg.io.npz import open_npz
+from tissuereg.io.fields import open_npz
 from tissuereg.phantom import shipped_model_folder
 from tissuereg.registration.learned.card import read_card
 from tissuereg.registration.learned.model import Gaussian

@@ -10,7 +10,7 @@ import numpy as np
 from tissuereg._base.arguments import place
 from tissuereg._base.arrays import FloatArray
 from tissuereg.errors import FormatError
-from tissuereg.io.npz import open_npz
+from tissuereg.io.fields import open_npz
 from tissuereg_paper.studies.rigs import Rig, inverted, on_spline
 
 #: Young's modulus of the stored variants, and those with which each is taken: as far apart as it is uncertain, kPa.

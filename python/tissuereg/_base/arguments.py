@@ -1,20 +1,32 @@
 """Checks of all arguments other than arrays: numbers, flags, texts, types, paths.
 
 Every check takes the argument's name and value, returns the value to use, and raises a typed error that names the
-argument, what must hold and what was found. Arrays are checked in `_arrays`, choices among words in `_choice`.
+argument, what must hold and what was found. Arrays are checked in `arrays`.
 """
 
 import math
 import operator
 import os
 import reprlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 
 from tissuereg.errors import ArgumentError, TissueRegError
+
+
+def check_choice(name: str, value: Any, choices: Collection[str], error: type[TissueRegError]) -> None:
+    """Raise an error unless a value is one of the choices; the message names all of them.
+
+    `name`: the argument; `value`: the given value; `choices`: the allowed values; `error`: raised where the value is
+    none of these.
+    """
+    if not isinstance(value, str) or value not in choices:
+        message = f"`{name}` must be one of {', '.join(choices)}, got {found(value)}"
+        raise error(message, where=name)
+
 
 _T = TypeVar("_T")
 _Error = type[TissueRegError]

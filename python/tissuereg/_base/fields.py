@@ -19,8 +19,7 @@ from functools import partial
 from typing import Any, ClassVar, NoReturn
 
 from tissuereg._base import arguments
-from tissuereg._base.arguments import MOST_COUNTED, bounds, is_number
-from tissuereg._base.choice import check_choice
+from tissuereg._base.arguments import MOST_COUNTED, bounds, check_choice, is_number
 from tissuereg.errors import ArgumentError, TissueRegError
 
 _Error = type[TissueRegError]

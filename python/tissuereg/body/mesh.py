@@ -1,15 +1,15 @@
 """A tetrahedral mesh in its reference shape: nodes, tets, named node sets."""
 
 import hashlib
-from collections.abc import Mapping
-from functools import cached_property
-from typing import Any
+from collections.abc import Callable, Mapping
+from functools import cached_property, wraps
+from typing import Any, TypeVar
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from tissuereg._base.arguments import named, real, text
+from tissuereg._base.arguments import check_choice, named, real, text
 from tissuereg._base.arrays import FloatArray, IntArray, float_array, frozen, index_array
-from tissuereg._base.choice import check_choice
 from tissuereg._core import check_mesh, surface_triangles, tet_volumes
 from tissuereg.errors import MeshError, UnitError
 
@@ -264,3 +264,23 @@ def _check_extent(nodes: FloatArray) -> None:
             "convert (metres: times 1000, centimetres: times 10, micrometres: times 0.001)"
         )
         raise UnitError(message, where="nodes")
+
+
+Made = TypeVar("Made")
+
+
+def per_mesh(make: Callable[[Mesh], Made]) -> Callable[[Mesh], Made]:
+    """Return a function that computes its value once for every mesh, whose arrays never change.
+
+    Two threads that call it at the same time may both compute it; both values are the same.
+    """
+    kept: WeakKeyDictionary[Mesh, Made] = WeakKeyDictionary()
+
+    @wraps(make)
+    def found(mesh: Mesh) -> Made:
+        answer = kept.get(mesh)
+        if answer is None:
+            answer = kept[mesh] = make(mesh)
+        return answer
+
+    return found

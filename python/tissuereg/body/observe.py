@@ -18,8 +18,7 @@ import numpy as np
 
 from tissuereg._base.arrays import BoolArray, FloatArray, IntArray, float_array
 from tissuereg.body.markers import Markers
-from tissuereg.body.mesh import Mesh
-from tissuereg.body.per_mesh import per_mesh
+from tissuereg.body.mesh import Mesh, per_mesh
 from tissuereg.errors import MarkerError
 
 #: A marker farther from the surface than this share of the body's extent is refused: another frame or unit.

@@ -86,7 +86,7 @@ def _positive(std: Any) -> float:
 def evenly(places: FloatArray, count: int) -> IntArray:
     """Return indices of at most `count` places, each the farthest from those before it, in their own order.
 
-    `places` (n, 3): mm; `count`: largest number of places. Result: int64 (min(n, count), sorted.
+    `places` (n, 3): mm; `count`: largest number of places. Result: int64 (min(n, count),), sorted.
     """
     if len(places) <= count:
         return np.arange(len(places))

@@ -32,7 +32,7 @@ def run(args: argparse.Namespace) -> Outcome:
     import numpy as np
 
     from tissuereg.io.datasets import open_dataset
-    from tissuereg.io.pairs import read_pairs
+    from tissuereg.io.fields import read_pairs
     from tissuereg.registration.learned.calibrate import RehearsalSettings, calibrate, codes_of
     from tissuereg.registration.learned.calibration_file import write_calibration
     from tissuereg.registration.learned.network import NetworkModel

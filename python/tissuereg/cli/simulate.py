@@ -87,7 +87,7 @@ def _run_experiment(args: argparse.Namespace) -> Outcome:
     from tissuereg.io.experiment_out import TABLES, write_simulated
     from tissuereg.io.experiments import read_experiment
     from tissuereg.simulation.believed import simulate_experiment
-    from tissuereg.simulation.noise import with_noise
+    from tissuereg.simulation.experiment import with_noise
 
     if args.cluster is not None:
         message = "--cluster must be left out for an experiment; it makes the chunks of a data set"

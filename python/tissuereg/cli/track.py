@@ -24,7 +24,7 @@ from tissuereg.cli.words import tracking_words
 if TYPE_CHECKING:
     from tissuereg._base.arrays import FloatArray
     from tissuereg.errors import TissueRegError
-    from tissuereg.io.recordings import Recording
+    from tissuereg.io.tables import Recording
     from tissuereg.tracking import TablePhysics, TrackedFrame, Tracker
 
 HELP = Help(
@@ -109,8 +109,7 @@ def run(args: argparse.Namespace) -> Outcome:
 
 
 def _read(args: argparse.Namespace) -> "tuple[Tracker, Recording, TablePhysics | None]":
-    from tissuereg.io.recordings import read_recording
-    from tissuereg.io.tables import read_reference, read_targets
+    from tissuereg.io.tables import read_recording, read_reference, read_targets
     from tissuereg.registration.registrar import Registrar
     from tissuereg.tracking import Tracker
 

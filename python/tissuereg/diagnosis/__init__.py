@@ -8,8 +8,7 @@ one for material tests, and each cause of the catalogue is a module of `causes`.
 from collections.abc import Callable
 from typing import TYPE_CHECKING, overload
 
-from tissuereg._base.arguments import called, check_running, flag, of_kind
-from tissuereg._base.choice import check_choice
+from tissuereg._base.arguments import called, check_choice, check_running, flag, of_kind
 from tissuereg.errors import ArgumentError
 from tissuereg.experiment.experiment import Experiment
 from tissuereg.experiment.material_experiment import MaterialExperiment

@@ -41,22 +41,11 @@ class _Action:
 def advise(target: FitTarget, steps: Sequence[Step], findings: Sequence[Finding]) -> dict[str, Any] | None:
     """Return the stock action that best separates tied causes.
 
-    Parameters
-    ----------
-    target : FitTarget
-        Data, believed model, noise and nuisances.
-    steps : sequence of Step
-        Rounds of the search.
-    findings : sequence of Finding
-        Accepted causes with their groups.
-
-    Returns
-    -------
-    dict or None
-        ``action`` in words, ``separates`` pairs of ids, ``separability`` the least over the pairs: norm of the
-        difference between the two fitted models' predictions under the action, in noise deviations, given the
-        uncertainty of the tracker's frame, of the modulus as fitted, and of forces. None where nothing is tied, and
-        where no pad is moved.
+    `target`: data, believed model, noise and nuisances; `steps`: rounds of the search; `findings`: accepted causes with
+    their groups. Result: ``action`` in words, ``separates`` pairs of ids, ``separability`` the least over the pairs:
+    norm of the difference between the two fitted models' predictions under the action, in noise deviations, given the
+    uncertainty of the tracker's frame, of the modulus as fitted, and of forces. None where nothing is tied, and where
+    no pad is moved.
 
     Notes
     -----

@@ -182,10 +182,18 @@ class Diagnosis:
         OutputError
             If the folder cannot be written.
         """
-        from tissuereg.diagnosis.files import write_diagnosis
-        from tissuereg.io.atomic import OutputError
+        from tissuereg.diagnosis.report.page import write_report
+        from tissuereg.io.atomic import OutputError, atomic_folder
+        from tissuereg.io.experiment_out import write_experiment
+        from tissuereg.io.json import write_json
 
-        return write_diagnosis(self, place("folder", folder, error=OutputError), extra or {})
+        out = place("folder", folder, error=OutputError)
+        with atomic_folder(out) as draft:
+            write_json(draft / "diagnosis.json", {**self.to_json(), **(extra or {})})
+            # Paths in the model are relative to the final folder.
+            write_experiment(self.extended, draft / "experiment.extended.toml", seen_from=out)
+            write_report(self, draft / "report.html", seen_from=out)
+        return out
 
 
 def _pairs(values: Values, deviations: Values) -> dict[str, Any]:

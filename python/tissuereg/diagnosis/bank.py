@@ -39,24 +39,9 @@ Bank = dict[str, list[Variant]]
 def make_bank(bench: Bench, *, keep: bool = True, progress: Callable[[str], None] | None = None) -> Bank:
     """Return the bank of a believed model, from the cache where possible.
 
-    Parameters
-    ----------
-    bench : Bench
-        The believed model; its prediction is taken from the cache too.
-    keep : bool
-        Whether to read and write the cache.
-    progress : callable of str, optional
-        Called with the id of the cause whose columns are computed.
-
-    Returns
-    -------
-    Bank
-        Columns in mm and mN, single precision.
-
-    Raises
-    ------
-    ConvergenceError
-        If the believed model itself has no equilibrium.
+    `bench`: the believed model; its prediction is taken from the cache too; `keep`: whether to read and write the
+    cache; `progress`: called with the id of the cause whose columns are computed. Result: columns in mm and mN, single
+    precision. Raises `ConvergenceError` if the believed model itself has no equilibrium.
     """
     entry = f"bank_{fingerprint(bench.experiment, f'{bench.predictor.element} {SCHEMA}')}"
     base, bank = _read(entry) if keep else (None, {})

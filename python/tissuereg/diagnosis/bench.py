@@ -36,16 +36,8 @@ _Out = TypeVar("_Out")
 class Bench:
     """The believed model: prediction, sensitivities, and changes by effects.
 
-    Parameters
-    ----------
-    experiment : Experiment
-        The believed model, with loads and marker places.
-    layout : SignalLayout
-        Order of all columns.
-    element : {"tet4", "tet4-averaged", "tet10"}
-        Elements to use.
-    threads : int
-        Threads to use; 0 takes all cores.
+    `experiment`: the believed model, with loads and marker places; `layout`: order of all columns; `element` {"tet4",
+    "tet4-averaged", "tet10"}: elements to use; `threads`: threads to use; 0 takes all cores.
     """
 
     def __init__(

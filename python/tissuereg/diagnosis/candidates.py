@@ -32,16 +32,8 @@ FURTHER, LEAST_FURTHER = 1.5, 18.0
 class Candidate:
     """A cause that was fitted together with those found before.
 
-    Attributes
-    ----------
-    id : str
-        Of the cause.
-    fit : Fit
-        Of this cause and those found before.
-    gain : float
-        Log Bayes factor against the model without it, nats.
-    target : FitTarget
-        Target of the fit; for likely candidates with the discretisation error of the causes corrected.
+    `id`: of the cause; `fit`: of this cause and those found before; `gain`: log Bayes factor against the model without
+    it, nats; `target`: target of the fit; for likely candidates with the discretisation error of the causes corrected.
     """
 
     id: str
@@ -64,25 +56,10 @@ def refitted(
 ) -> list[Candidate]:
     """Return the fitted candidates; those near enough to acceptance have their discretisation error corrected.
 
-    Parameters
-    ----------
-    target : FitTarget
-        Data, believed model, noise and nuisances.
-    screen : Screen
-        All hypotheses of the bank.
-    screened : mapping of str to Screened
-        Linear evidence of all causes given the current fit.
-    current : Fit
-        With the causes found before.
-    required : mapping of str to float
-        Log Bayes factor that each cause must exceed, nats.
-    progress : callable of str, optional
-        Called with the name of the step that begins.
-
-    Returns
-    -------
-    list of Candidate
-        Likeliest first.
+    `target`: data, believed model, noise and nuisances; `screen`: all hypotheses of the bank; `screened`: linear
+    evidence of all causes given the current fit; `current`: with the causes found before; `required`: log Bayes factor
+    that each cause must exceed, nats; `progress`: called with the name of the step that begins. Result: likeliest
+    first.
     """
     taken = set(current.ids)
     order = sorted(
@@ -123,17 +100,7 @@ def refitted(
 def required_thresholds(thresholds: Mapping[str, float], found: Iterable[str] = ()) -> dict[str, float]:
     """Return the log Bayes factor that each cause must exceed, given the causes found before.
 
-    Parameters
-    ----------
-    thresholds : mapping of str to float
-        Thresholds of first causes, by id.
-    found : iterable of str
-        Ids of the causes found before.
-
-    Returns
-    -------
-    dict of str to float
-        Nats.
+    `thresholds`: thresholds of first causes, by id; `found`: ids of the causes found before. Result: nats.
     """
     if all(issubclass(EFFECTS[name], ChainEffect) for name in found):
         return dict(thresholds)

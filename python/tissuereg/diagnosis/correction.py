@@ -11,23 +11,17 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.signals import SignalLayout
-from tissuereg.simulation.fine.forces import force_maps, mapped
+from tissuereg.simulation.fine.reading import force_maps, mapped
 
 
 @dataclass(frozen=True, eq=False)
 class OfEffect:
     """The discretisation error of one effect, for predictions that have more or less of the effect.
 
-    Attributes
-    ----------
-    base : ndarray of float64, shape (size,)
-        Prediction of the believed model on the user's mesh, mm and mN.
-    change : ndarray of float64, shape (size,)
-        Change that the effect makes there.
-    along : ndarray of float64, shape (size,)
-        Its scalar product with a change is the amount of the effect in it: 0 for the believed model, 1 for the effect.
-    difference : ndarray of float64, shape (size,)
-        Fine minus corrected prediction with the effect, at the believed modulus, mm and mN.
+    `base` (size,): prediction of the believed model on the user's mesh, mm and mN; `change` (size,): change that the
+    effect makes there; `along` (size,): its scalar product with a change is the amount of the effect in it: 0 for the
+    believed model, 1 for the effect; `difference` (size,): fine minus corrected prediction with the effect, at the
+    believed modulus, mm and mN.
     """
 
     base: FloatArray
@@ -53,20 +47,10 @@ class Correction:
     """The correction from the user's mesh to a finer one: a difference for markers, a linear map per frame for forces.
 
     Forces need a map because their error is proportional to modulus and memory; the error of the markers depends on the
-    motion alone.
-
-    Attributes
-    ----------
-    layout : SignalLayout
-        Order of the data.
-    maps : mapping of str to ndarray of float64, shape (n_frames, n_pads, 3, 3)
-        Maps of forces by case; forces of other cases are unchanged.
-    difference : ndarray of float64, shape (size,), or 0
-        Fine minus mapped prediction, mm and mN.
-    modulus : float
-        Modulus over the believed one at which derivatives are taken; forces are proportional to it.
-    of_effect : OfEffect, optional
-        Correction of a fitted effect.
+    motion alone. `layout`: order of the data; `maps` (n_frames, n_pads, 3, 3): maps of forces by case; forces of other
+    cases are unchanged; `difference` (size,): fine minus mapped prediction, mm and mN; `modulus`: modulus over the
+    believed one at which derivatives are taken; forces are proportional to it; `of_effect`: correction of a fitted
+    effect.
     """
 
     layout: SignalLayout
@@ -92,19 +76,9 @@ class Correction:
     def with_effect(self, base: FloatArray, coarse: FloatArray, fine: FloatArray, std: FloatArray) -> "Correction":
         """Return a correction that is exact for the believed model and for the model with an effect.
 
-        Parameters
-        ----------
-        base, coarse : ndarray of float64, shape (size,)
-            The user's mesh without and with the effect, at the believed modulus.
-        fine : ndarray of float64, shape (size,)
-            The fine mesh with it.
-        std : ndarray of float64, shape (size,)
-            Noise, by which the amount of the effect in a prediction is weighted.
-
-        Returns
-        -------
-        Correction
-            Itself where the effect changes nothing.
+        `base`, `coarse` (size,): the user's mesh without and with the effect, at the believed modulus; `fine` (size,):
+        the fine mesh with it; `std` (size,): noise, by which the amount of the effect in a prediction is weighted.
+        Result: itself where the effect changes nothing.
         """
         change = coarse - base
         weighed = change / std**2
@@ -128,17 +102,8 @@ class Correction:
 def make_correction(layout: SignalLayout, coarse: FloatArray, fine: FloatArray) -> Correction:
     """Return the correction that maps one prediction exactly to another.
 
-    Parameters
-    ----------
-    layout : SignalLayout
-        Order of both.
-    coarse, fine : ndarray of float64, shape (size,)
-        Predictions of the believed model on two meshes.
-
-    Returns
-    -------
-    Correction
-        With one map for each frame and pad.
+    `layout`: order of both; `coarse`, `fine` (size,): predictions of the believed model on two meshes. Result: with one
+    map for each frame and pad.
     """
     maps = {}
     for part in layout.parts:

@@ -8,9 +8,9 @@ import numpy as np
 from tissuereg.diagnosis.answer import Finding
 from tissuereg.diagnosis.candidates import required_thresholds
 from tissuereg.diagnosis.causes import CAUSES
+from tissuereg.diagnosis.evidence import LOOK_ALIKE, TEMPER, probabilities
 from tissuereg.diagnosis.fit import FitTarget
 from tissuereg.diagnosis.modulus import modulus_finding
-from tissuereg.diagnosis.probability import LOOK_ALIKE, TEMPER, probabilities
 from tissuereg.diagnosis.proof import GENERIC, NAMED, held_out_figures
 from tissuereg.diagnosis.screen import UNKNOWN, Screen
 from tissuereg.diagnosis.search import SEPARABLE, Search, Step
@@ -26,21 +26,8 @@ AS_LIKELY = 0.1
 def findings_of(target: FitTarget, screen: Screen, found: Search, thresholds: Mapping[str, float]) -> list[Finding]:
     """Return the findings of a search, the modulus among them where it lies beyond its prior.
 
-    Parameters
-    ----------
-    target : FitTarget
-        Target of the first fit.
-    screen : Screen
-        All hypotheses and the generic rival.
-    found : Search
-        All rounds.
-    thresholds : mapping of str to float
-        Threshold of every cause, nats.
-
-    Returns
-    -------
-    list of Finding
-        Without errors at inner targets.
+    `target`: target of the first fit; `screen`: all hypotheses and the generic rival; `found`: all rounds;
+    `thresholds`: threshold of every cause, nats. Result: without errors at inner targets.
     """
     findings = []
     young = target.bench.young
@@ -76,19 +63,8 @@ def findings_of(target: FitTarget, screen: Screen, found: Search, thresholds: Ma
 def group_of(step: Step, threshold: float, named: Collection[str] = ()) -> tuple[str, ...]:
     """Return the cause that a step found, and those that the data cannot distinguish from it, likeliest first.
 
-    Parameters
-    ----------
-    step : Step
-        With a cause found.
-    threshold : float
-        Threshold of that cause, nats.
-    named : collection of str
-        Ids that are findings themselves and join no group.
-
-    Returns
-    -------
-    tuple of str
-        `MOST_IN_GROUP` ids at most.
+    `step`: with a cause found; `threshold`: threshold of that cause, nats; `named`: ids that are findings themselves
+    and join no group. Result: `MOST_IN_GROUP` ids at most.
     """
     top = step.found
     assert top is not None  # required above
@@ -101,17 +77,7 @@ def group_of(step: Step, threshold: float, named: Collection[str] = ()) -> tuple
 def candidates_of(screen: Screen, first: Step) -> tuple[dict[str, Any], ...]:
     """Return every id that was tried in the first step, likeliest first, as `Diagnosis.candidates` has them.
 
-    Parameters
-    ----------
-    screen : Screen
-        All hypotheses.
-    first : Step
-        First round of the search.
-
-    Returns
-    -------
-    tuple of dict
-        One for each id.
+    `screen`: all hypotheses; `first`: first round of the search. Result: one for each id.
     """
     chances, gains = _chances(first), _gains(first)
     rows: list[dict[str, Any]] = []

@@ -47,16 +47,8 @@ ABSOLUTE = tuple(cause.id for cause in CAUSES.values() if cause.absolute)
 class FitTarget:
     """What fits have in common: the believed model, its correction, noise and nuisances.
 
-    Attributes
-    ----------
-    bench : Bench
-        The believed model.
-    noise : Noise
-        Measurement noise.
-    correction : Correction
-        Correction of the discretisation error.
-    null : Null
-        Null covariance of all nuisances but the modulus, which is fitted.
+    `bench`: the believed model; `noise`: measurement noise; `correction`: correction of the discretisation error;
+    `null`: null covariance of all nuisances but the modulus, which is fitted.
     """
 
     bench: Bench
@@ -172,24 +164,11 @@ def fit(
 ) -> Fit | None:
     """Return the fit of a model with causes.
 
-    Parameters
-    ----------
-    target : FitTarget
-        Data, believed model, noise and nuisances.
-    parts : sequence of FittedCause
-        Causes with their parameters; empty for the believed model.
-    start : ndarray of float64, shape (k,), optional
-        First guess; that of the parts' own parameters where absent.
-    choices : int
-        Number of discrete hypotheses among which these were chosen; its logarithm is subtracted from the evidence.
-    hopeless : float
-        Objective above which a fit is of no use. A fit that is not expected to come below it ends early, with an
-        approximate Jacobian.
-
-    Returns
-    -------
-    Fit or None
-        None where there is no equilibrium at the start.
+    `target`: data, believed model, noise and nuisances; `parts`: causes with their parameters; empty for the believed
+    model; `start` (k,): first guess; that of the parts' own parameters where absent; `choices`: number of discrete
+    hypotheses among which these were chosen; its logarithm is subtracted from the evidence; `hopeless`: objective above
+    which a fit is of no use. A fit that is not expected to come below it ends early, with an approximate Jacobian.
+    Result: None where there is no equilibrium at the start.
     """
     solver = _FitSolver(target, tuple(parts))
     x = solver.start if start is None else start.copy()
@@ -256,19 +235,9 @@ def fit(
 def best_start(target: FitTarget, parts: Sequence[FittedCause], before: FloatArray) -> FloatArray:
     """Return the first guess of the fit of a further cause: of its starts that with the smallest objective.
 
-    Parameters
-    ----------
-    target : FitTarget
-        Data, believed model, noise and nuisances.
-    parts : sequence of FittedCause
-        All causes, the further one last.
-    before : ndarray of float64, shape (k,)
-        Parameters of the fit without it.
-
-    Returns
-    -------
-    ndarray of float64, shape (k + n_knobs,)
-        With the cause's first start where it has no others or none of them has an equilibrium.
+    `target`: data, believed model, noise and nuisances; `parts`: all causes, the further one last; `before` (k,):
+    parameters of the fit without it. Result: (k + n_knobs,), with the cause's first start where it has no others or
+    none of them has an equilibrium.
     """
     knobs = parts[-1].knobs
     first = np.concatenate([before, knobs.start])
@@ -302,24 +271,9 @@ def slices_of(parts: Sequence[FittedCause]) -> list[slice]:
 def at_believed_modulus(target: FitTarget, found: Fit) -> tuple[tuple[Effect, ...], FloatArray]:
     """Return the effects of a fit, and their prediction on the user's mesh, at the believed modulus.
 
-    Parameters
-    ----------
-    target : FitTarget
-        Data, believed model, noise and nuisances.
-    found : Fit
-        With causes.
-
-    Returns
-    -------
-    tuple of tuple of Effect and ndarray of float64, shape (size,)
-        The latter in mm and mN.
-
-    Raises
-    ------
-    ConvergenceError
-        If a frame has no equilibrium.
-    ExperimentError, MaterialError, SupportError
-        If an effect does not apply to the experiment.
+    `target`: data, believed model, noise and nuisances; `found`: with causes. Result: (size,), the latter in mm and mN.
+    Raises `ConvergenceError` if a frame has no equilibrium; `ExperimentError`, `MaterialError` or `SupportError` if an
+    effect does not apply to the experiment.
     """
     x = found.x.copy()
     x[0] = 0.0

@@ -23,17 +23,8 @@ JAM = 0.5
 def generic_columns(bench: Bench, marker_std: float) -> FloatArray:
     """Return the rival's columns for every size.
 
-    Parameters
-    ----------
-    bench : Bench
-        The believed model.
-    marker_std : float
-        Typical noise of a coordinate, mm.
-
-    Returns
-    -------
-    ndarray of float64, shape (n_sizes, p, size)
-        For one prior standard deviation, mm and mN.
+    `bench`: the believed model; `marker_std`: typical noise of a coordinate, mm. Result: (n_sizes, p, size), for one
+    prior standard deviation, mm and mN.
     """
     layout = bench.layout
     patterns = smooth_patterns(layout.reference, bench.extent)
@@ -66,17 +57,7 @@ def generic_columns(bench: Bench, marker_std: float) -> FloatArray:
 def histories(part: CasePart, base: FloatArray) -> list[FloatArray]:
     """Return the histories of a generic change in a case: load, load squared, fading memory, clock, constant.
 
-    Parameters
-    ----------
-    part : CasePart
-        The case.
-    base : ndarray of float64, shape (size,)
-        Prediction of the believed model.
-
-    Returns
-    -------
-    list of ndarray of float64, shapes (n_frames,)
-        Of about unit size.
+    `base` (size,): prediction of the believed model. Result: of about unit size.
     """
     load = load_history(part, base)
     span = float(part.times[-1] - part.times[0]) if part.n_frames > 1 else 1.0

@@ -15,7 +15,7 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray, IntArray
 from tissuereg.diagnosis.bench import Bench
-from tissuereg.diagnosis.residual import largest_residuals, worst_frame
+from tissuereg.diagnosis.discrepancy import largest_residuals, worst_frame
 from tissuereg.diagnosis.screen import UNKNOWN
 from tissuereg.diagnosis.signals import SignalLayout
 
@@ -33,14 +33,8 @@ _NEAR = 0.5
 class RigComponent:
     """A component of the rig or of the model that can be checked.
 
-    Attributes
-    ----------
-    kind : str
-        ``marker``, ``pad``, ``support``, ``case`` or ``body``.
-    name : str
-        As in the experiment; for the body its elements.
-    proximity : ndarray of float64, shape (size,)
-        Weight of every measured number, 0 to 1.
+    `kind`: ``marker``, ``pad``, ``support``, ``case`` or ``body``; `name`: as in the experiment; for the body its
+    elements; `proximity` (size,): weight of every measured number, 0 to 1.
     """
 
     kind: str
@@ -64,21 +58,10 @@ _ACTIONS = {
 def next_check(bench: Bench, residual: FloatArray, nearest: str = UNKNOWN) -> dict[str, Any]:
     """Return the component to check next.
 
-    Parameters
-    ----------
-    bench : Bench
-        The believed model.
-    residual : ndarray of float64, shape (size,)
-        Unexplained residual, whitened and reduced.
-    nearest : str
-        The cause that it resembles most, ``"unknown"`` for none.
-
-    Returns
-    -------
-    dict
-        ``action`` in words, ``separates`` (empty) and ``separability`` (None) as in `advise`, and ``check``: the
-        component's ``kind`` and ``name``, the ``share`` of the misfit near it, ``where`` (markers and pads, the worst
-        first), ``case`` and ``time_s``.
+    `bench`: the believed model; `residual` (size,): unexplained residual, whitened and reduced; `nearest`: the cause
+    that it resembles most, ``"unknown"`` for none. Result: ``action`` in words, ``separates`` (empty) and
+    ``separability`` (None) as in `advise`, and ``check``: the component's ``kind`` and ``name``, the ``share`` of the
+    misfit near it, ``where`` (markers and pads, the worst first), ``case`` and ``time_s``.
     """
     layout = bench.layout
     components = list(components_of(bench))

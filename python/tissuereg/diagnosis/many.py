@@ -9,8 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from tissuereg._base.arguments import called, check_running, flag, found, of_kind, place
-from tissuereg._base.choice import check_choice
+from tissuereg._base.arguments import called, check_choice, check_running, flag, found, of_kind, place
 from tissuereg._base.machine import machine, versions
 from tissuereg._version import __version__
 from tissuereg.diagnosis import diagnose

@@ -30,13 +30,9 @@ _LEAST = 1e-6
 class Misfit:
     """Result of the misfit test.
 
-    Attributes
-    ----------
-    p : float
-        p-value: probability that effect-free data misfit as much.
-    explained, explained_there : float
-        Share of the believed model's misfit (statistic minus its mean over null draws) that the judged model removes:
-        in the sum of all squares, and in the statistic that is largest for the judged model.
+    `p`: p-value: probability that effect-free data misfit as much; `explained`, `explained_there`: share of the
+    believed model's misfit (statistic minus its mean over null draws) that the judged model removes: in the sum of all
+    squares, and in the statistic that is largest for the judged model.
     """
 
     p: float
@@ -47,12 +43,7 @@ class Misfit:
 class Battery:
     """The statistics of the misfit test, each a sum of squares of residuals or the largest of several such sums.
 
-    Parameters
-    ----------
-    layout : SignalLayout
-        Order of the data.
-    subspaces : sequence of ndarray of float64, shapes (k, size)
-        Orthonormal rows; see `smooth_subspaces`.
+    `layout`: order of the data; `subspaces`: orthonormal rows; see `smooth_subspaces`.
     """
 
     def __init__(self, layout: SignalLayout, subspaces: Sequence[FloatArray]) -> None:
@@ -62,18 +53,10 @@ class Battery:
     def judge(self, before: FloatArray, after: FloatArray, nulls: FloatArray) -> Misfit:
         """Return the misfit test of a model's residual.
 
-        Parameters
-        ----------
-        before, after : ndarray of float64, shape (size,)
-            Reduced residuals (`Null.reduced`) of the believed model and of the model that is judged.
-        nulls : ndarray of float64, shape (n, size)
-            Reduced residuals of null draws.
-
-        Returns
-        -------
-        Misfit
-            The p-value of the largest standardised statistic: its rank among the null draws, and the tail of a Gumbel
-            distribution fitted to them by moments where it exceeds all draws.
+        `before`, `after` (size,): reduced residuals (`Null.reduced`) of the believed model and of the model that is
+        judged; `nulls` (n, size): reduced residuals of null draws. Result: the p-value of the largest standardised
+        statistic: its rank among the null draws, and the tail of a Gumbel distribution fitted to them by moments where
+        it exceeds all draws.
         """
         sums, drawn = self.sums(np.stack([before, after])), self.sums(nulls)
         logs = np.log(drawn)
@@ -115,21 +98,8 @@ class Battery:
 def smooth_subspaces(layout: SignalLayout, base: FloatArray, extent: float, noise: Noise) -> list[FloatArray]:
     """Return the subspaces of smooth changes: per case, one for each time history and one for all of them together.
 
-    Parameters
-    ----------
-    layout : SignalLayout
-        Order of the data.
-    base : ndarray of float64, shape (size,)
-        Prediction of the believed model, mm and mN.
-    extent : float
-        Extent of the body, mm.
-    noise : Noise
-        Measurement noise.
-
-    Returns
-    -------
-    list of ndarray of float64, shapes (k, size)
-        Orthonormal rows over whitened data.
+    `layout`: order of the data; `base` (size,): prediction of the believed model, mm and mN; `extent`: extent of the
+    body, mm; `noise`: measurement noise. Result: orthonormal rows over whitened data.
     """
     patterns = smooth_patterns(layout.reference, extent)[:SMOOTH]
     found = []

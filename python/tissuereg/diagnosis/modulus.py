@@ -13,8 +13,8 @@ import numpy as np
 from tissuereg.diagnosis.answer import Finding
 from tissuereg.diagnosis.bench import Bench
 from tissuereg.diagnosis.causes import CAUSES
+from tissuereg.diagnosis.evidence import LOOK_ALIKE, TEMPER
 from tissuereg.diagnosis.fit import FitTarget, fit
-from tissuereg.diagnosis.probability import LOOK_ALIKE, TEMPER
 from tissuereg.diagnosis.proof import (
     BEFORE,
     GENERIC,
@@ -39,21 +39,11 @@ _PINNED = 1e-9
 def modulus_finding(target: FitTarget, screen: Screen, found: Search) -> Finding | None:
     """Return the modulus as a finding where it lies beyond its prior, the data determine it, and it is proved.
 
-    Parameters
-    ----------
-    target : FitTarget
-        Target of the first fit.
-    screen : Screen
-        With the generic rival.
-    found : Search
-        With the causes found; the modulus is the first parameter of their fit.
-
-    Returns
-    -------
-    Finding or None
-        The log Bayes factor compares a free modulus with its log-normal prior: half the square of the distance in prior
-        deviations, which is the same for half and for twice the believed modulus. The held-out proof compares with the
-        model whose modulus is fixed at the believed value. Also None where that model has no equilibrium.
+    `target`: target of the first fit; `screen`: with the generic rival; `found`: with the causes found; the modulus is
+    the first parameter of their fit. Result: the log Bayes factor compares a free modulus with its log-normal prior:
+    half the square of the distance in prior deviations, which is the same for half and for twice the believed modulus.
+    The held-out proof compares with the model whose modulus is fixed at the believed value. Also None where that model
+    has no equilibrium.
     """
     target = found.target or target
     final, bench = found.final, target.bench

@@ -56,17 +56,8 @@ class Noise:
     def whitened(self, flat: FloatArray, layout: SignalLayout) -> FloatArray:
         """Return whitened vectors; entries that were not measured become zero.
 
-        Parameters
-        ----------
-        flat : ndarray of float64, shape (..., size)
-            Residuals or columns, mm and mN.
-        layout : SignalLayout
-            Their order.
-
-        Returns
-        -------
-        ndarray of float64, shape (..., size)
-            Dimensionless. The map is linear.
+        `flat` (..., size): residuals or columns, mm and mN; `layout`: their order. Result: (..., size), dimensionless.
+        The map is linear.
         """
         white = np.zeros_like(flat)
         for part in layout.parts:
@@ -108,22 +99,9 @@ class Noise:
 def estimate_noise(experiment: Experiment, layout: SignalLayout) -> Noise:
     """Return the noise estimated from rest frames and holds, or the stated one where they do not contradict it.
 
-    Parameters
-    ----------
-    experiment : Experiment
-        With the stated standard deviations, and optionally a rest case.
-    layout : SignalLayout
-        Its measured numbers.
-
-    Returns
-    -------
-    Noise
-        The stated standard deviations, white in time, where there are no rest frames.
-
-    Raises
-    ------
-    NoiseError
-        If forces were measured and their standard deviation is not stated.
+    `experiment`: with the stated standard deviations, and optionally a rest case; `layout`: its measured numbers.
+    Result: the stated standard deviations, white in time, where there are no rest frames. Raises `NoiseError` if forces
+    were measured and their standard deviation is not stated.
     """
     n_markers = len(experiment.marker_names)
     stated = np.full(n_markers, experiment.marker_std)

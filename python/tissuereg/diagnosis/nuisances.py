@@ -13,7 +13,7 @@ from tissuereg._base.arrays import BoolArray, FloatArray
 from tissuereg.diagnosis.bench import Bench
 from tissuereg.diagnosis.correction import Correction
 from tissuereg.diagnosis.patterns import force_columns, load_history, marker_columns, smooth_patterns
-from tissuereg.diagnosis.shape_columns import shape_columns
+from tissuereg.diagnosis.shape import shape_columns
 from tissuereg.diagnosis.signals import SignalLayout
 from tissuereg.experiment.effects.base import rotation_from_vector
 
@@ -48,12 +48,8 @@ _LEAST_FORM = 1e-6
 class Nuisances:
     """Nuisance parameters with their columns.
 
-    Attributes
-    ----------
-    names : tuple of str
-        One for each column.
-    columns : ndarray of float64, shape (n, size)
-        Change by one prior standard deviation, mm and mN, on the fine mesh at the believed modulus.
+    `names`: one for each column; `columns` (n, size): change by one prior standard deviation, mm and mN, on the fine
+    mesh at the believed modulus.
     """
 
     names: tuple[str, ...]
@@ -67,22 +63,12 @@ class Nuisances:
 def make_nuisances(bench: Bench, mesh_errors: FloatArray, correction: Correction) -> Nuisances:
     """Return the nuisances of an experiment.
 
-    Parameters
-    ----------
-    bench : Bench
-        The believed model.
-    mesh_errors : ndarray of float64, shape (n_meshes, size)
-        Predictions on further fine meshes minus those on the correcting one, mm and mN.
-    correction : Correction
-        Correction of the discretisation error, at the believed modulus.
-
-    Returns
-    -------
-    Nuisances
-        Modulus, six of the tracker's frame, three of its drift, the shape of the body and of its patches (`shape`); for
-        the remaining discretisation error, which is proportional to the load, smooth patterns over the markers and the
-        three components of every force in each case, of the size by which fine meshes differ; where ``trial_share`` is
-        stated, the difference between trials of one case.
+    `bench`: the believed model; `mesh_errors` (n_meshes, size): predictions on further fine meshes minus those on the
+    correcting one, mm and mN; `correction`: correction of the discretisation error, at the believed modulus. Result:
+    modulus, six of the tracker's frame, three of its drift, the shape of the body and of its patches (`shape`); for the
+    remaining discretisation error, which is proportional to the load, smooth patterns over the markers and the three
+    components of every force in each case, of the size by which fine meshes differ; where ``trial_share`` is stated,
+    the difference between trials of one case.
     """
     layout = bench.layout
     names, columns = ["stiffness"], [bench.young_spread * bench.by_young[0]]
@@ -129,12 +115,7 @@ def make_nuisances(bench: Bench, mesh_errors: FloatArray, correction: Correction
 def frame_columns(layout: SignalLayout, base: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:
     """Yield, axis by axis, the columns of a shift and of a rotation of the tracker's frame, each (size,), in mm.
 
-    Parameters
-    ----------
-    layout : SignalLayout
-        Order of the columns.
-    base : ndarray of float64, shape (size,)
-        Displacements of the markers, mm.
+    `layout`: order of the columns; `base` (size,): displacements of the markers, mm.
     """
     middle = layout.reference.mean(axis=0)
     for axis in range(3):
@@ -171,18 +152,9 @@ def _shapes(bench: Bench, correction: Correction) -> Iterator[tuple[str, FloatAr
 def effect_nuisances(bench: Bench, change: FloatArray) -> FloatArray:
     """Return nuisances for the model error of the causes found, whose laws are only approximately the body's own.
 
-    Parameters
-    ----------
-    bench : Bench
-        The believed model.
-    change : ndarray of float64, shape (size,)
-        Change that the causes found so far make, mm and mN.
-
-    Returns
-    -------
-    ndarray of float64, shape (n, size)
-        In every case the change itself, smooth patterns over the markers and the components of every force, by one
-        prior standard deviation.
+    `bench`: the believed model; `change` (size,): change that the causes found so far make, mm and mN. Result: (n,
+    size), in every case the change itself, smooth patterns over the markers and the components of every force, by one
+    prior standard deviation.
     """
     layout = bench.layout
     patterns = smooth_patterns(layout.reference, bench.extent)
@@ -202,21 +174,11 @@ def effect_nuisances(bench: Bench, change: FloatArray) -> FloatArray:
 def other_forms(hypotheses: FloatArray, change: FloatArray) -> FloatArray:
     """Return nuisances for the form of a found cause: another place, onset, history or exponent than fitted.
 
-    Without them the difference between the fitted and the true form would be taken for a further cause.
-
-    Parameters
-    ----------
-    hypotheses : ndarray of float64, shape (n_variants, p, size)
-        Whitened columns of all hypotheses of the cause.
-    change : ndarray of float64, shape (size,)
-        Fitted change, whitened.
-
-    Returns
-    -------
-    ndarray of float64, shape (n, size)
-        Orthogonal to the change, by one prior standard deviation: each hypothesis that reproduces the share `ALIKE` of
-        the change is fitted to it and scaled to its norm, and its part orthogonal to the change is kept; all together
-        have the size `FORM_ERROR`.
+    Without them the difference between the fitted and the true form would be taken for a further cause. `hypotheses`
+    (n_variants, p, size): whitened columns of all hypotheses of the cause; `change` (size,): fitted change, whitened.
+    Result: (n, size), orthogonal to the change, by one prior standard deviation: each hypothesis that reproduces the
+    share `ALIKE` of the change is fitted to it and scaled to its norm, and its part orthogonal to the change is kept;
+    all together have the size `FORM_ERROR`.
     """
     power, found = float(change @ change), []
     for columns in hypotheses:

@@ -39,12 +39,8 @@ MESH_SPREAD = 1.3
 class Nulls:
     """Reduced residuals of effect-free data.
 
-    Attributes
-    ----------
-    residuals : ndarray of float64, shape (n, size)
-        Whitened and reduced.
-    thresholds : mapping of str to float
-        Log Bayes factor that each cause must exceed, nats. Higher for causes that resemble a discretisation error.
+    `residuals` (n, size): whitened and reduced; `thresholds`: log Bayes factor that each cause must exceed, nats.
+    Higher for causes that resemble a discretisation error.
     """
 
     residuals: FloatArray
@@ -56,25 +52,9 @@ def draw_nulls(
 ) -> Nulls:
     """Return null draws and the thresholds that follow.
 
-    Parameters
-    ----------
-    screen : Screen
-        All hypotheses.
-    null : Null
-        Nuisances.
-    noise : Noise
-        Measurement noise.
-    layout : SignalLayout
-        Order of the data.
-    mesh_errors : sequence of ndarray of float64, shape (size,)
-        Predictions on further fine meshes minus those on the correcting one, mm and mN.
-    seed : int
-        Seed of the draws.
-
-    Returns
-    -------
-    Nulls
-        `DRAWS` residuals, and thresholds.
+    `screen`: all hypotheses; `null`: nuisances; `noise`: measurement noise; `layout`: order of the data; `mesh_errors`
+    (size,): predictions on further fine meshes minus those on the correcting one, mm and mN; `seed`: seed of the draws.
+    Result: `DRAWS` residuals, and thresholds.
     """
     generator = np.random.default_rng([seed, 5])
     white = [noise.whitened(error, layout) for error in mesh_errors]

@@ -15,17 +15,8 @@ LENGTH = 0.35
 def smooth_patterns(places: FloatArray, extent: float) -> FloatArray:
     """Return the leading eigenvectors of a Gaussian process of unit variance over places.
 
-    Parameters
-    ----------
-    places : ndarray of float64, shape (n, 3)
-        mm.
-    extent : float
-        Extent of the body, mm.
-
-    Returns
-    -------
-    ndarray of float64, shape (n_patterns, n)
-        Scaled by the roots of their eigenvalues, so that their squares sum to nearly 1 at every place.
+    `places` (n, 3): mm; `extent`: extent of the body, mm. Result: (n_patterns, n), scaled by the roots of their
+    eigenvalues, so that their squares sum to nearly 1 at every place.
     """
     distance = np.linalg.norm(places[:, None] - places[None], axis=2)
     values, vectors = np.linalg.eigh(np.exp(-0.5 * (distance / (LENGTH * extent)) ** 2))
@@ -42,21 +33,9 @@ def load_history(part: CasePart, base: FloatArray) -> FloatArray:
 def marker_columns(layout: SignalLayout, part: CasePart, history: FloatArray, patterns: FloatArray) -> FloatArray:
     """Return columns in which the markers of one case move along one axis, by a pattern times a history.
 
-    Parameters
-    ----------
-    layout : SignalLayout
-        Order of the columns.
-    part : CasePart
-        The case; all others are zero.
-    history : ndarray of float64, shape (n_frames,) or (n_frames, n_markers)
-        For all markers, or for each, mm.
-    patterns : ndarray of float64, shape (n_patterns, n_markers)
-        Over the markers.
-
-    Returns
-    -------
-    ndarray of float64, shape (3, n_patterns, size)
-        Axes first.
+    `layout`: order of the columns; `part`: the case; all others are zero; `history` (n_frames,) for all markers, or
+    (n_frames, n_markers) for each, mm; `patterns` (n_patterns, n_markers): over the markers. Result: (3, n_patterns,
+    size), axes first.
     """
     columns = np.zeros((3, len(patterns), layout.size))
     for axis in range(3):
@@ -67,21 +46,8 @@ def marker_columns(layout: SignalLayout, part: CasePart, history: FloatArray, pa
 def force_columns(layout: SignalLayout, part: CasePart, pad: int, history: FloatArray) -> FloatArray:
     """Return columns in which one component of a pad's force follows a history.
 
-    Parameters
-    ----------
-    layout : SignalLayout
-        Order of the columns.
-    part : CasePart
-        The case; all others are zero.
-    pad : int
-        Its number in `CasePart.pads`.
-    history : ndarray of float64, shape (n_frames,)
-        mN.
-
-    Returns
-    -------
-    ndarray of float64, shape (3, size)
-        One for each component.
+    `layout`: order of the columns; `part`: the case; all others are zero; `pad`: its number in `CasePart.pads`;
+    `history` (n_frames,): mN. Result: (3, size), one for each component.
     """
     columns = np.zeros((3, layout.size))
     for axis in range(3):

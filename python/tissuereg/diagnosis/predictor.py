@@ -39,16 +39,8 @@ class Solved:
 class Predictor:
     """The believed model of an experiment, solved with varying further effects.
 
-    Parameters
-    ----------
-    experiment : Experiment
-        The believed model, with its own effects.
-    layout : SignalLayout
-        Order of the predictions.
-    element : {"tet4", "tet4-averaged", "tet10"}
-        Elements to use.
-    threads : int
-        Threads to use; 0 takes all cores.
+    `experiment`: the believed model, with its own effects; `layout`: order of the predictions; `element` {"tet4",
+    "tet4-averaged", "tet10"}: elements to use; `threads`: threads to use; 0 takes all cores.
     """
 
     def __init__(
@@ -73,28 +65,11 @@ class Predictor:
     ) -> FloatArray:
         """Return the prediction with further effects.
 
-        Parameters
-        ----------
-        effects : sequence of Effect
-            In addition to those of the experiment.
-        young : float, optional
-            Factor on the believed modulus.
-        threads : int, optional
-            Threads to use; the predictor's own number where absent.
-        near : Solved, optional
-            A similar model, from which frames that are solved one after another start; the believed one where absent.
-
-        Returns
-        -------
-        ndarray of float64, shape (size,)
-            As `SignalLayout.measured`, everywhere finite.
-
-        Raises
-        ------
-        ConvergenceError
-            If a frame has no equilibrium.
-        ExperimentError
-            If an effect does not apply to the experiment.
+        `effects`: in addition to those of the experiment; `young`: factor on the believed modulus; `threads`: threads
+        to use; the predictor's own number where absent; `near`: a similar model, from which frames that are solved one
+        after another start; the believed one where absent. Result: (size,), as `SignalLayout.measured`, everywhere
+        finite. Raises `ConvergenceError` if a frame has no equilibrium; `ExperimentError` if an effect does not apply
+        to the experiment.
         """
         believed = replace(self.experiment, effects=(*self.experiment.effects, *effects))
         solved = self.solved(effects, young=young, threads=threads, near=near)
@@ -153,17 +128,8 @@ class Predictor:
 def refuse_failures(case: str, failed: Sequence[tuple[int, str]]) -> None:
     """Raise for a case with a frame that has no equilibrium.
 
-    Parameters
-    ----------
-    case : str
-        Its name.
-    failed : sequence of (int, str)
-        Frames without equilibrium, with the reason.
-
-    Raises
-    ------
-    ConvergenceError
-        If there is one; it names the first.
+    `failed`: frames without equilibrium, with the reason. Raises `ConvergenceError` if there is one; it names the
+    first.
     """
     if failed:
         frame, why = failed[0]

@@ -35,12 +35,8 @@ TIME_BLOCKS = 4
 class LinearModel:
     """A model linear in its parameters: residual = columns^T x + white noise, x ~ N(0, I).
 
-    Attributes
-    ----------
-    residual : ndarray of float64, shape (size,)
-        Measured minus predicted at x = 0, whitened.
-    columns : ndarray of float64, shape (p, size)
-        Whitened, times prior standard deviations.
+    `residual` (size,): measured minus predicted at x = 0, whitened; `columns` (p, size): whitened, times prior standard
+    deviations.
     """
 
     residual: FloatArray
@@ -51,14 +47,8 @@ class LinearModel:
 class HeldOut:
     """Predictions of blocks of data by models that were fitted without them.
 
-    Attributes
-    ----------
-    blocks : tuple of str
-        Names of the blocks.
-    log_density : ndarray of float64, shape (n_models, n_blocks)
-        Log predictive density of every block given all others.
-    residuals : ndarray of float64, shape (n_models, size)
-        Whitened residuals of the predictions, NaN outside all blocks.
+    `blocks`: names of the blocks; `log_density` (n_models, n_blocks): log predictive density of every block given all
+    others; `residuals` (n_models, size): whitened residuals of the predictions, NaN outside all blocks.
     """
 
     blocks: tuple[str, ...]
@@ -78,17 +68,8 @@ def linear_model(target: FitTarget, fit: Fit, extra: FloatArray | None = None) -
 def held_out(models: list[LinearModel], blocks: dict[str, BoolArray]) -> HeldOut:
     """Return the predictions of blocks, each from all other data.
 
-    Parameters
-    ----------
-    models : list of LinearModel
-        To be compared.
-    blocks : dict of str to ndarray of bool, shape (size,)
-        Entries that are held out together.
-
-    Returns
-    -------
-    HeldOut
-        Log densities without the constant that all models have in common.
+    `models`: to be compared; `blocks` bool (size,): entries that are held out together. Result: log densities without
+    the constant that all models have in common.
     """
     size = len(models[0].residual)
     density = np.zeros((len(models), len(blocks)))
@@ -114,18 +95,9 @@ def held_out(models: list[LinearModel], blocks: dict[str, BoolArray]) -> HeldOut
 def proof_blocks(layout: SignalLayout, slopes: FloatArray) -> dict[str, BoolArray]:
     """Return the blocks that are held out to prove a cause by its predictive density.
 
-    Parameters
-    ----------
-    layout : SignalLayout
-        Order of the data.
-    slopes : ndarray of float64, shape (k, size)
-        The cause's whitened sensitivity columns, times prior standard deviations.
-
-    Returns
-    -------
-    dict of str to ndarray of bool, shape (size,)
-        The load cases in which the cause shows and without which its parameters are still determined (`DETERMINED`);
-        if there is none, blocks of frames of the case that shows it most.
+    `layout`: order of the data; `slopes` (k, size): the cause's whitened sensitivity columns, times prior standard
+    deviations. Result: bool (size,), the load cases in which the cause shows and without which its parameters are still
+    determined (`DETERMINED`); if there is none, blocks of frames of the case that shows it most.
     """
 
     def determined(mask: BoolArray) -> bool:
@@ -137,20 +109,10 @@ def proof_blocks(layout: SignalLayout, slopes: FloatArray) -> dict[str, BoolArra
 def figure_blocks(layout: SignalLayout, slopes: FloatArray, change: FloatArray) -> dict[str, BoolArray]:
     """Return the blocks for which prediction errors with and without a cause are stated.
 
-    Parameters
-    ----------
-    layout : SignalLayout
-        Order of the data.
-    slopes : ndarray of float64, shape (k, size)
-        The cause's whitened sensitivity columns, times prior standard deviations.
-    change : ndarray of float64, shape (size,)
-        Whitened change that the cause makes.
-
-    Returns
-    -------
-    dict of str to ndarray of bool, shape (size,)
-        The load cases whose change the other data determine (`UNDETERMINED`); if there is none, blocks of frames of the
-        case with the largest change. Undetermined parameters do no harm where their columns vanish.
+    `layout`: order of the data; `slopes` (k, size): the cause's whitened sensitivity columns, times prior standard
+    deviations; `change` (size,): whitened change that the cause makes. Result: bool (size,), the load cases whose
+    change the other data determine (`UNDETERMINED`); if there is none, blocks of frames of the case with the largest
+    change. Undetermined parameters do no harm where their columns vanish.
     """
 
     def determined(mask: BoolArray) -> bool:
@@ -163,19 +125,8 @@ def figure_blocks(layout: SignalLayout, slopes: FloatArray, change: FloatArray) 
 def held_out_figures(layout: SignalLayout, noise: Noise, proof: HeldOut, figures: HeldOut) -> dict[str, object]:
     """Return the held-out errors of a finding: of markers in mm, and of markers and forces in noise deviations.
 
-    Parameters
-    ----------
-    layout : SignalLayout
-        Order of the data.
-    noise : Noise
-        Measurement noise.
-    proof, figures : HeldOut
-        On the blocks of `proof_blocks` and of `figure_blocks`; rows as this module names them.
-
-    Returns
-    -------
-    dict
-        ``held_out`` of the answer.
+    `layout`: order of the data; `noise`: measurement noise; `proof`, `figures`: on the blocks of `proof_blocks` and of
+    `figure_blocks`; rows as this module names them. Result: ``held_out`` of the answer.
     """
     markers = layout.of_markers() & layout.seen
     chi = [_rms(row[layout.seen & np.isfinite(row)]) for row in figures.residuals]

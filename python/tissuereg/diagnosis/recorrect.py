@@ -35,19 +35,8 @@ def corrected_fit(
 ) -> tuple[FitTarget, Fit]:
     """Return a target whose correction covers a fitted model, and the fit to it: correct and refit until they agree.
 
-    Parameters
-    ----------
-    target : FitTarget
-        Target of the fit.
-    found : Fit
-        With causes.
-    progress : callable of str, optional
-        Called before each fine solve.
-
-    Returns
-    -------
-    tuple of Target and Fit
-        The given ones where `recorrected` changes nothing.
+    `target`: target of the fit; `found`: with causes; `progress`: called before each fine solve. Result: the given ones
+    where `recorrected` changes nothing.
 
     Notes
     -----
@@ -92,20 +81,9 @@ def _uncorrected(target: FitTarget, found: Fit) -> float:
 def recorrected(target: FitTarget, found: Fit, *, progress: Callable[[str], None] | None = None) -> FitTarget:
     """Return a target whose correction covers the believed model and a fitted one.
 
-    Parameters
-    ----------
-    target : FitTarget
-        Target of the fit.
-    found : Fit
-        With causes.
-    progress : callable of str, optional
-        Called before the fine solve.
-
-    Returns
-    -------
-    FitTarget
-        The given one where the modulus does more than scale forces, where all causes are errors of the tracker or one
-        is memory, where the fine mesh has no equilibrium, and for data that were simulated on the user's mesh.
+    `target`: target of the fit; `found`: with causes; `progress`: called before the fine solve. Result: the given one
+    where the modulus does more than scale forces, where all causes are errors of the tracker or one is memory, where
+    the fine mesh has no equilibrium, and for data that were simulated on the user's mesh.
     """
     bench = target.bench
     if bench.is_exact or not bench.scales_forces or any(part.id in ABSOLUTE for part in found.parts):

@@ -34,22 +34,8 @@ MOST_ENTRIES = 500
 def flat_of(layout: SignalLayout, answers: dict[str, CaseSimulation]) -> FloatArray:
     """Return simulated cases as a flat vector.
 
-    Parameters
-    ----------
-    layout : SignalLayout
-        Order of the vector.
-    answers : dict of str to CaseSimulation
-        Simulation of every case.
-
-    Returns
-    -------
-    ndarray of float64, shape (size,)
-        mm and mN.
-
-    Raises
-    ------
-    ConvergenceError
-        If a frame has no equilibrium.
+    `layout`: order of the vector; `answers`: simulation of every case. Result: (size,), mm and mN. Raises
+    `ConvergenceError` if a frame has no equilibrium.
     """
     for name, answer in answers.items():
         refuse_failures(name, answer.failed)
@@ -69,26 +55,9 @@ def refined_predictions(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the predictions of the believed model on the correcting fine mesh and on further ones.
 
-    Parameters
-    ----------
-    bench : Bench
-        The believed model.
-    entry : str, optional
-        Name of the cached entry; see `entry_of`.
-    thirds : int
-        Number of further meshes.
-    progress : callable of str, optional
-        Called with the name of the step that begins.
-
-    Returns
-    -------
-    tuple of ndarray of float64, shapes (size,) and (thirds, size)
-        mm and mN.
-
-    Raises
-    ------
-    ConvergenceError
-        If a frame has no equilibrium.
+    `bench`: the believed model; `entry`: name of the cached entry; see `entry_of`; `thirds`: number of further meshes;
+    `progress`: called with the name of the step that begins. Result: mm and mN. Raises `ConvergenceError` if a frame
+    has no equilibrium.
     """
     kept = None if entry is None else _read(entry)
     if kept is not None and kept.shape == (1 + thirds, bench.layout.size):
@@ -109,24 +78,10 @@ def refined_predictions(
 def refined_effects(bench: Bench, effects: Sequence[Effect]) -> FloatArray | None:
     """Return the prediction of the believed model with further effects on the fine mesh.
 
-    Parameters
-    ----------
-    bench : Bench
-        The believed model.
-    effects : sequence of Effect
-        In addition to those of the experiment.
-
-    Returns
-    -------
-    ndarray of float64, shape (size,), or None
-        mm and mN. None where the material has memory: such histories take minutes on a fine mesh, and the
-        discretisation error of a memory effect is that of the load's own response, which the correction of the believed
-        model contains.
-
-    Raises
-    ------
-    ConvergenceError
-        If a frame has no equilibrium.
+    `bench`: the believed model; `effects`: in addition to those of the experiment. Result: (size,) or None, mm and mN.
+    None where the material has memory: such histories take minutes on a fine mesh, and the discretisation error of a
+    memory effect is that of the load's own response, which the correction of the believed model contains. Raises
+    `ConvergenceError` if a frame has no equilibrium.
     """
     every = (*bench.experiment.effects, *effects)
     if remembers(extended(replace(bench.experiment, effects=every), bench.predictor.element)):

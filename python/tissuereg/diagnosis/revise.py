@@ -20,21 +20,8 @@ BETTER = 2.0
 def without(target: FitTarget, current: Fit, part: int, *, hopeless: float = np.inf) -> Fit | None:
     """Return the fit of a model without one of its causes.
 
-    Parameters
-    ----------
-    target : FitTarget
-        Data, believed model, noise and nuisances.
-    current : Fit
-        With all causes.
-    part : int
-        Number of the cause that is removed.
-    hopeless : float
-        As in `fit`.
-
-    Returns
-    -------
-    Fit or None
-        None where there is no equilibrium.
+    `target`: data, believed model, noise and nuisances; `current`: with all causes; `part`: number of the cause that is
+    removed; `hopeless`: as in `fit`. Result: None where there is no equilibrium.
     """
     mine = current.slices()[part]
     others = [*current.parts[:part], *current.parts[part + 1 :]]
@@ -46,21 +33,9 @@ def without_redundant(
 ) -> tuple[FitTarget, Fit, list[int]]:
     """Return the fit without redundant causes: those whose removal costs less evidence than their threshold.
 
-    The discretisation error of the causes is corrected in every fit.
-
-    Parameters
-    ----------
-    target : FitTarget
-        Data, believed model, noise and nuisances.
-    current : Fit
-        With all causes.
-    thresholds : mapping of str to float
-        Nats, by id.
-
-    Returns
-    -------
-    tuple of Target, Fit and list of int
-        Target and fit of the causes that stay, and their numbers among the parts of `current`; one at least.
+    The discretisation error of the causes is corrected in every fit. `target`: data, believed model, noise and
+    nuisances; `current`: with all causes; `thresholds`: nats, by id. Result: target and fit of the causes that stay,
+    and their numbers among the parts of `current`; one at least.
     """
     kept = list(range(len(current.parts)))
     while len(kept) > 1:
@@ -84,23 +59,9 @@ def exchanged(
 ) -> tuple[FitTarget, Fit]:
     """Return the fit with the best of some rivals in place of one cause, where that gains `BETTER` nats.
 
-    The discretisation error of the causes is corrected in every fit.
-
-    Parameters
-    ----------
-    target : FitTarget
-        Data, believed model, noise and nuisances.
-    current : Fit
-        With all causes.
-    part : int
-        Number of the cause that may be replaced.
-    rivals : sequence of (FittedCause, ndarray of float64, shape (k,))
-        Rivals, with the parameters at which their fits begin.
-
-    Returns
-    -------
-    tuple of Target and Fit
-        The given ones where no rival is better.
+    The discretisation error of the causes is corrected in every fit. `target`: data, believed model, noise and
+    nuisances; `current`: with all causes; `part`: number of the cause that may be replaced; `rivals`: rivals,
+    with the parameters at which their fits begin. Result: the given ones where no rival is better.
     """
     mine = current.slices()[part]
     best, of_best = current, target

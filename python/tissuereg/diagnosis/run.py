@@ -19,7 +19,7 @@ from tissuereg.diagnosis.answer import Diagnosis, Finding
 from tissuereg.diagnosis.bank import make_bank
 from tissuereg.diagnosis.bench import Bench
 from tissuereg.diagnosis.correction import Correction, make_correction
-from tissuereg.diagnosis.discrepancy import describe
+from tissuereg.diagnosis.discrepancy import describe, nearest_cause, residual_summary
 from tissuereg.diagnosis.evidence import Null
 from tissuereg.diagnosis.findings import candidates_of, findings_of
 from tissuereg.diagnosis.fit import FitTarget, fit
@@ -30,13 +30,13 @@ from tissuereg.diagnosis.noise import Noise, estimate_noise
 from tissuereg.diagnosis.nuisances import Nuisances, make_nuisances
 from tissuereg.diagnosis.nulls import draw_nulls
 from tissuereg.diagnosis.refined import entry_of, refined_predictions
-from tissuereg.diagnosis.residual import nearest_cause, residual_summary
 from tissuereg.diagnosis.screen import Screen
 from tissuereg.diagnosis.search import Search, search
 from tissuereg.diagnosis.signals import SignalLayout
-from tissuereg.diagnosis.targets import target_rms
+from tissuereg.errors import TissueRegError
 from tissuereg.experiment.effects import Effect, Stiffness
 from tissuereg.experiment.experiment import Experiment
+from tissuereg.simulation.experiment import simulate_plain
 
 #: Level of the misfit test: a residual with a smaller p-value is a misfit.
 MISFIT = 0.01
@@ -118,16 +118,9 @@ def diagnose_body(
 class BelievedModel:
     """The believed model, corrected for discretisation error, with its nuisance parameters.
 
-    Attributes
-    ----------
-    target : FitTarget
-        What fits need: corrected model, noise, and the null covariance of all nuisances but the modulus.
-    nuisances : Nuisances
-        Nuisance parameters with their columns.
-    null : Null
-        Null covariance of all nuisances, the modulus included.
-    mesh_errors : ndarray of float64, shape (n_meshes, size)
-        Predictions on further fine meshes minus those on the mesh that corrects, mm and mN.
+    `target`: what fits need: corrected model, noise, and the null covariance of all nuisances but the modulus;
+    `nuisances`: nuisance parameters with their columns; `null`: null covariance of all nuisances, the modulus included;
+    `mesh_errors` (n_meshes, size): predictions on further fine meshes minus those on the mesh that corrects, mm and mN.
     """
 
     target: FitTarget
@@ -141,25 +134,9 @@ def make_believed(
 ) -> BelievedModel:
     """Return the believed model, corrected for discretisation error, with its nuisance parameters.
 
-    Parameters
-    ----------
-    bench : Bench
-        The believed model.
-    noise : Noise
-        Measurement noise.
-    keep : bool
-        Whether predictions on fine meshes are read from and written to the cache.
-    progress : callable of str, optional
-        Called with the name of the step that begins.
-
-    Returns
-    -------
-    BelievedModel
-
-    Raises
-    ------
-    ConvergenceError
-        If a frame has no equilibrium on a fine mesh.
+    `bench`: the believed model; `noise`: measurement noise; `keep`: whether predictions on fine meshes are read from
+    and written to the cache; `progress`: called with the name of the step that begins. Raises `ConvergenceError` if a
+    frame has no equilibrium on a fine mesh.
     """
     layout = bench.layout
     if bench.is_exact:
@@ -218,3 +195,23 @@ def _verdict(findings: list[Finding], misfit: float, *, withdrawn: bool) -> str:
     if not findings:
         return "consistent" if misfit >= MISFIT and not withdrawn else "unexplained"
     return "group" if any(len(finding.group) > 1 for finding in findings) else "named"
+
+
+def target_rms(experiment: Experiment, *, element: str, threads: int) -> float | None:
+    """Return the error of an experiment's model at its measured targets.
+
+    `experiment`: with its effects; simulated on the user's mesh, without correction; `element`: elements, as in
+    `simulate_plain`; `threads`: threads to use; 0 takes all cores. Result: root mean square over coordinates, frames
+    and targets in mm; None where no target was measured or the model has no equilibrium.
+    """
+    measured = {name: case.targets for name, case in experiment.cases.items() if case.targets}
+    if not measured:
+        return None
+    try:
+        answers = simulate_plain(experiment, element=element, threads=threads)
+    except TissueRegError:  # no equilibrium, no prediction
+        return None
+    differences = [answers[case].targets[name] - found for case, of in measured.items() for name, found in of.items()]
+    errors = np.concatenate([difference.ravel() for difference in differences])
+    errors = errors[np.isfinite(errors)]
+    return float(np.sqrt(np.mean(errors**2))) if errors.size else None

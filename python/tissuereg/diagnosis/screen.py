@@ -28,14 +28,9 @@ _AT_A_TIME = 400
 class Screened:
     """Linear evidence of one cause.
 
-    Attributes
-    ----------
-    log_bayes_factor : float
-        Of the cause against no cause: logarithm of the mean Bayes factor of its hypotheses.
-    best : Variant or None
-        The likeliest hypothesis; None for the generic rival.
-    amplitudes : ndarray of float64, shape (p,)
-        Posterior mean of its amplitudes, in prior standard deviations.
+    `log_bayes_factor`: of the cause against no cause: logarithm of the mean Bayes factor of its hypotheses; `best`: the
+    likeliest hypothesis; None for the generic rival; `amplitudes` (p,): posterior mean of its amplitudes, in prior
+    standard deviations.
     """
 
     log_bayes_factor: float
@@ -46,25 +41,9 @@ class Screened:
 class Screen:
     """All hypotheses, corrected, whitened and reduced once for any number of residuals.
 
-    Parameters
-    ----------
-    bank : Bank
-        Hypotheses in mm and mN.
-    generic : ndarray of float64, shape (n_sizes, p, size)
-        Columns of the generic rival.
-    noise : Noise
-        Measurement noise.
-    layout : SignalLayout
-        Order of all columns.
-    correction : Correction
-        Correction of the discretisation error.
-    null : Null
-        Null covariance: noise and nuisances.
-
-    Attributes
-    ----------
-    generic_white : ndarray of float64, shape (n_sizes, p, size)
-        The rival's columns, whitened and not reduced.
+    `bank`: hypotheses in mm and mN; `generic` (n_sizes, p, size): columns of the generic rival; `noise`: measurement
+    noise; `layout`: order of all columns; `correction`: correction of the discretisation error; `null`: null
+    covariance: noise and nuisances. `generic_white` (n_sizes, p, size): the rival's columns, whitened and not reduced.
     """
 
     def __init__(

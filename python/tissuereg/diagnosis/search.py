@@ -95,18 +95,10 @@ class Step:
 class Search:
     """All rounds.
 
-    Attributes
-    ----------
-    base : Fit
-        The believed model.
-    final : Fit
-        With all causes found.
-    steps : list of Step
-        In order; the last one accepted nothing, unless there are `MOST_CAUSES`.
-    reduced : ndarray of float64, shape (size,)
-        Residual of the final model, reduced by all nuisances and the model's own parameters.
-    target : FitTarget or None
-        Target of the last fit, with the discretisation error of the causes found corrected; None where none was found.
+    `base`: the believed model; `final`: with all causes found; `steps`: in order; the last one accepted nothing, unless
+    there are `MOST_CAUSES`; `reduced` (size,): residual of the final model, reduced by all nuisances and the model's
+    own parameters; `target`: target of the last fit, with the discretisation error of the causes found corrected; None
+    where none was found.
     """
 
     base: Fit
@@ -126,21 +118,9 @@ def search(
 ) -> Search:
     """Return the causes that the data show.
 
-    Parameters
-    ----------
-    target : FitTarget
-        Data, believed model, noise and nuisances.
-    screen : Screen
-        All hypotheses of the bank.
-    thresholds : mapping of str to float
-        Log Bayes factor that each cause must exceed, by id.
-    progress : callable of str, optional
-        Called with the name of the step that begins.
-
-    Returns
-    -------
-    Search
-        Without causes where none is accepted.
+    `target`: data, believed model, noise and nuisances; `screen`: all hypotheses of the bank; `thresholds`: log Bayes
+    factor that each cause must exceed, by id; `progress`: called with the name of the step that begins. Result: without
+    causes where none is accepted.
     """
     base = fit(target, [])
     assert base is not None  # the believed model has an equilibrium: it was solved before

@@ -20,10 +20,14 @@ import numpy as np
 from tissuereg._base.arrays import FloatArray, IntArray
 from tissuereg.body.mesh import Mesh, node_normals
 from tissuereg.body.observe import MarkerObservation
+from tissuereg.diagnosis.bench import Bench
+from tissuereg.diagnosis.correction import make_correction
+from tissuereg.diagnosis.predictor import Predictor
+from tissuereg.diagnosis.tangents import Tangents
 from tissuereg.experiment.experiment import Actuator, Boundary, Experiment
-from tissuereg.simulation.fine.folds import Folds, folds_of
+from tissuereg.simulation.fine import rough_element, without_time
 from tissuereg.simulation.fine.meshing import rim_of
-from tissuereg.simulation.fine.rims import sharp_nodes
+from tissuereg.simulation.fine.rims import Folds, folds_of, sharp_nodes
 from tissuereg.simulation.fine.third import gaps
 
 #: Default prior deviations, as shares of a patch's radius: of its place and its rim's waves, its radius, its height.
@@ -55,14 +59,7 @@ _ROUND = 0.3
 class Direction:
     """One deviation of the body's shape.
 
-    Attributes
-    ----------
-    name : str
-        Name of the nuisance parameter.
-    motion : ndarray of float64, shape (n_nodes, 3)
-        Motion of the mesh's nodes per mm.
-    std_mm : float
-        Prior standard deviation.
+    `motion` (n_nodes, 3): motion of the mesh's nodes per mm; `std_mm`: prior standard deviation.
     """
 
     name: str
@@ -73,17 +70,9 @@ class Direction:
 def shape_directions(experiment: Experiment, given: Mesh | None = None) -> list[Direction]:
     """Return the deviations of the shape of an experiment's body.
 
-    Parameters
-    ----------
-    experiment : Experiment
-        Mesh and patches, with their deviations where stated.
-    given : Mesh, optional
-        The mesh whose facets the experiment's own mesh subdivides; gaps to the smooth surface are those of its facets.
-
-    Returns
-    -------
-    list of Direction
-        Ten for each pad, one for each support whose edge is no edge of the body, and those of the whole surface.
+    `experiment`: mesh and patches, with their deviations where stated; `given`: the mesh whose facets the experiment's
+    own mesh subdivides; gaps to the smooth surface are those of its facets. Result: ten for each pad, one for each
+    support whose edge is no edge of the body, and those of the whole surface.
     """
     surface = _BodySurface(experiment, given or experiment.mesh)
     found = [direction for pad in experiment.actuators for direction in _of_pad(surface, pad)]
@@ -232,3 +221,26 @@ def _nearness(mesh: Mesh, nodes: IntArray, reach: float) -> FloatArray:
 
     away = KDTree(mesh.nodes[nodes]).query(mesh.nodes)[0]
     return np.asarray(np.exp(-0.5 * (away / reach) ** 2))
+
+
+def shape_columns(bench: Bench, fine: FloatArray) -> Iterator[tuple[Direction, FloatArray]]:
+    """Yield the directions of the shape with their sensitivity columns.
+
+    `bench`: the believed model. A model with memory is replaced by its elastic counterpart; `fine` (size,): prediction
+    of the believed model on the fine mesh with ten-node elements, mm and mN. Gives: (size,), change per mm, in mm and
+    mN; forces are mapped to those of ten-node elements (`Correction`). Raises `ConvergenceError` if a frame has no
+    equilibrium.
+
+    Notes
+    -----
+    Costs one factored tangent of the fine mesh for each state, and for each direction and state one evaluation of the
+    internal forces and one solution.
+    """
+    experiment, element = bench.fine.fine, rough_element(bench.fine.fine)
+    if not bench.is_elastic:
+        experiment = without_time(experiment, element)
+    predictor = Predictor(experiment, bench.layout, element=element, threads=bench.predictor.threads)
+    directions = shape_directions(experiment, bench.experiment.mesh)
+    columns = Tangents(predictor).by_shapes([direction.motion for direction in directions])
+    corrected = make_correction(bench.layout, predictor.predict(), fine).of_columns(columns)
+    yield from zip(directions, corrected, strict=True)

@@ -18,18 +18,8 @@ _T = TypeVar("_T", bound=np.generic)
 class CasePart:
     """The entries of one case in the flat vector.
 
-    Attributes
-    ----------
-    name : str
-        Name of the case.
-    times : ndarray of float64, shape (n_frames,)
-        s.
-    pads : tuple of str
-        Actuators whose force was measured in it.
-    begin : int
-        First entry; markers come first, (n_frames, n_markers, 3), then forces, (n_frames, n_pads, 3).
-    n_markers : int
-        Number of markers.
+    `times` (n_frames,): s; `pads`: actuators whose force was measured in it; `begin`: first entry; markers come first,
+    (n_frames, n_markers, 3), then forces, (n_frames, n_pads, 3); `n_markers`: number of markers.
     """
 
     name: str
@@ -65,24 +55,9 @@ class CasePart:
 class SignalLayout:
     """The order of all measured numbers of an experiment.
 
-    Parameters
-    ----------
-    experiment : Experiment
-        With its measured cases.
-
-    Raises
-    ------
-    ExperimentError
-        If nothing was measured.
-
-    Attributes
-    ----------
-    parts : tuple of CasePart
-        One for each case, in the experiment's order.
-    size : int
-        Length of the flat vector.
-    measured : ndarray of float64, shape (size,)
-        Displacements of markers from their reference places in mm, and forces in mN; NaN = not measured.
+    `experiment`: with its measured cases. Raises `ExperimentError` if nothing was measured. `parts`: one for each case,
+    in the experiment's order; `size`: length of the flat vector; `measured` (size,): displacements of markers from
+    their reference places in mm, and forces in mN; NaN = not measured.
     """
 
     def __init__(self, experiment: Experiment) -> None:
@@ -138,17 +113,8 @@ class SignalLayout:
     def flatten(self, places: Mapping[str, FloatArray], forces: Mapping[str, Mapping[str, FloatArray]]) -> FloatArray:
         """Return predictions as a flat vector.
 
-        Parameters
-        ----------
-        places : mapping of str to ndarray of float64, shape (n_frames, n_markers, 3)
-            Places of markers in every case, mm.
-        forces : mapping of str to mapping of str to ndarray of float64, shape (n_frames, 3)
-            Force on the body at the pads of every case, mN.
-
-        Returns
-        -------
-        ndarray of float64, shape (size,)
-            As `measured`.
+        `places` (n_frames, n_markers, 3): places of markers in every case, mm; `forces` (n_frames, 3): force on the
+        body at the pads of every case, mN. Result: (size,), as `measured`.
         """
         flat = np.zeros(self.size)
         for part in self.parts:

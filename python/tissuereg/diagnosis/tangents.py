@@ -36,18 +36,9 @@ STEP = 1e-5
 class State:
     """An equilibrium of one case.
 
-    Attributes
-    ----------
-    case : Case
-        The load case.
-    frames : ndarray of int64, shape (n,)
-        Frames of the case with this equilibrium.
-    simulator : Simulator
-        With the boundaries and pads as held nodes.
-    load : Load
-        Prescribed displacements and forces.
-    pad_rows : dict of str to ndarray of int64
-        Rows of the held nodes that belong to each pad.
+    `case`: the load case; `frames` int64 (n,): frames of the case with this equilibrium; `simulator`: with the
+    boundaries and pads as held nodes; `load`: prescribed displacements and forces; `pad_rows`: rows of the held nodes
+    that belong to each pad.
     """
 
     case: Case
@@ -71,15 +62,8 @@ class State:
 class Tangents:
     """All equilibria of an elastic model with their tangents.
 
-    Parameters
-    ----------
-    predictor : Predictor
-        Of a model without memory, without sliding supports, and with an unloaded mesh.
-
-    Raises
-    ------
-    ConvergenceError
-        If a state has no equilibrium.
+    `predictor`: of a model without memory, without sliding supports, and with an unloaded mesh. Raises
+    `ConvergenceError` if a state has no equilibrium.
     """
 
     def __init__(self, predictor: Predictor) -> None:
@@ -92,17 +76,8 @@ class Tangents:
     def columns(self, direction: Callable[[State], Sequence[Cause]], count: int) -> FloatArray:
         """Return the sensitivity columns of some parameters.
 
-        Parameters
-        ----------
-        direction : callable of State
-            Returns the derivatives of the load or the material by the parameters in a state, `count` of them.
-        count : int
-            Number of parameters.
-
-        Returns
-        -------
-        ndarray of float64, shape (count, size)
-            For a unit of each parameter, mm and mN.
+        `direction`: returns the derivatives of the load or the material by the parameters in a state, `count` of them;
+        `count`: number of parameters. Result: (count, size), for a unit of each parameter, mm and mN.
         """
         return self._seen(self._columns(lambda _, state: direction(state), count))
 
@@ -124,15 +99,8 @@ class Tangents:
     def by_fields(self, shares: "sparse.csr_array") -> FloatArray:
         """Return the sensitivity columns of relative changes of the modulus in parts of the body.
 
-        Parameters
-        ----------
-        shares : sparse array of float64, shape (n_tets, n_fields)
-            Share of every tet that changes.
-
-        Returns
-        -------
-        ndarray of float64, shape (n_fields, size)
-            For a modulus that is doubled where a share is 1 (derivative by the relative change), mm and mN.
+        `shares` (n_tets, n_fields): share of every tet that changes. Result: (n_fields, size), for a modulus that is
+        doubled where a share is 1 (derivative by the relative change), mm and mN.
         """
         flat = np.zeros((shares.shape[1], self.layout.size))
         young = np.broadcast_to(_per_tet(self.worked.material.young_array), (self.worked.mesh.n_tets,))
@@ -150,16 +118,9 @@ class Tangents:
     def by_shapes(self, motions: Sequence[FloatArray]) -> FloatArray:
         """Return the sensitivity columns of motions of the mesh's nodes (shape derivatives).
 
-        Parameters
-        ----------
-        motions : sequence of ndarray of float64, shape (n_nodes, 3)
-            Motions of the nodes.
-
-        Returns
-        -------
-        ndarray of float64, shape (n_motions, size)
-            For a unit of each motion, mm and mN. Patches move with their nodes, reference places of markers do not.
-            The weight of material that the motion adds is neglected.
+        `motions` (n_nodes, 3): motions of the nodes. Result: (n_motions, size), for a unit of each motion, mm and mN.
+        Patches move with their nodes, reference places of markers do not. The weight of material that the motion adds
+        is neglected.
 
         Notes
         -----

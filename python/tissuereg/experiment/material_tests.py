@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from tissuereg._base.arguments import check_choice
 from tissuereg._base.arrays import FloatArray, float_array
-from tissuereg._base.choice import check_choice
 from tissuereg.body.laws import DECLARED, shape_of
 from tissuereg.body.material import Material
 from tissuereg.errors import MaterialError

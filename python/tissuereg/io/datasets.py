@@ -23,10 +23,9 @@ from tissuereg.body.mesh import Mesh
 from tissuereg.errors import ArgumentError, FormatError
 from tissuereg.io.bounds import FILES
 from tissuereg.io.chunks import Fields, check_chunk, read_parameters
+from tissuereg.io.fields import check_pairs, npz_of_bytes
 from tissuereg.io.hdf5 import OpenFile, array_of, checked, opened, spoilt_is_said
 from tissuereg.io.meshes import mesh_from_archive
-from tissuereg.io.npz import npz_of_bytes
-from tissuereg.io.pairs import check_pairs
 from tissuereg.io.stores import Store, store_of
 
 CARD_NAME = "dataset.json"

@@ -23,7 +23,7 @@ from tissuereg.io.experiment_keys import (
     CsvTable,
     material_table,
 )
-from tissuereg.io.npz import write_npz
+from tissuereg.io.fields import write_npz
 from tissuereg.io.toml_text import toml_text, write_toml
 
 if TYPE_CHECKING:
@@ -64,7 +64,8 @@ def write_experiment(
 def experiment_text(experiment: Experiment | MaterialExperiment, folder: str | os.PathLike[str]) -> str:
     """Return what `write_experiment` writes for a folder.
 
-    `folder`: in which the file is to be read; need not exist. Result: TOML. Raises `ExperimentError` as there.
+    `folder`: in which the file is to be read; need not exist. Result: TOML. Raises `ExperimentError` if a belief cannot
+    be written to an experiment file.
     """
     return toml_text(_content(experiment, Path(folder)))
 

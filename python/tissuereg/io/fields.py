@@ -1,17 +1,195 @@
-"""Displacement fields of other solvers: point data of .vtu, .vtk and .msh files, or an .npz."""
+"""Displacement fields: in numpy archives, and as point data of the meshes of other solvers.
 
+Archives are checked: no pickles, and every fault is named by file and array.
+"""
+
+import contextlib
+import io
 import os
-from typing import Any
+import zipfile
+import zlib
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, BinaryIO
 
 import numpy as np
+import numpy.typing as npt
 
 from tissuereg._base.arguments import text
-from tissuereg._base.arrays import FloatArray
+from tissuereg._base.arrays import FloatArray, IntArray, float_array, index_array
 from tissuereg.body.mesh import Mesh
-from tissuereg.errors import FormatError
-from tissuereg.io.bounds import FILES, mesh_file
+from tissuereg.errors import FormatError, ShapeError
+from tissuereg.io.atomic import atomic_file
+from tissuereg.io.bounds import FILES, existing_file, mesh_file, too_large
 from tissuereg.io.foreign import MESHIO_MODULES, meshio_content
-from tissuereg.io.npz import open_npz
+
+#: What numpy and zipfile raise on spoilt archives.
+_SPOILT = (
+    ValueError, TypeError, EOFError, OSError, KeyError, zipfile.BadZipFile, zlib.error, MemoryError, SyntaxError,
+    RuntimeError,
+)  # fmt: skip
+
+
+class Archive:
+    """An open .npz file whose arrays are checked as they are read.
+
+    `path`: where it came from, for messages; `arrays`: numpy's lazy archive.
+    """
+
+    def __init__(self, path: Path | str, arrays: Mapping[str, Any]) -> None:
+        self.path = path
+        self._arrays = arrays
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._arrays
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the arrays, in file order."""
+        return list(self._arrays)
+
+    def floats(self, name: str, *shape: int | None, finite: bool = True) -> FloatArray:
+        """Return an array of numbers.
+
+        `name`: name in the archive; `*shape`: wanted shape; None means any length; `finite`: whether NaN and infinities
+        are refused. Result: of that shape. Raises `FormatError` if it is missing, spoilt, not numeric, of another shape
+        or not finite.
+        """
+        array = self._checked(name, float_array, shape)
+        if finite and not np.isfinite(array).all():
+            place = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
+            message = f"array '{name}' in {self.path} must be finite, got {array[place]} at {list(place)}"
+            raise FormatError(message, where=f"{self.path}:{name}")
+        return array
+
+    def indices(self, name: str, *shape: int | None) -> IntArray:
+        """Return an array of whole numbers.
+
+        `name`: name in the archive; `*shape`: wanted shape; None means any length. Result: of that shape.
+        """
+        return self._checked(name, index_array, shape)
+
+    def raw(self, name: str) -> npt.NDArray[Any]:
+        """Return an array as it stands.
+
+        `name`: name in the archive. Result: any dtype but object. Raises `FormatError` if it is missing, holds pickled
+        objects or is spoilt.
+        """
+        where = f"{self.path}:{name}"
+        if name not in self._arrays:
+            message = f"{self.path} must hold an array '{name}'; it holds: {', '.join(self.names) or 'nothing'}"
+            raise FormatError(message, where=where)
+        try:
+            array = np.asarray(self._arrays[name])
+        except _SPOILT as error:
+            pickled = "allow_pickle" in str(error)
+            reason = "pickled objects, which are never loaded" if pickled else str(error) or type(error).__name__
+            message = f"array '{name}' in {self.path} must hold plain numbers, got {reason}"
+            raise FormatError(message, where=where) from error
+        return array
+
+    def _checked(self, name: str, check: Any, shape: tuple[int | None, ...]) -> npt.NDArray[Any]:
+        array = self.raw(name)
+        if array.dtype.kind not in "biuf":
+            message = f"array '{name}' in {self.path} must hold real numbers, got dtype {array.dtype}"
+            raise FormatError(message, where=f"{self.path}:{name}")
+        try:
+            checked: npt.NDArray[Any] = check(name, array, shape)
+        except ShapeError as error:
+            message = f"array {error} in {self.path}"
+            raise FormatError(message, where=f"{self.path}:{name}") from error
+        return checked
+
+
+@contextlib.contextmanager
+def open_npz(path: str | os.PathLike[str]) -> Iterator[Archive]:
+    """Open an .npz file for checked reading.
+
+    Gives: its arrays. Raises `FormatError` if there is no such file, if it is no archive of numpy arrays, or if it is
+    too large, packed or unpacked.
+    """
+    file = existing_file(path, FILES.mesh_mb)
+    with file.open("rb") as handle, _unpacked(file, handle) as archive:
+        yield archive
+
+
+@contextlib.contextmanager
+def npz_of_bytes(where: str, content: bytes) -> Iterator[Archive]:
+    """Open the content of an .npz file for checked reading.
+
+    `where`: where it was read, for messages; `content`: the whole file. Gives: its arrays. Raises `FormatError` if it
+    is no archive of numpy arrays, or is too large, unpacked.
+    """
+    with _unpacked(where, io.BytesIO(content)) as archive:
+        yield archive
+
+
+@contextlib.contextmanager
+def _unpacked(file: Path | str, handle: BinaryIO) -> Iterator[Archive]:
+    with _loaded(file, handle) as arrays:
+        assert arrays.zip is not None  # it is open here
+        unpacked = sum(int(one.file_size) for one in arrays.zip.infolist())
+        if unpacked > FILES.mesh_mb * 1_000_000:
+            raise too_large(file, FILES.mesh_mb, f"unpacked it has {unpacked / 1e6:.0f} MB")
+        yield Archive(file, arrays)
+
+
+def _loaded(file: Path | str, handle: BinaryIO) -> "np.lib.npyio.NpzFile":
+    try:
+        arrays = np.load(handle, allow_pickle=False)
+    except _SPOILT as error:
+        pickled = "pickle" in str(error)
+        reason = "and pickled objects are never loaded" if pickled else str(error) or type(error).__name__
+        message = f"{file} must be a numpy archive (.npz) of plain arrays; it is none, {reason}"
+        raise FormatError(message, where=str(file)) from error
+    if not isinstance(arrays, np.lib.npyio.NpzFile):
+        message = f"{file} must be a numpy archive (.npz) with named arrays, got a single array (.npy)"
+        raise FormatError(message, where=str(file))
+    return arrays
+
+
+def write_npz(path: str | os.PathLike[str], arrays: Mapping[str, Any]) -> None:
+    """Write named arrays as an .npz file, whole or not at all.
+
+    `path`: where to; the name is kept as given; `arrays`: what to write.
+    """
+    with atomic_file(path) as temporary, temporary.open("wb") as handle:
+        content: dict[str, Any] = {name: np.asarray(array) for name, array in arrays.items()}
+        np.savez(handle, **content)
+
+
+#: Schema of the pairs of a data set.
+PAIRS_SCHEMA = "tissuereg.pairs/1"
+
+
+def check_pairs(file: Any, where: str, mark: str) -> None:
+    """Check that an open file holds the pairs of a data set.
+
+    `file`: the open file; `where`: its name, for messages; `mark`: SHA-256 of the data set's recipe. Raises
+    `FormatError` if it holds something else.
+    """
+    if (file.attrs.get("schema"), file.attrs.get("recipe_sha256")) != (PAIRS_SCHEMA, mark):
+        message = f"{where} must hold the pairs of this data set ({PAIRS_SCHEMA}); it holds something else"
+        raise FormatError(message, where=where)
+
+
+def read_pairs(folder: str | os.PathLike[str], n_nodes: int) -> tuple[FloatArray, FloatArray]:
+    """Return simulations and truths of the same events.
+
+    `folder`: holds ``pairs_*.npz`` with ``simulation_mm`` and ``truth_mm``, each (n, n_nodes, 3); they are joined in
+    the order of their names; `n_nodes`: nodes of the mesh. Result: `simulations`, `truths` (n_pairs, n_nodes, 3): in
+    mm. Raises `FormatError` if there is no such file, or an array is missing or of another shape.
+    """
+    files = sorted(Path(folder).glob("pairs_*.npz"))
+    if not files:
+        message = f"{folder} must hold files pairs_*.npz; there are none"
+        raise FormatError(message, where=str(folder))
+    simulations, truths = [], []
+    for path in files:
+        with open_npz(path) as file:
+            simulations.append(file.floats("simulation_mm", None, n_nodes, 3))
+            truths.append(file.floats("truth_mm", len(simulations[-1]), n_nodes, 3))
+    return np.concatenate(simulations), np.concatenate(truths)
 
 
 def read_displacement(path: str | os.PathLike[str], mesh: Mesh, name: str = "displacement") -> FloatArray:

@@ -54,7 +54,7 @@ def _utf8(texts: npt.NDArray[Any]) -> npt.NDArray[Any]:
 
 @contextmanager
 def opened(store: Store, name: str, content: bytes | None = None) -> Iterator[Any]:
-    """Open an HDF5 file for reading; what h5py raises on the way is said with the file's name.
+    """Open an HDF5 file for reading; errors of h5py become a `FormatError` that names the file.
 
     `name`: its name there; `content`: the file's content, where it has been read already. Gives: the open file. Raises
     `FormatError` if it is missing or spoilt, also if that shows only while it is read.

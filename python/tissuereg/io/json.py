@@ -16,7 +16,7 @@ from tissuereg.io.atomic import atomic_file
 def plain(value: Any) -> Any:
     """Return `value` made of dicts, lists, strings, bools, finite numbers and None only.
 
-    `value`: mappings, sequences, sets, numpy arrays and scalars, paths, nested at will. Result: naN and infinities
+    `value`: mappings, sequences, sets, numpy arrays and scalars, paths, nested at will. Result: NaN and infinities
     become None, arrays become lists. Raises `FormatError` if something else is found.
 
     Examples

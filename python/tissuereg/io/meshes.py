@@ -18,9 +18,9 @@ from tissuereg.body.mesh import Mesh
 from tissuereg.errors import FormatError, MeshError, ShapeError
 from tissuereg.io.atomic import atomic_file
 from tissuereg.io.bounds import existing_file, mesh_file
+from tissuereg.io.fields import Archive, open_npz
 from tissuereg.io.foreign import MESHIO_MODULES, hushed, meshio_content
 from tissuereg.io.node_rules import NodeRule, nodes_by_rule
-from tissuereg.io.npz import Archive, open_npz
 from tissuereg.io.surfaces import SURFACE_READERS
 
 _SURFACE_CELLS = {"vertex", "line", "line3", "triangle", "triangle6", "quad", "quad8", "quad9", "polygon"}
@@ -90,10 +90,10 @@ def write_vtu(
     """Write a mesh with values at its nodes as .vtu, whole or not at all.
 
     `path`: where to; should end in .vtu; `mesh`: nodes in mm; its node sets are written as 0/1 point data, so that
-    `read_mesh` finds them; `point_data` (n_nodes,): values at the nodes, named with their unit; `says`: a note for
-    viewers about the whole file, in words joined by underscores: the name of an array of field data; `places` (n_nodes,
-    3): where the nodes are drawn, mm, in place of the mesh's own; tets may be inside out there. Raises `ShapeError` if
-    an array does not have one row per node.
+    `read_mesh` finds them; `point_data` (n_nodes,) or (n_nodes, 3): values at the nodes, named with their unit; `says`:
+    a note for viewers about the whole file, in words joined by underscores: the name of an array of field data;
+    `places` (n_nodes, 3): where the nodes are drawn, mm, in place of the mesh's own; tets may be inside out there.
+    Raises `ShapeError` if an array does not have one row per node.
     """
     import meshio
 

@@ -11,8 +11,8 @@ from tissuereg.body.load import Load
 from tissuereg.body.material import Material
 from tissuereg.body.mesh import Mesh
 from tissuereg.errors import FormatError, MaterialError
+from tissuereg.io.fields import Archive, open_npz, write_npz
 from tissuereg.io.meshes import mesh_from_archive
-from tissuereg.io.npz import Archive, open_npz, write_npz
 
 
 @dataclass(frozen=True, eq=False)

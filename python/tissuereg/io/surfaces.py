@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
+from tissuereg._base.arguments import check_choice
 from tissuereg._base.arguments import place as path_of
 from tissuereg._base.arrays import FloatArray, IntArray
-from tissuereg._base.choice import check_choice
 from tissuereg.body.triangles import Triangles
 from tissuereg.errors import FormatError, MeshError, MissingPackageError, ShapeError, UnitError
 from tissuereg.io.bounds import FILES, existing_file, mesh_file

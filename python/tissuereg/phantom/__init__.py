@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
+from tissuereg._base.arguments import check_choice
 from tissuereg._base.arrays import FloatArray
-from tissuereg._base.choice import check_choice
 from tissuereg.body.mesh import Mesh
 from tissuereg.errors import ArgumentError
 from tissuereg.phantom.breast import breast_mesh

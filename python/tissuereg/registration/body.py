@@ -6,9 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from tissuereg._base.arguments import maybe
+from tissuereg._base.arguments import check_choice, maybe
 from tissuereg._base.arrays import IntArray, frozen, index_array
-from tissuereg._base.choice import check_choice
 from tissuereg.body.material import Material
 from tissuereg.body.mesh import Mesh
 from tissuereg.errors import ArgumentError, MaterialError, ShapeError

@@ -5,9 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from tissuereg._base.arguments import check_running, maybe, of_kind
+from tissuereg._base.arguments import check_choice, check_running, maybe, of_kind
 from tissuereg._base.arrays import FloatArray
-from tissuereg._base.choice import check_choice
 from tissuereg.errors import ArgumentError, ConvergenceError
 from tissuereg.experiment.effects import extended, true_markers
 from tissuereg.experiment.experiment import Case, Experiment

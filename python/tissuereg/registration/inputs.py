@@ -17,8 +17,7 @@ from tissuereg.errors import MarkerError, ShapeError, SurfaceError
 from tissuereg.registration.body import Body
 from tissuereg.registration.learned.variants import checked_variants
 from tissuereg.registration.readings import suspect
-from tissuereg.registration.readings.clouds import suspect_points
-from tissuereg.registration.readings.scatter import scattered
+from tissuereg.registration.readings.clouds import scattered, suspect_points
 from tissuereg.registration.readings.skin import skin_of
 from tissuereg.registration.settings import RegisterSettings
 

@@ -11,9 +11,8 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
-from tissuereg._base.arguments import called, check_running, found, maybe, of_kind
+from tissuereg._base.arguments import called, check_choice, check_running, found, maybe, of_kind
 from tissuereg._base.arrays import FloatArray, float_array
-from tissuereg._base.choice import check_choice
 from tissuereg.body.markers import Markers
 from tissuereg.body.mesh import Mesh
 from tissuereg.errors import ArgumentError
@@ -109,7 +108,7 @@ def register_many(
 
 @dataclass(frozen=True)
 class _Task:
-    """One moment, with what a process needs that does not have the registrar yet."""
+    """The registration of one moment as a task: its input, and the registrar for a process that has not kept it."""
 
     mark: str
     packed: bytes

@@ -3,8 +3,7 @@
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
-from tissuereg._base.arguments import MOST_COUNTED, check_running, flag, of_kind, real, whole
-from tissuereg._base.choice import check_choice
+from tissuereg._base.arguments import MOST_COUNTED, check_choice, check_running, flag, of_kind, real, whole
 from tissuereg.errors import ArgumentError
 from tissuereg.registration.contacts.settings import ContactSettings
 from tissuereg.registration.contacts.state import TRACKERS

@@ -31,7 +31,7 @@ class Trust:
         True if there is no reason against it.
     p_value : float
         Probability of a misfit at least this large if prior and noise are as stated; with a calibrated model the share
-        of honest events that look at least as bad.
+        of calibration events that look at least as bad.
     reasons : list of str
         Reasons not to trust the result, in sentences that start with their kind: ``misfit``, ``few markers``, ``wrong
         marker``, ``inverted tets``, ``simulation``, ``unfamiliar``, or a kind of
@@ -118,14 +118,14 @@ class Shown(Protocol):
 
 
 class Compared(Protocol):
-    """Honest events; see `tissuereg.registration.learned.calibration_set.CalibrationSet`."""
+    """Calibration events; see `tissuereg.registration.learned.calibration_set.CalibrationSet`."""
 
-    def p_value(self, signs: FloatArray) -> float:
-        """Return the share of honest events whose rarest sign is as rare as that of signs (4,)."""
+    def p_value(self, statistics: FloatArray) -> float:
+        """Return the share of calibration events whose rarest statistic is as rare as that of statistics (4,)."""
         ...
 
-    def shares(self, signs: FloatArray) -> FloatArray:
-        """Return for each of signs (4,) the share of honest events that look as bad."""
+    def shares(self, statistics: FloatArray) -> FloatArray:
+        """Return for each of statistics (4,) the share of calibration events that look as bad."""
         ...
 
 
@@ -133,35 +133,36 @@ def judge_by_rehearsal(
     names: tuple[str, ...],
     residual: FloatArray,
     noise: FloatArray,
-    honest: Compared,
+    calibration_set: Compared,
     shown: Shown,
     min_det_f: float,
     notes: list[str],
 ) -> Trust:
     """Return whether a registration with a calibrated model can be trusted, and why not.
 
-    Its signs are judged together: an honest event raises an alarm by any of them at a rate of one percent. `names`:
-    markers that were used; `residual` (n_markers, 3): measured minus fitted, mm; `noise` (3 n_markers, 3 n_markers):
-    covariance of the tracker's noise, mm^2; `honest`: honest events; `shown`: test statistics of the registration;
-    `min_det_f`: smallest volume ratio of the registered body; `notes`: reasons found earlier in the registration.
-    Result: with a reason for each sign that is rare enough to be one, and at least for the rarest.
+    Its test statistics are judged together: a calibration event raises an alarm by any of them at a rate of one
+    percent. `names`: markers that were used; `residual` (n_markers, 3): measured minus fitted, mm; `noise` (3
+    n_markers, 3 n_markers): covariance of the tracker's noise, mm^2; `calibration_set`: calibration events; `shown`:
+    test statistics of the registration; `min_det_f`: smallest volume ratio of the registered body; `notes`: reasons
+    found earlier in the registration. Result: with a reason for each statistic that is rare enough to be one, and at
+    least for the rarest.
     """
     flat = residual.ravel()
     data = float(flat @ np.linalg.solve(noise, flat))
-    signs = shown.row
-    p_value, reasons = honest.p_value(signs), list(notes)
+    statistics = shown.row
+    p_value, reasons = calibration_set.p_value(statistics), list(notes)
     if p_value < LEVEL:
-        shares = honest.shares(signs)
+        shares = calibration_set.shares(statistics)
         limit = max(LEVEL / len(shares), float(shares.min()))
         misfit, marker, unfamiliar, simulation = (bool(share <= limit) for share in shares)
         if misfit:
             reasons.append(
-                f"misfit: fewer than one in {_in_words(shares[0])} honest events fit the model so badly "
+                f"misfit: fewer than one in {_in_words(shares[0])} calibration events fit the model so badly "
                 f"(p = {shares[0]:.2g}); the noise is larger than stated, or the body does what the model never saw"
             )
         if marker:
-            for index, sign in enumerate(shown.marker_rows):
-                if honest.shares(np.array([signs[0], sign, *signs[2:]]))[1] > limit:
+            for index, statistic in enumerate(shown.marker_rows):
+                if calibration_set.shares(np.array([statistics[0], statistic, *statistics[2:]]))[1] > limit:
                     continue
                 off = np.sqrt(shown.marker_misfits[index])
                 reasons.append(
@@ -169,7 +170,7 @@ def judge_by_rehearsal(
                 )
         if unfamiliar:
             reasons.append(
-                f"unfamiliar: the shape lies {signs[2]:.1f} standard deviations from all that the model knows"
+                f"unfamiliar: the shape lies {statistics[2]:.1f} standard deviations from all that the model knows"
             )
         if simulation:
             reasons.append("simulation: another event than the simulated one explains the markers better")

@@ -10,7 +10,7 @@ from tissuereg.io.json import write_json
 from tissuereg.io.meshes import write_vtu
 from tissuereg.io.mrk_json import write_mrk_json
 from tissuereg.io.tables import write_targets
-from tissuereg.report.found import forces_of
+from tissuereg.report.words import forces_of
 
 if TYPE_CHECKING:
     from tissuereg.registration.result import Registration

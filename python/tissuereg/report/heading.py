@@ -5,9 +5,8 @@ import textwrap
 from typing import TYPE_CHECKING, Any
 
 from tissuereg.report import scene
-from tissuereg.report.found import contacts_of, surface_of
 from tissuereg.report.style import STYLE
-from tissuereg.report.words import counted, silent, start_word, verdict
+from tissuereg.report.words import contacts_of, counted, silent, start_word, surface_of, verdict
 
 if TYPE_CHECKING:
     from tissuereg.registration.result import Registration

@@ -9,10 +9,18 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.io.atomic import atomic_file
-from tissuereg.report.found import contacts_of, surface_of, work_of
 from tissuereg.report.markup import document, escape, table
 from tissuereg.report.scene import Surface, contact_verb
-from tissuereg.report.words import counted, fallback_lines, silent, start_word, verdict
+from tissuereg.report.words import (
+    contacts_of,
+    counted,
+    fallback_lines,
+    silent,
+    start_word,
+    surface_of,
+    verdict,
+    work_of,
+)
 
 if TYPE_CHECKING:
     from tissuereg.registration.result import Registration

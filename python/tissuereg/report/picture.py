@@ -6,11 +6,11 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.report import scene
-from tissuereg.report.found import contacts_of
 from tissuereg.report.heading import write_heading, write_legend
 from tissuereg.report.inset import draw_panels, round_length
 from tissuereg.report.labels import on_page, place_labels
 from tissuereg.report.style import STYLE
+from tissuereg.report.words import contacts_of
 
 if TYPE_CHECKING:
     from tissuereg.registration.result import Registration

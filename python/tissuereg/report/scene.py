@@ -8,8 +8,8 @@ import numpy as np
 from tissuereg._base.arrays import FloatArray
 from tissuereg.body.mesh import Mesh
 from tissuereg.registration.contacts.patches import surface_of_nodes
-from tissuereg.report.found import contacts_of, surface_of
 from tissuereg.report.style import STYLE
+from tissuereg.report.words import contacts_of, surface_of
 
 if TYPE_CHECKING:
     from tissuereg.registration.contacts.found import FoundContact

@@ -2,8 +2,7 @@
 
 from collections.abc import Callable
 
-from tissuereg._base.arguments import called, check_running, found, of_kind
-from tissuereg._base.choice import check_choice
+from tissuereg._base.arguments import called, check_choice, check_running, found, of_kind
 from tissuereg.errors import ArgumentError, ExperimentError
 from tissuereg.experiment.experiment import Experiment
 from tissuereg.simulation.experiment import CaseSimulation, simulate_plain

@@ -158,7 +158,7 @@ def _task(recipe: dict[str, Any], mark: str, seed: int, address: str, threads: i
 def _made(
     tasks: Iterable[ChunkTask], recipe: Recipe, executor: Executor | None, within: Callable[[int, int], None] | None
 ) -> Iterator[ChunkReport]:
-    """Give the report of every chunk, as soon as it is there."""
+    """Yield the report of every chunk as soon as the chunk is written."""
     if executor is None:
         for task in tasks:
             first = task.number * recipe.data.chunk

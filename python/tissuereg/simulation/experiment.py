@@ -4,8 +4,8 @@ If the model is elastic a frame depends on its own load alone, and all frames of
 memory, sliding supports, or a mesh that was imaged under gravity they are solved one after another (`memory`).
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -211,3 +211,22 @@ def _loads(
         prescribed[fixed] = 0.0
         loads.append(Load(body_force=weight, prescribed=prescribed, traction=traction_of(experiment, case, frame)))
     return loads
+
+
+def with_noise(
+    experiment: Experiment, answers: Mapping[str, CaseSimulation], *, seed: int = 0
+) -> dict[str, CaseSimulation]:
+    """Return simulated cases with measurement noise.
+
+    `experiment`: with the standard deviations of markers and forces; `answers`: without noise; `seed`: seed of all
+    random numbers. Result: white normal noise on the markers, and on the forces if their standard deviation is stated;
+    targets and displacements unchanged.
+    """
+    generator = np.random.default_rng([seed, 6])
+    std = experiment.force_std or 0.0
+    noisy = {}
+    for name, answer in answers.items():
+        markers = answer.markers + experiment.marker_std * generator.standard_normal(answer.markers.shape)
+        forces = {pad: force + std * generator.standard_normal(force.shape) for pad, force in answer.forces.items()}
+        noisy[name] = replace(answer, markers=markers, forces=forces)
+    return noisy

@@ -10,12 +10,12 @@ from tissuereg._base.arrays import FloatArray
 from tissuereg._version import __version__
 from tissuereg.body.material import Material
 from tissuereg.errors import EnsembleError
+from tissuereg.io.fields import PAIRS_SCHEMA, check_pairs
 from tissuereg.io.hdf5 import array_of, opened, packed
-from tissuereg.io.pairs import PAIRS_SCHEMA, check_pairs
 from tissuereg.io.stores import store_of
 from tissuereg.simulation.chunks import SOLVE, SOLVE_ITERATIONS, ChunkMaker, ChunkTask, chunk_maker
+from tissuereg.simulation.recipe import random_inclusion
 from tissuereg.simulation.solve import Simulator
-from tissuereg.simulation.variation import random_inclusion
 
 PAIRS_NAME = "pairs.h5"
 

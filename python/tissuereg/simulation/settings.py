@@ -62,7 +62,7 @@ class MemoryRules:
 
 @dataclass(frozen=True)
 class SizeRules:
-    """What a body costs, and when that is said or refused.
+    """Memory and time that a body may take: when a warning is given, and when it is refused.
 
     Attributes
     ----------

@@ -7,9 +7,19 @@ from typing import Any, TypedDict
 import numpy as np
 
 from tissuereg import _core
-from tissuereg._base.arguments import MOST_COUNTED, called, check_running, each, flag, of_kind, real, text, whole
+from tissuereg._base.arguments import (
+    MOST_COUNTED,
+    called,
+    check_choice,
+    check_running,
+    each,
+    flag,
+    of_kind,
+    real,
+    text,
+    whole,
+)
 from tissuereg._base.arrays import FloatArray, IntArray, depth, float_array, index_array, optional_array, stacked
-from tissuereg._base.choice import check_choice
 from tissuereg.body.load import Load
 from tissuereg.body.material import Material
 from tissuereg.body.mesh import Mesh

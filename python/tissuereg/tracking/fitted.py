@@ -24,7 +24,7 @@ _HELD_OUT = 0.2
 
 @dataclass(frozen=True, eq=False)
 class _Changes:
-    """What a prior of changes and the model of one moment have in common: all of it is of the changes."""
+    """The part of a latent model that depends on its prior of changes alone."""
 
     changes: PcaModel
 

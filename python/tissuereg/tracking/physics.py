@@ -9,9 +9,8 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from tissuereg._base.arguments import called, check_running, found, of_kind, real
+from tissuereg._base.arguments import called, check_choice, check_running, found, of_kind, real
 from tissuereg._base.arrays import FloatArray, float_array
-from tissuereg._base.choice import check_choice
 from tissuereg.body.load import Load
 from tissuereg.body.material import Material
 from tissuereg.body.mesh import Mesh

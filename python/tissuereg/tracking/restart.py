@@ -1,7 +1,7 @@
 """What the next simulation starts from: how the registered state of a frame is carried to the next one.
 
-A quasi-static body has no memory: from any first guess it finds the same equilibrium. What the markers said about the
-last frame is therefore carried on by a change of the problem, or not at all:
+A quasi-static body has no memory: from any first guess it finds the same equilibrium. What the last frame's markers
+showed is therefore carried on by a change of the problem, or not at all:
 
 ``forces``
     The nodal forces that hold the registered shape, beside the known loads, stay as dead loads while the actuators

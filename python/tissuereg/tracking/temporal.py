@@ -1,4 +1,4 @@
-r"""The temporal prior: what the frames before say about this one.
+r"""The temporal prior: what the frames before say about this one, and how the error of a carried state grows.
 
 The answer of a frame is the truth plus two errors: one that changes slowly, from model and prior, which consecutive
 frames share, and one that is new in each frame, from the tracker's noise. Averaging consecutive answers removes the
@@ -26,6 +26,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray
+from tissuereg.registration.learned.model import rms_displacement
+from tissuereg.tracking.restart import SimulatedFrame
 
 
 @dataclass(frozen=True)
@@ -125,3 +127,40 @@ class TemporalPrior:
         self._squares = FILTER.memory * self._squares + (innovations**2).sum(axis=1) / total / FILTER.together
         self._logs = FILTER.memory * self._logs + self._per_frame * np.log(total)
         self._count = FILTER.memory * self._count + self._per_frame
+
+
+@dataclass(eq=False)
+class Lineage:
+    """The variance that was carried on since the last frame that started from the plain simulation.
+
+    `noise_mm`: standard deviation of the tracker's noise: the least size of an event.
+    """
+
+    noise_mm: float
+    _carried: float = 0.0
+    _plain: float = 0.0
+    _size_mm: float = 0.0
+
+    def widening(self, variance: float, simulated: SimulatedFrame | None) -> float:
+        """Return the factor on the covariances of a frame.
+
+        `variance`: what its own registration states, mm^2; `simulated`: its simulation.
+        """
+        if simulated is None:
+            return 1.0
+        if not simulated.carried:
+            self._carried, self._plain, self._size_mm = 0.0, variance, self._size(simulated)
+        return 1.0 + self._carried / variance
+
+    def goes_on(self, variance: float, simulated: SimulatedFrame) -> bool:
+        """Return whether a frame whose state is to be carried on is still of use; its variance is added.
+
+        The variance of a registration from the plain simulation is that of the last one, in proportion to the squared
+        size of the event.
+        """
+        self._carried += variance
+        growth = max(1.0, self._size(simulated) / self._size_mm) ** 2
+        return self._carried <= growth * self._plain
+
+    def _size(self, simulated: SimulatedFrame) -> float:
+        return max(self.noise_mm, float(rms_displacement(simulated.plain[None])[0]))

@@ -1,6 +1,7 @@
 """A tracked body: frame after frame, the registered state restarts the simulation (the loop of the paper's Fig. 1)."""
 
 import math
+import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -8,9 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from tissuereg._base.arguments import called, each, flag, found, real
+from tissuereg._base.arguments import called, check_choice, each, flag, found, real
 from tissuereg._base.arrays import FloatArray, float_array
-from tissuereg._base.choice import check_choice
 from tissuereg.body.mesh import Mesh
 from tissuereg.errors import ArgumentError, ConvergenceError, EnsembleError, MarkerError, TissueRegError
 from tissuereg.registration.body import Body
@@ -18,11 +18,37 @@ from tissuereg.registration.inputs import SimulationVariants, finite_field
 from tissuereg.registration.registrar import Registrar
 from tissuereg.registration.result import Registration
 from tissuereg.tracking.frame import Layout, TrackedFrame
-from tissuereg.tracking.inbox import Inbox
-from tissuereg.tracking.lineage import Lineage
 from tissuereg.tracking.physics import Physics, as_physics
 from tissuereg.tracking.restart import RESTARTS, Restart, SimulatedFrame
-from tissuereg.tracking.temporal import TemporalPrior
+from tissuereg.tracking.temporal import Lineage, TemporalPrior
+
+
+class Inbox:
+    """Keeps the newest frame, and counts those that were never taken."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._frame: Any = None
+        self._skipped = 0
+        self.dropped = 0
+
+    def push(self, frame: Any) -> None:
+        """Put a frame in; one that waits is dropped."""
+        with self._lock:
+            if self._frame is not None:
+                self.dropped += 1
+                self._skipped += 1
+            self._frame = frame
+
+    def take(self) -> tuple[Any, int] | None:
+        """Return the frame that waits, and how many were dropped since the last one; None if none waits."""
+        with self._lock:
+            if self._frame is None:
+                return None
+            taken = self._frame, self._skipped
+            self._frame, self._skipped = None, 0
+            return taken
+
 
 #: Errors of one frame that leave the tracker as it was: no marker was seen, or no equilibrium or ensemble was found.
 CANNOT_BE_REGISTERED = (MarkerError, ConvergenceError, EnsembleError)
@@ -41,7 +67,7 @@ class _Measured:
 
 
 class Tracker:
-    """Registers one body frame after frame; each frame starts from what the last ones said.
+    """Registers one body frame after frame; each frame starts from the registered state of the last one.
 
     A frame is simulated from the registered state of the last one and the known motion of the actuators, registered to
     its markers, and combined with the last frames as far as the body stood still between them.

@@ -37,8 +37,7 @@ from tissuereg.io.meshes import read_mesh
 from tissuereg.io.node_rules import NodeRule, nodes_by_rule, rule_for_file
 from tissuereg.io.toml import Keys
 from tissuereg.io.toml_text import commented_toml
-from tissuereg.simulation.experiment import CaseSimulation, simulate_plain
-from tissuereg.simulation.noise import with_noise
+from tissuereg.simulation.experiment import CaseSimulation, simulate_plain, with_noise
 
 #: Share of a pad's motion in the frames of a push.
 _STROKE = np.array([0.0, 0.5, 1.0, 1.0, 0.5])

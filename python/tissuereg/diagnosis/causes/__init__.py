@@ -1,24 +1,21 @@
 """The catalogue of causes that a diagnosis can name: each has a module with its hypotheses, parameters and sentence."""
 
 from tissuereg.diagnosis.causes.actuators import DirectionCause, GainCause, OffsetCause
-from tissuereg.diagnosis.causes.asymmetry import AsymmetryCause
 from tissuereg.diagnosis.causes.base import Cause, Knobs, Values, Variant
 from tissuereg.diagnosis.causes.detachment import DetachmentCause
 from tissuereg.diagnosis.causes.drainage import DrainageCause
 from tissuereg.diagnosis.causes.fibre import FibreCause
 from tissuereg.diagnosis.causes.gravity import GravityCause
 from tissuereg.diagnosis.causes.inclusion import InclusionCause
+from tissuereg.diagnosis.causes.laws import AsymmetryCause, MooneyCause, StiffeningCause
 from tissuereg.diagnosis.causes.layer import LayerCause
-from tissuereg.diagnosis.causes.mooney import MooneyCause
-from tissuereg.diagnosis.causes.poisson import PoissonCause
 from tissuereg.diagnosis.causes.rate import RateCause
 from tissuereg.diagnosis.causes.reference import ReferenceCause
 from tissuereg.diagnosis.causes.relaxation import RelaxationCause
 from tissuereg.diagnosis.causes.set import SetCause
 from tissuereg.diagnosis.causes.sliding import SlidingCause
 from tissuereg.diagnosis.causes.softening import SofteningCause
-from tissuereg.diagnosis.causes.stiffening import StiffeningCause
-from tissuereg.diagnosis.causes.stiffness import StiffnessCause
+from tissuereg.diagnosis.causes.stiffness import PoissonCause, StiffnessCause
 from tissuereg.diagnosis.causes.swelling import SwellingCause
 from tissuereg.diagnosis.causes.tracker import FrameCause, LatencyCause, ScaleCause, SlipCause, SwapCause
 

@@ -1,4 +1,4 @@
-"""Base class of causes that replace a believed neo-Hookean law by another one.
+"""Causes that replace a believed neo-Hookean law by another one: Mooney-Rivlin, asymmetry, stiffening.
 
 The believed neo-Hookean law is coupled: its energy is not split into isochoric and volumetric parts. A coupled law of
 another kind contains it as a special case of the shape parameter (it is nested); a split law also changes the
@@ -11,9 +11,13 @@ from collections.abc import Iterable
 from dataclasses import replace
 from typing import ClassVar
 
+import numpy as np
+
+from tissuereg._base.arrays import FloatArray
+from tissuereg.body.laws import main_key, shape_of
 from tissuereg.diagnosis.bench import Bench
-from tissuereg.diagnosis.causes.base import Cause, Variant
-from tissuereg.experiment.effects import Effect
+from tissuereg.diagnosis.causes.base import Cause, Knobs, Values, Variant, knobs, logistic, logit
+from tissuereg.experiment.effects import Asymmetry, Effect, Mooney, Stiffening
 
 
 class LawCause(Cause):
@@ -48,3 +52,130 @@ def _forms(bench: Bench) -> tuple[str, ...]:
     if material.law != "neo-hookean":
         return ()
     return ("quadratic",) if material.volumetric == "quadratic" else ("coupled", "log")
+
+
+MOONEY = "mooney-rivlin"
+
+
+class MooneyCause(LawCause):
+    """The Mooney-Rivlin law."""
+
+    id: ClassVar[str] = "mooney"
+    tried: ClassVar[tuple[tuple[str, float], ...]] = ((MOONEY, 0.5),)
+
+    def effect(self, law: str, size: float, form: str) -> Effect:
+        """Return the law with a share."""
+        return Mooney(law=law, volumetric=form, **shape_of(law, size))
+
+    def knobs(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> Knobs:
+        """Return the logit of the share."""
+        form = str(variant.settings["volumetric"])
+        return knobs(
+            [(logit(0.5 * float(amplitudes[0])), 0.0, 1.5, 0.1)],
+            lambda x, young: (self.effect(MOONEY, logistic(x[0]), form),),
+            lambda x, young: {"law": MOONEY, main_key(MOONEY): logistic(x[0]), "volumetric": form},
+        )
+
+    def sentence(self, values: Values) -> str:
+        """Return the finding in plain words."""
+        return f"A share of {values[main_key(MOONEY)]:.2g} of the energy follows the second invariant (Mooney-Rivlin)."
+
+
+#: Exponent at which Ogden's law is the neo-Hookean one, and distances from it at which changes are simulated.
+EVEN = 2.0
+DISTANCES = (-12.0, 10.0)
+
+#: Excesses of a bimodular law at which changes are simulated.
+EXCESSES = (-0.4, 0.7)
+
+
+class AsymmetryCause(LawCause):
+    """Ogden's law with one term, or a bimodular law, whose tension and compression differ at the smallest strain.
+
+    Ogden's law is stiffer in compression for negative exponents, in tension for large positive ones.
+    """
+
+    id: ClassVar[str] = "asymmetry"
+    tried: ClassVar[tuple[tuple[str, float], ...]] = (
+        *(("ogden", distance) for distance in DISTANCES),
+        *(("bimodular", excess) for excess in EXCESSES),
+    )
+
+    def effect(self, law: str, size: float, form: str) -> Effect:
+        """Return a bimodular law of some excess, or Ogden's law at some distance from the neo-Hookean exponent."""
+        if law == "bimodular":
+            return Asymmetry(law=law, volumetric=form, **shape_of(law, size))
+        exponent = EVEN + size
+        if abs(exponent) < 0.1:
+            exponent = 0.1 if exponent >= 0 else -0.1
+        return Asymmetry(law=law, alpha=(exponent,), weight=(1.0,), volumetric=form)
+
+    def knobs(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> Knobs:
+        """Return the exponent's distance from the neo-Hookean one, or the logarithm of the stiffness in tension."""
+        form, law = str(variant.settings["volumetric"]), str(variant.settings["law"])
+        start = float(variant.settings["size"]) * min(max(float(amplitudes[0]), 0.1), 2.0)
+        if law == "ogden":
+            return knobs(
+                [(start, 0.0, 12.0, 0.5)],
+                lambda x, young: (self.effect(law, float(x[0]), form),),
+                lambda x, young: {"law": law, "alpha": [EVEN + float(x[0])], "volumetric": form},
+            )
+        return knobs(
+            [(float(np.log1p(start)), 0.0, 0.7, 0.05)],
+            lambda x, young: (self.effect(law, float(np.expm1(x[0])), form),),
+            lambda x, young: {"law": law, main_key(law): float(np.expm1(x[0])), "volumetric": form},
+        )
+
+    def alternatives(self, bench: Bench, variant: Variant) -> tuple[Variant, ...]:
+        """Return the same exponent with the other volumetric forms; a bimodular law has one form."""
+        return () if variant.settings["law"] == "bimodular" else super().alternatives(bench, variant)
+
+    def sentence(self, values: Values) -> str:
+        """Return the finding in plain words."""
+        if values["law"] == "bimodular":
+            factor = 1.0 + values[main_key("bimodular")]
+            return f"Stretched directions of the body have {factor:.3g} times the stiffness of compressed ones."
+        exponent = values["alpha"][0]
+        side = "compression" if exponent < 0 else "tension"
+        return f"The body is stiffer in {side} than the believed law (Ogden's exponent {exponent:.3g})."
+
+
+#: Laws, and values of their first shape parameter where secants are taken: exponents of Fung's law, a ratio of Yeoh's.
+#: Skin has exponents of some tens.
+TRIED = {"fung": (1.0, 4.0, 16.0), "yeoh": (2.0,)}
+
+#: Largest logarithm of a shape parameter; a strain of 0.1 then multiplies the modulus by some thousands.
+LARGEST = 7.0
+
+
+class StiffeningCause(LawCause):
+    """Fung's exponential law or Yeoh's polynomial law in place of the neo-Hookean one."""
+
+    id: ClassVar[str] = "stiffening"
+    tried: ClassVar[tuple[tuple[str, float], ...]] = tuple(
+        (law, size) for law, sizes in TRIED.items() for size in sizes
+    )
+
+    def effect(self, law: str, size: float, form: str) -> Effect:
+        """Return a law by its first shape parameter, the others zero."""
+        return Stiffening(law=law, volumetric=form, **shape_of(law, size))
+
+    def knobs(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> Knobs:
+        """Return the logarithm of the law's shape parameter."""
+        law, size = str(variant.settings["law"]), float(variant.settings["size"])
+        form = str(variant.settings["volumetric"])
+        start = float(np.log(size * np.clip(amplitudes[0], 0.1, 3.0)))
+        return knobs(
+            [(start, float(np.log(2.0)), 1.2, 0.05)],
+            lambda x, young: (self.effect(law, _shape(x), form),),
+            lambda x, young: {"law": law, main_key(law): _shape(x), "volumetric": form},
+        )
+
+    def sentence(self, values: Values) -> str:
+        """Return the finding in plain words."""
+        key = main_key(str(values["law"]))
+        return f"The body stiffens with strain ({key} = {values[key]:.3g}): large pushes meet more than is believed."
+
+
+def _shape(x: FloatArray) -> float:
+    return float(np.exp(min(x[0], LARGEST)))

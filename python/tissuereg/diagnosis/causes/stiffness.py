@@ -1,4 +1,4 @@
-"""Young's modulus: the whole body is stiffer or softer than believed."""
+"""Moduli: the whole body is stiffer or softer (Young), or more or less compressible (Poisson), than believed."""
 
 from collections.abc import Iterable
 from typing import ClassVar
@@ -7,11 +7,12 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.bench import Bench
-from tissuereg.diagnosis.causes.base import Cause, Knobs, Values, Variant, knobs
-from tissuereg.experiment.effects import Stiffness
+from tissuereg.diagnosis.causes.base import Cause, Knobs, Values, Variant, knobs, logistic, logit
+from tissuereg.experiment.effects import Poisson, Stiffness
+from tissuereg.simulation.sensitivity import Parameter
 
 #: Prior deviation of the logarithm of the factor on the modulus, in addition to that of the believed modulus.
-SPREAD = 1.0
+YOUNG_SPREAD = 1.0
 
 
 class StiffnessCause(Cause):
@@ -22,12 +23,12 @@ class StiffnessCause(Cause):
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
         """Return one hypothesis: another modulus in the whole body."""
-        return [Variant("everywhere", SPREAD * bench.by_young)] if bench.is_elastic else []
+        return [Variant("everywhere", YOUNG_SPREAD * bench.by_young)] if bench.is_elastic else []
 
     def knobs(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> Knobs:
         """Return the logarithm of the factor on the modulus."""
         return knobs(
-            [(SPREAD * float(amplitudes[0]), 0.0, SPREAD, 0.02)],
+            [(YOUNG_SPREAD * float(amplitudes[0]), 0.0, YOUNG_SPREAD, 0.02)],
             lambda x, young: (Stiffness(young_kpa=young * float(np.exp(x[0]))),),
             lambda x, young: {"young_kpa": young * float(np.exp(x[0]))},
         )
@@ -35,3 +36,42 @@ class StiffnessCause(Cause):
     def sentence(self, values: Values) -> str:
         """Return the finding in words."""
         return f"The body's modulus is {values['young_kpa']:.3g} kPa, far from the believed one."
+
+
+#: Prior deviation of the ratio.
+POISSON_SPREAD = 0.06
+
+
+class PoissonCause(Cause):
+    """Poisson's ratio."""
+
+    id: ClassVar[str] = "poisson"
+
+    def variants(self, bench: Bench) -> Iterable[Variant]:
+        """Return one hypothesis: another ratio in the whole body."""
+        if bench.is_elastic:
+            column = bench.by(lambda state: [Parameter("poisson")], 1)
+        else:
+            changed = bench.change(Poisson(poisson=_ratio(bench) - 0.02))
+            if changed is None:
+                return []
+            column = -changed[None] / 0.02
+        return [Variant("everywhere", POISSON_SPREAD * column)]
+
+    def knobs(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> Knobs:
+        """Return the logit of twice the ratio."""
+        believed = _ratio(bench)
+        start = min(max(believed + POISSON_SPREAD * float(amplitudes[0]), 0.05), 0.495)
+        return knobs(
+            [(logit(2.0 * start, 0.005), logit(2.0 * believed, 0.005), 1.5, 0.05)],
+            lambda x, young: (Poisson(poisson=0.5 * logistic(x[0])),),
+            lambda x, young: {"poisson": 0.5 * logistic(x[0])},
+        )
+
+    def sentence(self, values: Values) -> str:
+        """Return the finding in words."""
+        return f"The body's compressibility differs from the believed one: Poisson's ratio is {values['poisson']:.3f}."
+
+
+def _ratio(bench: Bench) -> float:
+    return float(bench.experiment.material.poisson_array.mean())

@@ -22,12 +22,7 @@ _ROWS = 40
 class Advice:
     """A test and its expected benefit.
 
-    Attributes
-    ----------
-    action : str
-        Description of the test.
-    separability : float
-        Of the two causes by the new curve alone, in noise deviations.
+    `action`: description of the test; `separability`: of the two causes by the new curve alone, in noise deviations.
     """
 
     action: str
@@ -37,19 +32,8 @@ class Advice:
 def best_test(experiment: MaterialExperiment, scene: Scene, one: Model, other: Model) -> Advice | None:
     """Return the stock test that separates two models best.
 
-    Parameters
-    ----------
-    experiment : MaterialExperiment
-        The experiment so far.
-    scene : Scene
-        Its scope.
-    one, other : Model
-        Both fitted to it.
-
-    Returns
-    -------
-    Advice or None
-        None where the models have predictions for no common test.
+    `experiment`: the experiment so far; `scene`: its scope; `one`, `other`: both fitted to it. Result: None where the
+    models have predictions for no common test.
     """
     tests = []
     for action, curve in _stock(experiment, scene):

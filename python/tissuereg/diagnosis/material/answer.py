@@ -26,20 +26,9 @@ EXTENDED_FILE = "experiment.extended.toml"
 def answer_of(experiment: MaterialExperiment, outcome: SelectionOutcome, seed: int) -> dict[str, Any]:
     """Return the answer in JSON's types.
 
-    Parameters
-    ----------
-    experiment : MaterialExperiment
-        Believed law and measured curves.
-    outcome : SelectionOutcome
-        Result of all steps.
-    seed : int
-        Seed of the simulated null experiments.
-
-    Returns
-    -------
-    dict
-        The schema of bodies with ``kind = "material-test"``; lengths become stresses (``rms_base_kpa``), and
-        ``held_out`` also has ``unit`` and ``by_case``.
+    `experiment`: believed law and measured curves; `outcome`: result of all steps; `seed`: seed of the simulated null
+    experiments. Result: the schema of bodies with ``kind = "material-test"``; lengths become stresses
+    (``rms_base_kpa``), and ``held_out`` also has ``unit`` and ``by_case``.
     """
     parameters = {} if outcome.refined is None else parameters_of(outcome.refined.fit, outcome.known.ids)
     causes = [
@@ -92,17 +81,8 @@ def answer_of(experiment: MaterialExperiment, outcome: SelectionOutcome, seed: i
 def parameters_of(fit: MaterialFit, ids: Sequence[str]) -> dict[str, dict[str, list[float]]]:
     """Return the parameters of every finding, with standard deviations by linear propagation of the fit's covariance.
 
-    Parameters
-    ----------
-    fit : MaterialFit
-        Of all findings together.
-    ids : sequence of str
-        Ids of its forms, in their order.
-
-    Returns
-    -------
-    dict of str to dict of str to [float, float]
-        By id, then by key of the effect's table: value and standard deviation.
+    `fit`: of all findings together; `ids`: ids of its forms, in their order. Result: by id, then by key of the effect's
+    table: value and standard deviation.
     """
     plain = [_numbers(effect) for effect in fit.effects]
     columns: list[list[FloatArray]] = [[] for _ in plain]

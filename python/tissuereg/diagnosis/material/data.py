@@ -97,17 +97,8 @@ class Data:
 def data_of(experiment: MaterialExperiment, max_rows: int = MAX_ROWS) -> Data:
     """Return the rows of an experiment that are fitted.
 
-    Parameters
-    ----------
-    experiment : MaterialExperiment
-        With its curves.
-    max_rows : int
-        Of all curves together.
-
-    Returns
-    -------
-    Data
-        Rows evenly spaced along each load history.
+    `experiment`: with its curves; `max_rows`: of all curves together. Result: rows evenly spaced along each load
+    history.
     """
     curves = experiment.curves
     share = max(12, max_rows // len(curves))
@@ -140,15 +131,8 @@ def data_of(experiment: MaterialExperiment, max_rows: int = MAX_ROWS) -> Data:
 def path_arc(curve: Curve) -> FloatArray:
     """Return the progress of each row along its load history, 0 to 1.
 
-    Parameters
-    ----------
-    curve : Curve
-        With or without times.
-
-    Returns
-    -------
-    ndarray of float64, shape (n,)
-        Mean of the shares of the path length in strain and of the time; without times strain alone.
+    `curve`: with or without times. Result: (n,), mean of the shares of the path length in strain and of the time;
+    without times strain alone.
     """
     moved = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(curve.amounts)))])
     strain = moved / (moved[-1] or 1.0)

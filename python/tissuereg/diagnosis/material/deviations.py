@@ -33,12 +33,8 @@ _STEP = 1e-4
 class StatedFit:
     """A fit with the covariance that is reported.
 
-    Attributes
-    ----------
-    fit : MaterialFit
-        Its covariance includes noise, the form's model error and the prior.
-    form_error : float
-        Root mean square of the form's model error, over the stress.
+    `fit`: its covariance includes noise, the form's model error and the prior; `form_error`: root mean square of the
+    form's model error, over the stress.
     """
 
     fit: MaterialFit
@@ -48,17 +44,8 @@ class StatedFit:
 def stated(bench: ProofInput, fit: MaterialFit) -> StatedFit:
     """Return a fit with the covariance due to noise, the model error of its form, and the prior.
 
-    Parameters
-    ----------
-    bench : ProofInput
-        Bench of the fit: its `noise` is that of the curves, its `fitting` the covariance that weights fits.
-    fit : MaterialFit
-        Of all rows.
-
-    Returns
-    -------
-    StatedFit
-        The fit is otherwise unchanged.
+    `bench`: bench of the fit: its `noise` is that of the curves, its `fitting` the covariance that weights fits; `fit`:
+    of all rows. Result: the fit is otherwise unchanged.
 
     Notes
     -----

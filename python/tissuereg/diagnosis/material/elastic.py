@@ -17,17 +17,7 @@ from tissuereg.experiment.material_tests import uniaxial_stress
 def axial_second_pk(material: Material, stretch: FloatArray) -> FloatArray:
     """Return the axial second Piola-Kirchhoff stress of a bar with free lateral surfaces.
 
-    Parameters
-    ----------
-    material : Material
-        Homogeneous.
-    stretch : ndarray of float64, shape (n,)
-        Positive.
-
-    Returns
-    -------
-    ndarray of float64, shape (n,)
-        kPa; NaN where the law has no solution.
+    `material`: homogeneous; `stretch` (n,): positive. Result: (n,), kPa; NaN where the law has no solution.
     """
     return np.asarray(uniaxial_stress(material, stretch) / stretch)
 
@@ -35,15 +25,7 @@ def axial_second_pk(material: Material, stretch: FloatArray) -> FloatArray:
 def shear_metric(shear: FloatArray) -> FloatArray:
     """Return ``C`` in the plane of simple shear ``F = I + shear e0 e1``.
 
-    Parameters
-    ----------
-    shear : ndarray of float64, shape (n,)
-        Amounts.
-
-    Returns
-    -------
-    ndarray of float64, shape (n, 2, 2)
-        Determinant 1.
+    `shear` (n,): amounts. Result: (n, 2, 2), determinant 1.
     """
     metric = np.zeros((len(shear), 2, 2))
     metric[:, 0, 0] = 1.0
@@ -55,17 +37,8 @@ def shear_metric(shear: FloatArray) -> FloatArray:
 def plane_second_pk(material: Material, metric: FloatArray) -> FloatArray:
     """Return the second Piola-Kirchhoff stress of an area-preserving plane deformation.
 
-    Parameters
-    ----------
-    material : Material
-        Homogeneous; not of the law hooke.
-    metric : ndarray of float64, shape (n, 2, 2)
-        ``C`` in the plane, determinant 1.
-
-    Returns
-    -------
-    ndarray of float64, shape (n, 2, 2)
-        kPa, in the plane.
+    `material`: homogeneous; not of the law hooke; `metric` (n, 2, 2): ``C`` in the plane, determinant 1. Result: (n, 2,
+    2), kPa, in the plane.
     """
     identity = np.eye(2)
     # The root of a matrix of determinant 1.
@@ -79,17 +52,7 @@ def plane_second_pk(material: Material, metric: FloatArray) -> FloatArray:
 def isochoric_energy(material: Material, stretches: FloatArray) -> FloatArray:
     """Return the energy density at volume-preserving principal stretches, without fibres.
 
-    Parameters
-    ----------
-    material : Material
-        Homogeneous.
-    stretches : ndarray of float64, shape (n, 3)
-        Of product 1.
-
-    Returns
-    -------
-    ndarray of float64, shape (n,)
-        kPa.
+    `material`: homogeneous; `stretches` (n, 3): of product 1. Result: (n,), kPa.
     """
     young, poisson = _moduli(material)
     # Without a lambda, St. Venant and Kirchhoff's energy is that of the change of shape; Hooke's is taken for it.

@@ -121,21 +121,8 @@ def prior_of(problem: FitProblem, forms: Sequence[Form]) -> tuple[FloatArray, Fl
 def fitted(problem: FitProblem, forms: Sequence[Form], starts: Sequence[FloatArray], share: float = 0.0) -> MaterialFit:
     """Return the fit of a hypothesis, the best from several starts.
 
-    Parameters
-    ----------
-    problem : FitProblem
-        Data, weights and believed model.
-    forms : sequence of Form
-        Forms of its causes.
-    starts : sequence of ndarray of float64, shape (n,)
-        First guesses.
-    share : float
-        Size of the generic misfit in its covariance, over the stress; 0 for none.
-
-    Returns
-    -------
-    MaterialFit
-        With the largest log posterior.
+    `problem`: data, weights and believed model; `forms`: forms of its causes; `starts` (n,): first guesses; `share`:
+    size of the generic misfit in its covariance, over the stress; 0 for none. Result: with the largest log posterior.
     """
     ends = [_descent(problem, forms, start, share) for start in starts]
     return max(ends, key=lambda fit: fit.log_posterior)

@@ -45,19 +45,9 @@ class _Law:
 def stress_of(model: Model, curve: Curve, rows: Sequence[int] | IntArray | None = None) -> FloatArray:
     """Return the nominal stress of a model along a curve.
 
-    Parameters
-    ----------
-    model : Model
-        Law and memory.
-    curve : Curve
-        Path and times; its stress is not used. Without times relaxation and viscosity are left out.
-    rows : array_like of int, optional
-        Rows to return; all where absent. The history includes all rows in either case.
-
-    Returns
-    -------
-    ndarray of float64, shape (n_rows,)
-        kPa, compression negative; NaN where the law has no solution.
+    `model`: law and memory; `curve`: path and times; its stress is not used. Without times relaxation and viscosity are
+    left out; `rows`: rows to return; all where absent. The history includes all rows in either case. Result: (n_rows,),
+    kPa, compression negative; NaN where the law has no solution.
     """
     wanted = np.arange(len(curve.amounts)) if rows is None else np.asarray(rows, dtype=np.int64)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):

@@ -95,19 +95,8 @@ class HeldOutErrors:
 def folds_of(experiment: MaterialExperiment, data: Data) -> tuple[str, tuple[Fold, ...]]:
     """Return the folds: sets of rows that are held out in turn.
 
-    Parameters
-    ----------
-    experiment : MaterialExperiment
-        Its `hold_out` is the unit where it is given; else the first of mode, rate and specimen with two values.
-    data : Data
-        Rows used.
-
-    Returns
-    -------
-    unit : str
-        As in `ProofInput`.
-    folds : tuple of Fold
-        At least one.
+    `experiment`: its `hold_out` is the unit where it is given; else the first of mode, rate and specimen with two
+    values; `data`: rows used. Result: `unit`: as in `ProofInput`; `folds`: at least one.
     """
     wanted = HELD_OUT if experiment.hold_out is None else (experiment.hold_out,)
     for unit in wanted:
@@ -142,21 +131,10 @@ def _named(unit: str, values: Sequence[object]) -> str:
 def held_out_errors(bench: ProofInput, fit: MaterialFit, *, patch_share: float | None = None) -> HeldOutErrors:
     """Return the errors of a hypothesis on every fold, each predicted by a fit to all other rows.
 
-    Parameters
-    ----------
-    bench : ProofInput
-        Rows, covariances and folds.
-    fit : MaterialFit
-        Of all rows; its parameters are the first guess.
-    patch_share : float, optional
-        Size of a generic misfit (Gaussian process) that is conditioned on the fitted rows and added to the prediction;
-        none where absent. Without it, the believed law is fitted with independent rows, as a user would do: with
-        correlated errors a wrong law would be fitted to slopes alone.
-
-    Returns
-    -------
-    HeldOutErrors
-        NaN where no fold could be predicted.
+    `bench`: rows, covariances and folds; `fit`: of all rows; its parameters are the first guess; `patch_share`: size of
+    a generic misfit (Gaussian process) that is conditioned on the fitted rows and added to the prediction; none where
+    absent. Without it, the believed law is fitted with independent rows, as a user would do: with correlated errors a
+    wrong law would be fitted to slopes alone. Result: NaN where no fold could be predicted.
     """
     data = bench.problem.data
     errors, pointwise, rms, misfits = [], [], {}, {}

@@ -53,17 +53,8 @@ def null_hypothesis(problem: FitProblem) -> Hypothesis:
 def plain_fit(problem: FitProblem, noise: FloatArray) -> MaterialFit:
     """Return the believed law fitted with independent rows, as a user would do.
 
-    Parameters
-    ----------
-    problem : FitProblem
-        Data, weights and believed model.
-    noise : ndarray of float64, shape (n, n)
-        Covariance of the rows, kPa^2, of which only the diagonal is used.
-
-    Returns
-    -------
-    MaterialFit
-        Its evidence cannot be compared with that of a hypothesis.
+    `problem`: data, weights and believed model; `noise` (n, n): covariance of the rows, kPa^2, of which only the
+    diagonal is used. Result: its evidence cannot be compared with that of a hypothesis.
     """
     weights = weights_of(np.diag(np.diag(noise)), np.zeros_like(noise))
     return fitted(replace(problem, weights=weights), (), [np.array([problem.young_log])])
@@ -72,17 +63,8 @@ def plain_fit(problem: FitProblem, noise: FloatArray) -> MaterialFit:
 def unknown(problem: FitProblem, known: Hypothesis) -> Hypothesis:
     """Return the generic rival: the causes found so far, and a smooth misfit that no cause explains.
 
-    Parameters
-    ----------
-    problem : FitProblem
-        Data, weights and believed model.
-    known : Hypothesis
-        Causes found so far.
-
-    Returns
-    -------
-    Hypothesis
-        With the fit of the likeliest size, and the evidence averaged over all sizes.
+    `problem`: data, weights and believed model; `known`: causes found so far. Result: with the fit of the likeliest
+    size, and the evidence averaged over all sizes.
     """
     fits = [fitted(problem, known.fit.forms, [known.fit.x], share) for share in SHARES]
     best = max(fits, key=lambda fit: fit.evidence)
@@ -93,21 +75,9 @@ def unknown(problem: FitProblem, known: Hypothesis) -> Hypothesis:
 def with_cause(problem: FitProblem, known: Hypothesis, cause: str, forms: Sequence[Form]) -> Hypothesis:
     """Return the hypothesis with one more cause, in its best form.
 
-    Parameters
-    ----------
-    problem : FitProblem
-        Data, weights and believed model.
-    known : Hypothesis
-        Causes found so far; their forms are kept, their parameters are fitted again.
-    cause : str
-        Id of the new cause.
-    forms : sequence of Form
-        Its forms, at least one.
-
-    Returns
-    -------
-    Hypothesis
-        Evidence averaged over the forms.
+    `problem`: data, weights and believed model; `known`: causes found so far; their forms are kept, their parameters
+    are fitted again; `cause`: id of the new cause; `forms`: its forms, at least one. Result: evidence averaged over the
+    forms.
     """
     found: list[tuple[MaterialFit, float]] = []
     # The fit of a simpler form gives a first guess for a richer one.
@@ -128,21 +98,9 @@ def with_cause(problem: FitProblem, known: Hypothesis, cause: str, forms: Sequen
 def refitted(problem: FitProblem, forms: Sequence[Form], starts: Sequence[FloatArray]) -> tuple[MaterialFit, float]:
     """Return the fit of forms with or without a generic misfit, and their evidence.
 
-    Parameters
-    ----------
-    problem : FitProblem
-        Data, weights and believed model.
-    forms : sequence of Form
-        Forms of the causes.
-    starts : sequence of ndarray of float64
-        First guesses.
-
-    Returns
-    -------
-    fit : MaterialFit
-        The likelier of the two.
-    evidence : float
-        Log of the mean evidence with and without the generic misfit, weighted by their prior probabilities.
+    `problem`: data, weights and believed model; `forms`: forms of the causes; `starts`: first guesses. Result: `fit`:
+    the likelier of the two; `evidence`: log of the mean evidence with and without the generic misfit, weighted by their
+    prior probabilities.
     """
     plain = fitted(problem, forms, starts)
     share = _likeliest_share(problem, plain)

@@ -95,17 +95,7 @@ class Model:
 def model_of(experiment: MaterialExperiment, effects: Iterable[Effect] | None = None) -> Model:
     """Return the believed model with effects applied.
 
-    Parameters
-    ----------
-    experiment : MaterialExperiment
-        Believed law and effects.
-    effects : iterable of Effect, optional
-        In place of the experiment's own.
-
-    Returns
-    -------
-    Model
-        For `stress_of`.
+    `experiment`: believed law and effects; `effects`: in place of the experiment's own. Result: for `stress_of`.
     """
     model = Model(experiment.material)
     for effect in experiment.effects if effects is None else effects:

@@ -49,17 +49,8 @@ def noise_of(experiment: MaterialExperiment) -> CurveNoise:
 
     White noise is estimated from the difference between every row and a cubic through its four neighbours along the
     load history. Curves of one mode and rate repeat each other: the factors between them and their mean give the spread
-    of specimens, the remaining differences the correlated errors along a curve.
-
-    Parameters
-    ----------
-    experiment : MaterialExperiment
-        With its curves.
-
-    Returns
-    -------
-    CurveNoise
-        With typical values where no curve is repeated.
+    of specimens, the remaining differences the correlated errors along a curve. `experiment`: with its curves. Result:
+    with typical values where no curve is repeated.
     """
     std = np.array([_white(curve, experiment.stress_std) for curve in experiment.curves])
     factors, rests, repeats = 0.0, 0.0, 0
@@ -77,17 +68,7 @@ def noise_of(experiment: MaterialExperiment) -> CurveNoise:
 def covariance(data: Data, noise: CurveNoise) -> FloatArray:
     """Return the covariance of measured stresses about a correct law.
 
-    Parameters
-    ----------
-    data : Data
-        Rows used.
-    noise : CurveNoise
-        Standard deviations.
-
-    Returns
-    -------
-    ndarray of float64, shape (n, n)
-        kPa^2.
+    `data`: rows used; `noise`: standard deviations. Result: (n, n), kPa^2.
     """
     level, specimens = data.level, np.array(data.specimens)
     total = np.diag(noise.std[data.curve_of] ** 2)

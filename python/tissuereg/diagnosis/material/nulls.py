@@ -26,25 +26,8 @@ def threshold(
     """Return the log Bayes factor that the best cause exceeds in one of a hundred null experiments.
 
     Every form is linearised about its first guesses: one column of stress with a unit prior amplitude, in addition to
-    the column of the modulus.
-
-    Parameters
-    ----------
-    problem : FitProblem
-        Data, weights and believed model.
-    known : MaterialFit
-        Of the believed model.
-    forms : mapping of str to sequence of Form
-        By id.
-    rng : numpy.random.Generator
-        For the noise.
-    n_nulls : int
-        Number of null experiments.
-
-    Returns
-    -------
-    float
-        Nats, at least `LEAST_THRESHOLD`.
+    the column of the modulus. `problem`: data, weights and believed model; `known`: of the believed model; `forms`: by
+    id; `rng`: for the noise; `n_nulls`: number of null experiments. Result: nats, at least `LEAST_THRESHOLD`.
     """
     draws = rng.standard_normal((len(problem.data.stress), n_nulls))
     young = _young_column(problem, known)
@@ -62,23 +45,9 @@ def threshold(
 def misfit_probability(weights: Weights, residual: FloatArray, rng: np.random.Generator, n_nulls: int = 500) -> float:
     """Return the p-value of the structure in a residual.
 
-    The statistic is the largest log likelihood ratio of a generic misfit against none, over its sizes.
-
-    Parameters
-    ----------
-    weights : Weights
-        Whitening of the rows.
-    residual : ndarray of float64, shape (n,)
-        Measured minus modelled, kPa.
-    rng : numpy.random.Generator
-        For the noise.
-    n_nulls : int
-        Number of residuals of noise alone, of uncertain size.
-
-    Returns
-    -------
-    float
-        From 1 / (n_nulls + 1) to 1.
+    The statistic is the largest log likelihood ratio of a generic misfit against none, over its sizes. `weights`:
+    whitening of the rows; `residual` (n,): measured minus modelled, kPa; `rng`: for the noise; `n_nulls`: number of
+    residuals of noise alone, of uncertain size. Result: from 1 / (n_nulls + 1) to 1.
     """
     found = _structure(weights, weights.whitened(residual)[:, None])[0]
     scale = np.exp(_NOISE_OF_NOISE * rng.standard_normal(n_nulls))

@@ -52,19 +52,8 @@ class Refined:
 def refined(search: MaterialSearch, none: Hypothesis, known: Hypothesis, noise: CurveNoise) -> Refined:
     """Return the fit in the form and with the weights that predict best.
 
-    Parameters
-    ----------
-    search : MaterialSearch
-        With its bench.
-    none, known : Hypothesis
-        The believed law without and with the causes found.
-    noise : CurveNoise
-        Noise of the curves.
-
-    Returns
-    -------
-    Refined
-        With one of the forms tried of each cause, and its deviations.
+    `search`: with its bench; `none`, `known`: the believed law without and with the causes found; `noise`: noise of the
+    curves. Result: with one of the forms tried of each cause, and its deviations.
     """
     benches = {"lasting errors": search.bench, "rows alike": rows_alike(search.bench, noise)}
     if search.bench.unit == "part":
@@ -134,17 +123,8 @@ def _error(search: MaterialSearch, refined: Refined) -> float:
 def rows_alike(bench: ProofInput, noise: CurveNoise) -> ProofInput:
     """Return a bench on which the rows of a curve have equal weights in fits.
 
-    Parameters
-    ----------
-    bench : ProofInput
-        Rows, covariances and folds.
-    noise : CurveNoise
-        Noise of the curves.
-
-    Returns
-    -------
-    ProofInput
-        Prediction errors are still measured in units of the full noise covariance.
+    `bench`: rows, covariances and folds; `noise`: noise of the curves. Result: prediction errors are still measured in
+    units of the full noise covariance.
     """
     data = bench.problem.data
     peaks = np.array([float(np.nanmax(np.abs(curve.stress))) for curve in data.curves])

@@ -46,17 +46,8 @@ _MOST_POINTS = 300
 def material_page(found: "MaterialDiagnosis", folder: Path) -> str:
     """Return the page that will lie in a folder.
 
-    Parameters
-    ----------
-    found : MaterialDiagnosis
-        The diagnosis.
-    folder : Path
-        Folder of the page, to which paths in the extended model are relative.
-
-    Returns
-    -------
-    str
-        HTML without external resources.
+    `found`: the diagnosis; `folder`: folder of the page, to which paths in the extended model are relative. Result:
+    HTML without external resources.
     """
     answer = found.answer
     tone = "yes" if answer["verdict"] == "consistent" else "no"

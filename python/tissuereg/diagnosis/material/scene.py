@@ -62,15 +62,7 @@ class Scene:
 def scene_of(experiment: MaterialExperiment) -> Scene:
     """Return the scope of an experiment's curves.
 
-    Parameters
-    ----------
-    experiment : MaterialExperiment
-        With its curves.
-
-    Returns
-    -------
-    Scene
-        Ranges, and which kinds of loading there are.
+    `experiment`: with its curves. Result: ranges, and which kinds of loading there are.
     """
     curves = experiment.curves
     bars = np.concatenate([np.zeros(1), *(c.strains for c in curves if c.mode != "simple-shear")])

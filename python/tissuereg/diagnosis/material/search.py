@@ -88,16 +88,9 @@ class MaterialFinding:
 class MaterialSearch:
     """The selection of causes.
 
-    Parameters
-    ----------
-    bench : ProofInput
-        Data, believed model and folds.
-    forms : dict of str to list of Form
-        Forms by cause; causes without forms cannot be seen in these curves.
-    threshold : float
-        Log Bayes factor that null experiments exceed rarely, nats.
-    progress : callable
-        Called with the name of the step that begins.
+    `bench`: data, believed model and folds; `forms`: forms by cause; causes without forms cannot be seen in these
+    curves; `threshold`: log Bayes factor that null experiments exceed rarely, nats; `progress`: called with the name of
+    the step that begins.
     """
 
     bench: ProofInput
@@ -111,15 +104,7 @@ class MaterialSearch:
     def run(self, none: Hypothesis) -> Hypothesis:
         """Return the hypothesis with the accepted causes.
 
-        Parameters
-        ----------
-        none : Hypothesis
-            The believed model.
-
-        Returns
-        -------
-        Hypothesis
-            With at most `MOST_FINDINGS` causes.
+        `none`: the believed model. Result: with at most `MOST_FINDINGS` causes.
         """
         known = none
         while len(known.ids) < MOST_FINDINGS:
@@ -187,19 +172,7 @@ class MaterialSearch:
     def is_proved(self, known: Hypothesis, grown: Hypothesis, generic: Hypothesis) -> bool:
         """Return whether a cause predicts held-out data better than the model without it and than a generic patch.
 
-        Parameters
-        ----------
-        known : Hypothesis
-            Without it.
-        grown : Hypothesis
-            With it.
-        generic : Hypothesis
-            With a generic misfit in its place.
-
-        Returns
-        -------
-        bool
-            Both must hold.
+        `known`: without it; `grown`: with it; `generic`: with a generic misfit in its place. Result: both must hold.
         """
         self.progress(f"held-out proof of {grown.ids[-1]}")
         before, after = held_out_errors(self.bench, known.fit), held_out_errors(self.bench, grown.fit)
@@ -279,19 +252,7 @@ class MaterialSearch:
     def finding(self, none: Hypothesis, known: Hypothesis, cause: str) -> MaterialFinding:
         """Return the finding of one accepted cause.
 
-        Parameters
-        ----------
-        none : Hypothesis
-            The believed model.
-        known : Hypothesis
-            With all accepted causes.
-        cause : str
-            One of its ids.
-
-        Returns
-        -------
-        MaterialFinding
-            With its group.
+        `none`: the believed model; `known`: with all accepted causes; `cause`: one of its ids. Result: with its group.
         """
         self.progress(f"rivals of {cause}")
         rest, racers = self.alternatives(none, known, cause)

@@ -86,19 +86,8 @@ class SelectionOutcome:
 def find_out(experiment: MaterialExperiment, seed: int, progress: Callable[[str], None]) -> SelectionOutcome:
     """Return the result of all steps of a material diagnosis.
 
-    Parameters
-    ----------
-    experiment : MaterialExperiment
-        Believed law and measured curves.
-    seed : int
-        Seed of the simulated null experiments.
-    progress : callable
-        Called with the name of the step that begins.
-
-    Returns
-    -------
-    SelectionOutcome
-        Everything that the answer is made from.
+    `experiment`: believed law and measured curves; `seed`: seed of the simulated null experiments; `progress`: called
+    with the name of the step that begins. Result: everything that the answer is made from.
     """
     rng = np.random.default_rng(seed)
     bench, noise = bench_of(experiment)
@@ -148,17 +137,8 @@ def find_out(experiment: MaterialExperiment, seed: int, progress: Callable[[str]
 def bench_of(experiment: MaterialExperiment) -> tuple[ProofInput, CurveNoise]:
     """Return everything that fits and held-out proofs of an experiment need.
 
-    Parameters
-    ----------
-    experiment : MaterialExperiment
-        Believed law and measured curves.
-
-    Returns
-    -------
-    bench : ProofInput
-        Rows, covariances and folds.
-    noise : CurveNoise
-        Noise of the curves.
+    `experiment`: believed law and measured curves. Result: `bench`: rows, covariances and folds; `noise`: noise of the
+    curves.
     """
     data, noise = data_of(experiment), noise_of(experiment)
     own, generic = covariance(data, noise), generic_covariance(data)

@@ -63,15 +63,8 @@ class Weights:
 def weights_of(noise: FloatArray, generic: FloatArray) -> Weights:
     """Return the whitening of a noise covariance and a generic one.
 
-    Parameters
-    ----------
-    noise, generic : ndarray of float64, shape (n, n)
-        kPa^2; `generic` for a share of 1.
-
-    Returns
-    -------
-    Weights
-        Costs one Cholesky factor and one eigenvalue problem.
+    `noise`, `generic` (n, n): kPa^2; `generic` for a share of 1. Result: costs one Cholesky factor and one eigenvalue
+    problem.
     """
     factor = np.linalg.cholesky(noise)
     inverse = np.linalg.inv(factor)
@@ -97,21 +90,9 @@ def patched(
 ) -> FloatArray:
     """Return the posterior mean of a generic misfit at some rows, given the residual at others.
 
-    Parameters
-    ----------
-    noise, generic : ndarray of float64, shape (n, n)
-        Covariances, kPa^2.
-    share : float
-        Size of the misfit over the stress.
-    known, left_out : ndarray of int64
-        Rows.
-    residual : ndarray of float64, shape (n_known,)
-        Measured minus modelled there, kPa.
-
-    Returns
-    -------
-    ndarray of float64, shape (n_left_out,)
-        To be added to the model, kPa.
+    `noise`, `generic` (n, n): covariances, kPa^2; `share`: size of the misfit over the stress; `known`, `left_out`:
+    rows; `residual` (n_known,): measured minus modelled there, kPa. Result: (n_left_out,), to be added to the model,
+    kPa.
     """
     own = noise[np.ix_(known, known)] + share**2 * generic[np.ix_(known, known)]
     across = share**2 * generic[np.ix_(left_out, known)]

@@ -28,16 +28,8 @@ _WIDTH, _LEFT, _RIGHT = 900.0, 60.0, 20.0
 class ChannelCurve:
     """Residuals of one channel of one case over time, in noise deviations.
 
-    Attributes
-    ----------
-    title : str
-        Name of the channel.
-    times : ndarray of float64, shape (n_frames,)
-        s.
-    before, after : ndarray of float64, shape (n_frames,)
-        Root mean squares; NaN where nothing was measured.
-    low, high : ndarray of float64, shape (n_frames,)
-        Band in which noise alone lies in `SHARE` of all frames.
+    `times` (n_frames,): s; `before`, `after` (n_frames,): root mean squares; NaN where nothing was measured; `low`,
+    `high` (n_frames,): band in which noise alone lies in `SHARE` of all frames.
     """
 
     title: str

@@ -40,24 +40,9 @@ summary { cursor: pointer; }
 def write_report(found: "Diagnosis", path: Path, *, seen_from: str | os.PathLike[str] | None = None) -> Path:
     """Write the page, whole or not at all.
 
-    Parameters
-    ----------
-    found : Diagnosis
-        The diagnosis. Without its details the page has text and the ranking alone.
-    path : Path
-        File to write.
-    seen_from : path-like, optional
-        Final folder of the page, where it is written elsewhere first.
-
-    Returns
-    -------
-    Path
-        The file.
-
-    Raises
-    ------
-    OutputError
-        If the file cannot be written.
+    `found`: the diagnosis. Without its details the page has text and the ranking alone; `path`: file to write;
+    `seen_from`: final folder of the page, where it is written elsewhere first. Raises `OutputError` if the file cannot
+    be written.
     """
     folder = Path(path).parent if seen_from is None else Path(seen_from)
     text = document("Diagnosis", page_parts(found, folder), _STYLE)

@@ -68,15 +68,8 @@ def gain_words(finding: "Finding") -> str:
 def blocks_words(blocks: Sequence[str]) -> str:
     """Return the names of held-out blocks, plain text; blocks of frames of one case are joined.
 
-    Parameters
-    ----------
-    blocks : sequence of str
-        As in a proof: cases, or every nth frame of one case from the first, the second, and so on.
-
-    Returns
-    -------
-    str
-        For a sentence.
+    `blocks`: as in a proof: cases, or every nth frame of one case from the first, the second, and so on. Result: for a
+    sentence.
 
     Examples
     --------

@@ -68,21 +68,8 @@ def rankings(found: "Diagnosis") -> str:
 def ranking(rows: Sequence[Mapping[str, Any]], thresholds: Mapping[str, float], named: "set[str]", title: str) -> str:
     """Return the bars of one round.
 
-    Parameters
-    ----------
-    rows : sequence of mapping
-        As `Diagnosis.candidates`; ``probability`` may be absent.
-    thresholds : mapping of str to float
-        By id; drawn as lines across the bars.
-    named : set of str
-        Ids that are highlighted as found.
-    title : str
-        Plain text.
-
-    Returns
-    -------
-    str
-        HTML.
+    `rows`: as `Diagnosis.candidates`; ``probability`` may be absent; `thresholds`: by id; drawn as lines across the
+    bars; `named`: ids that are highlighted as found; `title`: plain text. Result: HTML.
     """
     if not rows:
         return "<p>No cause of the catalogue applies to this experiment.</p>"

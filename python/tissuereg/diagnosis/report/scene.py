@@ -1,13 +1,14 @@
 """Data of the three-dimensional view as one JSON: surface, markers with residuals, forces, inclusions."""
 
 import json
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tissuereg._base.arrays import FloatArray
-from tissuereg.diagnosis.report.surface import drawn_surface
+from tissuereg._base.arrays import FloatArray, IntArray
 from tissuereg.experiment.effects import Inclusion
+from tissuereg.experiment.experiment import Experiment
 from tissuereg.io.json import plain
 
 if TYPE_CHECKING:
@@ -23,18 +24,8 @@ MOST_VECTORS = 60_000
 def scene(found: "Diagnosis", most: int = MOST_VECTORS) -> dict[str, Any]:
     """Return the scene of a diagnosis.
 
-    Parameters
-    ----------
-    found : Diagnosis
-        With its details.
-    most : int
-        Number of residual vectors at most.
-
-    Returns
-    -------
-    dict
-        Of JSON's types. Lengths in micrometres, forces in mN, None = not measured. Residuals are measured minus
-        predicted.
+    `found`: with its details; `most`: number of residual vectors at most. Result: of JSON's types. Lengths in
+    micrometres, forces in mN, None = not measured. Residuals are measured minus predicted.
     """
     layout, search = found.details["layout"], found.details["search"]
     body = found.extended
@@ -121,3 +112,55 @@ def _micrometres(places: FloatArray) -> list[int | None]:
 
 def _plain(values: FloatArray) -> list[float | None]:
     return [x if np.isfinite(x) else None for x in values.ravel().tolist()]
+
+
+#: Number of triangles, at most; larger surfaces are coarsened.
+MOST_TRIANGLES = 12_000
+
+
+@dataclass(frozen=True, eq=False)
+class PatchedSurface:
+    """Triangles with their patches.
+
+    `nodes` (n, 3): mm; `triangles` int64 (m, 3): outward; `patch` int64 (m,): 0 is free, 1 held, 2 and on the actuators
+    in their order.
+    """
+
+    nodes: FloatArray
+    triangles: IntArray
+    patch: IntArray
+
+
+def drawn_surface(experiment: Experiment, most: int = MOST_TRIANGLES) -> PatchedSurface:
+    """Return the surface of a body at rest.
+
+    `experiment`: with the body and its patches; `most`: number of triangles at most. Result: nodes are merged on
+    coarser and coarser grids until there are few enough triangles.
+    """
+    mesh = experiment.mesh
+    patch = np.zeros(len(mesh.surface), np.int64)
+    held = [boundary.nodes for boundary in experiment.boundaries] or [mesh.fixed_nodes]
+    for number, nodes in [
+        *((1, nodes) for nodes in held),
+        *((2 + i, actuator.nodes) for i, actuator in enumerate(experiment.actuators)),
+    ]:
+        patch[np.isin(mesh.surface, nodes).all(axis=1)] = number
+    used, triangles = np.unique(mesh.surface, return_inverse=True)
+    found = PatchedSurface(mesh.nodes[used], triangles.reshape(-1, 3), patch)
+    width = mesh.extent / 80.0
+    while len(found.triangles) > most:
+        found = _joined(found, width)
+        width *= 1.25
+    return found
+
+
+def _joined(surface: PatchedSurface, width: float) -> PatchedSurface:
+    """Return the surface with all nodes of a grid cell replaced by their mean."""
+    cells = np.floor((surface.nodes - surface.nodes.min(axis=0)) / width).astype(np.int64)
+    _, group = np.unique(cells, axis=0, return_inverse=True)
+    group = group.reshape(-1)
+    count = np.bincount(group)
+    nodes = np.stack([np.bincount(group, surface.nodes[:, axis]) / count for axis in range(3)], axis=1)
+    triangles = group[surface.triangles]
+    whole = (np.diff(np.sort(triangles, axis=1), axis=1) > 0).all(axis=1)
+    return PatchedSurface(nodes, triangles[whole], surface.patch[whole])

@@ -15,15 +15,7 @@ BEFORE, AFTER, GENERIC, FLOOR = "#c2571a", "#1f5fa8", "#8a8f98", "#2d8a4e"
 
 @dataclass(frozen=True)
 class PixelScale:
-    """A map from values to pixels.
-
-    Parameters
-    ----------
-    low, high : float
-        Values at the ends.
-    first, last : float
-        Pixels there.
-    """
+    """A map from values to pixels. `low`, `high`: values at the ends; `first`, `last`: pixels there."""
 
     low: float
     high: float
@@ -51,19 +43,8 @@ class PixelScale:
 def picture(width: float, height: float, parts: Sequence[str], name: str) -> str:
     """Return an SVG element as wide as the page.
 
-    Parameters
-    ----------
-    width, height : float
-        Of its coordinates.
-    parts : sequence of str
-        SVG.
-    name : str
-        Description in plain text, for screen readers.
-
-    Returns
-    -------
-    str
-        SVG element.
+    `width`, `height`: of its coordinates; `parts`: SVG; `name`: description in plain text, for screen readers. Result:
+    SVG element.
     """
     return (
         f"<svg viewBox='0 0 {width:g} {height:g}' role='img' aria-label='{escape(name)}' "

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tissuereg.diagnosis.probability import LOOK_ALIKE, TEMPER
+from tissuereg.diagnosis.evidence import LOOK_ALIKE, TEMPER
 from tissuereg.diagnosis.report.proved import gain_words
 from tissuereg.diagnosis.report.ranking import chance, gloss, plain_name, separated
 from tissuereg.diagnosis.search import SEPARABLE

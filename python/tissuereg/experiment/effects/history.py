@@ -48,7 +48,7 @@ class Rate(Memory):
 
 @dataclass(frozen=True, kw_only=True)
 class Softening(Memory):
-    """Softening by the largest energy so far, as `simulate.behaviour.Softening`."""
+    """Softening by the largest energy so far, as `tissuereg.simulation.behaviour.SofteningLaw`."""
 
     id: ClassVar[str] = "softening"
     absolute: ClassVar[bool] = True

@@ -40,8 +40,8 @@ def known_of(given: RegisterInput, fit: ContactFit, spread: Spread) -> Known:
     """Return the registered targets and markers."""
     state, observed, inner = fit.state, given.observed, given.targets
     n_targets = len(inner.names)
-    seen = np.isfinite(given.markers.measured).any(axis=1)
-    counts = np.asarray(seen & (fit.wrong < given.settings.contacts.report.wrong))
+    measured = np.isfinite(given.markers.measured).any(axis=1)
+    counts = np.asarray(measured & (fit.wrong < given.settings.contacts.report.wrong))
     used, lost = np.flatnonzero(counts), np.flatnonzero(~counts)
     here = state.displacement[observed.nodes]
     moved = np.concatenate([inner.predict(state.displacement[inner.nodes]), observed.predict(here)])
@@ -210,9 +210,9 @@ def _chance(residual: FloatArray, covariance: FloatArray) -> float:
     """Return the p-value of an offset; components that are NaN are ignored."""
     from scipy.stats import chi2
 
-    seen = np.flatnonzero(np.isfinite(residual))
-    score = residual[seen] @ np.linalg.solve(covariance[np.ix_(seen, seen)], residual[seen])
-    return float(chi2.sf(score, max(len(seen), 1)))
+    measured = np.flatnonzero(np.isfinite(residual))
+    score = residual[measured] @ np.linalg.solve(covariance[np.ix_(measured, measured)], residual[measured])
+    return float(chi2.sf(score, max(len(measured), 1)))
 
 
 def surface_fit(given: RegisterInput, points: PointData | None, start: BodyState, end: BodyState) -> SurfaceFit | None:

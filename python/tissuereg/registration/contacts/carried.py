@@ -19,7 +19,7 @@ from tissuereg.simulation.sensitivity import Cause
 
 @dataclass(frozen=True, eq=False)
 class Carried:
-    """What one moment leaves for the next.
+    """Where the passes of one frame ended, from which those of the next frame start.
 
     Attributes
     ----------

@@ -101,14 +101,14 @@ class ContactFit:
 class Passes:
     """The loop over passes with its data and settings.
 
-    `columns`: causes; `seen`: data; `material`: material of the body; `settings`: prior and chains; `rng`: source of
-    all random numbers; `threads`: threads to use; 0 takes all cores; `clock`: records the times of the stages; notified
-    of every pass; `before`: samples from which the first pass goes on, if the data are not matched anew; `kept`: a
-    tangent near the start.
+    `columns`: causes; `observed`: data; `material`: material of the body; `settings`: prior and chains; `rng`: source
+    of all random numbers; `threads`: threads to use; 0 takes all cores; `clock`: records the times of the stages;
+    notified of every pass; `before`: samples from which the first pass goes on, if the data are not matched anew;
+    `kept`: a tangent near the start.
     """
 
     columns: Columns
-    seen: ObservedData
+    observed: ObservedData
     material: Material
     settings: ContactSettings
     rng: np.random.Generator
@@ -136,7 +136,7 @@ class Passes:
         `start`: the body under the believed load, zero coefficients. Result: with a linearisation at its end. Raises
         `ConvergenceError` if no pass is allowed.
         """
-        full = self.seen
+        full = self.observed
         best: tuple[_Pass, list[float]] | None = None
         for width in self.steps.widths if full.rematches else (0.0,):
             found = self._from(start, self._stages(full, width))
@@ -148,7 +148,7 @@ class Passes:
             message = "at least one width must be tried"
             raise ConvergenceError(message, where="load")
         last, history = best
-        self.seen = full
+        self.observed = full
         return self._fit(last, self._at_end(last, full), history)
 
     def _at_end(self, last: "_Pass", full: ObservedData) -> AtBody:
@@ -163,11 +163,11 @@ class Passes:
     def _from(self, start: BodyState, stages: list[tuple[ObservedData, int]]) -> tuple["_Pass", list[float]]:
         """Return the closest pass from a start, and the cost after each pass."""
         last, state, history = None, start, list[float]()
-        samples = None if self.seen.weighed or self.seen.rematches else self.before
-        for seen, most in stages:
-            if self.seen.weighed != seen.weighed:
+        samples = None if self.observed.weighed or self.observed.rematches else self.before
+        for observed, most in stages:
+            if self.observed.weighed != observed.weighed:
                 samples = None  # samples of markers with indicators do not fit weights
-            self.seen = seen
+            self.observed = observed
             last, reached = self._approach(state, samples, most)
             state, samples = last.state, last.samples
             history += reached
@@ -204,7 +204,9 @@ class Passes:
                 closest = made
             del made
             most_passes = (
-                self.steps.coarse_passes + self.steps.fine_passes if self.seen.rematches else self.settings.max_passes
+                self.steps.coarse_passes + self.steps.fine_passes
+                if self.observed.rematches
+                else self.settings.max_passes
             )
             self.clock.passed(min(self.counters["passes"], most_passes), most_passes)
         assert closest is not None  # the loop runs once at least
@@ -212,7 +214,7 @@ class Passes:
 
     def _one_pass(self, state: BodyState, samples: Samples | None) -> "_Pass":
         """Return the pass that begins at a body, with samples that go on from those before."""
-        at = self.linear.at(state, self.seen)
+        at = self.linear.at(state, self.observed)
         drawn = self._sample(at.sampler, samples)
         with self.clock.stage("solve"):
             wanted, misfit = self._mean(at, drawn)
@@ -223,7 +225,7 @@ class Passes:
     def observations(self, state: BodyState) -> LinearObservations:
         """Return the data at a body with their responses to the columns."""
         tangent = self.linear.tangent(state)
-        return self.linear.observations(tangent, self.seen.read(state), state.coefficients, self.seen)
+        return self.linear.observations(tangent, self.observed.read(state), state.coefficients, self.observed)
 
     def _sample(self, core: Any, before: Samples | None) -> Samples:
         settings = self.settings
@@ -258,10 +260,10 @@ class Passes:
 
     def _solve(self, at: AtBody, samples: Samples, state: BodyState, wanted: FloatArray) -> BodyState:
         """Return the equilibrium under the wanted coefficients, or after the longest step that reduces the residual."""
-        steps, matched = self.steps, not self.seen.rematches
+        steps, matched = self.steps, not self.observed.rematches
         share, decrease = 1.0, steps.decrease if matched else steps.decrease_unmatched
         # Points are matched anew, but keep the weights for which the step was predicted.
-        std = self.seen.read(state).std if self.seen.rough else None
+        std = self.observed.read(state).std if self.observed.rough else None
         before = self.residual_rms(state, samples, std)
         best: tuple[float, BodyState] | None = None
         while share > (steps.shortest if matched or best is None else steps.shortest_unmatched):
@@ -275,7 +277,7 @@ class Passes:
                     return found
             share *= 0.5
             self.counters["halved_steps"] += 1
-        if best is None or (best[0] >= before and self.seen.rematches):
+        if best is None or (best[0] >= before and self.observed.rematches):
             # No load on the way has an equilibrium, or none reduces the residual: the next samples may.
             self.counters["stuck_passes"] += 1
             return state
@@ -306,7 +308,7 @@ class Passes:
 
     def residual_rms(self, state: BodyState, samples: Samples, std: FloatArray | None = None) -> float:
         """Return the root mean square residual over standard deviations, observations weighted by not being wrong."""
-        reading = self.seen.read(state)
+        reading = self.observed.read(state)
         if std is not None:
             return float(np.sqrt(np.mean((reading.residual / std) ** 2)))
         weights = np.ones(len(reading.cost))
@@ -320,9 +322,9 @@ class Passes:
         if len(reached) < (2 if self.before is None else 1):
             return False
         residual = reached[-1].residual
-        if self.seen.rematches:
+        if self.observed.rematches:
             before = reached[-2].residual if len(reached) > 1 else np.inf
-            few = len(reached) < self.steps.least_rough and self.seen.rough and residual > self.settings.fit_limit
+            few = len(reached) < self.steps.least_rough and self.observed.rough and residual > self.settings.fit_limit
             return not few and residual > (1.0 - self.steps.settled) * before
         met = residual < self.settings.fit_limit and residual < reached[-1].predicted + self.settings.promise_margin
         residuals = [one.residual for one in reached]
@@ -346,12 +348,12 @@ class Passes:
 
     def _wrong(self, state: BodyState, samples: Samples) -> FloatArray:
         """Return the probability that each marker is wrong, (n_markers,); zero for markers that were not seen."""
-        markers = self.seen.markers
+        markers = self.observed.markers
         if markers is None:
             return np.zeros(0)
         wrong = np.zeros(len(markers.markers))
         found = samples[2].mean(axis=0)
-        if self.seen.weighed:
+        if self.observed.weighed:
             spread = self.settings.wrong_share * self.columns.body.mesh.extent
             found = markers.wrong(state, float(np.log(self.settings.wrong_odds)), spread)
         wrong[np.unique(markers.rows // 3)] = found

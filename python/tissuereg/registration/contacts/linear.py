@@ -48,12 +48,12 @@ class Linearisation:
     kept: Tangent | None = None
     _basis: tuple[ObservedData, Basis] | None = field(default=None, repr=False)
 
-    def at(self, state: BodyState, seen: ObservedData) -> AtBody:
+    def at(self, state: BodyState, observed: ObservedData) -> AtBody:
         """Return data, tangent and sampler at a body."""
         tangent = self.tangent(state)
         with self.clock.stage("match"):
-            reading = seen.read(state)
-        observations = self.observations(tangent, reading, state.coefficients, seen)
+            reading = observed.read(state)
+        observations = self.observations(tangent, reading, state.coefficients, observed)
         with self.clock.stage("prepare"):
             data = {
                 "innovation": observations.innovation,
@@ -73,18 +73,18 @@ class Linearisation:
         return found
 
     def observations(
-        self, tangent: Tangent, reading: Observations, coefficients: FloatArray, seen: ObservedData
+        self, tangent: Tangent, reading: Observations, coefficients: FloatArray, observed: ObservedData
     ) -> LinearObservations:
         """Return observations as they are, or, if they are many, a projection that keeps nearly all information."""
         rigid = self.columns.rigid_rows(reading.places, reading.directions)
-        if not seen.weighed:
+        if not observed.weighed:
             return plain(reading, self._responses(tangent, reading.rows, rigid), coefficients)
-        if self._basis is None or self._basis[0] is not seen:
+        if self._basis is None or self._basis[0] is not observed:
             every = self._responses(tangent, reading.rows, rigid)
             with self.clock.stage("prepare"):
-                most = MATCHING.most_kept_coarse if seen.rough else MATCHING.most_kept
+                most = MATCHING.most_kept_coarse if observed.rough else MATCHING.most_kept
                 basis = Basis.of(reading, every, moving_variances(self.columns, self.settings), most)
-            self._basis = (seen, basis)
+            self._basis = (observed, basis)
             return projected(reading, basis, (basis.vectors / reading.std) @ every, coefficients)
         basis = self._basis[1]
         few = self._responses(tangent, basis.rows(reading), (basis.vectors / reading.std) @ rigid)

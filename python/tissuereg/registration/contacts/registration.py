@@ -19,7 +19,6 @@ from tissuereg.registration.contacts.draws import Draws, NodesOfContacts
 from tissuereg.registration.contacts.evidence import support_stiffness
 from tissuereg.registration.contacts.fit import ContactFit, Passes, start_of
 from tissuereg.registration.contacts.graded import grade
-from tissuereg.registration.contacts.icp import closest_frame
 from tissuereg.registration.contacts.measured import MarkerData, ObservedData
 from tissuereg.registration.contacts.result import ContactRegistration
 from tissuereg.registration.contacts.settings import DISCRETISATION, ContactSettings
@@ -27,7 +26,7 @@ from tissuereg.registration.contacts.size import announce
 from tissuereg.registration.contacts.spread import Spread
 from tissuereg.registration.contacts.state import BodyState, RigidMotion
 from tissuereg.registration.contacts.supports import Supports
-from tissuereg.registration.contacts.surface_points import PointData
+from tissuereg.registration.contacts.surface_points import PointData, closest_frame
 from tissuereg.registration.inputs import RegisterInput
 from tissuereg.registration.result import Registration
 from tissuereg.simulation.sensitivity import Cause, ModulusField, Parameter
@@ -69,9 +68,9 @@ def register_by_contacts(
         supports = Supports.of(given.mesh, given.body.held, given.body.held_nodes)
         body = ContactBody.of(given.mesh, supports, given.body.fitting_element)
     points = None if given.surface is None else PointData.of(given.mesh, given.surface, settings.model_error)
-    seen = ObservedData.of(MarkerData(given.observed, given.markers, settings.model_error), points)
-    announce(body, seen, given, clock)
-    found, note = _ContactSearch(given, body, seen, settings, clock, _carried(after, given)).least_left(believed)
+    observed = ObservedData.of(MarkerData(given.observed, given.markers, settings.model_error), points)
+    announce(body, observed, given, clock)
+    found, note = _ContactSearch(given, body, observed, settings, clock, _carried(after, given)).least_left(believed)
     if note:
         given = replace(given, suspicions=(*given.suspicions, note))
     with clock.stage("spread"):
@@ -104,7 +103,7 @@ class _ContactSearch:
 
     given: RegisterInput
     body: ContactBody
-    seen: ObservedData
+    observed: ObservedData
     settings: ContactSettings
     clock: Clock
     carried: Carried | None = None
@@ -143,7 +142,7 @@ class _ContactSearch:
             parts, field = _believed(body, material, believed, settings)
             columns = Columns.of(body, material, parts, settings, drifts=given.settings.tracker == "drifts")
         rng = np.random.default_rng([given.seed, 7])
-        passes = Passes(columns, self.seen, material, settings, rng, given.threads, clock)
+        passes = Passes(columns, self.observed, material, settings, rng, given.threads, clock)
         frame = _first_frame(given, body.supports)
         if self.carried is not None:
             gone_on = self._gone_on(self.carried, passes, field, frame)
@@ -197,11 +196,11 @@ def _carried(after: Registration | None, given: RegisterInput) -> Carried | None
         return None
     if given.surface is not None or after.surface is not None:
         return None
-    names, seen = after.all_markers.names, np.isfinite(after.all_markers.measured).any(axis=1)
+    names, observed = after.all_markers.names, np.isfinite(after.all_markers.measured).any(axis=1)
     now = np.isfinite(given.markers.measured).any(axis=1)
-    if names != given.markers.names or after.draw.fit.samples[2].shape[1] != int(seen.sum()):
+    if names != given.markers.names or after.draw.fit.samples[2].shape[1] != int(observed.sum()):
         return None
-    return Carried.of(after.draw, np.asarray(seen), np.asarray(now))
+    return Carried.of(after.draw, np.asarray(observed), np.asarray(now))
 
 
 def _supported(passes: Passes, frame: RigidMotion) -> tuple[Passes, list[tuple[Cause, float]]]:

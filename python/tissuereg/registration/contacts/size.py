@@ -8,15 +8,15 @@ from tissuereg.registration.inputs import RegisterInput
 from tissuereg.simulation.size import BodySize, Estimate, Work
 
 
-def announce(body: ContactBody, seen: ObservedData, given: RegisterInput, clock: Clock) -> Estimate:
+def announce(body: ContactBody, observed: ObservedData, given: RegisterInput, clock: Clock) -> Estimate:
     """Report a body's size and the estimated memory and time, and refuse a body that would not fit into memory.
 
-    `body`: analysed; `seen`: data; `given`: input, with targets, settings and threads; `clock`: its listener gets a
+    `body`: analysed; `observed`: data; `given`: input, with targets, settings and threads; `clock`: its listener gets a
     message ``"size"``, and a ``"warning"`` if the registration takes long. Result: the reported estimate. Raises
     `LargeBodyError` if it would not fit into memory.
     """
     n_draws = given.settings.contacts.n_draws
-    work = expected_work(seen.n_obs, 3 * len(given.targets.names), n_draws, matched=seen.rematches)
+    work = expected_work(observed.n_obs, 3 * len(given.targets.names), n_draws, matched=observed.rematches)
     estimate = Estimate.of(BodySize.of(body.simulator), work, given.threads)
     clock.tell("size", estimate.sentence())
     estimate.check()

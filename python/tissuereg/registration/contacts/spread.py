@@ -129,8 +129,8 @@ class Spread:
         """Return coefficients (count, n_columns) of one more contact, drawn given that the markers detected none."""
         own, variances = self._fit.observations.responses, self._unseen_variances
         drawn = np.sqrt(variances) * rng.standard_normal((count, len(variances)))
-        seen = drawn @ own.T + np.sqrt(self._fit.observations.variances) * rng.standard_normal((count, len(own)))
-        half = np.linalg.solve(self._under_unseen, seen.T)
+        measured = drawn @ own.T + np.sqrt(self._fit.observations.variances) * rng.standard_normal((count, len(own)))
+        half = np.linalg.solve(self._under_unseen, measured.T)
         return np.asarray(drawn - (variances * (own.T @ np.linalg.solve(self._under_unseen.T, half)).T))
 
     def nodes(self, rng: np.random.Generator, fields: FloatArray | None = None) -> FloatArray:

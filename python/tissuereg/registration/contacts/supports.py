@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from tissuereg._base.arguments import check_choice
 from tissuereg._base.arrays import FloatArray, IntArray, index_array
-from tissuereg._base.choice import check_choice
 from tissuereg.body.mesh import Mesh
 from tissuereg.errors import SupportError
 from tissuereg.registration.contacts.settings import DISCRETISATION

@@ -48,9 +48,9 @@ class SurfaceFit:
     places: FloatArray
 
     @classmethod
-    def of(cls, seen: PointData, given: SurfacePoints, start: BodyState, end: BodyState) -> "SurfaceFit":
+    def of(cls, observed: PointData, given: SurfacePoints, start: BodyState, end: BodyState) -> "SurfaceFit":
         """Return the fit of the points at the start and the end of a registration."""
-        before, after = seen.distances(start)[0], seen.distances(end)
+        before, after = observed.distances(start)[0], observed.distances(end)
         good = after[1] <= MATCHING.outlier
         return cls(
             points=len(given),

@@ -19,22 +19,10 @@ _HELPERS: dict[tuple[int, int], ThreadPoolExecutor] = {}
 def in_batches(run: Callable[[npt.NDArray[np.float32]], Any], latents: FloatArray, most: int, threads: int) -> Any:
     """Return what `run` makes of all members, put together along the first axis.
 
-    Parameters
-    ----------
-    run : callable
-        Members (n_batch, n_latent), float32 and contiguous, to rows (n_batch, ...). Called by several threads at once.
-    latents : ndarray of float64, shape (n_latent, n_members)
-        One column per member.
-    most : int
-        Members in a batch, at most; batches are of nearly one size, whatever the number of threads, so that the bits
-        do not depend on it.
-    threads : int
-        Threads that run batches, the caller's included.
-
-    Returns
-    -------
-    ndarray of float32, shape (n_members, ...)
-        In the order of the members.
+    `run`: members (n_batch, n_latent), float32 and contiguous, to rows (n_batch, ...). Called by several threads at
+    once; `latents` (n_latent, n_members): one column per member; `most`: members in a batch, at most; batches are of
+    nearly one size, whatever the number of threads, so that the bits do not depend on it; `threads`: threads that run
+    batches, the caller's included. Result: float32 (n_members, ...), in the order of the members.
     """
     rows = np.ascontiguousarray(latents.T, np.float32)
     count = -(-len(rows) // most)

@@ -1,6 +1,6 @@
 """Makes the calibration of a trained model: from fields of its training set, fields it never saw, and pairs.
 
-The scales of events and the chances of honest measurements come from rehearsals: events that the model never saw are
+The scales of events and the chances of right measurements come from rehearsals: events that the model never saw are
 registered from random markers, as a user's will be.
 """
 
@@ -104,27 +104,11 @@ def calibrate(
 ) -> Calibration:
     """Return the calibration of a model.
 
-    Parameters
-    ----------
-    model : Codes
-        Encoder and decoder.
-    mesh : Mesh
-        Its mesh.
-    codes : ndarray of float64, shape (n_codes, n_latent)
-        Encoder's means of fields of the training set.
-    unseen : ndarray of float, shape (n_fields, n_nodes, 3)
-        Fields that were not used in training, mm.
-    pairs : sequence of (ndarray, ndarray), each of shape (n_pairs, n_nodes, 3)
-        Simulations and truths of the same events, mm: one entry for each kind of change.
-    n_kinds : int
-        Kinds of events to start from.
-    settings : RehearsalSettings, optional
-        Of the rehearsals.
-
-    Returns
-    -------
-    Calibration
-        Cost: about six decodes of 2 n_latent + 1 columns at some nodes for every rehearsed event.
+    `model`: encoder and decoder; `mesh`: its mesh; `codes` (n_codes, n_latent): encoder's means of fields of the
+    training set; `unseen` (n_fields, n_nodes, 3): fields that were not used in training, mm; `pairs` (n_pairs, n_nodes,
+    3): simulations and truths of the same events, mm: one entry for each kind of change; `n_kinds`: kinds of events to
+    start from; `settings`: of the rehearsals. Cost: about six decodes of 2 n_latent + 1 columns at some nodes
+    for every rehearsed event.
     """
     how = settings or RehearsalSettings()
     rehearsal = _Rehearsing(model, mesh, how)
@@ -148,8 +132,8 @@ def calibrate(
     # Truths of another physics look worse without a simulation too.
     for number in range(len(pairs)):
         shown = (rehearsal.registered(made, None, truth) for truth in truths[kind == number] for _ in again)
-        signs = np.array([rehearsal.shown(event, alone.scale_weights)[0] for event in shown])
-        made = replace(made, alone=replace(made.alone, honest=made.alone.honest.beside(signs)))
+        statistics = np.array([rehearsal.shown(event, alone.scale_weights)[0] for event in shown])
+        made = replace(made, alone=replace(made.alone, calibration_set=made.alone.calibration_set.beside(statistics)))
     differences = _Differences.of(model, simulations, truths, kind, missed)
     made = replace(made, change=differences.change(np.arange(len(truths))))
     n_forms = len(pairs) * len(_FACTORS)
@@ -176,19 +160,8 @@ def codes_of(model: Codes, fields: Any, rows: IntArray) -> FloatArray:
 def field_errors(errors: FloatArray, shares: FloatArray, n_patterns: int) -> FieldErrors:
     """Return the covariances of errors by kind.
 
-    Parameters
-    ----------
-    errors : ndarray of float, shape (n_fields, n_nodes, 3)
-        mm.
-    shares : ndarray of float64, shape (n_fields, n_kinds)
-        Probability of each kind.
-    n_patterns : int
-        Patterns kept at most.
-
-    Returns
-    -------
-    FieldErrors
-        Those of a kind are mixed with those of all kinds in so far as there are few.
+    `errors` (n_fields, n_nodes, 3): mm; `shares` (n_fields, n_kinds): probability of each kind; `n_patterns`: patterns
+    kept at most. Result: those of a kind are mixed with those of all kinds in so far as there are few.
     """
     rows = errors.reshape(len(errors), -1).astype(np.float64)
     values, vectors = np.linalg.eigh(rows @ rows.T)
@@ -237,7 +210,7 @@ class _Differences:
         return cls(kind, off, missed, scale * others)
 
     def change(self, rows: IntArray) -> Change:
-        """Return what some pairs tell."""
+        """Return how truths differ from simulations, estimated from the pairs of some rows."""
         n_kinds, n_latent = int(self.kind.max()) + 1, self.codes.shape[1]
         kind, every = self.kind[rows], self.codes[rows]
         pooled, covariances = every.T @ every / len(every), np.empty((n_kinds, n_latent, n_latent))
@@ -348,7 +321,7 @@ class _Rehearsing:
         return _RegisteredEvent(made, prior, n_own, linear, observed, rows)
 
     def shown(self, event: _RegisteredEvent, scale_weights: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the signs of an event under probabilities of scales, and the misfits of its targets."""
+        """Return the test statistics of an event under probabilities of scales, and the misfits of its targets."""
         own, forms = event.prior[: event.n_own], len(scale_weights)
         # Of one form the kinds keep their shares.
         total = np.array([one.weights.sum() for one in own]) if forms == 1 else np.full(forms, 1.0 - UNRELATED)
@@ -360,17 +333,17 @@ class _Rehearsing:
         return shown.row, _misfits(event.rows - found.mean, found.covariance, n_obs)
 
     def outcome(self, events: list[_RegisteredEvent], law: Rehearsal, kind: IntArray | None = None) -> Rehearsal:
-        """Return the likeliest scales, and what registrations with these give; honest ones of each kind are a group."""
+        """Return the likeliest scales, and what registrations with these give; the events of each kind are a group."""
         n_forms, n_scales = law.scale_weights.shape
         logs = np.array([self._log_evidence(event, n_forms).ravel() for event in events])
         scale_weights = _mixing(logs).reshape(n_forms, n_scales)
-        signs, misfits = zip(*(self.shown(event, scale_weights) for event in events), strict=True)
+        statistics, misfits = zip(*(self.shown(event, scale_weights) for event in events), strict=True)
         widening, tail = _regions(np.concatenate(misfits))
-        shown, group = np.array(signs), np.zeros(len(events), np.int64) if kind is None else kind
-        honest = CalibrationSet.none()
+        shown, group = np.array(statistics), np.zeros(len(events), np.int64) if kind is None else kind
+        calibration_set = CalibrationSet.none()
         for number in np.unique(group):
-            honest = honest.beside(shown[group == number])
-        return replace(law, scale_weights=scale_weights, widening=widening, tail=tail, honest=honest)
+            calibration_set = calibration_set.beside(shown[group == number])
+        return replace(law, scale_weights=scale_weights, widening=widening, tail=tail, calibration_set=calibration_set)
 
     def _log_evidence(self, event: _RegisteredEvent, n_forms: int) -> FloatArray:
         """Return the log-evidence of every form and scale of the event's own components, (n_forms, n_scales)."""
@@ -401,17 +374,9 @@ def _misfits(off: FloatArray, covariance: FloatArray, first: int) -> FloatArray:
 def _regions(misfits: FloatArray) -> tuple[float, float | None]:
     """Return the factor on covariances and the degrees of freedom with which 50 and 90 % regions hold their share.
 
-    Parameters
-    ----------
-    misfits : ndarray of float64, shape (n,)
-        Squared distances of targets from their means, in their own covariance.
-
-    Returns
-    -------
-    widening : float
-        Covariances times this give the Gaussian whose 90 % region holds 90 %.
-    tail : float or None
-        Degrees of freedom of the t law with the same 90 % region; None if tails are as a Gaussian's, or lighter.
+    `misfits` (n,): squared distances of targets from their means, in their own covariance. Result: `widening`:
+    covariances times this give the Gaussian whose 90 % region holds 90 %; `tail`: degrees of freedom of the t law with
+    the same 90 % region; None if tails are as a Gaussian's, or lighter.
     """
     from scipy.optimize import brentq
     from scipy.stats import chi2

@@ -1,7 +1,7 @@
 """What a trained model's answers are worth, measured on fields it never saw: ``calibration.npz`` of its folder.
 
 `tissuereg.registration.learned.calibrate` makes it, a registration reads it: kinds of events with the errors of each
-kind, how the truth differs from a simulation, and how improbable honest measurements look.
+kind, how the truth differs from a simulation, and how improbable calibration events look.
 """
 
 from collections.abc import Callable
@@ -13,8 +13,8 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray, IntArray
 from tissuereg.errors import FormatError
-from tissuereg.io.npz import Archive, open_npz
-from tissuereg.registration.learned.calibration_set import SIGNS, CalibrationSet
+from tissuereg.io.fields import Archive, open_npz
+from tissuereg.registration.learned.calibration_set import STATISTICS, CalibrationSet
 from tissuereg.registration.learned.components import Components
 from tissuereg.registration.learned.mixture import Component
 
@@ -38,14 +38,9 @@ BESIDE_VARIANTS = 0.25
 class FieldErrors:
     """Covariances of fields of errors, by few patterns.
 
-    Attributes
-    ----------
-    basis : ndarray of float64, shape (n_patterns, n_nodes, 3)
-        Orthogonal patterns.
-    covariances : ndarray of float64, shape (n_kinds, n_patterns, n_patterns)
-        Second moments of the coefficients for each kind, mm^2.
-    rest : ndarray of float64, shape (n_nodes, 3)
-        Standard deviation of what the patterns leave, mm.
+    `basis` (n_patterns, n_nodes, 3): orthogonal patterns; `covariances` (n_kinds, n_patterns, n_patterns): second
+    moments of the coefficients for each kind, mm^2; `rest` (n_nodes, 3): standard deviation of what the patterns leave,
+    mm.
     """
 
     basis: FloatArray
@@ -78,14 +73,8 @@ class FieldErrors:
 class RowErrors:
     """Errors at the markers and targets of one registration.
 
-    Attributes
-    ----------
-    whole : FieldErrors
-        At all nodes.
-    patterns : ndarray of float64, shape (n_patterns, n_rows)
-        Its patterns at the points.
-    covariances : ndarray of float64, shape (n_kinds, n_rows, n_rows)
-        Of the errors of each kind, mm^2.
+    `whole`: at all nodes; `patterns` (n_patterns, n_rows): its patterns at the points; `covariances` (n_kinds, n_rows,
+    n_rows): of the errors of each kind, mm^2.
     """
 
     whole: FieldErrors
@@ -102,16 +91,10 @@ class Change:
     """How truths differ from simulations of the same event.
 
     A truth is ``(1 + a)`` times the simulation, and a change of its code and of what the decoder misses besides, both
-    relative to the size of the simulated event: forces or modulus may be off, so that all moves more or less.
-
-    Attributes
-    ----------
-    factors : ndarray of float64, shape (n_factors,)
-        Variances of ``a``, of which one holds; from none on.
-    covariances : ndarray of float64, shape (n_kinds, n_latent, n_latent)
-        Of the difference of codes for each kind of change, 1/mm^2.
-    errors : FieldErrors
-        What the decoder misses of the change, by kind; per mm of the event's size.
+    relative to the size of the simulated event: forces or modulus may be off, so that all moves more or less. `factors`
+    (n_factors,): variances of ``a``, of which one holds; from none on; `covariances` (n_kinds, n_latent, n_latent): of
+    the difference of codes for each kind of change, 1/mm^2; `errors`: what the decoder misses of the change, by kind;
+    per mm of the event's size.
     """
 
     factors: FloatArray
@@ -123,45 +106,27 @@ class Change:
 class Rehearsal:
     """Outcome of registrations of events that the model never saw, with random markers and targets.
 
-    Attributes
-    ----------
-    scales : ndarray of float64, shape (n_scales,)
-        Factors on the standard deviations of a kind.
-    scale_weights : ndarray of float64, shape (n_forms, n_scales)
-        Probabilities, which sum to one: without a simulation of one form, whatever the kind; with one, of each kind of
-        change with each variance of its factor.
-    widening : float
-        Factor on covariances with which 90 % regions hold 90 % of the targets.
-    tail : float or None
-        Degrees of freedom of the t law of the targets about their means, with which 50 % regions hold their share too;
-        None for a Gaussian.
-    honest : CalibrationSet
-        What honest events show.
+    `scales` (n_scales,): factors on the standard deviations of a kind; `scale_weights` (n_forms, n_scales):
+    probabilities, which sum to one: without a simulation of one form, whatever the kind; with one, of each kind of
+    change with each variance of its factor; `widening`: factor on covariances with which 90 % regions hold 90 % of the
+    targets; `tail`: degrees of freedom of the t law of the targets about their means, with which 50 % regions hold
+    their share too; None for a Gaussian; `calibration_set`: what calibration events show.
     """
 
     scales: FloatArray
     scale_weights: FloatArray
     widening: float = 1.0
     tail: float | None = None
-    honest: CalibrationSet = field(default_factory=CalibrationSet.none)
+    calibration_set: CalibrationSet = field(default_factory=CalibrationSet.none)
 
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
     """Kinds of events, errors and rehearsals of a model.
 
-    Attributes
-    ----------
-    kinds : Components
-        Of the codes of the training set.
-    errors : FieldErrors
-        Truth minus decoder(encoder(truth)), by kind.
-    alone : Rehearsal
-        Without a simulation.
-    change : Change or None
-        Differences from simulations; None if the model has seen no pairs.
-    anchored : Rehearsal or None
-        With a simulation.
+    `kinds`: of the codes of the training set; `errors`: truth minus decoder(encoder(truth)), by kind; `alone`: without
+    a simulation; `change`: differences from simulations; None if the model has seen no pairs; `anchored`: with a
+    simulation.
     """
 
     kinds: Components
@@ -206,10 +171,7 @@ class Calibration:
     def read(cls, path: object, n_latent: int, n_nodes: int) -> "Calibration":
         """Return the content of ``calibration.npz``.
 
-        Raises
-        ------
-        FormatError
-            If it is of another version, or an array is missing or of another shape.
+        Raises `FormatError` if it is of another version, or an array is missing or of another shape.
         """
         with open_npz(str(path)) as file:
             version = int(file.indices("version").item()) if "version" in file else 1
@@ -241,14 +203,7 @@ class Calibration:
 class PointCalibration:
     """A calibration at the markers and targets of one registration.
 
-    Attributes
-    ----------
-    whole : Calibration
-        Of the model.
-    errors : RowErrors
-        Of each kind.
-    change_errors : RowErrors or None
-        Of the change from a simulation, by kind; per mm of the event's size.
+    `errors`: of each kind; `change_errors`: of the change from a simulation, by kind; per mm of the event's size.
     """
 
     whole: Calibration
@@ -285,25 +240,12 @@ class PointCalibration:
     ) -> tuple[list[Component], list[tuple[int, float]]]:
         """Return the components of the truth of an event that is simulated.
 
-        Parameters
-        ----------
-        code : ndarray of float64, shape (n_latent,)
-            Of the simulation.
-        size : float
-            Root mean square displacement of the simulation, mm.
-        simulated : ndarray of float64, shape (n_rows,)
-            The simulation at markers and targets, mm.
-        variants : RowErrors, optional
-            Covariance of variants of the simulation, which is their mean: changes then have it, a share of what they
-            have in general, and no factor.
-
-        Returns
-        -------
-        list of Component
-            The simulated event's first, all variances of a factor for one kind of change after those of another; then
-            those of an unrelated event.
-        list of (int, float)
-            Kind of change, and variance of its factor, of the first ones; none where the model knows no changes.
+        `code` (n_latent,): of the simulation; `size`: root mean square displacement of the simulation, mm; `simulated`
+        (n_rows,): the simulation at markers and targets, mm; `variants`: covariance of variants of the simulation,
+        which is their mean: changes then have it, a share of what they have in general, and no factor. Result: the
+        simulated event's first, all variances of a factor for one kind of change after those of another; then those of
+        an unrelated event. list of (int, float) Kind of change, and variance of its factor, of the first ones; none
+        where the model knows no changes.
         """
         change, law = self.whole.change, self.whole.anchored
         if change is None or law is None or self.change_errors is None:
@@ -347,8 +289,8 @@ def _rehearsal_arrays(name: str, rehearsal: Rehearsal) -> dict[str, FloatArray]:
     return {
         f"{name}_scales": rehearsal.scales,
         f"{name}_scale_weights": rehearsal.scale_weights,
-        f"{name}_signs": rehearsal.honest.signs,
-        f"{name}_groups": rehearsal.honest.groups,
+        f"{name}_signs": rehearsal.calibration_set.statistics,
+        f"{name}_groups": rehearsal.calibration_set.groups,
         f"{name}_tail": np.array(rehearsal.tail or 0.0),
         f"{name}_widening": np.array(rehearsal.widening),
     }
@@ -356,11 +298,11 @@ def _rehearsal_arrays(name: str, rehearsal: Rehearsal) -> dict[str, FloatArray]:
 
 def _rehearsal_in(file: Archive, name: str, n_forms: int) -> Rehearsal:
     scales = file.floats(f"{name}_scales", None)
-    signs, tail = file.floats(f"{name}_signs", None, len(SIGNS)), float(file.floats(f"{name}_tail"))
+    statistics, tail = file.floats(f"{name}_signs", None, len(STATISTICS)), float(file.floats(f"{name}_tail"))
     return Rehearsal(
         scales,
         file.floats(f"{name}_scale_weights", n_forms, len(scales)),
         float(file.floats(f"{name}_widening")),
         tail or None,
-        CalibrationSet(signs, file.indices(f"{name}_groups", len(signs))),
+        CalibrationSet(statistics, file.indices(f"{name}_groups", len(statistics))),
     )

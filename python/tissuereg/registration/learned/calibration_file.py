@@ -17,20 +17,9 @@ CALIBRATION_NAME = "calibration.npz"
 def write_calibration(folder: Path, calibration: Calibration) -> None:
     """Write ``calibration.npz`` and its SHA-256 into the card of the model.
 
-    Parameters
-    ----------
-    folder : Path
-        Folder of the model.
-    calibration : Calibration
-        What is written.
-
-    Raises
-    ------
-    ModelError
-        If there is no card.
-    OutputError
-        If a file cannot be written. Each is written whole or not at all; a calibration that the card does not list is
-        not used.
+    `folder`: folder of the model; `calibration`: what is written. Raises `ModelError` if there is no card;
+    `OutputError` if a file cannot be written. Each is written whole or not at all; a calibration that the card does not
+    list is not used.
     """
     card = read_card(folder)
     path = folder / CALIBRATION_NAME
@@ -44,12 +33,8 @@ def write_calibration(folder: Path, calibration: Calibration) -> None:
 def read_calibration(folder: Path, card: dict[str, Any]) -> Calibration | None:
     """Return the calibration that the card of a model lists, or None.
 
-    Raises
-    ------
-    FormatError
-        If an array is missing or of another shape.
-    ModelError
-        If the file is missing, or differs from its SHA-256.
+    Raises `FormatError` if an array is missing or of another shape; `ModelError` if the file is missing, or differs
+    from its SHA-256.
     """
     wanted = card["files"].get(CALIBRATION_NAME)
     if wanted is None:

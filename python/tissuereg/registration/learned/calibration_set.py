@@ -1,8 +1,8 @@
-"""Honest events, and how improbable a registration looks beside them.
+"""Calibration events, and how improbable a registration looks beside them.
 
-A registration shows a few signs, each larger where it looks worse. No law of theirs is assumed: events that the model
-never saw were registered, and the share of these that look as bad is the p-value. An event looks as bad as its worst
-sign, so that the p-value of all signs together is again a share of honest events.
+A registration has a few test statistics, each larger where it looks worse. No law of theirs is assumed: events that the
+model never saw were registered, and the share of these that look as bad is the p-value. An event looks as bad as its
+worst statistic, so that the p-value of all statistics together is again a share of calibration events.
 """
 
 from dataclasses import dataclass
@@ -12,12 +12,12 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray, IntArray
 
-#: Signs, in the order of columns: minus the logarithm of the chance of the innovation; the same of the marker that fits
-#: the others worst, times the number of markers; distance of the fitted code from the training set in standard
-#: deviations; log-odds that the simulation is of another event, 0 where it is likelier of this one.
-SIGNS = ("misfit", "wrong marker", "unfamiliar", "simulation")
+#: Test statistics, in the order of columns: minus the logarithm of the chance of the innovation; the same of the marker
+#: that fits the others worst, times the number of markers; distance of the fitted code from the training set in
+#: standard deviations; log-odds that the simulation is of another event, 0 where it is likelier of this one.
+STATISTICS = ("misfit", "wrong marker", "unfamiliar", "simulation")
 
-#: Share of the events of a group, and their least number, that tell how a sign goes on beyond the largest of them.
+#: Share of the events of a group, and their least number, that tell how a statistic goes on beyond the largest of them.
 _TAIL_SHARE, _TAIL_FEWEST = 0.1, 5
 
 #: An excess that is counted with those seen.
@@ -29,68 +29,68 @@ _LEAST = 1e-300
 
 @dataclass(frozen=True, eq=False)
 class CalibrationSet:
-    """Signs of honest events.
+    """Test statistics of calibration events.
 
-    Attributes
-    ----------
-    signs : ndarray of float64, shape (n_events, 4)
-        As `SIGNS`.
-    groups : ndarray of int64, shape (n_events,)
-        Group of each event, such as those of the physics that the model was trained on, and of another physics.
+    `statistics` (n_events, 4): as `STATISTICS`; `groups` int64 (n_events,): group of each event, such as those of the
+    physics that the model was trained on, and of another physics.
     """
 
-    signs: FloatArray
+    statistics: FloatArray
     groups: IntArray
 
     @classmethod
     def none(cls) -> "CalibrationSet":
         """Return no events: chances are then taken as they are."""
-        return cls(np.empty((0, len(SIGNS))), np.empty(0, np.int64))
+        return cls(np.empty((0, len(STATISTICS))), np.empty(0, np.int64))
 
-    def beside(self, signs: FloatArray) -> "CalibrationSet":
-        """Return the same with a further group of events, signs (n_more, 4)."""
+    def beside(self, statistics: FloatArray) -> "CalibrationSet":
+        """Return the same with a further group of events, statistics (n_more, 4)."""
         group = int(self.groups.max(initial=-1)) + 1
-        return CalibrationSet(np.concatenate([self.signs, signs]), np.append(self.groups, np.full(len(signs), group)))
+        return CalibrationSet(
+            np.concatenate([self.statistics, statistics]), np.append(self.groups, np.full(len(statistics), group))
+        )
 
     def __len__(self) -> int:
-        return len(self.signs)
+        return len(self.statistics)
 
-    def shares(self, signs: FloatArray) -> FloatArray:
-        """Return for each of signs (4,) the share of honest events that look as bad, in the group that looks worst."""
+    def shares(self, statistics: FloatArray) -> FloatArray:
+        """Return for each of statistics (4,) the share of calibration events as bad, in the group that looks worst."""
         if not len(self):
-            return np.asarray(np.where([True, True, False, False], np.exp(-signs), 1.0))
-        return np.asarray(np.max([group.shares(signs) for group in self._groups], axis=0))
+            return np.asarray(np.where([True, True, False, False], np.exp(-statistics), 1.0))
+        return np.asarray(np.max([group.shares(statistics) for group in self._groups], axis=0))
 
-    def p_value(self, signs: FloatArray) -> float:
-        """Return the share of honest events whose worst sign is as rare as that of signs (4,), in the worst group."""
+    def p_value(self, statistics: FloatArray) -> float:
+        """Return the share of calibration events with as rare a worst statistic as (4,) ones, in the worst group."""
         if not len(self):
-            return float(np.exp(-signs[0]))
-        return max(group.p_value(signs) for group in self._groups)
+            return float(np.exp(-statistics[0]))
+        return max(group.p_value(statistics) for group in self._groups)
 
     @cached_property
     def _groups(self) -> list["_Group"]:
-        return [_Group.of(self.signs[self.groups == group]) for group in np.unique(self.groups)]
+        return [_Group.of(self.statistics[self.groups == group]) for group in np.unique(self.groups)]
 
 
 @dataclass(frozen=True, eq=False)
 class _Group:
-    """Signs of the events of one group, each column ascending, and minus the logarithm of the share of the rarest."""
+    """Test statistics of one group of events, each column ascending, and minus the log share of the rarest."""
 
     columns: list["_Ascending"]
     rarest: "_Ascending"
 
     @classmethod
-    def of(cls, signs: FloatArray) -> "_Group":
-        columns = [_Ascending.of(column) for column in signs.T]
+    def of(cls, statistics: FloatArray) -> "_Group":
+        columns = [_Ascending.of(column) for column in statistics.T]
         # Of every event among the others, as one that is asked is compared with others than itself.
-        shares = np.array([one.shares(column, among=True) for one, column in zip(columns, signs.T, strict=True)])
+        shares = np.array([one.shares(column, among=True) for one, column in zip(columns, statistics.T, strict=True)])
         return cls(columns, _Ascending.of(-np.log(shares.min(axis=0))))
 
-    def shares(self, signs: FloatArray) -> FloatArray:
-        return np.array([float(one.shares(sign[None])[0]) for one, sign in zip(self.columns, signs, strict=True)])
+    def shares(self, statistics: FloatArray) -> FloatArray:
+        return np.array(
+            [float(one.shares(statistic[None])[0]) for one, statistic in zip(self.columns, statistics, strict=True)]
+        )
 
-    def p_value(self, signs: FloatArray) -> float:
-        return float(self.rarest.shares(-np.log(self.shares(signs).min())[None])[0])
+    def p_value(self, statistics: FloatArray) -> float:
+        return float(self.rarest.shares(-np.log(self.shares(statistics).min())[None])[0])
 
 
 @dataclass(frozen=True, eq=False)

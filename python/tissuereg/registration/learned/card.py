@@ -38,22 +38,10 @@ def _json(value: Any, depth: int) -> str:
 def read_card(folder: Path) -> dict[str, Any]:
     """Return the card of a model.
 
-    Parameters
-    ----------
-    folder : Path
-        The model.
-
-    Returns
-    -------
-    dict
-        ``kind``, ``mesh_digest`` (str), ``n_nodes``, ``n_latent``, ``members`` (int), ``errors_mm`` with ``test`` and
-        ``pca``, ``prior`` with matrices of the size of the latents, ``files`` with the SHA-256 of `MODEL_FILES`;
-        other entries are ignored.
-
-    Raises
-    ------
-    ModelError
-        If there is no card, it is no JSON, or an entry is missing or of another kind.
+    Result: ``kind``, ``mesh_digest`` (str), ``n_nodes``, ``n_latent``, ``members`` (int), ``errors_mm`` with ``test``
+    and ``pca``, ``prior`` with matrices of the size of the latents, ``files`` with the SHA-256 of `MODEL_FILES`; other
+    entries are ignored. Raises `ModelError` if there is no card, it is no JSON, or an entry is missing or of another
+    kind.
     """
     path = folder / "model.json"
     if not path.exists():
@@ -79,17 +67,7 @@ def read_card(folder: Path) -> dict[str, Any]:
 def check_files(folder: Path, card: dict[str, Any]) -> None:
     """Check that the files of a model are those that its card describes.
 
-    Parameters
-    ----------
-    folder : Path
-        The model.
-    card : dict
-        From `read_card`.
-
-    Raises
-    ------
-    ModelError
-        If a file is missing, or differs from its SHA-256 in the card.
+    `card`: from `read_card`. Raises `ModelError` if a file is missing, or differs from its SHA-256 in the card.
     """
     shared = [name for name in card["files"] if name.endswith(".npy") and Path(name).name == name]
     for name in (*MODEL_FILES, *shared):

@@ -30,14 +30,8 @@ _FEWEST = 20
 class Components:
     """A mixture of Gaussians over latents.
 
-    Attributes
-    ----------
-    weights : ndarray of float64, shape (n_kinds,)
-        Sum to one.
-    means : ndarray of float64, shape (n_kinds, n_latent)
-        Dimensionless.
-    covariances : ndarray of float64, shape (n_kinds, n_latent, n_latent)
-        Symmetric, positive definite.
+    `weights` (n_kinds,): sum to one; `means` (n_kinds, n_latent): dimensionless; `covariances` (n_kinds, n_latent,
+    n_latent): symmetric, positive definite.
     """
 
     weights: FloatArray
@@ -48,19 +42,8 @@ class Components:
     def fit(cls, codes: FloatArray, n_kinds: int, seed: int) -> "Components":
         """Return the kinds of a training set.
 
-        Parameters
-        ----------
-        codes : ndarray of float64, shape (n_codes, n_latent)
-            Means of the encoder.
-        n_kinds : int
-            Kinds to start from; those that keep too few codes are left out.
-        seed : int
-            Of the start.
-
-        Returns
-        -------
-        Components
-            Cost: 40 rounds of n_kinds products (n_latent, n_codes).
+        `codes` (n_codes, n_latent): means of the encoder; `n_kinds`: kinds to start from; those that keep too few codes
+        are left out; `seed`: of the start. Cost: 40 rounds of n_kinds products (n_latent, n_codes).
         """
         shares = _sorted_by_direction_and_size(codes, n_kinds, np.random.default_rng([seed, 21]))
         kinds = cls._of(codes, shares)

@@ -20,19 +20,8 @@ TOLERANCE = 1e-4
 class CutDecoder:
     """A decoder at points alone, run by onnxruntime.
 
-    Parameters
-    ----------
-    decoder : ClosureDecoder or GraphDecoder
-        The whole decoder.
-    rows : scipy.sparse.csr_array, shape (n_rows, n_nodes)
-        Weights of every point on the nodes.
-    threads : int
-        Batches run at once.
-
-    Attributes
-    ----------
-    multiply_adds : int
-        Of one member.
+    `decoder`: the whole decoder; `rows` (n_rows, n_nodes): weights of every point on the nodes; `threads`: batches run
+    at once. `multiply_adds`: of one member.
     """
 
     def __init__(self, decoder: ClosureDecoder | GraphDecoder, rows: Any, threads: int) -> None:
@@ -43,15 +32,7 @@ class CutDecoder:
     def __call__(self, latents: FloatArray) -> FloatArray:
         """Return displacements of the points.
 
-        Parameters
-        ----------
-        latents : ndarray of float64, shape (n_latent, n_members)
-            One column per member.
-
-        Returns
-        -------
-        ndarray of float64, shape (n_members, n_rows, 3)
-            mm.
+        `latents` (n_latent, n_members): one column per member. Result: (n_members, n_rows, 3), mm.
         """
         moved = in_batches(lambda z: self._session.run(["moved"], {"z": z})[0], latents, BATCH, self._threads)
         return np.asarray(moved, np.float64).reshape(latents.shape[1], -1, 3)
@@ -66,23 +47,10 @@ class CutDecoder:
     ) -> None:
         """Check that the points, and whole fields from the tables, move as those of the model's own file.
 
-        Parameters
-        ----------
-        rows : scipy.sparse.csr_array, shape (n_rows, n_nodes)
-            Weights of every point on the nodes.
-        decoder : ClosureDecoder or GraphDecoder
-            The whole decoder.
-        decode : callable
-            The model's file: latents (n_latent, n_members) to fields (n_members, n_nodes, 3) mm.
-        latents : ndarray of float64, shape (n_latent, n_members)
-            Members to compare.
-        where : str
-            The model, for the message.
-
-        Raises
-        ------
-        ModelError
-            If they differ by more than `TOLERANCE` of the largest displacement.
+        `rows` (n_rows, n_nodes): weights of every point on the nodes; `decoder`: the whole decoder; `decode`: the
+        model's file: latents (n_latent, n_members) to fields (n_members, n_nodes, 3) mm; `latents` (n_latent,
+        n_members): members to compare; `where`: the model, for the message. Raises `ModelError` if they differ by more
+        than `TOLERANCE` of the largest displacement.
         """
         whole = decode(latents)
         at_points = np.abs(self(latents) - np.stack([rows @ field for field in whole])).max(initial=0.0)
@@ -99,17 +67,8 @@ class CutDecoder:
 def session(network: str | bytes, what: str) -> Any:
     """Return an onnxruntime session on one thread: batches are what runs at the same time.
 
-    Parameters
-    ----------
-    network : str or bytes
-        Path of an ONNX file, or its content.
-    what : str
-        What it is, for the message.
-
-    Raises
-    ------
-    ModelError
-        If onnxruntime cannot load it.
+    `network`: path of an ONNX file, or its content; `what`: what it is, for the message. Raises `ModelError` if
+    onnxruntime cannot load it.
     """
     import onnxruntime
 

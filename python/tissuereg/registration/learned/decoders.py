@@ -23,7 +23,7 @@ import numpy.typing as npt
 
 from tissuereg._base.arrays import FloatArray, IntArray, float_array
 from tissuereg.errors import FormatError, ModelError
-from tissuereg.io.npz import Archive, open_npz
+from tissuereg.io.fields import Archive, open_npz
 from tissuereg.registration.learned.batches import together
 from tissuereg.registration.learned.onnx_bytes import OnnxGraph
 
@@ -49,18 +49,9 @@ _TOGETHER = 128
 class ClosureDecoder:
     """``displacement = mean + components @ (MLP(z) + skip @ z)``.
 
-    Attributes
-    ----------
-    layers : tuple of (ndarray of float64 (n_out, n_in), ndarray of float64 (n_out,))
-        Weights and biases of the MLP; an activation follows all but the last.
-    skip : ndarray of float64, shape (n_components, n_latent), or None
-        Linear part; none without it.
-    activation : str
-        One of elu, silu, relu, tanh.
-    components : ndarray of float32, shape (n_components, n_nodes, 3)
-        mm.
-    mean : ndarray of float64, shape (n_nodes, 3)
-        mm.
+    `layers`: weights and biases of the MLP; an activation follows all but the last; `skip` (n_components, n_latent) or
+    None: linear part; none without it; `activation`: one of elu, silu, relu, tanh; `components` float32 (n_components,
+    n_nodes, 3): mm; `mean` (n_nodes, 3): mm.
     """
 
     layers: tuple[tuple[FloatArray, FloatArray], ...]
@@ -114,17 +105,8 @@ class ClosureDecoder:
     def network_at(self, rows: Any) -> tuple[bytes, int]:
         """Return the decoder at points as an ONNX file, and its multiply-adds a member.
 
-        Parameters
-        ----------
-        rows : scipy.sparse.csr_array, shape (n_rows, n_nodes)
-            Weights of every point on the nodes.
-
-        Returns
-        -------
-        file : bytes
-            From ``z`` (members, n_latent) to ``moved`` (members, 3 n_rows) mm; x, y and z of a row follow each other.
-        multiply_adds : int
-            Of one member.
+        `rows` (n_rows, n_nodes): weights of every point on the nodes. Result: `file`: from ``z`` (members, n_latent) to
+        ``moved`` (members, 3 n_rows) mm; x, y and z of a row follow each other; `multiply_adds`: of one member.
         """
         n_rows = rows.shape[0]
         flat = np.moveaxis(self.components, 0, -1).reshape(self.components.shape[1], -1)
@@ -155,14 +137,8 @@ class ClosureDecoder:
 class GraphLevel:
     """One level of a graph network's decoder: unpooling and convolution in one.
 
-    Attributes
-    ----------
-    tables : tuple of scipy.sparse.csr_array, shape (n_fine, n_coarse)
-        T_m for every basis, all with the same pattern.
-    bases : ndarray of float64, shape (M, n_in, n_out)
-        B_m.
-    bias : ndarray of float64, shape (n_out,)
-        b.
+    `tables` (n_fine, n_coarse): T_m for every basis, all with the same pattern; `bases` (M, n_in, n_out): B_m; `bias`
+    (n_out,): b.
     """
 
     tables: tuple[Any, ...]
@@ -199,18 +175,9 @@ class GraphLevel:
 class GraphDecoder:
     """Table II's decoder: a linear layer and the levels, coarsest first.
 
-    Attributes
-    ----------
-    weight : ndarray of float64, shape (n_coarsest n_channels, n_latent)
-        Of the linear layer; channels of a node follow each other.
-    bias : ndarray of float64, shape (n_coarsest n_channels,)
-        Of the linear layer.
-    levels : tuple of GraphLevel
-        ELU follows all but the last.
-    mean : ndarray of float64, shape (n_nodes, 3)
-        mm.
-    scale : float
-        mm: displacement = mean + scale * output.
+    `weight` (n_coarsest n_channels, n_latent): of the linear layer; channels of a node follow each other; `bias`
+    (n_coarsest n_channels,): of the linear layer; `levels`: ELU follows all but the last; `mean` (n_nodes, 3): mm;
+    `scale`: mm: displacement = mean + scale * output.
     """
 
     weight: FloatArray
@@ -342,20 +309,8 @@ class GraphDecoder:
 def read_decoder(path: Path) -> ClosureDecoder | GraphDecoder | None:
     """Return the decoder in a file of weights, or None if it is of neither kind.
 
-    Parameters
-    ----------
-    path : Path
-        ``decoder_weights.npz`` of a model.
-
-    Returns
-    -------
-    ClosureDecoder, GraphDecoder or None
-        The whole decoder.
-
-    Raises
-    ------
-    ModelError
-        If arrays are missing, not finite, or do not fit each other.
+    `path`: ``decoder_weights.npz`` of a model. Result: the whole decoder. Raises `ModelError` if arrays are missing,
+    not finite, or do not fit each other.
     """
     try:
         with open_npz(path) as weights:

@@ -49,27 +49,11 @@ def conditioned(
 ) -> tuple[MixturePosterior, LinearDecoder]:
     """Return the posterior of markers and targets, and the linear decoder that it rests on.
 
-    Parameters
-    ----------
-    decode : callable
-        Latents (n_latent, n_columns) to displacements at markers and targets (n_columns, n_rows), mm.
-    prior : list of Component
-        The mixture.
-    observed : ndarray of float64, shape (n_obs,)
-        Measured displacements, mm; the first n_obs rows.
-    noise : ndarray of float64, shape (n_obs, n_obs)
-        Covariance of the tracker's noise, mm^2.
-    start : ndarray of float64, shape (n_latent,)
-        Where the decoder is linearised first.
-    spread : ndarray of float64, shape (n_latent,)
-        Standard deviations of the training set's codes.
-    passes : int
-        Linearisations at most.
-
-    Returns
-    -------
-    MixturePosterior, Linear
-        Cost: a decode of 2 n_latent + 1 columns a pass.
+    `decode`: latents (n_latent, n_columns) to displacements at markers and targets (n_columns, n_rows), mm; `prior`:
+    the mixture; `observed` (n_obs,): measured displacements, mm; the first n_obs rows; `noise` (n_obs, n_obs):
+    covariance of the tracker's noise, mm^2; `start` (n_latent,): where the decoder is linearised first; `spread`
+    (n_latent,): standard deviations of the training set's codes; `passes`: linearisations at most. Cost: a
+    decode of 2 n_latent + 1 columns a pass.
     """
     point, logs = start, None
     for left in reversed(range(passes)):

@@ -32,18 +32,9 @@ _HOPELESS = 1e-12
 class Component:
     """One component of a prior at markers and targets.
 
-    Attributes
-    ----------
-    weights : ndarray of float64, shape (n_scales,)
-        Probability of the component with each scale.
-    scales : ndarray of float64, shape (n_scales,)
-        Factors on standard deviations.
-    mean : ndarray of float64, shape (n_latent,)
-        Dimensionless.
-    covariance : ndarray of float64, shape (n_latent, n_latent)
-        At scale one.
-    errors : ndarray of float64, shape (n_rows, n_rows)
-        Covariance of the model's own error at scale one, mm^2; rows are components of markers, then of targets.
+    `weights` (n_scales,): probability of the component with each scale; `scales` (n_scales,): factors on standard
+    deviations; `mean` (n_latent,): dimensionless; `covariance` (n_latent, n_latent): at scale one; `errors` (n_rows,
+    n_rows): covariance of the model's own error at scale one, mm^2; rows are components of markers, then of targets.
     """
 
     weights: FloatArray
@@ -125,28 +116,11 @@ class MixturePosterior:
 class Conditioned:
     """A prior given the markers, with a decoder that is linear: how probable its pairs are, and their latents.
 
-    Parameters
-    ----------
-    prior : list of Component
-        The mixture.
-    model : LinearDecoder
-        Decoder at markers and targets.
-    observed : ndarray of float64, shape (n_obs,)
-        Measured displacements, mm; the first n_obs rows of the model.
-    noise : ndarray of float64, shape (n_obs, n_obs)
-        Covariance of the tracker's noise, mm^2.
-    earlier : ndarray of float64, shape (n_all,), optional
-        `MixturePosterior.logs` about a point close by: pairs that are hopeless there are ruled out.
-
-    Attributes
-    ----------
-    weights, latents, pulls, logs
-        As in `MixturePosterior`.
-
-    Raises
-    ------
-    NoiseError
-        If the covariance of an innovation is not positive definite.
+    `prior`: the mixture; `model`: decoder at markers and targets; `observed` (n_obs,): measured displacements, mm; the
+    first n_obs rows of the model; `noise` (n_obs, n_obs): covariance of the tracker's noise, mm^2; `earlier` (n_all,):
+    `MixturePosterior.logs` about a point close by: pairs that are hopeless there are ruled out. `weights`, `latents`,
+    `pulls`, `logs`: as in `MixturePosterior`. Raises `NoiseError` if the covariance of an innovation is not positive
+    definite.
 
     Notes
     -----
@@ -229,17 +203,9 @@ def condition(
 def left_out(found: MixturePosterior) -> tuple[FloatArray, FloatArray]:
     """Return how well each marker agrees with the prediction from all others, the model's own error included.
 
-    Parameters
-    ----------
-    found : MixturePosterior
-        Of markers with three components each.
-
-    Returns
-    -------
-    misfits, chances : ndarray of float64, shape (n_markers,)
-        Squared misfit in its own standard deviations, and the chance of one at least as large, averaged over the pairs.
-        With u = S^-1 v and A the marker's block of S^-1, the misfit is u' A^-1 u. Cost: an inverse of a factor of size
-        n_obs for every pair.
+    `found`: of markers with three components each. Result: `misfits`, `chances` (n_markers,): squared misfit in its own
+    standard deviations, and the chance of one at least as large, averaged over the pairs. With u = S^-1 v and A the
+    marker's block of S^-1, the misfit is u' A^-1 u. Cost: an inverse of a factor of size n_obs for every pair.
     """
     from scipy.linalg import lapack
     from scipy.special import chdtrc
@@ -262,16 +228,9 @@ def log_evidence(prior: list[Component], model: LinearDecoder, observed: FloatAr
 class _Innovations:
     """Innovations v with their covariances S, of pairs of component and scale: all scales of one follow each other.
 
-    Attributes
-    ----------
-    component, scale : ndarray of shape (n_pairs,)
-        Number of the component, and its scale.
-    parts : dict of int to (ndarray (n_rows, n_latent), ndarray (n_rows, n_rows))
-        G P, and G P G' + E at scale one, of the components in question, over all rows.
-    factors : ndarray of float64, shape (n_pairs, n_obs + 1, n_obs + 1)
-        Cholesky factors L of S, with (L^-1 v)' as a last row.
-    squares, logs : ndarray of float64, shape (n_pairs,)
-        v' S^-1 v, and log N(v; 0, S) without its constant.
+    `component`, `scale` (n_pairs,): number of the component, and its scale; `parts`: g P, and G P G' + E at scale one,
+    of the components in question, over all rows; `factors` (n_pairs, n_obs + 1, n_obs + 1): Cholesky factors L of S,
+    with (L^-1 v)' as a last row; `squares`, `logs` (n_pairs,): v' S^-1 v, and log N(v; 0, S) without its constant.
     """
 
     component: IntArray

@@ -34,16 +34,9 @@ _DRAWS, _BATCH = 64, 32
 class _Anchor:
     """The simulation of a moment, zero without one.
 
-    Attributes
-    ----------
-    field, rows : ndarray of float64, shapes (n_nodes, 3) and (n_rows,)
-        At nodes, and at markers and targets, mm.
-    size : float
-        Root mean square displacement, mm.
-    forms : tuple of (int, float)
-        Kind of change and variance of the factor on the simulation, of the first components of the prior.
-    variants : RowErrors or None
-        Covariance of its variants, where it is the mean of some.
+    `field`, `rows`: at nodes, and at markers and targets, mm; `size`: root mean square displacement, mm; `forms`: kind
+    of change and variance of the factor on the simulation, of the first components of the prior; `variants`: covariance
+    of its variants, where it is the mean of some.
     """
 
     field: FloatArray
@@ -57,7 +50,7 @@ class _Anchor:
 class CalibratedPosterior:
     """Moments of the posterior mixture; lengths in mm.
 
-    What it shares with `tissuereg.registration.learned.posterior.Posterior` is as there.
+    Names that it shares with `tissuereg.registration.learned.posterior.Posterior` have the same meaning.
 
     Attributes
     ----------
@@ -111,27 +104,11 @@ class CalibratedPosterior:
     ) -> "CalibratedPosterior":
         """Return the posterior.
 
-        Parameters
-        ----------
-        given : RegisterInput
-            Body, measured markers and seed.
-        model : PointsAround
-            The model of this moment at markers and targets.
-        calibration : PointCalibration
-            What its answers are worth there.
-        used : ndarray of int64, shape (n_used,)
-            Markers that are used.
-        start : ndarray of float64, shape (n_latent,)
-            Where the decoder is linearised first.
-        simulation : ndarray of float64, shape (n_nodes, 3), or None
-            Simulated displacement, mm.
-        variants : Variants, optional
-            Whose mean the simulation is.
-
-        Returns
-        -------
-        CalibratedPosterior
-            Cost: two or three decodes of 2 n_latent + 1 columns at markers and targets.
+        `given`: body, measured markers and seed; `model`: the model of this moment at markers and targets;
+        `calibration`: what its answers are worth there; `used` int64 (n_used,): markers that are used; `start`
+        (n_latent,): where the decoder is linearised first; `simulation` (n_nodes, 3) or None: simulated displacement,
+        mm; `variants`: whose mean the simulation is. Cost: two or three decodes of 2 n_latent + 1 columns at
+        markers and targets.
         """
         markers = given.markers
         order = np.concatenate([used, np.setdiff1d(np.arange(len(markers)), used)])
@@ -252,16 +229,9 @@ class CalibratedPosterior:
     def gains(self, start: FloatArray) -> list[tuple[float, bool]]:
         """Return for every target how much surer the answer is than a start, and whether that is too little.
 
-        Parameters
-        ----------
-        start : ndarray of float64, shape (n_targets, 3)
-            Displacement of the simulation, or zero, mm.
-
-        Returns
-        -------
-        list of (float, bool)
-            Share of the start's expected squared error that is gone, ``|mean - start|^2 / (|mean - start|^2 + trace
-            C)``. Too little: less than half, where what is left is more than the tracker's noise.
+        `start` (n_targets, 3): displacement of the simulation, or zero, mm. Result: share of the start's expected
+        squared error that is gone, ``|mean - start|^2 / (|mean - start|^2 + trace C)``. Too little: less than half,
+        where what is left is more than the tracker's noise.
         """
         removed = ((self.target_mean - start) ** 2).sum(axis=1)
         left = np.trace(self.target_covariance, axis1=1, axis2=2)
@@ -273,8 +243,8 @@ class CalibratedPosterior:
         """Degrees of freedom of the law of the targets about their means; None for a Gaussian."""
         return self.rehearsal.tail
 
-    def signs(self) -> Statistics:
-        """Return what is compared with honest events."""
+    def statistics(self) -> Statistics:
+        """Return what is compared with calibration events."""
         return statistics_of(self.at.whole, self.found, len(self.anchor.forms) or len(self.prior))
 
     def _factor(self, number: int) -> float:
@@ -324,16 +294,8 @@ class CalibratedPosterior:
 class _Source:
     """Drawn coefficients of the patterns of one source of errors, with their covariance.
 
-    Attributes
-    ----------
-    errors : RowErrors
-        The source.
-    covariance : ndarray of float64, shape (n_patterns, n_patterns)
-        Of the coefficients.
-    seen : ndarray of float64, shape (n_patterns, n_obs)
-        Patterns at the used markers, mm.
-    coefficients : ndarray of float64, shape (n_patterns,)
-        Drawn.
+    `errors`: the source; `covariance` (n_patterns, n_patterns): of the coefficients; `seen` (n_patterns, n_obs):
+    patterns at the used markers, mm; `coefficients` (n_patterns,): drawn.
     """
 
     errors: RowErrors

@@ -118,12 +118,8 @@ _MOST_SCALING = 3.0
 class ScaledErrors:
     """Errors of fields of known size, scaled in proportion to the size of another field.
 
-    Parameters
-    ----------
-    fields : array_like of float, shape (n_fields, n_nodes, 3)
-        Truth minus reconstruction, mm.
-    sizes : array_like of float, shape (n_fields,)
-        Root mean square displacement of the fields that were reconstructed, mm.
+    `fields` (n_fields, n_nodes, 3): truth minus reconstruction, mm; `sizes` (n_fields,): root mean square displacement
+    of the fields that were reconstructed, mm.
     """
 
     def __init__(self, fields: Any, sizes: Any) -> None:
@@ -171,15 +167,8 @@ def rms_displacement(fields: FloatArray) -> FloatArray:
 def error_covariance(rows: FloatArray) -> FloatArray:
     """Return the covariance of reconstruction errors about zero.
 
-    Parameters
-    ----------
-    rows : ndarray of float64, shape (n_fields, n_components)
-        Errors in mm, one row per field.
-
-    Returns
-    -------
-    ndarray of float64, shape (n_components, n_components)
-        mm^2; not centred, so that a constant error is included.
+    `rows` (n_fields, n_components): errors in mm, one row per field. Result: (n_components, n_components), mm^2; not
+    centred, so that a constant error is included.
 
     Notes
     -----

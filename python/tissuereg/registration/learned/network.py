@@ -12,7 +12,7 @@ import numpy as np
 from tissuereg._base.arrays import FloatArray, IntArray, float_array
 from tissuereg.body.mesh import Mesh
 from tissuereg.errors import ModelError
-from tissuereg.io.npz import Archive, open_npz
+from tissuereg.io.fields import Archive, open_npz
 from tissuereg.registration.learned.batches import in_batches
 from tissuereg.registration.learned.calibration import LEAST_SIZE_MM, Calibration
 from tissuereg.registration.learned.calibration_file import read_calibration
@@ -38,25 +38,11 @@ _KEPT = 8
 class NetworkModel:
     """The model in a folder: ``encoder.onnx``, ``decoder.onnx``, ``decoder_weights.npz``, ``model.json``.
 
-    Parameters
-    ----------
-    folder : path-like
-        Folder of the four files.
-    mesh : Mesh
-        The mesh to register on; it must be the one that the model was trained for.
-    threads : int
-        Batches decoded at once; 0 takes all cores. Each batch runs on one thread, so the bits do not depend on it.
-    source : str, optional
-        Origin of the model for the result; by default the folder.
-    calibrated : bool
-        Whether the folder's calibration is read, if there is one.
-
-    Raises
-    ------
-    ModelError
-        If a file is missing or corrupt, or the model was trained for another mesh.
-    FormatError
-        If the weights lack an array.
+    `folder`: folder of the four files; `mesh`: the mesh to register on; it must be the one that the model was trained
+    for; `threads`: batches decoded at once; 0 takes all cores. Each batch runs on one thread, so the bits do not depend
+    on it; `source`: origin of the model for the result; by default the folder; `calibrated`: whether the folder's
+    calibration is read, if there is one. Raises `ModelError` if a file is missing or corrupt, or the model was trained
+    for another mesh; `FormatError` if the weights lack an array.
     """
 
     def __init__(
@@ -127,30 +113,15 @@ class NetworkModel:
     def around(self, simulation: FloatArray) -> "AnchoredModel":
         """Return a latent model of changes from a simulation.
 
-        Parameters
-        ----------
-        simulation : ndarray of float64, shape (n_nodes, 3)
-            Simulated displacement, mm.
-
-        Returns
-        -------
-        AnchoredModel
-            Decodes to the simulation itself at the simulation's own code.
+        `simulation` (n_nodes, 3): simulated displacement, mm. Result: decodes to the simulation itself at the
+        simulation's own code.
         """
         return AnchoredModel(self, simulation, self._change_errors)
 
     def encode(self, field: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return mean and variance of q(z | field).
 
-        Parameters
-        ----------
-        field : ndarray of float64, shape (n_nodes, 3)
-            Displacement in mm.
-
-        Returns
-        -------
-        mean, variance : ndarray of float64, shape (n_latent,)
-            Dimensionless.
+        `field` (n_nodes, 3): displacement in mm. Result: `mean`, `variance` (n_latent,): dimensionless.
         """
         given = float_array("field", field, (self.n_nodes, 3))
         mean, log_variance = self._encoder.run(
@@ -203,20 +174,9 @@ class NetworkModel:
     def cut(self, rows: Any) -> CutDecoder | None:
         """Return the decoder at points alone, made once for the same points and checked against ``decoder.onnx``.
 
-        Parameters
-        ----------
-        rows : scipy.sparse.csr_array, shape (n_rows, n_nodes)
-            Weights of every point on the nodes.
-
-        Returns
-        -------
-        CutDecoder or None
-            None if the weights are of no kind that can be cut. Cost: some tenths of a second at first.
-
-        Raises
-        ------
-        ModelError
-            If the weights and ``decoder.onnx`` are not the same decoder.
+        `rows` (n_rows, n_nodes): weights of every point on the nodes. Result: None if the weights are of no kind that
+        can be cut. Cost: some tenths of a second at first. Raises `ModelError` if the weights and ``decoder.onnx`` are
+        not the same decoder.
         """
         digest = hashlib.sha256(rows.indptr.tobytes() + rows.indices.tobytes() + rows.data.tobytes()).hexdigest()
         if digest not in self._cut and self.tables is not None:
@@ -233,16 +193,9 @@ class NetworkModel:
     def prior(self, simulation: FloatArray | None) -> Gaussian:
         """Return the encoder's distribution, widened by the mismatch of truths and simulations in latent space.
 
-        Parameters
-        ----------
-        simulation : ndarray of float64, shape (n_nodes, 3), or None
-            Displacement in mm; None gives the distribution of the training set's codes.
-
-        Returns
-        -------
-        Gaussian
-            Covariance: encoder variance + measured covariance of encoder(truth) - encoder(simulation), scaled with the
-            size of the simulated event, because larger events have larger errors.
+        `simulation` (n_nodes, 3) or None: displacement in mm; None gives the distribution of the training set's codes.
+        Result: covariance: encoder variance + measured covariance of encoder(truth) - encoder(simulation), scaled with
+        the size of the simulated event, because larger events have larger errors.
         """
         known = self._card["prior"]
         if simulation is None:
@@ -258,14 +211,8 @@ class NetworkModel:
 class AnchoredModel:
     """``field = simulation + decoder(z) - decoder(encoder(simulation))``: the simulation's coding error cancels.
 
-    Parameters
-    ----------
-    network : NetworkModel
-        Encoder and decoder.
-    simulation : ndarray of float64, shape (n_nodes, 3)
-        The anchor, mm.
-    change_errors : ScaledErrors
-        Errors of the network for changes from a simulation to the truth.
+    `network`: encoder and decoder; `simulation` (n_nodes, 3): the anchor, mm; `change_errors`: errors of the network
+    for changes from a simulation to the truth.
 
     Notes
     -----

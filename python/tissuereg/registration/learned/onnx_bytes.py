@@ -20,13 +20,7 @@ _ATTRIBUTE_INT, _ATTRIBUTE_INTS = 2, 7
 
 
 class OnnxGraph:
-    """A network under construction, node after node.
-
-    Parameters
-    ----------
-    name : str
-        Name of the graph.
-    """
+    """A network under construction, node after node."""
 
     def __init__(self, name: str) -> None:
         self._name = name
@@ -46,16 +40,8 @@ class OnnxGraph:
     def node(self, kind: str, inputs: Sequence[str], *, output: str = "", **attributes: int | Sequence[int]) -> str:
         """Add an operator and return the name of its result.
 
-        Parameters
-        ----------
-        kind : str
-            Its name in the operator set.
-        inputs : sequence of str
-            Names of inputs, constants or results.
-        output : str
-            Name of the result; by default a new one.
-        **attributes : int or sequence of int
-            Of the operator.
+        `kind`: its name in the operator set; `inputs`: names of inputs, constants or results; `output`: name of the
+        result; by default a new one; `**attributes`: of the operator.
         """
         name = output or f"node{len(self._nodes)}"
         content = b"".join(_bytes(1, one.encode()) for one in inputs) + _bytes(2, name.encode())
@@ -70,15 +56,8 @@ class OnnxGraph:
     def to_bytes(self, given: tuple[str | int, ...], *found: tuple[str | int, ...]) -> bytes:
         """Return the file.
 
-        Parameters
-        ----------
-        given, *found : (str, int, ...)
-            Name and lengths of the input and of every output, all float32, after a first axis of members.
-
-        Returns
-        -------
-        bytes
-            What `onnxruntime.InferenceSession` takes.
+        `given`, `*found`: name and lengths of the input and of every output, all float32, after a first axis of
+        members. Result: what `onnxruntime.InferenceSession` takes.
         """
         graph = b"".join(_bytes(1, node) for node in self._nodes) + _bytes(2, self._name.encode())
         graph += b"".join(_bytes(5, table) for table in self._tables)

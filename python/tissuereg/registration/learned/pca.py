@@ -14,18 +14,10 @@ from tissuereg.registration.learned.model import Gaussian, ScaledErrors, rms_dis
 class PcaModel:
     """``field = centre + sum_q components[q] * z[q]`` with unit prior variance per latent.
 
-    Parameters
-    ----------
-    centre : ndarray of float64, shape (n_nodes, 3)
-        Field at z = 0 in mm.
-    components : ndarray of float64, shape (n_latent, n_nodes, 3)
-        Each scaled by its standard deviation, mm.
-    error_fields : ndarray of float64, shape (n_fields, n_nodes, 3)
-        Truth minus reconstruction of held-out fields, mm.
-    error_sizes : ndarray of float64, shape (n_fields,)
-        Root mean square distance of those fields from the centre, mm.
-    card : dict
-        Entry `model` of a result.
+    `centre` (n_nodes, 3): field at z = 0 in mm; `components` (n_latent, n_nodes, 3): each scaled by its standard
+    deviation, mm; `error_fields` (n_fields, n_nodes, 3): truth minus reconstruction of held-out fields, mm;
+    `error_sizes` (n_fields,): root mean square distance of those fields from the centre, mm; `card`: entry `model` of a
+    result.
     """
 
     def __init__(
@@ -55,28 +47,11 @@ class PcaModel:
     ) -> "PcaModel":
         """Return the model of the leading components of `fields` about `centre`.
 
-        Parameters
-        ----------
-        fields : ndarray of float64, shape (n_members, n_nodes, 3)
-            Displacement in mm.
-        held_out : ndarray of float64, shape (n_test, n_nodes, 3)
-            Fields that measure the reconstruction error.
-        centre : ndarray of float64, shape (n_nodes, 3)
-            Field at z = 0; second moments are taken about it.
-        n_latent : int
-            Number of components; fewer if the fields span less.
-        card : dict
-            Facts to which the errors are added.
-
-        Returns
-        -------
-        PcaModel
-            With `test_error_mm`, the mean Euclidean error of the held-out fields.
-
-        Raises
-        ------
-        EnsembleError
-            If fewer than two fields are given.
+        `fields` (n_members, n_nodes, 3): displacement in mm; `held_out` (n_test, n_nodes, 3): fields that measure the
+        reconstruction error; `centre` (n_nodes, 3): field at z = 0; second moments are taken about it; `n_latent`:
+        number of components; fewer if the fields span less; `card`: facts to which the errors are added. Result: with
+        `test_error_mm`, the mean Euclidean error of the held-out fields. Raises `EnsembleError` if fewer than two
+        fields are given.
 
         Notes
         -----
@@ -116,15 +91,7 @@ class PcaModel:
     def encode(self, field: FloatArray) -> FloatArray:
         """Return the latents of the least-squares reconstruction of a field.
 
-        Parameters
-        ----------
-        field : ndarray of float64, shape (n_nodes, 3)
-            Displacement in mm.
-
-        Returns
-        -------
-        ndarray of float64, shape (n_latent,)
-            Dimensionless.
+        `field` (n_nodes, 3): displacement in mm. Result: (n_latent,), dimensionless.
         """
         rows = self.components.reshape(self.n_latent, -1)
         return np.asarray((rows @ (field - self.centre).ravel()) / np.einsum("ij,ij->i", rows, rows))

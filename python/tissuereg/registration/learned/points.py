@@ -22,14 +22,8 @@ from tissuereg.registration.learned.network import NetworkModel
 class ErrorsAt:
     """Errors of a model for one state: truth minus reconstruction of fields not used in training, mm.
 
-    Attributes
-    ----------
-    markers : ndarray of float64, shape (n_fields, n_markers, 3)
-        At the markers.
-    targets : ndarray of float64, shape (n_fields, n_targets, 3)
-        At the targets.
-    nodes : callable
-        Returns their mean square length (n_nodes,) at the nodes, mm^2.
+    `markers` (n_fields, n_markers, 3): at the markers; `targets` (n_fields, n_targets, 3): at the targets; `nodes`:
+    returns their mean square length (n_nodes,) at the nodes, mm^2.
     """
 
     markers: FloatArray
@@ -40,19 +34,8 @@ class ErrorsAt:
 class PointModel:
     """A latent model at markers and targets.
 
-    Parameters
-    ----------
-    model : LatentModel
-        A trained network is cut down to the points; of any other model the nodes around them are decoded.
-    markers : MarkerObservation
-        Attachment of the markers.
-    targets : TargetObservation
-        Inner points.
-
-    Attributes
-    ----------
-    n_decoded : int
-        Members decoded so far.
+    `model`: a trained network is cut down to the points; of any other model the nodes around them are decoded;
+    `markers`: attachment of the markers; `targets`: inner points. `n_decoded`: members decoded so far.
     """
 
     def __init__(self, model: LatentModel, markers: MarkerObservation, targets: TargetObservation) -> None:
@@ -77,10 +60,8 @@ class PointModel:
     def around(self, simulation: FloatArray | None) -> "PointsAround":
         """Return the model of one moment.
 
-        Parameters
-        ----------
-        simulation : ndarray of float64, shape (n_nodes, 3), or None
-            Simulated displacement, mm; a network or a fitted prior is then one of changes from it.
+        `simulation` (n_nodes, 3) or None: simulated displacement, mm; a network or a fitted prior is then one of
+        changes from it.
         """
         if simulation is None or not isinstance(self.model, Anchors):
             return PointsAround(self, self.model, simulation)
@@ -138,21 +119,9 @@ class PointModel:
 class PointsAround:
     """A latent model of one moment at markers and targets.
 
-    Parameters
-    ----------
-    at : PointModel
-        The model at these points.
-    latent : LatentModel
-        The model of the moment.
-    simulation : ndarray of float64, shape (n_nodes, 3), or None
-        Simulated displacement, mm.
-    anchor : ndarray of float64, shape (n_nodes, 3), optional
-        What the mean of the prior decodes to, if the latents are of changes from it, mm.
-
-    Attributes
-    ----------
-    prior, family : Gaussian
-        Latents given the simulation, and those of all training fields.
+    `at`: the model at these points; `latent`: the model of the moment; `simulation` (n_nodes, 3) or None: simulated
+    displacement, mm; `anchor` (n_nodes, 3): what the mean of the prior decodes to, if the latents are of changes from
+    it, mm. `prior`, `family`: latents given the simulation, and those of all training fields.
     """
 
     def __init__(

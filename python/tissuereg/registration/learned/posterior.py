@@ -54,19 +54,8 @@ class Posterior:
     def of(cls, mesh: Mesh, model: PointsAround, ensemble: Assimilation) -> "Posterior":
         """Return the moments of an ensemble.
 
-        Parameters
-        ----------
-        mesh : Mesh
-            Undeformed body.
-        model : PointsAround
-            The model of this moment at its markers and targets.
-        ensemble : Assimilation
-            Posterior latents.
-
-        Returns
-        -------
-        Posterior
-            Cost: the members are decoded at markers and targets, their mean in full.
+        `mesh`: undeformed body; `model`: the model of this moment at its markers and targets; `ensemble`: posterior
+        latents. Cost: the members are decoded at markers and targets, their mean in full.
         """
         factor, mean = ensemble.spread_factor, ensemble.mean
         moved = model.decode(ensemble.latents)

@@ -332,8 +332,8 @@ def _calibrated_trust(
     min_det_f: float,
     notes: list[str],
 ) -> Trust:
-    """Judge by comparison with honest events that the model never saw."""
-    compared, shown = posterior.rehearsal.honest, posterior.signs()
+    """Judge by comparison with calibration events that the model never saw."""
+    compared, shown = posterior.rehearsal.calibration_set, posterior.statistics()
     return judge_by_rehearsal(names, residual, posterior.noise, compared, shown, min_det_f, notes)
 
 
@@ -341,7 +341,7 @@ def _against(moved: FloatArray, simulated: FloatArray, std: FloatArray) -> list[
     """Return the reason that markers moved against their simulation, if they surely did.
 
     The factor of the simulation that fits the displacements (n_used, 3) best is below zero beyond what the tracker's
-    noise (n_used, 3) explains; in honest events loads and stiffness are off by a factor, never by its sign.
+    noise (n_used, 3) explains; in calibration events loads and stiffness are off by a factor, never by its sign.
     """
     weighted = simulated / std**2
     square = float((weighted * simulated).sum())

@@ -20,20 +20,9 @@ _ROUNDS, _GROWTH = 60, 10
 def repaired(mesh: Mesh, field: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return a field without inverted tetrahedra, if smoothing near them is enough, and its volume ratios.
 
-    Parameters
-    ----------
-    mesh : Mesh
-        Undeformed body; its held nodes stay.
-    field : ndarray of float64, shape (n_nodes, 3)
-        Displacement, mm.
-
-    Returns
-    -------
-    field : ndarray of float64, shape (n_nodes, 3)
-        The given one where nothing is inverted; otherwise the best that was found. Cost: volume ratios once, and once a
-        round where something is inverted.
-    ratios : ndarray of float64, shape (n_tets,)
-        Its volume ratios.
+    `mesh`: undeformed body; its held nodes stay; `field` (n_nodes, 3): displacement, mm. Result: `field` (n_nodes, 3):
+    the given one where nothing is inverted; otherwise the best that was found. Cost: volume ratios once, and once a
+    round where something is inverted; `ratios` (n_tets,): its volume ratios.
     """
     ratios = det_f(mesh, field)
     if float(ratios.min()) > 0.0:

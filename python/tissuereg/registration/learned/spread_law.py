@@ -12,17 +12,8 @@ COMMON = 0.9
 def squared_radius(share: float, dof: float | None) -> float:
     """Return the squared radius of a region in units of the stated covariance.
 
-    Parameters
-    ----------
-    share : float
-        Probability inside, in (0, 1).
-    dof : float or None
-        Degrees of freedom of the t law in three dimensions; None for a Gaussian.
-
-    Returns
-    -------
-    float
-        The quantile of the squared Mahalanobis distance.
+    `share`: probability inside, in (0, 1); `dof`: degrees of freedom of the t law in three dimensions; None for a
+    Gaussian. Result: the quantile of the squared Mahalanobis distance.
     """
     from scipy.stats import chi2, f
 

@@ -14,16 +14,11 @@ _LEAST = 1e-300
 
 @dataclass(frozen=True, eq=False)
 class Statistics:
-    """Signs of one registration.
+    """Test statistics of one registration.
 
-    Attributes
-    ----------
-    row : ndarray of float64, shape (4,)
-        As `tissuereg.registration.learned.calibration_set.SIGNS`.
-    marker_rows : ndarray of float64, shape (n_markers,)
-        The sign of each marker: the second of `row` is the largest of them.
-    marker_misfits : ndarray of float64, shape (n_markers,)
-        Squared misfit of each marker to the prediction from the others, in its own standard deviations.
+    `row` (4,): as `tissuereg.registration.learned.calibration_set.STATISTICS`; `marker_rows` (n_markers,): the
+    statistic of each marker: the second of `row` is the largest of them; `marker_misfits` (n_markers,): squared misfit
+    of each marker to the prediction from the others, in its own standard deviations.
     """
 
     row: FloatArray
@@ -36,21 +31,10 @@ def statistics_of(
     found: MixturePosterior,
     n_own: int,
 ) -> Statistics:
-    """Return the signs of a registration.
+    """Return the test statistics of a registration.
 
-    Parameters
-    ----------
-    calibration : Calibration
-        Of the model.
-    found : MixturePosterior
-        The posterior.
-    n_own : int
-        Components of the event itself, which come first; the others are those of an event that was not simulated.
-
-    Returns
-    -------
-    Statistics
-        Cost: an inverse of a factor of size n_obs for every pair of component and scale that was kept.
+    `n_own`: components of the event itself, which come first; the others are those of an event that was not simulated.
+    Cost: an inverse of a factor of size n_obs for every pair of component and scale that was kept.
     """
     misfits, chances = left_out(found)
     markers = -np.log(np.maximum(len(chances) * chances, _LEAST))

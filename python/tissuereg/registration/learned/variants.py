@@ -37,12 +37,8 @@ def checked_variants(fields: Any, n_nodes: int | None = None) -> FloatArray:
 class Variants:
     """Variants of one moment.
 
-    Attributes
-    ----------
-    mean : ndarray of float64, shape (n_nodes, 3)
-        Of their displacements, mm.
-    spread : FieldErrors
-        Their covariance about it: of one kind, by as many patterns as there are variants.
+    `mean` (n_nodes, 3): of their displacements, mm; `spread`: their covariance about it: of one kind, by as many
+    patterns as there are variants.
     """
 
     mean: FloatArray
@@ -57,17 +53,8 @@ class Variants:
     def of(cls, fields: Any, n_nodes: int) -> "Variants":
         """Return the variants of a moment.
 
-        Parameters
-        ----------
-        fields : array_like of float, shape (n_variants, n_nodes, 3)
-            Displacements, mm.
-        n_nodes : int
-            Of the mesh.
-
-        Raises
-        ------
-        ShapeError
-            If the array has another shape, a field is not finite, or there are fewer than four.
+        `fields` (n_variants, n_nodes, 3): displacements, mm. Raises `ShapeError` if the array has another shape, a
+        field is not finite, or there are fewer than four.
         """
         given = checked_variants(fields, n_nodes)
         mean = given.mean(axis=0)

@@ -21,12 +21,7 @@ _LEVEL = 0.05
 class LinearPredictions:
     """Predictions as a linear function of latents, about the mean of their prior.
 
-    Attributes
-    ----------
-    centre : ndarray of float64, shape (n_obs,)
-        Predictions at the mean, mm.
-    slope : ndarray of float64, shape (n_obs, n_latent)
-        mm.
+    `centre` (n_obs,): predictions at the mean, mm; `slope` (n_obs, n_latent): mm.
     """
 
     centre: FloatArray
@@ -38,21 +33,9 @@ class LinearPredictions:
     ) -> "LinearPredictions | None":
         """Return the regression of predictions on latents drawn from the prior.
 
-        Parameters
-        ----------
-        prior : Gaussian
-            Prior of the latents.
-        latents : ndarray of float64, shape (n_latent, n_members)
-            Draws.
-        predicted : ndarray of float64, shape (n_obs, n_members)
-            Their predictions, mm; members that are not finite are left out.
-        centre : ndarray of float64, shape (n_obs,)
-            Predictions at the prior's mean, mm.
-
-        Returns
-        -------
-        LinearPredictions or None
-            None if too few predictions are finite.
+        `prior`: prior of the latents; `latents` (n_latent, n_members): draws; `predicted` (n_obs, n_members): their
+        predictions, mm; members that are not finite are left out; `centre` (n_obs,): predictions at the prior's mean,
+        mm. Result: None if too few predictions are finite.
         """
         whole = np.isfinite(predicted).all(axis=0)
         if whole.sum() <= len(prior.mean) or not np.isfinite(centre).all():
@@ -74,27 +57,12 @@ def widened(
 ) -> tuple[Gaussian, float]:
     """Return the prior, widened if the innovation is too large for it, and the factor.
 
-    Parameters
-    ----------
-    prior : Gaussian
-        Prior of the latents.
-    family : Gaussian
-        Distribution of the latents of all training fields; no direction is widened beyond its spread.
-    linear : LinearPredictions
-        Predictions about the prior's mean.
-    observed : ndarray of float64, shape (n_obs,)
-        Measured marker displacements in mm.
-    noise : ndarray of float64, shape (n_obs, n_obs)
-        Covariance C_d, mm^2.
-
-    Returns
-    -------
-    prior : Gaussian
-        The same mean; covariance ``((s C)^-1 + L^-1)^-1`` with the prior's C and the family's L: about s C where that
-        is small compared with L, and L where it is large. Unchanged if s = 1.
-    factor : float
-        Smallest s >= 1 with ``v' (H C(s) H' + C_d)^-1 v = n_obs`` for the innovation v, if ``s = 1`` misses the 95 %
-        quantile of its chi-square law; 1 otherwise, and at most `MOST`.
+    `prior`: prior of the latents; `family`: distribution of the latents of all training fields; no direction is widened
+    beyond its spread; `linear`: predictions about the prior's mean; `observed` (n_obs,): measured marker displacements
+    in mm; `noise` (n_obs, n_obs): covariance C_d, mm^2. Result: `prior`: the same mean; covariance ``((s C)^-1 +
+    L^-1)^-1`` with the prior's C and the family's L: about s C where that is small compared with L, and L where it is
+    large. Unchanged if s = 1; `factor`: smallest s >= 1 with ``v' (H C(s) H' + C_d)^-1 v = n_obs`` for the innovation
+    v, if ``s = 1`` misses the 95 % quantile of its chi-square law; 1 otherwise, and at most `MOST`.
 
     Notes
     -----
@@ -129,16 +97,9 @@ def widened(
 class Stated:
     """What is believed of one moment before its latents are found.
 
-    Attributes
-    ----------
-    prior : Gaussian
-        Prior of the latents, widened if the markers say so.
-    factor : float
-        By which it was widened; see `widened`.
-    noise : ndarray of float64, shape (n_obs, n_obs)
-        C_d: the tracker's noise and the model's own errors at the markers, mm^2.
-    near : ndarray of float64, shape (n_latent,)
-        Most probable latents of a linear model, at which these errors are taken.
+    `prior`: prior of the latents, widened if the markers say so; `factor`: by which it was widened; see `widened`;
+    `noise` (n_obs, n_obs): C_d: the tracker's noise and the model's own errors at the markers, mm^2; `near`
+    (n_latent,): most probable latents of a linear model, at which these errors are taken.
     """
 
     prior: Gaussian
@@ -159,25 +120,11 @@ def stated(
 ) -> Stated:
     """Return prior and noise of a moment, from draws of the model's prior.
 
-    Parameters
-    ----------
-    model : PointsAround
-        The model of the moment.
-    markers : Markers
-        Measured.
-    seen : ndarray of int64, shape (n_seen,)
-        Markers that are used.
-    latents, predicted : ndarray of float64, shape (n_latent, n_members) and (3 n_seen, n_members)
-        Draws from the prior, and their predictions of these markers, mm.
-    centre : ndarray of float64, shape (3 n_seen,)
-        Predictions at the prior's mean, mm.
-    typical : bool
-        Take the errors of a typical event rather than those at the latents of the linear model.
-
-    Returns
-    -------
-    Stated
-        Where no linear model can be fitted to the draws, the model's own prior and the errors at its mean.
+    `model`: the model of the moment; `seen` int64 (n_seen,): markers that are used; `latents`, `predicted` (n_latent,
+    n_members) and (3 n_seen, n_members): draws from the prior, and their predictions of these markers, mm; `centre` (3
+    n_seen,): predictions at the prior's mean, mm; `typical`: take the errors of a typical event rather than those at
+    the latents of the linear model. Result: where no linear model can be fitted to the draws, the model's own prior and
+    the errors at its mean.
     """
     measured = markers.displacement[seen].ravel()
     linear = LinearPredictions.of(model.prior, latents, predicted, centre)

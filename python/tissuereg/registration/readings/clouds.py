@@ -1,4 +1,4 @@
-"""Detects misread unlabelled points: units and axes, from their distances to the undeformed surface alone."""
+"""What distances from the undeformed surface tell of misread points, and of markers that lie on another body."""
 
 from itertools import permutations, product
 
@@ -6,7 +6,8 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.body.mesh import Mesh
-from tissuereg.registration.readings.settings import CLOUDS
+from tissuereg.registration.readings.likelihood import standoff
+from tissuereg.registration.readings.settings import CHECKS, CLOUDS
 from tissuereg.registration.readings.skin import Skin, skin_of
 from tissuereg.registration.readings.words import Suspicion
 
@@ -69,3 +70,28 @@ def _size(ratio: float) -> Suspicion:
     unit = min(_UNITS, key=lambda name: abs(np.log(ratio * _UNITS[name])))
     text = f"unit: the surface points span {ratio:.3g} times the extent of the body; they may be in {unit}"
     return Suspicion("unit", text)
+
+
+def scattered(distance: FloatArray, extent: float) -> list[Suspicion]:
+    """Return the suspicion that markers are those of another body.
+
+    `distance` (n_markers,): signed distances of the reference places from the surface, negative inside, mm; `extent`:
+    of the body, mm. Result: at most one: where markers mounted on the skin at one height, each with an error, are as
+    improbable as markers that were all placed inside (chi-squares of the distances).
+    """
+    from scipy.stats import chi2
+
+    n = len(distance)
+    if n < CHECKS.fewest:
+        return []
+    height = float(np.clip(distance.mean(), 0.0, standoff(extent)))
+    mounted = np.sum((distance - height) ** 2) / (CHECKS.mounted * standoff(extent)) ** 2
+    inside = np.sum(np.maximum(distance, 0.0) ** 2) / (CHECKS.inside_mm + CHECKS.inside_share * extent) ** 2
+    if max(chi2.sf(mounted, n - 1), chi2.sf(inside, n)) >= CHECKS.level:
+        return []
+    low, high = float(distance.min()), float(distance.max())
+    text = (
+        f"places: the markers lie from {-min(low, 0.0):.1f} mm below the surface of the undeformed body to "
+        f"{max(high, 0.0):.1f} mm above it; they may be those of another body"
+    )
+    return [Suspicion("places", text)]

@@ -6,8 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tissuereg._base.arrays import BoolArray, FloatArray, IntArray
-from tissuereg.body.mesh import Mesh
-from tissuereg.body.per_mesh import per_mesh
+from tissuereg.body.mesh import Mesh, per_mesh
 from tissuereg.registration.readings.settings import MOTION, PROPOSALS
 
 #: Numbers that describe the closest place of a point.

@@ -9,9 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from tissuereg._base.arguments import called, check_running, each, flag, maybe, of_kind
+from tissuereg._base.arguments import called, check_choice, check_running, each, flag, maybe, of_kind
 from tissuereg._base.arrays import FloatArray
-from tissuereg._base.choice import check_choice
 from tissuereg.body.mesh import Mesh
 from tissuereg.errors import ArgumentError
 from tissuereg.experiment.effects import (

@@ -15,10 +15,9 @@ from tissuereg._base.arrays import FloatArray, IntArray
 from tissuereg.body.mesh import Mesh
 from tissuereg.experiment.experiment import Experiment
 from tissuereg.simulation.fine.bisection import shape_quality
-from tissuereg.simulation.fine.folds import folds_of
 from tissuereg.simulation.fine.meshing import FineMeshing, rim_of
 from tissuereg.simulation.fine.model import FineModel
-from tissuereg.simulation.fine.rims import sharp_nodes
+from tissuereg.simulation.fine.rims import folds_of, sharp_nodes
 from tissuereg.simulation.settings import FINE
 
 

@@ -1,10 +1,16 @@
 """The catalogue of causes of material tests, in the order in which their effects are applied."""
 
 from tissuereg.diagnosis.material.causes.base import Form, MaterialCause
-from tissuereg.diagnosis.material.causes.fibre import FIBRE
-from tissuereg.diagnosis.material.causes.laws import ASYMMETRY, MOONEY, STIFFENING
+from tissuereg.diagnosis.material.causes.laws import (
+    ASYMMETRY,
+    FIBRE,
+    MOONEY,
+    POISSON,
+    STIFFENING,
+    STIFFNESS,
+    WIDE_YOUNG,
+)
 from tissuereg.diagnosis.material.causes.memory import RATE, RELAXATION, SET, SOFTENING
-from tissuereg.diagnosis.material.causes.moduli import POISSON, STIFFNESS, WIDE_YOUNG
 
 #: By id.
 CAUSES: dict[str, MaterialCause] = {

@@ -66,21 +66,8 @@ def form(
 ) -> Form:
     """Return a form from the prior means and standard deviations of its parameters.
 
-    Parameters
-    ----------
-    label : str
-        Name.
-    prior : sequence of (mean, std)
-        One for each parameter.
-    starts : sequence of tuple of float
-        First guesses; the means where empty.
-    effect : callable
-        Returns the effect for parameters.
-
-    Returns
-    -------
-    Form
-        For a fit.
+    `label`: name; `prior`: one for each parameter; `starts`: first guesses; the means where empty; `effect`: returns
+    the effect for parameters. Result: for a fit.
     """
     mean, std = np.array([p[0] for p in prior]), np.array([p[1] for p in prior])
     return Form(label, mean, std, tuple(starts) or (tuple(mean.tolist()),), effect)

@@ -1,14 +1,16 @@
-"""Other elastic laws: stiffening, Mooney-Rivlin, tension-compression asymmetry."""
+"""Elastic causes: other moduli, other laws (stiffening, Mooney-Rivlin, tension-compression asymmetry), fibres."""
 
 import math
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+
 from tissuereg._base.arrays import FloatArray
 from tissuereg.body.laws import main_key, shape_of
 from tissuereg.diagnosis.material.causes.base import Form, MaterialCause, exponential, form, sigmoid
 from tissuereg.diagnosis.material.scene import Scene
-from tissuereg.experiment.effects.elastic import Asymmetry, Mooney, OtherLaw, Stiffening
+from tissuereg.experiment.effects.elastic import Asymmetry, Fibre, Mooney, OtherLaw, Poisson, Stiffening
 
 #: Laws of one rate of stiffening.
 BY_RATE = ("fung", "veronda-westmann")
@@ -105,3 +107,67 @@ MOONEY = MaterialCause(
     ),
 )
 ASYMMETRY = MaterialCause("asymmetry", "law", _asymmetry_forms, _asymmetry_sentence)
+
+
+_DIRECTIONS = {"along the pull": (1.0, 0.0, 0.0), "across the pull": (0.0, 1.0, 0.0)}
+
+
+def _forms(scene: Scene) -> list[Form]:
+    # One mode alone cannot distinguish fibres from a stiffer law.
+    if len(scene.modes) < 2:
+        return []
+    return [form(label, [(0.0, 1.5), (0.0, 1.5)], [], _effect(towards)) for label, towards in _DIRECTIONS.items()]
+
+
+def _effect(towards: tuple[float, float, float]) -> Any:
+    def effect(x: FloatArray) -> Fibre:
+        k1, k2 = exponential(float(x[0])), exponential(min(float(x[1]), 6.0))
+        return Fibre(k1_over_mu=k1, k2=k2, direction=towards)
+
+    return effect
+
+
+def _sentence(table: Mapping[str, Any]) -> str:
+    label = next(label for label, towards in _DIRECTIONS.items() if list(towards) == list(table["direction"]))
+    return f"Fibres {label} carry load when they lengthen, with {table['k1_over_mu']:.2g} times the shear modulus."
+
+
+FIBRE = MaterialCause("fibre", "fibre", _forms, _sentence)
+
+
+#: Prior standard deviation of the logarithm of the modulus where it is a cause.
+WIDE_YOUNG = 1.5
+
+
+def _stiffness_forms(scene: Scene) -> list[Form]:
+    none = np.zeros(0)
+    return [Form("young", none, none, ((),), None)]
+
+
+def _poisson_forms(scene: Scene) -> list[Form]:
+    # A bar determines E, shear determines E / (1 + nu).
+    if "simple-shear" not in scene.modes or len(scene.modes) < 2:
+        return []
+    believed = min(max(2.0 * scene.poisson, 0.02), 0.999)
+    mean = math.log(believed / (1.0 - believed))
+    starts = [(mean - 1.5,), (mean + 1.0,)]
+    return [form("poisson", [(mean, 1.5)], starts, lambda x: Poisson(poisson=0.5 * sigmoid(min(float(x[0]), 8.0))))]
+
+
+STIFFNESS = MaterialCause(
+    "stiffness",
+    "young",
+    _stiffness_forms,
+    lambda table: f"The modulus at small strain is {table['young_kpa']:.3g} kPa, far from the believed one.",
+    {"young_kpa": "young_kpa"},
+)
+
+POISSON = MaterialCause(
+    "poisson",
+    "poisson",
+    _poisson_forms,
+    lambda table: (
+        f"Poisson's ratio is {table['poisson']:.3g}: at the believed ratio bars and shear give different moduli."
+    ),
+    {"poisson": "poisson"},
+)

@@ -9,9 +9,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from tissuereg import _core
-from tissuereg._base.arguments import called, check_running, maybe, of_kind, real, whole
+from tissuereg._base.arguments import called, check_choice, check_running, maybe, of_kind, real, whole
 from tissuereg._base.arrays import FloatArray, float_array
-from tissuereg._base.choice import check_choice
 from tissuereg.errors import ArgumentError, EnsembleError, ScheduleError, ShapeError
 from tissuereg.registration.learned.model import Gaussian
 
