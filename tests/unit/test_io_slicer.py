@@ -49,7 +49,15 @@ def test_older_files_number_their_frame(tmp_path, number, frame):
 
 @pytest.mark.parametrize(
     ("units", "scale"),
-    [("mm", 1.0), ("um", 1000.0), (["mm", "UCUM", "millimeter"], 1.0), (["um", "UCUM", "micrometer"], 1000.0)],
+    [
+        ("mm", 1.0),
+        ("um", 1000.0),
+        ("nm", 1e6),
+        ("cm", 0.1),
+        ("m", 0.001),
+        (["mm", "UCUM", "millimeter"], 1.0),
+        (["um", "UCUM", "micrometer"], 1000.0),
+    ],
 )
 def test_the_unit_of_a_file_becomes_mm(tmp_path, units, scale):
     file = write_mrk(tmp_path / "t.mrk.json", SIT, units=units, scale=scale)

@@ -3,6 +3,9 @@
 import numpy as np
 import pytest
 
+from tissuereg.body.load import Load
+from tissuereg.body.material import Material
+from tissuereg.simulation.recipe import Variation
 from tissuereg.simulation.sampling import Event, EventSampler, EventSettings, Plate
 from tissuereg.simulation.solve import Simulator
 
@@ -86,3 +89,21 @@ def test_a_body_force_alone_is_a_load(block_mesh):
     assert load.traction is None
     total = np.asarray(load.body_force) * block_mesh.volumes.sum()
     assert np.linalg.norm(total) == pytest.approx(50.0)
+
+
+def test_variations_have_the_stated_deviations():
+    rng, believed = np.random.default_rng(3), Load(body_force=[0.0, 0.0, -2.0], prescribed=np.array([[1.0, 0.0, 0.0]]))
+    drawn = [Variation().draw(believed, Material(20.0), rng) for _ in range(4000)]
+    weight = np.array([load.body_force for load, _ in drawn])
+    push = np.array([load.prescribed[0] for load, _ in drawn])
+    sizes = {
+        "modulus": (np.log([material.young / 20.0 for _, material in drawn]), 0.25),
+        "load": (np.log(np.linalg.norm(weight, axis=1) / 2.0), 0.05),
+        "motion": (np.log(np.linalg.norm(push, axis=1)), 0.03),
+        # A rotation about each of two axes tilts by its angle, to first order.
+        "tilt of a load": (np.arcsin(weight[:, 0] / np.linalg.norm(weight, axis=1)), np.deg2rad(3.0)),
+        "tilt of a motion": (np.arcsin(push[:, 1] / np.linalg.norm(push, axis=1)), np.deg2rad(2.0)),
+    }
+    for name, (values, std) in sizes.items():
+        assert np.std(values) == pytest.approx(std, rel=0.05), name
+        assert abs(np.mean(values)) < 4.0 * std / np.sqrt(4000), name
