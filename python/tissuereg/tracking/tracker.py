@@ -3,7 +3,6 @@
 import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -17,27 +16,15 @@ from tissuereg.registration.body import Body
 from tissuereg.registration.inputs import SimulationVariants, finite_field
 from tissuereg.registration.registrar import Registrar
 from tissuereg.registration.result import Registration
-from tissuereg.tracking.frame import Layout, TrackedFrame
-from tissuereg.tracking.inbox import Inbox
-from tissuereg.tracking.lineage import Lineage
+from tissuereg.tracking.frame import Inbox, Layout, MeasuredFrame, TrackedFrame
 from tissuereg.tracking.physics import Physics, as_physics
-from tissuereg.tracking.restart import RESTARTS, Restart, SimulatedFrame
+from tissuereg.tracking.restart import RESTARTS, Lineage, Restart, SimulatedFrame
 from tissuereg.tracking.temporal import TemporalPrior
 
 #: Errors of one frame that leave the tracker as it was: no marker was seen, or no equilibrium or ensemble was found.
 CANNOT_BE_REGISTERED = (MarkerError, ConvergenceError, EnsembleError)
 
 _A_FRAME = "(time_s, measured_mm) or (time_s, measured_mm, actuator)"
-
-
-@dataclass(frozen=True, eq=False)
-class _Measured:
-    """A frame before it is registered: what was measured, what the actuators did, and since when it waits."""
-
-    measured_mm: Any
-    time_s: Any
-    actuator: Any
-    since: float
 
 
 class Tracker:
@@ -174,7 +161,7 @@ class Tracker:
         MarkerError, ShapeError, ConvergenceError, EnsembleError
             As `Registrar.register`. The tracker is then as before this frame.
         """
-        frame = _Measured(measured_mm, time_s, actuator, time.perf_counter())
+        frame = MeasuredFrame(measured_mm, time_s, actuator, time.perf_counter())
         return self._tracked(frame, 0, time.perf_counter).registration
 
     def update(self, time_s: float, measured_mm: Any, actuator: Any = None) -> Registration:
@@ -191,7 +178,7 @@ class Tracker:
         measured_mm, time_s, actuator
             As in `step`. They are checked when they are registered.
         """
-        self._inbox.push(_Measured(measured_mm, time_s, actuator, time.perf_counter()))
+        self._inbox.push(MeasuredFrame(measured_mm, time_s, actuator, time.perf_counter()))
 
     def poll(self) -> TrackedFrame | None:
         """Register the newest frame that was pushed; None if there is none.
@@ -253,7 +240,7 @@ class Tracker:
                 yield from self._answer(clock, failed)
                 if (remaining := due - clock()) > 0.0:
                     wait(remaining)
-            self._inbox.push(_Measured(measured_mm, time_s, actuator, due))
+            self._inbox.push(MeasuredFrame(measured_mm, time_s, actuator, due))
         yield from self._answer(clock, failed)
 
     def _answer(
@@ -272,13 +259,13 @@ class Tracker:
         else:
             yield tracked
 
-    def _tracked(self, frame: "_Measured", skipped: int, clock: Callable[[], float]) -> TrackedFrame:
-        moment, actuator = real("time_s", frame.time_s, unit="s"), frame.actuator
+    def _tracked(self, frame: MeasuredFrame, skipped: int, clock: Callable[[], float]) -> TrackedFrame:
+        time_s, actuator = real("time_s", frame.time_s, unit="s"), frame.actuator
         elapsed = math.inf
         if self._last is not None:
-            elapsed = moment - self._last.time_s
+            elapsed = time_s - self._last.time_s
             if elapsed <= 0.0:
-                message = f"`time_s` must be later than the last frame's {self._last.time_s:g} s, got {moment:g}"
+                message = f"`time_s` must be later than the last frame's {self._last.time_s:g} s, got {time_s:g}"
                 raise ArgumentError(message, where="time_s")
         simulated = self._simulated(actuator)
         field = None if simulated is None else finite_field(simulated.field, self._registrar.mesh)
@@ -288,7 +275,7 @@ class Tracker:
         widening = self._lineage.widening(self._layout.variance(alone), simulated)
         result = self._layout.widened(result, widening)
         latency_s = clock() - frame.since
-        self._last = TrackedFrame(moment, result, alone, field, gain, widening, skipped, latency_s)
+        self._last = TrackedFrame(time_s, result, alone, field, gain, widening, skipped, latency_s)
         if self._restart is not None and simulated is not None:
             moved_on = self._restart.registered(simulated, result.displacement, actuator)
             if moved_on and not self._lineage.goes_on(self._layout.variance(alone), simulated):
