@@ -13,20 +13,8 @@ td:first-child, th:first-child { text-align: left; }
 
 
 def escape(text: object) -> str:
-    """Return text escaped for HTML, quotes included.
+    """Return text escaped for HTML, quotes included: safe in an element or an attribute.
 
-    Parameters
-    ----------
-    text : object
-        Its ``str`` is taken.
-
-    Returns
-    -------
-    str
-        Safe in an element or an attribute.
-
-    Examples
-    --------
     >>> escape("a < b & 'c'")
     'a &lt; b &amp; &#x27;c&#x27;'
     """
@@ -34,22 +22,8 @@ def escape(text: object) -> str:
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Return a table.
+    """Return a table as HTML; its cells are HTML already.
 
-    Parameters
-    ----------
-    head : sequence of str
-        HTML of the top cells.
-    rows : sequence of sequence of str
-        HTML of the others.
-
-    Returns
-    -------
-    str
-        HTML.
-
-    Examples
-    --------
     >>> table(["a"], [["1"]])
     '<table><tr><th>a</th></tr><tr><td>1</td></tr></table>'
     """
@@ -59,22 +33,7 @@ def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def document(title: str, parts: Sequence[str], style: str = "") -> str:
-    """Return a whole page.
-
-    Parameters
-    ----------
-    title : str
-        Plain text.
-    parts : sequence of str
-        HTML of the body.
-    style : str
-        CSS in addition to `STYLE`.
-
-    Returns
-    -------
-    str
-        HTML.
-    """
+    """Return a whole page as HTML: a title in plain text, the body's parts in HTML, CSS in addition to `STYLE`."""
     return (
         f"<!doctype html>\n<html lang='en'><head><meta charset='utf-8'><title>{escape(title)}</title>"
         f"<style>{STYLE}{style}</style></head><body>\n" + "\n".join(parts) + "\n</body></html>\n"

@@ -8,11 +8,11 @@ import numpy as np
 from tissuereg._base.arrays import FloatArray
 from tissuereg.body.mesh import Mesh
 from tissuereg.registration.contacts.patches import surface_of_nodes
-from tissuereg.report.found import contacts_of, surface_of
 from tissuereg.report.style import STYLE
 
 if TYPE_CHECKING:
     from tissuereg.registration.contacts.found import FoundContact
+    from tissuereg.registration.contacts.surface_fit import SurfaceFit
     from tissuereg.registration.result import Region, Registration
 
 #: Colours by meaning; they can be distinguished with any kind of colour vision, and signs differ in shape as well.
@@ -22,65 +22,33 @@ CONTACT, TARGET, FLAGGED, REGION = "#a01c10", "black", "#6a1fb0", "#8fb3d9"
 
 @dataclass(frozen=True, eq=False)
 class Label:
-    """Text about a place.
+    """Text of one or two lines about a place."""
 
-    Attributes
-    ----------
-    place : ndarray of float64, shape (3,)
-        mm.
-    text : str
-        One or two lines.
-    colour : str
-        Of text and leader line.
-    """
-
-    place: FloatArray
+    place: FloatArray  # (3,), mm
     text: str
-    colour: str
+    colour: str  # of text and leader line
 
 
 @dataclass(eq=False)
 class View:
-    """One axes object with its direction of view and its labels.
-
-    Attributes
-    ----------
-    axes : matplotlib axes
-        Three-dimensional.
-    towards : ndarray of float64, shape (3,)
-        Unit vector from the body to the viewer.
-    labels : list of Label
-        Filled by the functions below.
-    keep_clear : list of ndarray of float64, shape (3,)
-        Places that labels should not cover, filled likewise.
-    taken : list of ndarray of float64, shape (2, 2)
-        Lower left and upper right corners, in heights of the figure, of what labels must not cover.
-    """
+    """One axes object of matplotlib with its direction of view and its labels."""
 
     axes: Any
-    towards: FloatArray
-    labels: list[Label] = field(default_factory=list)
+    towards: FloatArray  # unit vector (3,) from the body to the viewer
+    labels: list[Label] = field(default_factory=list)  # filled by the functions below
+    # places (3,) that labels should not cover, filled likewise
     keep_clear: list[FloatArray] = field(default_factory=list)
+    # corners (2, 2), lower left and upper right, in heights of the figure, of what labels must not cover
     taken: list[FloatArray] = field(default_factory=list)
 
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """The registered surface.
+    """The registered surface."""
 
-    Attributes
-    ----------
-    places : ndarray of float64, shape (n_nodes, 3)
-        All nodes, mm.
-    normals : ndarray of float64, shape (n_nodes, 3)
-        Outward unit normals of its nodes, zero inside.
-    nodes : ndarray of int64, shape (n,)
-        Nodes of the surface.
-    """
-
-    places: FloatArray
-    normals: FloatArray
-    nodes: Any
+    places: FloatArray  # of all nodes, (n_nodes, 3), mm
+    normals: FloatArray  # outward unit normals of its nodes, zero inside
+    nodes: Any  # of the surface, (n,)
 
     @classmethod
     def of(cls, result: "Registration") -> "Surface":
@@ -92,6 +60,16 @@ class Surface:
     def nearest(self, place: FloatArray, where: FloatArray) -> int:
         """Return the node of the surface whose entry in `where` (n_nodes, 3) is closest to a place."""
         return int(self.nodes[np.argmin(np.linalg.norm(where[self.nodes] - place, axis=1))])
+
+
+def contacts_of(result: "Registration") -> "tuple[FoundContact, ...]":
+    """Return the contacts of a registration; a trained model finds none."""
+    return getattr(result, "contacts", ())
+
+
+def surface_of(result: "Registration") -> "SurfaceFit | None":
+    """Return the fit of the points of the surface, if any were given; a trained model takes none."""
+    return getattr(result, "surface", None)
 
 
 def contact_verb(contact: "FoundContact", normal: FloatArray) -> str:
@@ -122,7 +100,7 @@ def draw_body(view: View, result: "Registration", surface: Surface, colours: Any
 
 
 def draw_surface_points(view: View, result: "Registration") -> None:
-    """Draw the points of the deformed surface that were seen."""
+    """Draw the measured points of the deformed surface."""
     surface = surface_of(result)
     if surface is not None:
         view.axes.scatter(*surface.places.T, s=4, c=MEASURED, depthshade=False, zorder=6)

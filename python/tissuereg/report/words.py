@@ -6,8 +6,6 @@ from collections.abc import Iterable, Mapping, Sequence
 def verdict(ok: bool) -> str:
     """Return a sentence on whether a registration can be trusted.
 
-    Examples
-    --------
     >>> verdict(False)
     'Do not trust this registration.'
     """
@@ -17,8 +15,6 @@ def verdict(ok: bool) -> str:
 def counted(number: int, thing: str) -> str:
     """Return a number of things.
 
-    Examples
-    --------
     >>> counted(1, "marker"), counted(3, "marker")
     ('1 marker', '3 markers')
     """
@@ -33,8 +29,6 @@ def start_word(simulated: bool) -> str:
 def silent(names: Sequence[str]) -> str:
     """Return the warning for targets that the markers do not constrain (flag "no marker tells").
 
-    Examples
-    --------
     >>> silent(["lesion"])
     'No marker tells of lesion: its region holds only if nothing else pushes or pulls nearby.'
     """
@@ -45,8 +39,6 @@ def silent(names: Sequence[str]) -> str:
 def fallback_lines(places: Mapping[str, Iterable[float]]) -> list[str]:
     """Return where linear elasticity alone has the targets of an answer that is not to be trusted, in mm.
 
-    Examples
-    --------
     >>> fallback_lines({"lesion": (1.0, 2.5, -3.0)})
     ['By linear elasticity alone, without a region: lesion at (1.00, 2.50, -3.00) mm.']
     """
