@@ -23,22 +23,10 @@ from tissuereg.meshing.words import place, several, were
 
 
 def closed(surface: Triangles) -> tuple[Triangles, list[str]]:
-    """Return the surface with its holes closed.
+    """Return the surface, whose neighbours agree in their winding, with its holes closed, and the repair in a sentence.
 
-    Parameters
-    ----------
-    surface : Triangles
-        Neighbours agree in their winding.
+    Caps come after the existing triangles, centres of fans after the existing vertices.
 
-    Returns
-    -------
-    Triangles
-        The same, with caps after the existing triangles and centres of fans after the existing vertices.
-    list of str
-        The repair, one sentence.
-
-    Examples
-    --------
     >>> cap = closed(Triangles([[0, 0, 0], [9, 0, 0], [0, 9, 0], [0, 0, 9]], [[0, 2, 1], [0, 1, 3], [0, 3, 2]]))
     >>> cap[0].triangles[3].tolist(), round(cap[0].volume, 1)
     ([1, 2, 3], 121.5)
@@ -74,23 +62,11 @@ def closed(surface: Triangles) -> tuple[Triangles, list[str]]:
 
 
 def least_area_cap(corners: FloatArray, barred: BoolArray | None = None) -> IntArray:
-    """Return the triangles of least total area that close a rim.
+    """Return the triangles (n - 2, 3) of least total area that close a rim of `corners` (n, 3), going round as it does.
 
-    Parameters
-    ----------
-    corners : ndarray of float64, shape (n, 3)
-        Corners of the rim in order, mm.
-    barred : ndarray of bool, shape (n, n), optional
-        Pairs of corners that an edge of the surface joins already. The cap gets another edge between such a pair only
-        if no cap does without.
+    `barred` (n, n) marks the pairs of corners that an edge of the surface joins already: the cap gets another edge
+    between such a pair only if no cap does without.
 
-    Returns
-    -------
-    ndarray of int64, shape (n - 2, 3)
-        Rows of `corners`, going round as the rim does.
-
-    Examples
-    --------
     A square with one corner pulled in: the common edge of the two triangles ends at that corner.
 
     >>> least_area_cap(np.array([[0.0, 0, 0], [9, 0, 0], [3, 3, 0], [0, 9, 0]])).tolist()

@@ -2,43 +2,25 @@
 
 import numpy as np
 
+from tissuereg._base.arrays import IntArray
 from tissuereg.body.triangles import Triangles
+from tissuereg.errors import MeshError
 from tissuereg.meshing.crossings import crossing_pairs
 from tissuereg.meshing.holes import closed
-from tissuereg.meshing.join import joined
+from tissuereg.meshing.settings import MESHING
 from tissuereg.meshing.shells import outward
-from tissuereg.meshing.topology import Edges, agreed_winding, turned_round
+from tissuereg.meshing.topology import Edges, agreed_winding, components, turned_round
 from tissuereg.meshing.words import place, several, were
 
 
 def repaired(surface: Triangles, least_volume: float) -> tuple[Triangles, list[str]]:
-    """Return a repaired surface, with the repairs and remaining defects.
+    """Return a repaired surface, normals outward, with its repairs and remaining defects, one sentence each.
 
     In this order: vertices at one place are merged, triangles without an area and duplicates are removed, neighbours
-    are made to agree in their winding, holes are closed, normals are turned outwards, tiny shells are removed; then
-    crossing triangles are counted.
+    are made to agree in their winding, holes are closed, normals are turned outwards, closed shells of less than
+    `least_volume` mm^3 are removed, except the largest; then crossing triangles are counted. Raises MeshError if no
+    triangle has an area, a shell has one side only, or nothing is enclosed.
 
-    Parameters
-    ----------
-    surface : Triangles
-        As read.
-    least_volume : float
-        Closed shells of less volume are removed, except the largest, mm^3.
-
-    Returns
-    -------
-    Triangles
-        Normals outward.
-    list of str
-        One sentence each; empty if there was nothing to repair.
-
-    Raises
-    ------
-    MeshError
-        If no triangle has an area, a shell has one side only, or nothing is enclosed.
-
-    Examples
-    --------
     A tetrahedron without one of its faces, its normals inwards:
 
     >>> open_ = Triangles([[0, 0, 0], [9, 0, 0], [0, 9, 0], [0, 0, 9]], [[0, 1, 2], [0, 3, 1], [0, 2, 3]])
@@ -48,7 +30,7 @@ def repaired(surface: Triangles, least_volume: float) -> tuple[Triangles, list[s
     >>> [sentence[:29] for sentence in repairs]
     ['1 hole was closed: the larges', 'all normals pointed inwards a']
     """
-    surface, repairs = joined(surface)
+    surface, repairs = _joined(surface)
     turned, _ = agreed_winding(surface)
     if len(turned):
         surface = Triangles(surface.vertices, turned_round(surface.triangles, turned))
@@ -59,6 +41,55 @@ def repaired(surface: Triangles, least_volume: float) -> tuple[Triangles, list[s
     _, shell = agreed_winding(surface)
     found, sided = outward(surface, shell, least_volume)
     return found, [*repairs, *filled, *sided, *_left(found)]
+
+
+def _joined(surface: Triangles) -> tuple[Triangles, list[str]]:
+    """Return the surface with every vertex and triangle once, in the given order, and the repairs, one sentence each.
+
+    Raises MeshError if no triangle is left.
+
+    >>> _joined(Triangles([[0, 0, 0], [9, 0, 0], [0, 9, 0], [0, 9, 0]], [[0, 1, 2], [0, 1, 3]]))
+    (Triangles(3 vertices, 1 triangles), ['1 vertex that stood at the place of another was merged with it',
+    '1 triangle given a second time was left out'])
+    """
+    repairs = []
+    used = np.unique(surface.triangles)
+    one = _first_of_place(surface, used)
+    merged = int(np.count_nonzero(one[used] != used))
+    if merged:
+        repairs.append(
+            f"{several(merged, 'vertex', 'vertices')} that stood at the place of another {were(merged)} merged with it"
+        )
+    triangles = one[surface.triangles]
+    flat = (np.diff(np.sort(triangles, axis=1), axis=1) == 0).any(axis=1)
+    flat |= surface.areas <= (MESHING.same_place * surface.extent) ** 2
+    if flat.any():
+        n = int(flat.sum())
+        repairs.append(f"{several(n, 'triangle')} without an area {were(n)} left out")
+        triangles = triangles[~flat]
+    _, first = np.unique(np.sort(triangles, axis=1), axis=0, return_index=True)
+    if len(first) < len(triangles):
+        n = len(triangles) - len(first)
+        repairs.append(f"{several(n, 'triangle')} given a second time {were(n)} left out")
+        triangles = triangles[np.sort(first)]
+    if not len(triangles):
+        message = f"a surface must have triangles with an area; none of {len(surface.triangles)} has one"
+        raise MeshError(message, where="surface")
+    kept, corners = np.unique(triangles, return_inverse=True)
+    return Triangles(surface.vertices[kept], corners.reshape(-1, 3)), repairs
+
+
+def _first_of_place(surface: Triangles, used: IntArray) -> IntArray:
+    """Return, for every vertex, the lowest used vertex at its place."""
+    from scipy.spatial import KDTree
+
+    places = surface.vertices[used]
+    pairs = KDTree(places).query_pairs(MESHING.same_place * surface.extent, output_type="ndarray")
+    group = components(pairs[:, 0], pairs[:, 1], len(used))
+    _, lowest = np.unique(group, return_index=True)
+    one = np.arange(len(surface.vertices))
+    one[used] = used[lowest[group]]
+    return np.asarray(one, np.int64)
 
 
 def _left(surface: Triangles) -> list[str]:

@@ -36,9 +36,9 @@ class View:
     axes: Any
     towards: FloatArray  # unit vector (3,) from the body to the viewer
     labels: list[Label] = field(default_factory=list)  # filled by the functions below
-    # places (3,) that labels should not cover, filled likewise
+    # Places (3,) that labels should not cover, filled likewise.
     keep_clear: list[FloatArray] = field(default_factory=list)
-    # corners (2, 2), lower left and upper right, in heights of the figure, of what labels must not cover
+    # Corners (2, 2), lower left and upper right, in heights of the figure, of what labels must not cover.
     taken: list[FloatArray] = field(default_factory=list)
 
 
