@@ -31,7 +31,7 @@ from tissuereg.io.tables import write_markers, write_points
 from tissuereg.io.toml_text import write_toml
 from tissuereg.simulation.noise import with_noise
 
-DATA = Path(__file__).resolve().parent.parent / "python" / "tissuereg" / "samples" / "data"
+DATA = Path(__file__).resolve().parent.parent / "python" / "tissuereg" / "phantom" / "samples" / "data"
 SEED = 12
 
 #: The organ lies on its back, the plane z = -18 mm.

@@ -21,7 +21,7 @@ from tissuereg.body.mesh import Mesh
 from tissuereg.cli.benchmark.network import write_random_table2
 from tissuereg.errors import ModelError
 from tissuereg.phantom import phantom_mesh, shipped_model_folder
-from tissuereg.phantom.shipped import shipped_recipe
+from tissuereg.phantom.event import shipped_recipe
 from tissuereg.registration.learned.card import read_card
 from tissuereg.registration.learned.network import kept_network
 from tissuereg.registration.registrar import Registrar
