@@ -48,6 +48,6 @@ PRIVATE: dict[str, tuple[str, tuple[str, ...]]] = {
     ),
     "cli": (
         "the command has the output, errors and exit codes of `tissuereg`",
-        ("cli", "cli.common", "cli.options"),
+        ("cli", "cli.common", "cli.options", "cli.progress"),
     ),
 }

@@ -1,17 +1,30 @@
 """``tissuereg register``: one moment of a body, from mesh and markers or from an experiment."""
 
 import argparse
+import math
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tissuereg.cli.body_input import add_method_options, method_of
-from tissuereg.cli.common import UNTRUSTED, Outcome, Stopwatch, envelope
-from tissuereg.cli.options import Help, Parser, refuse_overwriting
-from tissuereg.cli.register_input import add_input_options, registration_input
-from tissuereg.cli.stages import Stages, stage_lines
-from tissuereg.cli.words import registration_words
+from tissuereg._base.fields import number
+from tissuereg.cli.body_input import (
+    add_belief_options,
+    add_body_options,
+    add_method_options,
+    beliefs_of,
+    believed_body,
+    frames_of,
+    method_of,
+    only_given,
+    read_body,
+)
+from tissuereg.cli.common import UNTRUSTED, Outcome, Stopwatch, envelope, seconds_line
+from tissuereg.cli.options import Help, Parser, add_option, refuse, refuse_overwriting
+from tissuereg.cli.progress import Stages, stage_lines
+from tissuereg.report.words import counted, fallback_lines, silent, start_word, target_line, verdict
 
 if TYPE_CHECKING:
+    from tissuereg.registration.body import Body
     from tissuereg.registration.result import Registration
 
 HELP = Help(
@@ -43,7 +56,7 @@ def options(parser: Parser) -> None:
     parser.add_argument("--out", required=True, metavar="DIR", help="folder for the results")
     text = "write registered_deformed.vtu too, its nodes where they are now"
     parser.add_argument("--deformed", action="store_true", help=text)
-    add_input_options(parser)
+    _add_input_options(parser)
     add_method_options(parser.add_argument_group("method"))
     parser.set_defaults(late="markers", room=1)
 
@@ -59,7 +72,7 @@ def run(args: argparse.Namespace) -> Outcome:
     refuse_overwriting(written, [*given_files, Path(args.path) / "targets.csv"])
     check_folder_target(args.out)
     clock = Stopwatch()
-    given = registration_input(args)
+    given = _input(args)
     reading = clock.lap("read")
     with stage_lines(quiet=args.quiet) as shown:
         result = register(**given, **method_of(args), progress=shown)
@@ -70,7 +83,7 @@ def run(args: argparse.Namespace) -> Outcome:
     writing = clock.lap("write")
     seconds = {"read": reading, **stages, "write": writing, **_total(clock)}
     content = {**result.to_json(), "seconds": seconds}
-    return Outcome(content, registration_words(content, args.out), args.threads, 0 if result.trust.ok else UNTRUSTED)
+    return Outcome(content, summary(content, args.out), args.threads, 0 if result.trust.ok else UNTRUSTED)
 
 
 def _write(result: "Registration", args: argparse.Namespace, extra: dict[str, Any], shown: Stages) -> None:
@@ -88,3 +101,151 @@ def _write(result: "Registration", args: argparse.Namespace, extra: dict[str, An
 
 def _total(clock: Stopwatch) -> dict[str, float]:
     return {"total": clock.seconds["total"]}
+
+
+def _add_input_options(parser: Parser) -> None:
+    """Add the options for data and beliefs about the state."""
+    frame = parser.add_argument_group("frame of an experiment")
+    frame.add_argument("--case", metavar="C", help="name of the case")
+    add_option(frame, "--time", number("time in s on the experiment's clock", unit="s", default=None), "T")
+    _add_files(parser.add_argument_group("more input"))
+    add_belief_options(parser.add_argument_group("what is believed"))
+
+
+def _input(args: argparse.Namespace) -> dict[str, Any]:
+    """Return the arguments of `register` that are read from files; raises UsageError where options clash."""
+    from tissuereg.body.surface import SurfacePoints
+    from tissuereg.io.experiments import is_experiment
+    from tissuereg.io.problems import read_simulation, read_variants
+    from tissuereg.io.tables import read_surface, read_targets
+    from tissuereg.registration.inputs import SimulationVariants
+
+    frames = frames_of(args, [*args.markers, args.targets])
+    given = _from_experiment(args) if is_experiment(args.path) else _from_files(args, frames)
+    body: Body = given["mesh"]
+    if frames["frame"] is not None:
+        given["mesh"] = body = replace(body, mesh=body.mesh.in_frame(frames["frame"]))
+    if args.targets is not None:
+        given["targets"] = {**given["targets"], **read_targets(args.targets, **frames)}
+    if args.simulation is not None:
+        given["simulation"] = read_simulation(args.simulation, body.mesh.n_nodes)
+    if args.variants is not None:
+        fields = read_variants(args.variants, body.mesh.n_nodes)
+        given["simulation"] = SimulationVariants(fields, given.get("simulation"))
+    if args.surface is not None:
+        std = {} if args.surface_std is None else {"std": args.surface_std}
+        given["surface"] = SurfacePoints(read_surface(args.surface, **frames), **std)
+    elif args.surface_std is not None:
+        refuse("--surface-std must come with --surface", "--surface-std")
+    return given
+
+
+def _add_files(more: Any) -> None:
+    text = "points of 3D Slicer where the markers of MARKERS, such points too, were seen; joined by label"
+    more.add_argument("--measured", metavar="FILE", help=text)
+    text = "displacement_mm (n, 3) of this moment, predicted by any simulator"
+    more.add_argument("--simulation", metavar="U.npz", help=text)
+    text = "displacement_mm (k, n, 3): this moment simulated with other values of what is uncertain; with --model"
+    more.add_argument("--variants", metavar="U.npz", help=text)
+    text = "table x_mm,y_mm,z_mm of points on the deformed surface, or on a part of it, without labels"
+    more.add_argument("--surface", metavar="FILE", help=text)
+    text = "noise of such a point along the surface's normal"
+    add_option(more, "--surface-std", number(text, unit="mm", above=0.0, default=None, otherwise="0.1"), "MM")
+    add_body_options(more, "MARKERS, --targets and --surface")
+
+
+def _from_files(args: argparse.Namespace, frames: dict[str, str | None]) -> dict[str, Any]:
+    from tissuereg.io.tables import read_markers
+
+    if len(args.markers) > 1 or (not args.markers and args.surface is None):
+        found = f"got {len(args.markers)} files"
+        refuse(f"one MARKERS must be given with a mesh file (only an experiment brings its own), {found}", "MARKERS")
+    if args.measured is not None and not args.markers:
+        refuse("--measured must come with MARKERS, where the markers sit", "--measured")
+    for name in ("case", "time"):
+        if getattr(args, name) is not None:
+            refuse(f"--{name} must be left out with a mesh file; it chooses a frame of an experiment", f"--{name}")
+    material, load = beliefs_of(args, "--simulation")
+    body = believed_body(args, read_body(args, args.path), material)
+    markers = read_markers(args.markers[0], args.std, measured=args.measured, **frames) if args.markers else None
+    return {"mesh": body, "markers": markers, "targets": {}, "load": load}
+
+
+def _from_experiment(args: argparse.Namespace) -> dict[str, Any]:
+    from tissuereg.io.experiments import read_experiment
+    from tissuereg.registration.frame import frame_input
+
+    for name in ("markers", "measured", "fixed", "std", "young", "poisson", "gravity", "density"):
+        if getattr(args, name) not in (None, []):
+            option = "MARKERS" if name == "markers" else f"--{name}"
+            refuse(f"{option} must be left out with an experiment, which states its own", option)
+    for name in ("case", "time"):
+        if getattr(args, name) is None:
+            refuse(f"--{name} must be given with an experiment", f"--{name}")
+    experiment = read_experiment(args.path)
+    plain = "tet4" if args.element == "auto" else args.element
+    frame = frame_input(experiment, args.case, args.time, element=plain, threads=args.threads)
+    # The registration uses the same elements as the simulation of the frame.
+    return {**frame, "mesh": replace(frame["mesh"], **only_given(held=args.held, stiffness=args.stiffness))}
+
+
+def summary(content: dict[str, Any], out: str) -> str:
+    """Return the content of ``registration.json`` as text; contacts, flags and the verdict come last."""
+    markers, trust, body, model = (content[name] for name in ("markers", "trust", "body", "model"))
+    simulated = any(target["simulation_mm"] is not None for target in content["targets"].values())
+    start = start_word(simulated)
+    unknown = trust["p_value"] is None or not math.isfinite(trust["p_value"])
+    p_value = "not known" if unknown else f"{trust['p_value']:.3g}"
+    return "\n".join(
+        [
+            *([_marker_line(markers, start)] if markers["used"] or markers["dropped"] else []),
+            *([_surface_line(content["surface"])] if content["surface"] is not None else []),
+            *(target_line(name, target) for name, target in content["targets"].items()),
+            f"smallest det F {body['min_det_f']:.3f}, {body['inverted_tets']} inverted tets; p-value of the "
+            f"residuals {p_value}",
+            f"model: {model.get('kind')}, {model.get('source')}",
+            seconds_line(content["seconds"]),
+            f"written: {out}",
+            *(_contact_line(contact) for contact in content["contacts"]),
+            *([] if content["fallback"] is None else fallback_lines(content["fallback"]["targets_mm"])),
+            *_verdict_lines(content["targets"], trust),
+        ]
+    )
+
+
+def _surface_line(surface: dict[str, Any]) -> str:
+    thinned = "" if surface["thinned_from"] is None else f" (thinned evenly from {surface['thinned_from']})"
+    return (
+        f"{surface['used']} of {surface['points']} surface points used{thinned}, {len(surface['outliers'])} outliers; "
+        f"rms distance along the normal {surface['before_rms_mm']:.3f} mm before, "
+        f"{surface['after_rms_mm']:.3f} mm after"
+    )
+
+
+def _marker_line(markers: dict[str, Any], start: str) -> str:
+    lost = ", ".join(f"{item['marker']} ({item['reason']})" for item in markers["dropped"])
+    used = f"{counted(len(markers['used']), 'marker')} used{f'; dropped: {lost}' if lost else ''}"
+    if not markers["used"]:
+        return used
+    return f"{used}; rms distance {markers['before_rms_mm']:.3f} mm {start}, {markers['after_rms_mm']:.3f} mm after"
+
+
+def _contact_line(contact: dict[str, Any]) -> str:
+    place = ", ".join(f"{x:.0f}" for x in contact["centre_mm"])
+    towards = ", ".join(f"{x:.2f}" for x in contact["direction"])
+    return (
+        f"contact at ({place}) mm: surface moved by {contact['size_mm']:.1f} mm, {contact['force_mN']:.0f} mN at the "
+        f"believed modulus towards ({towards}), probability {contact['probability']:.2f}"
+    )
+
+
+def _verdict_lines(targets: dict[str, Any], trust: dict[str, Any]) -> list[str]:
+    """Return flags and the verdict; if not trusted, the reasons come before it and it names their kinds."""
+    flagged = [name for name, target in targets.items() if target["flag"]]
+    kinds = dict.fromkeys(reason.partition(":")[0] for reason in trust["reasons"])
+    last = verdict(trust["ok"])
+    return [
+        *([silent(flagged)] if flagged else []),
+        *trust["reasons"],
+        last if trust["ok"] else f"{last.removesuffix('.')}: {', '.join(kinds)}.",
+    ]

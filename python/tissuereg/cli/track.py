@@ -17,9 +17,10 @@ from tissuereg.cli.body_input import (
     method_of,
     read_body,
 )
-from tissuereg.cli.common import UNTRUSTED, Outcome, Progress, Stopwatch, progress_bar
+from tissuereg.cli.common import UNTRUSTED, Outcome, Stopwatch, seconds_line
 from tissuereg.cli.options import Help, Parser, refuse_overwriting
-from tissuereg.cli.words import tracking_words
+from tissuereg.cli.progress import Report, progress_bar
+from tissuereg.report.words import counted, target_line
 
 if TYPE_CHECKING:
     from tissuereg._base.arrays import FloatArray
@@ -66,18 +67,9 @@ def options(parser: Parser) -> None:
 
 
 def run(args: argparse.Namespace) -> Outcome:
-    """Track and write.
+    """Track and write, schema ``tissuereg.track/1``; exit code 4 where a frame is not trusted or not registered.
 
-    Schema ``tissuereg.track/1``; exit code 4 where a frame is not to be trusted or could not be registered.
-
-    Raises
-    ------
-    UsageError
-        If options do not go together, or an output would replace an input.
-    FormatError, MeshError, MarkerError, MaterialError
-        If a file cannot be used.
-    MarkerError, ConvergenceError, EnsembleError
-        Of the first frame, if no frame can be registered.
+    If no frame can be registered, the error of the first one is raised.
     """
     from tissuereg.io.atomic import check_folder_target
 
@@ -111,7 +103,7 @@ def run(args: argparse.Namespace) -> Outcome:
     _write(Path(args.out), {**content, "seconds": seconds}, tracked)
     clock.lap("write")
     content["seconds"] = clock.seconds
-    return Outcome(content, tracking_words(content, args.out), args.threads, 0 if tracked.all_trusted else UNTRUSTED)
+    return Outcome(content, _summary(content, args.out), args.threads, 0 if tracked.all_trusted else UNTRUSTED)
 
 
 def _read(args: argparse.Namespace) -> "tuple[Tracker, Recording, TablePhysics | None]":
@@ -232,7 +224,7 @@ class _Tracked:
         return not self.failures and all(frame["trust"]["ok"] for frame in self.frames)
 
 
-def _tell(progress: Progress | None, tracked: _Tracked, tracker: "Tracker", in_all: int) -> None:
+def _tell(progress: Report | None, tracked: _Tracked, tracker: "Tracker", in_all: int) -> None:
     if progress is not None:
         progress(len(tracked.frames) + len(tracked.failures) + tracker.dropped, in_all)
 
@@ -249,3 +241,37 @@ def _write(out: Path, content: dict[str, Any], tracked: _Tracked) -> None:
         write_tracked_targets(draft / _TARGETS, [(frame["time_s"], frame["targets"]) for frame in tracked.frames])
         if tracked.keeps_fields:
             write_simulations(draft / _FIELDS, [frame["time_s"] for frame in tracked.frames], tracked.fields)
+
+
+def _summary(content: dict[str, Any], out: str) -> str:
+    """Return the content of ``track.json`` as text; the last line says whether any frame is not to be trusted."""
+    import numpy as np
+
+    frames, failed = content["frames"], content["failed"]
+    latency = [frame["latency_ms"] for frame in frames]
+    rms = np.median([frame["markers_rms_mm"] for frame in frames])
+    last = frames[-1]
+    return "\n".join(
+        [
+            f"{counted(len(frames), 'frame')} registered, {content['dropped_frames']} dropped, {len(failed)} failed, "
+            f"{content['hz']:.1f} a second",
+            f"latency: median {np.median(latency):.0f} ms, 99 % {np.percentile(latency, 99):.0f} ms",
+            f"rms distance to the markers: median {rms:.3f} mm",
+            *(target_line(name, target, f" at {last['time_s']:g} s") for name, target in last["targets"].items()),
+            seconds_line(content["seconds"]),
+            f"written: {out}",
+            *([f"not registered at {failed[0]['time_s']:g} s: {failed[0]['reason']}"] if failed else []),
+            *_frames_verdict(frames),
+        ]
+    )
+
+
+def _frames_verdict(frames: list[dict[str, Any]]) -> list[str]:
+    doubted = [frame for frame in frames if not frame["trust"]["ok"]]
+    if not doubted:
+        return ["Nothing speaks against any frame."]
+    first = doubted[0]
+    return [
+        f"at {first['time_s']:g} s: {first['trust']['reasons'][0]}",
+        f"Not to be trusted: {len(doubted)} of {len(frames)} frames.",
+    ]

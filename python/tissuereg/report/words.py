@@ -1,6 +1,7 @@
 """Sentences that picture, page and command line share."""
 
 from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
 
 
 def verdict(ok: bool) -> str:
@@ -46,3 +47,10 @@ def fallback_lines(places: Mapping[str, Iterable[float]]) -> list[str]:
         f"By linear elasticity alone, without a region: {name} at ({', '.join(f'{x:.2f}' for x in place)}) mm."
         for name, place in places.items()
     ]
+
+
+def target_line(name: str, target: dict[str, Any], when: str = "") -> str:
+    """Return where a target is, from its entry of the JSON, with its region; `when` follows its name."""
+    place = ", ".join(f"{x:.2f}" for x in target["mean_mm"])
+    axes = " x ".join(f"{x:.2f}" for x in target["region90_radii_mm"])
+    return f"target {name}{when}: at ({place}) mm, 90 % region with half-axes {axes} mm"

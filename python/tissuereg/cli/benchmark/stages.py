@@ -33,27 +33,7 @@ Row = dict[str, Any]
 
 @dataclass(frozen=True)
 class BenchSettings:
-    """Settings of the timings.
-
-    Parameters
-    ----------
-    repeats : int
-        Timed runs of every row, after one that is not counted.
-    threads : int
-        Threads to use; 0 takes all cores.
-    elements : tuple of str
-        Elements of the solves.
-    problems : tuple of str
-        Problem files to solve instead of the phantom.
-    members : int
-        Members of the ensemble.
-    seed : int
-        Seed of random events and draws.
-    model, table2 : str or None
-        Model folders of the rows ``step/shipped`` and ``step/table2``; see `StepSettings`.
-    n_sets : int
-        Random sets of markers of those rows.
-    """
+    """Settings of the timings."""
 
     repeats: int = 10
     threads: int = 0
@@ -82,18 +62,7 @@ class _Run:
 
 
 def bench_solve(settings: BenchSettings) -> list[Row]:
-    """Time whole static solves: analysis, factorisations, iterations.
-
-    Parameters
-    ----------
-    settings : BenchSettings
-        Problems, elements, repeats.
-
-    Returns
-    -------
-    list of dict
-        One row per problem and element; nothing is cached between repeats.
-    """
+    """Time whole static solves, one row per problem and element; nothing is cached between repeats."""
     rows = []
     for name, problem in _problems(settings):
         for element in settings.elements:
@@ -103,18 +72,7 @@ def bench_solve(settings: BenchSettings) -> list[Row]:
 
 
 def bench_ensemble(settings: BenchSettings) -> list[Row]:
-    """Time many solves on one body: random events on the phantom.
-
-    Parameters
-    ----------
-    settings : BenchSettings
-        Members, elements, repeats.
-
-    Returns
-    -------
-    list of dict
-        One row an element; the analysis is a stage.
-    """
+    """Time many solves on one body, random events on the phantom: one row an element; the analysis is a stage."""
     mesh = phantom_mesh()
     rows = []
     for element in settings.elements:
@@ -124,18 +82,7 @@ def bench_ensemble(settings: BenchSettings) -> list[Row]:
 
 
 def bench_esmda(settings: BenchSettings) -> list[Row]:
-    """Time one ES-MDA update.
-
-    Parameters
-    ----------
-    settings : BenchSettings
-        Repeats, seed.
-
-    Returns
-    -------
-    list of dict
-        One row per size of `ESMDA_SIZES` and kind of noise.
-    """
+    """Time one ES-MDA update: one row per size of `ESMDA_SIZES` and kind of noise."""
     rows = []
     for sizes in ESMDA_SIZES:
         for kind in ("diagonal", "dense"):
@@ -145,17 +92,10 @@ def bench_esmda(settings: BenchSettings) -> list[Row]:
 
 
 def bench_register(settings: BenchSettings) -> list[Row]:
-    """Time whole registrations of the phantom: contacts first on the mesh and again, shipped network; and single steps.
+    """Time whole registrations of the phantom, and single steps.
 
-    Parameters
-    ----------
-    settings : BenchSettings
-        Repeats, seed.
-
-    Returns
-    -------
-    list of dict
-        Two rows by contacts, one by the shipped network where there is one, and those of `step_rows`.
+    Two rows by contacts, first on the mesh and again, one by the shipped network where there is one, and those of
+    `step_rows`.
     """
     event = make_event(seed=settings.seed)
     simulator = Simulator(event.mesh)

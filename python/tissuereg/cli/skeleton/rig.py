@@ -17,48 +17,19 @@ N_MARKERS, _N_PADS = 10, 2
 
 @dataclass(frozen=True, eq=False)
 class MadeUpRig:
-    """Made-up pads, markers and a target on a body.
+    """Made-up pads, markers and a target on a body, in mm."""
 
-    Attributes
-    ----------
-    centres : ndarray of float64, shape (2, 3)
-        Centres of the balls whose surface nodes are the pads, mm; above the surface of a thin body.
-    radii : ndarray of float64, shape (2,)
-        Their radii, mm.
-    pushes : ndarray of float64, shape (2, 3)
-        Largest motion of each pad, mm.
-    markers : ndarray of float64, shape (N_MARKERS, 3)
-        Nodes of the surface, mm.
-    target : ndarray of float64, shape (3,)
-        A point near the body's middle, mm.
-    """
-
-    centres: FloatArray
-    radii: FloatArray
-    pushes: FloatArray
-    markers: FloatArray
-    target: FloatArray
+    centres: FloatArray  # of the balls whose surface nodes are the pads, (2, 3); above the surface of a thin body
+    radii: FloatArray  # of these balls, (2,)
+    pushes: FloatArray  # largest motion of each pad, (2, 3)
+    markers: FloatArray  # nodes of the surface, (N_MARKERS, 3)
+    target: FloatArray  # a point near the body's middle, (3,)
 
     @classmethod
     def on(cls, body: Mesh, held: IntArray) -> "MadeUpRig":
-        """Put pads and markers far from what is held and from each other.
+        """Put pads and markers far from the nodes `held` and from each other; pads are of free nodes and share none.
 
-        Parameters
-        ----------
-        body : Mesh
-            mm.
-        held : ndarray of int64, shape (n,)
-            Held nodes.
-
-        Returns
-        -------
-        MadeUpRig
-            Whose pads are free nodes, and share none.
-
-        Raises
-        ------
-        MeshError
-            If the free surface has no room for them.
+        Raises MeshError if the free surface has no room for them.
         """
         free = np.setdiff1d(body.surface_nodes, held)
         corners = body.nodes[body.surface]

@@ -1,15 +1,21 @@
-"""Progress of a registration on standard error: its size as soon as it is known, then a line or a bar by stage."""
+"""Progress of long commands on standard error: what is counted, and the stages of a registration."""
 
 import contextlib
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any
 
 from tissuereg.cli.common import note, paragraph
 
 if TYPE_CHECKING:
     from tissuereg._base.clock import Progress
+
+#: Takes the number done and the number in all.
+Report = Callable[[int, int], None]
+
+#: Shortest and longest time in s between two lines of progress.
+_FIRST_LINE, _LAST_LINE = 5.0, 60.0
 
 #: Descriptions of the stages that may take long.
 _WORDS = {
@@ -29,16 +35,59 @@ _WORDS = {
 _SILENT = 2.0
 
 
-class Stages:
-    """Shows stages and passes.
+@contextlib.contextmanager
+def progress_bar(what: str, *, quiet: bool) -> Iterator[Report | None]:
+    """Give a function that shows progress and the time left on standard error: a bar, or in a file a line at times.
 
-    Parameters
-    ----------
-    bar : tqdm bar or None
-        On a terminal; lines where there is none.
-    quiet : bool
-        Show nothing.
+    It takes the number done and the number in all of `what`; if `quiet`, None is given.
     """
+    if quiet:
+        yield None
+    elif sys.stderr.isatty():
+        from tqdm import tqdm
+
+        with tqdm(desc=what, file=sys.stderr, unit="", delay=0.3) as bar:
+
+            def report(done: int, in_all: int) -> None:
+                bar.total = in_all
+                bar.update(done - bar.n)
+
+            yield report
+    else:
+        yield _Lines(what).report
+
+
+class _Lines:
+    """Progress as plain lines: a log file needs one now and then, no animation."""
+
+    def __init__(self, what: str) -> None:
+        self._what = what
+        self._start: tuple[float, int] | None = None
+        self._next = 0.0
+
+    def report(self, done: int, in_all: int) -> None:
+        """Print a line if it is time for one."""
+        now = time.monotonic()
+        if self._start is None:  # what is done by then was there before
+            self._start, self._next = (now, done), now + _FIRST_LINE
+        if now < self._next or done >= in_all:
+            return
+        spent, fresh = now - self._start[0], done - self._start[1]
+        self._next = now + max(_FIRST_LINE, min(_LAST_LINE, spent / 5))
+        if fresh > 0:
+            left = duration(spent / fresh * (in_all - done))
+            print(f"{self._what}: {done} of {in_all}, about {left} left", file=sys.stderr, flush=True)
+
+
+def duration(seconds: float) -> str:
+    """Return a time in the unit that suits it: ``40 s``, ``12 min``, ``3.5 h``."""
+    if seconds < 100:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 6000 else f"{seconds / 3600:.1f} h"
+
+
+class Stages:
+    """Shows stages and passes: in a tqdm bar on a terminal, in lines where there is none, not at all if `quiet`."""
 
     def __init__(self, bar: Any, *, quiet: bool) -> None:
         self._bar, self._quiet = bar, quiet
@@ -88,17 +137,9 @@ class Stages:
 
 @contextlib.contextmanager
 def stage_lines(*, quiet: bool) -> Iterator[Stages]:
-    """Give an object that shows the stages of a registration on standard error.
+    """Give an object that shows the stages of a registration on standard error, unless `quiet`.
 
-    Parameters
-    ----------
-    quiet : bool
-        Show nothing.
-
-    Yields
-    ------
-    Stages
-        A bar on a terminal, else lines; both only in runs of more than a few seconds.
+    It is a bar on a terminal, else lines; both only in runs of more than a few seconds.
     """
     if quiet or not sys.stderr.isatty():
         yield Stages(None, quiet=quiet)
