@@ -1,4 +1,4 @@
-"""``tissuereg register``: one moment of a body, from mesh and markers or from an experiment."""
+"""``tissuereg register``: one state of a body, from mesh and markers or from an experiment."""
 
 import argparse
 import math

@@ -19,7 +19,7 @@ from tissuereg.cli.body_input import (
 )
 from tissuereg.cli.common import UNTRUSTED, Outcome, Stopwatch, seconds_line
 from tissuereg.cli.options import Help, Parser, refuse_overwriting
-from tissuereg.cli.progress import Report, progress_bar
+from tissuereg.cli.progress import progress_bar
 from tissuereg.report.words import counted, target_line
 
 if TYPE_CHECKING:
@@ -84,9 +84,10 @@ def run(args: argparse.Namespace) -> Outcome:
     clock.lap("prepare")
     tracked = _Tracked(keeps_fields=args.fields)
     with progress_bar("frames", quiet=args.quiet) as progress:
-        for frame in _answers(tracker, _moments(recording, simulations), args, tracked.failed):
+        for frame in _answers(tracker, _recorded(recording, simulations), args, tracked.failed):
             tracked.add(frame)
-            _tell(progress, tracked, tracker, len(recording))
+            if progress is not None:
+                progress(len(tracked.frames) + len(tracked.failures) + tracker.dropped, len(recording))
     spent = clock.lap("track")
     if not tracked.frames:
         raise tracked.errors[0]
@@ -142,7 +143,7 @@ def _simulations(args: argparse.Namespace, n_nodes: int, recording: "Recording")
     return TablePhysics(times, fields)
 
 
-def _moments(
+def _recorded(
     recording: "Recording", simulations: "TablePhysics | None"
 ) -> "Iterator[tuple[float, FloatArray, float | None]]":
     """Return the frames of a recording; the state of a table's actuator is the time."""
@@ -154,38 +155,28 @@ def _warm_up(tracker: "Tracker", recording: "Recording", simulations: "TablePhys
     """Register one frame and forget it: what a first frame makes for all is not part of a replay."""
     from tissuereg.tracking.tracker import CANNOT_BE_REGISTERED
 
-    time_s, measured, actuator = next(_moments(recording, simulations))
+    time_s, measured, actuator = next(_recorded(recording, simulations))
     with suppress(*CANNOT_BE_REGISTERED):
         tracker.step(measured, time_s, actuator=actuator)
     tracker.reset()
 
 
 def _answers(
-    tracker: "Tracker", moments: Any, args: argparse.Namespace, failed: "Callable[[float, TissueRegError], None]"
+    tracker: "Tracker", recorded: Any, args: argparse.Namespace, failed: "Callable[[float, TissueRegError], None]"
 ) -> "Iterator[TrackedFrame]":
-    if args.live:
-        yield from tracker.run(moments, failed=failed)
-        return
-    for moment in moments:
-        if _registered(tracker, moment, failed) and tracker.last is not None:
-            yield tracker.last
-
-
-def _registered(
-    tracker: "Tracker",
-    moment: "tuple[float, FloatArray, float | None]",
-    failed: "Callable[[float, TissueRegError], None]",
-) -> bool:
-    """Register one frame; return whether it could be registered."""
     from tissuereg.tracking.tracker import CANNOT_BE_REGISTERED
 
-    time_s, measured, actuator = moment
-    try:
-        tracker.step(measured, time_s, actuator=actuator)
-    except CANNOT_BE_REGISTERED as error:
-        failed(time_s, error)
-        return False
-    return True
+    if args.live:
+        yield from tracker.run(recorded, failed=failed)
+        return
+    for time_s, measured, actuator in recorded:
+        try:
+            tracker.step(measured, time_s, actuator=actuator)
+        except CANNOT_BE_REGISTERED as error:
+            failed(time_s, error)
+        else:
+            if tracker.last is not None:
+                yield tracker.last
 
 
 @dataclass
@@ -222,11 +213,6 @@ class _Tracked:
     @property
     def all_trusted(self) -> bool:
         return not self.failures and all(frame["trust"]["ok"] for frame in self.frames)
-
-
-def _tell(progress: Report | None, tracked: _Tracked, tracker: "Tracker", in_all: int) -> None:
-    if progress is not None:
-        progress(len(tracked.frames) + len(tracked.failures) + tracker.dropped, in_all)
 
 
 def _write(out: Path, content: dict[str, Any], tracked: _Tracked) -> None:

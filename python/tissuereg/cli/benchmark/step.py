@@ -46,10 +46,6 @@ class PaperStep:
 PAPER = PaperStep()
 
 
-#: Random sets of markers, and registrations of each that do not count.
-N_SETS = 20
-
-
 @dataclass(frozen=True)
 class StepSettings:
     """Settings of the timings of a step."""
@@ -60,7 +56,7 @@ class StepSettings:
     model: str | None = None  # folder of the model of ``step/shipped``; by default the shipped one
     # Folder of the model of ``step/table2``; by default a network of that size with random weights.
     table2: str | None = None
-    n_sets: int = N_SETS  # random sets of markers
+    n_sets: int = 20  # random sets of markers
 
 
 def step_rows(settings: StepSettings) -> list[dict[str, Any]]:
@@ -114,9 +110,9 @@ def _row(name: str, folder: Path, settings: StepSettings, weights: str) -> dict[
     rng = np.random.default_rng([settings.seed, 8])
     how = RegisterSettings(threads, smoother=SmootherSettings(n_members=PAPER.n_members, n_steps=PAPER.n_steps))
     made, totals, decoded, stages, doubted = [], [], [], [], 0
-    moments = list(zip(*_moments(mesh, settings.n_sets, settings.seed, threads), strict=True))
+    states = list(zip(*_states(mesh, settings.n_sets, settings.seed, threads), strict=True))
     for number in range(settings.n_sets):
-        simulation, truth = moments[number % len(moments)]
+        simulation, truth = states[number % len(states)]
         places, weights_of = _markers(mesh, rng)
         start = time.perf_counter()
         registrar = Registrar(mesh, places, network, {"inside": _inside(mesh, rng)}, settings=how)
@@ -186,12 +182,12 @@ def _inside(mesh: Mesh, rng: np.random.Generator) -> FloatArray:
     return np.asarray(mesh.nodes[mesh.tets[rng.integers(len(mesh.tets))]].mean(axis=0))
 
 
-def _moments(mesh: Mesh, n_moments: int, seed: int, threads: int) -> tuple[FloatArray, FloatArray]:
+def _states(mesh: Mesh, n_states: int, seed: int, threads: int) -> tuple[FloatArray, FloatArray]:
     """Return simulated and true displacements, (n, n_nodes, 3) in mm each, of events as the shipped model's data has.
 
     The truth has the same elements, other loads, another modulus and a stiff inclusion. Events without an equilibrium
     are left out, so that there may be fewer than `n_states`.
     """
     recipe = shipped_recipe()
-    recipe = replace(recipe, pairs=PairsRecipe(members=n_moments, element="tet4"))
+    recipe = replace(recipe, pairs=PairsRecipe(members=n_states, element="tet4"))
     return simulated_pairs(ChunkMaker(recipe, mesh, seed), threads)
