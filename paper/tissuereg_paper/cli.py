@@ -5,8 +5,9 @@ from collections.abc import Sequence
 from typing import Any
 
 from tissuereg.cli import run_program
-from tissuereg.cli.common import Outcome, progress_bar, seconds_line
+from tissuereg.cli.common import Outcome, seconds_line
 from tissuereg.cli.options import Help, Parser, UsageError
+from tissuereg.cli.progress import progress_bar
 
 HELP = Help(
     "Runs the simulation studies of the seed paper (section III) with a trained model: ten random test shapes as "

@@ -20,7 +20,7 @@ PRIVATE: dict[str, tuple[str, tuple[str, ...]]] = {
     ),
     "simulation": (
         "held-out shapes are solved anew from the recipe of the shipped model's data",
-        ("phantom.shipped", "simulation.chunks", "simulation.recipe"),
+        ("phantom.event", "simulation.chunks", "simulation.recipe"),
     ),
     "registration": (
         "rivals that share a part with registration (elastic body, supports, linear prior) share its code",
@@ -48,6 +48,6 @@ PRIVATE: dict[str, tuple[str, tuple[str, ...]]] = {
     ),
     "cli": (
         "the command has the output, errors and exit codes of `tissuereg`",
-        ("cli", "cli.common", "cli.options"),
+        ("cli", "cli.common", "cli.options", "cli.progress"),
     ),
 }

@@ -15,7 +15,7 @@ from support.files import EXPERIMENT, GOOD_MARKERS, MARKERS_HEADER, run, run_jso
 from support.meshes import block
 from support.small_model import SMALL_MODEL
 from tissuereg.cli import build_parser, solve
-from tissuereg.cli.common import progress_bar
+from tissuereg.cli.progress import progress_bar
 from tissuereg.io.cases import read_histories
 from tissuereg.io.experiment_keys import FORCES_CSV
 from tissuereg.io.meshes import write_vtu
@@ -406,7 +406,7 @@ def test_a_data_set_says_its_size_before_it_is_made_and_its_motion_after(tmp_pat
 
 def test_progress_in_a_log_is_lines_with_the_time_left(monkeypatch, capsys):
     now = [100.0]
-    monkeypatch.setattr("tissuereg.cli.common.time.monotonic", lambda: now[0])
+    monkeypatch.setattr("tissuereg.cli.progress.time.monotonic", lambda: now[0])
     with progress_bar("simulations", quiet=False) as report:
         report(40, 100)  # there before
         for done in range(41, 101):

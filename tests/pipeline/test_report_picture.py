@@ -9,9 +9,8 @@ from scipy.stats import chi2
 
 import tissuereg as tr
 from support.meshes import block
-from tissuereg.report.heading import write_heading
 from tissuereg.report.inset import round_length
-from tissuereg.report.picture import registration_figure
+from tissuereg.report.picture import registration_figure, write_heading
 from tissuereg.report.style import STYLE
 
 

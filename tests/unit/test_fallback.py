@@ -9,7 +9,7 @@ import tissuereg as tr
 from support import doors
 from support.meshes import block
 from tissuereg.body.observe import TargetObservation
-from tissuereg.cli.words import registration_words
+from tissuereg.cli.register import summary
 from tissuereg.registration import fallback as fallbacks
 from tissuereg.registration import registrar as registrars
 from tissuereg.registration.body import fitting_element
@@ -143,7 +143,7 @@ def test_it_is_in_the_json_and_comes_with_many_moments(mesh, places, moved, tmp_
     np.testing.assert_array_equal(said["targets_mm"]["t"], alone.fallback.targets["t"])
     (many,) = tr.register_many(tr.Body(mesh, MATERIAL), [tr.Markers(places, torn(places), 0.1)], **how)
     np.testing.assert_array_equal(many.fallback.displacement, alone.fallback.displacement)
-    (line,) = [line for line in registration_words(alone.to_json(), "out").splitlines() if "linear elasticity" in line]
+    (line,) = [line for line in summary(alone.to_json(), "out").splitlines() if "linear elasticity" in line]
     place = ", ".join(f"{x:.2f}" for x in said["targets_mm"]["t"])
     assert line == f"By linear elasticity alone, without a region: t at ({place}) mm."
     assert line in alone.report(tmp_path / "report.html").read_text(encoding="utf-8")

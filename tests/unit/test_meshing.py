@@ -10,7 +10,7 @@ import tissuereg as tr
 from support.surfaces import box, inverted, sphere, together, volume, without
 from tissuereg.errors import FormatError, MeshError, MeshingError, MissingPackageError, UnitError
 from tissuereg.meshing import fill
-from tissuereg.meshing.quality import largest_distance
+from tissuereg.meshing.body import largest_distance
 from tissuereg.simulation.fine.bisection import shape_quality
 
 BALL = sphere()

@@ -8,8 +8,7 @@ import tissuereg as tr
 from support.scripts import REPOSITORY
 from tissuereg.errors import ArgumentError
 from tissuereg.phantom import SIZES, phantom_mesh, true_fields, truth_mesh
-from tissuereg.phantom.event import LESION_MM, make_event, solve_truth
-from tissuereg.phantom.shipped import shipped_recipe
+from tissuereg.phantom.event import LESION_MM, make_event, shipped_recipe, solve_truth
 
 #: As many nodes as the paper's breast phantom has.
 PAPER_NODES = 4223

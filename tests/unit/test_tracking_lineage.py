@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from tissuereg.tracking.restart import Restart, SimulatedFrame
-from tissuereg.tracking.temporal import Lineage
+from tissuereg.tracking.restart import Lineage, Restart, SimulatedFrame
 
 FIELD = np.ones((5, 3))
 

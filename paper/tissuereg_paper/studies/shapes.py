@@ -13,7 +13,7 @@ from tissuereg import Mesh
 from tissuereg._base.arrays import IntArray
 from tissuereg.errors import EnsembleError, ModelError
 from tissuereg.io.datasets import split_of
-from tissuereg.phantom.shipped import shipped_recipe
+from tissuereg.phantom.event import shipped_recipe
 from tissuereg.simulation.chunks import ChunkMaker
 from tissuereg.simulation.recipe import Recipe
 

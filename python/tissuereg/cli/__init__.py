@@ -132,15 +132,9 @@ def _run(parser: Parser, words: list[str], target: str | None) -> Outcome | int:
         check_file_target(target)
     if getattr(args, "speaks_for_itself", False):
         return int(args.run(args))
-    with _nothing_on_stdout() if target == "-" else contextlib.nullcontext():
+    with contextlib.redirect_stdout(sys.stderr) if target == "-" else contextlib.nullcontext():
         outcome: Outcome = args.run(args)
     return outcome
-
-
-@contextlib.contextmanager
-def _nothing_on_stdout() -> Iterator[None]:
-    with contextlib.redirect_stdout(sys.stderr):
-        yield
 
 
 def _deliver(outcome: Outcome, target: str | None, notes: list[str]) -> None:

@@ -5,9 +5,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tissuereg._base.fields import number, whole
-from tissuereg.cli.body_input import refuse
 from tissuereg.cli.common import Outcome, Stopwatch, seconds_line
-from tissuereg.cli.options import Help, Parser, add_option, refuse_overwriting
+from tissuereg.cli.options import Help, Parser, add_option, refuse, refuse_overwriting
 
 if TYPE_CHECKING:
     from tissuereg._base.arrays import FloatArray
@@ -60,11 +59,7 @@ def options(parser: Parser) -> None:
 
 
 def run(args: argparse.Namespace) -> Outcome:
-    """Choose and write.
-
-    Schema ``tissuereg.advise/1``. Raises `UsageError` if options do not go together, or an output would replace an
-    input.
-    """
+    """Choose and write, schema ``tissuereg.advise/1``."""
     from tissuereg.io.atomic import check_folder_target
     from tissuereg.io.tables import read_surface, read_targets
     from tissuereg.registration.advise import advise_markers

@@ -5,7 +5,7 @@ from typing import Any
 
 from tissuereg._base.fields import choice, whole
 from tissuereg.cli.common import Outcome, Stopwatch, seconds_line
-from tissuereg.cli.options import ELEMENTS, Help, Parser, UsageError, add_option
+from tissuereg.cli.options import ELEMENTS, Help, Parser, add_option, refuse
 
 HELP = Help(
     "Times whole solves, ensembles of solves, ES-MDA updates and whole registrations on the embedded phantom (or, for "
@@ -36,16 +36,12 @@ def options(parser: Parser) -> None:
 
 
 def run(args: argparse.Namespace) -> Outcome:
-    """Time the requested parts.
-
-    Schema ``tissuereg.bench/1``. Raises `UsageError` if a name cannot be timed.
-    """
+    """Time the requested parts, schema ``tissuereg.bench/1``."""
     from tissuereg.cli.benchmark.stages import BENCHES, BenchSettings
 
     unknown = [name for name in args.what if name not in args.choices]
     if unknown:
-        message = f"WHAT must be one or more of {', '.join(args.choices)}, got {', '.join(unknown)}"
-        raise UsageError(message, where="WHAT")
+        refuse(f"WHAT must be one or more of {', '.join(args.choices)}, got {', '.join(unknown)}", "WHAT")
     settings = BenchSettings(
         repeats=args.repeats,
         threads=args.threads,

@@ -3,13 +3,13 @@
 import argparse
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tissuereg._base.fields import number, whole
+from tissuereg._base.fields import choice, number, whole
 from tissuereg.cli.common import note
-from tissuereg.cli.options import UsageError, add_option, option_type
+from tissuereg.cli.options import ELEMENTS, add_option, option_type, refuse
 from tissuereg.errors import MeshError
 
 if TYPE_CHECKING:
@@ -24,17 +24,14 @@ _LEAST_GRAVITY = 20.0
 
 
 def add_body_options(more: Any, tables: str) -> None:
-    """Add the options for frames, targets, held nodes and noise.
-
-    `more`: of the command; `tables`: the tables that ``--tables-frame`` is of.
-    """
+    """Add the options for frames, targets, held nodes and noise; `tables` names what ``--tables-frame`` is of."""
     text = (
         "LPS or RAS: frame of MESH, of tables and of the answer; points of 3D Slicer in the other one are converted "
         "(default: numbers as they are, and the frame of the first such file)"
     )
-    more.add_argument("--frame", choices=["LPS", "RAS"], help=text)
+    add_option(more, "--frame", choice(("LPS", "RAS"), text, default=None))
     text = f"frame of the tables {tables}, where it is not --frame"
-    more.add_argument("--tables-frame", choices=["LPS", "RAS"], help=text)
+    add_option(more, "--tables-frame", choice(("LPS", "RAS"), text, default=None))
     text = "table target,x_mm,y_mm,z_mm, or points of 3D Slicer: inner points in the undeformed body"
     more.add_argument("--targets", metavar="FILE", help=text)
     text = (
@@ -47,13 +44,13 @@ def add_body_options(more: Any, tables: str) -> None:
 
 
 def add_belief_options(what: Any) -> None:
-    """Add the options for what is believed of the body and its load. `what`: of the command."""
-    text = "whether the node set 'fixed' is held for sure, perhaps, or not at all (default: sure)"
-    what.add_argument("--held", choices=["sure", "perhaps", "free"], help=text)
-    text = "whether the tracker kept its place relative to the supports, or may have drifted (default: fixed)"
-    what.add_argument("--tracker", choices=["fixed", "drifts"], help=text)
-    text = "graded: softer towards one side, by an amount that is estimated from the markers (default: believed)"
-    what.add_argument("--stiffness", choices=["believed", "graded"], help=text)
+    """Add the options for what is believed of the body and its load."""
+    text = "whether the node set 'fixed' is held for sure, perhaps, or not at all"
+    add_option(what, "--held", choice(("sure", "perhaps", "free"), text, default=None, otherwise="sure"))
+    text = "whether the tracker kept its place relative to the supports, or may have drifted"
+    add_option(what, "--tracker", choice(("fixed", "drifts"), text, default=None, otherwise="fixed"))
+    text = "graded: softer towards one side, by an amount that is estimated from the markers"
+    add_option(what, "--stiffness", choice(("believed", "graded"), text, default=None, otherwise="believed"))
     text = "Young's modulus in kPa; it scales forces, and sets how far gravity bends the body"
     add_option(what, "--young", number(text, unit="kPa", above=0.0, default=None, otherwise="10"), "KPA")
     add_option(what, "--poisson", number("Poisson's ratio", default=None, otherwise="0.45"), "NU")
@@ -67,57 +64,49 @@ def add_belief_options(what: Any) -> None:
 
 
 def add_method_options(how: Any) -> None:
-    """Add the options for the model and the method. `how`: of the command."""
+    """Add the options for the model and the method."""
     text = "folder of a trained model, or 'phantom' for the one that is shipped (default: unknown contacts)"
     how.add_argument("--model", metavar="DIR", help=text)
-    text = "elements of the simulations (default: auto, those that suit the mesh)"
-    choices = ["auto", "tet4", "tet4-averaged", "tet10"]
-    how.add_argument("--element", choices=choices, default="auto", help=text)
+    usual = "auto, those that suit the mesh"
+    element = choice(("auto", *ELEMENTS), "elements of the simulations", default="auto", otherwise=usual)
+    add_option(how, "--element", element)
     how.add_argument("--polish", action="store_true", help="with a model: make its answer an equilibrium")
-    text = "with a model: an ensemble, or the most probable answer with its Gaussian (default: esmda)"
-    how.add_argument("--update", choices=["esmda", "gauss-newton"], help=text)
+    text = "with a model: an ensemble, or the most probable answer with its Gaussian"
+    add_option(how, "--update", choice(("esmda", "gauss-newton"), text, default=None, otherwise="esmda"))
     members = whole("ensemble members, with a model", least=8, default=None, otherwise="200")
     add_option(how, "--members", members, "N")
     add_option(how, "--steps", whole("assimilation steps, with a model", least=1, default=None, otherwise="5"), "N")
 
 
 def method_of(args: argparse.Namespace) -> dict[str, Any]:
-    """Return the arguments of `register`, and of `Registrar`, that say how to register.
-
-    `args`: parsed command line. Result: ``model``, ``seed`` and ``settings``.
-    """
+    """Return ``model``, ``seed`` and ``settings``: the arguments of `register`, and of `Registrar`, that say how."""
     return {"model": args.model, "seed": args.seed or 0, "settings": _settings(args)}
 
 
 def _settings(args: argparse.Namespace) -> "RegisterSettings":
     from tissuereg.registration.settings import RegisterSettings, SmootherSettings
 
-    smoother = _given(update=args.update, n_members=args.members, n_steps=args.steps)
-    chosen = _given(tracker=args.tracker, smoother=SmootherSettings(**smoother) if smoother else None)
+    smoother = only_given(update=args.update, n_members=args.members, n_steps=args.steps)
+    chosen = only_given(tracker=args.tracker, smoother=SmootherSettings(**smoother) if smoother else None)
     return RegisterSettings(threads=args.threads, polish=args.polish, **chosen)
 
 
-def _given(**options: Any) -> dict[str, Any]:
+def only_given(**options: Any) -> dict[str, Any]:
     """Return the options that were given."""
     return {name: value for name, value in options.items() if value is not None}
 
 
 def believed_body(args: argparse.Namespace, mesh: "Mesh", material: "Material | None") -> "Body":
-    """Return what is believed of a body, given its mesh and material.
-
-    `args`: parsed command line; `mesh`: undeformed body; `material`: as `beliefs_of` returns it. Result: with the
-    elements and supports of the options.
-    """
+    """Return what is believed of a body: its mesh, its material, and the elements and supports of the options."""
     from tissuereg.registration.body import Body
 
-    return Body(mesh, material, args.element, **_given(held=args.held, stiffness=args.stiffness))
+    return Body(mesh, material, args.element, **only_given(held=args.held, stiffness=args.stiffness))
 
 
 def frames_of(args: argparse.Namespace, files: Sequence[str | Path | None]) -> dict[str, str | None]:
-    """Return the frame of the answer and that of tables; note the first if it is that of a file of 3D Slicer.
+    """Return ``frame`` of the answer and ``table_frame``, as readers take them; raises UsageError where options clash.
 
-    `args`: parsed command line; `files`: files that may be points of 3D Slicer; the first one that is counts. Result:
-    ``frame`` and ``table_frame``, as readers take them. Raises `UsageError` if options do not go together.
+    Without ``--frame`` it is that of the first of `files` that holds points of 3D Slicer, which is noted.
     """
     from tissuereg.io.point_files import frame_of_files
 
@@ -133,11 +122,7 @@ def frames_of(args: argparse.Namespace, files: Sequence[str | Path | None]) -> d
 
 
 def read_body(args: argparse.Namespace, path: str) -> "Mesh":
-    """Return the body, of which something is held if something must be.
-
-    `args`: parsed command line; `path`: the mesh file. Result: in the frame of the file. Raises `FormatError` or
-    `MeshError` if the file cannot be used, or nothing is held.
-    """
+    """Return the body in its file's frame; MeshError if nothing is held though something must be."""
     from tissuereg.io.meshes import read_mesh
 
     mesh = read_mesh(path, fixed=args.fixed)
@@ -152,11 +137,10 @@ def read_body(args: argparse.Namespace, path: str) -> "Mesh":
 
 
 def beliefs_of(args: argparse.Namespace, simulation: str) -> "tuple[Material | None, Load | None]":
-    """Return the believed material and load.
+    """Return the believed material and load, None where they are not given; raises UsageError where options clash.
 
-    `args`: parsed command line; `simulation`: name of the option for a simulation, which gravity must not come with.
-    Result: None where they are not given. Raises `UsageError` if options do not go together; `MaterialError` if a
-    modulus or a density is out of its range.
+    `simulation` is the option for a simulation, which gravity must not come with. Raises MaterialError if a modulus or
+    a density is out of its range.
     """
     if args.density is not None and args.gravity is None:
         refuse("--density must come with --gravity", "--density")
@@ -164,11 +148,6 @@ def beliefs_of(args: argparse.Namespace, simulation: str) -> "tuple[Material | N
         refuse(f"--gravity must be left out with {simulation}, which holds what acts", "--gravity")
     material = _material(args)
     return material, None if material is None or args.gravity is None else _weight(material, args.gravity)
-
-
-def refuse(message: str, where: str) -> NoReturn:
-    """Raise a `UsageError`."""
-    raise UsageError(message, where=where)
 
 
 def _acceleration(text: str) -> tuple[float, ...]:
@@ -186,8 +165,7 @@ def _acceleration(text: str) -> tuple[float, ...]:
 def _material(args: argparse.Namespace) -> "Material | None":
     from tissuereg.body.material import Material
 
-    given = {"young": args.young, "poisson": args.poisson, "density": args.density}
-    known = {name: value for name, value in given.items() if value is not None}
+    known = only_given(young=args.young, poisson=args.poisson, density=args.density)
     return Material(**known) if known or args.gravity is not None else None
 
 

@@ -4,7 +4,7 @@ import argparse
 from typing import Any
 
 from tissuereg.cli.common import Outcome, seconds_line
-from tissuereg.cli.options import Help, Parser, UsageError
+from tissuereg.cli.options import Help, Parser, refuse
 
 HELP = Help(
     "An embedded breast phantom, its physics simulation and a shipped model: simulation, encoder, ES-MDA over the "
@@ -25,11 +25,7 @@ def options(parser: Parser) -> None:
 
 
 def run(args: argparse.Namespace) -> Outcome:
-    """Run the demonstration.
-
-    Schema ``tissuereg.registration/1`` with ``truth``; with ``--files`` ``tissuereg.samples/1``. Raises `UsageError` if
-    ``--files`` is given with ``--out`` or ``--seed``.
-    """
+    """Run the demo, schema ``tissuereg.registration/1`` with ``truth``; or write files, ``tissuereg.samples/1``."""
     if args.files is not None:
         return _write_files(args)
     from tissuereg.io.atomic import check_folder_target
@@ -45,8 +41,7 @@ def _write_files(args: argparse.Namespace) -> Outcome:
     from tissuereg.phantom.samples import write_samples
 
     if args.out is not None or args.seed is not None:
-        message = "--files must be given without --out and --seed: it only writes files"
-        raise UsageError(message, where="--files")
+        refuse("--files must be given without --out and --seed: it only writes files", "--files")
     files = write_samples(args.files)
     where = args.files
     given = f"{where}/surface/markers.csv --targets {where}/surface/targets.csv"

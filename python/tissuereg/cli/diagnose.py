@@ -7,7 +7,7 @@ from typing import Any
 
 from tissuereg._base.fields import choice
 from tissuereg.cli.common import Outcome, Stopwatch, envelope, seconds_line
-from tissuereg.cli.options import ELEMENTS, Help, Parser, UsageError, add_option, refuse_overwriting
+from tissuereg.cli.options import ELEMENTS, Help, Parser, add_option, refuse, refuse_overwriting
 
 HELP = Help(
     "EXPERIMENT is a folder (or its .toml). OUT gets diagnosis.json, experiment.extended.toml (the believed experiment "
@@ -31,11 +31,7 @@ def options(parser: Parser) -> None:
 
 
 def run(args: argparse.Namespace) -> Outcome:
-    """Diagnose and write.
-
-    Schema ``tissuereg.diagnosis/1``. Raises `UsageError` if OUT would replace the experiment's file, or a material test
-    is given elements.
-    """
+    """Diagnose and write, schema ``tissuereg.diagnosis/1``."""
     from tissuereg.diagnosis import diagnose
     from tissuereg.io.atomic import check_folder_target
     from tissuereg.io.experiments import is_material_test, read_experiment
@@ -60,8 +56,7 @@ def run(args: argparse.Namespace) -> Outcome:
     }
     is_test = is_material_test(args.experiment)
     if is_test and args.element is not None:
-        message = "--element must be left out for a material test, which has no elements"
-        raise UsageError(message, where="--element")
+        refuse("--element must be left out for a material test, which has no elements", "--element")
     experiment = read_material_experiment(args.experiment) if is_test else read_experiment(args.experiment)
     clock.lap("read")
     found = diagnose(experiment, progress=show, **settings)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from tissuereg._base.fields import choice, number
 from tissuereg.cli.common import Outcome, Stopwatch, seconds_line
-from tissuereg.cli.options import Help, Parser, UsageError, add_option, refuse_overwriting
+from tissuereg.cli.options import Help, Parser, add_option, refuse, refuse_overwriting
 
 if TYPE_CHECKING:
     from tissuereg.meshing import FilledMesh
@@ -46,17 +46,13 @@ def options(parser: Parser) -> None:
 
 
 def run(args: argparse.Namespace) -> Outcome:
-    """Fill and write.
-
-    Schema ``tissuereg.mesh/1``. Raises `UsageError` if BODY is no .vtu, or would replace the surface.
-    """
+    """Fill and write, schema ``tissuereg.mesh/1``."""
     from tissuereg.io.atomic import check_file_target
     from tissuereg.io.meshes import write_vtu
     from tissuereg.meshing import tetrahedralize
 
     if Path(args.out).suffix.lower() != ".vtu":
-        message = f"--out must end in .vtu, got '{args.out}'"
-        raise UsageError(message, where="--out")
+        refuse(f"--out must end in .vtu, got '{args.out}'", "--out")
     refuse_overwriting([Path(args.out)], [args.surface])
     check_file_target(args.out)
     clock = Stopwatch()

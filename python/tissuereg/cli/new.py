@@ -2,8 +2,9 @@
 
 import argparse
 
-from tissuereg.cli.common import Outcome, progress_bar
+from tissuereg.cli.common import Outcome
 from tissuereg.cli.options import Help, Parser
+from tissuereg.cli.progress import progress_bar
 
 HELP = Help(
     "DIR gets an experiment.toml with every key of the format and a comment for each, and tables of two made-up pushes "

@@ -17,6 +17,11 @@ class UsageError(TissueRegError, ValueError):
     """The command line is invalid."""
 
 
+def refuse(message: str, where: str) -> NoReturn:
+    """Raise a `UsageError`."""
+    raise UsageError(message, where=where)
+
+
 class Parser(argparse.ArgumentParser):
     """argparse that raises instead of leaving the process, and takes no shortened options."""
 
@@ -25,18 +30,7 @@ class Parser(argparse.ArgumentParser):
         super().__init__(allow_abbrev=False, **settings)
 
     def error(self, message: str) -> NoReturn:
-        """Raise a `UsageError`.
-
-        Parameters
-        ----------
-        message : str
-            argparse's message.
-
-        Raises
-        ------
-        UsageError
-            Always.
-        """
+        """Raise argparse's message as a `UsageError`."""
         text = f"{message}; '{self.prog} --help' explains the command"
         raise UsageError(text, where=self.prog)
 
@@ -55,23 +49,15 @@ _THREADS = "threads to use (default: all cores); the result does not depend on i
 
 @dataclass(frozen=True)
 class Help:
-    """What ``tissuereg COMMAND --help`` says besides the command's arguments.
+    """What ``tissuereg COMMAND --help`` says besides the command's arguments."""
 
-    `details`: a paragraph below the purpose; `example`: command lines that work; `seed`: help of ``--seed``; None
-    leaves the option out; `threads`: help of ``--threads``.
-    """
-
-    details: str
-    example: str
-    seed: str | None = None
-    threads: str = _THREADS
+    details: str  # a paragraph below the purpose
+    example: str  # command lines that work
+    seed: str | None = None  # help of ``--seed``; None leaves the option out
+    threads: str = _THREADS  # help of ``--threads``
 
     def parser(self, commands: Any, name: str, purpose: str, options: Callable[[Parser], None]) -> Parser:
-        """Add a command's parser: its own options, and those that every command has.
-
-        `commands`: where to add it; `name`: of the command; `options`: adds the command's own arguments. Result: of the
-        command.
-        """
+        """Add a command's parser, its purpose in one line: with its own options, and those that every command has."""
         parser: Parser = commands.add_parser(name, help=purpose, **self.words(purpose))
         self.fill(parser, options)
         return parser
@@ -113,11 +99,11 @@ def option_type(check: Check) -> Callable[[str], Any]:
 
 
 def add_option(to: Any, name: str, declared: Any, metavar: str | None = None) -> None:
-    """Add an option whose type, range, help and default are those of a field.
+    """Add an option `name`, with its dashes, whose type, range, help and default are those of a field.
 
-    `name`: of the option, with its dashes; `declared`: as the functions of `tissuereg._base.fields` return it, or that
-    of a record: ``Settings.__dataclass_fields__["std_mm"]``. The option is required where it has no default; `metavar`:
-    name of the value in the help; not needed for a choice.
+    The field is `declared` by a function of `tissuereg._base.fields`, or is a record's:
+    ``Settings.__dataclass_fields__["std_mm"]``. The option is required where it has no default. `metavar` names the
+    value in the help; a choice needs none.
     """
     check: Check = declared.metadata["check"]
     text = check.meaning
@@ -138,9 +124,8 @@ def _shown(default: Any) -> str:
 def parse(parser: Parser, words: Sequence[str]) -> argparse.Namespace:
     """Parse a command line; positional words after options may continue a list from before them.
 
-    `parser`: of the whole command line; `words`: after the program's name. Result: argparse does not accept such words
-    (Python issue 15112), so a command's defaults ``late`` and ``room`` name the list that they are added to, and the
-    number of words allowed. Raises `UsageError` if a word has no meaning.
+    argparse does not accept such words (Python issue 15112), so a command's defaults ``late`` and ``room`` name the
+    list that they are added to, and the number of words allowed. Raises UsageError if a word has no meaning.
     """
     args, rest = parser.parse_known_args(list(words))
     room = getattr(args, "room", 0)
@@ -154,11 +139,7 @@ def parse(parser: Parser, words: Sequence[str]) -> argparse.Namespace:
 
 
 def refuse_overwriting(written: Iterable[Path], inputs: Iterable[str | Path | None]) -> None:
-    """Refuse outputs that would replace the command's own input.
-
-    `written`: files that the command is going to write; `inputs`: files that it reads; None where one is not given.
-    Raises `UsageError` if a file is both.
-    """
+    """Raise a `UsageError` for outputs that would replace the command's own input; an input may be None."""
     read = {Path(file).resolve() for file in inputs if file is not None}
     for file in written:
         if file.resolve() in read:
@@ -167,10 +148,7 @@ def refuse_overwriting(written: Iterable[Path], inputs: Iterable[str | Path | No
 
 
 def json_target(words: Sequence[str]) -> str | None:
-    """Return the FILE of ``--json``, also from a line that is otherwise wrong.
-
-    `words`: the command line. Result: None where there is no such option.
-    """
+    """Return the FILE of ``--json``, also from a line that is otherwise wrong; None where there is none."""
     scanner = Parser(add_help=False)
     scanner.add_argument("--json")
     with contextlib.suppress(UsageError):

@@ -1,6 +1,7 @@
-"""``tissuereg register``: one moment of a body, from mesh and markers or from an experiment."""
+"""``tissuereg register``: one state of a body, from mesh and markers or from an experiment."""
 
 import argparse
+import math
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,19 +15,96 @@ from tissuereg.cli.body_input import (
     believed_body,
     frames_of,
     method_of,
+    only_given,
     read_body,
-    refuse,
 )
-from tissuereg.cli.common import UNTRUSTED, Outcome, Stopwatch, envelope
-from tissuereg.cli.options import Help, Parser, add_option, refuse_overwriting
-from tissuereg.cli.words import Stages, registration_words, stage_lines
+from tissuereg.cli.common import UNTRUSTED, Outcome, Stopwatch, envelope, seconds_line
+from tissuereg.cli.options import Help, Parser, add_option, refuse, refuse_overwriting
+from tissuereg.cli.progress import Stages, stage_lines
+from tissuereg.report.words import counted, fallback_lines, silent, start_word, target_line, verdict
 
 if TYPE_CHECKING:
     from tissuereg.registration.body import Body
+    from tissuereg.registration.result import Registration
+
+HELP = Help(
+    "Where is every point of a soft body now, given where a few markers were before and are after? Nothing need be "
+    "known of what pushed or pulled: contacts on the surface that explain the markers are found, and the body is "
+    "brought to equilibrium under them. Input: MESH (tetrahedra in mm, .vtu .vtk .msh .npz, held nodes in the node set "
+    "'fixed') and MARKERS (csv: marker,x_mm,y_mm,z_mm,moved_x_mm,moved_y_mm,moved_z_mm[,std_mm], empty = not seen; or "
+    "points of 3D Slicer, .mrk.json or .fcsv, with those where they were seen in --measured), "
+    "points of the deformed surface (--surface), or both; or one frame of an experiment folder. DIR gets "
+    "registered.vtu (undeformed nodes; displacement_mm warps them, its standard deviation, forces of the contacts), "
+    "targets.csv, targets.mrk.json (for 3D Slicer), registration.json, registered.png and report.html, all or none. "
+    "The last line says whether to trust the answer. Exit code 0: there is one, and nothing speaks against it; 4: it "
+    "was found and written, but is not to be trusted; 2: bad usage or input; 3: it could not be done.",
+    example=(
+        "tissuereg register breast.vtu markers.csv --targets lesion.csv --out registered\n"
+        "tissuereg register liver.vtu --surface points.csv --out registered\n"
+        "tissuereg register liver.vtu markers.csv --held perhaps --std 0.5 --out registered\n"
+        "tissuereg register liver.vtu was.mrk.json --measured is.mrk.json --frame RAS --out registered\n"
+        "tissuereg register my-rig --case push_x --time 14.0 --out registered"
+    ),
+    seed="seed of all random numbers (default: 0)",
+)
 
 
-def add_input_options(parser: Parser) -> None:
-    """Add the options for data and beliefs about the moment. `parser`: of the command."""
+def options(parser: Parser) -> None:
+    """Add the command's arguments."""
+    parser.add_argument("path", metavar="MESH|EXPERIMENT", help="mesh file, or experiment folder or file")
+    parser.add_argument("markers", metavar="MARKERS", nargs="*", help="table or points of markers; with a mesh only")
+    parser.add_argument("--out", required=True, metavar="DIR", help="folder for the results")
+    text = "write registered_deformed.vtu too, its nodes where they are now"
+    parser.add_argument("--deformed", action="store_true", help=text)
+    _add_input_options(parser)
+    add_method_options(parser.add_argument_group("method"))
+    parser.set_defaults(late="markers", room=1)
+
+
+def run(args: argparse.Namespace) -> Outcome:
+    """Register and write, schema ``tissuereg.registration/1``; exit code 4 where it is not to be trusted."""
+    from tissuereg.io.atomic import check_folder_target
+    from tissuereg.registration.register import register
+    from tissuereg.report.files import DEFORMED, WRITTEN
+
+    given_files = [args.path, *args.markers, args.measured, args.simulation, args.variants, args.targets, args.surface]
+    written = [Path(args.out) / name for name in (*WRITTEN, "report.html", DEFORMED)]
+    refuse_overwriting(written, [*given_files, Path(args.path) / "targets.csv"])
+    check_folder_target(args.out)
+    clock = Stopwatch()
+    given = _input(args)
+    reading = clock.lap("read")
+    with stage_lines(quiet=args.quiet) as shown:
+        result = register(**given, **method_of(args), progress=shown)
+        clock.lap("register")
+        stages = {name: spent for name, spent in result.seconds.items() if name != "total"}
+        extra = {**envelope(args.threads), "seconds": {"read": reading, **stages, **_total(clock)}}
+        _write(result, args, extra, shown)
+    writing = clock.lap("write")
+    seconds = {"read": reading, **stages, "write": writing, **_total(clock)}
+    content = {**result.to_json(), "seconds": seconds}
+    return Outcome(content, summary(content, args.out), args.threads, 0 if result.trust.ok else UNTRUSTED)
+
+
+def _write(result: "Registration", args: argparse.Namespace, extra: dict[str, Any], shown: Stages) -> None:
+    """Write all files or none."""
+    from tissuereg._base.clock import Progress
+    from tissuereg.io.atomic import atomic_folder
+
+    with atomic_folder(args.out) as draft:
+        shown(Progress("stage", "draws"))
+        _ = result.std  # computed when it is first read
+        shown(Progress("stage", "files"))
+        result.save(draft, extra, deformed=args.deformed)
+        result.report(draft / "report.html")
+
+
+def _total(clock: Stopwatch) -> dict[str, float]:
+    return {"total": clock.seconds["total"]}
+
+
+def _add_input_options(parser: Parser) -> None:
+    """Add the options for data and beliefs about the state."""
     frame = parser.add_argument_group("frame of an experiment")
     frame.add_argument("--case", metavar="C", help="name of the case")
     add_option(frame, "--time", number("time in s on the experiment's clock", unit="s", default=None), "T")
@@ -34,13 +112,8 @@ def add_input_options(parser: Parser) -> None:
     add_belief_options(parser.add_argument_group("what is believed"))
 
 
-def registration_input(args: argparse.Namespace) -> dict[str, Any]:
-    """Return the arguments of `register`.
-
-    `args`: parsed command line. Result: arguments of `register` by name. Raises `UsageError` if options do not go
-    together; `FormatError`, `MeshError`, `MarkerError` or `ExperimentError` if a file cannot be used; `MaterialError`
-    if a modulus or a density is out of its range.
-    """
+def _input(args: argparse.Namespace) -> dict[str, Any]:
+    """Return the arguments of `register` that are read from files; raises UsageError where options clash."""
     from tissuereg.body.surface import SurfacePoints
     from tissuereg.io.experiments import is_experiment
     from tissuereg.io.problems import read_simulation, read_variants
@@ -111,87 +184,68 @@ def _from_experiment(args: argparse.Namespace) -> dict[str, Any]:
             refuse(f"--{name} must be given with an experiment", f"--{name}")
     experiment = read_experiment(args.path)
     plain = "tet4" if args.element == "auto" else args.element
-    given = frame_input(experiment, args.case, args.time, element=plain, threads=args.threads)
+    frame = frame_input(experiment, args.case, args.time, element=plain, threads=args.threads)
     # The registration uses the same elements as the simulation of the frame.
-    beliefs = {"held": args.held, "stiffness": args.stiffness}
-    known = {name: value for name, value in beliefs.items() if value is not None}
-    return {**given, "mesh": replace(given["mesh"], **known)}
+    return {**frame, "mesh": replace(frame["mesh"], **only_given(held=args.held, stiffness=args.stiffness))}
 
 
-if TYPE_CHECKING:
-    from tissuereg.registration.result import Registration
-
-HELP = Help(
-    "Where is every point of a soft body now, given where a few markers were before and are after? Nothing need be "
-    "known of what pushed or pulled: contacts on the surface that explain the markers are found, and the body is "
-    "brought to equilibrium under them. Input: MESH (tetrahedra in mm, .vtu .vtk .msh .npz, held nodes in the node set "
-    "'fixed') and MARKERS (csv: marker,x_mm,y_mm,z_mm,moved_x_mm,moved_y_mm,moved_z_mm[,std_mm], empty = not seen; or "
-    "points of 3D Slicer, .mrk.json or .fcsv, with those where they were seen in --measured), "
-    "points of the deformed surface (--surface), or both; or one frame of an experiment folder. DIR gets "
-    "registered.vtu (undeformed nodes; displacement_mm warps them, its standard deviation, forces of the contacts), "
-    "targets.csv, targets.mrk.json (for 3D Slicer), registration.json, registered.png and report.html, all or none. "
-    "The last line says whether to trust the answer. Exit code 0: there is one, and nothing speaks against it; 4: it "
-    "was found and written, but is not to be trusted; 2: bad usage or input; 3: it could not be done.",
-    example=(
-        "tissuereg register breast.vtu markers.csv --targets lesion.csv --out registered\n"
-        "tissuereg register liver.vtu --surface points.csv --out registered\n"
-        "tissuereg register liver.vtu markers.csv --held perhaps --std 0.5 --out registered\n"
-        "tissuereg register liver.vtu was.mrk.json --measured is.mrk.json --frame RAS --out registered\n"
-        "tissuereg register my-rig --case push_x --time 14.0 --out registered"
-    ),
-    seed="seed of all random numbers (default: 0)",
-)
-
-
-def options(parser: Parser) -> None:
-    """Add the command's arguments."""
-    parser.add_argument("path", metavar="MESH|EXPERIMENT", help="mesh file, or experiment folder or file")
-    parser.add_argument("markers", metavar="MARKERS", nargs="*", help="table or points of markers; with a mesh only")
-    parser.add_argument("--out", required=True, metavar="DIR", help="folder for the results")
-    text = "write registered_deformed.vtu too, its nodes where they are now"
-    parser.add_argument("--deformed", action="store_true", help=text)
-    add_input_options(parser)
-    add_method_options(parser.add_argument_group("method"))
-    parser.set_defaults(late="markers", room=1)
+def summary(content: dict[str, Any], out: str) -> str:
+    """Return the content of ``registration.json`` as text; contacts, flags and the verdict come last."""
+    markers, trust, body, model = (content[name] for name in ("markers", "trust", "body", "model"))
+    simulated = any(target["simulation_mm"] is not None for target in content["targets"].values())
+    start = start_word(simulated)
+    unknown = trust["p_value"] is None or not math.isfinite(trust["p_value"])
+    p_value = "not known" if unknown else f"{trust['p_value']:.3g}"
+    return "\n".join(
+        [
+            *([_marker_line(markers, start)] if markers["used"] or markers["dropped"] else []),
+            *([_surface_line(content["surface"])] if content["surface"] is not None else []),
+            *(target_line(name, target) for name, target in content["targets"].items()),
+            f"smallest det F {body['min_det_f']:.3f}, {body['inverted_tets']} inverted tets; p-value of the "
+            f"residuals {p_value}",
+            f"model: {model.get('kind')}, {model.get('source')}",
+            seconds_line(content["seconds"]),
+            f"written: {out}",
+            *(_contact_line(contact) for contact in content["contacts"]),
+            *([] if content["fallback"] is None else fallback_lines(content["fallback"]["targets_mm"])),
+            *_verdict_lines(content["targets"], trust),
+        ]
+    )
 
 
-def run(args: argparse.Namespace) -> Outcome:
-    """Register and write, schema ``tissuereg.registration/1``; exit code 4 where it is not to be trusted."""
-    from tissuereg.io.atomic import check_folder_target
-    from tissuereg.registration.register import register
-    from tissuereg.report.files import DEFORMED, WRITTEN
-
-    given_files = [args.path, *args.markers, args.measured, args.simulation, args.variants, args.targets, args.surface]
-    written = [Path(args.out) / name for name in (*WRITTEN, "report.html", DEFORMED)]
-    refuse_overwriting(written, [*given_files, Path(args.path) / "targets.csv"])
-    check_folder_target(args.out)
-    clock = Stopwatch()
-    given = registration_input(args)
-    reading = clock.lap("read")
-    with stage_lines(quiet=args.quiet) as shown:
-        result = register(**given, **method_of(args), progress=shown)
-        clock.lap("register")
-        stages = {name: spent for name, spent in result.seconds.items() if name != "total"}
-        extra = {**envelope(args.threads), "seconds": {"read": reading, **stages, **_total(clock)}}
-        _write(result, args, extra, shown)
-    writing = clock.lap("write")
-    seconds = {"read": reading, **stages, "write": writing, **_total(clock)}
-    content = {**result.to_json(), "seconds": seconds}
-    return Outcome(content, registration_words(content, args.out), args.threads, 0 if result.trust.ok else UNTRUSTED)
+def _surface_line(surface: dict[str, Any]) -> str:
+    thinned = "" if surface["thinned_from"] is None else f" (thinned evenly from {surface['thinned_from']})"
+    return (
+        f"{surface['used']} of {surface['points']} surface points used{thinned}, {len(surface['outliers'])} outliers; "
+        f"rms distance along the normal {surface['before_rms_mm']:.3f} mm before, "
+        f"{surface['after_rms_mm']:.3f} mm after"
+    )
 
 
-def _write(result: "Registration", args: argparse.Namespace, extra: dict[str, Any], shown: Stages) -> None:
-    """Write all files or none."""
-    from tissuereg._base.clock import Progress
-    from tissuereg.io.atomic import atomic_folder
-
-    with atomic_folder(args.out) as draft:
-        shown(Progress("stage", "draws"))
-        _ = result.std  # computed when it is first read
-        shown(Progress("stage", "files"))
-        result.save(draft, extra, deformed=args.deformed)
-        result.report(draft / "report.html")
+def _marker_line(markers: dict[str, Any], start: str) -> str:
+    lost = ", ".join(f"{item['marker']} ({item['reason']})" for item in markers["dropped"])
+    used = f"{counted(len(markers['used']), 'marker')} used{f'; dropped: {lost}' if lost else ''}"
+    if not markers["used"]:
+        return used
+    return f"{used}; rms distance {markers['before_rms_mm']:.3f} mm {start}, {markers['after_rms_mm']:.3f} mm after"
 
 
-def _total(clock: Stopwatch) -> dict[str, float]:
-    return {"total": clock.seconds["total"]}
+def _contact_line(contact: dict[str, Any]) -> str:
+    place = ", ".join(f"{x:.0f}" for x in contact["centre_mm"])
+    towards = ", ".join(f"{x:.2f}" for x in contact["direction"])
+    return (
+        f"contact at ({place}) mm: surface moved by {contact['size_mm']:.1f} mm, {contact['force_mN']:.0f} mN at the "
+        f"believed modulus towards ({towards}), probability {contact['probability']:.2f}"
+    )
+
+
+def _verdict_lines(targets: dict[str, Any], trust: dict[str, Any]) -> list[str]:
+    """Return flags and the verdict; if not trusted, the reasons come before it and it names their kinds."""
+    flagged = [name for name, target in targets.items() if target["flag"]]
+    kinds = dict.fromkeys(reason.partition(":")[0] for reason in trust["reasons"])
+    last = verdict(trust["ok"])
+    return [
+        *([silent(flagged)] if flagged else []),
+        *trust["reasons"],
+        last if trust["ok"] else f"{last.removesuffix('.')}: {', '.join(kinds)}.",
+    ]

@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tissuereg._base.fields import choice, number
-from tissuereg.cli.common import Outcome, Stopwatch, note, progress_bar, seconds_line
-from tissuereg.cli.options import ELEMENTS, Help, Parser, UsageError, add_option, refuse_overwriting
+from tissuereg.cli.common import Outcome, Stopwatch, note, seconds_line
+from tissuereg.cli.options import ELEMENTS, Help, Parser, add_option, refuse, refuse_overwriting
+from tissuereg.cli.progress import progress_bar
 from tissuereg.parallel import TASK_LIMIT
 
 if TYPE_CHECKING:
@@ -67,8 +68,7 @@ def _run_recipe(args: argparse.Namespace) -> Outcome:
 
     for given, word in ((args.element is not None, "--element"), (args.plain, "--plain"), (args.noise, "--noise")):
         if given:
-            message = f"{word} must be left out for a recipe, which states what is simulated"
-            raise UsageError(message, where=word)
+            refuse(f"{word} must be left out for a recipe, which states what is simulated", word)
     recipe = read_recipe(args.path)
     if not args.quiet:
         note(size_line(recipe, args.out))
@@ -90,11 +90,9 @@ def _run_experiment(args: argparse.Namespace) -> Outcome:
     from tissuereg.simulation.experiment import with_noise
 
     if args.cluster is not None:
-        message = "--cluster must be left out for an experiment; it makes the chunks of a data set"
-        raise UsageError(message, where="--cluster")
+        refuse("--cluster must be left out for an experiment; it makes the chunks of a data set", "--cluster")
     if args.element is not None and not args.plain:
-        message = "--element must come with --plain: the fine model has elements of its own"
-        raise UsageError(message, where="--element")
+        refuse("--element must come with --plain: the fine model has elements of its own", "--element")
     clock = Stopwatch()
     experiment = read_experiment(args.path, measured=False)
     refuse_overwriting([Path(args.out) / name for name in TABLES], _inputs(args.path, experiment))

@@ -17,9 +17,10 @@ from tissuereg.cli.body_input import (
     method_of,
     read_body,
 )
-from tissuereg.cli.common import UNTRUSTED, Outcome, Progress, Stopwatch, progress_bar
+from tissuereg.cli.common import UNTRUSTED, Outcome, Stopwatch, seconds_line
 from tissuereg.cli.options import Help, Parser, refuse_overwriting
-from tissuereg.cli.words import tracking_words
+from tissuereg.cli.progress import progress_bar
+from tissuereg.report.words import counted, target_line
 
 if TYPE_CHECKING:
     from tissuereg._base.arrays import FloatArray
@@ -66,12 +67,9 @@ def options(parser: Parser) -> None:
 
 
 def run(args: argparse.Namespace) -> Outcome:
-    """Track and write.
+    """Track and write, schema ``tissuereg.track/1``; exit code 4 where a frame is not trusted or not registered.
 
-    Schema ``tissuereg.track/1``; exit code 4 where a frame is not to be trusted or could not be registered. Raises
-    `UsageError` if options do not go together, or an output would replace an input; `FormatError`, `MeshError`,
-    `MarkerError` or `MaterialError` if a file cannot be used; `MarkerError`, `ConvergenceError` or `EnsembleError` of
-    the first frame, if no frame can be registered.
+    If no frame can be registered, the error of the first one is raised.
     """
     from tissuereg.io.atomic import check_folder_target
 
@@ -86,9 +84,10 @@ def run(args: argparse.Namespace) -> Outcome:
     clock.lap("prepare")
     tracked = _Tracked(keeps_fields=args.fields)
     with progress_bar("frames", quiet=args.quiet) as progress:
-        for frame in _answers(tracker, _moments(recording, simulations), args, tracked.failed):
+        for frame in _answers(tracker, _recorded(recording, simulations), args, tracked.failed):
             tracked.add(frame)
-            _tell(progress, tracked, tracker, len(recording))
+            if progress is not None:
+                progress(len(tracked.frames) + len(tracked.failures) + tracker.dropped, len(recording))
     spent = clock.lap("track")
     if not tracked.frames:
         raise tracked.errors[0]
@@ -105,7 +104,7 @@ def run(args: argparse.Namespace) -> Outcome:
     _write(Path(args.out), {**content, "seconds": seconds}, tracked)
     clock.lap("write")
     content["seconds"] = clock.seconds
-    return Outcome(content, tracking_words(content, args.out), args.threads, 0 if tracked.all_trusted else UNTRUSTED)
+    return Outcome(content, _summary(content, args.out), args.threads, 0 if tracked.all_trusted else UNTRUSTED)
 
 
 def _read(args: argparse.Namespace) -> "tuple[Tracker, Recording, TablePhysics | None]":
@@ -143,7 +142,7 @@ def _simulations(args: argparse.Namespace, n_nodes: int, recording: "Recording")
     return TablePhysics(times, fields)
 
 
-def _moments(
+def _recorded(
     recording: "Recording", simulations: "TablePhysics | None"
 ) -> "Iterator[tuple[float, FloatArray, float | None]]":
     """Return the frames of a recording; the state of a table's actuator is the time."""
@@ -155,38 +154,28 @@ def _warm_up(tracker: "Tracker", recording: "Recording", simulations: "TablePhys
     """Register one frame and forget it: what a first frame makes for all is not part of a replay."""
     from tissuereg.tracking.tracker import CANNOT_BE_REGISTERED
 
-    time_s, measured, actuator = next(_moments(recording, simulations))
+    time_s, measured, actuator = next(_recorded(recording, simulations))
     with suppress(*CANNOT_BE_REGISTERED):
         tracker.step(measured, time_s, actuator=actuator)
     tracker.reset()
 
 
 def _answers(
-    tracker: "Tracker", moments: Any, args: argparse.Namespace, failed: "Callable[[float, TissueRegError], None]"
+    tracker: "Tracker", recorded: Any, args: argparse.Namespace, failed: "Callable[[float, TissueRegError], None]"
 ) -> "Iterator[TrackedFrame]":
-    if args.live:
-        yield from tracker.run(moments, failed=failed)
-        return
-    for moment in moments:
-        if _registered(tracker, moment, failed) and tracker.last is not None:
-            yield tracker.last
-
-
-def _registered(
-    tracker: "Tracker",
-    moment: "tuple[float, FloatArray, float | None]",
-    failed: "Callable[[float, TissueRegError], None]",
-) -> bool:
-    """Register one frame; return whether it could be registered."""
     from tissuereg.tracking.tracker import CANNOT_BE_REGISTERED
 
-    time_s, measured, actuator = moment
-    try:
-        tracker.step(measured, time_s, actuator=actuator)
-    except CANNOT_BE_REGISTERED as error:
-        failed(time_s, error)
-        return False
-    return True
+    if args.live:
+        yield from tracker.run(recorded, failed=failed)
+        return
+    for time_s, measured, actuator in recorded:
+        try:
+            tracker.step(measured, time_s, actuator=actuator)
+        except CANNOT_BE_REGISTERED as error:
+            failed(time_s, error)
+        else:
+            if tracker.last is not None:
+                yield tracker.last
 
 
 @dataclass
@@ -225,11 +214,6 @@ class _Tracked:
         return not self.failures and all(frame["trust"]["ok"] for frame in self.frames)
 
 
-def _tell(progress: Progress | None, tracked: _Tracked, tracker: "Tracker", in_all: int) -> None:
-    if progress is not None:
-        progress(len(tracked.frames) + len(tracked.failures) + tracker.dropped, in_all)
-
-
 def _write(out: Path, content: dict[str, Any], tracked: _Tracked) -> None:
     """Write all files or none."""
     from tissuereg.io.atomic import atomic_folder
@@ -242,3 +226,37 @@ def _write(out: Path, content: dict[str, Any], tracked: _Tracked) -> None:
         write_tracked_targets(draft / _TARGETS, [(frame["time_s"], frame["targets"]) for frame in tracked.frames])
         if tracked.keeps_fields:
             write_simulations(draft / _FIELDS, [frame["time_s"] for frame in tracked.frames], tracked.fields)
+
+
+def _summary(content: dict[str, Any], out: str) -> str:
+    """Return the content of ``track.json`` as text; the last line says whether any frame is not to be trusted."""
+    import numpy as np
+
+    frames, failed = content["frames"], content["failed"]
+    latency = [frame["latency_ms"] for frame in frames]
+    rms = np.median([frame["markers_rms_mm"] for frame in frames])
+    last = frames[-1]
+    return "\n".join(
+        [
+            f"{counted(len(frames), 'frame')} registered, {content['dropped_frames']} dropped, {len(failed)} failed, "
+            f"{content['hz']:.1f} a second",
+            f"latency: median {np.median(latency):.0f} ms, 99 % {np.percentile(latency, 99):.0f} ms",
+            f"rms distance to the markers: median {rms:.3f} mm",
+            *(target_line(name, target, f" at {last['time_s']:g} s") for name, target in last["targets"].items()),
+            seconds_line(content["seconds"]),
+            f"written: {out}",
+            *([f"not registered at {failed[0]['time_s']:g} s: {failed[0]['reason']}"] if failed else []),
+            *_frames_verdict(frames),
+        ]
+    )
+
+
+def _frames_verdict(frames: list[dict[str, Any]]) -> list[str]:
+    doubted = [frame for frame in frames if not frame["trust"]["ok"]]
+    if not doubted:
+        return ["Nothing speaks against any frame."]
+    first = doubted[0]
+    return [
+        f"at {first['time_s']:g} s: {first['trust']['reasons'][0]}",
+        f"Not to be trusted: {len(doubted)} of {len(frames)} frames.",
+    ]

@@ -32,10 +32,7 @@ def options(parser: Parser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Hand over to the training package, which writes its own JSON and summary.
-
-    Raises `MissingPackageError` if the training package is not installed.
-    """
+    """Hand over to the training package, which writes its own JSON and summary; MissingPackageError without it."""
     from tissuereg.io.atomic import check_folder_target
 
     if importlib.util.find_spec("tissuereg_training") is None:

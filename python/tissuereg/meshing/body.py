@@ -1,4 +1,4 @@
-"""`tetrahedralize`: a surface becomes a mesh that can be simulated."""
+"""`tetrahedralize`: a surface becomes a mesh that can be simulated, and its quality is measured."""
 
 import math
 import warnings
@@ -16,9 +16,10 @@ from tissuereg.errors import FormatError, MeshError, MeshingError
 from tissuereg.io.node_rules import NodeRule, nodes_by_rule, parsed_rule
 from tissuereg.io.surfaces import SurfaceInput, read_triangles
 from tissuereg.meshing.fill import check_mesher, filled
-from tissuereg.meshing.quality import quality
 from tissuereg.meshing.repair import repaired
 from tissuereg.meshing.settings import MESHING
+from tissuereg.meshing.topology import components
+from tissuereg.simulation.fine.bisection import shape_quality
 
 #: Volume of a regular tetrahedron whose edges are 1.
 _REGULAR = 1.0 / (6.0 * math.sqrt(2.0))
@@ -36,7 +37,11 @@ class FilledMesh(Mesh):
     repaired : list of str
         Repairs of the surface and defects found, one sentence each; empty if there were none.
     quality : dict
-        As `tissuereg.meshing.quality.quality` returns it: shape, edges, distance from the surface, volume, parts.
+        ``min_quality``, ``median_quality`` (mean ratio, 1 where regular), ``shortest_edge_mm``, ``median_edge_mm``,
+        ``surface_distance_mm`` (largest distance of the tets' boundary from the surface, at its nodes and the middles
+        of its triangles), ``missed_mm`` (the same from the surface to the tets' boundary: thin parts that were lost,
+        and inner shells), ``volume_mm3``, ``volume_change_percent`` (against what the surface encloses), ``parts``
+        (that share no node).
     settings : dict
         Target ``size_mm`` and ``deviation_mm``, and ``mesher``, its name and version.
     seconds : dict of str to float
@@ -124,7 +129,7 @@ def tetrahedralize(
         nodes, tets, mesher = filled(body, size_mm, wanted, threads)
         mesh = _with_sets(nodes, tets, rules)
     with clock.stage("measure"):
-        mesh.quality = quality(mesh, body)
+        mesh.quality = _quality(mesh, body)
     mesh.repaired, mesh.seconds = repairs, clock.seconds
     mesh.settings = {"size_mm": float(size_mm), "deviation_mm": float(wanted), "mesher": mesher}
     if mesh.quality["parts"] > 1:
@@ -197,3 +202,45 @@ def _check_number(body: Triangles, size_mm: float) -> None:
             f"{expected:.2g}: choose at least {least:.2g} mm"
         )
         raise MeshError(message, where="size_mm")
+
+
+def _quality(mesh: Mesh, surface: Triangles) -> dict[str, Any]:
+    """Return the quality of a mesh that fills a closed surface, normals outward; keys as in `FilledMesh`.
+
+    Cost: one search for the closest triangle per point, at most `MESHING.points` each way.
+    """
+    shape = shape_quality(mesh.nodes, mesh.tets)
+    length = np.linalg.norm(mesh.nodes[mesh.edges[:, 0]] - mesh.nodes[mesh.edges[:, 1]], axis=1)
+    boundary = Triangles(mesh.nodes, mesh.surface)
+    volume = float(mesh.volumes.sum())
+    return {
+        "min_quality": float(shape.min()),
+        "median_quality": float(np.median(shape)),
+        "shortest_edge_mm": float(length.min()),
+        "median_edge_mm": float(np.median(length)),
+        "surface_distance_mm": largest_distance(boundary, surface),
+        "missed_mm": largest_distance(surface, boundary),
+        "volume_mm3": volume,
+        "volume_change_percent": 100.0 * (volume / surface.volume - 1.0),
+        "parts": int(components(mesh.edges[:, 0], mesh.edges[:, 1], mesh.n_nodes).max()) + 1,
+    }
+
+
+def largest_distance(measured: Triangles, to: Triangles) -> float:
+    """Return the largest distance of corners and middles of triangles from another surface, mm.
+
+    >>> flat = Triangles([[0, 0, 0], [9, 0, 0], [0, 9, 0]], [[0, 1, 2]])
+    >>> largest_distance(Triangles([[0, 0, 2], [9, 0, 0], [0, 9, 0]], [[0, 1, 2]]), flat)
+    2.0
+    """
+    import trimesh
+
+    proximity: Any = trimesh.proximity  # trimesh leaves these functions without annotations
+    target = trimesh.Trimesh(to.vertices, to.triangles, process=False)
+    _, distance, _ = proximity.closest_point(target, _points(measured))
+    return float(np.max(distance))
+
+
+def _points(surface: Triangles) -> FloatArray:
+    points = np.concatenate([surface.vertices[np.unique(surface.triangles)], surface.corners.mean(axis=1)])
+    return np.asarray(points[:: -(-len(points) // MESHING.points)])

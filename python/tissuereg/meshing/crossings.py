@@ -10,15 +10,11 @@ from tissuereg.meshing.settings import MESHING
 
 
 def crossing_pairs(surface: Triangles) -> IntArray | None:
-    """Return the pairs of triangles of which an edge of one passes through the inside of the other.
+    """Return the pairs of triangles (n_pairs, 2) of which an edge of one passes through the inside of the other.
 
-    `surface`: vertices merged. Triangles that touch, or lie in one plane, do not cross. Result: int64 (n_pairs, 2) or
-    None, None where there are more than `MESHING.most_pairs` candidates.
-
-    Notes
-    -----
-    Cost: bounding boxes are shared out to strips along one axis and sorted along another; those that overlap are
-    tested. 300,000 triangles of like size take about ten seconds.
+    Vertices are merged; triangles that touch, or lie in one plane, do not cross. None where there are more than
+    `MESHING.most_pairs` candidates. Cost: bounding boxes are shared out to strips along one axis and sorted along
+    another; those that overlap are tested. 300,000 triangles of like size take about ten seconds.
     """
     corners = surface.corners
     low, high = corners.min(axis=1), corners.max(axis=1)

@@ -22,7 +22,7 @@ _RUN = "import runpy, sys; sys.argv = sys.argv[1:]; runpy.run_path(sys.argv[0], 
 
 
 def check_mesher() -> None:
-    """Refuse early if the mesher is not installed. Raises `MissingPackageError` if pytetwild cannot be found."""
+    """Refuse early, by a `MissingPackageError`, if pytetwild is not installed."""
     if importlib.util.find_spec(_MESHER) is None:
         raise _missing(_MESHER)
 
@@ -30,17 +30,12 @@ def check_mesher() -> None:
 def filled(
     surface: Triangles, size_mm: float, deviation_mm: float, threads: int = 0
 ) -> tuple[FloatArray, IntArray, str]:
-    """Return tetrahedra that fill a surface.
+    """Return nodes (n, 3) in mm and tets (m, 4) of positive volume that fill a surface, and the mesher and its version.
 
-    `surface`: normals outward; `size_mm`: target edge length, mm; `deviation_mm`: largest distance of the faces of the
-    tetrahedra from the surface, mm; `threads`: 0: all cores. Result: `nodes` (n_nodes, 3): mm; every one belongs to a
-    tetrahedron; `tets` int64 (n_tets, 4): positive volume; `mesher`: name and version of the mesher. Raises
-    `MissingPackageError` if pytetwild, or one of its dependencies, is not installed; `MeshingError` if the mesher
-    fails, or makes an element without volume; `MemoryError` if memory is spent.
-
-    Notes
-    -----
-    The mesher draws random numbers from the system: two runs give two similar meshes.
+    The surface's normals point outward, edges are about `size_mm` long, faces lie within `deviation_mm` of the surface;
+    no thread number means all cores. Raises MissingPackageError if pytetwild, or one of its dependencies, is not
+    installed, MeshingError if the mesher fails or makes an element without volume, MemoryError if memory is spent. The
+    mesher draws random numbers from the system: two runs give two similar meshes.
     """
     diagonal = float(np.linalg.norm(np.ptp(surface.vertices, axis=0)))
     with draft(Path(tempfile.gettempdir())) as scratch:

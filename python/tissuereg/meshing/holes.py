@@ -23,13 +23,10 @@ from tissuereg.meshing.words import place, several, were
 
 
 def closed(surface: Triangles) -> tuple[Triangles, list[str]]:
-    """Return the surface with its holes closed.
+    """Return the surface, whose neighbours agree in their winding, with its holes closed, and the repair in a sentence.
 
-    `surface`: neighbours agree in their winding. Result: the same, with caps after the existing triangles and centres
-    of fans after the existing vertices. list of str The repair, one sentence.
+    Caps come after the existing triangles, centres of fans after the existing vertices.
 
-    Examples
-    --------
     >>> cap = closed(Triangles([[0, 0, 0], [9, 0, 0], [0, 9, 0], [0, 0, 9]], [[0, 2, 1], [0, 1, 3], [0, 3, 2]]))
     >>> cap[0].triangles[3].tolist(), round(cap[0].volume, 1)
     ([1, 2, 3], 121.5)
@@ -65,14 +62,11 @@ def closed(surface: Triangles) -> tuple[Triangles, list[str]]:
 
 
 def least_area_cap(corners: FloatArray, barred: BoolArray | None = None) -> IntArray:
-    """Return the triangles of least total area that close a rim.
+    """Return the triangles (n - 2, 3) of least total area that close a rim of `corners` (n, 3), going round as it does.
 
-    `corners` (n, 3): corners of the rim in order, mm; `barred` bool (n, n): pairs of corners that an edge of the
-    surface joins already. The cap gets another edge between such a pair only if no cap does without. Result: int64 (n -
-    2, 3), rows of `corners`, going round as the rim does.
+    `barred` (n, n) marks the pairs of corners that an edge of the surface joins already: the cap gets another edge
+    between such a pair only if no cap does without.
 
-    Examples
-    --------
     A square with one corner pulled in: the common edge of the two triangles ends at that corner.
 
     >>> least_area_cap(np.array([[0.0, 0, 0], [9, 0, 0], [3, 3, 0], [0, 9, 0]])).tolist()

@@ -9,19 +9,46 @@ from tissuereg.meshing.crossings import crossing_pairs
 from tissuereg.meshing.holes import closed
 from tissuereg.meshing.settings import MESHING
 from tissuereg.meshing.shells import outward
-from tissuereg.meshing.topology import Edges, agreed_winding, turned_round
+from tissuereg.meshing.topology import Edges, agreed_winding, components, turned_round
 from tissuereg.meshing.words import place, several, were
 
 
-def joined(surface: Triangles) -> tuple[Triangles, list[str]]:
-    """Return the surface with every vertex and every triangle once.
+def repaired(surface: Triangles, least_volume: float) -> tuple[Triangles, list[str]]:
+    """Return a repaired surface, normals outward, with its repairs and remaining defects, one sentence each.
 
-    Result: the remaining vertices and triangles keep their order. list of str The repairs, one sentence each. Raises
-    `MeshError` if no triangle is left.
+    In this order: vertices at one place are merged, triangles without an area and duplicates are removed, neighbours
+    are made to agree in their winding, holes are closed, normals are turned outwards, closed shells of less than
+    `least_volume` mm^3 are removed, except the largest; then crossing triangles are counted. Raises MeshError if no
+    triangle has an area, a shell has one side only, or nothing is enclosed.
 
-    Examples
-    --------
-    >>> joined(Triangles([[0, 0, 0], [9, 0, 0], [0, 9, 0], [0, 9, 0]], [[0, 1, 2], [0, 1, 3]]))
+    A tetrahedron without one of its faces, its normals inwards:
+
+    >>> open_ = Triangles([[0, 0, 0], [9, 0, 0], [0, 9, 0], [0, 0, 9]], [[0, 1, 2], [0, 3, 1], [0, 2, 3]])
+    >>> body, repairs = repaired(open_, 1.0)
+    >>> round(body.volume, 1)
+    121.5
+    >>> [sentence[:29] for sentence in repairs]
+    ['1 hole was closed: the larges', 'all normals pointed inwards a']
+    """
+    surface, repairs = _joined(surface)
+    turned, _ = agreed_winding(surface)
+    if len(turned):
+        surface = Triangles(surface.vertices, turned_round(surface.triangles, turned))
+        repairs.append(
+            f"{several(len(turned), 'triangle')} facing the other way than their neighbours {were(len(turned))} turned"
+        )
+    surface, filled = closed(surface)
+    _, shell = agreed_winding(surface)
+    found, sided = outward(surface, shell, least_volume)
+    return found, [*repairs, *filled, *sided, *_left(found)]
+
+
+def _joined(surface: Triangles) -> tuple[Triangles, list[str]]:
+    """Return the surface with every vertex and triangle once, in the given order, and the repairs, one sentence each.
+
+    Raises MeshError if no triangle is left.
+
+    >>> _joined(Triangles([[0, 0, 0], [9, 0, 0], [0, 9, 0], [0, 9, 0]], [[0, 1, 2], [0, 1, 3]]))
     (Triangles(3 vertices, 1 triangles), ['1 vertex that stood at the place of another was merged with it',
     '1 triangle given a second time was left out'])
     """
@@ -54,51 +81,15 @@ def joined(surface: Triangles) -> tuple[Triangles, list[str]]:
 
 def _first_of_place(surface: Triangles, used: IntArray) -> IntArray:
     """Return, for every vertex, the lowest used vertex at its place."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
     from scipy.spatial import KDTree
 
     places = surface.vertices[used]
     pairs = KDTree(places).query_pairs(MESHING.same_place * surface.extent, output_type="ndarray")
-    graph = coo_array((np.ones(len(pairs), np.int8), (pairs[:, 0], pairs[:, 1])), shape=(len(used), len(used)))
-    group = connected_components(graph, directed=False)[1]
+    group = components(pairs[:, 0], pairs[:, 1], len(used))
     _, lowest = np.unique(group, return_index=True)
     one = np.arange(len(surface.vertices))
     one[used] = used[lowest[group]]
     return np.asarray(one, np.int64)
-
-
-def repaired(surface: Triangles, least_volume: float) -> tuple[Triangles, list[str]]:
-    """Return a repaired surface, with the repairs and remaining defects.
-
-    In this order: vertices at one place are merged, triangles without an area and duplicates are removed, neighbours
-    are made to agree in their winding, holes are closed, normals are turned outwards, tiny shells are removed; then
-    crossing triangles are counted. `least_volume`: closed shells of less volume are removed, except the largest, mm^3.
-    Result: normals outward. list of str One sentence each; empty if there was nothing to repair. Raises `MeshError` if
-    no triangle has an area, a shell has one side only, or nothing is enclosed.
-
-    Examples
-    --------
-    A tetrahedron without one of its faces, its normals inwards:
-
-    >>> open_ = Triangles([[0, 0, 0], [9, 0, 0], [0, 9, 0], [0, 0, 9]], [[0, 1, 2], [0, 3, 1], [0, 2, 3]])
-    >>> body, repairs = repaired(open_, 1.0)
-    >>> round(body.volume, 1)
-    121.5
-    >>> [sentence[:29] for sentence in repairs]
-    ['1 hole was closed: the larges', 'all normals pointed inwards a']
-    """
-    surface, repairs = joined(surface)
-    turned, _ = agreed_winding(surface)
-    if len(turned):
-        surface = Triangles(surface.vertices, turned_round(surface.triangles, turned))
-        repairs.append(
-            f"{several(len(turned), 'triangle')} facing the other way than their neighbours {were(len(turned))} turned"
-        )
-    surface, filled = closed(surface)
-    _, shell = agreed_winding(surface)
-    found, sided = outward(surface, shell, least_volume)
-    return found, [*repairs, *filled, *sided, *_left(found)]
 
 
 def _left(surface: Triangles) -> list[str]:

@@ -11,13 +11,12 @@ from tissuereg.meshing.words import place, several, were
 
 
 def outward(surface: Triangles, shell: IntArray, least_volume: float) -> tuple[Triangles, list[str]]:
-    """Return the surface with normals outwards, without shells that are smaller than a tetrahedron.
+    """Return the surface with normals outwards, without loose vertices and small shells, and findings in sentences.
 
-    A shell inside no other is turned so that its normals point outwards, together with all shells within it. A shell
-    within another whose normals then point inwards is the wall of a cavity; otherwise it lies in solid material.
-    `surface`: neighbours agree in their winding; `shell` int64 (n_triangles,): shell of every triangle, from 0;
-    `least_volume`: closed shells of less volume are removed, except the largest, mm^3. Result: without loose vertices.
-    list of str Repairs and findings, one sentence each. Raises `MeshError` if nothing is enclosed.
+    `shell` has the shell of every triangle, from 0; neighbours agree in their winding. A shell inside no other is
+    turned so that its normals point outwards, together with all shells within it. A shell within another whose normals
+    then point inwards is the wall of a cavity; otherwise it lies in solid material. Closed shells of less than
+    `least_volume` mm^3 are removed, except the largest. Raises MeshError if nothing is enclosed.
     """
     volumes = shell_volumes(surface, shell)
     largest = int(np.argmax(np.abs(volumes)))
@@ -41,15 +40,11 @@ def outward(surface: Triangles, shell: IntArray, least_volume: float) -> tuple[T
 
 
 def winding_number(point: FloatArray, corners: FloatArray) -> float:
-    """Return the winding number of a surface about a point: for a closed surface oriented outwards 1 inside, 0 outside.
+    """Return the winding number of triangles (n, 3, 3) about a point: closed and oriented outwards 1 inside, 0 outside.
 
-    The sum of the solid angles of its triangles over 4 pi, each by Van Oosterom and Strackee's formula [1]_. `point`
-    (3,): mm; `corners` (n, 3, 3): of the triangles, mm. Result: dimensionless.
-
-    References
-    ----------
-    .. [1] A. Van Oosterom and J. Strackee, "The solid angle of a plane triangle", IEEE Transactions on Biomedical
-       Engineering 30, 125-126, 1983. doi:10.1109/TBME.1983.325207
+    The sum of the solid angles of the triangles over 4 pi, by the formula of A. Van Oosterom and J. Strackee, "The
+    solid angle of a plane triangle", IEEE Transactions on Biomedical Engineering 30, 125-126, 1983.
+    doi:10.1109/TBME.1983.325207
     """
     a, b, c = (corners[:, i] - point for i in range(3))
     la, lb, lc = (np.linalg.norm(side, axis=1) for side in (a, b, c))

@@ -11,17 +11,12 @@ from tissuereg.errors import MeshError
 
 @dataclass(frozen=True)
 class Edges:
-    """The edges of m triangles, three per triangle: from its first to its second corner, and so on.
+    """The edges of m triangles, three per triangle: from its first to its second corner, and so on."""
 
-    `ends` int64 (3 m, 2): from, to, in the orientation of the triangle; `owner` int64 (3 m,): the triangle; `group`
-    int64 (3 m,): the same number for all edges between the same two vertices; `count` int64 (n_groups,): number of
-    edges in each group: 1 at the rim of a hole, 2 inside, more where walls meet.
-    """
-
-    ends: IntArray
-    owner: IntArray
-    group: IntArray
-    count: IntArray
+    ends: IntArray  # from, to, in the orientation of the triangle, (3 m, 2)
+    owner: IntArray  # the triangle, (3 m,)
+    group: IntArray  # the same number for all edges between the same two vertices, (3 m,)
+    count: IntArray  # edges in each group: 1 at the rim of a hole, 2 inside, more where walls meet
 
     @classmethod
     def of(cls, triangles: IntArray) -> "Edges":
@@ -38,19 +33,18 @@ class Edges:
 
 
 def agreed_winding(surface: Triangles) -> tuple[IntArray, IntArray]:
-    """Return which triangles must be turned for all neighbours to agree, and the shell of every triangle.
+    """Return the triangles to turn so that all neighbours agree, (n_turned,), and each one's shell, (n_triangles,).
 
-    Every triangle is two vertices of a graph, as given and turned; neighbours are joined where they agree. An
-    orientable shell consists of two halves of the graph, of which the one that turns less area is chosen. `surface`:
-    any surface. Result: `turned` int64 (n_turned,): sorted triangles; `shell` int64 (n_triangles,): numbered from 0,
-    the largest area first. Raises `MeshError` if a shell is not orientable, like a Moebius strip.
+    Shells are numbered from 0, the largest area first. Every triangle is two vertices of a graph, as given and turned;
+    neighbours are joined where they agree. An orientable shell consists of two halves of the graph, of which the one
+    that turns less area is chosen. Raises MeshError if a shell is not orientable, like a Moebius strip.
     """
     n, areas = len(surface.triangles), surface.areas
     neighbours, same = Edges.of(surface.triangles).pairs()
     first, second = neighbours[:, 0], neighbours[:, 1]
     across = np.where(same, n, 0)
     to_second = np.concatenate([second + across, second + n - across])
-    half = _components(np.concatenate([first, first + n]), to_second, 2 * n)
+    half = components(np.concatenate([first, first + n]), to_second, 2 * n)
     as_given, turned = half[:n], half[n:]
     if (as_given == turned).any():
         worst = int(np.argmax(as_given == turned))
@@ -60,7 +54,7 @@ def agreed_winding(surface: Triangles) -> tuple[IntArray, IntArray]:
     # Unturned area in either half of the graph; the lower number breaks a tie.
     kept = np.bincount(as_given, areas, minlength=half.max() + 1)
     better = (kept[as_given] > kept[turned]) | ((kept[as_given] == kept[turned]) & (as_given < turned))
-    return np.flatnonzero(~better).astype(np.int64), _largest_first(_components(first, second, n), areas)
+    return np.flatnonzero(~better).astype(np.int64), _largest_first(components(first, second, n), areas)
 
 
 def _largest_first(label: IntArray, areas: FloatArray) -> IntArray:
@@ -86,7 +80,8 @@ def shell_volumes(surface: Triangles, shell: IntArray) -> FloatArray:
     return np.asarray(np.bincount(shell, signed_volumes(corners - middle[shell][:, None])))
 
 
-def _components(first: IntArray, second: IntArray, n: int) -> IntArray:
+def components(first: IntArray, second: IntArray, n: int) -> IntArray:
+    """Return the connected part of each of `n` vertices of a graph, (n,), from the two ends of its edges."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 

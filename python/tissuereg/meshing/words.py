@@ -6,8 +6,6 @@ from tissuereg._base.arrays import FloatArray
 def several(count: int, one: str, more: str | None = None) -> str:
     """Return a count with its noun.
 
-    Examples
-    --------
     >>> several(1, "hole"), several(3, "hole"), several(2000, "vertex", "vertices")
     ('1 hole', '3 holes', '2,000 vertices')
     """

@@ -18,20 +18,10 @@ NO_MESHER, NO_MEMORY, REFUSED = 65, 66, 67
 
 
 def main(given: str, made: str) -> int:
-    """Fill a surface.
+    """Fill the surface of the .npz `given`, write the .npz `made`, and return the exit code.
 
-    Parameters
-    ----------
-    given : str
-        An .npz with ``vertices (n, 3)``, ``triangles (m, 3)``, ``edge_share`` and ``deviation_share`` (of the diagonal
-        of the bounding box), ``threads``.
-    made : str
-        Where to write ``nodes``, ``tets`` and ``mesher``.
-
-    Returns
-    -------
-    int
-        Exit code.
+    `given` has ``vertices (n, 3)``, ``triangles (m, 3)``, ``edge_share`` and ``deviation_share`` (of the diagonal of
+    the bounding box), ``threads``; `made` gets ``nodes``, ``tets`` and ``mesher``.
     """
     try:
         import pytetwild

@@ -18,7 +18,15 @@ from tissuereg.body.mesh import Mesh
 from tissuereg.errors import ArgumentError
 from tissuereg.phantom.breast import breast_mesh
 
-__all__ = ["SIZES", "breast_mesh", "phantom_mesh", "shipped_model_folder", "true_fields", "truth_mesh"]
+__all__ = [
+    "SIZES",
+    "breast_mesh",
+    "phantom_mesh",
+    "shipped_model_folder",
+    "shipped_recipe",
+    "true_fields",
+    "truth_mesh",
+]
 
 #: Sizes of the embedded body.
 SIZES = ("full", "small")

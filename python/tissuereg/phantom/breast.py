@@ -14,55 +14,28 @@ from tissuereg.phantom.stuffing import stuffed
 
 @dataclass(frozen=True)
 class BreastShape:
-    """The phantom's body, and how closely a mesh meets a number of nodes.
+    """The phantom's body, and how closely a mesh meets a number of nodes."""
 
-    Attributes
-    ----------
-    radius_mm : float
-        Radius at the chest wall, mm,
-    height_mm : float
-        height above it,
-    droop_mm : float
-        and how far the apex hangs down.
-    fuller : float
-        How much fuller the lower half is, share of the radius.
-    share : float
-        A mesh has as many nodes as were wanted but for this share,
-    share_coarse : float
-        or this one
-    coarse : int
-        below so many nodes: a coarse lattice gains and loses many at once.
-    tries : int
-        Sizes of the lattice that are tried towards the number of nodes,
-    near : int
-        and on each side of the last of these.
-    least : int
-        Fewest nodes of a mesh,
-    most : int
-        and most.
-    """
-
-    radius_mm: float = 60.0
-    height_mm: float = 52.0
-    droop_mm: float = 7.0
-    fuller: float = 0.06
-    share: float = 0.02
-    share_coarse: float = 0.04
-    coarse: int = 1000
-    tries: int = 8
-    near: int = 40
-    least: int = 100
-    most: int = 200_000
+    radius_mm: float = 60.0  # at the chest wall
+    height_mm: float = 52.0  # above the chest wall
+    droop_mm: float = 7.0  # how far the apex hangs down
+    fuller: float = 0.06  # how much fuller the lower half is, share of the radius
+    share: float = 0.02  # a mesh has as many nodes as were wanted but for this share
+    share_coarse: float = 0.04  # or this one, below `coarse` nodes
+    coarse: int = 1000  # below so many nodes a coarse lattice gains and loses many at once
+    tries: int = 8  # sizes of the lattice that are tried towards the number of nodes
+    near: int = 40  # and on each side of the last of these
+    least: int = 100  # fewest nodes of a mesh
+    most: int = 200_000  # and most
 
 
 BREAST = BreastShape()
 
 
 def inside_breast(points: FloatArray) -> FloatArray:
-    """Return how deep points lie inside the body, in its horizontal sections.
+    """Return how deep points (n, 3) in mm lie inside the body, in its horizontal sections; z is the height.
 
-    `points` (n, 3): in mm; z is the height above the chest wall. Result: (n,), radius of the skin in the point's
-    direction less the point's own, mm; negative outside.
+    That is the radius of the skin in the point's direction less the point's own, (n,) in mm; negative outside.
     """
     x, y, z = points.T
     height = z / BREAST.height_mm

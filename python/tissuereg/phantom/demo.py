@@ -19,13 +19,13 @@ from tissuereg.simulation.solve import simulate
 
 
 def run_demo(out: str | os.PathLike[str], *, seed: int = 0, threads: int = 0) -> dict[str, Any]:
-    """Register the phantom and write the result.
+    """Register the phantom and write the result into the folder `out`; return its JSON with ``truth``.
 
-    `out`: folder for ``registered.vtu``, ``targets.csv``, ``targets.mrk.json``, ``registration.json``,
-    ``registered.png``, ``report.html``, and ``input/`` with the mesh, markers, targets and simulation that the command
-    ``register`` takes; `seed`: seed of markers, noise and ensemble; `threads`: threads to use; 0 takes all cores. The
-    result does not depend on it. Result: the registration's JSON with ``truth``: errors in mm (mean Euclidean) before
-    and after, at the markers, at the lesion and over the body, and whether the lesion's 90 % region contains the truth.
+    Written are ``registered.vtu``, ``targets.csv``, ``targets.mrk.json``, ``registration.json``, ``registered.png``,
+    ``report.html``, and ``input/`` with the mesh, markers, targets and simulation that the command ``register`` takes.
+    ``truth`` has the errors in mm (mean Euclidean) before and after, at the markers, at the lesion and over the body,
+    and whether the lesion's 90 % region contains the truth. `seed` is that of markers, noise and ensemble; the result
+    does not depend on `threads` (0: all cores).
     """
     clock = Clock()
     with clock.stage("measure"):

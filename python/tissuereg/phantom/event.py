@@ -1,78 +1,50 @@
-"""An event of the phantom: the load, the believed model, and the truth."""
+"""Events of the phantom: that of the demo with its load, believed model and truth, and those of the shipped model."""
 
 from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
 
 import numpy as np
 
-from tissuereg._base.arrays import FloatArray, IntArray
+from tissuereg._base.arrays import BoolArray, FloatArray, IntArray
 from tissuereg.body.load import Load
 from tissuereg.body.markers import Markers
 from tissuereg.body.material import Material
 from tissuereg.body.mesh import Mesh
 from tissuereg.body.observe import MarkerObservation, TargetObservation
 from tissuereg.phantom import phantom_mesh, true_fields, truth_mesh
+from tissuereg.simulation.recipe import Recipe, read_recipe
 from tissuereg.simulation.solve import Simulator
 
 
 @dataclass(frozen=True)
 class PushedPhantom:
-    """The event of the demo: the truth, and what is believed of it.
+    """The event of the demo: the truth, and what is believed of it."""
 
-    Attributes
-    ----------
-    lesion_mm : tuple of float
-        Centre of the stiff lesion, mm,
-    lesion_radius_mm : float
-        its radius,
-    lesion_contrast : float
-        and its modulus over that of the tissue around it.
-    pad_origin_mm : tuple of float
-        Where the directions of the pads begin, mm.
-    pushers : tuple
-        Direction of each pad from there, and its push, mN.
-    pad_radius_mm : float
-        Radius of a pad, mm.
-    believed_young : float
-        Believed modulus, kPa,
-    true_young : float
-        and the true one.
-    true_push_factor : float
-        True pushes over the believed ones,
-    true_tilt_deg : float
-        and their tilt about z, degree.
-    poisson : float
-        Believed Poisson's ratio,
-    true_poisson : float
-        and the true one.
-    n_markers : int
-        Markers on the skin.
-    marker_std_mm : float
-        Noise of a coordinate, mm.
-    """
-
-    lesion_mm: tuple[float, float, float] = (2.0, 16.0, 24.0)
+    lesion_mm: tuple[float, float, float] = (2.0, 16.0, 24.0)  # centre of the stiff lesion
     lesion_radius_mm: float = 9.0
-    lesion_contrast: float = 4.0
-    pad_origin_mm: tuple[float, float, float] = (0.0, -3.0, 18.0)
+    lesion_contrast: float = 4.0  # modulus over that of the tissue around it
+    pad_origin_mm: tuple[float, float, float] = (0.0, -3.0, 18.0)  # where the directions of the pads begin
+    # Direction of each pad from there, and its push in mN.
     pushers: tuple[tuple[tuple[float, float, float], tuple[float, float, float]], ...] = (
         ((1.0, 0.1, 0.15), (-6600.0, 400.0, -800.0)),
         ((-0.1, 1.0, 0.2), (400.0, -4400.0, -600.0)),
     )
     pad_radius_mm: float = 22.0
-    believed_young: float = 10.0
-    true_young: float = 12.5
-    true_push_factor: float = 1.06
-    true_tilt_deg: float = 5.0
-    poisson: float = 0.45
+    believed_young: float = 10.0  # kPa
+    true_young: float = 12.5  # kPa
+    true_push_factor: float = 1.06  # true pushes over the believed ones
+    true_tilt_deg: float = 5.0  # of the true pushes about z
+    poisson: float = 0.45  # believed
     true_poisson: float = 0.46
-    n_markers: int = 15
-    marker_std_mm: float = 0.1
+    n_markers: int = 15  # on the skin
+    marker_std_mm: float = 0.1  # noise of a coordinate
 
 
 PHANTOM = PushedPhantom()
 
 
-#: The stiff lesion: centre and radius in mm, modulus over that of the tissue around it.
+#: Centre of the stiff lesion, mm.
 LESION_MM = PHANTOM.lesion_mm
 
 
@@ -130,8 +102,8 @@ def make_event(*, seed: int = 0, size: str = "full") -> PhantomEvent:
     field, in_body = true_fields(size)
     places = _marker_places(fine, rng)
     names = tuple(f"P{i + 1}" for i in range(PHANTOM.n_markers))
-    seen = MarkerObservation(fine, places, names)
-    moved = seen.predict(field[seen.nodes])
+    observed = MarkerObservation(fine, places, names)
+    moved = observed.predict(field[observed.nodes])
     measured = places + moved + PHANTOM.marker_std_mm * rng.standard_normal(moved.shape)
     lesion = TargetObservation(fine, {"lesion": LESION_MM})
     return PhantomEvent(
@@ -148,22 +120,31 @@ def make_event(*, seed: int = 0, size: str = "full") -> PhantomEvent:
 def solve_truth(size: str, *, threads: int = 0) -> tuple[FloatArray, FloatArray]:
     """Solve for the truth of the event: ten-node elements, stiffer tissue and lesion, pushes larger and rotated.
 
-    `size`: of the body; see `phantom_mesh`; `threads`: threads to use; 0 takes all cores. Result: `on_truth_mesh`,
-    `on_body` (n_nodes, 3): True displacement at the nodes of ``truth_mesh(size)`` and of ``phantom_mesh(size)``, mm.
-    Cost: a solve of 36,500 nodes (``full``: seconds) or 12,500.
+    Returns the displacement at the nodes of ``truth_mesh(size)`` and of ``phantom_mesh(size)``, (n_nodes, 3) each in
+    mm. Cost: a solve of 36,500 nodes (``full``: seconds) or 12,500.
     """
     fine = truth_mesh(size)
     stiffness = np.where(_in_lesion(fine), PHANTOM.lesion_contrast, 1.0) * PHANTOM.true_young
-    loads, material = (
-        _pushes(fine, PHANTOM.true_push_factor, PHANTOM.true_tilt_deg),
-        Material(stiffness, PHANTOM.true_poisson),
-    )
-    field = Simulator(fine, element="tet10").solve(loads, material, threads=threads, tolerance=1e-7).displacement
+    pushes = _pushes(fine, PHANTOM.true_push_factor, PHANTOM.true_tilt_deg)
+    material = Material(stiffness, PHANTOM.true_poisson)
+    field = Simulator(fine, element="tet10").solve(pushes, material, threads=threads, tolerance=1e-7).displacement
     inside = TargetObservation(fine, {str(i): node for i, node in enumerate(phantom_mesh(size).nodes)})
     return field, inside.predict(field[inside.nodes])
 
 
-def _in_lesion(mesh: Mesh) -> "np.ndarray[tuple[int], np.dtype[np.bool_]]":
+def shipped_recipe() -> Recipe:
+    """Return the recipe of the data on which the shipped model was trained.
+
+    Returns
+    -------
+    Recipe
+        That of ``training/recipes/breast.toml``: its mesh is ``phantom_mesh()``; its ``data`` and ``material`` are
+        what `EventSampler` draws deformations of that body from.
+    """
+    return read_recipe(Path(str(files("tissuereg.phantom"))) / "data" / "breast.toml")
+
+
+def _in_lesion(mesh: Mesh) -> BoolArray:
     centres = mesh.nodes[mesh.tets].mean(axis=1)
     return np.asarray(np.linalg.norm(centres - LESION_MM, axis=1) <= PHANTOM.lesion_radius_mm)
 

@@ -6,6 +6,7 @@ are divided from their first node on, so that neighbours agree. Nothing is rando
 """
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -14,18 +15,28 @@ from tissuereg._base.arrays import FloatArray, IntArray
 #: Takes points (n, 3); positive inside.
 Inside = Callable[[FloatArray], FloatArray]
 
-#: A node moves to the surface if that cuts an edge of its nearer than this share of the edge's length.
-_WARP_LONG, _WARP_SHORT = 0.25, 0.41
 
-_BISECTIONS = 45
+@dataclass(frozen=True)
+class StuffingRules:
+    """How the surface is found, and which nodes move to it: those nearer to a cut of one of their edges than a share.
+
+    The shares are of the length of an edge of the lattice's cubes, and of one from a corner to a centre.
+    """
+
+    warp_long: float = 0.25
+    warp_short: float = 0.41
+    bisections: int = 45
+
+
+STUFFING = StuffingRules()
 
 
 def stuffed(inside: Inside, low: FloatArray, high: FloatArray, size: float) -> tuple[FloatArray, IntArray]:
-    """Return nodes and tetrahedra of the body above z = 0.
+    """Return nodes (n_nodes, 3) in mm and tetrahedra (n_tets, 4) of positive volume of the body above z = 0.
 
-    `inside`: positive inside the body, negative outside, continuous; its surface should stand upright on z = 0; `low`,
-    `high` (3,): box around the body in mm; ``low[2]`` is 0; `size`: edge of the lattice's cubes in mm. Result: `nodes`
-    (n_nodes, 3): in mm; those on the plane have z = 0 exactly; `tets` int64 (n_tets, 4): all of positive volume.
+    `inside` is positive inside the body, negative outside, continuous; its surface should stand upright on z = 0. `low`
+    and `high` (3,) are a box around the body in mm, ``low[2]`` is 0; `size` is the edge of the lattice's cubes in mm.
+    Nodes on the plane have z = 0 exactly.
     """
     nodes, tets = _lattice(low, high, size)
     sign = np.sign(inside(nodes))
@@ -75,7 +86,7 @@ def _cuts(inside: Inside, nodes: FloatArray, crossing: IntArray, sign: FloatArra
     """Return where edges cross the surface, and the share of the edge up to there from its first node."""
     first, second = nodes[crossing[:, 0]], nodes[crossing[:, 1]]
     low, high = np.zeros(len(crossing)), np.ones(len(crossing))
-    for _ in range(_BISECTIONS):
+    for _ in range(STUFFING.bisections):
         middle = 0.5 * (low + high)
         same = np.sign(inside(first + middle[:, None] * (second - first))) == sign[crossing[:, 0]]
         low, high = np.where(same, middle, low), np.where(same, high, middle)
@@ -89,7 +100,7 @@ def _warped(
     """Return nodes and signs once nodes near the surface lie on it; those on the plane stay on it."""
     nodes, sign = nodes.copy(), sign.copy()
     length = np.linalg.norm(nodes[crossing[:, 1]] - nodes[crossing[:, 0]], axis=1)
-    limit = np.where(length > 0.99 * size, _WARP_LONG, _WARP_SHORT)
+    limit = np.where(length > 0.99 * size, STUFFING.warp_long, STUFFING.warp_short)
     ends = np.concatenate([crossing[:, 0], crossing[:, 1]])
     near = np.concatenate([share, 1.0 - share])
     towards = np.concatenate([cuts, cuts])

@@ -10,7 +10,6 @@ from tissuereg.io.json import write_json
 from tissuereg.io.meshes import write_vtu
 from tissuereg.io.mrk_json import write_mrk_json
 from tissuereg.io.tables import write_targets
-from tissuereg.report.words import forces_of
 
 if TYPE_CHECKING:
     from tissuereg.registration.result import Registration
@@ -24,15 +23,14 @@ DEFORMED = "registered_deformed.vtu"
 
 
 def save_registration(result: "Registration", folder: Path, extra: dict[str, Any], *, deformed: bool = False) -> Path:
-    """Write the files in `WRITTEN`.
+    """Write the files in `WRITTEN`, with `deformed` also `DEFORMED`, into a folder; return the folder.
 
-    `result`: what to write; `folder`: made where absent; `extra`: entries added to the JSON; they replace its own of
-    the same name; `deformed`: write ``registered_deformed.vtu`` too. Raises `OutputError` if the folder cannot be
-    written; nothing is changed then.
+    Entries of `extra` are added to the JSON and replace its own of the same name. Raises OutputError if the folder
+    cannot be written; nothing is changed then.
     """
     mesh = result.mesh
     fields = {"displacement_mm": result.displacement, "std_mm": result.std}
-    forces = forces_of(result)
+    forces = getattr(result, "forces", None)
     if forces is not None:
         fields["contact_force_mN"] = forces
     held = np.zeros(mesh.n_nodes, dtype=np.int8)

@@ -16,20 +16,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class _Panel:
-    """One target as its panel shows it: places (2,) in mm across the line of sight, relative to the registered place.
+    """One target as its panel shows it: places in mm across the line of sight, relative to the registered place."""
 
-    `ellipse` (n, 2): outline of the region; `before` (2,): where the target was: undeformed, or as simulated.
-    """
-
-    ellipse: FloatArray
-    before: FloatArray
+    ellipse: FloatArray  # outline of the region, (n, 2)
+    before: FloatArray  # where the target was, undeformed or as simulated, (2,)
 
 
 def draw_panels(figure: Any, result: "Registration", towards: FloatArray, frame: tuple[float, ...]) -> None:
-    """Draw one panel per target.
+    """Draw one panel per target, as seen along the unit vector `towards` from the body to the viewer.
 
-    `result`: with targets; `towards` (3,): unit vector from the body to the viewer; the picture is upright; `frame`:
-    left, bottom, width and height of the room for all panels, in parts of the figure.
+    `frame` is left, bottom, width and height of the room for all panels, in parts of the figure.
     """
     chosen = list(result.targets.items())[: STYLE.panels]
     left, bottom, width, height = frame
@@ -139,8 +135,6 @@ def _scale_bar(axes: Any, half: FloatArray, middle: FloatArray, *, to_the_right:
 def round_length(most: float) -> float:
     """Return the largest of 1, 2, 5 times a power of ten that is no larger than `most` (> 0).
 
-    Examples
-    --------
     >>> round_length(0.73), round_length(31.0)
     (0.5, 20.0)
     """

@@ -12,10 +12,9 @@ from tissuereg.report.style import STYLE
 
 
 def place_labels(figure: Any, views: Sequence[View], body: FloatArray) -> int:
-    """Write the labels of views, each with a line to the place that it describes.
+    """Write the labels of views, each with a line to its place; return how many are left out, having no free place.
 
-    `figure`: its axes have their final places; `views`: with labels; `body` (n, 3): places of the body's surface, mm.
-    Result: number of labels that were left out because no place was free.
+    The axes of `figure` have their final places; `body` has places (n, 3) of its surface in mm.
     """
     left_out = 0
     for view in views:
@@ -96,10 +95,7 @@ def _free_place(
     taken: list[FloatArray],
     drawn: tuple[FloatArray, FloatArray],
 ) -> FloatArray | None:
-    """Return the middle of the box of least cost inside the frame that overlaps nothing in `taken`.
-
-    None where there is no such box.
-    """
+    """Return the middle of the box of least cost inside the frame overlapping nothing in `taken`; None if none does."""
     best, least = None, np.inf
     for reach, middle in _candidates(anchor, size, frame):
         box = _box(middle, size)

@@ -13,12 +13,8 @@ td:first-child, th:first-child { text-align: left; }
 
 
 def escape(text: object) -> str:
-    """Return text escaped for HTML, quotes included.
+    """Return text escaped for HTML, quotes included: safe in an element or an attribute.
 
-    `text`: its ``str`` is taken. Result: safe in an element or an attribute.
-
-    Examples
-    --------
     >>> escape("a < b & 'c'")
     'a &lt; b &amp; &#x27;c&#x27;'
     """
@@ -26,12 +22,8 @@ def escape(text: object) -> str:
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Return a table.
+    """Return a table as HTML; its cells are HTML already.
 
-    `head`: HTML of the top cells; `rows`: HTML of the others. Result: HTML.
-
-    Examples
-    --------
     >>> table(["a"], [["1"]])
     '<table><tr><th>a</th></tr><tr><td>1</td></tr></table>'
     """
@@ -41,10 +33,7 @@ def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def document(title: str, parts: Sequence[str], style: str = "") -> str:
-    """Return a whole page.
-
-    `title`: plain text; `parts`: HTML of the body; `style`: CSS in addition to `STYLE`. Result: HTML.
-    """
+    """Return a whole page as HTML: a title in plain text, the body's parts in HTML, CSS in addition to `STYLE`."""
     return (
         f"<!doctype html>\n<html lang='en'><head><meta charset='utf-8'><title>{escape(title)}</title>"
         f"<style>{STYLE}{style}</style></head><body>\n" + "\n".join(parts) + "\n</body></html>\n"

@@ -10,17 +10,8 @@ import numpy as np
 from tissuereg._base.arrays import FloatArray
 from tissuereg.io.atomic import atomic_file
 from tissuereg.report.markup import document, escape, table
-from tissuereg.report.scene import Surface, contact_verb
-from tissuereg.report.words import (
-    contacts_of,
-    counted,
-    fallback_lines,
-    silent,
-    start_word,
-    surface_of,
-    verdict,
-    work_of,
-)
+from tissuereg.report.scene import Surface, contact_verb, contacts_of, surface_of
+from tissuereg.report.words import counted, fallback_lines, silent, start_word, verdict
 
 if TYPE_CHECKING:
     from tissuereg.registration.result import Registration
@@ -31,10 +22,7 @@ _STYLE = """
 
 
 def write_page(result: "Registration", path: Path) -> Path:
-    """Write the page, whole or not at all.
-
-    `result`: what to show; `path`: file to write. Raises `OutputError` if the file cannot be written.
-    """
+    """Write the page of a result, whole or not at all; return its path. Raises OutputError if it cannot be written."""
     parts = [
         _summary(result),
         _picture(result),
@@ -192,7 +180,7 @@ def _model(result: "Registration") -> str:
 
 
 def _work(result: "Registration") -> str:
-    work = work_of(result)
+    work = getattr(result, "work", {})
     if not work:
         return ""
     rows = [(name.replace("_", " "), f"{count:,}") for name, count in work.items()]

@@ -9,10 +9,10 @@ from tissuereg._base.arrays import FloatArray
 from tissuereg.body.mesh import Mesh
 from tissuereg.registration.contacts.patches import surface_of_nodes
 from tissuereg.report.style import STYLE
-from tissuereg.report.words import contacts_of, surface_of
 
 if TYPE_CHECKING:
     from tissuereg.registration.contacts.found import FoundContact
+    from tissuereg.registration.contacts.surface_fit import SurfaceFit
     from tissuereg.registration.result import Region, Registration
 
 #: Colours by meaning; they can be distinguished with any kind of colour vision, and signs differ in shape as well.
@@ -22,40 +22,33 @@ CONTACT, TARGET, FLAGGED, REGION = "#a01c10", "black", "#6a1fb0", "#8fb3d9"
 
 @dataclass(frozen=True, eq=False)
 class Label:
-    """Text about a place. `place` (3,): mm; `text`: one or two lines; `colour`: of text and leader line."""
+    """Text of one or two lines about a place."""
 
-    place: FloatArray
+    place: FloatArray  # (3,), mm
     text: str
-    colour: str
+    colour: str  # of text and leader line
 
 
 @dataclass(eq=False)
 class View:
-    """One axes object with its direction of view and its labels.
-
-    `axes`: three-dimensional; `towards` (3,): unit vector from the body to the viewer; `labels`: filled by the
-    functions below; `keep_clear` (3,): places that labels should not cover, filled likewise; `taken` (2, 2): lower left
-    and upper right corners, in heights of the figure, of what labels must not cover.
-    """
+    """One axes object of matplotlib with its direction of view and its labels."""
 
     axes: Any
-    towards: FloatArray
-    labels: list[Label] = field(default_factory=list)
+    towards: FloatArray  # unit vector (3,) from the body to the viewer
+    labels: list[Label] = field(default_factory=list)  # filled by the functions below
+    # Places (3,) that labels should not cover, filled likewise.
     keep_clear: list[FloatArray] = field(default_factory=list)
+    # Corners (2, 2), lower left and upper right, in heights of the figure, of what labels must not cover.
     taken: list[FloatArray] = field(default_factory=list)
 
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """The registered surface.
+    """The registered surface."""
 
-    `places` (n_nodes, 3): all nodes, mm; `normals` (n_nodes, 3): outward unit normals of its nodes, zero inside;
-    `nodes` int64 (n,): nodes of the surface.
-    """
-
-    places: FloatArray
-    normals: FloatArray
-    nodes: Any
+    places: FloatArray  # of all nodes, (n_nodes, 3), mm
+    normals: FloatArray  # outward unit normals of its nodes, zero inside
+    nodes: Any  # of the surface, (n,)
 
     @classmethod
     def of(cls, result: "Registration") -> "Surface":
@@ -67,6 +60,16 @@ class Surface:
     def nearest(self, place: FloatArray, where: FloatArray) -> int:
         """Return the node of the surface whose entry in `where` (n_nodes, 3) is closest to a place."""
         return int(self.nodes[np.argmin(np.linalg.norm(where[self.nodes] - place, axis=1))])
+
+
+def contacts_of(result: "Registration") -> "tuple[FoundContact, ...]":
+    """Return the contacts of a registration; a trained model finds none."""
+    return getattr(result, "contacts", ())
+
+
+def surface_of(result: "Registration") -> "SurfaceFit | None":
+    """Return the fit of the points of the surface, if any were given; a trained model takes none."""
+    return getattr(result, "surface", None)
 
 
 def contact_verb(contact: "FoundContact", normal: FloatArray) -> str:
@@ -97,7 +100,7 @@ def draw_body(view: View, result: "Registration", surface: Surface, colours: Any
 
 
 def draw_surface_points(view: View, result: "Registration") -> None:
-    """Draw the points of the deformed surface that were seen."""
+    """Draw the measured points of the deformed surface."""
     surface = surface_of(result)
     if surface is not None:
         view.axes.scatter(*surface.places.T, s=4, c=MEASURED, depthshade=False, zorder=6)

@@ -1,40 +1,12 @@
-"""What picture, page and command line share: sentences, and what was found beside the fit of the markers."""
+"""Sentences that picture, page and command line share."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from tissuereg._base.arrays import FloatArray
-    from tissuereg.registration.contacts.found import FoundContact
-    from tissuereg.registration.contacts.surface_fit import SurfaceFit
-    from tissuereg.registration.result import Registration
-
-
-def contacts_of(result: "Registration") -> "tuple[FoundContact, ...]":
-    """Return the contacts of a registration."""
-    return getattr(result, "contacts", ())
-
-
-def surface_of(result: "Registration") -> "SurfaceFit | None":
-    """Return the fit of the points of the surface, if any were given."""
-    return getattr(result, "surface", None)
-
-
-def forces_of(result: "Registration") -> "FloatArray | None":
-    """Return the nodal forces (n_nodes, 3) of the estimated load, mN."""
-    return getattr(result, "forces", None)
-
-
-def work_of(result: "Registration") -> dict[str, int]:
-    """Return the counters of the search for contacts."""
-    return getattr(result, "work", {})
+from typing import Any
 
 
 def verdict(ok: bool) -> str:
     """Return a sentence on whether a registration can be trusted.
 
-    Examples
-    --------
     >>> verdict(False)
     'Do not trust this registration.'
     """
@@ -44,8 +16,6 @@ def verdict(ok: bool) -> str:
 def counted(number: int, thing: str) -> str:
     """Return a number of things.
 
-    Examples
-    --------
     >>> counted(1, "marker"), counted(3, "marker")
     ('1 marker', '3 markers')
     """
@@ -60,8 +30,6 @@ def start_word(simulated: bool) -> str:
 def silent(names: Sequence[str]) -> str:
     """Return the warning for targets that the markers do not constrain (flag "no marker tells").
 
-    Examples
-    --------
     >>> silent(["lesion"])
     'No marker tells of lesion: its region holds only if nothing else pushes or pulls nearby.'
     """
@@ -72,8 +40,6 @@ def silent(names: Sequence[str]) -> str:
 def fallback_lines(places: Mapping[str, Iterable[float]]) -> list[str]:
     """Return where linear elasticity alone has the targets of an answer that is not to be trusted, in mm.
 
-    Examples
-    --------
     >>> fallback_lines({"lesion": (1.0, 2.5, -3.0)})
     ['By linear elasticity alone, without a region: lesion at (1.00, 2.50, -3.00) mm.']
     """
@@ -81,3 +47,10 @@ def fallback_lines(places: Mapping[str, Iterable[float]]) -> list[str]:
         f"By linear elasticity alone, without a region: {name} at ({', '.join(f'{x:.2f}' for x in place)}) mm."
         for name, place in places.items()
     ]
+
+
+def target_line(name: str, target: dict[str, Any], when: str = "") -> str:
+    """Return where a target is, from its entry of the JSON, with its region; `when` follows its name."""
+    place = ", ".join(f"{x:.2f}" for x in target["mean_mm"])
+    axes = " x ".join(f"{x:.2f}" for x in target["region90_radii_mm"])
+    return f"target {name}{when}: at ({place}) mm, 90 % region with half-axes {axes} mm"

@@ -18,13 +18,20 @@ from tissuereg.registration.learned.model import Gaussian, ScaledErrors
 from tissuereg.registration.learned.pca import PcaModel
 from tissuereg.simulation.sampling import random_changes
 
-#: Share of the events that measures the reconstruction error.
-_HELD_OUT = 0.2
+
+@dataclass(frozen=True)
+class FittingRules:
+    """How a prior is fitted."""
+
+    held_out: float = 0.2  # share of the events that measures the reconstruction error
+
+
+FITTING = FittingRules()
 
 
 @dataclass(frozen=True, eq=False)
 class _Changes:
-    """The part of a latent model that depends on its prior of changes alone."""
+    """What a prior of changes and the model of one frame have in common: all of it is of the changes."""
 
     changes: PcaModel
 
@@ -77,15 +84,7 @@ class FittedPrior(_Changes):
 
 @dataclass(frozen=True, eq=False)
 class ChangedSimulation(_Changes):
-    """``field = simulation + change(z)``; see `FittedPrior`.
-
-    Attributes
-    ----------
-    changes : PcaModel
-        Of the changes.
-    simulation : ndarray of float64, shape (n_nodes, 3)
-        mm.
-    """
+    """``field = simulation + change(z)``, with a simulation (n_nodes, 3) in mm; see `FittedPrior`."""
 
     simulation: FloatArray
 
@@ -165,7 +164,7 @@ def fitted_prior(
         held_nodes=held_nodes,
         threads=threads,
     )
-    n_held_out = max(1, int(_HELD_OUT * len(fields)))
+    n_held_out = max(1, int(FITTING.held_out * len(fields)))
     card = {"kind": "pca", "source": "fitted here", "members": len(fields) - n_held_out}
     none = np.zeros((mesh.n_nodes, 3))
     return FittedPrior(

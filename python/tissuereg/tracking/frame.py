@@ -1,6 +1,8 @@
-"""One tracked frame: its registration after the temporal prior, and how it came about."""
+"""One frame: as it was measured and waits, and as it is tracked, after the temporal prior."""
 
+import threading
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -8,6 +10,43 @@ from tissuereg._base.arrays import FloatArray
 from tissuereg.body.mesh import det_f
 from tissuereg.registration.inputs import Attachment, rms_length
 from tissuereg.registration.result import MarkerFit, Registration, Target
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredFrame:
+    """A frame before it is registered: what was measured, what the actuators did, and since when it waits."""
+
+    measured_mm: Any
+    time_s: Any
+    actuator: Any
+    since: float
+
+
+class Inbox:
+    """A place for one frame between a camera and a tracker: a newer frame takes the place of one that waits."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._frame: MeasuredFrame | None = None
+        self._skipped = 0
+        self.dropped = 0
+
+    def push(self, frame: MeasuredFrame) -> None:
+        """Put a frame in; one that waits is dropped."""
+        with self._lock:
+            if self._frame is not None:
+                self.dropped += 1
+                self._skipped += 1
+            self._frame = frame
+
+    def take(self) -> tuple[MeasuredFrame, int] | None:
+        """Return the frame that waits, and how many were dropped since the last one; None if none waits."""
+        with self._lock:
+            if self._frame is None:
+                return None
+            taken = self._frame, self._skipped
+            self._frame, self._skipped = None, 0
+            return taken
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,10 +88,10 @@ class Layout:
     """Where the parts of a registration lie in the array that the temporal prior filters.
 
     First the markers, whose innovations tell the rate of motion, then the targets, then the nodes; three components
-    each. `attached`: markers and targets on the body.
+    each.
     """
 
-    attached: Attachment
+    attached: Attachment  # markers and targets on the body
 
     @property
     def markers(self) -> slice:
@@ -82,12 +121,11 @@ class Layout:
         return float(np.mean(stated)) if stated else 1.0
 
     def filtered(self, result: Registration, values: FloatArray, alone: FloatArray) -> Registration:
-        """Return a registration with filtered places.
+        """Return the registration of a frame alone with its places moved by `values` - `alone`, (n_values,) each, mm.
 
-        Covariances stay those of the frame: errors of consecutive frames are correlated, and what the filter removes of
-        them is not more than the frame states. `result`: of the frame alone; `values`, `alone` (n_values,): filtered
-        and own values, mm. Result: displacement, targets, unseen markers, residuals and volume ratios are those of the
-        filtered places.
+        Displacement, targets, unseen markers, residuals and volume ratios are those of the filtered places. Covariances
+        stay those of the frame: errors of consecutive frames are correlated, and what the filter removes of them is not
+        more than the frame states.
         """
         moved = values - alone
         of_markers = moved[self.markers].reshape(-1, 3)

@@ -226,10 +226,7 @@ class CalledPhysics:
 
 
 def as_physics(given: Any, name: str) -> Physics:
-    """Return a physics simulation that is given as the argument `name`; functions are wrapped.
-
-    Raises `ArgumentError` if it is neither a `Physics` nor a function.
-    """
+    """Return the argument `name` as a simulation, a function wrapped; raises `ArgumentError` if it is neither."""
     if isinstance(given, Physics) and not isinstance(given, type):
         return given
     if callable(given) and not isinstance(given, type):

@@ -1,7 +1,7 @@
-"""What the next simulation starts from: how the registered state of a frame is carried to the next one.
+"""What the next simulation starts from: how a registered state is carried to the next frame, and for how long.
 
-A quasi-static body has no memory: from any first guess it finds the same equilibrium. What the last frame's markers
-showed is therefore carried on by a change of the problem, or not at all:
+A quasi-static body has no memory: from any first guess it finds the same equilibrium. What the markers said about the
+last frame is therefore carried on by a change of the problem, or not at all:
 
 ``forces``
     The nodal forces that hold the registered shape, beside the known loads, stay as dead loads while the actuators
@@ -30,17 +30,12 @@ RESTARTS = ("forces", "displacement", "guess", "reference")
 
 @dataclass(frozen=True, eq=False)
 class SimulatedFrame:
-    """The simulation of a frame.
+    """The simulation of a frame; displacements (n_nodes, 3) in mm."""
 
-    `field` (n_nodes, 3): displacement from which the frame is registered, mm; `change` (n_nodes, 3): its change since
-    the last frame that is due to the actuators, mm; `plain` (n_nodes, 3): displacement with nothing carried on, mm;
-    `carried`: whether a registered state was carried on.
-    """
-
-    field: FloatArray
-    change: FloatArray
-    plain: FloatArray
-    carried: bool
+    field: FloatArray  # from which the frame is registered
+    change: FloatArray  # since the last frame, due to the actuators
+    plain: FloatArray  # with nothing carried on
+    carried: bool  # whether a registered state was carried on
 
 
 @dataclass(eq=False)
@@ -54,16 +49,13 @@ class _CarriedState:
 
 
 class Restart:
-    """Simulates each frame from a registered state.
+    """Simulates each frame from a registered state, carried on in one of the ways in `RESTARTS`.
 
-    `physics`: the simulation; `how` {"forces", "displacement", "guess", "reference"}: how the registered state is
-    carried on. A simulation that cannot hold a shape by forces gets ``displacement`` for ``forces``; `noise_mm`:
-    standard deviation of the tracker's noise. Another state is carried on once the simulation has moved farther than
-    this (root mean square over nodes) from the one before. `fallbacks`: frames in which the body lost its equilibrium
-    under dead loads, so that the displacement was carried on.
+    ``forces`` is ``displacement`` where the simulation cannot hold a shape by forces. Another state is carried on once
+    the simulation has moved farther than the tracker's noise (`noise_mm`, against the root mean square over nodes) from
+    the one before. `fallbacks` counts the frames in which the body lost its equilibrium under dead loads, so that the
+    displacement was carried on.
 
-    Notes
-    -----
     Dead loads do not follow the body, and they press where the registered shape is rough: a body that is bent far may
     buckle under them. The simulated change is therefore compared with that of the simulation with nothing carried on,
     and given up if they differ by more than the latter.
@@ -91,8 +83,7 @@ class Restart:
     def simulated(self, actuator: Any) -> SimulatedFrame:
         """Return the simulation of the next frame; nothing is remembered of it before `registered`.
 
-        `actuator`: what the actuators do. Cost: one simulation; with ``forces`` two. Raises `ConvergenceError`
-        if the simulation finds no equilibrium.
+        Cost: one simulation, with ``forces`` two; raises ConvergenceError if it finds no equilibrium.
         """
         start = {"reference": None, "guess": self._last_shape}.get(self.how, self._expected_plain())
         plain = self._physics.field(actuator, start=start)
@@ -101,11 +92,7 @@ class Restart:
         return SimulatedFrame(field, field - before, plain, self._carried is not None)
 
     def registered(self, simulated: SimulatedFrame, displacement: FloatArray, actuator: Any) -> bool:
-        """Remember a frame.
-
-        `simulated`: its simulation; `displacement` (n_nodes, 3): registered, mm; `actuator`: what the actuators did.
-        Result: whether this frame's registered state is carried on from now on.
-        """
+        """Remember a frame, registered displacement in mm; return whether its state is carried on from now on."""
         self._plain_before = self._last_plain
         self._last_field, self._last_shape, self._last_plain = simulated.field, displacement, simulated.plain
         self._origin = simulated.field if self._origin is None else self._origin
@@ -147,6 +134,44 @@ class Restart:
                 return held
             self.fallbacks += 1
         return np.asarray(carried.displacement + moved)
+
+
+@dataclass(eq=False)
+class Lineage:
+    """The variance that was carried on since the last frame that started from the plain simulation, and when it ends.
+
+    A frame that is registered from a registered state seems surer than it is: its prior is one of small changes, and
+    the error of the state itself is not in it. As far as the markers do not measure that error, it stays. So the
+    variances of all states that were carried on, one from the other, are added up. Once they add up to what a
+    registration from the plain simulation would state, carrying on is of no use any more, and the next frame starts
+    from the plain simulation.
+    """
+
+    noise_mm: float  # standard deviation of the tracker's noise: the least size of an event
+    _carried: float = 0.0
+    _plain: float = 0.0
+    _size_mm: float = 0.0
+
+    def widening(self, variance: float, simulated: SimulatedFrame | None) -> float:
+        """Return the factor on a frame's covariances, given the variance in mm^2 that its registration states."""
+        if simulated is None:
+            return 1.0
+        if not simulated.carried:
+            self._carried, self._plain, self._size_mm = 0.0, variance, self._size(simulated)
+        return 1.0 + self._carried / variance
+
+    def goes_on(self, variance: float, simulated: SimulatedFrame) -> bool:
+        """Return whether a frame whose state is to be carried on is still of use; its variance is added.
+
+        The variance of a registration from the plain simulation is that of the last one, in proportion to the squared
+        size of the event.
+        """
+        self._carried += variance
+        growth = max(1.0, self._size(simulated) / self._size_mm) ** 2
+        return self._carried <= growth * self._plain
+
+    def _size(self, simulated: SimulatedFrame) -> float:
+        return max(self.noise_mm, _rms(simulated.plain))
 
 
 def _rms(field: FloatArray) -> float:

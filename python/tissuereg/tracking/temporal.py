@@ -1,4 +1,4 @@
-r"""The temporal prior: what the frames before say about this one, and how the error of a carried state grows.
+r"""The temporal prior: what the frames before say about this one.
 
 The answer of a frame is the truth plus two errors: one that changes slowly, from model and prior, which consecutive
 frames share, and one that is new in each frame, from the tracker's noise. Averaging consecutive answers removes the
@@ -26,76 +26,53 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray
-from tissuereg.registration.learned.model import rms_displacement
-from tissuereg.tracking.restart import SimulatedFrame
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class FilterRules:
-    """How the filters of all rates learn from frames.
+    """How the filters of all rates learn from frames."""
 
-    Attributes
-    ----------
-    change_off : float
-        Share by which a simulated change may be off.
-    memory : float
-        Each frame, the record of past innovations counts by this factor: about five frames are remembered.
-    together : float
-        Registered places move together: so many of their components count as one independent number.
-    stated : float
-        So many frames does the stated noise of the tracker count as in the estimate of the noise.
-    lost : float
-        A filter less probable than this is of no use any more: it goes on from the mean of all.
-    """
-
-    change_off: float = 0.5
-    memory: float = 0.8
-    together: float = 3.0
-    stated: float = 0.5
-    lost: float = 1e-6
+    # Rates of motion that are tried: variance of a second's unpredicted motion over that of a frame's noise, 1/s.
+    rates: FloatArray = field(default_factory=lambda: 10.0 ** np.arange(-2.0, 7.0))
+    change_off: float = 0.5  # share by which a simulated change may be off
+    memory: float = 0.8  # factor on the record of past innovations in each frame: about five are remembered
+    together: float = 3.0  # registered places move together: so many components count as one independent number
+    stated: float = 0.5  # so many frames does the tracker's stated noise count as in the estimate of the noise
+    lost: float = 1e-6  # a filter less probable than this is of no use: it goes on from the mean of all
 
 
 FILTER = FilterRules()
 
 
-#: Rates of motion that are tried: variance of a second's unpredicted motion over that of a frame's noise, 1/s.
-RATES = 10.0 ** np.arange(-2.0, 7.0)
-
-
 @dataclass(eq=False)
 class TemporalPrior:
-    """Filters for all rates of motion on one stream of answers.
+    """Filters for all rates of motion on one stream of answers."""
 
-    `variance`: stated variance of the tracker's noise, mm^2: a first guess of that of an answer's noise. `gain`: mean
-    gain of the last frame: 1 = this frame alone.
-    """
-
-    variance: float
-    gain: float = 1.0
+    variance: float  # stated, of the tracker's noise, mm^2: a first guess of that of an answer's noise
+    gain: float = 1.0  # mean gain of the last frame: 1 = this frame alone
     _states: FloatArray | None = field(default=None, repr=False)
     _spread: FloatArray = field(default_factory=lambda: np.zeros(0), repr=False)
-    _squares: FloatArray = field(default_factory=lambda: np.zeros_like(RATES), repr=False)
-    _logs: FloatArray = field(default_factory=lambda: np.zeros_like(RATES), repr=False)
+    _squares: FloatArray = field(default_factory=lambda: np.zeros_like(FILTER.rates), repr=False)
+    _logs: FloatArray = field(default_factory=lambda: np.zeros_like(FILTER.rates), repr=False)
     _count: float = 0.0
     _per_frame: float = 1.0
 
     def updated(
         self, answer: FloatArray, change: FloatArray, elapsed: float, relative: float, scored: slice
     ) -> FloatArray:
-        """Return the filtered answer of a frame.
+        """Return the filtered answer (n_values,) of a frame in mm; three passes over an array (n_rates, n_values).
 
-        `answer` (n_values,): registered displacement of everything that is filtered, mm; `change` (n_values,): its
-        simulated change since the last frame, mm; `elapsed`: time since the last frame, s; `relative`: variance of the
-        noise of this frame's answer over that of a frame with all markers; `scored`: the values whose innovations
-        count: those near the data. Result: (n_values,), mm. Cost: three passes over an array (n_rates, n_values).
+        `answer` is the registered displacement of everything that is filtered, `change` its simulated change since the
+        last frame, `elapsed` seconds ago, both (n_values,) in mm. `relative` is the variance of this answer's noise
+        over that of a frame with all markers. Innovations count for the values `scored`, those near the data.
         """
         if self._states is None:
-            self._states = np.tile(answer, (len(RATES), 1))
-            self._spread = np.full(len(RATES), relative)
+            self._states = np.tile(answer, (len(FILTER.rates), 1))
+            self._spread = np.full(len(FILTER.rates), relative)
             self.gain = 1.0
             return answer
         off = FILTER.change_off**2 * float(np.mean(change[scored] ** 2)) / self.variance
-        before = self._spread + RATES * elapsed + off
+        before = self._spread + FILTER.rates * elapsed + off
         total = before + relative
         gains = before / total
         # (n_rates, n_values), in place: the fields of all nodes are among them.
@@ -115,10 +92,10 @@ class TemporalPrior:
 
     @property
     def weights(self) -> FloatArray:
-        """How much each of `RATES` counts: probability times rate, adding up to one, shape (n_rates,)."""
+        """How much each rate counts: probability times rate, adding up to one, shape (n_rates,)."""
         stated = FILTER.stated * max(self._per_frame, 1.0)
         logs = -0.5 * (self._logs + (self._count + stated) * np.log(self._squares + stated * self.variance))
-        weights = RATES * np.exp(logs - logs.max())
+        weights = FILTER.rates * np.exp(logs - logs.max())
         return np.asarray(weights / weights.sum())
 
     def _weigh(self, innovations: FloatArray, total: FloatArray) -> None:
@@ -127,40 +104,3 @@ class TemporalPrior:
         self._squares = FILTER.memory * self._squares + (innovations**2).sum(axis=1) / total / FILTER.together
         self._logs = FILTER.memory * self._logs + self._per_frame * np.log(total)
         self._count = FILTER.memory * self._count + self._per_frame
-
-
-@dataclass(eq=False)
-class Lineage:
-    """The variance that was carried on since the last frame that started from the plain simulation.
-
-    `noise_mm`: standard deviation of the tracker's noise: the least size of an event.
-    """
-
-    noise_mm: float
-    _carried: float = 0.0
-    _plain: float = 0.0
-    _size_mm: float = 0.0
-
-    def widening(self, variance: float, simulated: SimulatedFrame | None) -> float:
-        """Return the factor on the covariances of a frame.
-
-        `variance`: what its own registration states, mm^2; `simulated`: its simulation.
-        """
-        if simulated is None:
-            return 1.0
-        if not simulated.carried:
-            self._carried, self._plain, self._size_mm = 0.0, variance, self._size(simulated)
-        return 1.0 + self._carried / variance
-
-    def goes_on(self, variance: float, simulated: SimulatedFrame) -> bool:
-        """Return whether a frame whose state is to be carried on is still of use; its variance is added.
-
-        The variance of a registration from the plain simulation is that of the last one, in proportion to the squared
-        size of the event.
-        """
-        self._carried += variance
-        growth = max(1.0, self._size(simulated) / self._size_mm) ** 2
-        return self._carried <= growth * self._plain
-
-    def _size(self, simulated: SimulatedFrame) -> float:
-        return max(self.noise_mm, float(rms_displacement(simulated.plain[None])[0]))

@@ -1,10 +1,8 @@
 """A tracked body: frame after frame, the registered state restarts the simulation (the loop of the paper's Fig. 1)."""
 
 import math
-import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -17,38 +15,10 @@ from tissuereg.registration.body import Body
 from tissuereg.registration.inputs import SimulationVariants, finite_field
 from tissuereg.registration.registrar import Registrar
 from tissuereg.registration.result import Registration
-from tissuereg.tracking.frame import Layout, TrackedFrame
+from tissuereg.tracking.frame import Inbox, Layout, MeasuredFrame, TrackedFrame
 from tissuereg.tracking.physics import Physics, as_physics
-from tissuereg.tracking.restart import RESTARTS, Restart, SimulatedFrame
-from tissuereg.tracking.temporal import Lineage, TemporalPrior
-
-
-class Inbox:
-    """Keeps the newest frame, and counts those that were never taken."""
-
-    def __init__(self) -> None:
-        self._lock = threading.Lock()
-        self._frame: Any = None
-        self._skipped = 0
-        self.dropped = 0
-
-    def push(self, frame: Any) -> None:
-        """Put a frame in; one that waits is dropped."""
-        with self._lock:
-            if self._frame is not None:
-                self.dropped += 1
-                self._skipped += 1
-            self._frame = frame
-
-    def take(self) -> tuple[Any, int] | None:
-        """Return the frame that waits, and how many were dropped since the last one; None if none waits."""
-        with self._lock:
-            if self._frame is None:
-                return None
-            taken = self._frame, self._skipped
-            self._frame, self._skipped = None, 0
-            return taken
-
+from tissuereg.tracking.restart import RESTARTS, Lineage, Restart, SimulatedFrame
+from tissuereg.tracking.temporal import TemporalPrior
 
 #: Errors of one frame that leave the tracker as it was: no marker was seen, or no equilibrium or ensemble was found.
 CANNOT_BE_REGISTERED = (MarkerError, ConvergenceError, EnsembleError)
@@ -56,18 +26,8 @@ CANNOT_BE_REGISTERED = (MarkerError, ConvergenceError, EnsembleError)
 _A_FRAME = "(time_s, measured_mm) or (time_s, measured_mm, actuator)"
 
 
-@dataclass(frozen=True, eq=False)
-class _Measured:
-    """A frame before it is registered: what was measured, what the actuators did, and since when it waits."""
-
-    measured_mm: Any
-    time_s: Any
-    actuator: Any
-    since: float
-
-
 class Tracker:
-    """Registers one body frame after frame; each frame starts from the registered state of the last one.
+    """Registers one body frame after frame; each frame starts from what the last ones said.
 
     A frame is simulated from the registered state of the last one and the known motion of the actuators, registered to
     its markers, and combined with the last frames as far as the body stood still between them.
@@ -200,7 +160,7 @@ class Tracker:
         MarkerError, ShapeError, ConvergenceError, EnsembleError
             As `Registrar.register`. The tracker is then as before this frame.
         """
-        frame = _Measured(measured_mm, time_s, actuator, time.perf_counter())
+        frame = MeasuredFrame(measured_mm, time_s, actuator, time.perf_counter())
         return self._tracked(frame, 0, time.perf_counter).registration
 
     def update(self, time_s: float, measured_mm: Any, actuator: Any = None) -> Registration:
@@ -217,7 +177,7 @@ class Tracker:
         measured_mm, time_s, actuator
             As in `step`. They are checked when they are registered.
         """
-        self._inbox.push(_Measured(measured_mm, time_s, actuator, time.perf_counter()))
+        self._inbox.push(MeasuredFrame(measured_mm, time_s, actuator, time.perf_counter()))
 
     def poll(self) -> TrackedFrame | None:
         """Register the newest frame that was pushed; None if there is none.
@@ -279,7 +239,7 @@ class Tracker:
                 yield from self._answer(clock, failed)
                 if (remaining := due - clock()) > 0.0:
                     wait(remaining)
-            self._inbox.push(_Measured(measured_mm, time_s, actuator, due))
+            self._inbox.push(MeasuredFrame(measured_mm, time_s, actuator, due))
         yield from self._answer(clock, failed)
 
     def _answer(
@@ -298,13 +258,13 @@ class Tracker:
         else:
             yield tracked
 
-    def _tracked(self, frame: "_Measured", skipped: int, clock: Callable[[], float]) -> TrackedFrame:
-        moment, actuator = real("time_s", frame.time_s, unit="s"), frame.actuator
+    def _tracked(self, frame: MeasuredFrame, skipped: int, clock: Callable[[], float]) -> TrackedFrame:
+        time_s, actuator = real("time_s", frame.time_s, unit="s"), frame.actuator
         elapsed = math.inf
         if self._last is not None:
-            elapsed = moment - self._last.time_s
+            elapsed = time_s - self._last.time_s
             if elapsed <= 0.0:
-                message = f"`time_s` must be later than the last frame's {self._last.time_s:g} s, got {moment:g}"
+                message = f"`time_s` must be later than the last frame's {self._last.time_s:g} s, got {time_s:g}"
                 raise ArgumentError(message, where="time_s")
         simulated = self._simulated(actuator)
         field = None if simulated is None else finite_field(simulated.field, self._registrar.mesh)
@@ -314,7 +274,7 @@ class Tracker:
         widening = self._lineage.widening(self._layout.variance(alone), simulated)
         result = self._layout.widened(result, widening)
         latency_s = clock() - frame.since
-        self._last = TrackedFrame(moment, result, alone, field, gain, widening, skipped, latency_s)
+        self._last = TrackedFrame(time_s, result, alone, field, gain, widening, skipped, latency_s)
         if self._restart is not None and simulated is not None:
             moved_on = self._restart.registered(simulated, result.displacement, actuator)
             if moved_on and not self._lineage.goes_on(self._layout.variance(alone), simulated):

@@ -22,17 +22,13 @@ from tissuereg.registration.learned.onnx_bytes import OnnxGraph
 
 @dataclass(frozen=True)
 class Table2Network:
-    """The network of the paper's Table II, with random weights.
+    """The network of the paper's Table II, with random weights."""
 
-    `channels`: channels of its levels; `n_bases`: bases of a convolution; `n_latent`: latents; `n_errors`: error
-    fields: as many as trained ones have; `scale_mm`: size of its displacements, mm: they turn no tetrahedron inside
-    out, as a trained network's do not.
-    """
-
-    channels: tuple[int, int, int] = (32, 64, 128)
-    n_bases: int = 9
+    channels: tuple[int, int, int] = (32, 64, 128)  # of its levels
+    n_bases: int = 9  # of a convolution
     n_latent: int = 26
-    n_errors: int = 64
+    n_errors: int = 64  # error fields: as many as trained ones have
+    # Size of its displacements: they turn no tetrahedron inside out, as a trained network's do not.
     scale_mm: float = 0.5
 
 
@@ -40,10 +36,7 @@ TABLE2 = Table2Network()
 
 
 def write_random_table2(mesh: Mesh, folder: Path, seed: int = 0) -> None:
-    """Write a model folder with a random network of Table II.
-
-    `mesh`: the mesh that it knows; `folder`: an empty folder; `seed`: of the weights.
-    """
+    """Write a model folder, empty before, with a random network of Table II for a mesh."""
     rng = np.random.default_rng(seed)
     levels = _levels(mesh)
     tables = _decoder_tables(levels, mesh.n_nodes, rng)

@@ -5,17 +5,17 @@ counters, residual, peak memory. Stages add up to the whole of each repeat.
 """
 
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from tissuereg import _core
+from tissuereg._base.clock import Clock
 from tissuereg._base.machine import n_cores, peak_mib
-from tissuereg.cli.benchmark.step import N_SETS, StepSettings, step_rows
+from tissuereg.cli.benchmark.step import StepSettings, step_rows
 from tissuereg.io.problems import Problem, read_problem
 from tissuereg.phantom import phantom_mesh, shipped_model_folder
 from tissuereg.phantom.event import LESION_MM, make_event
@@ -31,61 +31,21 @@ ESMDA_SIZES = ((26, 45, 100), (26, 300, 1000))
 Row = dict[str, Any]
 
 
+#: One repeat: times of its stages in s, and its report with the work counters.
+_Repeat = tuple[dict[str, float], dict[str, Any]]
+
+
 @dataclass(frozen=True)
-class BenchSettings:
-    """Settings of the timings.
+class BenchSettings(StepSettings):
+    """Settings of the timings; `repeats` are those of every row, after one that is not counted."""
 
-    Parameters
-    ----------
-    repeats : int
-        Timed runs of every row, after one that is not counted.
-    threads : int
-        Threads to use; 0 takes all cores.
-    elements : tuple of str
-        Elements of the solves.
-    problems : tuple of str
-        Problem files to solve instead of the phantom.
-    members : int
-        Members of the ensemble.
-    seed : int
-        Seed of random events and draws.
-    model, table2 : str or None
-        Model folders of the rows ``step/shipped`` and ``step/table2``; see `StepSettings`.
-    n_sets : int
-        Random sets of markers of those rows.
-    """
-
-    repeats: int = 10
-    threads: int = 0
-    elements: tuple[str, ...] = ("tet4", "tet10")
-    problems: tuple[str, ...] = ()
-    members: int = 32
-    seed: int = 0
-    model: str | None = None
-    table2: str | None = None
-    n_sets: int = N_SETS
-
-
-@dataclass
-class _Run:
-    """One repeat: times of stages in s, and work counters."""
-
-    stages: dict[str, float] = field(default_factory=dict)
-    report: dict[str, Any] = field(default_factory=dict)
-
-    @contextmanager
-    def stage(self, name: str) -> Iterator[None]:
-        """Time a block as one stage."""
-        start = time.perf_counter()
-        yield
-        self.stages[name] = time.perf_counter() - start
+    elements: tuple[str, ...] = ("tet4", "tet10")  # of the solves
+    problems: tuple[str, ...] = ()  # problem files to solve instead of the phantom
+    members: int = 32  # of the ensemble
 
 
 def bench_solve(settings: BenchSettings) -> list[Row]:
-    """Time whole static solves: analysis, factorisations, iterations.
-
-    `settings`: problems, elements, repeats. Result: one row per problem and element; nothing is cached between repeats.
-    """
+    """Time whole static solves, one row per problem and element; nothing is cached between repeats."""
     rows = []
     for name, problem in _problems(settings):
         for element in settings.elements:
@@ -95,10 +55,7 @@ def bench_solve(settings: BenchSettings) -> list[Row]:
 
 
 def bench_ensemble(settings: BenchSettings) -> list[Row]:
-    """Time many solves on one body: random events on the phantom.
-
-    `settings`: members, elements, repeats. Result: one row an element; the analysis is a stage.
-    """
+    """Time many solves on one body, random events on the phantom: one row an element; the analysis is a stage."""
     mesh = phantom_mesh()
     rows = []
     for element in settings.elements:
@@ -108,10 +65,7 @@ def bench_ensemble(settings: BenchSettings) -> list[Row]:
 
 
 def bench_esmda(settings: BenchSettings) -> list[Row]:
-    """Time one ES-MDA update.
-
-    `settings`: repeats, seed. Result: one row per size of `ESMDA_SIZES` and kind of noise.
-    """
+    """Time one ES-MDA update: one row per size of `ESMDA_SIZES` and kind of noise."""
     rows = []
     for sizes in ESMDA_SIZES:
         for kind in ("diagonal", "dense"):
@@ -121,16 +75,16 @@ def bench_esmda(settings: BenchSettings) -> list[Row]:
 
 
 def bench_register(settings: BenchSettings) -> list[Row]:
-    """Time whole registrations of the phantom: contacts first on the mesh and again, shipped network; and single steps.
+    """Time whole registrations of the phantom, and single steps.
 
-    `settings`: repeats, seed. Result: two rows by contacts, one by the shipped network where there is one, and those of
+    Two rows by contacts, first on the mesh and again, one by the shipped network where there is one, and those of
     `step_rows`.
     """
     event = make_event(seed=settings.seed)
     simulator = Simulator(event.mesh)
     simulation = simulator.solve(event.load, event.material, threads=settings.threads).displacement
 
-    def once(model: str | None) -> _Run:
+    def once(model: str | None = None) -> _Repeat:
         result = register(
             event.mesh,
             event.markers,
@@ -140,22 +94,19 @@ def bench_register(settings: BenchSettings) -> list[Row]:
             seed=settings.seed,
             settings=RegisterSettings(settings.threads),
         )
-        return _Run({name: spent for name, spent in result.seconds.items() if name != "total"})
+        return {name: spent for name, spent in result.seconds.items() if name != "total"}, {}
 
-    def first_on_the_mesh() -> _Run:
+    def first_on_the_mesh() -> _Repeat:
         forget_bodies()
-        return once(None)
+        return once()
 
     rows = [
         _row("register/phantom/contacts-first", event.mesh.n_nodes, settings, first_on_the_mesh),
-        _row("register/phantom/contacts", event.mesh.n_nodes, settings, lambda: once(None)),
+        _row("register/phantom/contacts", event.mesh.n_nodes, settings, once),
     ]
     if shipped_model_folder().exists():
         rows.append(_row("register/phantom/shipped", event.mesh.n_nodes, settings, lambda: once("phantom")))
-    how = StepSettings(
-        settings.repeats, settings.threads, settings.seed, settings.model, settings.table2, settings.n_sets
-    )
-    return rows + step_rows(how)
+    return rows + step_rows(settings)
 
 
 #: The benchmarks, by their names on the command line.
@@ -174,22 +125,21 @@ def _problems(settings: BenchSettings) -> list[tuple[str, Problem]]:
     return [("phantom", Problem(event.mesh, event.material, event.load))]
 
 
-def _one_solve(problem: Problem, element: str, settings: BenchSettings) -> Callable[[], _Run]:
-    def once() -> _Run:
-        run = _Run()
-        with run.stage("analyse"):
+def _one_solve(problem: Problem, element: str, settings: BenchSettings) -> Callable[[], _Repeat]:
+    def once() -> _Repeat:
+        clock = Clock()
+        with clock.stage("analyse"):
             simulator = Simulator(problem.mesh, element=element)
-        with run.stage("iterate"):
+        with clock.stage("iterate"):
             found = simulator.solve(problem.load, problem.material, threads=settings.threads)
-        run.report = found.report
-        run.stages["factor"] = float(found.report["seconds"]["factor"])
-        run.stages["iterate"] -= run.stages["factor"]
-        return run
+        clock.seconds["factor"] = float(found.report["seconds"]["factor"])
+        clock.seconds["iterate"] -= clock.seconds["factor"]
+        return clock.seconds, found.report
 
     return once
 
 
-def _one_ensemble(element: str, settings: BenchSettings) -> Callable[[], _Run]:
+def _one_ensemble(element: str, settings: BenchSettings) -> Callable[[], _Repeat]:
     mesh, material = phantom_mesh(), make_event(seed=settings.seed).material
     prepared = Simulator(mesh, element=element)
     sampler, rng = EventSampler(mesh), np.random.default_rng([settings.seed, 6])
@@ -202,17 +152,16 @@ def _one_ensemble(element: str, settings: BenchSettings) -> Callable[[], _Run]:
     young = np.full(settings.members, material.young_array[0])
     poisson = np.full(settings.members, material.poisson_array[0])
 
-    def once() -> _Run:
-        run = _Run()
-        with run.stage("analyse"):
+    def once() -> _Repeat:
+        clock = Clock()
+        with clock.stage("analyse"):
             simulator = Simulator(mesh, element=element)
-        with run.stage("solve"):
+        with clock.stage("solve"):
             found = simulator.body.solve_many(
                 young, poisson, forces=forces, body_force=body_forces, tolerance=1e-6, threads=settings.threads
             )
-        run.report = _summed([dict(report) for report in found.reports if report])
-        run.report["failed"] = len(found.failed)
-        return run
+        report = _summed([dict(report) for report in found.reports if report])
+        return clock.seconds, {**report, "failed": len(found.failed)}
 
     return once
 
@@ -224,33 +173,33 @@ def _summed(reports: list[dict[str, Any]]) -> dict[str, Any]:
     return {**counters, "residual": max((report["residual"] for report in reports), default=None), "analyses": 1}
 
 
-def _one_update(n_latent: int, n_obs: int, n_members: int, kind: str, settings: BenchSettings) -> Callable[[], _Run]:
+def _one_update(n_latent: int, n_obs: int, n_members: int, kind: str, settings: BenchSettings) -> Callable[[], _Repeat]:
     rng = np.random.default_rng([settings.seed, 7])
     latents = rng.standard_normal((n_latent, n_members))
     predicted = rng.standard_normal((n_obs, n_latent)) @ latents
     observed, draws = rng.standard_normal(n_obs), rng.standard_normal((n_obs, n_members))
     std = np.full(n_obs, 0.1)
 
-    def once() -> _Run:
-        run = _Run()
-        with run.stage("prepare"):
+    def once() -> _Repeat:
+        clock = Clock()
+        with clock.stage("prepare"):
             noise = _core.Noise.diagonal(std) if kind == "diagonal" else _core.Noise.dense(np.diag(std**2))
             step = _core.Step(predicted, observed, noise, draws, alpha=5.0, threads=settings.threads)
-        with run.stage("apply"):
+        with clock.stage("apply"):
             step.apply(latents)
-        return run
+        return clock.seconds, {}
 
     return once
 
 
-def _row(name: str, n_nodes: int | None, settings: BenchSettings, once: Callable[[], _Run]) -> Row:
+def _row(name: str, n_nodes: int | None, settings: BenchSettings, once: Callable[[], _Repeat]) -> Row:
     once()  # the first run warms caches and page tables
     runs, totals = [], []
     for _ in range(settings.repeats):
         start = time.perf_counter()
         runs.append(once())
         totals.append(time.perf_counter() - start)
-    report = runs[-1].report
+    (stages, report), seconds = runs[-1], [spent for spent, _ in runs]
     return {
         "name": name,
         "n_nodes": n_nodes,
@@ -258,7 +207,7 @@ def _row(name: str, n_nodes: int | None, settings: BenchSettings, once: Callable
         "repeats": settings.repeats,
         "median_s": float(np.median(totals)),
         "p99_s": float(np.percentile(totals, 99)),
-        "stages_s": {stage: float(np.median([run.stages[stage] for run in runs])) for stage in runs[0].stages},
+        "stages_s": {stage: float(np.median([one[stage] for one in seconds])) for stage in stages},
         "counters": {key: report.get(key) for key in ("iterations", "solves", "factorisations", "analyses")},
         "failed": report.get("failed", 0),
         "residual": report.get("residual"),

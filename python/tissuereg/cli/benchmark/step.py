@@ -21,7 +21,7 @@ from tissuereg.body.mesh import Mesh
 from tissuereg.cli.benchmark.network import write_random_table2
 from tissuereg.errors import ModelError
 from tissuereg.phantom import phantom_mesh, shipped_model_folder
-from tissuereg.phantom.shipped import shipped_recipe
+from tissuereg.phantom.event import shipped_recipe
 from tissuereg.registration.learned.card import read_card
 from tissuereg.registration.learned.network import kept_network
 from tissuereg.registration.registrar import Registrar
@@ -33,72 +33,36 @@ from tissuereg.simulation.recipe import PairsRecipe
 
 @dataclass(frozen=True)
 class PaperStep:
-    """The paper's setting of a step, and how its time is taken.
+    """The paper's setting of a step, and how its time is taken."""
 
-    Attributes
-    ----------
-    n_members : int
-        Members of the ensemble.
-    n_steps : int
-        Assimilations.
-    n_markers : int
-        Markers of a set.
-    n_warm : int
-        Registrations of each set that do not count.
-    side : int
-        Side of the matrices whose product gives the machine's rate,
-    products : int
-        and products of which the fastest counts.
-    """
-
-    n_members: int = 100
-    n_steps: int = 5
-    n_markers: int = 15
-    n_warm: int = 2
-    side: int = 1024
-    products: int = 12
+    n_members: int = 100  # of the ensemble
+    n_steps: int = 5  # assimilations
+    n_markers: int = 15  # of a set
+    n_warm: int = 2  # registrations of each set that do not count
+    side: int = 1024  # of the matrices whose product gives the machine's rate
+    products: int = 12  # of which the fastest counts
 
 
 PAPER = PaperStep()
 
 
-#: Random sets of markers, and registrations of each that do not count.
-N_SETS = 20
-
-
 @dataclass(frozen=True)
 class StepSettings:
-    """Settings of the timings.
+    """Settings of the timings of a step."""
 
-    Parameters
-    ----------
-    repeats : int
-        Timed registrations of every set of markers.
-    threads : int
-        Threads to use; 0 takes all cores.
-    seed : int
-        Seed of places and moments.
-    model : str or None
-        Model folder of the row ``step/shipped``; by default the shipped one.
-    table2 : str or None
-        Model folder of the row ``step/table2``; by default a network of that size with random weights.
-    n_sets : int
-        Random sets of markers.
-    """
-
-    repeats: int = 10
-    threads: int = 0
-    seed: int = 0
-    model: str | None = None
+    repeats: int = 10  # timed registrations of every set of markers
+    threads: int = 0  # 0: all cores
+    seed: int = 0  # of places and states
+    model: str | None = None  # folder of the model of ``step/shipped``; by default the shipped one
+    # Folder of the model of ``step/table2``; by default a network of that size with random weights.
     table2: str | None = None
-    n_sets: int = N_SETS
+    n_sets: int = 20  # random sets of markers
 
 
 def step_rows(settings: StepSettings) -> list[dict[str, Any]]:
-    """Time one step with the shipped model and with a network of Table II.
+    """Time one step with the shipped model and with a network of Table II: rows ``step/shipped`` and ``step/table2``.
 
-    `settings`: repeats, threads, models. Result: rows ``step/shipped`` and ``step/table2``. Raises `ModelError` if a
-    model knows none of the phantom's meshes, or its decoder cannot be cut.
+    Raises ModelError if a model knows none of the phantom's meshes, or its decoder cannot be cut.
     """
     folder = Path(settings.model) if settings.model else shipped_model_folder()
     rows = [_row("step/shipped", folder, settings, "trained")] if folder.exists() else []
@@ -146,9 +110,9 @@ def _row(name: str, folder: Path, settings: StepSettings, weights: str) -> dict[
     rng = np.random.default_rng([settings.seed, 8])
     how = RegisterSettings(threads, smoother=SmootherSettings(n_members=PAPER.n_members, n_steps=PAPER.n_steps))
     made, totals, decoded, stages, doubted = [], [], [], [], 0
-    moments = list(zip(*_moments(mesh, settings.n_sets, settings.seed, threads), strict=True))
+    states = list(zip(*_states(mesh, settings.n_sets, settings.seed, threads), strict=True))
     for number in range(settings.n_sets):
-        simulation, truth = moments[number % len(moments)]
+        simulation, truth = states[number % len(states)]
         places, weights_of = _markers(mesh, rng)
         start = time.perf_counter()
         registrar = Registrar(mesh, places, network, {"inside": _inside(mesh, rng)}, settings=how)
@@ -218,12 +182,12 @@ def _inside(mesh: Mesh, rng: np.random.Generator) -> FloatArray:
     return np.asarray(mesh.nodes[mesh.tets[rng.integers(len(mesh.tets))]].mean(axis=0))
 
 
-def _moments(mesh: Mesh, n_moments: int, seed: int, threads: int) -> tuple[FloatArray, FloatArray]:
+def _states(mesh: Mesh, n_states: int, seed: int, threads: int) -> tuple[FloatArray, FloatArray]:
     """Return simulated and true displacements, (n, n_nodes, 3) in mm each, of events as the shipped model's data has.
 
     The truth has the same elements, other loads, another modulus and a stiff inclusion. Events without an equilibrium
-    are left out, so that there may be fewer than `n_moments`.
+    are left out, so that there may be fewer than `n_states`.
     """
     recipe = shipped_recipe()
-    recipe = replace(recipe, pairs=PairsRecipe(members=n_moments, element="tet4"))
+    recipe = replace(recipe, pairs=PairsRecipe(members=n_states, element="tet4"))
     return simulated_pairs(ChunkMaker(recipe, mesh, seed), threads)

@@ -57,10 +57,7 @@ _Tables = list[tuple[type[Keys], Mapping[str, Any] | None]]
 
 @dataclass(frozen=True)
 class Begun:
-    """Result of `new_experiment`: the files written, and guesses.
-
-    `files`: names in the folder; `guessed`: one sentence each.
-    """
+    """What `new_experiment` wrote, names in the folder, and what it guessed, one sentence each."""
 
     files: tuple[str, ...]
     guessed: tuple[str, ...]
@@ -81,35 +78,12 @@ def new_experiment(
     target are tracked. The tables hold what the believed model predicts on the mesh as it is, with noise. All of this
     is to be replaced by the user's own.
 
-    Parameters
-    ----------
-    folder : path-like
-        To write; must be new or empty.
-    mesh : path-like
-        Tetrahedra in mm, as `read_mesh` takes them. The file stays where it is.
-    fixed : str, sequence of float or mapping, optional
-        Rule of the held nodes, as `read_mesh` takes it. Where absent, the mesh's node set ``fixed``; in a mesh
-        without, the lowest nodes along z.
-    seed : int
-        Of the noise.
-    threads : int
-        Threads to use; 0 takes all cores.
-    progress : callable of (int, int), optional
-        Called with frames solved and frames in all.
+    The folder must be new or empty; the mesh file stays where it is. Without a rule `fixed` for the held nodes, as
+    `read_mesh` takes it, they are the mesh's node set ``fixed``, in a mesh without it the lowest nodes along z.
+    `progress` is called with frames solved and frames in all. Cost: about ten solves on the mesh.
 
-    Returns
-    -------
-    Begun
-        Cost: about ten solves on the mesh.
-
-    Raises
-    ------
-    ConvergenceError
-        If no equilibrium is found under the made-up pushes.
-    FormatError, MeshError
-        If the mesh cannot be read, or the rule holds no node.
-    OutputError
-        If the folder is a file, holds anything, or cannot be written.
+    Raises ConvergenceError if no equilibrium is found under the made-up pushes, FormatError or MeshError if the mesh
+    cannot be read or the rule holds no node, OutputError if the folder is a file, holds anything, or cannot be written.
     """
     target = place("folder", folder, error=OutputError)
     check_folder_target(target)

@@ -17,25 +17,19 @@ N_MARKERS, _N_PADS = 10, 2
 
 @dataclass(frozen=True, eq=False)
 class MadeUpRig:
-    """Made-up pads, markers and a target on a body.
+    """Made-up pads, markers and a target on a body, in mm."""
 
-    `centres` (2, 3): centres of the balls whose surface nodes are the pads, mm; above the surface of a thin body;
-    `radii` (2,): their radii, mm; `pushes` (2, 3): largest motion of each pad, mm; `markers` (N_MARKERS, 3): nodes of
-    the surface, mm; `target` (3,): a point near the body's middle, mm.
-    """
-
-    centres: FloatArray
-    radii: FloatArray
-    pushes: FloatArray
-    markers: FloatArray
-    target: FloatArray
+    centres: FloatArray  # of the balls whose surface nodes are the pads, (2, 3); above the surface of a thin body
+    radii: FloatArray  # of these balls, (2,)
+    pushes: FloatArray  # largest motion of each pad, (2, 3)
+    markers: FloatArray  # nodes of the surface, (N_MARKERS, 3)
+    target: FloatArray  # a point near the body's middle, (3,)
 
     @classmethod
     def on(cls, body: Mesh, held: IntArray) -> "MadeUpRig":
-        """Put pads and markers far from what is held and from each other.
+        """Put pads and markers far from the nodes `held` and from each other; pads are of free nodes and share none.
 
-        `body`: mm; `held` int64 (n,): held nodes. Result: whose pads are free nodes, and share none. Raises `MeshError`
-        if the free surface has no room for them.
+        Raises MeshError if the free surface has no room for them.
         """
         free = np.setdiff1d(body.surface_nodes, held)
         corners = body.nodes[body.surface]

@@ -14,12 +14,12 @@ SAMPLES = ("surface", "rig")
 
 
 def write_samples(out: str | os.PathLike[str]) -> list[str]:
-    """Write the sample files, all or nothing.
+    """Write the sample files, all or nothing; return their paths below the folder `out`, with forward slashes.
 
-    `out`: folder: ``surface`` gets ``organ.stl``, ``markers.csv``, ``targets.csv`` and ``truth.csv`` (the true places
-    of the targets), ``rig`` an experiment and ``truth.json`` (the effect that is in its data and not in its file).
-    Files of other names stay. Result: paths of all files, below `out`, with forward slashes. Raises `OutputError` if
-    `out` is a file, a file of one of these names stands there with other content, or the operating system refuses.
+    ``surface`` gets ``organ.stl``, ``markers.csv``, ``targets.csv`` and ``truth.csv`` (the true places of the targets),
+    ``rig`` an experiment and ``truth.json`` (the effect that is in its data and not in its file). Files of other names
+    stay. Raises OutputError if `out` is a file, a file of one of these names stands there with other content, or the
+    operating system refuses.
     """
     files = sorted(path.relative_to(_DATA) for name in SAMPLES for path in (_DATA / name).rglob("*") if path.is_file())
     for file in files:
