@@ -142,12 +142,18 @@ def beliefs_of(args: argparse.Namespace, simulation: str) -> "tuple[Material | N
     `simulation` is the option for a simulation, which gravity must not come with. Raises MaterialError if a modulus or
     a density is out of its range.
     """
+    from tissuereg.body.load import Load
+    from tissuereg.body.material import Material
+
     if args.density is not None and args.gravity is None:
         refuse("--density must come with --gravity", "--density")
     if args.gravity is not None and getattr(args, simulation.strip("-")) is not None:
         refuse(f"--gravity must be left out with {simulation}, which holds what acts", "--gravity")
-    material = _material(args)
-    return material, None if material is None or args.gravity is None else _weight(material, args.gravity)
+    known = only_given(young=args.young, poisson=args.poisson, density=args.density)
+    if args.gravity is None:
+        return Material(**known) if known else None, None
+    material = Material(**known)
+    return material, Load(body_force=material.weight(args.gravity, float(np.linalg.norm(args.gravity))))
 
 
 def _acceleration(text: str) -> tuple[float, ...]:
@@ -160,16 +166,3 @@ def _acceleration(text: str) -> tuple[float, ...]:
         message = f"must be in mm/s^2, of {_LEAST_GRAVITY:g} or more (that of the earth is 9810), got '{text}'"
         raise argparse.ArgumentTypeError(message)
     return numbers
-
-
-def _material(args: argparse.Namespace) -> "Material | None":
-    from tissuereg.body.material import Material
-
-    known = only_given(young=args.young, poisson=args.poisson, density=args.density)
-    return Material(**known) if known or args.gravity is not None else None
-
-
-def _weight(material: "Material", gravity: tuple[float, ...]) -> "Load":
-    from tissuereg.body.load import Load
-
-    return Load(body_force=material.weight(gravity, float(np.linalg.norm(gravity))))

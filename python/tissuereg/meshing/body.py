@@ -182,7 +182,7 @@ def _diagonal(surface: Triangles) -> float:
 
 
 def _check_lengths(surface: Triangles, size_mm: float, deviation_mm: float | None) -> None:
-    if not (math.isfinite(size_mm) and 0 < size_mm <= surface.extent / 2):
+    if not 0 < size_mm <= surface.extent / 2:
         message = (
             f"the size must be positive and at most half of the largest extent, {surface.extent / 2:.4g} mm, "
             f"got {size_mm:g} mm"

@@ -43,35 +43,36 @@ def on_page(figure: Any, view: View, places: FloatArray) -> FloatArray:
     view.axes.apply_aspect()
     x, y, _ = proj3d.proj_transform(*places.T, view.axes.get_proj())
     pixels = view.axes.transData.transform(np.stack([np.asarray(x), np.asarray(y)], axis=1).reshape(-1, 2))
-    return np.asarray(figure.transFigure.inverted().transform(pixels) * (_ratio(figure), 1.0))
+    return np.asarray(figure.transFigure.inverted().transform(pixels) * (ratio(figure), 1.0))
 
 
 def shortened(figure: Any, text: str, width: float, **style: Any) -> str:
     """Return a text of one line, cut where it is wider than `width` (parts of the figure) in a style of matplotlib."""
-    if _size(figure, text, **style)[0] <= width * _ratio(figure):
+    if _size(figure, text, **style)[0] <= width * ratio(figure):
         return text
     low, high = 0, len(text)
     while high - low > 1:
         middle = (low + high) // 2
-        fits = _size(figure, text[:middle].rstrip() + "…", **style)[0] <= width * _ratio(figure)
+        fits = _size(figure, text[:middle].rstrip() + "…", **style)[0] <= width * ratio(figure)
         low, high = (middle, high) if fits else (low, middle)
     return text[:low].rstrip() + "…"
 
 
 def _fitted(figure: Any, text: str, frame: FloatArray) -> str:
     """Return a text whose lines are no wider than most of a frame."""
-    width = STYLE.widest_label * float(np.ptp(frame[:, 0])) / _ratio(figure)
+    width = STYLE.widest_label * float(np.ptp(frame[:, 0])) / ratio(figure)
     return "\n".join(shortened(figure, line, width, fontsize=STYLE.font) for line in text.split("\n"))
 
 
-def _ratio(figure: Any) -> float:
+def ratio(figure: Any) -> float:
+    """Return the width of a figure over its height."""
     return float(figure.get_figwidth() / figure.get_figheight())
 
 
 def _frame(figure: Any, view: View) -> FloatArray:
     """Return the part of the page (low, high) that the labels of a view may take, in heights of the figure."""
     box = view.axes.get_position(original=True)
-    scale = np.array([_ratio(figure), 1.0])
+    scale = np.array([ratio(figure), 1.0])
     return np.asarray([[box.x0, box.y0], [box.x1, box.y1]] * scale)
 
 
@@ -81,7 +82,7 @@ def _size(figure: Any, text: str, **style: Any) -> FloatArray:
     box = probe.get_window_extent(figure.canvas.get_renderer())
     probe.remove()
     width, height = figure.transFigure.inverted().transform((box.width, box.height))
-    return np.array([width * _ratio(figure), height])
+    return np.array([width * ratio(figure), height])
 
 
 def _box(middle: FloatArray, size: FloatArray) -> FloatArray:
@@ -139,7 +140,7 @@ def _overlap(one: FloatArray, other: FloatArray) -> bool:
 def _write(figure: Any, label: Label, anchor: FloatArray, middle: FloatArray, size: FloatArray) -> None:
     from matplotlib.lines import Line2D
 
-    scale = np.array([1.0 / _ratio(figure), 1.0])
+    scale = np.array([1.0 / ratio(figure), 1.0])
     end = np.clip(anchor, *_box(middle, size))
     line = np.stack([anchor, end]) * scale
     figure.add_artist(Line2D(*line.T, color=label.colour, lw=0.8, alpha=0.8, zorder=20))

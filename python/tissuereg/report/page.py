@@ -2,6 +2,7 @@
 
 import base64
 import io
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -107,7 +108,7 @@ def _contacts(result: "Registration") -> str:
         "force at the believed modulus, mN",
         "probability",
     )
-    return "<h2>Contacts</h2>" + table(head, rows)
+    return _section("Contacts", head, rows)
 
 
 def _targets(result: "Registration") -> str:
@@ -123,15 +124,13 @@ def _targets(result: "Registration") -> str:
         )
         for name, t in result.targets.items()
     ]
-    if not rows:
-        return ""
     head = ("target", "undeformed, mm", "registered, mm", "90 % region, half-axes, mm", "moved, mm", "constrained", "")
     note = (
         "<p>Constrained: the share of a target's variance under undetected contacts that the markers remove; "
         "1 is best.</p>"
     )
     known = any(target.constrained is not None for target in result.targets.values())
-    return "<h2>Targets</h2>" + table(head, rows) + (note if known else "")
+    return _section("Targets", head, rows) + (note if known else "")
 
 
 def _dropped(result: "Registration") -> str:
@@ -144,17 +143,13 @@ def _dropped(result: "Registration") -> str:
         )
         for name, reason in result.markers.dropped
     ]
-    if not rows:
-        return ""
     head = ("marker", "reason", "where a tracker would see it, mm", "90 % region, half-axes, mm")
-    return "<h2>Markers that are not used</h2>" + table(head, rows)
+    return _section("Markers that are not used", head, rows)
 
 
 def _markers(result: "Registration") -> str:
     rows = [(escape(name), _triple(row), _norm(row)) for name, row in result.markers.residual_mm.items()]
-    if not rows:
-        return ""
-    return "<h2>Markers</h2>" + table(("marker", "measured - registered, mm", "length, mm"), rows)
+    return _section("Markers", ("marker", "measured - registered, mm", "length, mm"), rows)
 
 
 def _surface(result: "Registration") -> str:
@@ -168,7 +163,7 @@ def _surface(result: "Registration") -> str:
         ("distance along the normal before, mm rms", f"{surface.before_rms_mm:.2f}"),
         ("distance along the normal after, mm rms", f"{surface.after_rms_mm:.2f}"),
     ]
-    return "<h2>Surface</h2>" + table(("", ""), rows)
+    return _section("Surface", ("", ""), rows)
 
 
 def _model(result: "Registration") -> str:
@@ -176,20 +171,23 @@ def _model(result: "Registration") -> str:
         (key.replace("_", " "), escape(f"{v:.3g}" if isinstance(v, float) else str(v)))
         for key, v in result.model.items()
     ]
-    return "<h2>Model</h2>" + table(("", ""), [*rows, ("seed", str(result.seed))])
+    return _section("Model", ("", ""), [*rows, ("seed", str(result.seed))])
 
 
 def _work(result: "Registration") -> str:
-    work = getattr(result, "work", {})
-    if not work:
-        return ""
-    rows = [(name.replace("_", " "), f"{count:,}") for name, count in work.items()]
-    return "<h2>Work</h2>" + table(("", "count"), rows)
+    counts: dict[str, int] = getattr(result, "work", {})
+    rows = [(name.replace("_", " "), f"{count:,}") for name, count in counts.items()]
+    return _section("Work", ("", "count"), rows)
 
 
 def _times(result: "Registration") -> str:
     rows = [(stage, f"{1000 * seconds:.0f}") for stage, seconds in result.seconds.items()]
-    return "<h2>Time</h2>" + table(("stage", "ms"), rows)
+    return _section("Time", ("stage", "ms"), rows)
+
+
+def _section(title: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Return a table below its title; nothing where it has no rows."""
+    return f"<h2>{title}</h2>{table(head, rows)}" if rows else ""
 
 
 def _triple(vector: FloatArray, digits: int = 2) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 from tissuereg._base.arrays import FloatArray
 from tissuereg.report import scene
 from tissuereg.report.inset import draw_panels, round_length
-from tissuereg.report.labels import on_page, place_labels
+from tissuereg.report.labels import on_page, place_labels, ratio
 from tissuereg.report.style import STYLE
 from tissuereg.report.words import counted, silent, start_word, verdict
 
@@ -99,16 +99,15 @@ def _triad(figure: Any, view: scene.View) -> None:
     """Draw the directions of the axes in the lower left corner of a view, and keep labels off it."""
     from matplotlib.lines import Line2D
 
-    ratio = figure.get_figwidth() / figure.get_figheight()
     frame = view.axes.get_position(original=True)
-    origin = np.array([frame.x0 * ratio + 0.06, frame.y0 + 0.06])
+    origin = np.array([frame.x0 * ratio(figure) + 0.06, frame.y0 + 0.06])
     tips = on_page(figure, view, np.vstack([np.zeros(3), np.eye(3)]))
     ways = 0.045 * (tips[1:] - tips[0]) / np.linalg.norm(tips[1:] - tips[0], axis=1).max()
     for way, name in zip(ways, "xyz", strict=True):
-        line = np.stack([origin, origin + way]) / (ratio, 1.0)
+        line = np.stack([origin, origin + way]) / (ratio(figure), 1.0)
         figure.add_artist(Line2D(*line.T, color="dimgray", lw=1.2))
         figure.text(
-            *((origin + 1.35 * way) / (ratio, 1.0)), name, fontsize=9, color="dimgray", ha="center", va="center"
+            *((origin + 1.35 * way) / (ratio(figure), 1.0)), name, fontsize=9, color="dimgray", ha="center", va="center"
         )
     view.taken.append(np.stack([origin - 0.085, origin + 0.085]))
 
@@ -117,11 +116,10 @@ def _scale_bar(figure: Any, view: scene.View, extent: float) -> None:
     """Draw a round length; an orthographic view has one scale."""
     from matplotlib.lines import Line2D
 
-    ratio = figure.get_figwidth() / figure.get_figheight()
     across = np.cross([0.0, 0.0, 1.0], view.towards)
     ends = on_page(figure, view, np.stack([np.zeros(3), across / np.linalg.norm(across)]))
     length = round_length(0.2 * extent)
-    width, left, low = float(np.linalg.norm(ends[1] - ends[0])) * length / ratio, 0.022, 0.12
+    width, left, low = float(np.linalg.norm(ends[1] - ends[0])) * length / ratio(figure), 0.022, 0.12
     figure.add_artist(Line2D([left, left + width], [low, low], color="dimgray", lw=2.5, solid_capstyle="butt"))
     figure.text(left + width + 0.008, low, f"{length:g} mm", fontsize=9, color="dimgray", va="center")
 
