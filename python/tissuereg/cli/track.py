@@ -29,9 +29,9 @@ if TYPE_CHECKING:
     from tissuereg.tracking import TablePhysics, TrackedFrame, Tracker
 
 HELP = Help(
-    "Registers a body frame after frame: each frame starts from what the last ones said. Input: MESH, as of "
-    "'register'; MARKERS (csv: time_s,marker,x_mm,y_mm,z_mm, in the order of time; a marker without a row, or with "
-    "empty cells, was not seen); and --reference, where the markers sit on the undeformed body (csv: "
+    "Registers a body frame after frame: each frame starts from the registered state of the last one. Input: "
+    "MESH, as of 'register'; MARKERS (csv: time_s,marker,x_mm,y_mm,z_mm, in the order of time; a marker without a "
+    "row, or with empty cells, was not seen); and --reference, where the markers sit on the undeformed body (csv: "
     "marker,x_mm,y_mm,z_mm[,std_mm], or points of 3D Slicer). Every frame is registered, as fast as possible; with "
     "--live the recording is replayed at its own rate, and frames that come too fast are dropped for the newest one. "
     "A frame in which no marker was seen is left out. DIR gets targets.csv and track.json, with --fields fields.npz "

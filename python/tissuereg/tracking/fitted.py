@@ -31,7 +31,7 @@ FITTING = FittingRules()
 
 @dataclass(frozen=True, eq=False)
 class _Changes:
-    """What a prior of changes and the model of one frame have in common: all of it is of the changes."""
+    """The part of a latent model that depends on its prior of changes alone."""
 
     changes: PcaModel
 

@@ -1,6 +1,6 @@
 """What the next simulation starts from: how a registered state is carried to the next frame, and for how long.
 
-A quasi-static body has no memory: from any first guess it finds the same equilibrium. What the markers said about the
+A quasi-static body has no memory: from any first guess it finds the same equilibrium. What the markers showed of the
 last frame is therefore carried on by a change of the problem, or not at all:
 
 ``forces``

@@ -27,7 +27,7 @@ _A_FRAME = "(time_s, measured_mm) or (time_s, measured_mm, actuator)"
 
 
 class Tracker:
-    """Registers one body frame after frame; each frame starts from what the last ones said.
+    """Registers one body frame after frame; each frame starts from the registered state of the last one.
 
     A frame is simulated from the registered state of the last one and the known motion of the actuators, registered to
     its markers, and combined with the last frames as far as the body stood still between them.
