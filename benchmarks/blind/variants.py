@@ -1,6 +1,6 @@
 """The diagnoser as it is, with another catalogue, and with one step removed, for `blind.run`.
 
-Names and constants in modules of `tissuereg.diagnose` are patched in the running process and restored after every
+Names and constants in modules of `tissuereg.diagnosis` are patched in the running process and restored after every
 case; the package itself has no such settings, and needs none. A name that no longer exists is an error, so that no
 step is silently left in.
 
