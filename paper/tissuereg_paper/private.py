@@ -8,7 +8,7 @@ PRIVATE: dict[str, tuple[str, tuple[str, ...]]] = {
     "_core": ("Algorithm 1 for many pairs at once is made of the compiled update that registration takes", ("_core",)),
     "_base": (
         "arguments are checked, and arrays typed, by the rules of the package",
-        ("_base.arguments", "_base.arrays", "_base.choice", "_base.clock"),
+        ("_base.arguments", "_base.arrays", "_base.clock"),
     ),
     "body": (
         "a method sees the markers, and is scored at points, by the interpolation that registration uses",
@@ -16,7 +16,7 @@ PRIVATE: dict[str, tuple[str, tuple[str, ...]]] = {
     ),
     "io": (
         "files are read with the same checks and errors, and written whole; the test split is that of a data set",
-        ("io.atomic", "io.datasets", "io.json", "io.npz"),
+        ("io.atomic", "io.datasets", "io.fields", "io.json"),
     ),
     "simulation": (
         "held-out shapes are solved anew from the recipe of the shipped model's data",
