@@ -32,4 +32,4 @@ def part(target, name, amplitude=0.1, **settings):
     """Return a cause with its parameters at the start of a fit."""
     variants = [v for v in CAUSES[name].variants(target.bench) if settings.items() <= v.settings.items()]
     amplitudes = np.full(len(variants[0].columns), amplitude)
-    return FittedCause(name, CAUSES[name].knobs(target.bench, variants[0], amplitudes))
+    return FittedCause(name, CAUSES[name].free_parameters(target.bench, variants[0], amplitudes))

@@ -12,7 +12,7 @@ from tissuereg.diagnosis import candidates
 from tissuereg.diagnosis.bench import Bench
 from tissuereg.diagnosis.candidates import FURTHER, LEAST_FURTHER, Candidate, _fit_forms, required_thresholds
 from tissuereg.diagnosis.causes import CAUSES
-from tissuereg.diagnosis.causes.base import knobs
+from tissuereg.diagnosis.causes.base import free_parameters
 from tissuereg.diagnosis.correction import make_correction
 from tissuereg.diagnosis.evidence import LOOK_ALIKE, Null
 from tissuereg.diagnosis.findings import _chances, group_of
@@ -102,7 +102,9 @@ def test_the_jacobian_of_a_fit_is_that_at_its_end(of_two):
             x = found.x.copy()
             x[number] += side * step
             effects = [
-                e for p, mine in zip(parts, found.slices(), strict=True) for e in p.knobs.effects(x[mine], young)
+                e
+                for p, mine in zip(parts, found.slices(), strict=True)
+                for e in p.free_parameters.effects(x[mine], young)
             ]
             ends.append(of_two.bench.predictor.predict(effects, young=found.young(1.0)))
         slope = (ends[0] - ends[1]) / (2.0 * step)
@@ -111,10 +113,10 @@ def test_the_jacobian_of_a_fit_is_that_at_its_end(of_two):
 
 def test_a_deviation_of_a_nonlinear_parameter_averages_both_sides(of_two):
     found = fit(of_two, [part(of_two, "latency")])
-    bent = replace(found.parts[0].knobs, values=lambda x, young: {"late": float(np.exp(x[0])), "said": "so"})
+    bent = replace(found.parts[0].free_parameters, values=lambda x, young: {"late": float(np.exp(x[0])), "said": "so"})
     deviation = 0.5
     known = np.diag([0.01, deviation**2])
-    mine = replace(found, parts=(replace(found.parts[0], knobs=bent),), covariance=known)
+    mine = replace(found, parts=(replace(found.parts[0], free_parameters=bent),), covariance=known)
     values, deviations = mine.values(0, 10.0)
     up, down = np.exp(deviation) - 1.0, 1.0 - np.exp(-deviation)
     assert deviations["late"] == pytest.approx(values["late"] * np.sqrt(0.5 * (up**2 + down**2)))
@@ -226,13 +228,13 @@ def test_a_hopeless_fit_keeps_its_objective_and_saves_the_last_jacobian(of_two):
 
 def test_a_shifted_patch_is_fitted_without_jumps(of_two):
     shifted = part(of_two, "actuator_offset", actuator="top", kind="patch")
-    assert shifted.knobs.columns.shape == (2, of_two.bench.layout.size)
+    assert shifted.free_parameters.columns.shape == (2, of_two.bench.layout.size)
     found = fit(of_two, [shifted])
-    straight = found.x[1:] @ shifted.knobs.columns
+    straight = found.x[1:] @ shifted.free_parameters.columns
     forces = ~of_two.bench.layout.of_markers()
     scaled = np.where(forces, found.young(1.0), 1.0)
     assert np.allclose(found.prediction, scaled * (of_two.bench.base + straight))
-    effect = shifted.knobs.effects(np.array([1.0, 0.0]), 10.0)[0]
+    effect = shifted.free_parameters.effects(np.array([1.0, 0.0]), 10.0)[0]
     assert isinstance(effect, ActuatorOffset)
     assert np.linalg.norm(effect.shift_mm) == pytest.approx(1.0)
 
@@ -272,10 +274,10 @@ def test_a_redundant_cause_is_removed(of_two):
 def test_a_rival_replaces_a_cause_where_it_is_better(of_two):
     wrong = fit(of_two, [part(of_two, "scale"), part(of_two, "latency")])
     mate = part(of_two, "poisson")
-    target, better = exchanged(of_two, wrong, 0, [(mate, mate.knobs.start)])
+    target, better = exchanged(of_two, wrong, 0, [(mate, mate.free_parameters.start)])
     assert better.ids == ("poisson", "latency")
     again = part(of_two, "scale")
-    assert exchanged(target, better, 0, [(again, again.knobs.start)])[1] is better
+    assert exchanged(target, better, 0, [(again, again.free_parameters.start)])[1] is better
 
 
 def noise_patterns(target):
@@ -404,7 +406,7 @@ def test_a_shifted_patch_is_corrected_too():
     shift = ActuatorOffset(actuator="side", shift_mm=(0.0, 8.0, 0.0))
     target = target_of(shift)
     column = target.bench.change(shift) / 8.0
-    along = knobs(
+    along = free_parameters(
         [(5.0, 0.0, 8.0, 1.0)],
         lambda x, _: (replace(shift, shift_mm=(0.0, float(x[0]), 0.0)),),
         lambda x, _: {"shift_mm": [0.0, float(x[0]), 0.0]},
@@ -424,7 +426,7 @@ def test_a_detachment_grows_without_jumps():
     answers = []
     logits = np.linspace(-5.0, -1.0, 81)
     for x in logits:
-        mixture = detached.knobs.mixture(np.array([20.0, x]), bench.young)
+        mixture = detached.free_parameters.mixture(np.array([20.0, x]), bench.young)
         assert sum(weight for weight, _ in mixture) == pytest.approx(1.0)
         assert all(weight >= 0.0 for weight, _ in mixture)
         answers.append(np.sum([weight * bench.predictor.predict(effects) for weight, effects in mixture], axis=0))
@@ -432,7 +434,7 @@ def test_a_detachment_grows_without_jumps():
     assert moved[0] < 0.2 * moved[-1]
     # A node that comes free at once would be a jump of its whole share.
     assert np.abs(np.diff(moved)).max() < 0.15 * moved[-1]
-    (effect,) = detached.knobs.effects(np.array([20.0, -1.0]), bench.young)
+    (effect,) = detached.free_parameters.effects(np.array([20.0, -1.0]), bench.young)
     assert effect.azimuth_deg == 20.0
     assert effect.share == pytest.approx(1.0 / (1.0 + np.e))
 
@@ -443,7 +445,9 @@ def test_a_fit_begins_where_the_objective_is_least():
     detached = part(target, "detachment", azimuth=90.0)
     base = fit(target, [])
     begin = best_start(target, [detached], base.x)
-    places = [np.concatenate([base.x, start]) for start in (detached.knobs.start, *detached.knobs.starts)]
+    places = [
+        np.concatenate([base.x, start]) for start in (detached.free_parameters.start, *detached.free_parameters.starts)
+    ]
     assert any(np.array_equal(begin, place) for place in places)
     left = [fit(target, [detached], start=place, hopeless=-np.inf).objective for place in places[:2]]
     found = fit(target, [detached], start=begin)

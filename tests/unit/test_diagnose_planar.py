@@ -108,9 +108,9 @@ def test_a_body_thinner_than_any_ball_has_places_for_inclusions_in_the_middle_of
     assert len(variants) > 20
     assert {variant.settings["centre"][2] for variant in variants} == {0.5 * DEPTH}
     assert all(variant.columns.any() for variant in variants)
-    knobs = CAUSES["inclusion"].knobs(bench, variants[0], np.ones(1))
-    assert knobs.deviation[2] <= 0.5 * DEPTH
-    assert knobs.step[2] <= 0.1 * DEPTH
+    free_parameters = CAUSES["inclusion"].free_parameters(bench, variants[0], np.ones(1))
+    assert free_parameters.deviation[2] <= 0.5 * DEPTH
+    assert free_parameters.step[2] <= 0.1 * DEPTH
 
 
 def test_stiffening_far_beyond_the_bank_is_fitted():
@@ -123,7 +123,7 @@ def test_stiffening_far_beyond_the_bank_is_fitted():
     variant = max(
         (v for v in cause.variants(bench) if v.settings["law"] == "fung"), key=lambda v: float(v.settings["size"])
     )
-    part = FittedCause("stiffening", cause.knobs(bench, variant, np.ones(1)))
+    part = FittedCause("stiffening", cause.free_parameters(bench, variant, np.ones(1)))
     found = fit(target, [part])
     assert found is not None
     assert found.values(0, bench.young)[0]["b"] == pytest.approx(90.0, rel=0.03)

@@ -156,7 +156,7 @@ def test_a_cause_that_a_later_one_makes_redundant_is_removed(of_two, monkeypatch
         if name is None:
             return step
         parts = [*current.parts, part(target, name)]
-        found = fit(target, parts, start=np.concatenate([current.x, parts[-1].knobs.start]))
+        found = fit(target, parts, start=np.concatenate([current.x, parts[-1].free_parameters.start]))
         gain = found.log_evidence - current.log_evidence
         candidate = search_module.Candidate(name, found, gain, target)
         return replace(step, candidates=[candidate], found=candidate, proof=None, figures=None)

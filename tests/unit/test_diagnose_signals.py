@@ -224,11 +224,11 @@ def test_forces_have_the_mean_mesh_error_in_all_components(bench):
 
 def test_an_inclusion_has_the_contrast_of_its_parameters(bench):
     variant = Variant("", np.zeros((1, bench.layout.size)), {"centre": (14.0, 9.0, 26.0), "radius": 8.0})
-    stiff, soft = (CAUSES["inclusion"].knobs(bench, variant, np.array([a])) for a in (0.4, -0.4))
-    for knobs, expected in ((stiff, 1.0 + 0.6 / 0.76), (soft, 1.0 - 0.6 / 1.24)):
-        (effect,) = knobs.effects(knobs.start, 10.0)
+    stiff, soft = (CAUSES["inclusion"].free_parameters(bench, variant, np.array([a])) for a in (0.4, -0.4))
+    for free_parameters, expected in ((stiff, 1.0 + 0.6 / 0.76), (soft, 1.0 - 0.6 / 1.24)):
+        (effect,) = free_parameters.effects(free_parameters.start, 10.0)
         assert effect.contrast == pytest.approx(expected)
-        assert knobs.values(knobs.start, 10.0)["contrast"] == effect.contrast
+        assert free_parameters.values(free_parameters.start, 10.0)["contrast"] == effect.contrast
         assert effect.centre_mm == (14.0, 9.0, 26.0)
     far = np.array([14.0, 9.0, 26.0, np.log(8.0), 9.0])
     assert 0.0 < soft.values(far, 10.0)["contrast"] < 0.01
@@ -241,7 +241,7 @@ def test_every_cause_that_fits_has_columns_of_its_own(bench):
         for variant in variants:
             assert variant.columns.shape[1] == bench.layout.size
             assert np.isfinite(variant.columns).all()
-            knobs = CAUSES[name].knobs(bench, variant, np.full(len(variant.columns), 0.5))
-            assert knobs.effects(knobs.start, bench.young)
-            assert CAUSES[name].sentence(knobs.values(knobs.start, bench.young)).endswith(".")
+            free_parameters = CAUSES[name].free_parameters(bench, variant, np.full(len(variant.columns), 0.5))
+            assert free_parameters.effects(free_parameters.start, bench.young)
+            assert CAUSES[name].sentence(free_parameters.values(free_parameters.start, bench.young)).endswith(".")
     assert not list(CAUSES["reference"].variants(bench))  # no gravity is believed

@@ -122,8 +122,8 @@ def _fit_forms(
     fits: list[Fit] = []
     best = -np.inf
     for form in (variant, *alternatives):
-        knobs = CAUSES[name].knobs(target.bench, form, screened.amplitudes)
-        parts = [*current.parts, FittedCause(name, knobs)]
+        free_parameters = CAUSES[name].free_parameters(target.bench, form, screened.amplitudes)
+        parts = [*current.parts, FittedCause(name, free_parameters)]
         start = best_start(target, parts, current.x)
         fitted = fit(target, parts, start=start, choices=choices, hopeless=-max(least, best - CORRECTION_GAIN))
         if fitted is not None:

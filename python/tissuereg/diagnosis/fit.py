@@ -2,10 +2,11 @@
 
     minimise 1/2 |C0^-1/2 L^-1 (y - f(x))|^2 + 1/2 |(x - mean) / deviation|^2
 
-over x, the logarithm of the modulus followed by the free parameters (`Knobs`) of all causes. L^-1 whitens by the noise;
-the other nuisance parameters are integrated out in C0. The Jacobian comes from difference quotients; Broyden's update
-carries it from step to step, and it is evaluated again where steps no longer reduce the objective. With H the Hessian
-in units of the prior deviations, the log evidence is -objective - 1/2 log det H - log(number of discrete choices).
+over x, the logarithm of the modulus followed by the free parameters (`FreeParameters`) of all causes. L^-1 whitens by
+the noise; the other nuisance parameters are integrated out in C0. The Jacobian comes from difference quotients;
+Broyden's update carries it from step to step, and it is evaluated again where steps no longer reduce the objective.
+With H the Hessian in units of the prior deviations, the log evidence is -objective - 1/2 log det H - log(number of
+discrete choices).
 """
 
 from collections.abc import Sequence
@@ -15,7 +16,7 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.bench import Bench
-from tissuereg.diagnosis.causes import CAUSES, Knobs, Values, Variant
+from tissuereg.diagnosis.causes import CAUSES, FreeParameters, Values, Variant
 from tissuereg.diagnosis.causes.base import Mixture
 from tissuereg.diagnosis.correction import Correction
 from tissuereg.diagnosis.evidence import Null
@@ -66,7 +67,7 @@ class FittedCause:
     """One cause in a fit."""
 
     id: str
-    knobs: Knobs
+    free_parameters: FreeParameters
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,7 +129,7 @@ class Fit:
         return tuple(
             effect
             for part, mine in zip(self.parts, self.slices(), strict=True)
-            for effect in part.knobs.effects(self.x[mine], young)
+            for effect in part.free_parameters.effects(self.x[mine], young)
         )
 
     def values(self, number: int, believed: float) -> tuple[Values, Values]:
@@ -139,9 +140,9 @@ class Fit:
         """
         part, mine = self.parts[number], self.slices()[number]
         young = self.young(believed)
-        centre = part.knobs.values(self.x[mine], young)
+        centre = part.free_parameters.values(self.x[mine], young)
         axes = _principal_axes(self.covariance[mine, mine], self.deviation[mine])
-        moved = [part.knobs.values(self.x[mine] + axis, young) for axis in (*axes, *-axes)]
+        moved = [part.free_parameters.values(self.x[mine] + axis, young) for axis in (*axes, *-axes)]
         spread: Values = {}
         for key, value in centre.items():
             if _is_text(value):
@@ -236,12 +237,12 @@ def best_start(target: FitTarget, parts: Sequence[FittedCause], before: FloatArr
     """Return the first guess of the fit of a further cause: of its starts that with the smallest objective.
 
     `target`: data, believed model, noise and nuisances; `parts`: all causes, the further one last; `before` (k,):
-    parameters of the fit without it. Result: (k + n_knobs,), with the cause's first start where it has no others or
-    none of them has an equilibrium.
+    parameters of the fit without it. Result: (k + n_parameters,), with the cause's first start where it has no others
+    or none of them has an equilibrium.
     """
-    knobs = parts[-1].knobs
-    first = np.concatenate([before, knobs.start])
-    if knobs.starts is None:
+    free_parameters = parts[-1].free_parameters
+    first = np.concatenate([before, free_parameters.start])
+    if free_parameters.starts is None:
         return first
     solver = _FitSolver(target, tuple(parts))
 
@@ -249,7 +250,7 @@ def best_start(target: FitTarget, parts: Sequence[FittedCause], before: FloatArr
         prediction = solver.predict(x)
         return np.inf if prediction is None else solver.objective(x, prediction)[0]
 
-    tried = [first, *(np.concatenate([before, start]) for start in knobs.starts)]
+    tried = [first, *(np.concatenate([before, start]) for start in free_parameters.starts)]
     return tried[int(np.argmin(target.bench.side_by_side(objective, tried)))]
 
 
@@ -263,8 +264,8 @@ def slices_of(parts: Sequence[FittedCause]) -> list[slice]:
     """Return where the parameters of every part lie in the vector x, after the modulus."""
     found, at = [], 1
     for part in parts:
-        found.append(slice(at, at + len(part.knobs.start)))
-        at += len(part.knobs.start)
+        found.append(slice(at, at + len(part.free_parameters.start)))
+        at += len(part.free_parameters.start)
     return found
 
 
@@ -288,10 +289,12 @@ class _FitSolver:
         self.target = target
         self.parts = parts
         # The first parameter is the logarithm of the modulus over the believed one; the modulus' prior is log-normal.
-        self.start = np.concatenate([[0.0], *(part.knobs.start for part in parts)])
-        self.mean = np.concatenate([[0.0], *(part.knobs.mean for part in parts)])
-        self.deviation = np.concatenate([[target.bench.young_spread], *(part.knobs.deviation for part in parts)])
-        self.steps = np.concatenate([[0.02], *(part.knobs.step for part in parts)])
+        self.start = np.concatenate([[0.0], *(part.free_parameters.start for part in parts)])
+        self.mean = np.concatenate([[0.0], *(part.free_parameters.mean for part in parts)])
+        self.deviation = np.concatenate(
+            [[target.bench.young_spread], *(part.free_parameters.deviation for part in parts)]
+        )
+        self.steps = np.concatenate([[0.02], *(part.free_parameters.step for part in parts)])
         self.scales = target.bench.scales_forces and not any(part.id in ABSOLUTE for part in parts)
         layout = target.bench.layout
         self.measured = np.where(layout.seen, layout.measured, 0.0)
@@ -311,8 +314,8 @@ class _FitSolver:
         factor = self.factor(x)
         total = np.zeros(len(self.measured))
         for part, mine in zip(self.parts, slices_of(self.parts), strict=True):
-            if part.knobs.columns is not None:
-                total += x[mine] @ part.knobs.columns
+            if part.free_parameters.columns is not None:
+                total += x[mine] @ part.free_parameters.columns
         for weight, effects in self.mixture(x):
             total += weight * self.body(effects, factor)
         return np.where(self.force, factor * total, total) if self.scales else total
@@ -334,8 +337,8 @@ class _FitSolver:
         young = self.target.bench.young * (1.0 if self.scales else self.factor(x))
         mixture: Mixture = [(1.0, ())]
         for part, mine in zip(self.parts, slices_of(self.parts), strict=True):
-            if part.knobs.columns is None:
-                own = part.knobs.mixture(x[mine], young)
+            if part.free_parameters.columns is None:
+                own = part.free_parameters.mixture(x[mine], young)
                 mixture = [(a * b, (*before, *more)) for a, before in mixture for b, more in own if b > 0.0]
         return mixture
 

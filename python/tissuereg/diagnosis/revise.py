@@ -65,9 +65,9 @@ def exchanged(
     """
     mine = current.slices()[part]
     best, of_best = current, target
-    for rival, knobs in rivals:
+    for rival, free_parameters in rivals:
         parts = [*current.parts[:part], rival, *current.parts[part + 1 :]]
-        start = np.concatenate([current.x[: mine.start], knobs, current.x[mine.stop :]])
+        start = np.concatenate([current.x[: mine.start], free_parameters, current.x[mine.stop :]])
         least = max(best.log_evidence, current.log_evidence + BETTER)
         reached = _reaching(least, target, fit(target, parts, start=start, hopeless=CORRECTION_GAIN - least))
         if reached is not None:

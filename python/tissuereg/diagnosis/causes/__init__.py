@@ -1,7 +1,7 @@
 """The catalogue of causes that a diagnosis can name: each has a module with its hypotheses, parameters and sentence."""
 
 from tissuereg.diagnosis.causes.actuators import DirectionCause, GainCause, OffsetCause
-from tissuereg.diagnosis.causes.base import Cause, Knobs, Values, Variant
+from tissuereg.diagnosis.causes.base import Cause, FreeParameters, Values, Variant
 from tissuereg.diagnosis.causes.detachment import DetachmentCause
 from tissuereg.diagnosis.causes.drainage import DrainageCause
 from tissuereg.diagnosis.causes.fibre import FibreCause
@@ -33,4 +33,4 @@ CAUSES: dict[str, Cause] = {
     )
 }  # fmt: skip
 
-__all__ = ["CAUSES", "Cause", "Knobs", "Values", "Variant"]
+__all__ = ["CAUSES", "Cause", "FreeParameters", "Values", "Variant"]

@@ -10,7 +10,7 @@ import numpy as np
 from tissuereg._base.arrays import FloatArray
 from tissuereg.body.load import Load
 from tissuereg.diagnosis.bench import Bench
-from tissuereg.diagnosis.causes.base import Cause, Knobs, Values, Variant, knobs, three
+from tissuereg.diagnosis.causes.base import Cause, FreeParameters, Values, Variant, free_parameters, three
 from tissuereg.diagnosis.tangents import State
 from tissuereg.experiment.effects import ActuatorDirection, ActuatorGain, ActuatorOffset
 from tissuereg.experiment.experiment import Actuator
@@ -39,10 +39,10 @@ class GainCause(Cause):
                 columns = 20.0 * changed[None]
             yield Variant(pad.name, GAIN * columns, {"actuator": pad.name})
 
-    def knobs(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> Knobs:
+    def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
         """Return the gain minus one."""
         name = str(variant.settings["actuator"])
-        return knobs(
+        return free_parameters(
             [(GAIN * float(amplitudes[0]), 0.0, GAIN, 0.01)],
             lambda x, young: (ActuatorGain(actuator=name, gain=1.0 + float(x[0])),),
             lambda x, young: {"actuator": name, "gain": 1.0 + float(x[0])},
@@ -74,10 +74,10 @@ class DirectionCause(Cause):
                 columns = np.array(changes)
             yield Variant(pad.name, ANGLE * columns, {"actuator": pad.name, "across": across})
 
-    def knobs(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> Knobs:
+    def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
         """Return the two angles in degrees."""
         name, across = str(variant.settings["actuator"]), np.asarray(variant.settings["across"])
-        return knobs(
+        return free_parameters(
             [(ANGLE * float(a), 0.0, ANGLE, 0.5) for a in amplitudes],
             lambda x, young: (ActuatorDirection(actuator=name, rotation_deg=three(x @ across)),),
             lambda x, young: {"actuator": name, "rotation_deg": (x @ across).tolist()},
@@ -110,17 +110,17 @@ class OffsetCause(Cause):
                 settings = {"actuator": pad.name, "kind": "patch", "along": tangents}
                 yield Variant(f"{pad.name} patch", columns, settings)
 
-    def knobs(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> Knobs:
+    def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
         """Return the offset of the motion, or the shift along the surface, in mm."""
         name = str(variant.settings["actuator"])
         if variant.settings["kind"] == "motion":
-            return knobs(
+            return free_parameters(
                 [(OFFSET * float(a), 0.0, OFFSET, 0.05) for a in amplitudes],
                 lambda x, young: (ActuatorOffset(actuator=name, offset_mm=three(x)),),
                 lambda x, young: {"actuator": name, "offset_mm": x.tolist()},
             )
         along = np.asarray(variant.settings["along"])
-        moved = knobs(
+        moved = free_parameters(
             [(SHIFT * float(a), 0.0, SHIFT, 0.5 * SHIFT) for a in amplitudes[:2]],
             lambda x, young: (ActuatorOffset(actuator=name, shift_mm=three(x @ along)),),
             lambda x, young: {"actuator": name, "shift_mm": (x @ along).tolist()},

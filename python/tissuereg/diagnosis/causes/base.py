@@ -2,8 +2,8 @@
 
 A cause has several hypotheses (`Variant`), one for each discrete choice: an actuator, a place, a direction, an onset.
 Screening uses their columns, the change of all measured numbers by one prior standard deviation of each amplitude. The
-nonlinear fit starts from a hypothesis and varies the cause's free parameters (`Knobs`), real numbers with normal
-priors, from which the effects of a simulation and the parameters of the answer follow.
+nonlinear fit starts from a hypothesis and varies the cause's free parameters (`FreeParameters`), real numbers with
+normal priors, from which the effects of a simulation and the parameters of the answer follow.
 """
 
 from abc import ABC, abstractmethod
@@ -50,7 +50,7 @@ class Variant:
 
 
 @dataclass(frozen=True, eq=False)
-class Knobs:
+class FreeParameters:
     """A cause's free parameters: unconstrained real numbers with normal priors.
 
     Attributes
@@ -101,7 +101,7 @@ class Cause(ABC):
     #: between the models, and the proof requires no least gain.
     always_fitted: ClassVar[bool] = False
 
-    #: Whether what it changes is no multiple of Young's modulus, as its knobs have it.
+    #: Whether what it changes is no multiple of Young's modulus, as its free_parameters have it.
     absolute: ClassVar[bool] = False
 
     @abstractmethod
@@ -120,7 +120,7 @@ class Cause(ABC):
         """
 
     @abstractmethod
-    def knobs(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> Knobs:
+    def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
         """Return the free parameters of the nonlinear fit.
 
         Parameters
@@ -134,7 +134,7 @@ class Cause(ABC):
 
         Returns
         -------
-        Knobs
+        FreeParameters
             With the discrete choices of the hypothesis.
         """
 
@@ -160,14 +160,14 @@ class Cause(ABC):
         """Return the finding in words."""
 
 
-def knobs(
+def free_parameters(
     coordinates: Iterable[tuple[float, float, float, float]],
     effects: Callable[[FloatArray, float], tuple[Effect, ...]],
     values: Callable[[FloatArray, float], Values],
-) -> Knobs:
+) -> FreeParameters:
     """Return free parameters from rows of first guess, prior mean, prior standard deviation and step."""
     start, mean, deviation, step = np.array(list(coordinates), np.float64).T
-    return Knobs(start, mean, deviation, effects, values, step)
+    return FreeParameters(start, mean, deviation, effects, values, step)
 
 
 def three(vector: FloatArray | Sequence[float]) -> tuple[float, float, float]:

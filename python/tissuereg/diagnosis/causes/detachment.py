@@ -8,7 +8,16 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.bench import Bench
-from tissuereg.diagnosis.causes.base import Cause, Knobs, Mixture, Values, Variant, knobs, logistic, logit
+from tissuereg.diagnosis.causes.base import (
+    Cause,
+    FreeParameters,
+    Mixture,
+    Values,
+    Variant,
+    free_parameters,
+    logistic,
+    logit,
+)
 from tissuereg.experiment.effects import Detachment
 from tissuereg.experiment.effects.supports import freeing_shares, node_areas
 
@@ -43,7 +52,7 @@ class DetachmentCause(Cause):
                 settings = {"boundary": name, "azimuth": azimuth, "share": share}
                 yield Variant(f"{name} {azimuth:.0f} deg {share:g}", changed[None], settings, positive=True)
 
-    def knobs(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> Knobs:
+    def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
         """Return the direction and the logit of the share.
 
         A node is either free or held, so that a simulation on the user's mesh changes in jumps. The prediction is
@@ -79,7 +88,7 @@ class DetachmentCause(Cause):
             return sets
 
         turns, shares = azimuth + np.array(TURNS), [logit(share, LEAST_SHARE) for share in STARTS]
-        found = knobs(
+        found = free_parameters(
             [(azimuth, azimuth, 60.0, 5.0), (start, logit(0.08), 1.5, 0.2)],
             lambda x, young: (effect(x),),
             lambda x, young: {

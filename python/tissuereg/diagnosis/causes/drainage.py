@@ -7,7 +7,7 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.bench import Bench
-from tissuereg.diagnosis.causes.base import Cause, Knobs, Values, Variant, knobs, logistic, logit
+from tissuereg.diagnosis.causes.base import Cause, FreeParameters, Values, Variant, free_parameters, logistic, logit
 from tissuereg.diagnosis.causes.relaxation import times_of
 from tissuereg.experiment.effects import Drainage
 
@@ -30,10 +30,10 @@ class DrainageCause(Cause):
             if changed is not None:
                 yield Variant(f"{tau:.2g} s", changed[None], {"tau": tau}, positive=True)
 
-    def knobs(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> Knobs:
+    def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
         """Return the logit of the share and the logarithm of the time constant."""
         tau, middle = float(variant.settings["tau"]), float(np.log(times_of(bench)).mean())
-        return knobs(
+        return free_parameters(
             [
                 (logit(SHARE * float(amplitudes[0])), 0.0, 1.2, 0.1),
                 (float(np.log(tau)), middle, 1.5, 0.1),

@@ -8,7 +8,7 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.bench import Bench
-from tissuereg.diagnosis.causes.base import Cause, Knobs, Values, Variant, knobs, three
+from tissuereg.diagnosis.causes.base import Cause, FreeParameters, Values, Variant, free_parameters, three
 from tissuereg.experiment.effects import Effect, Fibre
 
 #: Stiffness over the shear modulus at which changes are simulated.
@@ -31,7 +31,7 @@ class FibreCause(Cause):
                 name = " ".join(f"{x:.2f}" for x in direction)
                 yield Variant(f"along {name}", changed[None], {"direction": direction}, positive=True)
 
-    def knobs(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> Knobs:
+    def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
         """Return the logarithm of the stiffness and two angles from the hypothesis' direction."""
         along = np.asarray(variant.settings["direction"])
         sides = np.linalg.svd(along[None])[2][1:]
@@ -41,7 +41,7 @@ class FibreCause(Cause):
             return np.asarray(turned / np.linalg.norm(turned))
 
         start = float(np.log(SIZE * np.clip(amplitudes[0], 0.1, 4.0)))
-        return knobs(
+        return free_parameters(
             [(start, float(np.log(SIZE)), 1.2, 0.05), (0.0, 0.0, 0.5, 0.05), (0.0, 0.0, 0.5, 0.05)],
             lambda x, young: (_effect(float(np.exp(x[0])), direction(x)),),
             lambda x, young: {"k1_over_mu": float(np.exp(x[0])), "k2": 1.0, "direction": direction(x).tolist()},

@@ -9,7 +9,7 @@ from tissuereg._base.arrays import FloatArray
 from tissuereg.body.load import Load
 from tissuereg.body.material import GRAVITY_MM_PER_S2
 from tissuereg.diagnosis.bench import Bench
-from tissuereg.diagnosis.causes.base import Cause, Knobs, Values, Variant, knobs, three
+from tissuereg.diagnosis.causes.base import Cause, FreeParameters, Values, Variant, free_parameters, three
 from tissuereg.diagnosis.tangents import State
 from tissuereg.experiment.effects import Effect, Gravity
 from tissuereg.simulation.sensitivity import Cause as Moved
@@ -39,10 +39,10 @@ class GravityCause(Cause):
             columns = np.array(changes) / step
         return [Variant("weight", spread * columns, {"spread": spread})]
 
-    def knobs(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> Knobs:
+    def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
         """Return the three components over standard gravity."""
         spread, believed = float(variant.settings["spread"]), _believed(bench)
-        return knobs(
+        return free_parameters(
             [(float(b + spread * a), float(b), spread, 0.02) for a, b in zip(amplitudes, believed, strict=True)],
             lambda x, young: (_effect(x),),
             lambda x, young: {

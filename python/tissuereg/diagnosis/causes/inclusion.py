@@ -10,7 +10,16 @@ from scipy.spatial import KDTree
 from tissuereg._base.arrays import FloatArray
 from tissuereg.body.mesh import Mesh
 from tissuereg.diagnosis.bench import Bench
-from tissuereg.diagnosis.causes.base import Cause, Knobs, Values, Variant, knobs, logistic, logit, three
+from tissuereg.diagnosis.causes.base import (
+    Cause,
+    FreeParameters,
+    Values,
+    Variant,
+    free_parameters,
+    logistic,
+    logit,
+    three,
+)
 from tissuereg.experiment.effects import Inclusion
 
 #: Radii of the hypotheses, over the extent of the body.
@@ -41,7 +50,7 @@ class InclusionCause(Cause):
             settings = {"centre": centre, "radius": radius}
             yield Variant(f"at {name} radius {radius:.1f}", SPREAD * column[None], settings)
 
-    def knobs(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> Knobs:
+    def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
         """Return the centre, the logarithm of the radius, and the logarithm (softer: logit) of ``abs(contrast - 1)``.
 
         A small ball of high contrast and a large one of low contrast have nearly the same effect. In the logarithms of
@@ -68,7 +77,7 @@ class InclusionCause(Cause):
             size = float(np.exp(x[3]))
             return {"centre_mm": x[:3].tolist(), "semi_axes_mm": [size] * 3, "contrast": contrast_of(x)}
 
-        return knobs(
+        return free_parameters(
             [
                 *((float(centre[i]), float(middle[i]), float(wide[i]), float(step[i])) for i in range(3)),
                 (float(np.log(radius)), float(np.log(0.065 * extent)), 0.4, 0.05),

@@ -16,7 +16,7 @@ import numpy as np
 from tissuereg._base.arrays import FloatArray
 from tissuereg.body.laws import main_key, shape_of
 from tissuereg.diagnosis.bench import Bench
-from tissuereg.diagnosis.causes.base import Cause, Knobs, Values, Variant, knobs, logistic, logit
+from tissuereg.diagnosis.causes.base import Cause, FreeParameters, Values, Variant, free_parameters, logistic, logit
 from tissuereg.experiment.effects import Asymmetry, Effect, Mooney, Stiffening
 
 
@@ -67,10 +67,10 @@ class MooneyCause(LawCause):
         """Return the law with a share."""
         return Mooney(law=law, volumetric=form, **shape_of(law, size))
 
-    def knobs(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> Knobs:
+    def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
         """Return the logit of the share."""
         form = str(variant.settings["volumetric"])
-        return knobs(
+        return free_parameters(
             [(logit(0.5 * float(amplitudes[0])), 0.0, 1.5, 0.1)],
             lambda x, young: (self.effect(MOONEY, logistic(x[0]), form),),
             lambda x, young: {"law": MOONEY, main_key(MOONEY): logistic(x[0]), "volumetric": form},
@@ -110,17 +110,17 @@ class AsymmetryCause(LawCause):
             exponent = 0.1 if exponent >= 0 else -0.1
         return Asymmetry(law=law, alpha=(exponent,), weight=(1.0,), volumetric=form)
 
-    def knobs(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> Knobs:
+    def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
         """Return the exponent's distance from the neo-Hookean one, or the logarithm of the stiffness in tension."""
         form, law = str(variant.settings["volumetric"]), str(variant.settings["law"])
         start = float(variant.settings["size"]) * min(max(float(amplitudes[0]), 0.1), 2.0)
         if law == "ogden":
-            return knobs(
+            return free_parameters(
                 [(start, 0.0, 12.0, 0.5)],
                 lambda x, young: (self.effect(law, float(x[0]), form),),
                 lambda x, young: {"law": law, "alpha": [EVEN + float(x[0])], "volumetric": form},
             )
-        return knobs(
+        return free_parameters(
             [(float(np.log1p(start)), 0.0, 0.7, 0.05)],
             lambda x, young: (self.effect(law, float(np.expm1(x[0])), form),),
             lambda x, young: {"law": law, main_key(law): float(np.expm1(x[0])), "volumetric": form},
@@ -160,12 +160,12 @@ class StiffeningCause(LawCause):
         """Return a law by its first shape parameter, the others zero."""
         return Stiffening(law=law, volumetric=form, **shape_of(law, size))
 
-    def knobs(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> Knobs:
+    def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
         """Return the logarithm of the law's shape parameter."""
         law, size = str(variant.settings["law"]), float(variant.settings["size"])
         form = str(variant.settings["volumetric"])
         start = float(np.log(size * np.clip(amplitudes[0], 0.1, 3.0)))
-        return knobs(
+        return free_parameters(
             [(start, float(np.log(2.0)), 1.2, 0.05)],
             lambda x, young: (self.effect(law, _shape(x), form),),
             lambda x, young: {"law": law, main_key(law): _shape(x), "volumetric": form},

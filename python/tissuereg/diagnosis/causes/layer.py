@@ -8,7 +8,7 @@ from scipy import sparse
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.bench import Bench
-from tissuereg.diagnosis.causes.base import Cause, Knobs, Values, Variant, knobs
+from tissuereg.diagnosis.causes.base import Cause, FreeParameters, Values, Variant, free_parameters
 from tissuereg.experiment.effects import Layer
 from tissuereg.experiment.effects.regions import OuterLayer, share_inside
 
@@ -37,7 +37,7 @@ class LayerCause(Cause):
         for size, column in zip(sizes, columns, strict=True):
             yield Variant(f"{size:.1f} mm", SPREAD * column[None], {"thickness": size})
 
-    def knobs(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> Knobs:
+    def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
         """Return the logarithms of thickness and contrast."""
         contrast = 1.0 + float(np.clip(SPREAD * amplitudes[0], -0.85, 20.0))
         thickness = float(variant.settings["thickness"])
@@ -45,7 +45,7 @@ class LayerCause(Cause):
         def effect(x: FloatArray, young: float) -> tuple[Layer]:
             return (Layer(thickness_mm=float(np.exp(x[0])), contrast=float(np.exp(x[1]))),)
 
-        return knobs(
+        return free_parameters(
             [
                 (float(np.log(thickness)), float(np.log(0.025 * bench.extent)), 0.7, 0.1),
                 (float(np.log(contrast)), 0.0, 1.2, 0.05),

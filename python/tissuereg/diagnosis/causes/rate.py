@@ -7,7 +7,7 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.bench import Bench
-from tissuereg.diagnosis.causes.base import Cause, Knobs, Values, Variant, knobs
+from tissuereg.diagnosis.causes.base import Cause, FreeParameters, Values, Variant, free_parameters
 from tissuereg.experiment.effects import Rate
 
 #: Viscosity over modulus and the time between frames at which the change is simulated.
@@ -27,10 +27,10 @@ class RateCause(Cause):
         if changed is not None:
             yield Variant("viscosity", changed[None], positive=True)
 
-    def knobs(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> Knobs:
+    def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
         """Return the logarithm of viscosity over modulus."""
         unit = SIZE * bench.frame_step
-        return knobs(
+        return free_parameters(
             [(float(np.log(unit * np.clip(amplitudes[0], 0.05, 20.0))), float(np.log(unit)), 1.5, 0.05)],
             lambda x, young: (Rate(viscosity_kpa_s=float(np.exp(x[0])) * young),),
             lambda x, young: {"viscosity_kpa_s": float(np.exp(x[0])) * young},

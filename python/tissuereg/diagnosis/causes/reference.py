@@ -7,7 +7,7 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.bench import Bench
-from tissuereg.diagnosis.causes.base import Cause, Knobs, Values, Variant
+from tissuereg.diagnosis.causes.base import Cause, FreeParameters, Values, Variant
 from tissuereg.experiment.effects import Reference
 
 
@@ -27,10 +27,10 @@ class ReferenceCause(Cause):
         if changed is not None:
             yield Variant("hangs" if hangs else "does not hang", changed[None], {"hangs": hangs}, fixed=True)
 
-    def knobs(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> Knobs:
+    def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
         """Return no parameters."""
         hangs, none = bool(variant.settings["hangs"]), np.empty(0)
-        return Knobs(
+        return FreeParameters(
             none, none, none,
             lambda x, young: (Reference(in_reference=hangs),),
             lambda x, young: {"in_reference": hangs},

@@ -7,7 +7,7 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.bench import Bench
-from tissuereg.diagnosis.causes.base import Cause, Knobs, Values, Variant, knobs, logistic, logit
+from tissuereg.diagnosis.causes.base import Cause, FreeParameters, Values, Variant, free_parameters, logistic, logit
 from tissuereg.experiment.effects import Relaxation
 
 #: Share that relaxes at which changes are simulated.
@@ -40,7 +40,7 @@ class RelaxationCause(Cause):
             if changed is not None:
                 yield Variant(f"{part} {tau:.2g} s", changed[None], {"tau": tau, "part": part}, positive=True)
 
-    def knobs(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> Knobs:
+    def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
         """Return the logit of the share and the logarithm of the time constant."""
         part, tau = str(variant.settings["part"]), float(variant.settings["tau"])
         middle = float(np.log(times_of(bench)).mean())
@@ -48,7 +48,7 @@ class RelaxationCause(Cause):
         def effect(x: FloatArray, young: float) -> tuple[Relaxation]:
             return (Relaxation(g=(logistic(x[0]),), tau_s=(float(np.exp(x[1])),), part=part),)
 
-        return knobs(
+        return free_parameters(
             [
                 (logit(SHARE * min(float(amplitudes[0]), 3.5)), logit(0.2), 1.2, 0.1),
                 (float(np.log(tau)), middle, 1.5, 0.1),

@@ -5,7 +5,7 @@ from typing import ClassVar
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.bench import Bench
-from tissuereg.diagnosis.causes.base import Cause, Knobs, Values, Variant, knobs, logistic, logit
+from tissuereg.diagnosis.causes.base import Cause, FreeParameters, Values, Variant, free_parameters, logistic, logit
 from tissuereg.experiment.effects import Set
 
 #: Share at which the change is simulated.
@@ -25,9 +25,9 @@ class SetCause(Cause):
         if changed is not None:
             yield Variant("share", changed[None], positive=True)
 
-    def knobs(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> Knobs:
+    def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
         """Return the logit of the share."""
-        return knobs(
+        return free_parameters(
             [(logit(SIZE * float(amplitudes[0]), 0.005), logit(SIZE), 1.2, 0.1)],
             lambda x, young: (Set(fraction=logistic(x[0])),),
             lambda x, young: {"fraction": logistic(x[0])},

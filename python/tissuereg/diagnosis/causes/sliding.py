@@ -7,7 +7,7 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.bench import Bench
-from tissuereg.diagnosis.causes.base import Cause, Knobs, Values, Variant, knobs
+from tissuereg.diagnosis.causes.base import Cause, FreeParameters, Values, Variant, free_parameters
 from tissuereg.experiment.effects import Sliding
 
 #: Compliances of springs, times modulus over extent, at which changes are simulated.
@@ -41,12 +41,12 @@ class SlidingCause(Cause):
                     settings = {"boundary": name, "kind": kind, "size": size}
                     yield Variant(f"{name} {kind} {size:g}", changed[None], settings, positive=True)
 
-    def knobs(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> Knobs:
+    def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
         """Return the logarithm of the compliance, or those of coefficient and cohesion."""
         name, size = str(variant.settings["boundary"]), float(variant.settings["size"])
         more = float(np.clip(amplitudes[0], 0.1, 10.0))
         if variant.settings["kind"] == "springs":
-            return knobs(
+            return free_parameters(
                 [(float(np.log(size * more)), float(np.log(0.1)), 1.5, 0.1)],
                 lambda x, young: (_springs(bench, name, float(np.exp(x[0])), young),),
                 lambda x, young: {
@@ -55,7 +55,7 @@ class SlidingCause(Cause):
                 },
             )
         # A smaller cohesion slips more.
-        return knobs(
+        return free_parameters(
             [
                 (float(np.log(COEFFICIENT)), float(np.log(COEFFICIENT)), 0.7, 0.1),
                 (float(np.log(size / np.sqrt(more))), float(np.log(0.05)), 1.0, 0.1),

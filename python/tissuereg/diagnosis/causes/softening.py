@@ -7,7 +7,7 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.bench import Bench
-from tissuereg.diagnosis.causes.base import Cause, Knobs, Values, Variant, knobs
+from tissuereg.diagnosis.causes.base import Cause, FreeParameters, Values, Variant, free_parameters
 from tissuereg.experiment.effects import Softening
 
 #: Values of r, and of m over the modulus, at which changes are simulated.
@@ -35,7 +35,7 @@ class SofteningCause(Cause):
                 settings = {"form": form, "energy": energy}
                 yield Variant(f"{form}, energy {energy:g}", changed[None], settings, positive=True)
 
-    def knobs(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> Knobs:
+    def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
         """Return logarithms of r - 1 and of m over the modulus."""
         # At most a share of (1 - 1/r) of the stress is lost.
         lost = min((1.0 - 1.0 / SIZE) * float(np.clip(amplitudes[0], 0.05, 2.8)), 0.9)
@@ -45,7 +45,7 @@ class SofteningCause(Cause):
             r, m_kpa = 1.0 + float(np.exp(x[0])), float(np.exp(x[1])) * young
             return (Softening(r=r, m_kpa=m_kpa, beta=FORMS[form], form=form),)
 
-        return knobs(
+        return free_parameters(
             [
                 (float(np.log(1.0 / (1.0 - lost) - 1.0)), float(np.log(0.5)), 1.0, 0.1),
                 (float(np.log(energy)), float(np.log(0.01)), 1.5, 0.1),

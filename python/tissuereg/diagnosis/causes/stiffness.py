@@ -7,7 +7,7 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.bench import Bench
-from tissuereg.diagnosis.causes.base import Cause, Knobs, Values, Variant, knobs, logistic, logit
+from tissuereg.diagnosis.causes.base import Cause, FreeParameters, Values, Variant, free_parameters, logistic, logit
 from tissuereg.experiment.effects import Poisson, Stiffness
 from tissuereg.simulation.sensitivity import Parameter
 
@@ -25,9 +25,9 @@ class StiffnessCause(Cause):
         """Return one hypothesis: another modulus in the whole body."""
         return [Variant("everywhere", YOUNG_SPREAD * bench.by_young)] if bench.is_elastic else []
 
-    def knobs(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> Knobs:
+    def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
         """Return the logarithm of the factor on the modulus."""
-        return knobs(
+        return free_parameters(
             [(YOUNG_SPREAD * float(amplitudes[0]), 0.0, YOUNG_SPREAD, 0.02)],
             lambda x, young: (Stiffness(young_kpa=young * float(np.exp(x[0]))),),
             lambda x, young: {"young_kpa": young * float(np.exp(x[0]))},
@@ -58,11 +58,11 @@ class PoissonCause(Cause):
             column = -changed[None] / 0.02
         return [Variant("everywhere", POISSON_SPREAD * column)]
 
-    def knobs(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> Knobs:
+    def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
         """Return the logit of twice the ratio."""
         believed = _ratio(bench)
         start = min(max(believed + POISSON_SPREAD * float(amplitudes[0]), 0.05), 0.495)
-        return knobs(
+        return free_parameters(
             [(logit(2.0 * start, 0.005), logit(2.0 * believed, 0.005), 1.5, 0.05)],
             lambda x, young: (Poisson(poisson=0.5 * logistic(x[0])),),
             lambda x, young: {"poisson": 0.5 * logistic(x[0])},

@@ -6,7 +6,7 @@ from typing import ClassVar
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.bench import Bench
-from tissuereg.diagnosis.causes.base import Cause, Knobs, Values, Variant, knobs
+from tissuereg.diagnosis.causes.base import Cause, FreeParameters, Values, Variant, free_parameters
 from tissuereg.experiment.effects import Effect, Swelling
 
 #: Linear strain at which changes are simulated, the prior deviation in screening.
@@ -41,10 +41,10 @@ class SwellingCause(Cause):
         moved = any(case.displacements for case in bench.experiment.cases.values())
         return (replace(variant, settings={**variant.settings, "pads": "follow"}),) if moved else ()
 
-    def knobs(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> Knobs:
+    def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
         """Return the strain in units of `SIZE`."""
         window, pads = variant.settings["window"], str(variant.settings["pads"])
-        return knobs(
+        return free_parameters(
             [(float(amplitudes[0]), 0.0, 1.5, 0.1)],
             lambda x, young: (_effect(SIZE * float(x[0]), window, pads),),
             lambda x, young: {

@@ -12,7 +12,7 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.bench import Bench
-from tissuereg.diagnosis.causes.base import Cause, Knobs, Values, Variant, knobs, three
+from tissuereg.diagnosis.causes.base import Cause, FreeParameters, Values, Variant, free_parameters, three
 from tissuereg.experiment.effects import Effect, Frame, Latency, MarkerSlip, MarkerSwap, Scale, seen_markers
 
 #: Prior deviations: shifts in mm and rotations in degrees of the frame, scale, delay in frames, slips in mm.
@@ -37,10 +37,10 @@ class FrameCause(Cause):
         scale = np.array([SHIFT] * 3 + [TURN] * 3)
         return [Variant("frame", scale[:, None] * np.array(shifts))]
 
-    def knobs(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> Knobs:
+    def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
         """Return shifts in mm and rotations in degrees about the middle of the markers."""
         scale = np.array([SHIFT] * 3 + [TURN] * 3)
-        return knobs(
+        return free_parameters(
             [(float(s * a), 0.0, float(s), 0.05) for s, a in zip(scale, amplitudes, strict=True)],
             lambda x, young: (_frame(bench, x),),
             lambda x, young: {k: v for k, v in _frame(bench, x).table().items() if k != "id"},
@@ -64,7 +64,7 @@ class ScaleCause(Cause):
         shifts = [SHIFT * changed_by(bench, Frame(shift_mm=three(axis))) for axis in np.eye(3)]
         return [Variant("scale", np.array([scale, *shifts]))]
 
-    def knobs(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> Knobs:
+    def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
         """Return the scale minus one about the middle of the markers, and three shifts in mm."""
         spread = np.array([SCALE, SHIFT, SHIFT, SHIFT])
 
@@ -73,7 +73,7 @@ class ScaleCause(Cause):
             stretch = float(x[0]) if abs(x[0]) > 1e-6 else 1e-6
             return Scale(scale=1.0 + stretch, origin_mm=three(_middle(bench) - x[1:] / stretch))
 
-        return knobs(
+        return free_parameters(
             [(float(s * a), 0.0, float(s), 0.1 * float(s)) for s, a in zip(spread, amplitudes, strict=True)],
             lambda x, young: (effect(x),),
             lambda x, young: {k: v for k, v in effect(x).table().items() if k != "id"},
@@ -97,10 +97,10 @@ class LatencyCause(Cause):
             return []
         return [Variant("delay", changed_by(bench, Latency(latency_s=delay))[None])]
 
-    def knobs(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> Knobs:
+    def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
         """Return the delay in units of the hypothesis' delay."""
         unit = DELAY * bench.frame_step
-        return knobs(
+        return free_parameters(
             [(float(amplitudes[0]), 0.0, 1.0, 0.1)],
             lambda x, young: (Latency(latency_s=unit * float(x[0])),),
             lambda x, young: {"latency_s": unit * float(x[0])},
@@ -131,10 +131,10 @@ class SlipCause(Cause):
         onsets = (time for time in frames if before < time < after and time != mine)
         return tuple(_slip(bench, str(variant.settings["marker"]), onset) for onset in onsets)
 
-    def knobs(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> Knobs:
+    def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
         """Return the offset in mm."""
         marker, onset = str(variant.settings["marker"]), float(variant.settings["onset"])
-        return knobs(
+        return free_parameters(
             [(SLIP * float(a), 0.0, SLIP, 0.1) for a in amplitudes],
             lambda x, young: (MarkerSlip(marker=marker, offset_mm=three(x), from_time_s=onset),),
             lambda x, young: {"marker": marker, "offset_mm": x.tolist(), "from_time_s": onset},
@@ -164,10 +164,10 @@ class SwapCause(Cause):
                     fixed=True,
                 )
 
-    def knobs(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> Knobs:
+    def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
         """Return no parameters."""
         pair, onset, none = tuple(variant.settings["pair"]), float(variant.settings["onset"]), np.empty(0)
-        return Knobs(
+        return FreeParameters(
             none, none, none,
             lambda x, young: (MarkerSwap(markers=pair, from_time_s=onset),),
             lambda x, young: {"markers": list(pair), "from_time_s": onset},
