@@ -1,6 +1,8 @@
 """A tracker: the loop over frames, what is carried on, what is dropped."""
 
+import gc
 import threading
+import weakref
 from functools import cache
 
 import numpy as np
@@ -344,6 +346,16 @@ def test_contacts_go_on_from_the_last_frame_with_less_work():
     assert tracked[1] < again[1]
     # The same model and data, other draws.
     assert np.mean(errors["tracked"]) < 1.5 * np.mean(errors["alone"])
+
+
+@pytest.mark.parametrize("made", [contact_registrar, registrar], ids=["contacts", "model"])
+def test_a_frame_is_forgotten_when_later_ones_are_there(made):
+    tracker, rng, alone = tr.Tracker(made()), np.random.default_rng(8), []
+    for number in range(4):
+        tracker.update(number * FRAME_S, measured(0.25 * (number + 1), rng))
+        alone.append(weakref.ref(tracker.last.alone))
+    gc.collect()
+    assert [one() is None for one in alone] == [True, True, True, False]
 
 
 def test_contacts_are_carried_on_in_place_of_the_registered_shape():

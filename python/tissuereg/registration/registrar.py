@@ -244,7 +244,9 @@ class Registrar:
         if varied is not None:
             result = replace(result, model={**result.model, "variants": varied.count})
         start = field if field is not None or varied is None else varied.mean
-        return replace(result, linear=lambda: self._linear(moment.markers, result.markers.used, start))
+        # Not the moment itself: it holds the one before, and so on to the first.
+        markers, used = moment.markers, result.markers.used
+        return replace(result, linear=lambda: self._linear(markers, used, start))
 
     def _simulated(self, moment: MomentInput) -> tuple[FloatArray | None, Variants | None]:
         """Return the simulation of a moment and its variants, checked; refuse what does not go with the method."""
