@@ -55,7 +55,7 @@ class _Changes:
         return self.changes.errors(latents)
 
     def error_law(self, latents: FloatArray | None = None) -> tuple[ScaledErrors, FloatArray]:
-        """Return the errors and their factors; see `ScalesErrors`."""
+        """Return the errors, and the factor (n_fields,) of each at `latents`, as `ScalesErrors` states."""
         return self.changes.error_law(latents)
 
     def prior(self, simulation: FloatArray | None) -> Gaussian:

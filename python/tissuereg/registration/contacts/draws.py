@@ -31,7 +31,7 @@ class Draws:
     further : sequence of (Cause, float)
         Uncertain parameters of the model beside the moduli, each with its standard deviation.
     moments : int
-        Moments through which the samples have gone on, this one included.
+        Frames over which the samples were carried on, this one included.
     """
 
     fit: ContactFit

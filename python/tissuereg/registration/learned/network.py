@@ -100,7 +100,7 @@ class NetworkModel:
         return np.asarray(law.fields * scale[:, None, None])
 
     def error_law(self, latents: FloatArray | None = None) -> tuple[ScaledErrors, FloatArray]:
-        """Return the errors and their factors; see `ScalesErrors`."""
+        """Return the errors, and the factor (n_fields,) of each at `latents`, as `ScalesErrors` states."""
         if latents is None:
             return self._errors, self._errors.scale(None)
         return self._errors, self._errors.scale(float(rms_displacement(self.sampled(latents[:, None]))[0]))
@@ -253,7 +253,7 @@ class AnchoredModel:
         return np.asarray(law.fields * scale[:, None, None])
 
     def error_law(self, latents: FloatArray | None = None) -> tuple[ScaledErrors, FloatArray]:
-        """Return the errors and their factors; see `ScalesErrors`."""
+        """Return the errors, and the factor (n_fields,) of each at `latents`, as `ScalesErrors` states."""
         if not len(self._errors.fields):
             return self._network.error_law(latents)
         if latents is None:

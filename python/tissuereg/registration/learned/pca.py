@@ -121,7 +121,7 @@ class PcaModel:
         return np.asarray(law.fields * scale[:, None, None])
 
     def error_law(self, latents: FloatArray | None = None) -> tuple[ScaledErrors, FloatArray]:
-        """Return the errors and their factors; see `ScalesErrors`."""
+        """Return the errors, and the factor (n_fields,) of each at `latents`, as `ScalesErrors` states."""
         if latents is None:
             return self._law, self._law.scale(None)
         return self._law, self._law.scale(float(rms_displacement(self.decode(latents[:, None]) - self.centre)[0]))
