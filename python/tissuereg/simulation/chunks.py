@@ -185,7 +185,7 @@ class ChunkMaker:
         threads: int,
         progress: Callable[[int], None] | None = None,
     ) -> tuple[FloatArray, dict[int, str]]:
-        """Return displacements (n, n_nodes, 3) in mm, NaN where there is none, and the reasons for those."""
+        """Return displacements (n, n_nodes, 3) in mm, NaN for members without equilibrium, and the reasons of these."""
         loads = [event.load(self.simulator, s) for event, s in zip(events, size, strict=True)]
         found = self.simulator.solve_many(loads, materials, threads=threads, progress=progress, **SOLVE)
         displacement, lost = found.displacement, dict(found.failed)

@@ -218,7 +218,7 @@ def _check_enough(reports: list[ChunkReport]) -> None:
 
 
 def _check_unchanged(store: Store, reports: list[ChunkReport], pairs: PairsReport | None) -> None:
-    """Refuse files that are no longer those of the card that is there, lest a new card vouch for them."""
+    """Refuse files that differ from those of an existing card, so that a new card does not certify them."""
     try:
         card = read_card(store)
     except FormatError:

@@ -122,7 +122,7 @@ class MeshRecipe(Keys):
     n_nodes: int | None = whole("of that mesh: nodes, about", least=1, default=None, otherwise=f"{DEFAULT_NODES}")
 
     def check(self) -> None:
-        """Refuse neither or both of a file and a body, and keys of the other one."""
+        """Refuse a recipe with neither or both of `file` and `source`, or with a key that belongs to the other."""
         if (self.file is None) == (self.source is None):
             self.refuse("either `file` or `source` must be given")
         if (self.fixed if self.file is None else self.n_nodes) is not None:

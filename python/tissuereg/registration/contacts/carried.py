@@ -66,7 +66,7 @@ class Carried:
         return cls(fit.columns, fit.state, samples, fit.tangent, draw.material, list(draw.further), left, draw.moments)
 
     def columns_for(self, columns: Columns) -> Columns | None:
-        """Return the columns of the next moment with what was found; None if body or causes are others."""
+        """Return the next frame's columns with the supports' stiffness found; None if body or causes differ."""
         if columns.body is not self.columns.body or columns.n_columns != self.columns.n_columns:
             return None
         return columns.made_of(self.material).on(self.columns.springs)

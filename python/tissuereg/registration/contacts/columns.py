@@ -260,7 +260,7 @@ class Columns:
 
 
 def _spread(patches: Patches, units: FloatArray) -> FloatArray:
-    """Return what many times (n, n_patches, 3) the patches' shapes put on nodes, (n, n_nodes, 3)."""
+    """Return nodal values (n, n_nodes, 3): amplitudes (n, n_patches, 3) times the patches' shapes."""
     on_nodes = np.asarray(patches.shapes.T @ np.moveaxis(units, 0, 1).reshape(patches.n_patches, -1))
     return np.moveaxis(on_nodes.reshape(-1, len(units), 3), 1, 0)
 

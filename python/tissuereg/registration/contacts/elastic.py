@@ -76,7 +76,7 @@ class ElasticBody:
         return make_patches(self.mesh, self._free)
 
     def seen(self, fields: FloatArray) -> FloatArray:
-        """Return what the markers see, (n_fields, 3 n_markers), of fields (n_fields, n_nodes, 3), to first order."""
+        """Return the markers' displacements (n_fields, 3 n_markers) in fields (n_fields, n_nodes, 3)."""
         columns = [np.einsum("fkx,kx->f", fields[:, nodes], weights) for nodes, weights in self.rows]
         return np.stack(columns, axis=1)
 

@@ -146,7 +146,7 @@ def _shapes(
 def _texture(
     centres: FloatArray, across: FloatArray, radii: FloatArray, level: IntArray
 ) -> tuple[IntArray, IntArray, FloatArray]:
-    """Return, for each patch, those of the next smaller radius whose centre lies inside."""
+    """Return, for each patch, the patches of the next smaller radius whose centre lies inside it."""
     trees = _trees(centres, level)
     found = [_pairs(trees, (coarse, coarse - 1), radii, across) for coarse in range(1, len(trees))]
     first, inside, patches = _by_patch(found, len(centres))
@@ -156,7 +156,7 @@ def _texture(
 def _neighbours(
     centres: FloatArray, across: FloatArray, radii: FloatArray, level: IntArray
 ) -> tuple[IntArray, IntArray]:
-    """Return, for each patch, those of its radius next to it and those of the next radii about its centre."""
+    """Return, for each patch, its neighbours of the same radius and the patches of the next radii about its centre."""
     trees, reach = _trees(centres, level), DISCRETISATION.thinning * radii
     found = []
     for of in range(len(trees)):
@@ -179,7 +179,7 @@ def _trees(centres: FloatArray, level: IntArray) -> list[tuple[IntArray, Any]]:
 def _pairs(
     trees: list[tuple[IntArray, Any]], levels: tuple[int, int], reach: FloatArray, across: FloatArray
 ) -> tuple[IntArray, IntArray]:
-    """Return patches of one level and, of another, those on the same side nearer than the first one's reach."""
+    """Return pairs of patches of two levels, on the same side and nearer to each other than the first one's reach."""
     (own, of), (theirs, tree) = trees[levels[0]], trees[levels[1]]
     # Exclude those exactly at the reach.
     found = tree.query_ball_point(of.data, np.nextafter(reach[own], 0.0))
@@ -191,7 +191,7 @@ def _pairs(
 
 
 def _by_patch(found: list[tuple[IntArray, IntArray]], n_patches: int) -> tuple[IntArray, IntArray, IntArray]:
-    """Return where each patch's others begin, the others in ascending order, and the patch of each."""
+    """Return pairs sorted by patch: where each patch's partners begin, the partners ascending, the patch of each."""
     patches = np.concatenate([np.empty(0, np.int64), *(one[0] for one in found)])
     others = np.concatenate([np.empty(0, np.int64), *(one[1] for one in found)])
     order = np.lexsort((others, patches))

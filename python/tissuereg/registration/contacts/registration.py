@@ -191,7 +191,7 @@ class _ContactSearch:
 
 
 def _carried(after: Registration | None, given: RegisterInput) -> Carried | None:
-    """Return what a registration of the same markers leaves; None without one, or if it was made otherwise."""
+    """Return the end of an earlier registration of the same markers; None without one, or if it cannot be continued."""
     if not isinstance(after, ContactRegistration) or not isinstance(after.draw, Draws):
         return None
     if given.surface is not None or after.surface is not None:

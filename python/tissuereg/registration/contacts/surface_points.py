@@ -243,7 +243,7 @@ def _iterated(mesh: Mesh, points: FloatArray, frame: RigidMotion, count: int) ->
 
 
 def _rows(arms: FloatArray, normals: FloatArray, off: FloatArray, length: float) -> tuple[FloatArray, FloatArray]:
-    """Return the linear system of a small motion: along normals with weight one, along axes with a small one."""
+    """Return the least-squares system of a small rigid motion: weight one along normals, a small one along axes."""
     parts, goals = [], []
     for directions, weight in (
         (normals, 1.0),

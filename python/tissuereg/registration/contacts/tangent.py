@@ -71,7 +71,7 @@ class Tangent:
 
 
 def _apart(whole: Compliance) -> list[Compliance]:
-    """Return one entry per observation."""
+    """Return sensitivities to nodal forces one by one, an entry per observation."""
     return [
         Compliance(whole.forces[i : i + 1], whole.body_force[i : i + 1], whole.prescribed[i : i + 1])
         for i in range(len(whole.forces))

@@ -32,7 +32,7 @@ class Folds:
 
     @property
     def is_sharp(self) -> np.ndarray:
-        """Whether each is an edge of the body, rather than one of facets along a smooth face, shape (n_edges,)."""
+        """Whether each edge is one of the body's own, not one between facets of a smooth face, shape (n_edges,)."""
         return np.asarray(self.cosines < FINE.sharp)
 
 
