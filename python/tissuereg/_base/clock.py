@@ -8,14 +8,15 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Progress:
-    """What a long call says while it runs.
+    """A message of a long call about its progress.
 
     Attributes
     ----------
     kind : str
-        ``"stage"``: a stage begins, or goes on; ``"pass"``: a pass is finished; ``"size"``, ``"warning"``: a remark.
+        ``"stage"``: a stage begins, or goes on; ``"pass"``: one iteration of a registration (linearise, sample, solve)
+        is finished; ``"size"``: a remark on time and memory; ``"warning"``: a warning.
     words : str
-        Name of the stage, on large bodies also with how much of it is done; or the remark.
+        Name of the stage, on large bodies followed by the share that is done; or the text of the remark.
     done, most : int
         Of a ``"pass"``: passes finished and passes at most; 0 otherwise.
     """

@@ -181,7 +181,8 @@ def simulated_tables(
 ) -> list[tuple[CsvTable, _Histories]]:
     """Return the tables of an experiment folder with simulated values; tables without a row are left out.
 
-    `experiment`: what was simulated; `answers`: all cases. Result: as `write_histories` takes them.
+    `experiment`: what was simulated; `answers`: all cases. Result: each table with its rows by case and name, for
+    `write_histories`.
     """
     names = experiment.marker_names
     cases = experiment.cases

@@ -73,7 +73,7 @@ def turned_round(triangles: IntArray, which: IntArray | BoolArray) -> IntArray:
 
 
 def shell_volumes(surface: Triangles, shell: IntArray) -> FloatArray:
-    """Return the signed volume of every shell about its own middle, mm^3, shape (n_shells,)."""
+    """Return the volume in each closed shell (n_shells,), mm^3, positive if outward; `shell`: of each triangle."""
     corners = surface.corners
     share = np.bincount(shell)
     middle = np.stack([np.bincount(shell, corners[:, :, x].mean(axis=1)) / share for x in range(3)], axis=1)

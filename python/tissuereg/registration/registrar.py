@@ -38,24 +38,25 @@ _WHERE = {
 
 
 class Registrar:
-    """Registers one body to the same markers again and again; `register` is one such registration.
+    """Registers one body to the same markers again and again; `tissuereg.register` makes one and calls it once.
 
     Everything that depends on the body, the model and the places of markers and targets is made here: their attachment
-    to the mesh, the model, its decoder cut down to these places, its errors there. `register` is the loop.
+    to the mesh, the model, its decoder cut down to these places, its errors there. The method `register` then takes the
+    measured places of one moment (n_markers, 3), mm, and returns a `Registration`.
 
     Parameters
     ----------
     mesh : Mesh, Body or (nodes, tets, fixed_nodes)
-        Undeformed body in mm; a `Body` says more of what is believed of it.
+        Undeformed body in mm; a `Body` also states its material, elements and how surely it is held.
     reference_mm : array_like of float, shape (n_markers, 3), or Markers
         Places of the markers on or near the undeformed body; of `Markers` their noise and names are taken as well.
     model : path-like or LatentModel, optional
         Folder of a trained model for this mesh, or ``"phantom"`` for the one that is shipped. Without it the load is
-        unknown and the answer an equilibrium.
+        unknown, and the answer is the equilibrium under the load that fits the markers.
     targets : mapping of str to array_like of float, shape (3,), optional
         Inner points of the undeformed body, mm.
     load : Load, optional
-        The believed load of every moment, as in `register`.
+        The believed load, the same for every call of `register`.
     seed : int
         Seed of all random numbers.
     settings : RegisterSettings, optional
@@ -67,9 +68,9 @@ class Registrar:
         If a marker or target lies far from the body.
     ModelError
         If the model was trained for another mesh, a file of it is corrupt, or its weights are not those of its decoder;
-        or if something is given that means nothing with a model.
+        or if `body` or `settings` state something that has no meaning with a model; the message names it.
     ArgumentError
-        If something is given that means nothing without a model, or an argument has the wrong type.
+        If `settings` state something that has no meaning without a model, or an argument has the wrong type.
     ShapeError, MeshError
         As in `register`.
 
@@ -297,7 +298,7 @@ class Registrar:
         return replace(polished, model={**result.model, "polished": True})
 
     def _judged(self, result: Registration, markers: Markers, clock: Clock) -> Registration:
-        """Return a result whose markers were not examined, with the reasons that an examination gives if it fails."""
+        """Return a result; if it is not trusted, suspicions that `markers` are misread precede its reasons."""
         if result.trust.ok:
             return result
         with clock.stage("judge"):

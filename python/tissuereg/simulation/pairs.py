@@ -30,9 +30,9 @@ class PairsReport:
 
 
 def make_pairs(task: ChunkTask) -> PairsReport:
-    """Make the pairs and write them, or find that they are there.
+    """Simulate pairs (true event, believed model's answer to it) and write them, unless a valid file is there.
 
-    `task`: any task of the data set; its number does not matter. Result: size and fingerprint of the file. Raises
+    `task`: any task of the data set, for its recipe and folder. Result: size in bytes and SHA-256 of the file. Raises
     `EnsembleError` if more than half of the pairs fail; `FormatError` if the pairs are there already, but spoilt;
     `OutputError` if they cannot be written.
     """

@@ -16,7 +16,7 @@ YOUNG_SPREAD = 1.0
 
 
 class StiffnessCause(Cause):
-    """Young's modulus; a nuisance within its prior, a finding beyond it (`tissuereg.diagnosis.nuisances`)."""
+    """Another Young's modulus; every fit has it as a nuisance, a finding is named where it lies far from its prior."""
 
     id: ClassVar[str] = "stiffness"
     absolute: ClassVar[bool] = True

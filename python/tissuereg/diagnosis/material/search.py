@@ -232,7 +232,7 @@ class MaterialSearch:
         return Hypothesis(tuple(id for id, _ in kept), fit, evidence)
 
     def _swapped(self, none: Hypothesis, known: Hypothesis) -> Hypothesis:
-        """Return the hypothesis with earlier causes replaced where another explains more given the newest."""
+        """Return `known` with each cause but the newest exchanged for another where that raises the log evidence."""
         for cause in known.ids[:-1]:
             self.progress(f"exchange of {cause}")
             _, racers = self.alternatives(none, known, cause)

@@ -28,7 +28,8 @@ _WIDTH, _LEFT, _RIGHT = 900.0, 60.0, 20.0
 class ChannelCurve:
     """Residuals of one channel of one case over time, in noise deviations.
 
-    `times` (n_frames,): s; `before`, `after` (n_frames,): root mean squares; NaN where nothing was measured; `low`,
+    `times` (n_frames,): s; `before`, `after` (n_frames,): root mean squares over the channel's components before and
+    after the findings are included; NaN where nothing was measured; `low`,
     `high` (n_frames,): band in which noise alone lies in `SHARE` of all frames.
     """
 

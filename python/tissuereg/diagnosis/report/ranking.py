@@ -32,7 +32,7 @@ def separated(advice: Mapping[str, Any]) -> str:
 
 
 def gloss(cause: str) -> str:
-    """Return one line that explains a cause."""
+    """Return the line of the report that explains a cause, given its id."""
     if cause == UNKNOWN:
         return "Any smooth change over the body, the load and time, without a physical cause."
     return ((type(CAUSES[cause]).__doc__ if cause in CAUSES else None) or "").partition("\n")[0].partition(" (`")[0]

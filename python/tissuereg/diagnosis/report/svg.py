@@ -89,5 +89,5 @@ def upright(x: float, top: float, bottom: float, colour: str, more: str = "") ->
 
 
 def level(y: float, left: float, right: float, colour: str, more: str = "") -> str:
-    """Return a horizontal line."""
+    """Return a horizontal line as SVG; `y`, `left`, `right` in pixels, `more`: further attributes."""
     return f"<line x1='{left:.1f}' x2='{right:.1f}' y1='{y:.1f}' y2='{y:.1f}' stroke='{colour}' {more}/>"

@@ -226,7 +226,7 @@ class PointCalibration:
         return (BESIDE_VARIANTS if varied else 1.0) * max(size, LEAST_SIZE_MM) ** 2
 
     def prior(self, share: float = 1.0) -> list[Component]:
-        """Return the components of an event that is not simulated, one a kind, all `share` probable."""
+        """Return the mixture of an event without a simulation, a component for each kind; weights sum to `share`."""
         kinds, law = self.whole.kinds, self.whole.alone
         return [
             Component(share * weight * law.scale_weights[0], law.scales, mean, covariance, errors)

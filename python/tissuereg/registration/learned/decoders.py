@@ -423,7 +423,7 @@ def _based(graph: OnnxGraph, bases: FloatArray, x: str, n_columns: int) -> str:
 
 
 def _block(graph: OnnxGraph, table: FloatArray, near: IntArray | None, given: str, bases: FloatArray) -> str:
-    """Add the sum over neighbours of a group of rows (n_group, n_near, M); `near` are those among all, None for all."""
+    """Append to `graph` the sum over neighbours of `table` (n_group, n_near, M) times `bases`; rows `near`, or all."""
     taken = given if near is None else graph.node("Gather", [given, graph.table(near)], axis=1)
     taken = graph.reshape(taken, 0, table.shape[1] * bases.shape[0], bases.shape[2])
     return graph.node("MatMul", [graph.table(table.reshape(len(table), -1)), taken])
