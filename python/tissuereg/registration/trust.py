@@ -34,7 +34,7 @@ class Trust:
         of calibration events that look at least as bad.
     reasons : list of str
         Reasons not to trust the result, in sentences that start with their kind: ``misfit``, ``few markers``, ``wrong
-        marker``, ``inverted tets``, ``simulation``, ``unfamiliar``, or a kind of
+        marker``, ``inverted tets``, ``simulation``, ``unfamiliar``, ``noise``, or a kind of
         `tissuereg.registration.readings.Suspicion`.
     chi_square : float
         J above.
@@ -103,7 +103,7 @@ class Shown(Protocol):
 
     @property
     def row(self) -> FloatArray:
-        """Misfit, wrong marker, unfamiliar, simulation, (4,)."""
+        """Misfit, wrong marker, unfamiliar, simulation, noise, (5,)."""
         ...
 
     @property
@@ -121,11 +121,11 @@ class Compared(Protocol):
     """Calibration events; see `tissuereg.registration.learned.calibration_set.CalibrationSet`."""
 
     def p_value(self, statistics: FloatArray) -> float:
-        """Return the share of calibration events whose rarest statistic is as rare as that of statistics (4,)."""
+        """Return the share of calibration events whose rarest statistic is as rare as that of statistics (5,)."""
         ...
 
     def shares(self, statistics: FloatArray) -> FloatArray:
-        """Return for each of statistics (4,) the share of calibration events that look as bad."""
+        """Return for each of statistics (5,) the share of calibration events that look as bad."""
         ...
 
 
@@ -154,7 +154,7 @@ def judge_by_rehearsal(
     if p_value < LEVEL:
         shares = calibration_set.shares(statistics)
         limit = max(LEVEL / len(shares), float(shares.min()))
-        misfit, marker, unfamiliar, simulation = (bool(share <= limit) for share in shares)
+        misfit, marker, unfamiliar, simulation, scatter = (bool(share <= limit) for share in shares)
         if misfit:
             reasons.append(
                 f"misfit: fewer than one in {_in_words(shares[0])} calibration events fit the model so badly "
@@ -172,6 +172,8 @@ def judge_by_rehearsal(
             reasons.append(
                 f"unfamiliar: the shape lies {statistics[2]:.1f} standard deviations from all that the model knows"
             )
+        if scatter:
+            reasons.append("noise: the markers scatter as if their noise was several times larger than stated")
         if simulation:
             reasons.append("simulation: another event than the simulated one explains the markers better")
     reasons += _too_few(names)

@@ -63,6 +63,11 @@ def score_markers(residual: FloatArray, noise: FloatArray, absorbed: FloatArray)
     )
 
 
+def most_wrong(n_markers: int) -> int:
+    """Return how many of some markers can be told to be wrong: fewer than half, a majority agrees with itself."""
+    return (n_markers - 1) // 2
+
+
 def drop_wrong(
     fit: Callable[[IntArray], tuple[_Fit, _core.GroupScores]],
     n_markers: int,
@@ -79,7 +84,7 @@ def drop_wrong(
     ones in the majority cannot be told. Result: `fit`: the last fit; `dropped`: markers that were dropped, in this
     order, each with the p-value that it had.
     """
-    most = (n_markers - 1) // 2 if max_dropped is None else max_dropped
+    most = most_wrong(n_markers) if max_dropped is None else max_dropped
     kept = np.arange(n_markers)
     dropped: list[tuple[int, float]] = []
     while True:

@@ -21,7 +21,6 @@ from tissuereg.registration.learned.calibration import (
     Rehearsal,
     RowsOf,
 )
-from tissuereg.registration.learned.calibration_set import CalibrationSet
 from tissuereg.registration.learned.components import Components, probabilities
 from tissuereg.registration.learned.linearise import conditioned, spread_of
 from tissuereg.registration.learned.mixture import Component, LinearDecoder, condition, log_evidence
@@ -80,6 +79,13 @@ class RehearsalSettings:
         Events at most.
     n_repeats : int
         Registrations of each pair, from other places and with other noise: pairs are few.
+    n_varied : int
+        Events at most that are registered once more, from other numbers of markers and with other noise; they only
+        tell how test statistics are distributed. Each pair is, too.
+    least_markers, most_markers : int
+        Numbers of markers of these, drawn evenly on a logarithmic scale.
+    least_std, most_std : float
+        Noise of these, mm, drawn likewise.
     seed : int
         Of places and noise.
     """
@@ -89,6 +95,11 @@ class RehearsalSettings:
     std: float = 0.1
     n_events: int = 1000
     n_repeats: int = 3
+    n_varied: int = 400
+    least_markers: int = 5
+    most_markers: int = 40
+    least_std: float = 0.03
+    most_std: float = 1.0
     seed: int = 0
 
 
@@ -118,12 +129,12 @@ def calibrate(
     shares = kinds.shares(coded)
     scales = Rehearsal(_SCALES, _equal(1, len(_SCALES)))
     made = Calibration(kinds, field_errors(missed, shares, _PATTERNS), scales)
-    events = []
+    events, varied = [], []
     for own, others in _folds(np.zeros(len(unseen), np.int64)):
         without = replace(made, errors=field_errors(missed[others], shares[others], _PATTERNS))
         events += [rehearsal.registered(without, None, unseen[row]) for row in own[own < how.n_events]]
-    alone = rehearsal.outcome(events, scales)
-    made = replace(made, alone=alone)
+        varied += [rehearsal.registered(without, None, unseen[row], varied=True) for row in own[own < how.n_varied]]
+    made = replace(made, alone=rehearsal.beside(rehearsal.outcome(events, scales), varied))
     if not pairs:
         return made
     simulations, truths = (np.concatenate([one[part] for one in pairs]) for part in (0, 1))
@@ -131,19 +142,26 @@ def calibrate(
     again = range(how.n_repeats)
     # Truths of another physics look worse without a simulation too.
     for number in range(len(pairs)):
-        shown = (rehearsal.registered(made, None, truth) for truth in truths[kind == number] for _ in again)
-        statistics = np.array([rehearsal.shown(event, alone.scale_weights)[0] for event in shown])
-        made = replace(made, alone=replace(made.alone, calibration_set=made.alone.calibration_set.beside(statistics)))
+        for times, other in ((how.n_repeats, False), (1, True)):
+            events = [
+                rehearsal.registered(made, None, truth, varied=other)
+                for truth in truths[kind == number]
+                for _ in range(times)
+            ]
+            made = replace(made, alone=rehearsal.beside(made.alone, events))
     differences = _Differences.of(model, simulations, truths, kind, missed)
     made = replace(made, change=differences.change(np.arange(len(truths))))
     n_forms = len(pairs) * len(_FACTORS)
     scales = Rehearsal(_CHANGE_SCALES, _equal(n_forms, len(_CHANGE_SCALES)))
-    events, of_event = [], []
+    events, varied, of_event, of_varied = [], [], [], []
     for own, others in _folds(kind):
         of_event += [number for number in kind[own] for _ in again]
+        of_varied += list(kind[own])
         without = replace(made, anchored=scales, change=differences.change(others))
         events += [rehearsal.registered(without, simulations[row], truths[row]) for row in own for _ in again]
-    return replace(made, anchored=rehearsal.outcome(events, scales, np.array(of_event)))
+        varied += [rehearsal.registered(without, simulations[row], truths[row], varied=True) for row in own]
+    anchored = rehearsal.outcome(events, scales, np.array(of_event))
+    return replace(made, anchored=rehearsal.beside(anchored, varied, np.array(of_varied)))
 
 
 def _equal(*shape: int) -> FloatArray:
@@ -238,14 +256,14 @@ class _Places:
     weights: FloatArray
 
     @classmethod
-    def drawn(cls, mesh: Mesh, how: RehearsalSettings, rng: np.random.Generator) -> "_Places":
+    def drawn(cls, mesh: Mesh, n_markers: int, n_targets: int, rng: np.random.Generator) -> "_Places":
         free, shares = free_surface(mesh)
-        triangles = free[rng.choice(len(free), how.n_markers, p=shares)]
-        tets = mesh.tets[rng.choice(mesh.n_tets, how.n_targets, p=mesh.volumes / mesh.volumes.sum())]
+        triangles = free[rng.choice(len(free), n_markers, p=shares)]
+        tets = mesh.tets[rng.choice(mesh.n_tets, n_targets, p=mesh.volumes / mesh.volumes.sum())]
         members = np.concatenate([np.column_stack([triangles, triangles[:, :1]]), tets])
         weights = np.zeros((len(members), 4))
-        weights[: how.n_markers, :3] = rng.dirichlet(np.ones(3), how.n_markers)
-        weights[how.n_markers :] = rng.dirichlet(np.ones(4), how.n_targets)
+        weights[:n_markers, :3] = rng.dirichlet(np.ones(3), n_markers)
+        weights[n_markers:] = rng.dirichlet(np.ones(4), n_targets)
         nodes, where = np.unique(members, return_inverse=True)
         return cls(nodes, where.reshape(members.shape), weights)
 
@@ -275,7 +293,8 @@ class _Places:
 class _RegisteredEvent:
     """A registered truth: its prior, of which the first `n_own` components are the event's own, and the decoder there.
 
-    Rows of `observed` are those of the markers, of `rows` the true ones of markers and targets, mm.
+    Rows of `observed` are those of the markers, of `rows` the true ones of markers and targets, mm; `noise`: covariance
+    of the tracker's noise, mm^2.
     """
 
     made: Calibration
@@ -283,6 +302,7 @@ class _RegisteredEvent:
     n_own: int
     linear: LinearDecoder
     observed: FloatArray
+    noise: FloatArray
     rows: FloatArray
 
 
@@ -291,15 +311,20 @@ class _Rehearsing:
 
     def __init__(self, model: Codes, mesh: Mesh, how: RehearsalSettings) -> None:
         self._model, self._mesh, self._how = model, mesh, how
-        self._rng = np.random.default_rng([how.seed, 22])
-        self._noise = how.std**2 * np.eye(3 * how.n_markers)
+        self._rng, self._varied = (np.random.default_rng([how.seed, stream]) for stream in (22, 23))
 
-    def registered(self, made: Calibration, simulation: FloatArray | None, truth: FloatArray) -> _RegisteredEvent:
-        """Register one truth."""
-        how, model, n_obs = self._how, self._model, len(self._noise)
-        places = _Places.drawn(self._mesh, how, self._rng)
+    def registered(
+        self, made: Calibration, simulation: FloatArray | None, truth: FloatArray, *, varied: bool = False
+    ) -> _RegisteredEvent:
+        """Register one truth; with a number of markers and noise that are drawn, if they are `varied`."""
+        how, model = self._how, self._model
+        rng = self._varied if varied else self._rng
+        n_markers, std = self._layout() if varied else (how.n_markers, how.std)
+        n_obs = 3 * n_markers
+        noise = std**2 * np.eye(n_obs)
+        places = _Places.drawn(self._mesh, n_markers, how.n_targets, rng)
         rows = places.rows(truth[None, places.nodes].astype(np.float64))[0]
-        observed = rows[:n_obs] + how.std * self._rng.standard_normal(n_obs)
+        observed = rows[:n_obs] + std * rng.standard_normal(n_obs)
         at, decoded = made.at(places.rows_of()), places.decoder(model)
         anchor, start, n_own = np.zeros(len(rows)), made.kinds.weights @ made.kinds.means, len(made.kinds.weights)
         prior = at.prior()
@@ -313,12 +338,25 @@ class _Rehearsing:
             lambda latents: decoded(latents) + anchor,
             prior,
             observed,
-            self._noise,
+            noise,
             start,
             spread_of(made.kinds),
             _PASSES,
         )
-        return _RegisteredEvent(made, prior, n_own, linear, observed, rows)
+        return _RegisteredEvent(made, prior, n_own, linear, observed, noise, rows)
+
+    def _layout(self) -> tuple[int, float]:
+        """Return a number of markers and the standard deviation of their noise, mm."""
+        how = self._how
+        markers, std = (
+            np.exp(self._varied.uniform(np.log(least), np.log(most)))
+            for least, most in ((how.least_markers, how.most_markers), (how.least_std, how.most_std))
+        )
+        return round(float(markers)), float(std)
+
+    def beside(self, law: Rehearsal, events: list[_RegisteredEvent], kind: IntArray | None = None) -> Rehearsal:
+        """Return the outcome with further groups of events, which only tell how test statistics are distributed."""
+        return _with_groups(law, np.array([self.shown(event, law.scale_weights)[0] for event in events]), kind)
 
     def shown(self, event: _RegisteredEvent, scale_weights: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the test statistics of an event under probabilities of scales, and the misfits of its targets."""
@@ -327,9 +365,9 @@ class _Rehearsing:
         total = np.array([one.weights.sum() for one in own]) if forms == 1 else np.full(forms, 1.0 - UNRELATED)
         laws = np.broadcast_to(scale_weights, (len(own), scale_weights.shape[1]))
         own = [replace(one, weights=share * law) for one, share, law in zip(own, total, laws, strict=True)]
-        prior, n_obs = [*own, *event.prior[event.n_own :]], len(self._noise)
-        found = condition(prior, event.linear, event.observed, self._noise)
-        shown = statistics_of(event.made, found, event.n_own)
+        prior, n_obs = [*own, *event.prior[event.n_own :]], len(event.noise)
+        found = condition(prior, event.linear, event.observed, event.noise)
+        shown = statistics_of(event.made, prior, event.linear, event.observed, event.noise, found, event.n_own)
         return shown.row, _misfits(event.rows - found.mean, found.covariance, n_obs)
 
     def outcome(self, events: list[_RegisteredEvent], law: Rehearsal, kind: IntArray | None = None) -> Rehearsal:
@@ -339,20 +377,25 @@ class _Rehearsing:
         scale_weights = _mixing(logs).reshape(n_forms, n_scales)
         statistics, misfits = zip(*(self.shown(event, scale_weights) for event in events), strict=True)
         widening, tail = _regions(np.concatenate(misfits))
-        shown, group = np.array(statistics), np.zeros(len(events), np.int64) if kind is None else kind
-        calibration_set = CalibrationSet.none()
-        for number in np.unique(group):
-            calibration_set = calibration_set.beside(shown[group == number])
-        return replace(law, scale_weights=scale_weights, widening=widening, tail=tail, calibration_set=calibration_set)
+        found = replace(law, scale_weights=scale_weights, widening=widening, tail=tail)
+        return _with_groups(found, np.array(statistics), kind)
 
     def _log_evidence(self, event: _RegisteredEvent, n_forms: int) -> FloatArray:
         """Return the log-evidence of every form and scale of the event's own components, (n_forms, n_scales)."""
         prior = event.prior[: event.n_own]
-        logs = log_evidence(prior, event.linear, event.observed, self._noise)
+        logs = log_evidence(prior, event.linear, event.observed, event.noise)
         if n_forms > 1:
             return logs
         weights = np.array([one.weights.sum() for one in prior])
         return np.asarray(np.logaddexp.reduce(logs + np.log(weights)[:, None], axis=0, keepdims=True))
+
+
+def _with_groups(law: Rehearsal, statistics: FloatArray, kind: IntArray | None) -> Rehearsal:
+    """Return an outcome with the test statistics of events (n_events, 5), a group for each kind (n_events,)."""
+    known, group = law.calibration_set, np.zeros(len(statistics), np.int64) if kind is None else kind
+    for number in np.unique(group):
+        known = known.beside(statistics[group == number])
+    return replace(law, calibration_set=known)
 
 
 def _mixing(logs: FloatArray) -> FloatArray:

@@ -19,7 +19,7 @@ from tissuereg.registration.learned.components import Components
 from tissuereg.registration.learned.mixture import Component
 
 #: Form of ``calibration.npz``.
-VERSION = 3
+VERSION = 4
 
 #: Fields (n_fields, n_nodes, 3) to their rows at markers and targets, (n_fields, n_rows).
 RowsOf = Callable[[FloatArray], FloatArray]

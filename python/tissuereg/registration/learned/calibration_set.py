@@ -12,10 +12,14 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray, IntArray
 
-#: Test statistics, in the order of columns: minus the logarithm of the chance of the innovation; the same of the marker
-#: that fits the others worst, times the number of markers; distance of the fitted code from the training set in
-#: standard deviations; log-odds that the simulation is of another event, 0 where it is likelier of this one.
-STATISTICS = ("misfit", "wrong marker", "unfamiliar", "simulation")
+#: Test statistics, in the order of columns: minus the logarithm of the chance that all markers lie as far from their
+#: predictions from the other markers; the same of the marker that fits the others worst, times the number of markers;
+#: distance of the fitted code from the training set in standard deviations; log-odds that the simulation is of another
+#: event, 0 where it is likelier of this one; log-odds that the tracker's noise is larger than stated, at least 0.
+STATISTICS = ("misfit", "wrong marker", "unfamiliar", "simulation", "noise")
+
+#: Statistics that are chances where no calibration event tells how they are distributed.
+_CHANCES = (True, True, False, False, True)
 
 #: Share of the events of a group, and their least number, that tell how a statistic goes on beyond the largest of them.
 _TAIL_SHARE, _TAIL_FEWEST = 0.1, 5
@@ -31,7 +35,7 @@ _LEAST = 1e-300
 class CalibrationSet:
     """Test statistics of calibration events.
 
-    `statistics` (n_events, 4): as `STATISTICS`; `groups` int64 (n_events,): group of each event, such as those of the
+    `statistics` (n_events, 5): as `STATISTICS`; `groups` int64 (n_events,): group of each event, such as those of the
     physics that the model was trained on, and of another physics.
     """
 
@@ -44,7 +48,7 @@ class CalibrationSet:
         return cls(np.empty((0, len(STATISTICS))), np.empty(0, np.int64))
 
     def beside(self, statistics: FloatArray) -> "CalibrationSet":
-        """Return the same with a further group of events, statistics (n_more, 4)."""
+        """Return the same with a further group of events, statistics (n_more, 5)."""
         group = int(self.groups.max(initial=-1)) + 1
         return CalibrationSet(
             np.concatenate([self.statistics, statistics]), np.append(self.groups, np.full(len(statistics), group))
@@ -54,13 +58,13 @@ class CalibrationSet:
         return len(self.statistics)
 
     def shares(self, statistics: FloatArray) -> FloatArray:
-        """Return for each of statistics (4,) the share of calibration events as bad, in the group that looks worst."""
+        """Return for each of statistics (5,) the share of calibration events as bad, in the group that looks worst."""
         if not len(self):
-            return np.asarray(np.where([True, True, False, False], np.exp(-statistics), 1.0))
+            return np.asarray(np.where(_CHANCES, np.minimum(np.exp(-statistics), 1.0), 1.0))
         return np.asarray(np.max([group.shares(statistics) for group in self._groups], axis=0))
 
     def p_value(self, statistics: FloatArray) -> float:
-        """Return the share of calibration events with as rare a worst statistic as (4,) ones, in the worst group."""
+        """Return the share of calibration events with as rare a worst statistic as (5,) ones, in the worst group."""
         if not len(self):
             return float(np.exp(-statistics[0]))
         return max(group.p_value(statistics) for group in self._groups)

@@ -24,6 +24,9 @@ from tissuereg.registration.learned.components import probabilities
 #: Pairs of component and scale that are less probable than this share of the most probable one are left out.
 _NEGLIGIBLE = 1e-4
 
+#: Standard deviations of the tracker's noise over the stated ones, with which the stated ones are compared.
+NOISE_FACTORS = (3.0, 10.0)
+
 #: Those less probable than this share stay so when the decoder is linearised anew close by.
 _HOPELESS = 1e-12
 
@@ -73,10 +76,6 @@ class MixturePosterior:
         mm^2.
     pulls : ndarray of float64, shape (n_pairs, n_obs)
         S^-1 v, 1/mm.
-    factors : ndarray of float64, shape (n_pairs, n_obs, n_obs)
-        Lower Cholesky factors of S.
-    p_value : float
-        Chance of an innovation as improbable as this one, averaged over the pairs.
     logs : ndarray of float64, shape (n_all,)
         Logarithm of each pair's probability times the density of the innovation, up to a constant; those of a component
         after each other. Of pairs that were ruled out about an earlier point, as it was there.
@@ -91,8 +90,6 @@ class MixturePosterior:
     means: FloatArray
     covariances: FloatArray
     pulls: FloatArray
-    factors: FloatArray
-    p_value: float
     logs: FloatArray
     log_evidence: FloatArray
 
@@ -160,7 +157,6 @@ class Conditioned:
     def posterior(self) -> MixturePosterior:
         """Return the posterior of markers and targets."""
         from scipy.linalg import lapack
-        from scipy.special import chdtrc
 
         n_obs, model, found, kept = self._n_obs, self._model, self._innovations, self._kept
         means, covariances = [], []
@@ -179,8 +175,6 @@ class Conditioned:
             np.array(means),
             np.array(covariances),
             self.pulls,
-            found.factors[kept, :n_obs, :n_obs],
-            float(self.weights @ chdtrc(n_obs, found.squares[kept])),
             self.logs,
             np.array([np.logaddexp.reduce(part) for part in np.split(self.logs, ends)]),
         )
@@ -200,23 +194,56 @@ def condition(
     return Conditioned(prior, model, observed, noise).posterior()
 
 
-def left_out(found: MixturePosterior) -> tuple[FloatArray, FloatArray]:
-    """Return how well each marker agrees with the prediction from all others, the model's own error included.
+@dataclass(frozen=True, eq=False)
+class LeftOut:
+    """How well each marker agrees with the prediction from all other markers.
 
-    `found`: of markers with three components each. Result: `misfits`, `chances` (n_markers,): squared misfit in its own
-    standard deviations, and the chance of one at least as large, averaged over the pairs. With u = S^-1 v and A the
-    marker's block of S^-1, the misfit is u' A^-1 u. Cost: an inverse of a factor of size n_obs for every pair.
+    `misfits` (n_markers,): squared distance of the marker from its prediction, in standard deviations of the
+    prediction, averaged over the pairs; `chances` (n_markers,): probability of a distance at least as large.
+    """
+
+    misfits: FloatArray
+    chances: FloatArray
+
+
+def left_out(prior: list[Component], model: LinearDecoder, observed: FloatArray, noise: FloatArray) -> LeftOut:
+    """Return how well each marker agrees with the prediction from all other markers.
+
+    Every pair of component and scale predicts the marker, weighted by its probability given the *other* markers: a
+    wrong marker has no say in which kind of event explains the rest. With u = S^-1 v and A the marker's 3 x 3 block of
+    S^-1, the squared distance under a pair is u' A^-1 u, and the density of the others is that of all markers divided
+    by N(0; A^-1 u, A^-1). Arguments and errors as for `Conditioned`; n_obs = 3 n_markers. Cost: a Cholesky factor of
+    size n_obs + 1 and its inverse for every pair.
     """
     from scipy.linalg import lapack
     from scipy.special import chdtrc
 
-    n_pairs, n_obs = found.pulls.shape
-    roots = np.array([lapack.dtrtri(factor, lower=1)[0] for factor in found.factors])
-    columns = roots.reshape(n_pairs, n_obs, n_obs // 3, 3).transpose(0, 2, 3, 1)
-    parts = found.pulls.reshape(n_pairs, -1, 3)
-    solved = np.linalg.solve(columns @ columns.transpose(0, 1, 3, 2), parts[..., None])[..., 0]
-    misfits = (parts * solved).sum(axis=2)
-    return found.weights @ misfits, found.weights @ chdtrc(3, misfits)
+    found, n_obs = _innovations(prior, model, observed, noise), len(observed)
+    with np.errstate(divide="ignore"):
+        logs = np.log(np.concatenate([one.weights for one in prior])) + found.logs
+    roots = np.array([lapack.dtrtri(factor[:n_obs, :n_obs], lower=1)[0] for factor in found.factors])
+    pulls = np.einsum("poi,po->pi", roots, found.factors[:, n_obs, :n_obs]).reshape(len(roots), -1, 3)
+    columns = roots.reshape(len(roots), n_obs, n_obs // 3, 3).transpose(0, 2, 3, 1)
+    blocks = columns @ columns.transpose(0, 1, 3, 2)
+    misfits = (pulls * np.linalg.solve(blocks, pulls[..., None])[..., 0]).sum(axis=2)
+    weights = probabilities((logs[:, None] + 0.5 * misfits - 0.5 * np.linalg.slogdet(blocks)[1]).T).T
+    return LeftOut((weights * misfits).sum(axis=0), (weights * chdtrc(3, misfits)).sum(axis=0))
+
+
+def log_noise_odds(prior: list[Component], model: LinearDecoder, observed: FloatArray, noise: FloatArray) -> float:
+    """Return by how much the markers speak for larger noise than stated: the largest log ratio of evidences.
+
+    Compared are the evidence under the stated covariance and under covariances that are `NOISE_FACTORS`^2 times as
+    large; negative where the stated one explains the markers best. Arguments and errors as for `Conditioned`. Cost: a
+    Cholesky factor of size n_obs + 1 for every pair and factor.
+    """
+    with np.errstate(divide="ignore"):
+        weights = np.log(np.concatenate([one.weights for one in prior]))
+    stated, *larger = (
+        np.logaddexp.reduce(weights + _innovations(prior, model, observed, factor**2 * noise).logs)
+        for factor in (1.0, *NOISE_FACTORS)
+    )
+    return float(max(larger) - stated)
 
 
 def log_evidence(prior: list[Component], model: LinearDecoder, observed: FloatArray, noise: FloatArray) -> FloatArray:
@@ -230,14 +257,13 @@ class _Innovations:
 
     `component`, `scale` (n_pairs,): number of the component, and its scale; `parts`: g P, and G P G' + E at scale one,
     of the components in question, over all rows; `factors` (n_pairs, n_obs + 1, n_obs + 1): Cholesky factors L of S,
-    with (L^-1 v)' as a last row; `squares`, `logs` (n_pairs,): v' S^-1 v, and log N(v; 0, S) without its constant.
+    with (L^-1 v)' as a last row; `logs` (n_pairs,): log N(v; 0, S) without its constant.
     """
 
     component: IntArray
     scale: FloatArray
     parts: dict[int, tuple[FloatArray, FloatArray]]
     factors: FloatArray
-    squares: FloatArray
     logs: FloatArray
 
 
@@ -271,4 +297,4 @@ def _innovations(
         raise NoiseError(message, where="noise") from error
     squares = (factors[:, n_obs, :n_obs] ** 2).sum(axis=1)
     logs = -0.5 * squares - np.log(np.diagonal(factors, axis1=1, axis2=2)[:, :n_obs]).sum(axis=1)
-    return _Innovations(component, scale, parts, factors, squares, logs)
+    return _Innovations(component, scale, parts, factors, logs)

@@ -243,9 +243,11 @@ class CalibratedPosterior:
         """Degrees of freedom of the law of the targets about their means; None for a Gaussian."""
         return self.rehearsal.tail
 
+    @cached_property
     def statistics(self) -> Statistics:
-        """Return what is compared with calibration events."""
-        return statistics_of(self.at.whole, self.found, len(self.anchor.forms) or len(self.prior))
+        """Test statistics, to be compared with those of calibration events."""
+        n_own = len(self.anchor.forms) or len(self.prior)
+        return statistics_of(self.at.whole, self.prior, self.linear, self.observed, self.noise, self.found, n_own)
 
     def _factor(self, number: int) -> float:
         """Return the variance of the factor on the simulation in a component."""

@@ -5,6 +5,7 @@ decoded fields agree with the markers; or Gauss-Newton finds the most probable c
 """
 
 import os
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
@@ -28,6 +29,7 @@ from tissuereg.registration.learned.assimilate import (
     balanced_draws,
     gauss_newton,
 )
+from tissuereg.registration.learned.calibration_set import STATISTICS
 from tissuereg.registration.learned.mixture_posterior import CalibratedPosterior
 from tissuereg.registration.learned.model import Gaussian, LatentModel
 from tissuereg.registration.learned.network import kept_network
@@ -37,8 +39,8 @@ from tissuereg.registration.learned.result import LearnedRegistration
 from tissuereg.registration.learned.variants import Variants
 from tissuereg.registration.learned.widen import stated
 from tissuereg.registration.result import NO_MARKER, MarkerFit, Target
-from tissuereg.registration.trust import Trust, judge, judge_by_rehearsal
-from tissuereg.registration.wrong_markers import drop_wrong, score_markers
+from tissuereg.registration.trust import LEVEL, Trust, judge, judge_by_rehearsal
+from tissuereg.registration.wrong_markers import drop_wrong, most_wrong, score_markers
 
 #: The search ends at a step of so many standard deviations, less than any region shows; neighbours for derivatives of
 #: the decoder are far enough for float32.
@@ -46,6 +48,12 @@ _SEARCH = SearchSettings(tolerance=1e-2, difference=1e-2)
 
 #: Standard deviations of the tracker's noise beyond which a sign is sure: chance of 1e-5.
 _SURELY = 4.3
+
+#: Number of the statistic of the marker that fits the others worst.
+_WRONG = STATISTICS.index("wrong marker")
+
+#: A marker is left out if fewer than this share of calibration events have one that fits the others as badly.
+_DROPPED = 0.05
 
 #: Draws from which predictions about the prior's mean are found where the ensemble is no search or has fewer than twice
 #: as many members as there are latents.
@@ -102,17 +110,48 @@ def register_by_model(
     with clock.stage("assimilate"):
         drawn = _Drawn.of(model, given)
         fit, wrong = _without_wrong(model, drawn, given, seen)
-    used = np.setdiff1d(seen, list(wrong))
     calibration = points.calibration
     posterior: Posterior | CalibratedPosterior
     with clock.stage("decode"):
         if calibration is None:
             posterior = Posterior.of(given.mesh, model, fit.ensemble)
+            surely = wrong
         else:
-            posterior = CalibratedPosterior.of(given, model, calibration, used, fit.ensemble.mean, anchor, variants)
+
+            def conditioned(used: IntArray) -> CalibratedPosterior:
+                return CalibratedPosterior.of(given, model, calibration, used, fit.ensemble.mean, anchor, variants)
+
+            posterior, wrong, surely = _without_unlikely(conditioned, seen)
+    used = np.setdiff1d(seen, list(wrong))
     with clock.stage("judge"):
         before = anchor if simulation is None else simulation
-        return _result(given, used, wrong, before, points.model, fit, posterior, clock)
+        return _result(given, used, wrong, surely, before, points.model, fit, posterior, clock)
+
+
+def _without_unlikely(
+    conditioned: Callable[[IntArray], CalibratedPosterior], seen: IntArray
+) -> tuple[CalibratedPosterior, dict[int, float], dict[int, float]]:
+    """Return the posterior without the markers that fit the others worse than those of nearly all calibration events.
+
+    `conditioned`: numbers of the markers that are used, to the posterior; `seen` int64 (n_seen,): all of them. Result:
+    `dropped`: number of each marker that was left out, and the share of calibration events whose worst marker fits as
+    badly; `surely`: those for which it is a reason against the answer, too. Leaving out a good marker costs little, so
+    that it needs less evidence than an alarm.
+    """
+    used, dropped, surely = seen, dict[int, float](), dict[int, float]()
+    while True:
+        found = conditioned(used)
+        compared, shown = found.rehearsal.calibration_set, found.statistics
+        if len(dropped) >= most_wrong(len(seen)):
+            return found, dropped, surely
+        share = float(compared.shares(shown.row)[_WRONG])
+        if share >= _DROPPED:
+            return found, dropped, surely
+        worst = int(np.argmax(shown.marker_rows))
+        dropped[int(used[worst])] = share
+        if compared.p_value(shown.row) < LEVEL:
+            surely[int(used[worst])] = share
+        used = np.delete(used, worst)
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,13 +261,17 @@ def _result(
     given: RegisterInput,
     seen: Any,
     wrong: dict[int, float],
+    surely: dict[int, float],
     simulation: FloatArray | None,
     latent: LatentModel,
     fit: _EnsembleFit,
     posterior: Posterior | CalibratedPosterior,
     clock: Clock,
 ) -> LearnedRegistration:
-    """Assemble the result of the markers `seen` that were used; `wrong` has the chances of those that were dropped."""
+    """Assemble the result of the markers `seen` that were used.
+
+    `wrong`: chances of those that were dropped; `surely`: of those for which that is a reason against the answer.
+    """
     markers, inner = given.markers, given.targets
     before = np.zeros((given.mesh.n_nodes, 3)) if simulation is None else simulation
     observed = given.observed
@@ -236,7 +279,7 @@ def _result(
     residual = markers.displacement[seen] - posterior.marker_mean[seen]
     ratios = posterior.ratios
     notes = list(given.suspicions)
-    for i, chance in wrong.items():
+    for i, chance in surely.items():
         notes.append(f"wrong marker: {markers.names[i]} does not fit the others (p = {chance:.1g}) and was left out")
     if simulation is not None:
         notes += _against(markers.displacement[seen], start[seen], markers.axis_std[seen])
@@ -333,7 +376,7 @@ def _calibrated_trust(
     notes: list[str],
 ) -> Trust:
     """Judge by comparison with calibration events that the model never saw."""
-    compared, shown = posterior.rehearsal.calibration_set, posterior.statistics()
+    compared, shown = posterior.rehearsal.calibration_set, posterior.statistics
     return judge_by_rehearsal(names, residual, posterior.noise, compared, shown, min_det_f, notes)
 
 

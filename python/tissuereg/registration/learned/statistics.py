@@ -6,7 +6,14 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.registration.learned.calibration import Calibration
-from tissuereg.registration.learned.mixture import MixturePosterior, left_out
+from tissuereg.registration.learned.mixture import (
+    NOISE_FACTORS,
+    Component,
+    LinearDecoder,
+    MixturePosterior,
+    left_out,
+    log_noise_odds,
+)
 
 #: Least chance of which the logarithm is taken.
 _LEAST = 1e-300
@@ -16,7 +23,7 @@ _LEAST = 1e-300
 class Statistics:
     """Test statistics of one registration.
 
-    `row` (4,): as `tissuereg.registration.learned.calibration_set.STATISTICS`; `marker_rows` (n_markers,): the
+    `row` (5,): as `tissuereg.registration.learned.calibration_set.STATISTICS`; `marker_rows` (n_markers,): the
     statistic of each marker: the second of `row` is the largest of them; `marker_misfits` (n_markers,): squared misfit
     of each marker to the prediction from the others, in its own standard deviations.
     """
@@ -28,20 +35,34 @@ class Statistics:
 
 def statistics_of(
     calibration: Calibration,
+    prior: list[Component],
+    linear: LinearDecoder,
+    observed: FloatArray,
+    noise: FloatArray,
     found: MixturePosterior,
     n_own: int,
 ) -> Statistics:
     """Return the test statistics of a registration.
 
-    `n_own`: components of the event itself, which come first; the others are those of an event that was not simulated.
-    Cost: an inverse of a factor of size n_obs for every pair of component and scale that was kept.
+    `calibration`: knows how far a code lies from the training set; `prior`, `linear`, `observed` (n_obs,), `noise`
+    (n_obs, n_obs): what the posterior `found` was made of, mm and mm^2; `n_own`: number of components of the simulated
+    event, which come first; the others are those of an event that was not simulated. Cost: a Cholesky factor of size
+    n_obs for every pair of component and scale, and for each of `NOISE_FACTORS`, and an inverse for every pair.
     """
-    misfits, chances = left_out(found)
-    markers = -np.log(np.maximum(len(chances) * chances, _LEAST))
+    from scipy.special import gammaincc
+
+    without = left_out(prior, linear, observed, noise)
+    logs = -np.log(np.maximum(without.chances, _LEAST))
+    # Fisher's method, as if predictions of different markers were independent: rehearsals say what they are.
+    misfit = -np.log(max(float(gammaincc(len(logs), logs.sum())), _LEAST)) if len(logs) else 0.0
+    markers = logs - np.log(max(len(logs), 1))
     unrelated = 0.0
     if n_own < len(found.log_evidence):
         own, others = (np.logaddexp.reduce(part) for part in np.split(found.log_evidence, [n_own]))
         unrelated = max(float(others - own), 0.0)
-    misfit = -np.log(max(found.p_value, _LEAST))
-    row = np.array([misfit, markers.max(initial=-np.inf), calibration.distance(found.mean_latents), unrelated])
-    return Statistics(row, markers, misfits)
+    # A ratio of evidences above x has a chance of at most 1 / x (A. A. Markov), for each factor.
+    larger = max(log_noise_odds(prior, linear, observed, noise) - np.log(len(NOISE_FACTORS)), 0.0)
+    far = calibration.distance(found.mean_latents)
+    return Statistics(
+        np.array([misfit, markers.max(initial=-np.inf), far, unrelated, larger]), markers, without.misfits
+    )
