@@ -134,7 +134,7 @@ def test_regions_are_those_of_the_law_that_the_rehearsals_gave(mesh, calibration
 
 
 def test_a_shape_that_no_honest_event_has_is_unfamiliar(mesh, calibration):
-    signs = np.column_stack([np.random.default_rng(4).exponential(size=(300, 2)), np.zeros((300, 2))])
+    signs = np.column_stack([np.random.default_rng(4).exponential(size=(300, 2)), np.zeros((300, 3))])
     for most, trusted in ((1e6, True), (1e-3, False)):
         signs[:, 2] = np.linspace(0.0, most, 300)
         known = replace(

@@ -5,7 +5,7 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
-from scipy.stats import multivariate_normal
+from scipy.stats import chi2, multivariate_normal
 
 from support.meshes import block
 from support.small_model import SMALL_MODEL
@@ -16,7 +16,15 @@ from tissuereg.registration.learned.calibration import Calibration, FieldErrors,
 from tissuereg.registration.learned.calibration_file import write_calibration
 from tissuereg.registration.learned.components import Components
 from tissuereg.registration.learned.linearise import conditioned
-from tissuereg.registration.learned.mixture import Component, Conditioned, LinearDecoder, condition, log_evidence
+from tissuereg.registration.learned.mixture import (
+    Component,
+    Conditioned,
+    LinearDecoder,
+    condition,
+    left_out,
+    log_evidence,
+    log_noise_odds,
+)
 from tissuereg.registration.learned.network import NetworkModel
 from tissuereg.registration.learned.pca import PcaModel
 
@@ -104,14 +112,70 @@ def test_a_quiet_event_gets_small_regions_and_a_large_one_large_regions():
     assert sizes[0] < 0.1 * sizes[1] < 0.5 * sizes[2]
 
 
-def test_chances_of_draws_from_the_prior_are_uniform():
-    rng = np.random.default_rng(3)
-    one, slopes = one_component(rng), rng.standard_normal((9, 4))
-    linear, noise = LinearDecoder(one.mean, np.zeros(9), slopes), 0.1 * np.eye(6)
-    root = np.linalg.cholesky((slopes @ one.covariance @ slopes.T + one.errors)[:6, :6] + noise)
-    p = np.sort([condition([one], linear, root @ rng.standard_normal(6), noise).p_value for _ in range(400)])
+def mixture_of_two(rng):
+    """Return two kinds of events with three scales each, a decoder and noise of four markers, and draws of markers."""
+    prior = [one_component(rng, 4, 15, (0.3, 1.0, 2.5)) for _ in range(2)]
+    linear, noise = LinearDecoder(prior[0].mean, np.zeros(15), rng.standard_normal((15, 4))), 0.1 * np.eye(12)
+
+    def draw():
+        one, scale = prior[rng.integers(2)], rng.choice([0.3, 1.0, 2.5])
+        covariance = scale**2 * (linear.slopes @ one.covariance @ linear.slopes.T + one.errors)[:12, :12] + noise
+        centre = (linear.slopes @ (one.mean - linear.point))[:12]
+        return centre + np.linalg.cholesky(covariance) @ rng.standard_normal(12)
+
+    return prior, linear, noise, draw
+
+
+def test_a_marker_is_predicted_from_the_others_alone_under_every_pair():
+    prior, linear, noise, draw = mixture_of_two(np.random.default_rng(3))
+    observed = draw()
+    observed[3:6] += 20.0
+    found = left_out(prior, linear, observed, noise)
+    for marker in range(4):
+        own = np.arange(3 * marker, 3 * marker + 3)
+        others = np.setdiff1d(np.arange(12), own)
+        weights, misfits = [], []
+        for one in prior:
+            for weight, scale in zip(one.weights, one.scales, strict=True):
+                total = scale**2 * (linear.slopes @ one.covariance @ linear.slopes.T + one.errors)[:12, :12] + noise
+                off = observed - linear.at[:12] - linear.slopes[:12] @ (one.mean - linear.point)
+                gain = np.linalg.solve(total[np.ix_(others, others)], total[np.ix_(others, own)]).T
+                covariance = total[np.ix_(own, own)] - gain @ total[np.ix_(others, own)]
+                left = off[own] - gain @ off[others]
+                weights.append(
+                    weight * multivariate_normal.pdf(off[others], np.zeros(9), total[np.ix_(others, others)])
+                )
+                misfits.append(left @ np.linalg.solve(covariance, left))
+        weights = np.array(weights) / np.sum(weights)
+        assert found.misfits[marker] == pytest.approx(weights @ misfits, rel=1e-8)
+        assert found.chances[marker] == pytest.approx(weights @ chi2.sf(misfits, 3), rel=1e-6)
+    assert np.argmin(found.chances) == 1
+
+
+def test_chances_of_a_marker_among_draws_from_the_prior_are_uniform():
+    prior, linear, noise, draw = mixture_of_two(np.random.default_rng(4))
+    p = np.sort([left_out(prior, linear, draw(), noise).chances[2] for _ in range(400)])
     # Largest distance from uniform: the 1 % point of Kolmogorov's law is 1.63 / sqrt(n).
     assert np.abs(p - (np.arange(400) + 0.5) / 400).max() < 1.63 / np.sqrt(400)
+
+
+def test_noise_that_is_larger_than_stated_has_the_larger_evidence():
+    rng = np.random.default_rng(5)
+    one, slopes = one_component(rng, 4, 30, (0.3, 1.0, 2.5)), rng.standard_normal((30, 4))
+    # A decoder that is nearly exact: what it cannot explain is noise.
+    one = replace(one, errors=1e-6 * one.errors)
+    linear, noise = LinearDecoder(one.mean, np.zeros(30), slopes), 0.1 * np.eye(30)
+
+    def odds(std):
+        drawn = slopes @ np.linalg.cholesky(one.covariance) @ rng.standard_normal(4)
+        return log_noise_odds([one], linear, drawn + std * np.sqrt(0.1) * rng.standard_normal(30), noise)
+
+    right, threefold, tenfold = ([odds(std) for _ in range(200)] for std in (1.0, 3.0, 10.0))
+    assert min(threefold) > 5.0
+    assert min(tenfold) > max(threefold)
+    # Markov: a ratio above x has a chance of at most 1 / x under the stated noise, for each factor.
+    assert (np.array(right) > np.log(2 * 20.0)).mean() <= 0.05
+    assert np.median(right) < -5.0
 
 
 def test_pairs_that_are_ruled_out_change_nothing_and_the_others_keep_their_numbers():
@@ -238,7 +302,7 @@ def test_of_which_kind_a_change_is_and_how_far_its_factor_is_off_pairs_tell(cali
     assert of_kind[0, 2:].sum() > 0.6 * of_kind[0].sum()
     assert weights.sum() == pytest.approx(1.0)
     # Honest events of each kind are a group: how few may look worse is counted in the one that looks worst.
-    assert np.bincount(made.anchored.calibration_set.groups).tolist() == [40, 40]
+    assert np.bincount(made.anchored.calibration_set.groups).tolist() == [40, 40, 40, 40]
 
 
 def test_regions_of_heavy_tailed_events_hold_their_share_of_targets(calibrated):
@@ -284,7 +348,7 @@ def test_a_calibration_is_the_same_after_it_was_written_and_read(calibrated, tmp
     with pytest.raises(FormatError, match="kind_means"):
         Calibration.read(tmp_path / "calibration.npz", 7, mesh.n_nodes)
     np.savez(tmp_path / "older.npz", **{k: v for k, v in calibration.save().items() if k != "version"})
-    with pytest.raises(FormatError, match="version 3, got 1; `tissuereg calibrate"):
+    with pytest.raises(FormatError, match="version 4, got 1; `tissuereg calibrate"):
         Calibration.read(tmp_path / "older.npz", 6, mesh.n_nodes)
 
 

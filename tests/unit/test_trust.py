@@ -117,10 +117,10 @@ class Events:
         return float(4.0 * self.shares(signs).min())
 
 
-def compared(misfit=0.5, markers=None, distance=1.0, unrelated=0.0, min_det_f=0.8, notes=()):
+def compared(misfit=0.5, markers=None, distance=1.0, unrelated=0.0, noise=1.0, min_det_f=0.8, notes=()):
     """Return the verdict on signs, given as shares of honest events that look as bad."""
     markers = np.ones(8) if markers is None else markers
-    signs = -np.log([misfit, markers.min(), distance, np.exp(-unrelated)])
+    signs = -np.log([misfit, markers.min(), distance, np.exp(-unrelated), noise])
     noise = 0.01 * np.eye(24)
     shown = SimpleNamespace(row=signs, marker_rows=-np.log(markers), marker_misfits=np.full(8, 9.0))
     return judge_by_rehearsal(NAMES, np.zeros((8, 3)), noise, Events(), shown, min_det_f, list(notes))
@@ -138,6 +138,7 @@ def test_what_honest_events_show_as_well_is_trusted():
         ({"misfit": 0.002}, "misfit"),
         ({"distance": 0.002}, "unfamiliar"),
         ({"unrelated": 7.0}, "simulation"),
+        ({"noise": 0.002}, "noise"),
         ({"min_det_f": -0.1}, "inverted tets"),
         ({"notes": ["simulation: another"]}, "simulation"),
     ],

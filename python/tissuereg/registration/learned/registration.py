@@ -142,7 +142,7 @@ def _without_unlikely(
     while True:
         found = conditioned(used)
         compared, shown = found.rehearsal.calibration_set, found.statistics
-        if len(dropped) >= most_wrong(len(seen)):
+        if not len(compared) or len(dropped) >= most_wrong(len(seen)):
             return found, dropped, surely
         share = float(compared.shares(shown.row)[_WRONG])
         if share >= _DROPPED:
