@@ -3,6 +3,7 @@
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
+from tissuereg import _core
 from tissuereg._base.arguments import MOST_COUNTED, check_choice, check_running, flag, of_kind, real, whole
 from tissuereg.errors import ArgumentError
 from tissuereg.registration.contacts.settings import ContactSettings
@@ -39,7 +40,7 @@ class SmootherSettings:
     """
 
     update: str = "esmda"
-    n_members: int = 200
+    n_members: int = 60
     n_steps: int = 5
     decrease: float = 2.0
     decode_all: bool = False
@@ -50,6 +51,10 @@ class SmootherSettings:
         whole("n_steps", self.n_steps, least=1)
         real("decrease", self.decrease, above=0.0)
         flag("decode_all", self.decode_all)
+
+    def alphas(self) -> tuple[float, ...]:
+        """Return the inflation coefficients of all steps."""
+        return tuple(map(float, _core.schedule_geometric(self.n_steps, self.decrease)))
 
 
 @dataclass(frozen=True)
@@ -87,7 +92,7 @@ class RegisterSettings:
     Examples
     --------
     >>> RegisterSettings(tracker="drifts").smoother.n_members
-    200
+    60
     """
 
     threads: int = 0

@@ -4,8 +4,9 @@ The scales of events and the chances of right measurements come from rehearsals:
 registered from random markers, as a user's will be.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, Protocol
 
 import numpy as np
@@ -22,12 +23,13 @@ from tissuereg.registration.learned.calibration import (
     RowsOf,
 )
 from tissuereg.registration.learned.components import Components, probabilities
-from tissuereg.registration.learned.linearise import conditioned, spread_of
-from tissuereg.registration.learned.mixture import Component, LinearDecoder, condition, log_evidence
+from tissuereg.registration.learned.mixture import Component, log_evidence
 from tissuereg.registration.learned.model import LatentModel, rms_displacement
 from tissuereg.registration.learned.network import NetworkModel
+from tissuereg.registration.learned.smoother import Decode, Screening, normals, smooth
 from tissuereg.registration.learned.spread_law import squared_radius
 from tissuereg.registration.learned.statistics import statistics_of
+from tissuereg.registration.settings import SmootherSettings
 
 #: Scales of events of one kind: their standard deviations over those of the kind.
 _SCALES = np.array([0.2, 0.4, 0.7, 1.2, 2.0, 3.5])
@@ -49,9 +51,6 @@ _TAILS = (1.5, 100.0)
 
 #: Errors by which those of a kind are mixed with those of all.
 _BORROWED = 20.0
-
-#: Linearisations of a rehearsal, which starts from the mean of all codes.
-_PASSES = 6
 
 #: Fields coded at once.
 _BATCH = 50
@@ -132,8 +131,8 @@ def calibrate(
     events, varied = [], []
     for own, others in _folds(np.zeros(len(unseen), np.int64)):
         without = replace(made, errors=field_errors(missed[others], shares[others], _PATTERNS))
-        events += [rehearsal.registered(without, None, unseen[row]) for row in own[own < how.n_events]]
-        varied += [rehearsal.registered(without, None, unseen[row], varied=True) for row in own[own < how.n_varied]]
+        events += [rehearsal.trial(without, None, unseen[row]) for row in own[own < how.n_events]]
+        varied += [rehearsal.trial(without, None, unseen[row], varied=True) for row in own[own < how.n_varied]]
     made = replace(made, alone=rehearsal.beside(rehearsal.outcome(events, scales), varied))
     if not pairs:
         return made
@@ -144,7 +143,7 @@ def calibrate(
     for number in range(len(pairs)):
         for times, other in ((how.n_repeats, False), (1, True)):
             events = [
-                rehearsal.registered(made, None, truth, varied=other)
+                rehearsal.trial(made, None, truth, varied=other)
                 for truth in truths[kind == number]
                 for _ in range(times)
             ]
@@ -158,8 +157,8 @@ def calibrate(
         of_event += [number for number in kind[own] for _ in again]
         of_varied += list(kind[own])
         without = replace(made, anchored=scales, change=differences.change(others))
-        events += [rehearsal.registered(without, simulations[row], truths[row]) for row in own for _ in again]
-        varied += [rehearsal.registered(without, simulations[row], truths[row], varied=True) for row in own]
+        events += [rehearsal.trial(without, simulations[row], truths[row]) for row in own for _ in again]
+        varied += [rehearsal.trial(without, simulations[row], truths[row], varied=True) for row in own]
     anchored = rehearsal.outcome(events, scales, np.array(of_event))
     return replace(made, anchored=rehearsal.beside(anchored, varied, np.array(of_varied)))
 
@@ -291,19 +290,24 @@ class _Places:
 
 @dataclass(frozen=True, eq=False)
 class _RegisteredEvent:
-    """A registered truth: its prior, of which the first `n_own` components are the event's own, and the decoder there.
+    """A registered truth: its prior, of which the first `n_own` components are the event's own, and their evidence.
 
-    Rows of `observed` are those of the markers, of `rows` the true ones of markers and targets, mm; `noise`: covariance
-    of the tracker's noise, mm^2.
+    `decode`: the model at the markers and targets of the event; rows of `observed` are those of the markers, of `rows`
+    the true ones of markers and targets, mm; `noise`: covariance of the tracker's noise, mm^2.
     """
 
     made: Calibration
     prior: list[Component]
     n_own: int
-    linear: LinearDecoder
+    decode: Decode
+    screening: Screening
     observed: FloatArray
     noise: FloatArray
     rows: FloatArray
+
+
+#: Registers one truth.
+_Trial = Callable[[], _RegisteredEvent]
 
 
 class _Rehearsing:
@@ -311,22 +315,35 @@ class _Rehearsing:
 
     def __init__(self, model: Codes, mesh: Mesh, how: RehearsalSettings) -> None:
         self._model, self._mesh, self._how = model, mesh, how
-        self._rng, self._varied = (np.random.default_rng([how.seed, stream]) for stream in (22, 23))
+        self._n_trials = 0
+        usual = SmootherSettings()
+        self._alphas, self._draws = usual.alphas(), normals(how.seed, model.n_latent, usual.n_members)
 
-    def registered(
+    def trial(
         self, made: Calibration, simulation: FloatArray | None, truth: FloatArray, *, varied: bool = False
+    ) -> _Trial:
+        """Return what registers one truth, the same at every call: a registered event takes megabytes.
+
+        `made`: calibration that is used; `simulation`, `truth` (n_nodes, 3): mm; `varied`: whether the number of
+        markers and their noise are drawn, too.
+        """
+        self._n_trials += 1
+        return partial(self._registered, made, simulation, truth, self._n_trials, varied)
+
+    def _registered(
+        self, made: Calibration, simulation: FloatArray | None, truth: FloatArray, number: int, varied: bool
     ) -> _RegisteredEvent:
-        """Register one truth; with a number of markers and noise that are drawn, if they are `varied`."""
+        """Register one truth from places and noise that depend on the number of the trial."""
         how, model = self._how, self._model
-        rng = self._varied if varied else self._rng
-        n_markers, std = self._layout() if varied else (how.n_markers, how.std)
+        rng = np.random.default_rng([how.seed, 22, number])
+        n_markers, std = self._layout(rng) if varied else (how.n_markers, how.std)
         n_obs = 3 * n_markers
         noise = std**2 * np.eye(n_obs)
         places = _Places.drawn(self._mesh, n_markers, how.n_targets, rng)
         rows = places.rows(truth[None, places.nodes].astype(np.float64))[0]
         observed = rows[:n_obs] + std * rng.standard_normal(n_obs)
         at, decoded = made.at(places.rows_of()), places.decoder(model)
-        anchor, start, n_own = np.zeros(len(rows)), made.kinds.weights @ made.kinds.means, len(made.kinds.weights)
+        anchor, start, n_own = np.zeros(len(rows)), made.kinds.centre, len(made.kinds.weights)
         prior = at.prior()
         if simulation is not None:
             simulation = simulation.astype(np.float64)
@@ -334,29 +351,25 @@ class _Rehearsing:
             prior, forms = at.prior_about(start, float(rms_displacement(simulation[None])[0]), simulated)
             n_own = len(forms)
             anchor = simulated - decoded(start[:, None])[0]
-        _, linear = conditioned(
-            lambda latents: decoded(latents) + anchor,
-            prior,
-            observed,
-            noise,
-            start,
-            spread_of(made.kinds),
-            _PASSES,
-        )
-        return _RegisteredEvent(made, prior, n_own, linear, observed, noise, rows)
 
-    def _layout(self) -> tuple[int, float]:
+        def decode(latents: FloatArray) -> FloatArray:
+            return decoded(latents) + anchor
+
+        screening = Screening.of(decode, prior, observed, noise, start, made.kinds.spread)
+        return _RegisteredEvent(made, prior, n_own, decode, screening, observed, noise, rows)
+
+    def _layout(self, rng: np.random.Generator) -> tuple[int, float]:
         """Return a number of markers and the standard deviation of their noise, mm."""
         how = self._how
         markers, std = (
-            np.exp(self._varied.uniform(np.log(least), np.log(most)))
+            np.exp(rng.uniform(np.log(least), np.log(most)))
             for least, most in ((how.least_markers, how.most_markers), (how.least_std, how.most_std))
         )
         return round(float(markers)), float(std)
 
-    def beside(self, law: Rehearsal, events: list[_RegisteredEvent], kind: IntArray | None = None) -> Rehearsal:
+    def beside(self, law: Rehearsal, trials: list[_Trial], kind: IntArray | None = None) -> Rehearsal:
         """Return the outcome with further groups of events, which only tell how test statistics are distributed."""
-        return _with_groups(law, np.array([self.shown(event, law.scale_weights)[0] for event in events]), kind)
+        return _with_groups(law, np.array([self.shown(trial(), law.scale_weights)[0] for trial in trials]), kind)
 
     def shown(self, event: _RegisteredEvent, scale_weights: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the test statistics of an event under probabilities of scales, and the misfits of its targets."""
@@ -366,16 +379,17 @@ class _Rehearsing:
         laws = np.broadcast_to(scale_weights, (len(own), scale_weights.shape[1]))
         own = [replace(one, weights=share * law) for one, share, law in zip(own, total, laws, strict=True)]
         prior, n_obs = [*own, *event.prior[event.n_own :]], len(event.noise)
-        found = condition(prior, event.linear, event.observed, event.noise)
-        shown = statistics_of(event.made, prior, event.linear, event.observed, event.noise, found, event.n_own)
+        again = event.screening.under(prior, event.observed, event.noise)
+        shown = statistics_of(event.made, prior, again, event.observed, event.noise, event.n_own)
+        found = smooth(event.decode, prior, again.kept(), event.observed, event.noise, self._draws, self._alphas)
         return shown.row, _misfits(event.rows - found.mean, found.covariance, n_obs)
 
-    def outcome(self, events: list[_RegisteredEvent], law: Rehearsal, kind: IntArray | None = None) -> Rehearsal:
+    def outcome(self, trials: list[_Trial], law: Rehearsal, kind: IntArray | None = None) -> Rehearsal:
         """Return the likeliest scales, and what registrations with these give; the events of each kind are a group."""
         n_forms, n_scales = law.scale_weights.shape
-        logs = np.array([self._log_evidence(event, n_forms).ravel() for event in events])
+        logs = np.array([self._log_evidence(trial(), n_forms).ravel() for trial in trials])
         scale_weights = _mixing(logs).reshape(n_forms, n_scales)
-        statistics, misfits = zip(*(self.shown(event, scale_weights) for event in events), strict=True)
+        statistics, misfits = zip(*(self.shown(trial(), scale_weights) for trial in trials), strict=True)
         widening, tail = _regions(np.concatenate(misfits))
         found = replace(law, scale_weights=scale_weights, widening=widening, tail=tail)
         return _with_groups(found, np.array(statistics), kind)
@@ -383,7 +397,7 @@ class _Rehearsing:
     def _log_evidence(self, event: _RegisteredEvent, n_forms: int) -> FloatArray:
         """Return the log-evidence of every form and scale of the event's own components, (n_forms, n_scales)."""
         prior = event.prior[: event.n_own]
-        logs = log_evidence(prior, event.linear, event.observed, event.noise)
+        logs = log_evidence(prior, event.screening.linear, event.observed, event.noise)
         if n_forms > 1:
             return logs
         weights = np.array([one.weights.sum() for one in prior])

@@ -38,6 +38,17 @@ class Components:
     means: FloatArray
     covariances: FloatArray
 
+    @property
+    def centre(self) -> FloatArray:
+        """Mean of the codes of all kinds, (n_latent,)."""
+        return np.asarray(self.weights @ self.means)
+
+    @property
+    def spread(self) -> FloatArray:
+        """Standard deviation of the codes of all kinds, (n_latent,)."""
+        variance = np.diagonal(self.covariances, axis1=1, axis2=2) + (self.means - self.centre) ** 2
+        return np.asarray(np.sqrt(self.weights @ variance))
+
     @classmethod
     def fit(cls, codes: FloatArray, n_kinds: int, seed: int) -> "Components":
         """Return the kinds of a training set.

@@ -154,6 +154,12 @@ class Conditioned:
         """Mean of the latents (n_latent,)."""
         return np.asarray(self.weights @ self.latents)
 
+    @property
+    def log_evidence(self) -> FloatArray:
+        """Logarithm of the evidence of each component, over its scales, up to a constant, (n_components,)."""
+        ends = np.cumsum([len(one.weights) for one in self._prior])[:-1]
+        return np.array([np.logaddexp.reduce(part) for part in np.split(self.logs, ends)])
+
     def posterior(self) -> MixturePosterior:
         """Return the posterior of markers and targets."""
         from scipy.linalg import lapack
@@ -166,7 +172,6 @@ class Conditioned:
             means.append(model.at + model.slopes @ (one.mean - model.point) + scale**2 * own[:, :n_obs] @ pull)
             half = lapack.dtrtrs(found.factors[pair, :n_obs, :n_obs], scale**2 * own[:n_obs], lower=1)[0]
             covariances.append(scale**2 * own - half.T @ half)
-        ends = np.cumsum([len(one.weights) for one in self._prior])[:-1]
         return MixturePosterior(
             self.weights,
             found.component[kept],
@@ -176,7 +181,7 @@ class Conditioned:
             np.array(covariances),
             self.pulls,
             self.logs,
-            np.array([np.logaddexp.reduce(part) for part in np.split(self.logs, ends)]),
+            self.log_evidence,
         )
 
     def _backwards(self, pair: Any) -> FloatArray:

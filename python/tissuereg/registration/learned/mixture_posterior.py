@@ -14,17 +14,14 @@ from tissuereg._base.arrays import FloatArray, IntArray
 from tissuereg.body.mesh import Mesh
 from tissuereg.registration.inputs import RegisterInput
 from tissuereg.registration.learned.calibration import FieldErrors, PointCalibration, Rehearsal, RowErrors
-from tissuereg.registration.learned.linearise import conditioned, spread_of
-from tissuereg.registration.learned.mixture import Component, LinearDecoder, MixturePosterior
+from tissuereg.registration.learned.mixture import Component
 from tissuereg.registration.learned.model import rms_displacement
 from tissuereg.registration.learned.network import AnchoredModel
 from tissuereg.registration.learned.points import PointsAround
 from tissuereg.registration.learned.repair import repaired
+from tissuereg.registration.learned.smoother import Screening, Smoothed, normals, smooth
 from tissuereg.registration.learned.statistics import Statistics, statistics_of
 from tissuereg.registration.learned.variants import Variants
-
-#: Linearisations about the ensemble's mean and then about the mixture's.
-_PASSES = 3
 
 #: Posterior fields that the spread of nodes is taken from, and how many are decoded at once.
 _DRAWS, _BATCH = 64, 32
@@ -64,10 +61,10 @@ class CalibratedPosterior:
         Markers in the order of the rows.
     prior : list of Component
         Of the mixture.
-    linear : LinearDecoder
-        The decoder as it was linearised last.
-    found : MixturePosterior
-        The mixture at markers and targets.
+    screening : Screening
+        Evidence of its pairs of component and scale.
+    found : Smoothed
+        The posterior ensembles at markers and targets.
     observed, noise : ndarray of float64, shape (3 n_used,) and (3 n_used, 3 n_used)
         Measured displacements, and the covariance of the tracker's noise.
     seed : int
@@ -83,8 +80,8 @@ class CalibratedPosterior:
     at: PointCalibration
     order: IntArray
     prior: list[Component]
-    linear: LinearDecoder
-    found: MixturePosterior
+    screening: Screening
+    found: Smoothed
     observed: FloatArray
     noise: FloatArray
     seed: int
@@ -98,17 +95,16 @@ class CalibratedPosterior:
         model: PointsAround,
         calibration: PointCalibration,
         used: IntArray,
-        start: FloatArray,
         simulation: FloatArray | None,
         variants: Variants | None = None,
     ) -> "CalibratedPosterior":
         """Return the posterior.
 
         `given`: body, measured markers and seed; `model`: the model of this moment at markers and targets;
-        `calibration`: what its answers are worth there; `used` int64 (n_used,): markers that are used; `start`
-        (n_latent,): where the decoder is linearised first; `simulation` (n_nodes, 3) or None: simulated displacement,
-        mm; `variants`: whose mean the simulation is. Cost: two or three decodes of 2 n_latent + 1 columns at
-        markers and targets.
+        `calibration`: what its answers are worth there; `used` int64 (n_used,): markers that are used; `simulation`
+        (n_nodes, 3) or None: simulated displacement, mm; `variants`: whose mean the simulation is. Cost: two decodes of
+        about 2 n_latent columns at markers and targets, then one of the ensembles of all pairs in every step and one
+        more.
         """
         markers = given.markers
         order = np.concatenate([used, np.setdiff1d(np.arange(len(markers)), used)])
@@ -118,25 +114,27 @@ class CalibratedPosterior:
         size = 0.0 if simulation is None else float(rms_displacement(simulation[None])[0])
         latent, simulated = model.latent, np.zeros(len(rows))
         prior, forms = at.prior(), list[tuple[int, float]]()
+        start = at.whole.kinds.centre
         varied = None if variants is None else variants.spread.at(model.all_rows).of(rows)
         if isinstance(latent, AnchoredModel) and simulation is not None:
-            simulated = model.at_rows(simulation)[rows]
-            prior, forms = at.prior_about(latent.code, size, simulated, varied)
+            simulated, start = model.at_rows(simulation)[rows], latent.code
+            prior, forms = at.prior_about(start, size, simulated, varied)
         observed = markers.displacement[used].ravel()
         noise = np.diag((markers.axis_std[used] ** 2).ravel())
-        found, linear = conditioned(
-            lambda latents: model.components(model.decode(latents))[:, rows],
-            prior,
-            observed,
-            noise,
-            start,
-            spread_of(at.whole.kinds),
-            _PASSES,
-        )
+
+        def decode(latents: FloatArray) -> FloatArray:
+            return model.components(model.decode(np.ascontiguousarray(latents)))[:, rows]
+
+        screening = Screening.of(decode, prior, observed, noise, start, at.whole.kinds.spread)
+        how = given.settings.smoother
+        draws = normals(given.seed, len(start), how.n_members)
+        found = smooth(decode, prior, screening.kept(), observed, noise, draws, how.alphas())
         rehearsal = at.rehearsal(bool(forms))
         field = np.zeros_like(given.mesh.nodes) if simulation is None else simulation
         anchor = _Anchor(field, simulated, size, tuple(forms), varied)
-        return cls(given.mesh, model, at, order, prior, linear, found, observed, noise, given.seed, anchor, rehearsal)
+        return cls(
+            given.mesh, model, at, order, prior, screening, found, observed, noise, given.seed, anchor, rehearsal
+        )
 
     @cached_property
     def _covariance(self) -> FloatArray:
@@ -152,14 +150,13 @@ class CalibratedPosterior:
         """What the markers tell of the model's error at every node (n_nodes, 3)."""
         told: dict[int, tuple[FieldErrors, FloatArray]] = {}
         factor = 0.0
-        for weight, number, scale, pull in zip(
-            self.found.weights, self.found.component, self.found.scale, self.found.pulls, strict=True
-        ):
-            for errors, covariance in self._errors(int(number)):
-                coefficients = weight * scale**2 * covariance @ (errors.patterns[:, : len(pull)] @ pull)
+        for pair in self.found.pairs:
+            pull, square = pair.pulls.mean(axis=0), pair.scale**2
+            for errors, covariance in self._errors(pair.component):
+                coefficients = pair.weight * square * covariance @ (errors.patterns[:, : len(pull)] @ pull)
                 _, before = told.get(id(errors), (errors.whole, 0.0))
                 told[id(errors)] = errors.whole, before + coefficients
-            factor += weight * scale**2 * self._factor(int(number)) * float(self.anchor.rows[: len(pull)] @ pull)
+            factor += pair.weight * square * self._factor(pair.component) * float(self.anchor.rows[: len(pull)] @ pull)
         fields = (whole.sum(coefficients) for whole, coefficients in told.values())
         return np.asarray(sum(fields, factor * self.anchor.field))
 
@@ -247,7 +244,7 @@ class CalibratedPosterior:
     def statistics(self) -> Statistics:
         """Test statistics, to be compared with those of calibration events."""
         n_own = len(self.anchor.forms) or len(self.prior)
-        return statistics_of(self.at.whole, self.prior, self.linear, self.observed, self.noise, self.found, n_own)
+        return statistics_of(self.at.whole, self.prior, self.screening, self.observed, self.noise, n_own)
 
     def _factor(self, number: int) -> float:
         """Return the variance of the factor on the simulation in a component."""
@@ -264,26 +261,28 @@ class CalibratedPosterior:
         return [general] if variants is None else [general, (variants, variants.whole.covariances[0])]
 
     def _drawn(self) -> list[FloatArray]:
-        """Return posterior fields, by conditioning draws of the prior (A. G. Journel, C. J. Huijbregts, 1978)."""
-        rng, found, n_obs = np.random.default_rng([self.seed, 5]), self.found, len(self.observed)
-        chosen = np.searchsorted(np.cumsum(found.weights), (np.arange(_DRAWS) + rng.random()) / _DRAWS * 0.999999)
+        """Return posterior fields (n, n_nodes, 3), mm, in batches: members, with errors conditioned on the markers.
+
+        A drawn error is conditioned by the residual that it leaves (A. G. Journel, C. J. Huijbregts, 1978).
+        """
+        rng, n_obs = np.random.default_rng([self.seed, 5]), len(self.observed)
+        weights = self.found.weights
+        chosen = np.searchsorted(np.cumsum(weights), (np.arange(_DRAWS) + rng.random()) / _DRAWS * 0.999999)
         tracker = np.linalg.cholesky(self.noise)
         codes, corrections = [], []
-        for pair in chosen:
-            number, scale = int(found.component[pair]), float(found.scale[pair])
-            one, slopes = self.prior[number], self.linear.slopes[:n_obs]
-            code = one.mean + scale * np.linalg.cholesky(one.covariance) @ rng.standard_normal(len(one.mean))
-            sources = [_Source.drawn(errors, scale**2 * known, n_obs, rng) for errors, known in self._errors(number)]
-            total = scale**2 * (slopes @ one.covariance @ slopes.T + one.errors[:n_obs, :n_obs]) + self.noise
-            variance, simulated = scale**2 * self._factor(number), self.anchor.rows[:n_obs]
+        for number in chosen:
+            pair = self.found.pairs[number]
+            one, scale, member = self.prior[pair.component], pair.scale, rng.integers(pair.latents.shape[1])
+            errors = self._errors(pair.component)
+            sources = [_Source.drawn(error, scale**2 * known, n_obs, rng) for error, known in errors]
+            variance, simulated = scale**2 * self._factor(pair.component), self.anchor.rows[:n_obs]
             factor = np.sqrt(variance) * rng.standard_normal()
             explained = variance * simulated**2 + sum(source.variance for source in sources)
             rest = np.maximum(scale**2 * np.diag(one.errors[:n_obs, :n_obs]) - explained, 0.0)
-            drawn = self.linear.at[:n_obs] + slopes @ (code - self.linear.point) + factor * simulated
-            drawn += sum(source.coefficients @ source.seen for source in sources)
+            drawn = factor * simulated + sum(source.coefficients @ source.seen for source in sources)
             drawn += np.sqrt(rest) * rng.standard_normal(n_obs) + tracker @ rng.standard_normal(n_obs)
-            pull = np.linalg.solve(total, self.observed - drawn)
-            codes.append(code + scale**2 * one.covariance @ (slopes.T @ pull))
+            pull = pair.pulls[member] - np.linalg.solve(pair.noise, drawn)
+            codes.append(pair.latents[:, member])
             changed = (factor + variance * float(simulated @ pull)) * self.anchor.field
             corrections.append(sum((source.given(pull) for source in sources), changed))
         return [

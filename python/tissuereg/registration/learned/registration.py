@@ -6,15 +6,14 @@ decoded fields agree with the markers; or Gauss-Newton finds the most probable c
 
 import os
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from functools import lru_cache
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from tissuereg import _core
 from tissuereg._base.arguments import found, place
-from tissuereg._base.arrays import FloatArray, IntArray, frozen
+from tissuereg._base.arrays import FloatArray, IntArray
 from tissuereg._base.clock import Clock
 from tissuereg.body.mesh import Mesh
 from tissuereg.errors import ArgumentError, ModelError
@@ -22,11 +21,9 @@ from tissuereg.registration.inputs import RegisterInput, rms_length
 from tissuereg.registration.learned.assimilate import (
     Assimilation,
     AssimilationSettings,
-    Between,
     FirstEnsemble,
     SearchSettings,
     assimilate,
-    balanced_draws,
     gauss_newton,
 )
 from tissuereg.registration.learned.calibration_set import STATISTICS
@@ -36,6 +33,7 @@ from tissuereg.registration.learned.network import kept_network
 from tissuereg.registration.learned.points import PointModel, PointsAround
 from tissuereg.registration.learned.posterior import Posterior
 from tissuereg.registration.learned.result import LearnedRegistration
+from tissuereg.registration.learned.smoother import normals
 from tissuereg.registration.learned.variants import Variants
 from tissuereg.registration.learned.widen import stated
 from tissuereg.registration.result import NO_MARKER, MarkerFit, Target
@@ -107,21 +105,21 @@ def register_by_model(
     with clock.stage("encode"):
         model = points.around(anchor)
     seen = np.flatnonzero(given.markers.seen)
-    with clock.stage("assimilate"):
-        drawn = _Drawn.of(model, given)
-        fit, wrong = _without_wrong(model, drawn, given, seen)
-    calibration = points.calibration
+    calibration, fit = points.calibration, None
     posterior: Posterior | CalibratedPosterior
-    with clock.stage("decode"):
-        if calibration is None:
-            posterior = Posterior.of(given.mesh, model, fit.ensemble)
-            surely = wrong
-        else:
+    if calibration is None:
+        with clock.stage("assimilate"):
+            drawn = _Drawn.of(model, given)
+            fit, wrong = _without_wrong(model, drawn, given, seen)
+        with clock.stage("decode"):
+            posterior, surely = Posterior.of(given.mesh, model, fit.ensemble), wrong
+    else:
 
-            def conditioned(used: IntArray) -> CalibratedPosterior:
-                return CalibratedPosterior.of(given, model, calibration, used, fit.ensemble.mean, anchor, variants)
+        def smoothed(used: IntArray) -> CalibratedPosterior:
+            return CalibratedPosterior.of(given, model, calibration, used, anchor, variants)
 
-            posterior, wrong, surely = _without_unlikely(conditioned, seen)
+        with clock.stage("assimilate"):
+            posterior, wrong, surely = _without_unlikely(smoothed, seen)
     used = np.setdiff1d(seen, list(wrong))
     with clock.stage("judge"):
         before = anchor if simulation is None else simulation
@@ -129,18 +127,18 @@ def register_by_model(
 
 
 def _without_unlikely(
-    conditioned: Callable[[IntArray], CalibratedPosterior], seen: IntArray
+    smoothed: Callable[[IntArray], CalibratedPosterior], seen: IntArray
 ) -> tuple[CalibratedPosterior, dict[int, float], dict[int, float]]:
     """Return the posterior without the markers that fit the others worse than those of nearly all calibration events.
 
-    `conditioned`: numbers of the markers that are used, to the posterior; `seen` int64 (n_seen,): all of them. Result:
+    `smoothed`: numbers of the markers that are used, to the posterior; `seen` int64 (n_seen,): all of them. Result:
     `dropped`: number of each marker that was left out, and the share of calibration events whose worst marker fits as
     badly; `surely`: those for which it is a reason against the answer, too. Leaving out a good marker costs little, so
     that it needs less evidence than an alarm.
     """
     used, dropped, surely = seen, dict[int, float](), dict[int, float]()
     while True:
-        found = conditioned(used)
+        found = smoothed(used)
         compared, shown = found.rehearsal.calibration_set, found.statistics
         if not len(compared) or len(dropped) >= most_wrong(len(seen)):
             return found, dropped, surely
@@ -169,7 +167,7 @@ class _Drawn:
         n_members = smoother.n_members
         if smoother.update == "gauss-newton" or n_members < 2 * len(model.prior.mean):
             n_members = _N_DRAWS
-        first = FirstEnsemble.about(model.prior, *_normals(given.seed, len(model.prior.mean), n_members))
+        first = FirstEnsemble.about(model.prior, *normals(given.seed, len(model.prior.mean), n_members))
         centre, moved = model.first(first.latents)
         return cls(model.prior, first, model.markers(moved), model.markers(centre))
 
@@ -222,8 +220,7 @@ def _fit(model: PointsAround, drawn: _Drawn, given: RegisterInput, seen: IntArra
     markers, settings = given.markers, given.settings.smoother
     measured = markers.displacement[seen].ravel()
     latents, predicted = drawn.first.latents, drawn.predicted(seen)
-    searches = model.calibration is not None and settings.update == "esmda"
-    believed = stated(model, markers, seen, latents, predicted, drawn.centre[seen].ravel(), typical=searches)
+    believed = stated(model, markers, seen, latents, predicted, drawn.centre[seen].ravel())
     prior, noise, near, widening = believed.prior, believed.noise, believed.near, believed.factor
 
     def predict(latents: FloatArray) -> FloatArray:
@@ -235,21 +232,9 @@ def _fit(model: PointsAround, drawn: _Drawn, given: RegisterInput, seen: IntArra
         ensemble = found.ensemble(rng, settings.n_members)
         return _EnsembleFit(prior, widening, noise, ensemble, found.predicted, found.absorbed)
     first = drawn.start(prior, widening, seen) if latents.shape[1] == settings.n_members else None
-    if searches and not settings.decode_all and first is not None:
-        # Only a search: the answer is found about the ensemble's mean, by true decodes.
-        known = predict(first.latents) if first.predicted is None else first.predicted
-        first = replace(first, predicted=known)
-        predict = Between(predict, {settings.n_steps - 1}, first.latents, known)
     how = AssimilationSettings(settings.n_members, settings.n_steps, decrease=settings.decrease, threads=1)
     ensemble = assimilate(predict, measured, noise, prior, rng=rng, settings=how, first=first)
     return _EnsembleFit(prior, widening, noise, ensemble, np.empty(0), np.empty(0))
-
-
-@lru_cache(maxsize=4)
-def _normals(seed: int, n_latent: int, n_members: int) -> tuple[FloatArray, bool]:
-    """Return standard normal draws of a first ensemble, and whether their moments are exact."""
-    draws, exact = balanced_draws(np.random.default_rng([seed, 2]), (n_latent, n_members), np.empty((0, n_members)))
-    return frozen(draws), exact
 
 
 def _rows(moved: FloatArray) -> FloatArray:
@@ -264,7 +249,7 @@ def _result(
     surely: dict[int, float],
     simulation: FloatArray | None,
     latent: LatentModel,
-    fit: _EnsembleFit,
+    fit: _EnsembleFit | None,
     posterior: Posterior | CalibratedPosterior,
     clock: Clock,
 ) -> LearnedRegistration:
@@ -284,9 +269,11 @@ def _result(
     if simulation is not None:
         notes += _against(markers.displacement[seen], start[seen], markers.axis_std[seen])
     names = tuple(markers.names[i] for i in seen)
+    dropped_members = posterior.found.dropped if isinstance(posterior, CalibratedPosterior) else []
     if isinstance(posterior, CalibratedPosterior):
         trust = _calibrated_trust(names, residual, posterior, float(ratios.min()), notes)
-    else:
+    elif fit is not None:
+        dropped_members = fit.ensemble.dropped
         trust = _trust(names, residual, seen, fit, posterior, float(ratios.min()), notes)
     target_start = inner.predict(before[inner.nodes])
     gains: list[tuple[float | None, bool]] = [(None, False)] * len(inner.names)
@@ -338,7 +325,7 @@ def _result(
         settings=given.settings,
         seconds=clock.seconds,
         seed=given.seed,
-        dropped_members=fit.ensemble.dropped,
+        dropped_members=dropped_members,
     )
 
 

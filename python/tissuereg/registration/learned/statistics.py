@@ -6,14 +6,8 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.registration.learned.calibration import Calibration
-from tissuereg.registration.learned.mixture import (
-    NOISE_FACTORS,
-    Component,
-    LinearDecoder,
-    MixturePosterior,
-    left_out,
-    log_noise_odds,
-)
+from tissuereg.registration.learned.mixture import NOISE_FACTORS, Component, left_out, log_noise_odds
+from tissuereg.registration.learned.smoother import Screening
 
 #: Least chance of which the logarithm is taken.
 _LEAST = 1e-300
@@ -36,28 +30,29 @@ class Statistics:
 def statistics_of(
     calibration: Calibration,
     prior: list[Component],
-    linear: LinearDecoder,
+    screening: Screening,
     observed: FloatArray,
     noise: FloatArray,
-    found: MixturePosterior,
     n_own: int,
 ) -> Statistics:
     """Return the test statistics of a registration.
 
-    `calibration`: knows how far a code lies from the training set; `prior`, `linear`, `observed` (n_obs,), `noise`
-    (n_obs, n_obs): what the posterior `found` was made of, mm and mm^2; `n_own`: number of components of the simulated
+    `calibration`: knows how far a code lies from the training set; `prior`: mixture, of which `screening` has the
+    evidence; `observed` (n_obs,): measured displacements, mm; `noise` (n_obs, n_obs): covariance of the tracker's
+    noise, mm^2; `n_own`: number of components of the simulated
     event, which come first; the others are those of an event that was not simulated. Cost: a Cholesky factor of size
     n_obs for every pair of component and scale, and for each of `NOISE_FACTORS`, and an inverse for every pair.
     """
     from scipy.special import gammaincc
 
+    linear, found = screening.linear, screening.found
     without = left_out(prior, linear, observed, noise)
     logs = -np.log(np.maximum(without.chances, _LEAST))
     # Fisher's method, as if predictions of different markers were independent: rehearsals say what they are.
     misfit = -np.log(max(float(gammaincc(len(logs), logs.sum())), _LEAST)) if len(logs) else 0.0
     markers = logs - np.log(max(len(logs), 1))
     unrelated = 0.0
-    if n_own < len(found.log_evidence):
+    if n_own < len(prior):
         own, others = (np.logaddexp.reduce(part) for part in np.split(found.log_evidence, [n_own]))
         unrelated = max(float(others - own), 0.0)
     # A ratio of evidences above x has a chance of at most 1 / x (A. A. Markov), for each factor.

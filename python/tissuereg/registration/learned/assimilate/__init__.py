@@ -13,13 +13,11 @@ from tissuereg.registration.learned.assimilate.ensemble import (
     balanced_draws,
 )
 from tissuereg.registration.learned.assimilate.laplace import Laplace, SearchSettings, gauss_newton
-from tissuereg.registration.learned.assimilate.shortcut import Between
 
 __all__ = [
     "ABSURD_MM",
     "Assimilation",
     "AssimilationSettings",
-    "Between",
     "FirstEnsemble",
     "Laplace",
     "SearchSettings",

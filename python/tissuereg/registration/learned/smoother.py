@@ -1,0 +1,273 @@
+r"""ES-MDA under a prior that is a mixture: the posterior ensemble of a learned registration.
+
+Component c says that the latents are N(m_c, s^2 P_c) and the model's own error at markers and targets is N(0, s^2 E_c),
+with s one of a few scales. A pair of component and scale is one Gaussian prior, and gets an ensemble of its own:
+
+1. **Screen.** The decoder, linear by regression about a point, gives the evidence of every pair; the few that the
+   markers allow are kept.
+2. **ES-MDA** in each: ``C_d = s^2 E_c[markers, markers] + R`` with the tracker's noise R; the ensembles of all pairs
+   are decoded in one batch a step. Square-root form: no observation is perturbed.
+3. **Evidence** of each pair from the predictions of every step n with inflation a_n, exact for a linear decoder:
+
+       log Z = sum_n [ log N(y; mean Y_n, cov Y_n + a_n C_d) + (log det(2 pi C_d) + n_obs log a_n) / 2
+                       - log det(2 pi C_d) / (2 a_n) ].
+
+4. **Answer.** Each member's error is conditioned on its own residual at the markers:
+   ``t_i = T(z_i) + B (y - g(z_i))``, ``B = s^2 E_c[targets, markers] C_d^-1``, and over members and pairs the moments
+   are those of a mixture.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from tissuereg import _core
+from tissuereg._base.arrays import FloatArray, IntArray, frozen
+from tissuereg.errors import EnsembleError
+from tissuereg.registration.learned.assimilate import ABSURD_MM, StepOptions, balanced_draws
+from tissuereg.registration.learned.components import probabilities
+from tissuereg.registration.learned.mixture import Component, Conditioned, LinearDecoder
+
+#: Latents (n_latent, n_columns) to displacements at markers and targets (n_columns, n_rows), mm.
+Decode = Callable[[FloatArray], FloatArray]
+
+#: Draws about a point by which the decoder is linear there, over the number of latents, and their spread in standard
+#: deviations of the training set's codes: the region where posteriors lie.
+_DRAWS_A_LATENT, _SPREAD = 2.3, 0.2
+
+#: Linearisations: about the start, and then about the mean that the one before gave.
+_SCREENINGS = 2
+
+#: Pairs that get an ensemble at most, and the least of their probabilities over that of the best.
+_MOST_PAIRS, _LEAST_SHARE = 6, 1e-3
+
+_STEP = StepOptions(form="square_root")
+
+
+@dataclass(frozen=True, eq=False)
+class Screening:
+    """Evidence of all pairs of component and scale, by a decoder that is linear about the most probable latents.
+
+    `linear`: that decoder at markers and targets; `found`: probabilities of the pairs that are not negligible.
+    """
+
+    linear: LinearDecoder
+    found: Conditioned
+
+    @classmethod
+    def of(
+        cls,
+        decode: Decode,
+        prior: list[Component],
+        observed: FloatArray,
+        noise: FloatArray,
+        start: FloatArray,
+        spread: FloatArray,
+    ) -> "Screening":
+        """Return the evidence of the pairs.
+
+        `observed` (n_obs,): measured displacements, mm, the first n_obs rows of what is decoded; `noise` (n_obs,
+        n_obs): covariance of the tracker's noise, mm^2; `start` (n_latent,): where the first draws lie; `spread`
+        (n_latent,): standard deviation of the training set's codes. Cost: two decodes of about 2 n_latent columns.
+        """
+        n = len(start)
+        draws, _ = normals(0, n, round(_DRAWS_A_LATENT * n) + 2)
+        point = start
+        for _ in range(_SCREENINGS):
+            rows = decode(point[:, None] + _SPREAD * spread[:, None] * draws)
+            slopes = (rows - rows.mean(axis=0)).T @ draws.T / (draws.shape[1] - 1) / (_SPREAD * spread)
+            linear = LinearDecoder(point, rows.mean(axis=0), slopes)
+            found = Conditioned(prior, linear, observed, noise)
+            point = found.mean_latents
+        return cls(linear, found)
+
+    def under(self, prior: list[Component], observed: FloatArray, noise: FloatArray) -> "Screening":
+        """Return the evidence of pairs with the same decoder under other weights; arguments as for `of`."""
+        return Screening(self.linear, Conditioned(prior, self.linear, observed, noise))
+
+    def kept(self) -> IntArray:
+        """Return the numbers of the pairs that get an ensemble, the most probable one first."""
+        logs = self.found.logs
+        best = np.argsort(-logs, kind="stable")[:_MOST_PAIRS]
+        return np.asarray(best[logs[best] > logs.max() + np.log(_LEAST_SHARE)])
+
+
+@dataclass(frozen=True, eq=False)
+class Pair:
+    """The posterior ensemble of one pair of component and scale.
+
+    Attributes
+    ----------
+    component : int
+        Number of the component.
+    scale : float
+        Factor on its standard deviations.
+    weight : float
+        Posterior probability.
+    latents : ndarray of float64, shape (n_latent, n_members)
+        Posterior members.
+    mean : ndarray of float64, shape (n_rows,)
+        Mean displacement of markers and targets, the model's own error included, mm.
+    covariance : ndarray of float64, shape (n_rows, n_rows)
+        mm^2.
+    pulls : ndarray of float64, shape (n_members, n_obs)
+        ``C_d^-1 (y - g(z_i))`` of each member, 1/mm: times a covariance of errors with those at the markers it is the
+        error that the markers tell.
+    noise : ndarray of float64, shape (n_obs, n_obs)
+        C_d: the tracker's noise and the model's own error at the markers, mm^2.
+    """
+
+    component: int
+    scale: float
+    weight: float
+    latents: FloatArray
+    mean: FloatArray
+    covariance: FloatArray
+    pulls: FloatArray
+    noise: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Smoothed:
+    """The posterior of a learned registration: a mixture of ensembles; rows are markers, then targets.
+
+    Attributes
+    ----------
+    pairs : tuple of Pair
+        Their weights sum to one.
+    dropped : list of (int, str)
+        Members that were lost, by their number among those of all pairs, with the reason.
+    """
+
+    pairs: tuple[Pair, ...]
+    dropped: list[tuple[int, str]]
+
+    @property
+    def weights(self) -> FloatArray:
+        """Probability of each pair, (n_pairs,)."""
+        return np.array([pair.weight for pair in self.pairs])
+
+    @property
+    def mean(self) -> FloatArray:
+        """Mean displacement (n_rows,) of markers and targets, mm."""
+        return np.asarray(self.weights @ np.array([pair.mean for pair in self.pairs]))
+
+    @property
+    def mean_latents(self) -> FloatArray:
+        """Mean of the latents (n_latent,)."""
+        return np.asarray(self.weights @ np.array([pair.latents.mean(axis=1) for pair in self.pairs]))
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Covariance (n_rows, n_rows) of the mixture, mm^2."""
+        mean = self.mean
+        total = np.zeros((len(mean), len(mean)))
+        for pair in self.pairs:
+            away = pair.mean - mean
+            total += pair.weight * (pair.covariance + np.outer(away, away))
+        return total
+
+
+def smooth(
+    decode: Decode,
+    prior: list[Component],
+    kept: IntArray,
+    observed: FloatArray,
+    noise: FloatArray,
+    draws: tuple[FloatArray, bool],
+    alphas: tuple[float, ...],
+) -> Smoothed:
+    """Return the posterior by ES-MDA in some pairs of component and scale.
+
+    `decode`: latents (n_latent, n_columns) to displacements at markers and targets (n_columns, n_rows), mm; `kept`
+    int64 (n_pairs,): numbers of the pairs, all scales of one component after those of another; `observed` (n_obs,):
+    measured displacements, mm, the first n_obs rows; `noise` (n_obs, n_obs): covariance of the tracker's noise, mm^2;
+    `draws` (n_latent, n_members): standard normals, and whether their sample moments are exact; `alphas`: inflation
+    coefficients, whose inverses sum to one. Raises `EnsembleError` if fewer than half of a pair's members survive.
+    Cost: a decode of n_pairs n_members columns for every coefficient and one more.
+    """
+    component = np.repeat(np.arange(len(prior)), [len(one.scales) for one in prior])[kept]
+    scale, weight = (np.concatenate([getattr(one, name) for one in prior])[kept] for name in ("scales", "weights"))
+    n_obs, n_members = len(observed), draws[0].shape[1]
+    ensembles = [
+        prior[c].mean[:, None] + s * np.linalg.cholesky(prior[c].covariance) @ draws[0]
+        for c, s in zip(component, scale, strict=True)
+    ]
+    errors = [s**2 * prior[c].errors for c, s in zip(component, scale, strict=True)]
+    covariances = [one[:n_obs, :n_obs] + noise for one in errors]
+    noises = [_core.Noise.dense(np.ascontiguousarray(one)) for one in covariances]
+    log_dets = [float(np.linalg.slogdet(2.0 * np.pi * one)[1]) for one in covariances]
+    logs, dropped = np.log(weight), list[tuple[int, str]]()
+    empty = np.empty((0, n_members))
+    for alpha in (*alphas, None):
+        ends = np.cumsum([one.shape[1] for one in ensembles])
+        parts = np.split(decode(np.concatenate(ensembles, axis=1)), ends[:-1])
+        for number, rows in enumerate(parts):
+            kept_members, lost = _core.screen_members(np.ascontiguousarray(rows.T), ABSURD_MM)
+            dropped += [(number * n_members + int(index), reason) for index, reason in lost]
+            if len(kept_members) < max(2, n_members // 2):
+                message = f"at least half of {n_members} ensemble members must survive, {len(kept_members)} are left"
+                raise EnsembleError(message, dropped=dropped)
+            if lost:
+                rows, ensembles[number] = rows[kept_members], ensembles[number][:, kept_members]
+                parts[number] = rows
+            if alpha is None:
+                continue
+            predicted = np.ascontiguousarray(rows[:, :n_obs].T)
+            logs[number] += _step_evidence(predicted, observed, covariances[number], log_dets[number], alpha)
+            before = np.ascontiguousarray(ensembles[number])
+            ensembles[number] = _STEP.update(before, predicted, observed, noises[number], empty, alpha=alpha, threads=1)
+    pairs = []
+    factor = 1.0 if draws[1] else spread_factor(n_members)
+    for number, share in enumerate(probabilities(logs)):
+        rows, error = parts[number], errors[number]
+        pulls = np.linalg.solve(covariances[number], observed[:, None] - rows[:, :n_obs].T).T
+        answers = rows + pulls @ error[:n_obs]
+        left = error - error[:, :n_obs] @ np.linalg.solve(covariances[number], error[:n_obs])
+        away = answers - answers.mean(axis=0)
+        spread = away.T @ away * (factor / (len(away) - 1)) + left
+        pairs.append(
+            Pair(
+                int(component[number]),
+                float(scale[number]),
+                float(share),
+                ensembles[number],
+                answers.mean(axis=0),
+                spread,
+                pulls,
+                covariances[number],
+            )
+        )
+    return Smoothed(tuple(pairs), dropped)
+
+
+def spread_factor(n_members: int) -> float:
+    """Return the factor on covariances that corrects for an ensemble of independent draws being finite.
+
+    Mean and covariance estimated from n independent members predict a further draw with the covariance times ``(1 +
+    1/n)(n - 1)/(n - 3)`` (variance of Student's t); draws with exact moments estimate nothing.
+    """
+    return (1.0 + 1.0 / n_members) * (n_members - 1.0) / max(n_members - 3.0, 1.0)
+
+
+def _step_evidence(
+    predicted: FloatArray, observed: FloatArray, noise: FloatArray, log_det: float, alpha: float
+) -> float:
+    """Return the part of a pair's log evidence that one step adds; `log_det` is that of 2 pi C_d."""
+    n_obs, n_members = predicted.shape
+    mean = predicted.mean(axis=1)
+    away = predicted - mean[:, None]
+    total = away @ away.T / (n_members - 1) + alpha * noise
+    factor = np.linalg.cholesky(total)
+    half = np.linalg.solve(factor, observed - mean)
+    log_total = n_obs * np.log(2.0 * np.pi) + 2.0 * np.log(np.diag(factor)).sum()
+    return float(-0.5 * half @ half - 0.5 * log_total + 0.5 * (log_det + n_obs * np.log(alpha)) - 0.5 * log_det / alpha)
+
+
+@lru_cache(maxsize=4)
+def normals(seed: int, n_latent: int, n_members: int) -> tuple[FloatArray, bool]:
+    """Return standard normal draws (n_latent, n_members) of a first ensemble, and whether their moments are exact."""
+    draws, exact = balanced_draws(np.random.default_rng([seed, 2]), (n_latent, n_members), np.empty((0, n_members)))
+    return frozen(draws), exact
