@@ -123,44 +123,42 @@ def calibrate(
     how = settings or RehearsalSettings()
     rehearsal = _Rehearsing(model, mesh, how)
     kinds = Components.fit(codes, n_kinds, how.seed)
-    coded = model.codes(unseen)
-    missed = np.concatenate([unseen[i : i + _BATCH] - model.decode(coded[i : i + _BATCH].T) for i in _parts(unseen)])
-    shares = kinds.shares(coded)
-    scales = Rehearsal(_SCALES, _equal(1, len(_SCALES)))
+    known = [unseen, *(truths for _, truths in pairs)]
+    fields, group = np.concatenate(known), np.repeat(np.arange(len(known)), [len(one) for one in known])
+    coded = model.codes(fields)
+    missed = np.concatenate([fields[i : i + _BATCH] - model.decode(coded[i : i + _BATCH].T) for i in _parts(fields)])
+    # Errors of events of another physics, where there are some, have covariances of their own.
+    n_physics = min(len(known), 2)
+    shares = np.einsum("fp,fk->fpk", np.eye(n_physics)[np.minimum(group, 1)], kinds.shares(coded))
+    shares = shares.reshape(len(fields), -1)
+    scales = Rehearsal(_SCALES, _equal(n_physics, len(_SCALES)))
     made = Calibration(kinds, field_errors(missed, shares, _PATTERNS), scales)
-    events, varied = [], []
-    for own, others in _folds(np.zeros(len(unseen), np.int64)):
+    trials, varied = _Trials([], []), _Trials([], [])
+    for own, others in _folds(group):
         without = replace(made, errors=field_errors(missed[others], shares[others], _PATTERNS))
-        events += [rehearsal.trial(without, None, unseen[row]) for row in own[own < how.n_events]]
-        varied += [rehearsal.trial(without, None, unseen[row], varied=True) for row in own[own < how.n_varied]]
-    made = replace(made, alone=rehearsal.beside(rehearsal.outcome(events, scales), varied))
+        for row in own:
+            times = how.n_repeats if group[row] else int(row < how.n_events)
+            for _ in range(times):
+                trials.add(rehearsal.trial(without, None, fields[row]), group[row])
+            if group[row] or row < how.n_varied:
+                varied.add(rehearsal.trial(without, None, fields[row], varied=True), group[row])
+    made = replace(made, alone=rehearsal.beside(rehearsal.outcome(trials, scales), varied))
     if not pairs:
         return made
-    simulations, truths = (np.concatenate([one[part] for one in pairs]) for part in (0, 1))
-    kind = np.repeat(np.arange(len(pairs)), [len(one[0]) for one in pairs])
-    again = range(how.n_repeats)
-    # Truths of another physics look worse without a simulation too.
-    for number in range(len(pairs)):
-        for times, other in ((how.n_repeats, False), (1, True)):
-            events = [
-                rehearsal.trial(made, None, truth, varied=other)
-                for truth in truths[kind == number]
-                for _ in range(times)
-            ]
-            made = replace(made, alone=rehearsal.beside(made.alone, events))
+    simulations, truths, kind = np.concatenate([one for one, _ in pairs]), fields[group > 0], group[group > 0] - 1
+    missed = missed[group == 0]
     differences = _Differences.of(model, simulations, truths, kind, missed)
     made = replace(made, change=differences.change(np.arange(len(truths))))
     n_forms = len(pairs) * len(_FACTORS)
     scales = Rehearsal(_CHANGE_SCALES, _equal(n_forms, len(_CHANGE_SCALES)))
-    events, varied, of_event, of_varied = [], [], [], []
+    trials, varied = _Trials([], []), _Trials([], [])
     for own, others in _folds(kind):
-        of_event += [number for number in kind[own] for _ in again]
-        of_varied += list(kind[own])
         without = replace(made, anchored=scales, change=differences.change(others))
-        events += [rehearsal.trial(without, simulations[row], truths[row]) for row in own for _ in again]
-        varied += [rehearsal.trial(without, simulations[row], truths[row], varied=True) for row in own]
-    anchored = rehearsal.outcome(events, scales, np.array(of_event))
-    return replace(made, anchored=rehearsal.beside(anchored, varied, np.array(of_varied)))
+        for row in own:
+            for _ in range(how.n_repeats):
+                trials.add(rehearsal.trial(without, simulations[row], truths[row]), kind[row])
+            varied.add(rehearsal.trial(without, simulations[row], truths[row], varied=True), kind[row])
+    return replace(made, anchored=rehearsal.beside(rehearsal.outcome(trials, scales), varied))
 
 
 def _equal(*shape: int) -> FloatArray:
@@ -292,13 +290,14 @@ class _Places:
 class _RegisteredEvent:
     """A registered truth: its prior, of which the first `n_own` components are the event's own, and their evidence.
 
-    `decode`: the model at the markers and targets of the event; rows of `observed` are those of the markers, of `rows`
+    `shares` (n_own,): probability of each of these among those of its form, whatever the scale; `decode`: the model at the markers and targets of the event; rows of `observed` are those of the markers, of `rows`
     the true ones of markers and targets, mm; `noise`: covariance of the tracker's noise, mm^2.
     """
 
     made: Calibration
     prior: list[Component]
     n_own: int
+    shares: FloatArray
     decode: Decode
     screening: Screening
     observed: FloatArray
@@ -308,6 +307,19 @@ class _RegisteredEvent:
 
 #: Registers one truth.
 _Trial = Callable[[], _RegisteredEvent]
+
+
+@dataclass(frozen=True, eq=False)
+class _Trials:
+    """What registers truths, each with the group of its event in the calibration set."""
+
+    events: list[_Trial]
+    groups: list[int]
+
+    def add(self, event: _Trial, group: Any) -> None:
+        """Add one."""
+        self.events.append(event)
+        self.groups.append(int(group))
 
 
 class _Rehearsing:
@@ -343,20 +355,20 @@ class _Rehearsing:
         rows = places.rows(truth[None, places.nodes].astype(np.float64))[0]
         observed = rows[:n_obs] + std * rng.standard_normal(n_obs)
         at, decoded = made.at(places.rows_of()), places.decoder(model)
-        anchor, start, n_own = np.zeros(len(rows)), made.kinds.centre, len(made.kinds.weights)
-        prior = at.prior()
+        anchor, start, n_own = np.zeros(len(rows)), made.kinds.centre, len(made.errors.covariances)
+        prior, shares = at.prior(), np.tile(made.kinds.weights, n_own // len(made.kinds.weights))
         if simulation is not None:
             simulation = simulation.astype(np.float64)
             start, simulated = model.codes(simulation[None])[0], places.rows(simulation[None, places.nodes])[0]
             prior, forms = at.prior_about(start, float(rms_displacement(simulation[None])[0]), simulated)
-            n_own = len(forms)
+            n_own, shares = len(forms), np.full(len(forms), 1.0 - UNRELATED)
             anchor = simulated - decoded(start[:, None])[0]
 
         def decode(latents: FloatArray) -> FloatArray:
             return decoded(latents) + anchor
 
         screening = Screening.of(decode, prior, observed, noise, start, made.kinds.spread)
-        return _RegisteredEvent(made, prior, n_own, decode, screening, observed, noise, rows)
+        return _RegisteredEvent(made, prior, n_own, shares, decode, screening, observed, noise, rows)
 
     def _layout(self, rng: np.random.Generator) -> tuple[int, float]:
         """Return a number of markers and the standard deviation of their noise, mm."""
@@ -367,48 +379,44 @@ class _Rehearsing:
         )
         return round(float(markers)), float(std)
 
-    def beside(self, law: Rehearsal, trials: list[_Trial], kind: IntArray | None = None) -> Rehearsal:
+    def beside(self, law: Rehearsal, trials: _Trials) -> Rehearsal:
         """Return the outcome with further groups of events, which only tell how test statistics are distributed."""
-        return _with_groups(law, np.array([self.shown(trial(), law.scale_weights)[0] for trial in trials]), kind)
+        shown = [self.shown(event(), law.scale_weights)[0] for event in trials.events]
+        return _with_groups(law, np.array(shown), trials.groups)
 
     def shown(self, event: _RegisteredEvent, scale_weights: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the test statistics of an event under probabilities of scales, and the misfits of its targets."""
-        own, forms = event.prior[: event.n_own], len(scale_weights)
-        # Of one form the kinds keep their shares.
-        total = np.array([one.weights.sum() for one in own]) if forms == 1 else np.full(forms, 1.0 - UNRELATED)
-        laws = np.broadcast_to(scale_weights, (len(own), scale_weights.shape[1]))
-        own = [replace(one, weights=share * law) for one, share, law in zip(own, total, laws, strict=True)]
+        own = event.prior[: event.n_own]
+        laws = np.repeat(scale_weights, len(own) // len(scale_weights), axis=0)
+        own = [replace(one, weights=share * law) for one, share, law in zip(own, event.shares, laws, strict=True)]
         prior, n_obs = [*own, *event.prior[event.n_own :]], len(event.noise)
         again = event.screening.under(prior, event.observed, event.noise)
         shown = statistics_of(event.made, prior, again, event.observed, event.noise, event.n_own)
         found = smooth(event.decode, prior, again.kept(), event.observed, event.noise, self._draws, self._alphas)
         return shown.row, _misfits(event.rows - found.mean, found.covariance, n_obs)
 
-    def outcome(self, trials: list[_Trial], law: Rehearsal, kind: IntArray | None = None) -> Rehearsal:
-        """Return the likeliest scales, and what registrations with these give; the events of each kind are a group."""
+    def outcome(self, trials: _Trials, law: Rehearsal) -> Rehearsal:
+        """Return the likeliest scales, and what registrations with these give."""
         n_forms, n_scales = law.scale_weights.shape
-        logs = np.array([self._log_evidence(trial(), n_forms).ravel() for trial in trials])
+        logs = np.array([self._log_evidence(event(), n_forms).ravel() for event in trials.events])
         scale_weights = _mixing(logs).reshape(n_forms, n_scales)
-        statistics, misfits = zip(*(self.shown(trial(), scale_weights) for trial in trials), strict=True)
+        statistics, misfits = zip(*(self.shown(event(), scale_weights) for event in trials.events), strict=True)
         widening, tail = _regions(np.concatenate(misfits))
         found = replace(law, scale_weights=scale_weights, widening=widening, tail=tail)
-        return _with_groups(found, np.array(statistics), kind)
+        return _with_groups(found, np.array(statistics), trials.groups)
 
     def _log_evidence(self, event: _RegisteredEvent, n_forms: int) -> FloatArray:
         """Return the log-evidence of every form and scale of the event's own components, (n_forms, n_scales)."""
         prior = event.prior[: event.n_own]
-        logs = log_evidence(prior, event.screening.linear, event.observed, event.noise)
-        if n_forms > 1:
-            return logs
-        weights = np.array([one.weights.sum() for one in prior])
-        return np.asarray(np.logaddexp.reduce(logs + np.log(weights)[:, None], axis=0, keepdims=True))
+        logs = log_evidence(prior, event.screening.linear, event.observed, event.noise) + np.log(event.shares)[:, None]
+        return np.asarray(np.logaddexp.reduce(logs.reshape(n_forms, -1, logs.shape[1]), axis=1))
 
 
-def _with_groups(law: Rehearsal, statistics: FloatArray, kind: IntArray | None) -> Rehearsal:
-    """Return an outcome with the test statistics of events (n_events, 5), a group for each kind (n_events,)."""
-    known, group = law.calibration_set, np.zeros(len(statistics), np.int64) if kind is None else kind
-    for number in np.unique(group):
-        known = known.beside(statistics[group == number])
+def _with_groups(law: Rehearsal, statistics: FloatArray, groups: Sequence[int]) -> Rehearsal:
+    """Return an outcome with the test statistics of events (n_events, 5) of some groups (n_events,) added."""
+    known = law.calibration_set
+    for number in np.unique(groups):
+        known = known.beside(statistics[np.asarray(groups) == number])
     return replace(law, calibration_set=known)
 
 

@@ -188,7 +188,8 @@ class Calibration:
                 file.floats("kind_means", n_kinds, n_latent),
                 file.floats("kind_covariances", n_kinds, n_latent, n_latent),
             )
-            errors, alone = _errors_in(file, "error", n_kinds, n_nodes), _rehearsal_in(file, "alone", 1)
+            errors = _errors_in(file, "error", None, n_nodes)
+            alone = _rehearsal_in(file, "alone", len(errors.covariances) // n_kinds)
             if "change_factors" not in file:
                 return cls(kinds, errors, alone)
             factors, covariances = (
@@ -226,13 +227,17 @@ class PointCalibration:
         return (BESIDE_VARIANTS if varied else 1.0) * max(size, LEAST_SIZE_MM) ** 2
 
     def prior(self, share: float = 1.0) -> list[Component]:
-        """Return the mixture of an event without a simulation, a component for each kind; weights sum to `share`."""
+        """Return the mixture of an event without a simulation; weights sum to `share`.
+
+        A component for each kind of event with errors as in the training set's physics, then, where the calibration
+        knows another physics, one for each kind with the errors of that.
+        """
         kinds, law = self.whole.kinds, self.whole.alone
+        n_kinds = len(kinds.weights)
         return [
-            Component(share * weight * law.scale_weights[0], law.scales, mean, covariance, errors)
-            for weight, mean, covariance, errors in zip(
-                kinds.weights, kinds.means, kinds.covariances, self.errors.covariances, strict=True
-            )
+            Component(share * kinds.weights[k] * weights, law.scales, kinds.means[k], kinds.covariances[k], errors)
+            for weights, block in zip(law.scale_weights, _blocks(self.errors.covariances, n_kinds), strict=True)
+            for k, errors in enumerate(block)
         ]
 
     def prior_about(
@@ -271,6 +276,11 @@ class PointCalibration:
         return [*about, *self.prior(UNRELATED)], forms
 
 
+def _blocks(covariances: FloatArray, n_kinds: int) -> list[FloatArray]:
+    """Return covariances of errors in blocks of `n_kinds`: of the physics of the training set, then of another."""
+    return [covariances[i : i + n_kinds] for i in range(0, len(covariances), n_kinds)]
+
+
 def _error_arrays(name: str, errors: FieldErrors) -> dict[str, FloatArray]:
     return {
         f"{name}_patterns": errors.basis.astype(np.float16),
@@ -279,7 +289,7 @@ def _error_arrays(name: str, errors: FieldErrors) -> dict[str, FloatArray]:
     }
 
 
-def _errors_in(file: Archive, name: str, n_kinds: int, n_nodes: int) -> FieldErrors:
+def _errors_in(file: Archive, name: str, n_kinds: int | None, n_nodes: int) -> FieldErrors:
     basis = file.floats(f"{name}_patterns", None, n_nodes, 3)
     covariances = file.floats(f"{name}_covariances", n_kinds, len(basis), len(basis))
     return FieldErrors(basis, covariances, file.floats(f"{name}_rest_mm", n_nodes, 3))
