@@ -18,7 +18,7 @@ with s one of a few scales. A pair of component and scale is one Gaussian prior,
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -38,7 +38,7 @@ Decode = Callable[[FloatArray], FloatArray]
 _DRAWS_A_LATENT, _SPREAD = 2.3, 0.2
 
 #: Linearisations: about the start, and then about the mean that the one before gave.
-_SCREENINGS = 2
+_SCREENINGS = 3
 
 #: Pairs that get an ensemble at most, and the least of their probabilities over that of the best.
 _MOST_PAIRS, _LEAST_SHARE = 6, 1e-3
@@ -50,10 +50,12 @@ _STEP = StepOptions(form="square_root")
 class Screening:
     """Evidence of all pairs of component and scale, by a decoder that is linear about the most probable latents.
 
-    `linear`: that decoder at markers and targets; `found`: probabilities of the pairs that are not negligible.
+    `linear`: that decoder at markers and targets; `first`: the decoder that is linear about the start, which no
+    marker has moved; `found`: probabilities of the pairs that are not negligible.
     """
 
     linear: LinearDecoder
+    first: LinearDecoder
     found: Conditioned
 
     @classmethod
@@ -70,22 +72,22 @@ class Screening:
 
         `observed` (n_obs,): measured displacements, mm, the first n_obs rows of what is decoded; `noise` (n_obs,
         n_obs): covariance of the tracker's noise, mm^2; `start` (n_latent,): where the first draws lie; `spread`
-        (n_latent,): standard deviation of the training set's codes. Cost: two decodes of about 2 n_latent columns.
+        (n_latent,): standard deviation of the training set's codes. Cost: three decodes of about 2 n_latent columns.
         """
         n = len(start)
         draws, _ = normals(0, n, round(_DRAWS_A_LATENT * n) + 2)
-        point = start
+        point, made = start, list[LinearDecoder]()
         for _ in range(_SCREENINGS):
             rows = decode(point[:, None] + _SPREAD * spread[:, None] * draws)
             slopes = (rows - rows.mean(axis=0)).T @ draws.T / (draws.shape[1] - 1) / (_SPREAD * spread)
-            linear = LinearDecoder(point, rows.mean(axis=0), slopes)
-            found = Conditioned(prior, linear, observed, noise)
+            made.append(LinearDecoder(point, rows.mean(axis=0), slopes))
+            found = Conditioned(prior, made[-1], observed, noise)
             point = found.mean_latents
-        return cls(linear, found)
+        return cls(made[-1], made[0], found)
 
     def under(self, prior: list[Component], observed: FloatArray, noise: FloatArray) -> "Screening":
         """Return the evidence of pairs with the same decoder under other weights; arguments as for `of`."""
-        return Screening(self.linear, Conditioned(prior, self.linear, observed, noise))
+        return replace(self, found=Conditioned(prior, self.linear, observed, noise))
 
     def kept(self) -> IntArray:
         """Return the numbers of the pairs that get an ensemble, the most probable one first."""

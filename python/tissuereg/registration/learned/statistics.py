@@ -45,7 +45,8 @@ def statistics_of(
     """
     from scipy.special import gammaincc
 
-    linear, found = screening.linear, screening.found
+    # About a simulation: a wrong marker pulls the answer to where the decoder's slopes are others.
+    linear, found = screening.first if n_own < len(prior) else screening.linear, screening.found
     without = left_out(prior, linear, observed, noise)
     logs = -np.log(np.maximum(without.chances, _LEAST))
     # Fisher's method, as if predictions of different markers were independent: rehearsals say what they are.
