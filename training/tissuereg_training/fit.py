@@ -100,7 +100,7 @@ def fit(
     state = FitState()
     if checkpoint is not None:
         checkpoint.load_into(model, optimiser, state)
-    x = _normalised(model, train)
+    x = normalised_parts(model, train)
     n_batches = max(1, round(len(x) / settings.batch))
     reported = time.perf_counter()
     while state.epoch < settings.epochs and not stalled(state, settings):
@@ -131,7 +131,8 @@ def stalled(state: FitState, settings: TrainSettings) -> bool:
 
 
 @torch.no_grad()
-def _normalised(model: Network, parts: Iterable[FieldArray]) -> torch.Tensor:
+def normalised_parts(model: Network, parts: Iterable[FieldArray]) -> torch.Tensor:
+    """Return what a network makes of fields in mm, given in parts: (n_fields, ...), dimensionless."""
     return torch.cat([model.normalised(torch.from_numpy(part).to(model.device)) for part in parts])
 
 

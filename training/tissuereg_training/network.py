@@ -25,6 +25,8 @@ class Network(nn.Module, ABC):
         Mean field.
     scale_mm : Tensor of float, shape ()
         Root mean square of a component of the displacement about the mean field.
+    log_variance_head : Linear
+        Last layer of the encoder's log-variances; nothing else depends on it.
     """
 
     kind: ClassVar[str]
@@ -32,6 +34,7 @@ class Network(nn.Module, ABC):
     n_latent: int
     mean_mm: torch.Tensor
     scale_mm: torch.Tensor
+    log_variance_head: nn.Linear
 
     @abstractmethod
     def normalised(self, displacement: torch.Tensor) -> torch.Tensor:

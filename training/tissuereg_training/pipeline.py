@@ -43,6 +43,7 @@ from tissuereg_training.parity import checked_parity
 from tissuereg_training.pca import moments, pca_error, principal_components
 from tissuereg_training.recipe import Recipe, read_recipe
 from tissuereg_training.settings import TrainSettings
+from tissuereg_training.spread import fit_spread
 from tissuereg_training.training_split import TrainingSplit
 
 SCHEMA = "tissuereg.train/1"
@@ -125,6 +126,8 @@ def train(
         with clock.stage("train"):
             valid = dataset.fields[split.valid]
             state = fit(model, train_split, valid, settings, seed=seed, checkpoint=checkpoint, report=report)
+            if settings.spread_weight:
+                fit_spread(model, train_split, settings, seed=seed, report=report)
         with clock.stage("evaluate"):
             card = _card(model, dataset, material, recipe, seed, state)
             card["data"] = [read_origin(folder) for folder in (first, *further)]
@@ -206,6 +209,7 @@ def _card(
         "errors_mm": errors,
         "scale_mm": float(model.scale_mm),
         "kl_weight": settings.kl_weight,
+        "spread_weight": settings.spread_weight,
         "code_spread": code_spread(model, fields[split.test], seed),
         "prior": measured_prior(model, fields[split.train], dataset.simulations, dataset.truths),
         "samples": sampled_inversions(model, dataset.nodes, dataset.tets, seed),

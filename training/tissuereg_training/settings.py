@@ -11,6 +11,8 @@ ACTIVATIONS = ("elu", "silu")
 
 #: Keys newer than the first trainings: left out of a checkpoint's fingerprint while they have these values.
 _LATER: dict[str, Any] = {"kind": "graph", "patience": 0}
+#: Keys of the second stage, which no checkpoint of the first depends on.
+_SECOND = ("spread_weight", "spread_epochs")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,6 +47,11 @@ class TrainSettings:
     patience : int
         Stop after so many epochs without a smaller validation error; 0 never stops early. The learning rate does not
         follow: the schedule is that of all `epochs`.
+    spread_weight : float
+        Weight of the divergence in the second stage, which fits the encoder's log-variances alone (`spread.py`); 0
+        leaves those of the first stage.
+    spread_epochs : int
+        Passes over the training split in the second stage.
     """
 
     #: Name of the kind in a recipe.
@@ -63,6 +70,8 @@ class TrainSettings:
     n_latent: int = 26
     gradient_limit: float = 1.0
     patience: int = 0
+    spread_weight: float = 0.3
+    spread_epochs: int = 5
 
     def rules(self) -> tuple[tuple[bool, str, str], ...]:
         """Return what must hold: (holds, key, sentence)."""
@@ -78,6 +87,8 @@ class TrainSettings:
             (self.n_latent >= 1, "n_latent", "at least 1"),
             (self.gradient_limit > 0, "gradient_limit", "positive"),
             (self.patience >= 0, "patience", "at least 0"),
+            (0 <= self.spread_weight < math.inf, "spread_weight", "at least 0"),
+            (self.spread_epochs >= 1, "spread_epochs", "at least 1"),
         )
 
     def as_dict(self) -> dict[str, Any]:
@@ -90,7 +101,8 @@ class TrainSettings:
 
         A training that an earlier version began can then be continued by a later one.
         """
-        return {key: value for key, value in self.as_dict().items() if value != _LATER.get(key)}
+        values = self.as_dict().items()
+        return {key: value for key, value in values if key not in _SECOND and value != _LATER.get(key)}
 
 
 @dataclass(frozen=True, kw_only=True)
