@@ -32,11 +32,11 @@ class AtBody:
 
 @dataclass(eq=False)
 class Linearisation:
-    """Linearises; counts its work and caches the projection of many observations while the data stay the same.
+    """Linearises the body and its observations; counts the work, and keeps the projection of many observations.
 
-    `columns`: causes; `material`: material of the body; `settings`: prior; `threads`: threads to use; `clock`: records
-    the times of the stages; `counters`: records the work; `kept`: a tangent near the first body, in place of the one
-    there.
+    `columns`: possible causes; `material`: material of the body; `settings`: prior; `threads`: threads to use; `clock`:
+    records the times of the stages; `counters`: counts the work; `kept`: a linearised equilibrium near the first body,
+    used in place of the one there.
     """
 
     columns: Columns
@@ -49,7 +49,7 @@ class Linearisation:
     _basis: tuple[ObservedData, Basis] | None = field(default=None, repr=False)
 
     def at(self, state: BodyState, observed: ObservedData) -> AtBody:
-        """Return data, tangent and sampler at a body."""
+        """Return the linearised equilibrium at a body, its observations, and the sampler with prior and data."""
         tangent = self.tangent(state)
         with self.clock.stage("match"):
             reading = observed.read(state)
@@ -63,7 +63,7 @@ class Linearisation:
             return AtBody(tangent, observations, sampler(self.columns, self.settings, observations.responses, data))
 
     def tangent(self, state: BodyState) -> Tangent:
-        """Return the tangent at a body, or, once, the one that was kept."""
+        """Return the linearised equilibrium at a body; at first the one kept from before, if there is one."""
         if self.kept is not None:
             found, self.kept = self.kept, None
             return found

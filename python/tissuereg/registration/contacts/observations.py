@@ -23,22 +23,22 @@ from tissuereg.registration.contacts.settings import MATCHING, ContactSettings
 
 @dataclass(frozen=True, eq=False)
 class LinearObservations:
-    """Data of one linearisation.
+    """Observations as a linear function of the coefficients of the causes, about one body.
 
     Attributes
     ----------
     responses : ndarray of float64, shape (n_kept, n_columns)
-        Their responses to the causes.
+        Change of each observation by a unit coefficient of each cause.
     innovation : ndarray of float64, shape (n_kept,)
         Measured minus predicted at zero coefficients.
     variances : ndarray of float64, shape (n_kept,)
         Variances of their independent noise.
     groups : list of list of int
-        Observations that may be wrong together.
+        Observations that may be wrong together: those of one marker.
     rows : list of (ndarray of int64 (k,), ndarray of float64 (k, 3))
         Nodes and weights of each observation.
     dropped_signal : float
-        Largest signal of a dropped direction.
+        Largest effect of the causes, squared and over the noise, on a combination of observations that was left out.
     """
 
     responses: FloatArray
@@ -62,7 +62,11 @@ class Basis:
 
     @classmethod
     def of(cls, reading: Observations, responses: FloatArray, variances: FloatArray, most: int) -> "Basis":
-        """Return the basis of observations with given responses (n_obs, n_columns) to causes of given variances."""
+        """Return the combinations of observations in which the causes have an effect.
+
+        `reading`: observations; `responses` (n_obs, n_columns): to the causes; `variances` (n_columns,): of the
+        coefficients; `most`: largest number of combinations.
+        """
         white = responses / reading.std[:, None]
         signals, vectors = np.linalg.eigh((white * variances) @ white.T)
         n_kept = min(most, max(1, int(np.sum(signals > MATCHING.least_signal))))

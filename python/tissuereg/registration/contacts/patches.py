@@ -20,7 +20,7 @@ from tissuereg.registration.contacts.settings import DISCRETISATION
 
 @dataclass(frozen=True, eq=False)
 class Patches:
-    """Patches of one mesh.
+    """Overlapping round parts of a mesh's surface, of several radii, on each of which a contact may act.
 
     Attributes
     ----------
@@ -29,15 +29,16 @@ class Patches:
     radii : ndarray of float64, shape (n_patches,)
         mm.
     level : ndarray of int64, shape (n_patches,)
-        Which radius, 0 the smallest.
+        Number of the radius, 0 the smallest.
     normals : ndarray of float64, shape (n_patches, 3)
         Outward unit normal at the centre.
     shapes : scipy.sparse.csr_array, shape (n_patches, n_nodes)
         Nodal force of one unit over Young's modulus, mm^2 per mm.
     texture : tuple of ndarray
-        For each patch the next smaller ones inside, as first entries, entries, and ratios of standard deviations.
+        For each patch the patches of the next smaller radius inside it, as compressed rows (first entries, entries),
+        and the ratios of their standard deviations.
     neighbours : tuple of ndarray
-        For each patch the similar ones, as first entries and entries.
+        For each patch the similar patches, as compressed rows (first entries, entries).
     """
 
     centres: FloatArray
@@ -146,7 +147,10 @@ def _shapes(
 def _texture(
     centres: FloatArray, across: FloatArray, radii: FloatArray, level: IntArray
 ) -> tuple[IntArray, IntArray, FloatArray]:
-    """Return, for each patch, the patches of the next smaller radius whose centre lies inside it."""
+    """Return for each patch the patches of the next smaller radius inside it, with ratios of spread.
+
+    They are compressed rows: first entries, entries, ratios.
+    """
     trees = _trees(centres, level)
     found = [_pairs(trees, (coarse, coarse - 1), radii, across) for coarse in range(1, len(trees))]
     first, inside, patches = _by_patch(found, len(centres))

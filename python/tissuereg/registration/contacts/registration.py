@@ -88,7 +88,11 @@ def register_by_contacts(
 
 @dataclass(frozen=True, eq=False)
 class _Found:
-    """A fit with the state from which its passes began, the material and supports estimated before, and its moments."""
+    """A fit, the body from which its search began, the material and supports that were estimated before it.
+
+    `further`: other uncertain parameters, each with its standard deviation; `moments`: frames through which the samples
+    have been carried on.
+    """
 
     fit: ContactFit
     start: BodyState
@@ -159,7 +163,7 @@ class _ContactSearch:
         return _Found(passes.run(start), start, passes.material, further)
 
     def _gone_on(self, carried: Carried, passes: Passes, field: FloatArray | None, frame: RigidMotion) -> _Found | None:
-        """Return the fit that goes on from the moment before; None if that is of no use."""
+        """Return the fit that continues from the frame before; None if it leaves much larger residuals."""
         columns = carried.columns_for(passes.columns)
         if columns is None:
             return None

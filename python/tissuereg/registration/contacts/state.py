@@ -72,10 +72,10 @@ def _rotation(vector: FloatArray) -> FloatArray:
 
 @dataclass(eq=False)
 class BodyState:
-    """Coefficients, the equilibrium under them, and the frame.
+    """A body in equilibrium: the load on it, its displacement, and where the tracker sees it.
 
     `coefficients` (n_columns,): of all causes; `displacement` (n_element_nodes, 3): in the body's frame, mm; `frame`:
-    from the body's frame to the tracker's.
+    rigid motion from the body's frame to the tracker's.
     """
 
     coefficients: FloatArray
