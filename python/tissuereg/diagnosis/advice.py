@@ -32,7 +32,7 @@ UP, HOLD, LONG = 2.0, 6.0, 30.0
 
 @dataclass(frozen=True, eq=False)
 class _Action:
-    """A case that could be measured next."""
+    """A load case that could be measured next: in words, and as a case of the experiment."""
 
     words: str
     case: Case
@@ -114,14 +114,18 @@ def _measured(target: FitTarget, action: _Action) -> Experiment:
 
 
 def _prediction(target: FitTarget, fit: Fit, action: _Action) -> FloatArray:
-    """Return the prediction of a fitted model under an action, mm and mN."""
+    """Return the prediction (size,) of a fitted model under an action: marker motions in mm, forces in mN."""
     experiment = _measured(target, action)
     predictor = Predictor(experiment, SignalLayout(experiment), element=target.bench.predictor.element)
     return predictor.predict(fit.effects(target.bench.young), young=float(np.exp(fit.x[0])))
 
 
 def _separability(target: FitTarget, action: _Action, fit: Fit, one: FloatArray, other: FloatArray) -> float:
-    """Return the norm of the difference between a fit's prediction and another's, whitened by noise and nuisances."""
+    """Return how far two fitted models' predictions under an action lie apart, in standard deviations.
+
+    `fit`: one of the models, by whose uncertainty the difference is whitened; `one`, `other` (size,): predictions, mm
+    and mN.
+    """
     layout = SignalLayout(_measured(target, action))
     markers = layout.of_markers()
     force_std = target.noise.force_std if target.bench.experiment.force_std is not None else MEASURED_TO

@@ -197,7 +197,7 @@ class Diagnosis:
 
 
 def _pairs(values: Values, deviations: Values) -> dict[str, Any]:
-    """Return numbers with their deviations as [value, deviation]; lists of numbers as lists of such pairs."""
+    """Return numbers with their standard deviations as pairs [value, deviation]; lists as lists of pairs."""
     pairs: dict[str, Any] = {}
     for key, value in values.items():
         spread = deviations.get(key)

@@ -37,7 +37,7 @@ Bank = dict[str, list[Variant]]
 
 
 def make_bank(bench: Bench, *, keep: bool = True, progress: Callable[[str], None] | None = None) -> Bank:
-    """Return the bank of a believed model, from the cache where possible.
+    """Return the bank: for every hypothesis of every cause, the change that it makes to the predicted data.
 
     `bench`: the believed model; its prediction is taken from the cache too; `keep`: whether to read and write the
     cache; `progress`: called with the id of the cause whose columns are computed. Result: columns in mm and mN, single

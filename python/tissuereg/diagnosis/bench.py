@@ -34,9 +34,10 @@ _Out = TypeVar("_Out")
 
 
 class Bench:
-    """The believed model: prediction, sensitivities, and changes by effects.
+    """The believed model of an experiment: its prediction, its sensitivities, and its changes by effects.
 
-    `experiment`: the believed model, with loads and marker places; `layout`: order of all columns; `element` {"tet4",
+    Predictions are flat vectors of all measured numbers, (size,): displacements of markers in mm, forces in mN.
+    `experiment`: the believed model, with loads and marker places; `layout`: order of these numbers; `element` {"tet4",
     "tet4-averaged", "tet10"}: elements to use; `threads`: threads to use; 0 takes all cores.
     """
 
@@ -84,16 +85,24 @@ class Bench:
         return Tangents(self.predictor)
 
     def by(self, direction: Callable[[State], Sequence[Cause]], count: int) -> FloatArray:
-        """Return the sensitivity columns of parameters; see `Tangents.columns`."""
+        """Return the changes (count, size), in mm and mN, of the prediction by a unit of some parameters.
+
+        `direction`: returns, for an equilibrium, the derivatives of load or material by the parameters; `count`: their
+        number.
+        """
         return self.tangents.columns(direction, count)
 
     def by_fields(self, shares: "sparse.csr_array") -> FloatArray:
-        """Return the sensitivity columns of relative changes of the modulus; see `Tangents.by_fields`."""
+        """Return the changes (n_fields, size), mm and mN, of the prediction by a modulus changed in parts of the body.
+
+        `shares` (n_tets, n_fields): share of every tet whose modulus changes; the result is for a modulus that is
+        doubled.
+        """
         return self.tangents.by_fields(shares)
 
     @cached_property
     def by_young(self) -> FloatArray:
-        """Sensitivity column of a relative change of the modulus, shape (1, size)."""
+        """Change (1, size) of the prediction by a relative change of one of the whole modulus, mm and mN."""
         if not self.is_elastic:
             forces = np.where(self.layout.of_markers(), 0.0, self.base)
             if self.scales_forces:
@@ -105,13 +114,16 @@ class Bench:
         return self.by(lambda state: [ModulusField("young", rates)], 1)
 
     def change(self, *effects: Effect) -> FloatArray | None:
-        """Return the change that effects make, shape (size,); None where they do not apply or have no equilibrium."""
+        """Return the change (size,) of the prediction that effects make together, mm and mN.
+
+        None where an effect does not apply, or the body has no equilibrium with them.
+        """
         return self.changes([effects])[0]
 
     def changes(self, tried: Sequence[Sequence[Effect]]) -> list[FloatArray | None]:
-        """Return the change that each of many sets of effects makes, as `change`; several are simulated in parallel.
+        """Return the change (size,), mm and mN, that each of many sets of effects makes; None where there is none.
 
-        The frames of a history are solved one after another on one thread, so that histories run in parallel.
+        The sets are simulated in parallel; the frames of a history one after another on one thread.
         """
         base = self.base
 

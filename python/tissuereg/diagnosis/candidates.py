@@ -54,7 +54,7 @@ def refitted(
     required: Mapping[str, float],
     progress: Callable[[str], None] | None,
 ) -> list[Candidate]:
-    """Return the fitted candidates; those near enough to acceptance have their discretisation error corrected.
+    """Return the candidates for a further cause, fitted; for likely ones the discretisation error is corrected.
 
     `target`: data, believed model, noise and nuisances; `screen`: all hypotheses of the bank; `screened`: linear
     evidence of all causes given the current fit; `current`: with the causes found before; `required`: log Bayes factor

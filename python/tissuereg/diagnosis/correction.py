@@ -34,11 +34,12 @@ class OfEffect:
         return np.asarray((coarse - self.base) @ self.along)
 
     def at(self, coarse: FloatArray) -> FloatArray:
-        """Return the correction of such predictions (..., size)."""
+        """Return the correction (..., size), mm and mN, of predictions (..., size) on the user's mesh."""
         return np.asarray(self.share(coarse)[..., None] * self.difference)
 
     def other(self, coarse: FloatArray) -> FloatArray:
-        """Return the part of the change in such predictions (..., size) that is no multiple of the effect."""
+        """Return the part of the change in predictions (..., size), on the user's mesh, beside multiples of the effect.
+        """
         return np.asarray(coarse - self.base - self.share(coarse)[..., None] * self.change)
 
 
@@ -66,11 +67,11 @@ class Correction:
         return self._mapped(coarse) + scale * missing
 
     def of_columns(self, columns: FloatArray) -> FloatArray:
-        """Return derivatives (..., size) of the believed model as the finer mesh would give them at the modulus."""
+        """Return derivatives (..., size) of the user's mesh as the finer mesh would give them at the modulus."""
         return self.at_modulus(self._mapped(columns))
 
     def at_modulus(self, columns: FloatArray) -> FloatArray:
-        """Return derivatives (..., size) of a fine mesh at the believed modulus as they are at this one."""
+        """Return derivatives (..., size) of a fine mesh at the believed modulus, converted to the present modulus."""
         return np.asarray(columns * self._scale(self.modulus))
 
     def with_effect(self, base: FloatArray, coarse: FloatArray, fine: FloatArray, std: FloatArray) -> "Correction":

@@ -20,9 +20,10 @@ from tissuereg._base.arrays import FloatArray
 
 
 class Null:
-    """The null covariance ``C0 = I + N N^T`` of whitened data without a cause.
+    """The covariance of whitened data without any cause: ``C0 = I + N N^T``, noise and nuisances.
 
-    `nuisances` (n_nuisances, size): whitened columns times their prior standard deviations, ``N^T``.
+    `nuisances` (n_nuisances, size): N^T, whitened changes by nuisance parameters, times their prior standard
+    deviations.
     """
 
     def __init__(self, nuisances: FloatArray) -> None:
@@ -51,9 +52,10 @@ class Amplitudes:
 
 
 def fit_amplitudes(residual: FloatArray, columns: FloatArray) -> Amplitudes:
-    """Return the evidence and the amplitudes of one hypothesis.
+    """Return the evidence and the amplitudes of one hypothesis, by linear regression on the residual.
 
-    `residual` (size,): reduced (`Null.reduced`); `columns` (p, size): reduced, times prior standard deviations.
+    `residual` (size,): of the data, whitened by noise and nuisances (`Null.reduced`); `columns` (p, size): changes by
+    one prior standard deviation of each amplitude, whitened likewise.
     """
     inner = np.eye(len(columns)) + columns @ columns.T
     factor = cho_factor(inner, lower=True)
@@ -66,8 +68,9 @@ def fit_amplitudes(residual: FloatArray, columns: FloatArray) -> Amplitudes:
 class Blocks:
     """Many hypotheses with the same number of columns, factored once for any number of residuals.
 
-    `columns` float32 (n_blocks, p, size): reduced, times prior standard deviations; `positive`: whether the one
-    amplitude (p = 1) cannot be negative: its prior is then half-normal.
+    `columns` float32 (n_blocks, p, size): changes by one prior standard deviation of each amplitude, whitened by noise
+    and nuisances (`Null.reduced`); `positive`: whether the one amplitude (p = 1) cannot be negative: its prior is then
+    half-normal.
     """
 
     def __init__(self, columns: FloatArray, *, positive: bool = False) -> None:

@@ -75,9 +75,10 @@ def group_of(step: Step, threshold: float, named: Collection[str] = ()) -> tuple
 
 
 def candidates_of(screen: Screen, first: Step) -> tuple[dict[str, Any], ...]:
-    """Return every id that was tried in the first step, likeliest first, as `Diagnosis.candidates` has them.
+    """Return every cause that was tried in the first round, likeliest first, as plain data for the answer.
 
-    `screen`: all hypotheses; `first`: first round of the search. Result: one for each id.
+    `screen`: all hypotheses; `first`: first round of the search. Result: ``id``, ``probability``, ``log_bayes_factor``
+    and ``detectability`` of each.
     """
     chances, gains = _chances(first), _gains(first)
     rows: list[dict[str, Any]] = []
@@ -97,13 +98,16 @@ def candidates_of(screen: Screen, first: Step) -> tuple[dict[str, Any], ...]:
 
 
 def _gains(step: Step) -> dict[str, float]:
-    """Return log Bayes factors of all causes in a step: from the fit where there is one, else from screening."""
+    """Return the log Bayes factor of every cause in a round, nats.
+
+    That of its fit where the cause was fitted, else that of the linear screening.
+    """
     screened = {name: screened.log_bayes_factor for name, screened in step.screened.items()}
     return screened | {candidate.id: candidate.gain for candidate in step.candidates}
 
 
 def _chances(step: Step) -> dict[str, float]:
-    """Return the probabilities of all causes in a step."""
+    """Return the posterior probability of every cause in a round, by id."""
     gains = _gains(step)
     if step.found is not None:
         # The held-out proof has distinguished the cause from the generic rival.

@@ -46,10 +46,10 @@ ABSOLUTE = tuple(cause.id for cause in CAUSES.values() if cause.absolute)
 
 @dataclass(frozen=True, eq=False)
 class FitTarget:
-    """What fits have in common: the believed model, its correction, noise and nuisances.
+    """What all fits to one experiment share: the believed model, its correction, noise and nuisances.
 
     `bench`: the believed model; `noise`: measurement noise; `correction`: correction of the discretisation error;
-    `null`: null covariance of all nuisances but the modulus, which is fitted.
+    `null`: covariance of noise and of all nuisances but the modulus, which is fitted.
     """
 
     bench: Bench
@@ -58,13 +58,13 @@ class FitTarget:
     null: Null
 
     def white(self, flat: FloatArray) -> FloatArray:
-        """Return flat differences (..., size) whitened."""
+        """Return differences (..., size) of data and predictions, in mm and mN, whitened by the noise."""
         return self.noise.whitened(flat, self.bench.layout)
 
 
 @dataclass(frozen=True, eq=False)
 class FittedCause:
-    """One cause in a fit."""
+    """One cause in a fit: its id and its free parameters with their priors."""
 
     id: str
     free_parameters: FreeParameters
@@ -116,7 +116,7 @@ class Fit:
         return tuple(part.id for part in self.parts)
 
     def slices(self) -> list[slice]:
-        """Return where the parameters of every part lie in `x`."""
+        """Return for every cause the slice of `x` that holds its parameters."""
         return slices_of(self.parts)
 
     def young(self, believed: float) -> float:
@@ -124,7 +124,7 @@ class Fit:
         return believed * float(np.exp(self.x[0]))
 
     def effects(self, believed: float) -> tuple[Effect, ...]:
-        """Return the effects of all parts."""
+        """Return the effects of all causes at the fitted parameters; `believed`: believed modulus, kPa."""
         young = self.young(believed)
         return tuple(
             effect
@@ -261,7 +261,7 @@ def choices_of(cause: str, variants: Sequence[Variant]) -> int:
 
 
 def slices_of(parts: Sequence[FittedCause]) -> list[slice]:
-    """Return where the parameters of every part lie in the vector x, after the modulus."""
+    """Return for every cause the slice of its parameters in the vector x, whose first entry is the modulus."""
     found, at = [], 1
     for part in parts:
         found.append(slice(at, at + len(part.free_parameters.start)))
@@ -283,7 +283,10 @@ def at_believed_modulus(target: FitTarget, found: Fit) -> tuple[tuple[Effect, ..
 
 
 class _FitSolver:
-    """Objective, Jacobian and step of one fit."""
+    """Objective, Jacobian and step of one fit.
+
+    Its parameters x (k,) are the logarithm of the factor on the modulus, then those of all causes.
+    """
 
     def __init__(self, target: FitTarget, parts: tuple[FittedCause, ...]) -> None:
         self.target = target
@@ -310,7 +313,7 @@ class _FitSolver:
         return self.target.correction.corrected(found, self.factor(x))
 
     def uncorrected(self, x: FloatArray) -> FloatArray:
-        """Return the prediction on the user's mesh for parameters (k,)."""
+        """Return the prediction (size,) on the user's mesh for parameters (k,), mm and mN."""
         factor = self.factor(x)
         total = np.zeros(len(self.measured))
         for part, mine in zip(self.parts, slices_of(self.parts), strict=True):
@@ -321,7 +324,7 @@ class _FitSolver:
         return np.where(self.force, factor * total, total) if self.scales else total
 
     def body(self, effects: Sequence[Effect], factor: float) -> FloatArray:
-        """Return the prediction on the user's mesh with effects."""
+        """Return the prediction (size,) on the user's mesh with effects; `factor`: modulus over the believed one."""
         bench = self.target.bench
         if not effects and (self.scales or factor == 1.0):
             return bench.base
@@ -333,7 +336,7 @@ class _FitSolver:
         return float(np.exp(np.clip(x[0], -3.0, 3.0)))
 
     def mixture(self, x: FloatArray) -> Mixture:
-        """Return weights and sets of effects whose predictions are interpolated, over all parts but linear ones."""
+        """Return weights and sets of effects for parameters (k,), over whose predictions the fit averages."""
         young = self.target.bench.young * (1.0 if self.scales else self.factor(x))
         mixture: Mixture = [(1.0, ())]
         for part, mine in zip(self.parts, slices_of(self.parts), strict=True):
@@ -343,7 +346,7 @@ class _FitSolver:
         return mixture
 
     def start_from(self, x: FloatArray) -> None:
-        """Let the following solutions start from that of parameters that were just predicted."""
+        """Let the following solutions start from the one for parameters (k,) that were just predicted."""
         if effects := max(self.mixture(x), key=lambda one: one[0])[1]:
             young = None if self.scales else self.factor(x)
             self.near = self.target.bench.predictor.solved(effects, young=young, threads=1, near=self.near)
@@ -375,14 +378,14 @@ class _FitSolver:
         return rows
 
     def updated(self, jacobian: FloatArray, step: FloatArray, change: FloatArray) -> FloatArray:
-        """Return Broyden's update of a Jacobian by a step and the change it made, in units of the prior deviations."""
+        """Return Broyden's update of a Jacobian (k, size) by a step (k,) and the change (size,) that it made."""
         along = step / self.deviation
         unpredicted = change - step @ jacobian
         update = np.outer(along / (self.deviation * float(along @ along)), unpredicted)
         return np.asarray(jacobian + update)
 
     def reduced(self, rows: FloatArray) -> FloatArray:
-        """Return derivatives, whitened and reduced."""
+        """Return derivatives (k, size) whitened by noise and nuisances."""
         return self.target.null.reduced(self.target.white(rows))
 
     def predicted_decrease(self, step: FloatArray, slopes: FloatArray) -> float:

@@ -21,7 +21,7 @@ JAM = 0.5
 
 
 def generic_columns(bench: Bench, marker_std: float) -> FloatArray:
-    """Return the rival's columns for every size.
+    """Return the columns of the generic rival, a smooth change that belongs to no cause, for every size of it.
 
     `bench`: the believed model; `marker_std`: typical noise of a coordinate, mm. Result: (n_sizes, p, size), for one
     prior standard deviation, mm and mN.

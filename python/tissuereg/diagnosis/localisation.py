@@ -124,7 +124,10 @@ def log_likelihood_gain(residual: FloatArray, proximity: FloatArray, layout: Sig
 
 
 def _share(residual: FloatArray, proximity: FloatArray, layout: SignalLayout) -> float:
-    """Return the share of the squared residual beyond noise that lies near a component."""
+    """Return the share of the squared residual (size,) beyond noise that lies near a component of the rig.
+
+    `residual`: whitened; `proximity` (size,): weight of every measured number, 0 to 1.
+    """
     seen = layout.seen
     beyond = residual[seen] ** 2 - 1.0
     whole, there = float(beyond.sum()), float(beyond[proximity[seen] > _NEAR].sum())
@@ -139,14 +142,14 @@ def _near_markers(layout: SignalLayout, closeness: FloatArray) -> FloatArray:
 
 
 def _closeness(bench: Bench, nodes: IntArray) -> FloatArray:
-    """Return a Gaussian of each marker's distance from a patch, 1 on it, shape (n_markers,)."""
+    """Return how close each marker lies to a patch, (n_markers,): a Gaussian of the distance, 1 on the patch."""
     places = bench.experiment.mesh.nodes[nodes]
     apart = np.linalg.norm(bench.layout.reference[:, None] - places, axis=2).min(axis=1)
     return np.asarray(np.exp(-0.5 * (apart / (REACH * bench.extent)) ** 2))
 
 
 def _squared_motion(layout: SignalLayout, believed: FloatArray) -> FloatArray:
-    """Return the squares of the believed model's prediction over the largest, for markers and forces each."""
+    """Return the squared prediction (size,) over its largest value, separately for markers and forces."""
     near = np.zeros(layout.size)
     markers = layout.of_markers()
     for rows in (markers, ~markers):

@@ -144,7 +144,7 @@ def _diagnosed(
 
 
 def _diagnose_one(task: _DiagnosisTask) -> Diagnosed:
-    """Diagnose an experiment and write the result, unless it is there."""
+    """Diagnose one experiment and write the result into its folder, unless a result of the same inputs is there."""
     begun = time.perf_counter()
     is_test = is_material_test(task.path)
     experiment = read_material_experiment(task.path) if is_test else read_experiment(task.path)
@@ -173,14 +173,14 @@ def _name(path: Path) -> str:
 
 
 def _fingerprint(files: list[Path], mesh: str, task: _DiagnosisTask) -> str:
-    """Return a fingerprint of an experiment's files and of how it is diagnosed."""
+    """Return a hash of an experiment's files, its mesh and the settings with which it is diagnosed."""
     contents = [[file.name, hashlib.sha256(file.read_bytes()).hexdigest()] for file in files]
     identity = json.dumps([contents, mesh, task.seed, task.element, __version__])
     return hashlib.sha256(identity.encode()).hexdigest()
 
 
 def _kept(folder: Path, mark: str) -> dict[str, Any] | None:
-    """Return the answer that is there, if it is this one's."""
+    """Return the answer that lies in a folder, if it was made from inputs with this fingerprint; None otherwise."""
     try:
         answer = _answer(folder)
     except (OSError, ValueError):

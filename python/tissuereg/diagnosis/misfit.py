@@ -114,7 +114,11 @@ def smooth_subspaces(layout: SignalLayout, base: FloatArray, extent: float, nois
 
 
 def _removed(sums: FloatArray, drawn: FloatArray, without_misfit: float) -> float:
-    """Return the share of a statistic's excess over its null mean that is removed, of (before, after) in `sums`."""
+    """Return the share of a statistic's excess over its mean in null draws that a model removes.
+
+    `sums`: statistics (before, after); `drawn` (n,): of the null draws; `without_misfit`: returned where there is no
+    excess.
+    """
     (before, after), expected = sums.tolist(), float(drawn.mean())
     return float((before - after) / (before - expected)) if before > expected else without_misfit
 

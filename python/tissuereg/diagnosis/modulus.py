@@ -83,7 +83,7 @@ def modulus_finding(target: FitTarget, screen: Screen, found: Search) -> Finding
 
 
 def _pinned(bench: Bench) -> Bench:
-    """Return the same bench with the modulus fixed at the believed value; computed results are shared."""
+    """Return the believed model with its modulus fixed at the believed value; computed results are shared."""
     other = copy(bench)
     other.young_spread = _PINNED
     return other

@@ -85,7 +85,11 @@ class Noise:
         return np.where(seen, own + along * together, 0.0)
 
     def _faded(self, values: FloatArray, memory: float, step: FloatArray, seen: BoolArray) -> FloatArray:
-        """Return the innovations of an autoregressive process (..., n_frames, k, 3), scaled to unit variance."""
+        """Return the innovations of an autoregressive process (..., n_frames, k, 3), scaled to unit variance.
+
+        `memory`: correlation of frames `step_s` apart; `step`: time between frames, s; `seen`: which values were
+        measured.
+        """
         if memory == 0.0:
             return values
         share = memory ** (np.nan_to_num(step[1:], nan=self.step_s) / self.step_s)[:, None, None]
@@ -175,7 +179,11 @@ def _still(experiment: Experiment, layout: SignalLayout) -> list[tuple[FloatArra
 
 
 def _believed(stated: FloatArray, found: FloatArray, statistic: FloatArray, freedom: float) -> FloatArray:
-    """Return the stated deviations where a chi-square test does not contradict them, the estimated ones elsewhere."""
+    """Return standard deviations (k,): stated ones where a chi-square test agrees, estimated ones elsewhere.
+
+    `stated`, `found` (k,): standard deviations; `statistic` (k,): sums of squares over the stated variance; `freedom`:
+    degrees of freedom.
+    """
     tail = 2.0 * np.minimum(chi2.sf(statistic, freedom), chi2.cdf(statistic, freedom))
     return np.where(tail < LEVEL, np.maximum(found, LEAST_SHARE * stated), stated)
 

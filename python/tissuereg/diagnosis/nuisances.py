@@ -56,7 +56,7 @@ class Nuisances:
     columns: FloatArray
 
     def but(self, name: str) -> BoolArray:
-        """Return which columns have another name, shape (n,)."""
+        """Return a mask (n,) of the columns that belong to nuisances of other names."""
         return np.array([other != name for other in self.names], bool)
 
 

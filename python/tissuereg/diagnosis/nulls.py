@@ -37,10 +37,10 @@ MESH_SPREAD = 1.3
 
 @dataclass(frozen=True, eq=False)
 class Nulls:
-    """Reduced residuals of effect-free data.
+    """What data without any effect look like: drawn residuals, and the thresholds that follow from them.
 
-    `residuals` (n, size): whitened and reduced; `thresholds`: log Bayes factor that each cause must exceed, nats.
-    Higher for causes that resemble a discretisation error.
+    `residuals` (n, size): whitened by noise and nuisances; `thresholds`: log Bayes factor that each cause must exceed,
+    nats. Higher for causes that resemble a discretisation error.
     """
 
     residuals: FloatArray

@@ -39,11 +39,11 @@ class Screened:
 
 
 class Screen:
-    """All hypotheses, corrected, whitened and reduced once for any number of residuals.
+    """All hypotheses, corrected and whitened by noise and nuisances once for any number of residuals.
 
     `bank`: hypotheses in mm and mN; `generic` (n_sizes, p, size): columns of the generic rival; `noise`: measurement
-    noise; `layout`: order of all columns; `correction`: correction of the discretisation error; `null`: null
-    covariance: noise and nuisances. `generic_white` (n_sizes, p, size): the rival's columns, whitened and not reduced.
+    noise; `layout`: order of all columns; `correction`: correction of the discretisation error; `null`: covariance of
+    noise and nuisances. `generic_white` (n_sizes, p, size): the rival's columns, whitened by the noise alone.
     """
 
     def __init__(
@@ -73,7 +73,7 @@ class Screen:
         self.generic = [Blocks(null.reduced(columns)[None].astype(np.float32)) for columns in self.generic_white]
 
     def of(self, residual: FloatArray) -> dict[str, Screened]:
-        """Return the evidence of every cause for one reduced residual (size,)."""
+        """Return the evidence of every cause for one residual (size,) that is whitened by noise and nuisances."""
         found: dict[str, Screened] = {}
         for name, blocks in self.blocks.items():
             variants = self.bank[name]
@@ -89,7 +89,7 @@ class Screen:
         return found
 
     def white_columns(self, name: str) -> FloatArray:
-        """Return the whitened columns of all hypotheses of a cause, (n_variants, p, size), not reduced."""
+        """Return the columns of all hypotheses of a cause, (n_variants, p, size), whitened by the noise alone."""
         return np.stack([self._white(variant.columns.astype(np.float64)) for variant in self.bank[name]])
 
     def detectability(self, name: str, variant: Variant, amplitudes: FloatArray) -> float:
@@ -98,14 +98,17 @@ class Screen:
         return float(np.linalg.norm(amplitudes @ self.blocks[name].columns[number].astype(np.float64)))
 
     def many(self, residuals: FloatArray) -> dict[str, FloatArray]:
-        """Return log Bayes factors of every cause for many reduced residuals (n, size), generic rival included."""
+        """Return the log Bayes factors (n,) of every cause, and of the generic rival, for residuals (n, size).
+
+        Residuals are whitened by noise and nuisances.
+        """
         found = {name: log_mean_exp(self._each(name, residuals)) for name in self.blocks}
         each = [block.log_bayes_factors(residuals)[:, 0] for block in self.generic]
         found[UNKNOWN] = log_mean_exp(np.stack(each, axis=-1))
         return found
 
     def _each(self, name: str, residuals: FloatArray) -> FloatArray:
-        """Return log Bayes factors of all hypotheses of a cause, shape (n, n_variants)."""
+        """Return the log Bayes factors (n, n_variants) of all hypotheses of a cause, for residuals (n, size)."""
         blocks = self.blocks[name]
         if self.bank[name][0].fixed:
             shift = blocks.columns[:, 0]

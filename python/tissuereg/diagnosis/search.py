@@ -84,7 +84,8 @@ class Step:
         return self.found.gain >= CLEAR and float(self.proof.log_density[NAMED].sum()) > self.rivals
 
     def close(self, nats: float) -> list[Candidate]:
-        """Return the other candidates within so many nats of the accepted one, likeliest first."""
+        """Return the other candidates, likeliest first, whose log Bayes factor is within `nats` of the accepted one's.
+        """
         if self.found is None:
             return []
         own = next((c.gain for c in self.candidates if c.id == self.found.id), self.found.gain)
@@ -93,12 +94,12 @@ class Step:
 
 @dataclass(frozen=True, eq=False)
 class Search:
-    """All rounds.
+    """All rounds of the search for causes.
 
-    `base`: the believed model; `final`: with all causes found; `steps`: in order; the last one accepted nothing, unless
-    there are `MOST_CAUSES`; `reduced` (size,): residual of the final model, reduced by all nuisances and the model's
-    own parameters; `target`: target of the last fit, with the discretisation error of the causes found corrected; None
-    where none was found.
+    `base`: fit of the believed model; `final`: fit with all causes found; `steps`: rounds in order; the last one
+    accepted nothing, unless there are `MOST_CAUSES`; `reduced` (size,): residual of the final model, whitened by noise,
+    nuisances and the model's own parameters; `target`: data and model of the last fit, with the discretisation error of
+    the causes found corrected; None where none was found.
     """
 
     base: Fit
@@ -167,7 +168,7 @@ def _round(
 
 
 def _best_rival(target: FitTarget, current: Fit, candidates: Sequence[Candidate], found: Candidate) -> float:
-    """Return the best log density, on held-out blocks, of the candidates that the data distinguish from `found`."""
+    """Return the best log density on held-out blocks of the rivals that the data can tell from `found`."""
     blocks = proof_blocks(target.bench.layout, _columns_and_change(target, current, found, -1)[0])
     others = [other for other in candidates if other.gain <= found.gain - 0.5 * SEPARABLE**2]
     held = held_out([linear_model(target, other.fit) for other in others], blocks) if others else None
@@ -215,7 +216,11 @@ def _revised(
 def _prove(
     target: FitTarget, references: list[LinearModel], current: Fit, candidate: Candidate, part: int = -1
 ) -> HeldOut:
-    """Return the predictive densities of the models on the blocks of `proof_blocks`, rows as in `proof`."""
+    """Return the predictive densities of the compared models on held-out blocks of the data.
+
+    `references`: models the candidate is compared with; `current`: fit without it; `part`: which cause of the fit is
+    judged.
+    """
     slopes, _ = _columns_and_change(target, current, candidate, part)
     return held_out(_models(target, references, candidate), proof_blocks(target.bench.layout, slopes))
 
@@ -223,7 +228,11 @@ def _prove(
 def _figures(
     target: FitTarget, references: list[LinearModel], current: Fit, candidate: Candidate, part: int = -1
 ) -> HeldOut:
-    """Return the prediction errors of the same models on the blocks of `figure_blocks`."""
+    """Return the prediction errors of the compared models on held-out blocks, as they are reported.
+
+    `references`: models the candidate is compared with; `current`: fit without it; `part`: which cause of the fit is
+    judged.
+    """
     slopes, change = _columns_and_change(target, current, candidate, part)
     return held_out(_models(target, references, candidate), figure_blocks(target.bench.layout, slopes, change))
 
@@ -263,7 +272,7 @@ def _null_after(target: FitTarget, current: Fit) -> Null:
 
 
 def _as_screened(screen: Screen, target: FitTarget, current: Fit) -> FloatArray:
-    """Return the residual of a model, reduced by the screen's null and orthogonal to the model's own columns."""
+    """Return the residual (size,) of a fit, whitened by noise and nuisances, without what its own parameters change."""
     residual = screen.null.reduced(current.residual)
     if not current.parts:
         return residual

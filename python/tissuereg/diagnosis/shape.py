@@ -207,7 +207,10 @@ def _patterns(places: FloatArray, length: float) -> FloatArray:
 
 
 def _carried(given: Mesh, motion: FloatArray, mesh: Mesh) -> FloatArray:
-    """Return a surface motion interpolated to a mesh that subdivides the surface, (n_nodes, 3); zero inside."""
+    """Return the motion (n_nodes, 3) of a mesh whose surface subdivides a given one, by interpolation; zero inside.
+
+    `motion` (n_given, 3): of the given mesh's nodes, mm per mm.
+    """
     places = mesh.nodes[mesh.surface_nodes]
     between = MarkerObservation(given, places, tuple(f"node {node}" for node in mesh.surface_nodes))
     carried = np.zeros_like(mesh.nodes)

@@ -16,7 +16,7 @@ _T = TypeVar("_T", bound=np.generic)
 
 @dataclass(frozen=True, eq=False)
 class CasePart:
-    """The entries of one case in the flat vector.
+    """Where the numbers of one case lie in the flat vector of all measured numbers.
 
     `times` (n_frames,): s; `pads`: actuators whose force was measured in it; `begin`: first entry; markers come first,
     (n_frames, n_markers, 3), then forces, (n_frames, n_pads, 3); `n_markers`: number of markers.
@@ -53,7 +53,7 @@ class CasePart:
 
 
 class SignalLayout:
-    """The order of all measured numbers of an experiment.
+    """The order of all measured numbers of an experiment in one flat vector.
 
     `experiment`: with its measured cases. Raises `ExperimentError` if nothing was measured. `parts`: one for each case,
     in the experiment's order; `size`: length of the flat vector; `measured` (size,): displacements of markers from
@@ -81,23 +81,23 @@ class SignalLayout:
             raise ExperimentError(message, where=experiment.name)
 
     def __getitem__(self, name: str) -> CasePart:
-        """Return the part of a case."""
+        """Return where the numbers of a case lie, by its name."""
         return next(part for part in self.parts if part.name == name)
 
     @property
     def seen(self) -> BoolArray:
-        """Which entries were measured, shape (size,)."""
+        """Mask (size,) of the entries that were measured."""
         return np.isfinite(self.measured)
 
     def of_markers(self) -> BoolArray:
-        """Return which entries are markers, shape (size,)."""
+        """Return a mask (size,) of the entries that are coordinates of markers."""
         chosen = np.zeros(self.size, bool)
         for part in self.parts:
             chosen[part.begin : part.middle] = True
         return chosen
 
     def of_case(self, name: str) -> BoolArray:
-        """Return which entries belong to a case, shape (size,)."""
+        """Return a mask (size,) of the entries that belong to a case."""
         chosen = np.zeros(self.size, bool)
         chosen[self[name].begin : self[name].end] = True
         return chosen

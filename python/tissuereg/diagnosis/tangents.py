@@ -34,11 +34,11 @@ STEP = 1e-5
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """An equilibrium of one case.
+    """One equilibrium of a load case, with the frames that have it.
 
-    `case`: the load case; `frames` int64 (n,): frames of the case with this equilibrium; `simulator`: with the
-    boundaries and pads as held nodes; `load`: prescribed displacements and forces; `pad_rows`: rows of the held nodes
-    that belong to each pad.
+    `case`: the load case; `frames` int64 (n,): its frames with this equilibrium; `simulator`: with the boundaries and
+    pads as held nodes; `load`: prescribed displacements and forces; `pad_rows`: rows of the held nodes that belong to
+    each pad.
     """
 
     case: Case
@@ -60,7 +60,7 @@ class State:
 
 
 class Tangents:
-    """All equilibria of an elastic model with their tangents.
+    """All equilibria of an elastic model, each with its factored tangent stiffness.
 
     `predictor`: of a model without memory, without sliding supports, and with an unloaded mesh. Raises
     `ConvergenceError` if a state has no equilibrium.
@@ -82,7 +82,11 @@ class Tangents:
         return self._seen(self._columns(lambda _, state: direction(state), count))
 
     def _columns(self, direction: Callable[[int, State], Sequence[Cause]], count: int) -> FloatArray:
-        """Return columns as `columns`, before the tracker's effects; `direction` also gets the number of the state."""
+        """Return changes (count, size) of the prediction by unit parameters, mm and mN, before the tracker's effects.
+
+        `direction`: takes an equilibrium and its number, and returns the derivatives of load or material; `count`:
+        number of parameters.
+        """
         flat = np.zeros((count, self.layout.size))
         for number, state in enumerate(self.states):
             tangent, slopes, _ = self._at(number)
@@ -183,7 +187,7 @@ class Tangents:
         return observations
 
     def _seen(self, flat: FloatArray) -> FloatArray:
-        """Return columns with the believed tracker's effects, which change places by an affine map."""
+        """Return changes (n, size) as the tracker records them: its believed effects map places affinely."""
         chain = tuple(effect for effect in self.predictor.experiment.effects if isinstance(effect, ChainEffect))
         if not chain:
             return flat
@@ -199,7 +203,7 @@ class Tangents:
 
 
 class _Moved:
-    """The body of an experiment on a mesh whose nodes were moved."""
+    """The body of an experiment on a mesh whose nodes were moved, for derivatives by its shape."""
 
     def __init__(self, worked: Experiment, predictor: Predictor, motion: FloatArray, step: float) -> None:
         mesh = worked.mesh
@@ -212,13 +216,13 @@ class _Moved:
         )
 
     def out_of_balance(self, field: FloatArray, state: State) -> FloatArray:
-        """Return the external nodal forces of pads minus the internal ones of a displacement field, mN."""
+        """Return the external nodal forces minus the internal ones, mN, of a displacement field (n_nodes, 3), mm."""
         held = self._simulator.internal_forces(field, self._experiment.material)
         pulled = self._simulator.forces(Load(traction=traction_of(self._experiment, state.case, state.frame)))
         return -held if pulled is None else pulled - held
 
     def seen(self, field: FloatArray) -> FloatArray:
-        """Return the displacements of the markers, (n_markers, 3) in mm."""
+        """Return the displacements of the markers, (n_markers, 3), in a displacement field (n_nodes, 3), mm."""
         return self._observation.predict(field[self._observation.nodes])
 
 

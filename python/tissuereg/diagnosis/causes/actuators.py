@@ -28,7 +28,10 @@ class GainCause(Cause):
     discrete: ClassVar[tuple[str, ...]] = ("actuator",)
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return one hypothesis for each actuator."""
+        """Return one hypothesis for each actuator.
+
+        `bench`: the believed model and its sensitivities. Columns of a hypothesis are (p, size), in mm and mN.
+        """
         for pad in _present(bench):
             if bench.is_elastic and pad.kind == "displacement":
                 columns = bench.by(partial(_gains, pad), 1)
@@ -40,7 +43,11 @@ class GainCause(Cause):
             yield Variant(pad.name, GAIN * columns, {"actuator": pad.name})
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
-        """Return the gain minus one."""
+        """Return the gain minus one.
+
+        `bench`: the believed model; `variant`: hypothesis from which the nonlinear fit starts; `amplitudes` (p,): its
+        fitted linear amplitudes, in prior standard deviations.
+        """
         name = str(variant.settings["actuator"])
         return free_parameters(
             [(GAIN * float(amplitudes[0]), 0.0, GAIN, 0.01)],
@@ -49,7 +56,7 @@ class GainCause(Cause):
         )
 
     def sentence(self, values: Values) -> str:
-        """Return the finding in words."""
+        """Return the finding as a sentence, from its fitted parameters (`values`, by key of ``[[effect]]``)."""
         return f"Actuator '{values['actuator']}' moves by {values['gain']:.3f} times the prescribed motion."
 
 
@@ -60,7 +67,10 @@ class DirectionCause(Cause):
     discrete: ClassVar[tuple[str, ...]] = ("actuator",)
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return one hypothesis for each actuator, with two angles about axes across its motion."""
+        """Return one hypothesis for each actuator, with two angles about axes across its motion.
+
+        `bench`: the believed model and its sensitivities. Columns of a hypothesis are (p, size), in mm and mN.
+        """
         for pad in _present(bench):
             across = _across(bench, pad)
             if bench.is_elastic and pad.kind == "displacement":
@@ -75,7 +85,11 @@ class DirectionCause(Cause):
             yield Variant(pad.name, ANGLE * columns, {"actuator": pad.name, "across": across})
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
-        """Return the two angles in degrees."""
+        """Return the two angles in degrees.
+
+        `bench`: the believed model; `variant`: hypothesis from which the nonlinear fit starts; `amplitudes` (p,): its
+        fitted linear amplitudes, in prior standard deviations.
+        """
         name, across = str(variant.settings["actuator"]), np.asarray(variant.settings["across"])
         return free_parameters(
             [(ANGLE * float(a), 0.0, ANGLE, 0.5) for a in amplitudes],
@@ -84,7 +98,7 @@ class DirectionCause(Cause):
         )
 
     def sentence(self, values: Values) -> str:
-        """Return the finding in words."""
+        """Return the finding as a sentence, from its fitted parameters (`values`, by key of ``[[effect]]``)."""
         turn = float(np.linalg.norm(np.asarray(values["rotation_deg"])))
         return f"Actuator '{values['actuator']}' moves in a direction {turn:.1f} degrees from the believed one."
 
@@ -96,7 +110,10 @@ class OffsetCause(Cause):
     discrete: ClassVar[tuple[str, ...]] = ("actuator", "kind")
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return two hypotheses for each actuator: of its motion (three amplitudes), of its patch (two, and a zero)."""
+        """Return two hypotheses for each actuator: of its motion (three amplitudes), of its patch (two, and a zero).
+
+        `bench`: the believed model and its sensitivities. Columns of a hypothesis are (p, size), in mm and mN.
+        """
         for pad in _present(bench):
             if pad.kind == "displacement" and bench.is_elastic:
                 columns = bench.by(partial(_offsets, pad), 3)
@@ -111,7 +128,11 @@ class OffsetCause(Cause):
                 yield Variant(f"{pad.name} patch", columns, settings)
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
-        """Return the offset of the motion, or the shift along the surface, in mm."""
+        """Return the offset of the motion, or the shift along the surface, in mm.
+
+        `bench`: the believed model; `variant`: hypothesis from which the nonlinear fit starts; `amplitudes` (p,): its
+        fitted linear amplitudes, in prior standard deviations.
+        """
         name = str(variant.settings["actuator"])
         if variant.settings["kind"] == "motion":
             return free_parameters(
@@ -129,7 +150,7 @@ class OffsetCause(Cause):
         return replace(moved, columns=variant.columns[:2] / SHIFT)
 
     def sentence(self, values: Values) -> str:
-        """Return the finding in words."""
+        """Return the finding as a sentence, from its fitted parameters (`values`, by key of ``[[effect]]``)."""
         if "offset_mm" in values:
             size = float(np.linalg.norm(np.asarray(values["offset_mm"])))
             return f"The motion of actuator '{values['actuator']}' has a constant offset of {size:.2f} mm."

@@ -41,7 +41,10 @@ class DetachmentCause(Cause):
     discrete: ClassVar[tuple[str, ...]] = ("boundary", "azimuth")
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return one hypothesis for each boundary, direction and share, simulated at that share."""
+        """Return one hypothesis for each boundary, direction and share, simulated at that share.
+
+        `bench`: the believed model and its sensitivities. Columns of a hypothesis are (p, size), in mm and mN.
+        """
         names = [boundary.name for boundary in bench.experiment.boundaries]
         azimuths = [(share, 360.0 * turn / count) for share, count in DIRECTIONS.items() for turn in range(count)]
         tried = [(name, share, azimuth) for name in names for share, azimuth in azimuths]
@@ -57,6 +60,9 @@ class DetachmentCause(Cause):
 
         A node is either free or held, so that a simulation on the user's mesh changes in jumps. The prediction is
         therefore interpolated between the two simulations whose edges lie at the nodes next to the detachment's edge.
+
+        `bench`: the believed model; `variant`: hypothesis from which the nonlinear fit starts; `amplitudes` (p,): its
+        fitted linear amplitudes, in prior standard deviations.
         """
         name, share = str(variant.settings["boundary"]), float(variant.settings["share"])
         azimuth = float(variant.settings["azimuth"])
@@ -100,7 +106,7 @@ class DetachmentCause(Cause):
         return replace(found, between=between, starts=np.array([(turn, share) for turn in turns for share in shares]))
 
     def sentence(self, values: Values) -> str:
-        """Return the finding in words."""
+        """Return the finding as a sentence, from its fitted parameters (`values`, by key of ``[[effect]]``)."""
         share = values["share"]
         return (
             f"About {100 * share:.0f} % of boundary '{values['boundary']}' has detached, "

@@ -21,7 +21,10 @@ class DrainageCause(Cause):
     id: ClassVar[str] = "drainage"
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return hypotheses for several time constants."""
+        """Return hypotheses for several time constants.
+
+        `bench`: the believed model and its sensitivities. Columns of a hypothesis are (p, size), in mm and mN.
+        """
         if bench.longest_case == 0.0 or any(effect.id == self.id for effect in bench.experiment.effects):
             return
         times = times_of(bench)[1::2]
@@ -31,7 +34,11 @@ class DrainageCause(Cause):
                 yield Variant(f"{tau:.2g} s", changed[None], {"tau": tau}, positive=True)
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
-        """Return the logit of the share and the logarithm of the time constant."""
+        """Return the logit of the share and the logarithm of the time constant.
+
+        `bench`: the believed model; `variant`: hypothesis from which the nonlinear fit starts; `amplitudes` (p,): its
+        fitted linear amplitudes, in prior standard deviations.
+        """
         tau, middle = float(variant.settings["tau"]), float(np.log(times_of(bench)).mean())
         return free_parameters(
             [
@@ -43,7 +50,7 @@ class DrainageCause(Cause):
         )
 
     def sentence(self, values: Values) -> str:
-        """Return the finding in words."""
+        """Return the finding as a sentence, from its fitted parameters (`values`, by key of ``[[effect]]``)."""
         share = values["share"]
         return (
             f"The body loses volume under load: {100 * share:.0f} % of its pressure relaxes with a time constant of "

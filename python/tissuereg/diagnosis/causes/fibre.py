@@ -22,7 +22,10 @@ class FibreCause(Cause):
     discrete: ClassVar[tuple[str, ...]] = ("direction",)
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return hypotheses along the 13 lines through neighbours in a cubic lattice."""
+        """Return hypotheses along the 13 lines through neighbours in a cubic lattice.
+
+        `bench`: the believed model and its sensitivities. Columns of a hypothesis are (p, size), in mm and mN.
+        """
         if bench.experiment.material.fibre is not None:
             return
         changes = bench.changes([[_effect(SIZE, direction)] for direction in _lines()])
@@ -32,7 +35,11 @@ class FibreCause(Cause):
                 yield Variant(f"along {name}", changed[None], {"direction": direction}, positive=True)
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
-        """Return the logarithm of the stiffness and two angles from the hypothesis' direction."""
+        """Return the logarithm of the stiffness and two angles from the hypothesis' direction.
+
+        `bench`: the believed model; `variant`: hypothesis from which the nonlinear fit starts; `amplitudes` (p,): its
+        fitted linear amplitudes, in prior standard deviations.
+        """
         along = np.asarray(variant.settings["direction"])
         sides = np.linalg.svd(along[None])[2][1:]
 
@@ -48,7 +55,7 @@ class FibreCause(Cause):
         )
 
     def sentence(self, values: Values) -> str:
-        """Return the finding in words."""
+        """Return the finding as a sentence, from its fitted parameters (`values`, by key of ``[[effect]]``)."""
         along = values["direction"]
         axis = ", ".join(f"{x:.2f}" for x in along)
         return f"Fibres along ({axis}) stiffen the body, with {values['k1_over_mu']:.2g} times its shear modulus."

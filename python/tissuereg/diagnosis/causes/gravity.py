@@ -27,7 +27,10 @@ class GravityCause(Cause):
     absolute: ClassVar[bool] = True
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return one hypothesis with three amplitudes."""
+        """Return one hypothesis with three amplitudes.
+
+        `bench`: the believed model and its sensitivities. Columns of a hypothesis are (p, size), in mm and mN.
+        """
         spread = UNKNOWN if bench.experiment.gravity is None else KNOWN
         if bench.is_elastic:
             columns = self._by_tangents(bench)
@@ -40,7 +43,11 @@ class GravityCause(Cause):
         return [Variant("weight", spread * columns, {"spread": spread})]
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
-        """Return the three components over standard gravity."""
+        """Return the three components over standard gravity.
+
+        `bench`: the believed model; `variant`: hypothesis from which the nonlinear fit starts; `amplitudes` (p,): its
+        fitted linear amplitudes, in prior standard deviations.
+        """
         spread, believed = float(variant.settings["spread"]), _believed(bench)
         return free_parameters(
             [(float(b + spread * a), float(b), spread, 0.02) for a, b in zip(amplitudes, believed, strict=True)],
@@ -52,7 +59,7 @@ class GravityCause(Cause):
         )
 
     def sentence(self, values: Values) -> str:
-        """Return the finding in words."""
+        """Return the finding as a sentence, from its fitted parameters (`values`, by key of ``[[effect]]``)."""
         along, size = values["direction"], values["g_mm_per_s2"]
         axis = ", ".join(f"{x:.2f}" for x in along)
         over = size / GRAVITY_MM_PER_S2

@@ -41,7 +41,10 @@ class InclusionCause(Cause):
     id: ClassVar[str] = "inclusion"
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return one hypothesis for each radius and centre on a grid."""
+        """Return one hypothesis for each radius and centre on a grid.
+
+        `bench`: the believed model and its sensitivities. Columns of a hypothesis are (p, size), in mm and mN.
+        """
         if not bench.is_elastic:
             return
         balls = _places(bench)
@@ -55,6 +58,9 @@ class InclusionCause(Cause):
 
         A small ball of high contrast and a large one of low contrast have nearly the same effect. In the logarithms of
         the radius and of ``contrast - 1`` that valley of the objective is straight, in that of the contrast it is not.
+
+        `bench`: the believed model; `variant`: hypothesis from which the nonlinear fit starts; `amplitudes` (p,): its
+        fitted linear amplitudes, in prior standard deviations.
         """
         centre, radius = np.asarray(variant.settings["centre"]), float(variant.settings["radius"])
         middle = bench.experiment.mesh.nodes.mean(axis=0)
@@ -88,7 +94,7 @@ class InclusionCause(Cause):
         )
 
     def sentence(self, values: Values) -> str:
-        """Return the finding in words."""
+        """Return the finding as a sentence, from its fitted parameters (`values`, by key of ``[[effect]]``)."""
         centre, axes, contrast = values["centre_mm"], values["semi_axes_mm"], values["contrast"]
         kind = "stiff" if contrast > 1 else "soft"
         place = ", ".join(f"{x:.1f}" for x in centre)

@@ -33,7 +33,10 @@ class LawCause(Cause):
         """Return a law with a shape parameter, in a form of `Material.volumetric`."""
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return hypotheses for all laws in the nested form; none where the believed law is not neo-Hookean."""
+        """Return hypotheses for all laws in the nested form; none where the believed law is not neo-Hookean.
+
+        `bench`: the believed model and its sensitivities. Columns of a hypothesis are (p, size), in mm and mN.
+        """
         for form in _forms(bench)[:1]:
             changes = bench.changes([[self.effect(law, size, form)] for law, size in self.tried])
             for (law, size), changed in zip(self.tried, changes, strict=True):
@@ -42,7 +45,10 @@ class LawCause(Cause):
                     yield Variant(f"{law} {size:g}", changed[None], settings, positive=True)
 
     def alternatives(self, bench: Bench, variant: Variant) -> tuple[Variant, ...]:
-        """Return the same law in the other volumetric forms."""
+        """Return the same law in the other volumetric forms.
+
+        `bench`: the believed model; `variant`: hypothesis that was screened; the ones returned are fitted beside it.
+        """
         return tuple(replace(variant, settings={**variant.settings, "volumetric": form}) for form in _forms(bench)[1:])
 
 
@@ -68,7 +74,11 @@ class MooneyCause(LawCause):
         return Mooney(law=law, volumetric=form, **shape_of(law, size))
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
-        """Return the logit of the share."""
+        """Return the logit of the share.
+
+        `bench`: the believed model; `variant`: hypothesis from which the nonlinear fit starts; `amplitudes` (p,): its
+        fitted linear amplitudes, in prior standard deviations.
+        """
         form = str(variant.settings["volumetric"])
         return free_parameters(
             [(logit(0.5 * float(amplitudes[0])), 0.0, 1.5, 0.1)],
@@ -77,7 +87,7 @@ class MooneyCause(LawCause):
         )
 
     def sentence(self, values: Values) -> str:
-        """Return the finding in plain words."""
+        """Return the finding as a sentence, from its fitted parameters (`values`, by key of ``[[effect]]``)."""
         return f"A share of {values[main_key(MOONEY)]:.2g} of the energy follows the second invariant (Mooney-Rivlin)."
 
 
@@ -111,7 +121,11 @@ class AsymmetryCause(LawCause):
         return Asymmetry(law=law, alpha=(exponent,), weight=(1.0,), volumetric=form)
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
-        """Return the exponent's distance from the neo-Hookean one, or the logarithm of the stiffness in tension."""
+        """Return the exponent's distance from the neo-Hookean one, or the logarithm of the stiffness in tension.
+
+        `bench`: the believed model; `variant`: hypothesis from which the nonlinear fit starts; `amplitudes` (p,): its
+        fitted linear amplitudes, in prior standard deviations.
+        """
         form, law = str(variant.settings["volumetric"]), str(variant.settings["law"])
         start = float(variant.settings["size"]) * min(max(float(amplitudes[0]), 0.1), 2.0)
         if law == "ogden":
@@ -127,11 +141,14 @@ class AsymmetryCause(LawCause):
         )
 
     def alternatives(self, bench: Bench, variant: Variant) -> tuple[Variant, ...]:
-        """Return the same exponent with the other volumetric forms; a bimodular law has one form."""
+        """Return the same exponent with the other volumetric forms; a bimodular law has one form.
+
+        `bench`: the believed model; `variant`: hypothesis that was screened; the ones returned are fitted beside it.
+        """
         return () if variant.settings["law"] == "bimodular" else super().alternatives(bench, variant)
 
     def sentence(self, values: Values) -> str:
-        """Return the finding in plain words."""
+        """Return the finding as a sentence, from its fitted parameters (`values`, by key of ``[[effect]]``)."""
         if values["law"] == "bimodular":
             factor = 1.0 + values[main_key("bimodular")]
             return f"Stretched directions of the body have {factor:.3g} times the stiffness of compressed ones."
@@ -161,7 +178,11 @@ class StiffeningCause(LawCause):
         return Stiffening(law=law, volumetric=form, **shape_of(law, size))
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
-        """Return the logarithm of the law's shape parameter."""
+        """Return the logarithm of the law's shape parameter.
+
+        `bench`: the believed model; `variant`: hypothesis from which the nonlinear fit starts; `amplitudes` (p,): its
+        fitted linear amplitudes, in prior standard deviations.
+        """
         law, size = str(variant.settings["law"]), float(variant.settings["size"])
         form = str(variant.settings["volumetric"])
         start = float(np.log(size * np.clip(amplitudes[0], 0.1, 3.0)))
@@ -172,7 +193,7 @@ class StiffeningCause(LawCause):
         )
 
     def sentence(self, values: Values) -> str:
-        """Return the finding in plain words."""
+        """Return the finding as a sentence, from its fitted parameters (`values`, by key of ``[[effect]]``)."""
         key = main_key(str(values["law"]))
         return f"The body stiffens with strain ({key} = {values[key]:.3g}): large pushes meet more than is believed."
 

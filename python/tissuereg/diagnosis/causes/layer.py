@@ -25,7 +25,10 @@ class LayerCause(Cause):
     id: ClassVar[str] = "layer"
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return one hypothesis for each thickness."""
+        """Return one hypothesis for each thickness.
+
+        `bench`: the believed model and its sensitivities. Columns of a hypothesis are (p, size), in mm and mN.
+        """
         mesh = bench.experiment.mesh
         sizes = [share * bench.extent for share in THICKNESSES]
         if bench.is_elastic:
@@ -38,7 +41,11 @@ class LayerCause(Cause):
             yield Variant(f"{size:.1f} mm", SPREAD * column[None], {"thickness": size})
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
-        """Return the logarithms of thickness and contrast."""
+        """Return the logarithms of thickness and contrast.
+
+        `bench`: the believed model; `variant`: hypothesis from which the nonlinear fit starts; `amplitudes` (p,): its
+        fitted linear amplitudes, in prior standard deviations.
+        """
         contrast = 1.0 + float(np.clip(SPREAD * amplitudes[0], -0.85, 20.0))
         thickness = float(variant.settings["thickness"])
 
@@ -55,7 +62,7 @@ class LayerCause(Cause):
         )
 
     def sentence(self, values: Values) -> str:
-        """Return the finding in words."""
+        """Return the finding as a sentence, from its fitted parameters (`values`, by key of ``[[effect]]``)."""
         contrast, thickness = values["contrast"], values["thickness_mm"]
         kind = "stiffer" if contrast > 1 else "softer"
         return f"An outer layer of {thickness:.2g} mm is {kind} than the core: {contrast:.2g} times its modulus."

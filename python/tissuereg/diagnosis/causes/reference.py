@@ -18,7 +18,10 @@ class ReferenceCause(Cause):
     absolute: ClassVar[bool] = True
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return the opposite of what is believed; none without gravity."""
+        """Return the opposite of what is believed; none without gravity.
+
+        `bench`: the believed model and its sensitivities. Columns of a hypothesis are (p, size), in mm and mN.
+        """
         weight = bench.experiment.gravity
         if weight is None:
             return
@@ -28,7 +31,11 @@ class ReferenceCause(Cause):
             yield Variant("hangs" if hangs else "does not hang", changed[None], {"hangs": hangs}, fixed=True)
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
-        """Return no parameters."""
+        """Return no parameters.
+
+        `bench`: the believed model; `variant`: hypothesis from which the nonlinear fit starts; `amplitudes` (p,): its
+        fitted linear amplitudes, in prior standard deviations.
+        """
         hangs, none = bool(variant.settings["hangs"]), np.empty(0)
         return FreeParameters(
             none, none, none,
@@ -38,6 +45,6 @@ class ReferenceCause(Cause):
         )  # fmt: skip
 
     def sentence(self, values: Values) -> str:
-        """Return the finding in words."""
+        """Return the finding as a sentence, from its fitted parameters (`values`, by key of ``[[effect]]``)."""
         how = "is already deformed by gravity" if values["in_reference"] else "is the shape without gravity"
         return f"The mesh {how}, contrary to what is believed."

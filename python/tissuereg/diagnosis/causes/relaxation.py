@@ -29,7 +29,10 @@ class RelaxationCause(Cause):
     discrete: ClassVar[tuple[str, ...]] = ("part",)
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return hypotheses for several time constants and both parts."""
+        """Return hypotheses for several time constants and both parts.
+
+        `bench`: the believed model and its sensitivities. Columns of a hypothesis are (p, size), in mm and mN.
+        """
         if bench.longest_case == 0.0 or any(effect.id == self.id for effect in bench.experiment.effects):
             return
         # The two parts differ little; every second time constant suffices for the isochoric one.
@@ -41,7 +44,11 @@ class RelaxationCause(Cause):
                 yield Variant(f"{part} {tau:.2g} s", changed[None], {"tau": tau, "part": part}, positive=True)
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
-        """Return the logit of the share and the logarithm of the time constant."""
+        """Return the logit of the share and the logarithm of the time constant.
+
+        `bench`: the believed model; `variant`: hypothesis from which the nonlinear fit starts; `amplitudes` (p,): its
+        fitted linear amplitudes, in prior standard deviations.
+        """
         part, tau = str(variant.settings["part"]), float(variant.settings["tau"])
         middle = float(np.log(times_of(bench)).mean())
 
@@ -58,6 +65,6 @@ class RelaxationCause(Cause):
         )
 
     def sentence(self, values: Values) -> str:
-        """Return the finding in words."""
+        """Return the finding as a sentence, from its fitted parameters (`values`, by key of ``[[effect]]``)."""
         share, tau = values["g"], values["tau_s"]
         return f"Stress relaxes: {100.0 * share[0]:.0f} % of it, with a time constant of {tau[0]:.2g} s."

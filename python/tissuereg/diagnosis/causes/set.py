@@ -18,7 +18,10 @@ class SetCause(Cause):
     id: ClassVar[str] = "set"
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return one hypothesis."""
+        """Return one hypothesis.
+
+        `bench`: the believed model and its sensitivities. Columns of a hypothesis are (p, size), in mm and mN.
+        """
         if any(effect.id == self.id for effect in bench.experiment.effects):
             return
         changed = bench.change(Set(fraction=SIZE))
@@ -26,7 +29,11 @@ class SetCause(Cause):
             yield Variant("share", changed[None], positive=True)
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
-        """Return the logit of the share."""
+        """Return the logit of the share.
+
+        `bench`: the believed model; `variant`: hypothesis from which the nonlinear fit starts; `amplitudes` (p,): its
+        fitted linear amplitudes, in prior standard deviations.
+        """
         return free_parameters(
             [(logit(SIZE * float(amplitudes[0]), 0.005), logit(SIZE), 1.2, 0.1)],
             lambda x, young: (Set(fraction=logistic(x[0])),),
@@ -34,6 +41,6 @@ class SetCause(Cause):
         )
 
     def sentence(self, values: Values) -> str:
-        """Return the finding in words."""
+        """Return the finding as a sentence, from its fitted parameters (`values`, by key of ``[[effect]]``)."""
         share = values["fraction"]
         return f"The body does not return to its shape: {100 * share:.1f} % of its largest strain remains."

@@ -25,7 +25,10 @@ class SlidingCause(Cause):
     discrete: ClassVar[tuple[str, ...]] = ("boundary", "kind")
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return two hypotheses for each boundary and kind."""
+        """Return two hypotheses for each boundary and kind.
+
+        `bench`: the believed model and its sensitivities. Columns of a hypothesis are (p, size), in mm and mN.
+        """
         taken = {getattr(effect, "boundary", None) for effect in bench.experiment.effects if effect.id == self.id}
         for boundary in bench.experiment.boundaries:
             name = boundary.name
@@ -42,7 +45,11 @@ class SlidingCause(Cause):
                     yield Variant(f"{name} {kind} {size:g}", changed[None], settings, positive=True)
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
-        """Return the logarithm of the compliance, or those of coefficient and cohesion."""
+        """Return the logarithm of the compliance, or those of coefficient and cohesion.
+
+        `bench`: the believed model; `variant`: hypothesis from which the nonlinear fit starts; `amplitudes` (p,): its
+        fitted linear amplitudes, in prior standard deviations.
+        """
         name, size = str(variant.settings["boundary"]), float(variant.settings["size"])
         more = float(np.clip(amplitudes[0], 0.1, 10.0))
         if variant.settings["kind"] == "springs":
@@ -69,7 +76,7 @@ class SlidingCause(Cause):
         )
 
     def sentence(self, values: Values) -> str:
-        """Return the finding in words."""
+        """Return the finding as a sentence, from its fitted parameters (`values`, by key of ``[[effect]]``)."""
         if "friction" in values:
             return (
                 f"Boundary '{values['boundary']}' slips against friction (coefficient {values['friction']:.2g}, "

@@ -25,7 +25,10 @@ class SofteningCause(Cause):
     discrete: ClassVar[tuple[str, ...]] = ("form",)
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return hypotheses for two energies in both forms."""
+        """Return hypotheses for two energies in both forms.
+
+        `bench`: the believed model and its sensitivities. Columns of a hypothesis are (p, size), in mm and mN.
+        """
         if any(effect.id == self.id for effect in bench.experiment.effects):
             return
         every = [(form, energy) for form in FORMS for energy in ENERGIES]
@@ -36,7 +39,11 @@ class SofteningCause(Cause):
                 yield Variant(f"{form}, energy {energy:g}", changed[None], settings, positive=True)
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
-        """Return logarithms of r - 1 and of m over the modulus."""
+        """Return logarithms of r - 1 and of m over the modulus.
+
+        `bench`: the believed model; `variant`: hypothesis from which the nonlinear fit starts; `amplitudes` (p,): its
+        fitted linear amplitudes, in prior standard deviations.
+        """
         # At most a share of (1 - 1/r) of the stress is lost.
         lost = min((1.0 - 1.0 / SIZE) * float(np.clip(amplitudes[0], 0.05, 2.8)), 0.9)
         energy, form = float(variant.settings["energy"]), str(variant.settings["form"])
@@ -60,7 +67,7 @@ class SofteningCause(Cause):
         )
 
     def sentence(self, values: Values) -> str:
-        """Return the finding in words."""
+        """Return the finding as a sentence, from its fitted parameters (`values`, by key of ``[[effect]]``)."""
         if values["form"] == "damage":
             return f"The body is damaged and softens while it is first loaded (r = {values['r']:.2g})."
         return f"The first large load softens the body permanently (Mullins effect, r = {values['r']:.2g})."

@@ -22,11 +22,18 @@ class StiffnessCause(Cause):
     absolute: ClassVar[bool] = True
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return one hypothesis: another modulus in the whole body."""
+        """Return one hypothesis: another modulus in the whole body.
+
+        `bench`: the believed model and its sensitivities. Columns of a hypothesis are (p, size), in mm and mN.
+        """
         return [Variant("everywhere", YOUNG_SPREAD * bench.by_young)] if bench.is_elastic else []
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
-        """Return the logarithm of the factor on the modulus."""
+        """Return the logarithm of the factor on the modulus.
+
+        `bench`: the believed model; `variant`: hypothesis from which the nonlinear fit starts; `amplitudes` (p,): its
+        fitted linear amplitudes, in prior standard deviations.
+        """
         return free_parameters(
             [(YOUNG_SPREAD * float(amplitudes[0]), 0.0, YOUNG_SPREAD, 0.02)],
             lambda x, young: (Stiffness(young_kpa=young * float(np.exp(x[0]))),),
@@ -34,7 +41,7 @@ class StiffnessCause(Cause):
         )
 
     def sentence(self, values: Values) -> str:
-        """Return the finding in words."""
+        """Return the finding as a sentence, from its fitted parameters (`values`, by key of ``[[effect]]``)."""
         return f"The body's modulus is {values['young_kpa']:.3g} kPa, far from the believed one."
 
 
@@ -48,7 +55,10 @@ class PoissonCause(Cause):
     id: ClassVar[str] = "poisson"
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return one hypothesis: another ratio in the whole body."""
+        """Return one hypothesis: another ratio in the whole body.
+
+        `bench`: the believed model and its sensitivities. Columns of a hypothesis are (p, size), in mm and mN.
+        """
         if bench.is_elastic:
             column = bench.by(lambda state: [Parameter("poisson")], 1)
         else:
@@ -59,7 +69,11 @@ class PoissonCause(Cause):
         return [Variant("everywhere", POISSON_SPREAD * column)]
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
-        """Return the logit of twice the ratio."""
+        """Return the logit of twice the ratio.
+
+        `bench`: the believed model; `variant`: hypothesis from which the nonlinear fit starts; `amplitudes` (p,): its
+        fitted linear amplitudes, in prior standard deviations.
+        """
         believed = _ratio(bench)
         start = min(max(believed + POISSON_SPREAD * float(amplitudes[0]), 0.05), 0.495)
         return free_parameters(
@@ -69,7 +83,7 @@ class PoissonCause(Cause):
         )
 
     def sentence(self, values: Values) -> str:
-        """Return the finding in words."""
+        """Return the finding as a sentence, from its fitted parameters (`values`, by key of ``[[effect]]``)."""
         return f"The body's compressibility differs from the believed one: Poisson's ratio is {values['poisson']:.3f}."
 
 

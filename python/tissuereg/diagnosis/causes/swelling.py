@@ -23,7 +23,10 @@ class SwellingCause(Cause):
     discrete: ClassVar[tuple[str, ...]] = ("window", "pads")
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return hypotheses for three windows of time."""
+        """Return hypotheses for three windows of time.
+
+        `bench`: the believed model and its sensitivities. Columns of a hypothesis are (p, size), in mm and mN.
+        """
         if any(effect.id == self.id for effect in bench.experiment.effects):
             return
         begin, end = bench.first_time, bench.last_time
@@ -37,12 +40,19 @@ class SwellingCause(Cause):
                 yield Variant(f"{window[0]:.3g} to {window[1]:.3g} s", changed[None], {"window": window, "pads": HOLD})
 
     def alternatives(self, bench: Bench, variant: Variant) -> tuple[Variant, ...]:
-        """Return the same growth with pads that move with the body."""
+        """Return the same growth with pads that move with the body.
+
+        `bench`: the believed model; `variant`: hypothesis that was screened; the ones returned are fitted beside it.
+        """
         moved = any(case.displacements for case in bench.experiment.cases.values())
         return (replace(variant, settings={**variant.settings, "pads": "follow"}),) if moved else ()
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
-        """Return the strain in units of `SIZE`."""
+        """Return the strain in units of `SIZE`.
+
+        `bench`: the believed model; `variant`: hypothesis from which the nonlinear fit starts; `amplitudes` (p,): its
+        fitted linear amplitudes, in prior standard deviations.
+        """
         window, pads = variant.settings["window"], str(variant.settings["pads"])
         return free_parameters(
             [(float(amplitudes[0]), 0.0, 1.5, 0.1)],
@@ -56,7 +66,7 @@ class SwellingCause(Cause):
         )
 
     def sentence(self, values: Values) -> str:
-        """Return the finding in words."""
+        """Return the finding as a sentence, from its fitted parameters (`values`, by key of ``[[effect]]``)."""
         strain = values["linear_strain"]
         verb = "swells" if strain > 0 else "shrinks"
         return f"The body {verb} by {abs(100 * strain):.2g} % in length during the measurement."

@@ -32,13 +32,20 @@ class FrameCause(Cause):
     always_fitted: ClassVar[bool] = True
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return one hypothesis, with three shifts and three rotations about the middle of the markers."""
+        """Return one hypothesis, with three shifts and three rotations about the middle of the markers.
+
+        `bench`: the believed model and its sensitivities. Columns of a hypothesis are (p, size), in mm and mN.
+        """
         shifts = [changed_by(bench, _frame(bench, np.eye(6)[i])) for i in range(6)]
         scale = np.array([SHIFT] * 3 + [TURN] * 3)
         return [Variant("frame", scale[:, None] * np.array(shifts))]
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
-        """Return shifts in mm and rotations in degrees about the middle of the markers."""
+        """Return shifts in mm and rotations in degrees about the middle of the markers.
+
+        `bench`: the believed model; `variant`: hypothesis from which the nonlinear fit starts; `amplitudes` (p,): its
+        fitted linear amplitudes, in prior standard deviations.
+        """
         scale = np.array([SHIFT] * 3 + [TURN] * 3)
         return free_parameters(
             [(float(s * a), 0.0, float(s), 0.05) for s, a in zip(scale, amplitudes, strict=True)],
@@ -47,7 +54,7 @@ class FrameCause(Cause):
         )
 
     def sentence(self, values: Values) -> str:
-        """Return the finding in words."""
+        """Return the finding as a sentence, from its fitted parameters (`values`, by key of ``[[effect]]``)."""
         turn = float(np.linalg.norm(np.asarray(values["rotation_deg"])))
         return f"The tracker's frame is rotated by {turn:.2f} degrees against the mesh's, and shifted."
 
@@ -58,14 +65,21 @@ class ScaleCause(Cause):
     id: ClassVar[str] = "scale"
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return one hypothesis, with the scale about the middle of the markers and three shifts."""
+        """Return one hypothesis, with the scale about the middle of the markers and three shifts.
+
+        `bench`: the believed model and its sensitivities. Columns of a hypothesis are (p, size), in mm and mN.
+        """
         middle = _middle(bench)
         scale = changed_by(bench, Scale(scale=1.01, origin_mm=three(middle))) * 100.0 * SCALE
         shifts = [SHIFT * changed_by(bench, Frame(shift_mm=three(axis))) for axis in np.eye(3)]
         return [Variant("scale", np.array([scale, *shifts]))]
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
-        """Return the scale minus one about the middle of the markers, and three shifts in mm."""
+        """Return the scale minus one about the middle of the markers, and three shifts in mm.
+
+        `bench`: the believed model; `variant`: hypothesis from which the nonlinear fit starts; `amplitudes` (p,): its
+        fitted linear amplitudes, in prior standard deviations.
+        """
         spread = np.array([SCALE, SHIFT, SHIFT, SHIFT])
 
         def effect(x: FloatArray) -> Scale:
@@ -80,7 +94,7 @@ class ScaleCause(Cause):
         )
 
     def sentence(self, values: Values) -> str:
-        """Return the finding in words."""
+        """Return the finding as a sentence, from its fitted parameters (`values`, by key of ``[[effect]]``)."""
         scale = values["scale"]
         return f"The tracker's lengths are wrong by {100 * (scale - 1):+.2f} %."
 
@@ -91,14 +105,21 @@ class LatencyCause(Cause):
     id: ClassVar[str] = "latency"
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return one hypothesis: a delay of a part of a frame."""
+        """Return one hypothesis: a delay of a part of a frame.
+
+        `bench`: the believed model and its sensitivities. Columns of a hypothesis are (p, size), in mm and mN.
+        """
         delay = DELAY * bench.frame_step
         if delay == 0.0 or any(effect.id == self.id for effect in bench.experiment.effects):
             return []
         return [Variant("delay", changed_by(bench, Latency(latency_s=delay))[None])]
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
-        """Return the delay in units of the hypothesis' delay."""
+        """Return the delay in units of the hypothesis' delay.
+
+        `bench`: the believed model; `variant`: hypothesis from which the nonlinear fit starts; `amplitudes` (p,): its
+        fitted linear amplitudes, in prior standard deviations.
+        """
         unit = DELAY * bench.frame_step
         return free_parameters(
             [(float(amplitudes[0]), 0.0, 1.0, 0.1)],
@@ -107,7 +128,7 @@ class LatencyCause(Cause):
         )
 
     def sentence(self, values: Values) -> str:
-        """Return the finding in words."""
+        """Return the finding as a sentence, from its fitted parameters (`values`, by key of ``[[effect]]``)."""
         delay = values["latency_s"]
         return f"Markers are delayed by {1000 * delay:.0f} ms against the actuators' clock."
 
@@ -119,11 +140,17 @@ class SlipCause(Cause):
     discrete: ClassVar[tuple[str, ...]] = ("marker", "onset")
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return one hypothesis for each marker and onset, with three amplitudes."""
+        """Return one hypothesis for each marker and onset, with three amplitudes.
+
+        `bench`: the believed model and its sensitivities. Columns of a hypothesis are (p, size), in mm and mN.
+        """
         return (_slip(bench, marker, onset) for onset in _onsets(bench) for marker in bench.layout.marker_names)
 
     def alternatives(self, bench: Bench, variant: Variant) -> tuple[Variant, ...]:
-        """Return the same marker with the onsets between the neighbouring onsets of the bank."""
+        """Return the same marker with the onsets between the neighbouring onsets of the bank.
+
+        `bench`: the believed model; `variant`: hypothesis that was screened; the ones returned are fitted beside it.
+        """
         screened, mine = _onsets(bench), float(variant.settings["onset"])
         before = max((onset for onset in screened if onset < mine), default=-np.inf)
         after = min((onset for onset in screened if onset > mine), default=np.inf)
@@ -132,7 +159,11 @@ class SlipCause(Cause):
         return tuple(_slip(bench, str(variant.settings["marker"]), onset) for onset in onsets)
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
-        """Return the offset in mm."""
+        """Return the offset in mm.
+
+        `bench`: the believed model; `variant`: hypothesis from which the nonlinear fit starts; `amplitudes` (p,): its
+        fitted linear amplitudes, in prior standard deviations.
+        """
         marker, onset = str(variant.settings["marker"]), float(variant.settings["onset"])
         return free_parameters(
             [(SLIP * float(a), 0.0, SLIP, 0.1) for a in amplitudes],
@@ -141,7 +172,7 @@ class SlipCause(Cause):
         )
 
     def sentence(self, values: Values) -> str:
-        """Return the finding in words."""
+        """Return the finding as a sentence, from its fitted parameters (`values`, by key of ``[[effect]]``)."""
         size = float(np.linalg.norm(np.asarray(values["offset_mm"])))
         return f"Marker '{values['marker']}' has slipped by {size:.2f} mm, from {values['from_time_s']:.4g} s on."
 
@@ -153,7 +184,10 @@ class SwapCause(Cause):
     discrete: ClassVar[tuple[str, ...]] = ("pair", "onset")
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return one hypothesis for each frame and each of the likeliest pairs."""
+        """Return one hypothesis for each frame and each of the likeliest pairs.
+
+        `bench`: the believed model and its sensitivities. Columns of a hypothesis are (p, size), in mm and mN.
+        """
         for onset in sorted({float(time) for part in bench.layout.parts for time in part.times}):
             for pair in _likely_pairs(bench):
                 changed = changed_by(bench, MarkerSwap(markers=pair, from_time_s=onset))
@@ -165,7 +199,11 @@ class SwapCause(Cause):
                 )
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
-        """Return no parameters."""
+        """Return no parameters.
+
+        `bench`: the believed model; `variant`: hypothesis from which the nonlinear fit starts; `amplitudes` (p,): its
+        fitted linear amplitudes, in prior standard deviations.
+        """
         pair, onset, none = tuple(variant.settings["pair"]), float(variant.settings["onset"]), np.empty(0)
         return FreeParameters(
             none, none, none,
@@ -175,7 +213,7 @@ class SwapCause(Cause):
         )  # fmt: skip
 
     def sentence(self, values: Values) -> str:
-        """Return the finding in words."""
+        """Return the finding as a sentence, from its fitted parameters (`values`, by key of ``[[effect]]``)."""
         one, other = values["markers"]
         return f"Markers '{one}' and '{other}' are exchanged from {values['from_time_s']:.4g} s on."
 

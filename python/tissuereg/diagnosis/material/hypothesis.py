@@ -51,7 +51,7 @@ def null_hypothesis(problem: FitProblem) -> Hypothesis:
 
 
 def plain_fit(problem: FitProblem, noise: FloatArray) -> MaterialFit:
-    """Return the believed law fitted with independent rows, as a user would do.
+    """Return a fit of the believed law that treats all rows as independent, the usual practice.
 
     `problem`: data, weights and believed model; `noise` (n, n): covariance of the rows, kPa^2, of which only the
     diagonal is used. Result: its evidence cannot be compared with that of a hypothesis.

@@ -133,7 +133,10 @@ def _similar_path(one: Curve, other: Curve) -> bool:
 
 
 def _spread(curves: Sequence[Curve], std: FloatArray) -> tuple[float, float]:
-    """Return the variances of factors and of correlated errors along curves, over the stress."""
+    """Return the relative variance between specimens and that of correlated errors along curves.
+
+    `curves`: measured; `std` (n_curves,): white noise of each, kPa.
+    """
     places = np.linspace(0.05, 1.0, 40)
     # Stress at equal strain, so that small differences of a machine's stroke do not count as errors of the stress.
     common = np.mean([np.interp(places, path_arc(c), c.strains) for c in curves], axis=0)

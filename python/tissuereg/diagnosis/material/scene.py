@@ -10,7 +10,7 @@ from tissuereg.experiment.material_experiment import Curve, MaterialExperiment
 
 @dataclass(frozen=True)
 class Scene:
-    """Scope of an experiment, for priors and for the choice of causes.
+    """What an experiment's curves can show: modes, ranges and times, for priors and the choice of causes.
 
     Attributes
     ----------
@@ -60,10 +60,7 @@ class Scene:
 
 
 def scene_of(experiment: MaterialExperiment) -> Scene:
-    """Return the scope of an experiment's curves.
-
-    `experiment`: with its curves. Result: ranges, and which kinds of loading there are.
-    """
+    """Return what the curves of an experiment can show: ranges, and which kinds of loading there are."""
     curves = experiment.curves
     bars = np.concatenate([np.zeros(1), *(c.strains for c in curves if c.mode != "simple-shear")])
     timed = [curve for curve in curves if curve.timed]

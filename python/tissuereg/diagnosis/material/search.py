@@ -36,18 +36,18 @@ Progress = Callable[[str], None]
 
 @dataclass(frozen=True)
 class CandidateCause:
-    """One cause in the race of single causes.
+    """One cause, tried alone beside all others.
 
     Attributes
     ----------
     id : str
         Of the cause.
     log_bayes_factor : float
-        Against the same hypothesis without it, nats.
+        Of the hypothesis with the cause against that without it, nats.
     detectability : float
         Root of twice the gain in log posterior.
     probability : float
-        Posterior probability among all causes, no cause, and the generic rival.
+        Posterior probability among all causes, no cause, and a generic misfit.
     """
 
     id: str
@@ -115,7 +115,10 @@ class MaterialSearch:
         return self._pruned(none, known)
 
     def race(self, known: Hypothesis, skipped: tuple[str, ...] = ()) -> tuple[list[Hypothesis], Hypothesis]:
-        """Return a hypothesis with each further cause, likeliest first, and with the generic misfit."""
+        """Return a hypothesis with each further cause, likeliest first, and the one with a generic misfit.
+
+        `known`: with the causes found before; `skipped`: ids that are not tried.
+        """
         causes = [id for id in self.forms if id not in known.ids and id not in skipped]
         found = []
         for cause in causes:
@@ -211,7 +214,10 @@ class MaterialSearch:
         return bool(after.chi < patch.chi or after.rms_all < patch.rms_all)
 
     def alternatives(self, none: Hypothesis, known: Hypothesis, cause: str) -> tuple[Hypothesis, list[Hypothesis]]:
-        """Return the hypothesis without a cause, and those with each other cause in its place, likeliest first."""
+        """Return the hypothesis without one cause, and those with each other cause in its place, likeliest first.
+
+        `none`: the believed model; `known`: with all accepted causes; `cause`: the one that is taken out.
+        """
         rest = self.without(none, known, cause)
         racers, _ = self.race(rest, skipped=(cause,))
         return rest, racers
@@ -274,7 +280,10 @@ class MaterialSearch:
 
 
 def candidates(known: Hypothesis, racers: list[Hypothesis], generic: Hypothesis) -> list[CandidateCause]:
-    """Return the entries of the answer for a race, the generic rival included."""
+    """Return every cause that was tried alone, and the generic misfit, with their evidence and probability.
+
+    `known`: hypothesis without them; `racers`: with one of them each; `generic`: with a generic misfit.
+    """
     everyone = [*racers, generic]
     total = np.logaddexp.reduce([known.evidence, *(h.evidence for h in everyone)])
     return [
@@ -289,7 +298,7 @@ def candidates(known: Hypothesis, racers: list[Hypothesis], generic: Hypothesis)
 
 
 def visible(forms: dict[str, list[Form]]) -> dict[str, list[Form]]:
-    """Return the causes that have forms, in the catalogue's order."""
+    """Return the causes that the curves can show: those that have forms, in the catalogue's order."""
     return {id: forms[id] for id in CAUSES if forms.get(id)}
 
 

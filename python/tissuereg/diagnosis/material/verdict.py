@@ -31,7 +31,7 @@ EXPLAINED = 0.8
 
 @dataclass(frozen=True, eq=False)
 class SelectionOutcome:
-    """The result of all steps.
+    """Everything that a diagnosis of material tests found, from which its answer and report are made.
 
     Attributes
     ----------
@@ -46,7 +46,7 @@ class SelectionOutcome:
     findings : tuple of MaterialFinding
         Empty where the verdict is consistent or unexplained.
     candidates : tuple of CandidateCause
-        The race of single causes, the generic rival included.
+        Every cause tried alone, and the generic misfit.
     threshold : float
         Log Bayes factor that a cause must exceed, nats.
     p_misfit : float
@@ -54,15 +54,15 @@ class SelectionOutcome:
     explained : float
         Share of the misfit (in squared units of noise) that the findings explain; NaN without findings.
     before, after, patch : HeldOutErrors
-        Of the believed law, with the findings, and with a generic patch.
+        Of the believed law, with the findings, and with a generic misfit.
     unit : str
-        Unit that was held out.
+        What was held out in turn: a mode, a rate, a specimen or a part of a curve.
     noise : CurveNoise
         Noise of the curves.
     bench : ProofInput
-        Rows, covariances and folds.
+        Rows, covariances and the parts that are held out.
     scene : Scene
-        Scope of the curves.
+        What the curves can show.
     """
 
     verdict: str
@@ -84,10 +84,10 @@ class SelectionOutcome:
 
 
 def find_out(experiment: MaterialExperiment, seed: int, progress: Callable[[str], None]) -> SelectionOutcome:
-    """Return the result of all steps of a material diagnosis.
+    """Return everything that a diagnosis of material tests finds, from noise and fits to the verdict.
 
     `experiment`: believed law and measured curves; `seed`: seed of the simulated null experiments; `progress`: called
-    with the name of the step that begins. Result: everything that the answer is made from.
+    with the name of the step that begins.
     """
     rng = np.random.default_rng(seed)
     bench, noise = bench_of(experiment)

@@ -23,14 +23,16 @@ _STRAIN, _ARC, _SHORT_ARC, _RATE = 0.5, 0.25, 0.06, 1.0
 
 @dataclass(frozen=True, eq=False)
 class Weights:
-    """Whitening of some rows.
+    """Whitening of measured stresses, for any size of a generic misfit.
+
+    With noise ``L L^T`` and generic covariance G, ``L^-1 G L^-T = U Lambda U^T``.
 
     Attributes
     ----------
     whitener : ndarray of float64, shape (n, n)
         ``U^T L^-1``, 1/kPa.
     spectrum : ndarray of float64, shape (n,)
-        ``Lambda``.
+        Diagonal of ``Lambda``.
     """
 
     whitener: FloatArray
