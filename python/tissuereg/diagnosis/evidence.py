@@ -35,16 +35,16 @@ class Null:
             self._modes, self._shrink = np.zeros((0, nuisances.shape[1])), np.zeros(0)
 
     def reduced(self, white: FloatArray) -> FloatArray:
-        """Return C0^-1/2 times whitened vectors (..., size)."""
+        """Return whitened vectors (..., size) times C0^-1/2, which integrates the nuisance parameters out of them."""
         return np.asarray(white - ((white @ self._modes.T) * self._shrink) @ self._modes)
 
 
 @dataclass(frozen=True, eq=False)
 class Amplitudes:
-    """Linear fit of a hypothesis.
+    """Result of the linear fit of one hypothesis, which has p amplitudes.
 
-    `log_bayes_factor`: against the null hypothesis, nats; `mean` (p,): posterior mean of the amplitudes, in prior
-    standard deviations.
+    `log_bayes_factor`: log Bayes factor of the hypothesis against no cause, nats; `mean` (p,): posterior mean of the
+    amplitudes, in prior standard deviations.
     """
 
     log_bayes_factor: float
@@ -83,7 +83,10 @@ class Blocks:
         self._inverse = np.linalg.inv(lower)
 
     def log_bayes_factors(self, residuals: FloatArray) -> FloatArray:
-        """Return log Bayes factors against the null hypothesis, (n, n_blocks), for reduced residuals (n, size)."""
+        """Return the log Bayes factors, in nats, of all hypotheses against no cause, shape (n, n_blocks).
+
+        `residuals` (n, size): n residuals of the data, whitened by noise and nuisances (`Null.reduced`).
+        """
         n_blocks, p, size = self.columns.shape
         along = residuals.astype(np.float32) @ self.columns.reshape(-1, size).T
         along = along.astype(np.float64).reshape(-1, n_blocks, p)
@@ -95,7 +98,7 @@ class Blocks:
 
 
 def log_mean_exp(values: FloatArray, axis: int = -1) -> FloatArray:
-    """Return the logarithm of the mean of exponentials."""
+    """Return the logarithm of the mean of ``exp(values)`` along an axis, which the result lacks."""
     top = values.max(axis=axis, keepdims=True)
     return np.asarray(np.squeeze(top, axis) + np.log(np.exp(values - top).mean(axis=axis)))
 
@@ -109,10 +112,10 @@ LOOK_ALIKE = 0.04
 
 
 def probabilities(log_bayes_factors: Mapping[str, float]) -> dict[str, float]:
-    """Return the probability of every cause and, under an empty name, of no cause; equal prior probabilities.
+    """Return the posterior probability of every cause by id and, under an empty name, of no cause.
 
-    `log_bayes_factors`: of every cause against no cause, nats. Result: ``exp(log BF / TEMPER)``, normalised to the sum
-    1.
+    `log_bayes_factors`: log Bayes factor of every cause against no cause, nats, by id. Prior probabilities are equal;
+    the results are proportional to ``exp(log_bayes_factor / TEMPER)`` and have the sum 1.
     """
     names = ["", *log_bayes_factors]
     logs = np.array([0.0, *log_bayes_factors.values()]) / TEMPER

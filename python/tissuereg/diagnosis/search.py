@@ -84,8 +84,7 @@ class Step:
         return self.found.gain >= CLEAR and float(self.proof.log_density[NAMED].sum()) > self.rivals
 
     def close(self, nats: float) -> list[Candidate]:
-        """Return the other candidates, likeliest first, whose log Bayes factor is within `nats` of the accepted one's.
-        """
+        """Return the other candidates, likeliest first, within `nats` of the accepted one's log Bayes factor."""
         if self.found is None:
             return []
         own = next((c.gain for c in self.candidates if c.id == self.found.id), self.found.gain)

@@ -29,10 +29,10 @@ _LEAST = 1e-300
 
 @dataclass(frozen=True, eq=False)
 class CalibrationSet:
-    """Test statistics of calibration events.
+    """Test statistics of trial registrations with right measurements, with which a registration is compared.
 
-    `statistics` (n_events, 4): as `STATISTICS`; `groups` int64 (n_events,): group of each event, such as those of the
-    physics that the model was trained on, and of another physics.
+    `statistics` (n_events, 4): columns as in `STATISTICS`; `groups` int64 (n_events,): group of each trial, such as
+    those of the physics that the model was trained on, and those of another physics.
     """
 
     statistics: FloatArray
@@ -40,11 +40,11 @@ class CalibrationSet:
 
     @classmethod
     def none(cls) -> "CalibrationSet":
-        """Return no events: chances are then taken as they are."""
+        """Return a set without trials; a statistic that is a chance is then taken as it is."""
         return cls(np.empty((0, len(STATISTICS))), np.empty(0, np.int64))
 
     def beside(self, statistics: FloatArray) -> "CalibrationSet":
-        """Return the same with a further group of events, statistics (n_more, 4)."""
+        """Return the set with a further group of trials, whose statistics are (n_more, 4)."""
         group = int(self.groups.max(initial=-1)) + 1
         return CalibrationSet(
             np.concatenate([self.statistics, statistics]), np.append(self.groups, np.full(len(statistics), group))
@@ -54,13 +54,13 @@ class CalibrationSet:
         return len(self.statistics)
 
     def shares(self, statistics: FloatArray) -> FloatArray:
-        """Return for each of statistics (4,) the share of calibration events as bad, in the group that looks worst."""
+        """Return for each of statistics (4,) the share of trials as bad, in the group where it is largest."""
         if not len(self):
             return np.asarray(np.where([True, True, False, False], np.exp(-statistics), 1.0))
         return np.asarray(np.max([group.shares(statistics) for group in self._groups], axis=0))
 
     def p_value(self, statistics: FloatArray) -> float:
-        """Return the share of calibration events with as rare a worst statistic as (4,) ones, in the worst group."""
+        """Return the share of trials whose rarest statistic is as rare as that of (4,) ones, in the worst group."""
         if not len(self):
             return float(np.exp(-statistics[0]))
         return max(group.p_value(statistics) for group in self._groups)
@@ -72,7 +72,10 @@ class CalibrationSet:
 
 @dataclass(frozen=True, eq=False)
 class _Group:
-    """Test statistics of one group of events, each column ascending, and minus the log share of the rarest."""
+    """Test statistics of one group of trials: each column sorted, and the rarity of each trial's rarest statistic.
+
+    `columns`: sorted values of each statistic; `rarest`: sorted values of minus the logarithm of the least share.
+    """
 
     columns: list["_Ascending"]
     rarest: "_Ascending"
@@ -95,7 +98,7 @@ class _Group:
 
 @dataclass(frozen=True, eq=False)
 class _Ascending:
-    """Values (n,), ascending, and where their tail begins."""
+    """Sorted values (n,) of one statistic, and the value at which their tail begins."""
 
     values: FloatArray
     first: float

@@ -102,13 +102,13 @@ class CalibratedPosterior:
         simulation: FloatArray | None,
         variants: Variants | None = None,
     ) -> "CalibratedPosterior":
-        """Return the posterior.
+        """Return the posterior of one moment.
 
         `given`: body, measured markers and seed; `model`: the model of this moment at markers and targets;
-        `calibration`: what its answers are worth there; `used` int64 (n_used,): markers that are used; `start`
+        `calibration`: the model's errors there; `used` int64 (n_used,): numbers of the markers that are used; `start`
         (n_latent,): where the decoder is linearised first; `simulation` (n_nodes, 3) or None: simulated displacement,
-        mm; `variants`: whose mean the simulation is. Cost: two or three decodes of 2 n_latent + 1 columns at
-        markers and targets.
+        mm; `variants`: variants of the simulation, if it is their mean. Cost: two or three decodes of 2 n_latent + 1
+        columns at markers and targets.
         """
         markers = given.markers
         order = np.concatenate([used, np.setdiff1d(np.arange(len(markers)), used)])
@@ -149,7 +149,7 @@ class CalibratedPosterior:
 
     @cached_property
     def _correction(self) -> FloatArray:
-        """What the markers tell of the model's error at every node (n_nodes, 3)."""
+        """Estimated error of the decoded field at every node, (n_nodes, 3), mm, given the residuals at the markers."""
         told: dict[int, tuple[FieldErrors, FloatArray]] = {}
         factor = 0.0
         for weight, number, scale, pull in zip(
@@ -244,16 +244,16 @@ class CalibratedPosterior:
         return self.rehearsal.tail
 
     def statistics(self) -> Statistics:
-        """Return what is compared with calibration events."""
+        """Return the test statistics of this registration, which are compared with those of trial registrations."""
         return statistics_of(self.at.whole, self.found, len(self.anchor.forms) or len(self.prior))
 
     def _factor(self, number: int) -> float:
-        """Return the variance of the factor on the simulation in a component."""
+        """Return the variance of the factor on the simulation in the prior's component of this number."""
         forms = self.anchor.forms
         return forms[number][1] if number < len(forms) else 0.0
 
     def _errors(self, number: int) -> list[tuple[RowErrors, FloatArray]]:
-        """Return the errors of a component, and the covariance of the coefficients of each at scale one."""
+        """Return the sources of error of a component, each with the covariance of its coefficients at scale one."""
         forms, change, variants = self.anchor.forms, self.at.change_errors, self.anchor.variants
         if number >= len(forms) or change is None:
             return [(self.at.errors, self.at.errors.whole.covariances[number - len(forms)])]
@@ -305,7 +305,7 @@ class _Source:
 
     @classmethod
     def drawn(cls, errors: RowErrors, covariance: FloatArray, n_obs: int, rng: np.random.Generator) -> "_Source":
-        """Return a draw."""
+        """Return a draw of coefficients (n_patterns,) with their covariance; `n_obs`: number of used components."""
         values, vectors = np.linalg.eigh(covariance)
         roots = vectors * np.sqrt(np.maximum(values, 0.0))
         return cls(errors, covariance, errors.patterns[:, :n_obs], roots @ rng.standard_normal(len(roots)))

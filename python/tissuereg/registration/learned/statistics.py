@@ -33,8 +33,9 @@ def statistics_of(
 ) -> Statistics:
     """Return the test statistics of a registration.
 
-    `n_own`: components of the event itself, which come first; the others are those of an event that was not simulated.
-    Cost: an inverse of a factor of size n_obs for every pair of component and scale that was kept.
+    `calibration`: knows how far a code lies from the training set; `found`: the posterior; `n_own`: number of
+    components of the simulated event, which come first; the others are those of an event that was not simulated. Cost:
+    an inverse of a factor of size n_obs for every pair of component and scale that was kept.
     """
     misfits, chances = left_out(found)
     markers = -np.log(np.maximum(len(chances) * chances, _LEAST))
