@@ -140,10 +140,10 @@ class PointsAround:
         self._anchor = None if anchor is None else at.at_points(anchor)
 
     def first(self, latents: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return displacements of the points at the prior's mean, (n_points, 3), and of members, (n_members, n_points,
+        """Return displacements of the points at the prior's mean (n_points, 3), and of members (n_members, n_points,
         3).
 
-        `latents` (n_latent, n_members). If the latents are of changes from a simulation, the mean decodes to it.
+        `latents` (n_latent, n_members). If they are of changes from a simulation, the mean decodes to it.
         """
         moved = self._at.decode(np.concatenate([self.prior.mean[:, None], latents], axis=1))
         if self._anchor is not None:
