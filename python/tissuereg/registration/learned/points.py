@@ -140,10 +140,9 @@ class PointsAround:
         self._anchor = None if anchor is None else at.at_points(anchor)
 
     def first(self, latents: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return displacements of the points at the prior's mean (n_points, 3), and of members (n_members, n_points,
-        3).
+        """Return displacements of the points at the prior's mean, (n_points, 3), and of members.
 
-        `latents` (n_latent, n_members). If they are of changes from a simulation, the mean decodes to it.
+        `latents` (n_latent, n_members). The members' displacements are (n_members, n_points, 3), mm. If they are of changes from a simulation, the mean decodes to it.
         """
         moved = self._at.decode(np.concatenate([self.prior.mean[:, None], latents], axis=1))
         if self._anchor is not None:
