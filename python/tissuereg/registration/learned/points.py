@@ -142,7 +142,8 @@ class PointsAround:
     def first(self, latents: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return displacements of the points at the prior's mean, (n_points, 3), and of members.
 
-        `latents` (n_latent, n_members). The members' displacements are (n_members, n_points, 3), mm. If they are of changes from a simulation, the mean decodes to it.
+        `latents` (n_latent, n_members). The members' displacements are (n_members, n_points, 3), mm. If the latents
+        describe changes from a simulation, the mean decodes to it.
         """
         moved = self._at.decode(np.concatenate([self.prior.mean[:, None], latents], axis=1))
         if self._anchor is not None:
