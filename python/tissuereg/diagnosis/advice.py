@@ -124,11 +124,7 @@ def _measured(target: FitTarget, action: _Action) -> Experiment:
 
 
 def _prediction(target: FitTarget, fit: Fit, action: _Action) -> FloatArray:
-    """Return the prediction of a fitted model under a proposed load case, a flat array (n,) in mm and mN.
-
-    The array holds the displacements of the markers in all frames, then the forces of the pads, if they are to be
-    measured.
-    """
+    """Return a fitted model's prediction under an action, flat: marker displacements in mm, then pad forces in mN."""
     experiment = _measured(target, action)
     predictor = Predictor(experiment, SignalLayout(experiment), element=target.bench.predictor.element)
     return predictor.predict(fit.effects(target.bench.young), young=float(np.exp(fit.x[0])))

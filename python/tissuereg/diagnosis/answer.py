@@ -55,7 +55,7 @@ class Finding:
     sentence: str
 
     def to_json(self) -> dict[str, Any]:
-        """Return the finding as plain data for JSON; a number with a standard deviation is the pair [value, deviation]."""
+        """Return the finding as plain data for JSON; a number with a standard deviation becomes a pair of both."""
         return {
             "id": self.id,
             "group": list(self.group),
@@ -142,7 +142,9 @@ class Diagnosis:
         }
 
     def report(self, path: str | os.PathLike[str]) -> Path:
-        """Write one self-contained HTML page: verdict, residuals on the body, ranking of causes, held-out errors, assumptions.
+        """Write one self-contained HTML page: verdict, residuals on the body, ranking of causes, proof, assumptions.
+
+        The proof of a cause is its prediction of data that were left out of the fit.
 
         Parameters
         ----------

@@ -62,7 +62,10 @@ def make_bank(bench: Bench, *, keep: bool = True, progress: Callable[[str], None
 
 
 def fingerprint(experiment: Experiment, of: str) -> str:
-    """Return 32 hexadecimal digits: a hash of all that a believed model's prediction depends on, and of the label `of`."""
+    """Return a hash, 32 hexadecimal digits, of all that a believed model's prediction depends on and of a label.
+
+    `of`: the label, such as a version of the cached content.
+    """
     digest = hashlib.sha256(f"{__version__} {of}".encode())
     mesh = experiment.mesh
     parts = [mesh.nodes, mesh.tets, experiment.marker_reference]

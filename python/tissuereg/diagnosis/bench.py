@@ -65,7 +65,7 @@ class Bench:
 
     @property
     def is_exact(self) -> bool:
-        """Whether the data were simulated on this mesh with these elements, so that there is no discretisation error."""
+        """Whether the data were simulated on this mesh with these elements, and so have no discretisation error."""
         simulated = self.experiment.simulated
         return simulated is not None and simulated.model == "plain" and simulated.element == self.predictor.element
 
@@ -76,14 +76,14 @@ class Bench:
 
     @cached_property
     def scales_forces(self) -> bool:
-        """Whether a factor on the modulus scales the forces and moves no marker, because displacements alone drive the body."""
+        """Whether a factor on the modulus scales forces and moves no marker, as displacements alone drive the body."""
         driven = any(case.applied_forces for case in self.experiment.cases.values())
         absolute = any(effect.id in _ABSOLUTE for effect in self.experiment.effects)
         return self.experiment.gravity is None and not driven and not absolute
 
     @cached_property
     def tangents(self) -> Tangents:
-        """The equilibria of the believed model with their tangent stiffness, for derivatives; only where it is elastic."""
+        """The equilibria of the believed model with their tangent stiffnesses, for derivatives, where it is elastic."""
         return Tangents(self.predictor)
 
     def by(self, direction: Callable[[State], Sequence[Cause]], count: int) -> FloatArray:
@@ -95,7 +95,7 @@ class Bench:
         return self.tangents.columns(direction, count)
 
     def by_fields(self, shares: "sparse.csr_array") -> FloatArray:
-        """Return the derivatives of the prediction by the modulus in parts of the body, shape (n_fields, size), mm and mN.
+        """Return the derivatives of the prediction by the modulus in parts of the body, (n_fields, size), mm and mN.
 
         `shares` (n_tets, n_fields), sparse: share of every tet that belongs to each part. The derivatives are by the
         relative change of the modulus: extrapolated linearly, they are the changes for a doubled modulus.
@@ -104,7 +104,7 @@ class Bench:
 
     @cached_property
     def by_young(self) -> FloatArray:
-        """Derivative of the prediction by the relative change of the whole body's modulus, shape (1, size), mm and mN."""
+        """Derivative of the prediction by the relative change of the whole body's modulus, (1, size), mm and mN."""
         if not self.is_elastic:
             forces = np.where(self.layout.of_markers(), 0.0, self.base)
             if self.scales_forces:
@@ -118,7 +118,7 @@ class Bench:
     def change(self, *effects: Effect) -> FloatArray | None:
         """Return the change (size,) of the prediction that effects make together, mm and mN.
 
-        None where an effect does not apply, or the body has no equilibrium with them.
+        The result is None where an effect does not apply, or the body has no equilibrium with them.
         """
         return self.changes([effects])[0]
 
@@ -139,7 +139,7 @@ class Bench:
         return self.side_by_side(one, tried)
 
     def side_by_side(self, work: Callable[[_In], _Out], tried: Sequence[_In]) -> list[_Out]:
-        """Return `work(one)` for every entry `one` of `tried`, in the order of `tried`; calls run in parallel, one a thread."""
+        """Return `work(one)` for every entry `one` of `tried`, in order; calls run in parallel, each on one thread."""
         workers = self.predictor.threads or os.cpu_count() or 1
         if workers == 1 or len(tried) == 1:
             return [work(one) for one in tried]

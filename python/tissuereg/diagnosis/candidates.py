@@ -56,7 +56,7 @@ def refitted(
     required: Mapping[str, float],
     progress: Callable[[str], None] | None,
 ) -> list[Candidate]:
-    """Return the causes with enough linear evidence, each fitted with those found before, as candidates, likeliest first.
+    """Return the causes with enough linear evidence, each fitted with those found before, likeliest first.
 
     For candidates that come near to acceptance the discretisation error of the causes is corrected. `target`: data,
     believed model, noise and nuisances; `screen`: all hypotheses of the bank; `screened`: linear evidence of all causes

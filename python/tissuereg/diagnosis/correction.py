@@ -32,8 +32,7 @@ class OfEffect:
     def share(self, coarse: FloatArray) -> FloatArray:
         """Return the amount of the effect, shape (...), in predictions (..., size) on the user's mesh, mm and mN.
 
-        The amount is 0 for the believed model and 1 for the model with the effect; predictions are at the believed
-        modulus.
+        The amount is 0 for the believed model, 1 for that with the effect; predictions are at the believed modulus.
         """
         return np.asarray((coarse - self.base) @ self.along)
 
@@ -76,17 +75,14 @@ class Correction:
         return self._mapped(coarse) + scale * missing
 
     def of_columns(self, columns: FloatArray) -> FloatArray:
-        """Return derivatives (..., size) of predictions on the user's mesh as the finer mesh would give them.
+        """Return derivatives (..., size) of a prediction on the user's mesh, converted to the finer mesh and modulus.
 
         They are given at the believed modulus and returned for the modulus of this correction.
         """
         return self.at_modulus(self._mapped(columns))
 
     def at_modulus(self, columns: FloatArray) -> FloatArray:
-        """Return derivatives (..., size) of predictions at the believed modulus, for the modulus of this correction.
-
-        Those of forces scale with the modulus, those of markers stay.
-        """
+        """Return derivatives (..., size) of a prediction, converted from the believed modulus to `self.modulus`."""
         return np.asarray(columns * self._scale(self.modulus))
 
     def with_effect(self, base: FloatArray, coarse: FloatArray, fine: FloatArray, std: FloatArray) -> "Correction":

@@ -102,8 +102,7 @@ def residual_summary(layout: SignalLayout, screen: Screen, found: Search, misfit
 def largest_residuals(layout: SignalLayout, reduced: FloatArray) -> list[str]:
     """Return the names of the markers and pads with the largest root mean square residuals, the largest first.
 
-    `reduced` (size,): residual whitened by noise and nuisances. At most `MOST_PLACES` are named, and only those above
-    `ABOVE`.
+    `reduced` (size,): whitened by noise and nuisances. At most `MOST_PLACES` are named, and only those above `ABOVE`.
     """
     power: dict[str, float] = {}
     count: dict[str, float] = {}
@@ -122,10 +121,7 @@ def largest_residuals(layout: SignalLayout, reduced: FloatArray) -> list[str]:
 
 
 def worst_frame(layout: SignalLayout, reduced: FloatArray) -> tuple[str, float]:
-    """Return the name of the case and the time, in s, of the frame with the largest sum of squared residuals.
-
-    `reduced` (size,): residual whitened by noise and nuisances.
-    """
+    """Return the case and the time, s, of the frame with the largest sum of squares in a whitened residual (size,)."""
     worst = ("", 0.0, -np.inf)
     for part in layout.parts:
         power = (part.markers(reduced) ** 2).sum(axis=(1, 2)) + (part.forces(reduced) ** 2).sum(axis=(1, 2))
@@ -136,10 +132,9 @@ def worst_frame(layout: SignalLayout, reduced: FloatArray) -> tuple[str, float]:
 
 
 def nearest_cause(screen: Screen, found: Search) -> str:
-    """Return the id of the cause, other than those found, with the most linear evidence in the remaining residual.
+    """Return the id of the further cause that the remaining residual resembles most, or ``"unknown"``.
 
-    `screen`: all hypotheses; `found`: the search with its residual. The result is ``"unknown"`` below `LOOKS_LIKE`
-    nats.
+    It is ``"unknown"`` where no cause has a log Bayes factor of at least `LOOKS_LIKE` nats.
     """
     gains = {name: one.log_bayes_factor for name, one in screen.of(found.reduced).items()}
     named = set(found.final.ids)

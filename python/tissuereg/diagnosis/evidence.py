@@ -35,7 +35,7 @@ class Null:
             self._modes, self._shrink = np.zeros((0, nuisances.shape[1])), np.zeros(0)
 
     def reduced(self, white: FloatArray) -> FloatArray:
-        """Return whitened vectors (..., size) times C0^-1/2, which integrates the nuisance parameters out of them."""
+        """Return whitened vectors (..., size) times C0^-1/2, where C0 is the covariance of noise and nuisances."""
         return np.asarray(white - ((white @ self._modes.T) * self._shrink) @ self._modes)
 
 

@@ -65,7 +65,7 @@ def findings_of(target: FitTarget, screen: Screen, found: Search, thresholds: Ma
 
 
 def group_of(step: Step, threshold: float, named: Collection[str] = ()) -> tuple[str, ...]:
-    """Return the ids of the cause that a round found and of those that the data cannot distinguish from it, likeliest first.
+    """Return the id of the cause that a round found, then those the data cannot distinguish from it, likeliest first.
 
     `step`: round in which a cause was found; `threshold`: log Bayes factor required of that cause, nats; `named`: ids
     that are findings themselves and join no group. Result: at most `MOST_IN_GROUP` ids.
@@ -112,7 +112,7 @@ def _gains(step: Step) -> dict[str, float]:
 
 
 def _chances(step: Step) -> dict[str, float]:
-    """Return the posterior probability of every cause in a round, by id."""
+    """Return the posterior probability, by id, of every cause in a round, of the generic rival and of no cause."""
     gains = _gains(step)
     if step.found is not None:
         # The held-out proof has distinguished the cause from the generic rival.
