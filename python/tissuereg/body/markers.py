@@ -103,7 +103,7 @@ class Markers:
 
 
 def _kept(keep: Any, n_markers: int) -> IntArray:
-    """Return the rows that a mask or indices choose."""
+    """Return the numbers of the markers that a boolean mask (n_markers,) or a list of indices chooses."""
     try:
         rows = np.arange(n_markers)[keep]
         reason = ""
@@ -128,7 +128,7 @@ def _spread(std: Any, n_markers: int) -> FloatArray:
 
 
 def _as_given(spread: FloatArray) -> FloatArray:
-    """Return one number per marker where its axes agree, as given."""
+    """Return standard deviations (n_markers, 3) as (n_markers,) where the three axes of every marker agree, mm."""
     return spread[:, 0] if len(spread) and np.array_equal(spread, spread[:, [0, 0, 0]], equal_nan=True) else spread
 
 

@@ -287,7 +287,7 @@ class TargetObservation:
         self._corners = np.searchsorted(self.nodes, nodes)
 
     def predict(self, displacement: FloatArray) -> FloatArray:
-        """Return the displacement of every target; `displacement` as in `MarkerObservation.predict`."""
+        """Return the displacement of every target, (..., n_targets, 3), given that of `nodes`, (..., k, 3), mm."""
         return np.asarray(np.einsum("tc,...tcx->...tx", self._weights, displacement[..., self._corners, :]))
 
     def points(self, n_nodes: int) -> Any:
@@ -375,7 +375,7 @@ def _barycentric(corners: FloatArray, places: FloatArray) -> FloatArray:
 
 
 def _patches(mesh: Mesh, triangles: IntArray) -> list[IntArray]:
-    """Return, for each triangle, the surface nodes of all triangles that touch it."""
+    """Return for each triangle the numbers of the surface nodes of all triangles that touch it."""
     patches = []
     for triangle in triangles:
         touching = np.isin(mesh.surface, mesh.surface[triangle]).any(axis=1)
@@ -473,7 +473,7 @@ class _Locator:
         self._inverse = np.linalg.inv(np.moveaxis(self._corners[:, 1:] - self._corners[:, :1], 1, 2))
 
     def locate(self, name: str, point: FloatArray) -> tuple[int, FloatArray]:
-        """Return the tet that contains a point, or the closest one, and the barycentric weights (4,)."""
+        """Return the number of the tet that contains a point (3,), or is closest to it, and its weights (4,)."""
         if not np.isfinite(point).all():
             message = f"target '{name}' must be finite, got {point.tolist()}"
             raise MarkerError(message, where=name)
@@ -500,7 +500,7 @@ class _Locator:
         return tet, weights[tet]
 
     def _weights(self, tets: IntArray, point: FloatArray) -> FloatArray:
-        """Return the barycentric weights (n, 4) of a point in some tets."""
+        """Return the barycentric weights (n, 4) of a point (3,), mm, in tets with numbers (n,)."""
         inner = np.einsum("tij,tj->ti", self._inverse[tets], point - self._corners[tets, 0])
         return np.concatenate([1.0 - inner.sum(axis=1, keepdims=True), inner], axis=1)
 

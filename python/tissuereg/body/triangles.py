@@ -76,12 +76,12 @@ class Triangles:
 
 
 def triangle_areas(corners: FloatArray) -> FloatArray:
-    """Return areas from corners (..., 3, 3)."""
+    """Return the areas (...) of triangles from the places of their corners (..., 3, 3); mm give mm^2."""
     across = np.cross(corners[..., 1, :] - corners[..., 0, :], corners[..., 2, :] - corners[..., 0, :])
     return np.asarray(0.5 * np.linalg.norm(across, axis=-1))
 
 
 def signed_volumes(corners: FloatArray) -> FloatArray:
-    """Return the signed volumes of the tets from the origin to corners (..., 3, 3)."""
+    """Return the signed volumes (...) of the tets from the origin to triangles with corners (..., 3, 3)."""
     across = np.cross(corners[..., 0, :], corners[..., 1, :])
     return np.asarray(np.einsum("...i,...i->...", across, corners[..., 2, :]) / 6.0)

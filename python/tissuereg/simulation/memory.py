@@ -233,7 +233,10 @@ def _standing_times(experiment: Experiment, begin: float) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class _Growing:
-    """Final displacement of a growing body that nothing touches, (n_nodes, 3) in mm."""
+    """The final displacement of a body that grows and that nothing touches.
+
+    `swelling`: the growth; `field` (n_nodes, 3): displacement when it is complete, mm.
+    """
 
     swelling: Swelling
     field: FloatArray

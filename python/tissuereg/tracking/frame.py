@@ -32,7 +32,7 @@ class Inbox:
         self.dropped = 0
 
     def push(self, frame: MeasuredFrame) -> None:
-        """Put a frame in; one that waits is dropped."""
+        """Put a frame in; a frame that is still waiting to be registered is dropped and counted."""
         with self._lock:
             if self._frame is not None:
                 self.dropped += 1

@@ -177,7 +177,7 @@ class Columns:
         return np.asarray(np.einsum("kpx,px->pk", self.rigid_field(places), directions))
 
     def rigid_field(self, places: FloatArray) -> FloatArray:
-        """Return the motions (6, n_points, 3) of places by unit translations and rotations, mm."""
+        """Return the motions (6, n_points, 3), mm, of places (n_points, 3) by unit translations and rotations."""
         pivot, length = self.rigid
         moves = np.zeros((6, len(places), 3))
         for axis in range(3):

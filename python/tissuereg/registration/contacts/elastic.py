@@ -67,7 +67,7 @@ class ElasticBody:
 
     @cached_property
     def _free(self) -> IntArray:
-        """Nodes of the surface that are not held."""
+        """Numbers of the surface nodes that are not held, int64 (n_free,)."""
         return np.setdiff1d(self.mesh.surface_nodes, self.mesh.fixed_nodes)
 
     @cached_property

@@ -126,7 +126,7 @@ def _best_over_sizes(
 
 
 def _log_normal(innovation: FloatArray, covariance: FloatArray) -> float:
-    """Return the logarithm of a normal density of mean zero, up to a constant."""
+    """Return log N(v; 0, C) up to a constant, for an innovation v (n_obs,), mm, and covariance C, mm^2."""
     factor = np.linalg.cholesky(covariance)
     white = np.linalg.solve(factor, innovation)
     return -0.5 * float(white @ white) - float(np.log(np.diag(factor)).sum())

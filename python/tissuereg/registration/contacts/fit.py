@@ -319,7 +319,11 @@ class Passes:
         return BodyState(self.columns.without_frame(coefficients), found.all_displacement, frame)
 
     def residual_rms(self, state: BodyState, samples: Samples, std: FloatArray | None = None) -> float:
-        """Return the root mean square residual over standard deviations, observations weighted by not being wrong."""
+        """Return the root mean square residual of a body, over standard deviations.
+
+        Each observation is weighted by its probability of not being wrong; `std` (n_obs,): standard deviations, mm, by
+        default those at the body.
+        """
         reading = self.observed.read(state)
         if std is not None:
             return float(np.sqrt(np.mean((reading.residual / std) ** 2)))
@@ -373,7 +377,10 @@ class Passes:
 
 
 def _predicted_residual(problem: LinearObservations, coefficients: FloatArray, samples: Samples) -> float:
-    """Return the root mean square residual that the linear model predicts, over standard deviations."""
+    """Return the root mean square residual, over standard deviations, that the linear model predicts.
+
+    `coefficients` (n_columns,): of the causes; `samples`: of the posterior, for the probability that a marker is wrong.
+    """
     residual = (problem.innovation - problem.responses @ coefficients) ** 2 / problem.variances
     weights = np.ones(len(residual))
     for group, wrong in zip(problem.groups, samples[2].mean(axis=0), strict=True):

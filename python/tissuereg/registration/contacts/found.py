@@ -100,7 +100,7 @@ def _next(fit: ContactFit, slots: Any, left: BoolArray) -> tuple[FoundContact, B
 
 
 def _force(fit: ContactFit, centre: FloatArray, radius: float) -> FloatArray:
-    """Return the mean force on the surface within a ball, mN."""
+    """Return the mean force (3,), mN, on the part of the surface within a ball about `centre` (3,), mm."""
     columns = fit.columns
     within = np.linalg.norm(columns.body.mesh.nodes - centre, axis=1) <= 1.2 * radius
     loads = columns.load(fit.state.coefficients)

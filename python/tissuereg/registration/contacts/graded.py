@@ -79,7 +79,7 @@ class _Trial:
         return self.passes.material.scaled(np.exp(rates @ self.profiles))
 
     def log_evidence(self, rates: FloatArray) -> float:
-        """Return the logarithm of the evidence times the prior of the rates, up to a constant."""
+        """Return the logarithm of evidence times prior, up to a constant, for rates (3,) of the stiffness."""
         material = self.material(rates)
         trial = replace(self.passes, material=material, columns=self.passes.columns.made_of(material))
         prior = -0.5 * float(np.sum((rates / trial.settings.graded_log_std) ** 2))

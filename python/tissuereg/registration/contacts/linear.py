@@ -75,7 +75,10 @@ class Linearisation:
     def observations(
         self, tangent: Tangent, reading: Observations, coefficients: FloatArray, observed: ObservedData
     ) -> LinearObservations:
-        """Return observations as they are, or, if they are many, a projection that keeps nearly all information."""
+        """Return observations linearised at a body; if they are many, a projection that keeps nearly all information.
+
+        `reading`: observations at the body; `coefficients` (n_columns,): of the causes there; `observed`: the data.
+        """
         rigid = self.columns.rigid_rows(reading.places, reading.directions)
         if not observed.weighed:
             return plain(reading, self._responses(tangent, reading.rows, rigid), coefficients)
@@ -91,7 +94,10 @@ class Linearisation:
         return projected(reading, basis, few, coefficients)
 
     def _responses(self, tangent: Tangent, rows: list[Row], rigid: FloatArray) -> FloatArray:
-        """Return the responses of rows of nodes and weights to the columns, (n_rows, n_columns)."""
+        """Return how observations respond to the causes, (n_rows, n_columns), mm for a unit of each coefficient.
+
+        `rows`: nodes and weights of each; `rigid` (n_rows, 6): their motions by unit rigid motions, mm.
+        """
         with self.clock.stage("sensitivities"):
             compliance, solved = tangent.compliance(rows, self._solved)
             self.counters["right_hand_sides"] += solved

@@ -139,7 +139,7 @@ class MarkerData:
         return np.asarray(np.linalg.norm(np.where(self.mask, self.markers.measured - places, 0.0), axis=1))
 
     def std(self, frame: RigidMotion) -> FloatArray:
-        """Return the standard deviation of each component seen: the tracker's and the model's, mm."""
+        """Return the standard deviation (n_obs,), mm, of each component seen: tracker's and model's."""
         both = np.hypot(self.markers.axis_std, self.model_error * self.moved(frame)[:, None])
         return np.asarray(both.ravel()[self.rows])
 
@@ -250,5 +250,9 @@ def tail_variance(squares: FloatArray | float, count: int) -> FloatArray:
 
 
 def tail_cost(squares: FloatArray | float, count: int) -> FloatArray:
-    """Return minus twice the logarithm of Student's density, up to a constant; about `count` for noise alone."""
+    """Return minus twice the logarithm of Student's density of squared residuals, up to a constant.
+
+    `squares`: squared length of the residuals of `count` observations, in standard deviations. About `count` for noise
+    alone.
+    """
     return np.asarray((MATCHING.tail + count) * np.log1p(np.asarray(squares) / MATCHING.tail), np.float64)

@@ -74,7 +74,7 @@ class Basis:
         return cls(np.ascontiguousarray(vectors[:, ::-1][:, :n_kept].T), max(dropped, 0.0))
 
     def rows(self, reading: Observations) -> list[tuple[IntArray, FloatArray]]:
-        """Return nodes and weights of the projected observations."""
+        """Return nodes (k,) and weights (k, 3) of every projected observation."""
         nodes, root = self.nodes(reading), self.vectors / reading.std
         weights = np.zeros((len(reading.rows), len(nodes), 3))
         for row, (own, given) in enumerate(reading.rows):
@@ -84,12 +84,15 @@ class Basis:
 
     @staticmethod
     def nodes(reading: Observations) -> IntArray:
-        """Return all nodes on which observations depend, sorted."""
+        """Return the numbers of all nodes on which observations depend, sorted."""
         return np.unique(np.concatenate([own for own, _ in reading.rows]))
 
 
 def plain(reading: Observations, responses: FloatArray, coefficients: FloatArray) -> LinearObservations:
-    """Return observations as they are, with their responses (n_obs, n_columns) at the present coefficients."""
+    """Return observations as they are, in linear form.
+
+    `responses` (n_obs, n_columns): to the causes, mm; `coefficients` (n_columns,): at which they were linearised.
+    """
     return LinearObservations(
         responses, reading.residual + responses @ coefficients, reading.std**2, reading.groups, reading.rows
     )
@@ -98,7 +101,11 @@ def plain(reading: Observations, responses: FloatArray, coefficients: FloatArray
 def projected(
     reading: Observations, basis: Basis, responses: FloatArray, coefficients: FloatArray
 ) -> LinearObservations:
-    """Return projected observations with their responses (n_kept, n_columns) at the present coefficients."""
+    """Return observations projected onto a basis, in linear form.
+
+    `responses` (n_kept, n_columns): of the projected ones to the causes; `coefficients` (n_columns,): at which they
+    were linearised.
+    """
     root = basis.vectors / reading.std
     innovation = root @ reading.residual + responses @ coefficients
     return LinearObservations(responses, innovation, np.ones(len(root)), [], basis.rows(reading), basis.dropped_signal)

@@ -192,7 +192,10 @@ def _in_parts(count: int) -> Iterator[slice]:
 def _forces_of_errors(
     fit: ContactFit, errors: tuple[Sequence[Cause], FloatArray], of_supports: FloatArray
 ) -> FloatArray:
-    """Return the unbalanced forces due to model errors at their sizes, (n_errors, n_element_nodes, 3), mN."""
+    """Return the unbalanced forces (n_errors, n_element_nodes, 3), mN, by errors of the model of their usual size.
+
+    `errors`: causes and their standard deviations; `of_supports`: forces by errors of the supports' stiffness.
+    """
     causes, scales = errors
     forces = np.empty((len(causes) + len(of_supports), *of_supports.shape[1:]))
     for some in _in_parts(len(causes)):
@@ -212,7 +215,10 @@ def unseen_variances(patches: Patches, settings: ContactSettings, n_columns: int
 
 
 def linear_fields(fit: ContactFit, change: FloatArray, forces: FloatArray) -> FloatArray:
-    """Return displacement fields (n, n_element_nodes, 3) of changes of coefficients and of further nodal forces."""
+    """Return the displacement fields (n, n_element_nodes, 3), mm, that changes of the load cause, linearised.
+
+    `change` (n, n_columns): changes of coefficients; `forces` (n, n_element_nodes, 3): further nodal forces, mN.
+    """
     columns = fit.columns
     total = forces + columns.forces(change)
     fields = fit.tangent.linearised.responses(np.ascontiguousarray(total))

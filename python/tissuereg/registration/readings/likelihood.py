@@ -209,6 +209,6 @@ def _gaussian(variance: FloatArray, turned: FloatArray, columns: FloatArray, fac
 
 
 def log_mean_exp(values: FloatArray) -> FloatArray:
-    """Return the logarithm of the mean of the exponentials along the first axis."""
+    """Return the logarithm of the mean of exp(values) along the first axis."""
     top = values.max(axis=0)
     return np.asarray(top + np.log(np.exp(values - top).mean(axis=0)))

@@ -111,7 +111,10 @@ def _rotation(vector: FloatArray) -> FloatArray:
 
 
 def _described(turn: FloatArray, shift: FloatArray, given: Given) -> str:
-    """Return a rigid motion in words: how far it moves the markers' middle, mm, and the angle (3, 3) turns, degrees."""
+    """Return a rigid motion in words: how far it moves the markers' middle, mm, and its angle, degrees.
+
+    `turn` (3, 3): rotation; `shift` (3,): mm.
+    """
     middle = given.reference.mean(axis=0)
     far = float(np.linalg.norm(turn @ middle + shift - middle))
     angle = float(np.degrees(np.arccos(np.clip(0.5 * (np.trace(turn) - 1.0), -1.0, 1.0))))

@@ -50,7 +50,7 @@ class Weighed:
 
 
 def chosen_rows(given: Given) -> IntArray:
-    """Return the markers that are used: all, or of many those spread over the body and the unusual ones."""
+    """Return the numbers of the markers used: all; or, of many, those spread over the body and unusual ones."""
     n = len(given.names)
     if n <= PROPOSALS.spread_markers + PROPOSALS.odd_markers:
         return np.arange(n)
