@@ -13,14 +13,15 @@ SIZE = 0.1
 
 
 class SetCause(Cause):
-    """Permanent set."""
+    """The possible error that a share of the largest strain remains when the load is gone (no fields)."""
 
     id: ClassVar[str] = "set"
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return one hypothesis.
+        """Return one hypothesis: a fixed share of the largest strain remains; none where a set is already believed.
 
-        `bench`: the believed model and its sensitivities. Columns of a hypothesis are (p, size), in mm and mN.
+        `bench`: the simulation as believed. Columns of a hypothesis, shape (1, size), are the change of all `size`
+        measured numbers (markers in mm, forces in mN) by that set.
         """
         if any(effect.id == self.id for effect in bench.experiment.effects):
             return
@@ -29,10 +30,10 @@ class SetCause(Cause):
             yield Variant("share", changed[None], positive=True)
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
-        """Return the logit of the share.
+        """Return one free parameter: the logit of the share of the largest strain that remains.
 
-        `bench`: the believed model; `variant`: hypothesis from which the nonlinear fit starts; `amplitudes` (p,): its
-        fitted linear amplitudes, in prior standard deviations.
+        `bench`: the simulation as believed; `variant`: hypothesis that starts the fit; `amplitudes` (1,): its fitted
+        amplitudes, in prior standard deviations. The result has first guess, prior, step and effect of each parameter.
         """
         return free_parameters(
             [(logit(SIZE * float(amplitudes[0]), 0.005), logit(SIZE), 1.2, 0.1)],
@@ -41,6 +42,6 @@ class SetCause(Cause):
         )
 
     def sentence(self, values: Values) -> str:
-        """Return the finding as a sentence, from its fitted parameters (`values`, by key of ``[[effect]]``)."""
+        """Return the finding as a sentence; `values` has the fitted `fraction` of the strain that remains."""
         share = values["fraction"]
         return f"The body does not return to its shape: {100 * share:.1f} % of its largest strain remains."

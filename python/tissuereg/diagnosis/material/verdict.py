@@ -36,7 +36,7 @@ class SelectionOutcome:
     Attributes
     ----------
     verdict : {"named", "group", "consistent", "unexplained"}
-        Verdict.
+        Causes are named, or known up to a group; or the curves are consistent with the believed law, or unexplained.
     known : Hypothesis
         The believed law with the causes found.
     believed : MaterialFit
@@ -44,7 +44,7 @@ class SelectionOutcome:
     refined : Refined or None
         The reported fit of the findings; None without findings.
     findings : tuple of MaterialFinding
-        Empty where the verdict is consistent or unexplained.
+        Named causes; empty where the verdict is consistent or unexplained.
     candidates : tuple of CandidateCause
         Every cause tried alone, and the generic misfit.
     threshold : float
@@ -54,7 +54,7 @@ class SelectionOutcome:
     explained : float
         Share of the misfit (in squared units of noise) that the findings explain; NaN without findings.
     before, after, patch : HeldOutErrors
-        Of the believed law, with the findings, and with a generic misfit.
+        Errors on held-out data of the believed law, with the findings, and with a generic misfit.
     unit : str
         What was held out in turn: a mode, a rate, a specimen or a part of a curve.
     noise : CurveNoise
@@ -62,7 +62,7 @@ class SelectionOutcome:
     bench : ProofInput
         Rows, covariances and the parts that are held out.
     scene : Scene
-        What the curves can show.
+        Tested modes and ranges of strain, time and stress.
     """
 
     verdict: str
@@ -135,10 +135,9 @@ def find_out(experiment: MaterialExperiment, seed: int, progress: Callable[[str]
 
 
 def bench_of(experiment: MaterialExperiment) -> tuple[ProofInput, CurveNoise]:
-    """Return everything that fits and held-out proofs of an experiment need.
+    """Return the rows, covariances and folds that fits and proofs of an experiment need, and the noise of its curves.
 
-    `experiment`: believed law and measured curves. Result: `bench`: rows, covariances and folds; `noise`: noise of the
-    curves.
+    `experiment`: believed law and measured curves.
     """
     data, noise = data_of(experiment), noise_of(experiment)
     own, generic = covariance(data, noise), generic_covariance(data)
@@ -151,7 +150,10 @@ def bench_of(experiment: MaterialExperiment) -> tuple[ProofInput, CurveNoise]:
 
 
 def _without_near_modulus(search: MaterialSearch, none: Hypothesis, known: Hypothesis) -> Hypothesis:
-    """Return the hypothesis without a finding of the modulus where that lies within its prior."""
+    """Return `known` without the cause "stiffness" where the fitted modulus lies within its prior.
+
+    `none` is the hypothesis without causes.
+    """
     if "stiffness" not in known.ids:
         return known
     return known if search.far_modulus(known.fit) else search.without(none, known, "stiffness")
