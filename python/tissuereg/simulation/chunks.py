@@ -185,7 +185,11 @@ class ChunkMaker:
         threads: int,
         progress: Callable[[int], None] | None = None,
     ) -> tuple[FloatArray, dict[int, str]]:
-        """Return displacements (n, n_nodes, 3) in mm, NaN for members without equilibrium, and the reasons of these."""
+        """Return the displacements (n, n_nodes, 3) of events, mm, and the reason for each that has no equilibrium.
+
+        `size` (n,): force of each event, mN; `materials`: of each; `progress`: called with the members that are done.
+        Displacements without equilibrium are NaN.
+        """
         loads = [event.load(self.simulator, s) for event, s in zip(events, size, strict=True)]
         found = self.simulator.solve_many(loads, materials, threads=threads, progress=progress, **SOLVE)
         displacement, lost = found.displacement, dict(found.failed)

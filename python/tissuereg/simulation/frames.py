@@ -251,7 +251,11 @@ class _Plan:
     def build(
         self, spreader: Simulator, material: Material, behaviour: Behaviour | None, hangs_in: FloatArray | None
     ) -> _core.Rig:
-        """Return the rig at its beginning."""
+        """Return the compiled rig in its state at the beginning.
+
+        `spreader`: distributes loads over nodes; `behaviour`: inelastic behaviour, if any; `hangs_in` (3,) or None:
+        weight under which the mesh was imaged, mN/mm^3.
+        """
         young, poisson = spreader.moduli(material)
         body = _core.Body(
             self.mesh.nodes,

@@ -133,7 +133,7 @@ def frames_of_own(experiment: Experiment, case: Case) -> tuple[IntArray, IntArra
 
 
 def _only(case: Case, frames: IntArray) -> Case:
-    """Return some frames of the loads of a case."""
+    """Return a case that has only some frames of its loads; `frames` int64: their numbers."""
     return replace(
         case,
         times=case.times[frames],
@@ -223,7 +223,7 @@ def behaviour_of(experiment: Experiment) -> behaviour.Behaviour | None:
 
 
 def _standing_times(experiment: Experiment, begin: float) -> FloatArray:
-    """Return the frames in which a body with a weight or a swelling comes to rest before its first case."""
+    """Return the times, s, at which a body comes to rest under its weight or growth before its first case."""
     fading = [tau for effect in experiment.effects if isinstance(effect, Relaxation) for tau in effect.tau_s]
     fading += [effect.tau_s for effect in experiment.effects if isinstance(effect, Drainage)]
     swells = any(isinstance(effect, Swelling) for effect in experiment.effects)
@@ -242,7 +242,7 @@ class _Growing:
     field: FloatArray
 
     def moved(self, nodes: IntArray, times: FloatArray) -> FloatArray:
-        """Return how far a patch has moved on since the first of some times, (n, 3) in mm."""
+        """Return how far a patch of nodes has moved since the first of times (n,), s: (n, 3), mm."""
         share = self.swelling.share(times)
         return np.asarray((share - share[0])[:, None] * self.field[nodes].mean(axis=0))
 
@@ -278,7 +278,7 @@ def _pads(
 
 
 def _held(experiment: Experiment) -> IntArray:
-    """Return the nodes of all boundaries that do not slide."""
+    """Return the numbers of the nodes of all boundaries that do not slide."""
     sliding = {effect.boundary for effect in experiment.effects if isinstance(effect, Sliding)}
     if not sliding:
         return experiment.mesh.fixed_nodes

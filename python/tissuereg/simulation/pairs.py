@@ -22,7 +22,10 @@ PAIRS_NAME = "pairs.h5"
 
 @dataclass(frozen=True)
 class PairsReport:
-    """What is known about the pairs' file: its size and SHA-256, and whether it was made now."""
+    """What is known about the file of pairs.
+
+    `n_bytes`: its size; `sha256`: its SHA-256, hexadecimal; `made`: whether it was made now.
+    """
 
     n_bytes: int
     sha256: str
@@ -98,7 +101,7 @@ def simulated_pairs(
 
 
 def _inclusion(maker: ChunkMaker, rng: np.random.Generator) -> FloatArray:
-    """Return the factor on Young's modulus of every tet: a stiff ball around a random node, or none."""
+    """Return the factor (n_tets,) on Young's modulus: that of a stiff ball about a random node, or one."""
     pairs, mesh = maker.recipe.pairs, maker.simulator.mesh
     ball = random_inclusion(mesh, rng, pairs.inclusion_radius_mm, pairs.inclusion_contrast)
     return ball if rng.random() < pairs.inclusion_share else np.ones(mesh.n_tets)

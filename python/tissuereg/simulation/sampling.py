@@ -121,7 +121,7 @@ class EventSampler:
         return row, self.mesh.extent * rng.uniform(*self.settings.radius_share)
 
     def _body_force(self, rng: np.random.Generator) -> FloatArray:
-        """Return a body force in mN/mm^3, or zero."""
+        """Return a random body force (3,), mN/mm^3, or zero."""
         if rng.random() < self.settings.body_force_share:
             return np.asarray(_direction(rng) * rng.uniform(0.0, 1.5) / self._volume)
         return np.zeros(3)
@@ -164,7 +164,10 @@ class EventSampler:
 
 @dataclass(frozen=True, eq=False)
 class Patch:
-    """A loaded part of the surface: centre and radius in mm, total force of an event of unit size in mN."""
+    """A loaded part of the surface.
+
+    `centre` (3,): mm; `radius`: mm; `force` (3,): total force of an event of unit size, mN.
+    """
 
     centre: FloatArray
     radius: float

@@ -154,7 +154,7 @@ class Simulator:
         return 1 if self.element == "tet4" else 4
 
     def forces(self, load: Load) -> FloatArray | None:
-        """Return all nodal forces of a load, tractions included, in mN; None where there are none."""
+        """Return the nodal forces (n_element_nodes, 3) of a load, mN, tractions included; None where there are none."""
         of_kind("load", load, Load)
         total = None
         if load.forces is not None:

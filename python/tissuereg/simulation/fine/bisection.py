@@ -112,7 +112,10 @@ class Bisection:
         return Mesh(self.nodes, self.tets, {name: self.carried(nodes) for name, nodes in node_sets.items()})
 
     def carried(self, nodes: IntArray) -> IntArray:
-        """Return a node set of the initial mesh, new nodes included, sorted."""
+        """Return a node set of the initial mesh with the new nodes that belong to it, sorted node numbers.
+
+        A new node belongs to it if both ends of its edge do.
+        """
         member = np.zeros(len(self.nodes), dtype=bool)
         member[nodes] = True
         of_surface = bool(self.on_surface[nodes].all())
@@ -122,7 +125,10 @@ class Bisection:
         return np.flatnonzero(member)
 
     def _longest(self, tets: IntArray) -> tuple[FloatArray, IntArray]:
-        """Return length in mm and key of the longest edge of tets; of equally long ones that with the largest key."""
+        """Return length (n,), mm, and key (n,) of the longest edge of each of some tets.
+
+        Of equally long edges the one with the largest key is taken.
+        """
         ends = np.sort(tets[:, _EDGES], axis=2)
         lengths = np.linalg.norm(self.nodes[ends[..., 1]] - self.nodes[ends[..., 0]], axis=2)
         length = lengths.max(axis=1)
@@ -139,7 +145,7 @@ class Bisection:
         return now
 
     def _cut_apart(self, edges: IntArray, places: FloatArray) -> IntArray:
-        """Cut edges of which no two belong to one tetrahedron; return the new nodes."""
+        """Cut edges (n, 2), no two of one tetrahedron, at places (n, 3), mm; return the new nodes (n,)."""
         keys = _keys(edges, _PAIR)[:, 0]
         order = np.argsort(keys)
         new = len(self.nodes) + np.arange(len(edges))

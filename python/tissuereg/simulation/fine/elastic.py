@@ -103,7 +103,10 @@ def guess(state: FloatArray, solved: list[tuple[FloatArray, FloatArray]]) -> Flo
 
 
 def _along(state: FloatArray, solved: list[tuple[FloatArray, FloatArray]]) -> list[tuple[float, FloatArray]]:
-    """Return the solved states on the line from no load to a state: position along it, and fields."""
+    """Return the solved states on the line from no load to a state: (position along it, field) each.
+
+    `state` (n_parts,): its loads; `solved`: loads (n_parts,) and field (n_nodes, 3), mm, of each solved state.
+    """
     size = max(float(np.linalg.norm(state)), 1e-300)
     line = state / size
     return [(float(s @ line), u) for s, u in solved if np.linalg.norm(s - (s @ line) * line) <= FINE.along * size]
@@ -118,7 +121,11 @@ def _solve(
     near: FloatArray | None,
     settings: dict[str, Any],
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the field of all nodes and the reactions in a state, started from a similar field if that converges."""
+    """Return the field (n_nodes, 3), mm, and the reactions, mN, in a state of a case.
+
+    `state` (n_parts,): its loads; `solved`: loads and fields of states solved before; `near` (n_nodes, 3) or None:
+    field of a similar model, from which the solution starts if that converges.
+    """
     if near is not None and np.isfinite(near).all():
         with suppress(ConvergenceError, LoadError):
             found = simulator.solve(load, material, start=near, **settings)
@@ -138,7 +145,7 @@ def _solve(
 
 
 def _shares(state: FloatArray, solved: list[tuple[FloatArray, FloatArray]], steps: int) -> FloatArray:
-    """Return shares of a state in equal steps from the nearest smaller one that was solved along the same line."""
+    """Return shares of a state's load, in equal steps up to 1, from the nearest smaller solved state on its line."""
     size = max(float(np.linalg.norm(state)), 1e-300)
     along = [place / size for place, _ in _along(state, solved)]
     before = max((share for share in along if 0.0 < share < 1.0), default=0.0)

@@ -113,7 +113,7 @@ def _groups(experiment: Experiment, rims: Mapping[str, Rim]) -> list[Any]:
 
 
 def _outline_nodes(cutter: Bisection, nodes: IntArray) -> IntArray:
-    """Return the nodes of a patch that touch the surface outside it."""
+    """Return the numbers of the nodes of a patch that touch the surface outside it."""
     outside = cutter.surface[~np.isin(cutter.surface, nodes).all(axis=1)]
     return np.intersect1d(nodes, outside)
 
@@ -126,7 +126,7 @@ def _refine_outline(cutter: Bisection, pad: Actuator, meshing: FineMeshing) -> N
 
 
 def _outline_points(cutter: Bisection, nodes: IntArray) -> tuple[FloatArray, float]:
-    """Return points along the outline of a patch, and the radius of a disc of its area, mm."""
+    """Return points (n, 3) along the outline of a patch, mm, and the radius of a disc of its area, mm."""
     patch = cutter.surface[np.isin(cutter.surface, nodes).all(axis=1)]
     corners = cutter.nodes[patch]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

@@ -148,19 +148,19 @@ def cut_along(cutter: Bisection, rim: Rim, stay: IntArray) -> None:
 
 
 def patch_nodes(cutter: Bisection, rim: Rim) -> IntArray:
-    """Return the surface nodes within a rim and on it, sorted."""
+    """Return the numbers of the surface nodes within a rim (circle that bounds a pad) and on it, sorted."""
     surface = np.flatnonzero(cutter.on_surface)
     return np.asarray(surface[rim.depth(cutter.nodes[surface]) >= 0.0])
 
 
 def rim_nodes(cutter: Bisection, rim: Rim) -> IntArray:
-    """Return the surface nodes on a rim, sorted."""
+    """Return the numbers of the surface nodes on a rim (circle that bounds a pad), sorted."""
     surface = np.flatnonzero(cutter.on_surface)
     return np.asarray(surface[rim.depth(cutter.nodes[surface]) == 0.0])
 
 
 def _crossing_edges(cutter: Bisection, rim: Rim) -> tuple[IntArray, IntArray]:
-    """Return outer and inner ends of the surface's edges that cross a rim."""
+    """Return the surface's edges that cross a rim: their outer ends (n,) and their inner ends (n,), node numbers."""
     edges = cutter.surface_edges()
     depth = rim.depth(cutter.nodes[edges])
     crossing = depth[:, 0] * depth[:, 1] < 0.0
@@ -170,7 +170,10 @@ def _crossing_edges(cutter: Bisection, rim: Rim) -> tuple[IntArray, IntArray]:
 
 
 def _dipping_edges(cutter: Bisection, rim: Rim, least_share: float) -> tuple[IntArray, FloatArray]:
-    """Return edges between outer nodes that enter the ball by a share of their length, and their deepest points."""
+    """Return edges (n, 2) between outer nodes that enter the ball, and their deepest points (n, 3), mm.
+
+    `least_share`: share of an edge's length that must lie inside.
+    """
     edges = cutter.surface_edges()
     edges = edges[(rim.depth(cutter.nodes[edges]) < 0.0).all(axis=1)]
     start = cutter.nodes[edges[:, 0]]

@@ -71,7 +71,7 @@ def jittered(experiment: Experiment, rng: np.random.Generator) -> Mesh:
 
 
 def _shortest_edges(mesh: Mesh) -> FloatArray:
-    """Return the length of the shortest edge at every node, mm."""
+    """Return the length (n_nodes,), mm, of the shortest edge at every node."""
     length = np.linalg.norm(mesh.nodes[mesh.edges[:, 0]] - mesh.nodes[mesh.edges[:, 1]], axis=1)
     shortest = np.full(mesh.n_nodes, np.inf)
     for end in (0, 1):
@@ -80,7 +80,7 @@ def _shortest_edges(mesh: Mesh) -> FloatArray:
 
 
 def _slides(mesh: Mesh, shortest: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """Return steps of surface nodes, each into one of its facets."""
+    """Return random steps (n_nodes, 3), mm, of surface nodes, each along one of its facets; zero inside the body."""
     triangles: IntArray = mesh.surface[rng.permutation(len(mesh.surface))]
     step = np.zeros_like(mesh.nodes)
     for corner in range(3):
