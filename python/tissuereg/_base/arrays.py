@@ -89,12 +89,12 @@ def index_array(name: str, value: Any, shape: tuple[int | None, ...]) -> IntArra
 
 
 def optional_array(name: str, value: Any, shape: tuple[int | None, ...]) -> FloatArray | None:
-    """Return `float_array` of a value; None where it is absent."""
+    """Return a value as a finite float64 array of the given shape; None if the value is None."""
     return None if value is None else float_array(name, value, shape)
 
 
 def stacked(rows: Sequence[FloatArray | None]) -> FloatArray | None:
-    """Return rows of one shape stacked, zero where absent; None where all are."""
+    """Return rows of one shape (k, ...) as an array (n, k, ...), zero where a row is None; None if all rows are."""
     some = next((row for row in rows if row is not None), None)
     if some is None:
         return None

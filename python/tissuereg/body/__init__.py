@@ -1,1 +1,1 @@
-"""A body and what is seen of it, as plain data: mesh, material, load, markers, surfaces."""
+"""A body and its measurements as plain data: tetrahedral mesh, material, load, tracked markers and surface points."""

@@ -1,4 +1,5 @@
-"""The solver's laws as they declare themselves: names, shape parameters, where fits begin."""
+"""The solver's hyperelastic laws: their names, their shape parameters, and the values at which a fit of these begins.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -9,10 +10,16 @@ from tissuereg import _core
 
 @dataclass(frozen=True)
 class ShapeKey:
-    """One shape parameter of a law, dimensionless.
+    """One dimensionless shape parameter of a hyperelastic law: a number that sets the form of the stress-strain curve.
 
-    `name`: in `Material.shape`; `series`: whether it is a list, one number a term; `least`, `largest`: between which a
-    fit seeks it; infinite where there is no bound.
+    Attributes
+    ----------
+    name : str
+        Its key in `Material.shape`.
+    series : bool
+        Whether the parameter is a list with one number per term of the law, as Ogden's exponents are.
+    least, largest : float
+        Bounds between which a fit seeks the parameter; infinite where there is no bound.
     """
 
     name: str
@@ -23,10 +30,17 @@ class ShapeKey:
 
 @dataclass(frozen=True)
 class Declaration:
-    """A law of the solver.
+    """A hyperelastic law of the solver, as the compiled core declares it.
 
-    `name`: in `Material.law`; `shape`: its shape parameters, in order; `starts`: shapes at which a fit begins; none
-    where the number of terms decides.
+    Attributes
+    ----------
+    name : str
+        Its name, as in `Material.law`.
+    shape : tuple of ShapeKey
+        Its shape parameters, in order.
+    starts : tuple of tuple of float
+        Starting points of a fit, each with one value per shape parameter. Empty for a law with series of terms, whose
+        starting points depend on the number of terms.
     """
 
     name: str
@@ -35,7 +49,7 @@ class Declaration:
 
     @property
     def has_terms(self) -> bool:
-        """Whether its shape is one or more series of terms."""
+        """Whether one or more of the law's shape parameters are lists with one number per term."""
         return any(key.series for key in self.shape)
 
 
@@ -52,10 +66,9 @@ DECLARED: Mapping[str, Declaration] = _declared()
 
 
 def shape_of(law: str, *values: float) -> dict[str, Any]:
-    """Return the shape parameters of a law whose first ones have some values; all others vanish.
+    """Return the shape parameters of a law by name: the given values for its first parameters, 0 for all others.
 
-    `law`: without series of terms; `*values`: of the first parameters, in the order of the declaration. Result: as
-    `Material.shape` takes them.
+    `law`: name of a law that has no series of terms; `*values`: values of its first parameters, in the order in which the law declares them. Result: a table of dimensionless numbers by name, for the argument `shape` of `Material`.
 
     Examples
     --------
@@ -67,5 +80,5 @@ def shape_of(law: str, *values: float) -> dict[str, Any]:
 
 
 def main_key(law: str) -> str:
-    """Return the name of the first shape parameter of a law."""
+    """Return the name of the first shape parameter that the law of this name declares."""
     return DECLARED[law].shape[0].name

@@ -10,7 +10,7 @@ from tissuereg.errors import LoadError
 
 @dataclass(frozen=True, eq=False)
 class Load:
-    """Dead loads and prescribed displacements.
+    """Dead loads on a body and prescribed displacements of its held nodes, in one static state.
 
     Parameters
     ----------
@@ -19,14 +19,14 @@ class Load:
     body_force : array_like of float, shape (3,), optional
         Force per undeformed volume in mN/mm^3; `Material.weight` gives gravity's.
     prescribed : array_like of float, shape (n_held, 3), optional
-        Displacement in mm of every held node, in the order of the held nodes; None: zero.
-    traction : tuple of (array_like of int (n, 3), array_like of float (3,)), optional
-        Boundary triangles and the dead traction on them in kPa of undeformed area.
+        Displacement in mm of every held node, in the order of the held nodes. Where it is None, held nodes do not move.
+    traction : tuple of (array_like of int (n, 3), array_like of float (3,) or (n, 3)), optional
+        Boundary triangles as node numbers, and the dead traction on all of them, or on each, in kPa of undeformed area.
 
     Raises
     ------
     ShapeError
-        If a part is not an array of numbers of its shape; whether it fits a body is checked by the solve.
+        If a field is not an array of numbers of the shape stated above. The solve checks whether it fits the body.
     LoadError
         If `traction` is not a pair.
     """

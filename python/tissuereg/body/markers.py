@@ -15,19 +15,20 @@ _MOST_STD = 1e9
 
 
 class Markers:
-    """Markers of one moment.
+    """Tracked markers at one moment: their places on the undeformed body and their measured places.
 
     Parameters
     ----------
     reference : array_like of float, shape (n_markers, 3)
-        Place on or near the undeformed surface in mm.
+        Place of each marker on or near the undeformed surface, in mm.
     measured : array_like of float, shape (n_markers, 3), optional
-        Measured place in mm; NaN = not seen. Without it none was seen yet.
+        Measured place of each marker in mm; NaN where the tracker did not measure a coordinate. If it is left out, no
+        marker counts as measured.
     std : float or array_like of float, shape (n_markers,) or (n_markers, 3)
-        Standard deviation of a measured coordinate in mm, along x, y and z of the tracker if they differ. Infinite
-        along an axis = that coordinate was not seen.
+        Standard deviation of a measured coordinate in mm: one for all markers, one per marker, or one per marker along
+        each of the axes x, y and z of the tracker. Infinite along an axis states that this coordinate was not measured.
     names : sequence of str, optional
-        One per marker, no repeats; by default ``M1``, ``M2``, ...
+        One name per marker, without repeats; by default ``M1``, ``M2`` and so on.
 
     Raises
     ------
@@ -39,10 +40,10 @@ class Markers:
     Attributes
     ----------
     std : ndarray of float64, shape (n_markers,)
-        Root mean square over a marker's axes of their standard deviations, mm.
+        Root mean square of the standard deviations of each marker along its measured axes, mm.
     axis_std : ndarray of float64, shape (n_markers, 3)
-        Standard deviation along each axis, mm. An axis given as infinite has that of the marker's other axes, and its
-        coordinate is NaN.
+        Standard deviation of each marker along each axis, mm. An axis given as infinite gets the marker's value of
+        `std` here, and its measured coordinate is set to NaN.
     """
 
     def __init__(
@@ -77,12 +78,12 @@ class Markers:
 
     @property
     def seen(self) -> "np.ndarray[Any, np.dtype[np.bool_]]":
-        """Which markers have all three coordinates, shape (n_markers,)."""
+        """Whether all three coordinates of each marker were measured, bool, shape (n_markers,)."""
         return np.asarray(np.isfinite(self.measured).all(axis=1))
 
     @property
     def displacement(self) -> FloatArray:
-        """Measured minus reference in mm, NaN where not seen, shape (n_markers, 3)."""
+        """Measured minus reference place of each marker in mm, NaN where not measured, shape (n_markers, 3)."""
         return np.asarray(self.measured - self.reference)
 
     def only(self, keep: Any) -> "Markers":
@@ -96,14 +97,14 @@ class Markers:
         Returns
         -------
         Markers
-            In their order.
+            The selected markers: in their present order for a mask, in the order of `keep` for indices.
         """
         rows = _kept(keep, len(self))
         return Markers(self.reference[rows], self.measured[rows], self.axis_std[rows], [self.names[i] for i in rows])
 
 
 def _kept(keep: Any, n_markers: int) -> IntArray:
-    """Return the rows that a mask or indices choose."""
+    """Return the numbers of the markers that a boolean mask (n_markers,) or a list of indices chooses."""
     try:
         rows = np.arange(n_markers)[keep]
         reason = ""
@@ -116,7 +117,10 @@ def _kept(keep: Any, n_markers: int) -> IntArray:
 
 
 def _spread(std: Any, n_markers: int) -> FloatArray:
-    """Return standard deviations (n_markers, 3) of one for all, one per marker, or one per axis."""
+    """Return standard deviations per marker and axis, shape (n_markers, 3), in mm.
+
+    `std`: one number for all markers, one per marker (n_markers,), or one per marker and axis (n_markers, 3), in mm.
+    """
     if depth("std", std) == 2:
         return float_array("std", std, (n_markers, 3))
     by_marker = (
@@ -128,12 +132,15 @@ def _spread(std: Any, n_markers: int) -> FloatArray:
 
 
 def _as_given(spread: FloatArray) -> FloatArray:
-    """Return one number per marker where its axes agree, as given."""
+    """Return standard deviations (n_markers, 3) in mm as (n_markers,) if each marker has the same one along all axes.
+
+    Otherwise return them as they are. NaN counts as equal to NaN.
+    """
     return spread[:, 0] if len(spread) and np.array_equal(spread, spread[:, [0, 0, 0]], equal_nan=True) else spread
 
 
 def _titles(names: Any) -> tuple[str, ...]:
-    """Return names as texts."""
+    """Return marker names as a tuple of texts; raise MarkerError if `names` is no list of names."""
     if isinstance(names, str | bytes) or not isinstance(names, Iterable):
         message = f"`names` must be a list of texts, one per marker, got {found(names)}"
         raise MarkerError(message, where="names")

@@ -40,21 +40,22 @@ SOLID_YOUNG_KPA = (1e-6, 1e10)
 
 @dataclass(frozen=True, eq=False)
 class Fibre:
-    """A family of fibres, added to any law.
+    """A family of parallel fibres, whose energy is added to that of any hyperelastic law.
 
-    Energy ``k1/(2 k2) (exp(k2 e^2) - 1)`` with ``e`` the squared isochoric stretch along the fibres minus 1 (Holzapfel,
-    Gasser and Ogden, Journal of Elasticity 61, 2000).
+    Energy density ``k1/(2 k2) (exp(k2 e^2) - 1)`` with ``e`` the squared isochoric stretch along the fibres minus 1
+    (Holzapfel, Gasser and Ogden, Journal of Elasticity 61, 2000).
 
     Parameters
     ----------
     k1_over_mu : float
-        Stiffness ``k1`` over the shear modulus of the law; not negative.
+        Stiffness ``k1`` of the fibres over the shear modulus ``mu`` of the law, dimensionless; not negative.
     k2 : float
-        Rate of stiffening, dimensionless; not negative.
+        Rate ``k2`` at which the fibres stiffen with stretch, dimensionless; not negative.
     direction : array_like of float, shape (3,), (n_tets, 3) or (n_tets, n_points, 3)
-        Direction in the undeformed body; its length is ignored.
+        Direction of the fibres in the undeformed body, for the whole body, per tet, or per quadrature point of each
+        tet; its length is ignored.
     tension_only : bool
-        Whether shortened fibres are slack.
+        Whether shortened fibres carry no force.
     """
 
     k1_over_mu: float = 1.0
@@ -72,11 +73,14 @@ class Fibre:
 
 @dataclass(frozen=True, eq=False)
 class Material:
-    """A hyperelastic solid: small-strain moduli, and a law with these moduli for any shape parameters.
+    """A hyperelastic solid: moduli at small strain, and a law that has these moduli whatever its shape parameters are.
 
-    A bimodular solid has them under compression in all directions; stretched directions have the excess in addition.
+    A bimodular solid has these moduli under compression in all directions; stretched directions are stiffer by the
+    share ``excess`` of the shear modulus.
 
-    With bars for isochoric invariants and stretches and ``U`` the volumetric energy of the bulk modulus:
+    In the table, mu is the shear modulus, K the bulk modulus, lambda the first Lame parameter, J the volume ratio, I1
+    and I2 the invariants of the right Cauchy-Green tensor and l the principal stretches; ``bar`` marks isochoric ones,
+    and ``U`` is the volumetric energy:
 
     | law | energy density | shape |
     | --- | --- | --- |
@@ -97,20 +101,22 @@ class Material:
     Parameters
     ----------
     young : float or array_like of float, shape (n_tets,) or (n_tets, n_points)
-        Young's modulus at small strain in kPa: one for all, one per tet, or one per quadrature point; positive.
+        Young's modulus at small strain in kPa: one for the whole body, one per tet, or one per quadrature point of each
+        tet; positive.
     poisson : float or array_like of float, shape (n_tets,) or (n_tets, n_points)
-        Poisson's ratio at small strain, in (-1, 0.5).
+        Poisson's ratio at small strain, in (-1, 0.5): for the whole body, per tet, or per quadrature point of each tet.
     law : str
-        One of the table.
+        Name of a law in the table.
     density : float
-        Mass density in g/cm^3; matters only under gravity.
+        Mass density in g/cm^3; it has an effect only under gravity.
     shape : mapping of str to float or sequence of float
-        Shape parameters of the law, all dimensionless. Ogden's weights are normalised to shares of the shear modulus.
+        Shape parameters of the law by name, all dimensionless. Ogden's weights are normalised to shares of the shear
+        modulus.
     volumetric : str
-        ``"log"``: ``U = K/2 (ln J)^2``; ``"quadratic"``: ``U = K/2 (J - 1)^2``; ``"coupled"``: the coupled form, with
-        ``U = lambda/2 (ln J)^2``.
+        Volumetric energy ``U``. ``"log"``: ``U = K/2 (ln J)^2``; ``"quadratic"``: ``U = K/2 (J - 1)^2``; ``"coupled"``:
+        the coupled form of the law, with ``U = lambda/2 (ln J)^2``.
     fibre : Fibre, optional
-        Fibres in addition to the law.
+        Fibres whose energy is added to that of the law.
 
     Raises
     ------
@@ -121,7 +127,7 @@ class Material:
     -----
     UnitWarning
         If the median of Young's modulus is outside 0.01 to 1e5 kPa, between which soft tissues and silicones lie: it
-        may be in Pa or MPa. Outside 1e-6 to 1e10 kPa, where no solid lies, it is refused.
+        may be in Pa or MPa. A value outside 1e-6 to 1e10 kPa, which no solid has, is refused by a MaterialError.
 
     Examples
     --------
@@ -158,16 +164,17 @@ class Material:
 
     @property
     def poisson_array(self) -> FloatArray:
-        """Poisson's ratio, shape (1,), (n_tets,) or (n_tets, n_points)."""
+        """Poisson's ratio as an array, shape (1,), (n_tets,) or (n_tets, n_points) with one value per quadrature point.
+        """
         return _field("poisson", self.poisson)
 
     def core_law(self) -> _core.Law:
-        """Return law, shape and fibres in the solver's form.
+        """Return law, shape parameters and fibres as an object of the compiled solver.
 
         Returns
         -------
         _core.Law
-            Without moduli.
+            The law without moduli, which the solver takes separately.
 
         Raises
         ------
@@ -189,17 +196,17 @@ class Material:
         )
 
     def scaled(self, factor: Any) -> "Material":
-        """Return the same material with another Young's modulus.
+        """Return the same material with Young's modulus multiplied by a factor.
 
         Parameters
         ----------
         factor : float or array_like of float, shape (n_tets,) or (n_tets, n_points)
-            Factor on the modulus.
+            Positive factor on Young's modulus: for the whole body, per tet, or per quadrature point of each tet.
 
         Returns
         -------
         Material
-            Otherwise the same.
+            A copy that differs in Young's modulus alone.
         """
         young, factor = self.young_array, float_array("factor", factor, (None,) * min(depth("factor", factor), 2))
         _within("factor", factor, np.isfinite(factor) & (factor > 0), "positive")
@@ -208,12 +215,12 @@ class Material:
         return replace(self, young=young * factor)
 
     def digest(self) -> str:
-        """Return a hash of everything that a displacement depends on.
+        """Return a SHA-256 hash of law, shape parameters, moduli and fibres: of everything but the density.
 
         Returns
         -------
         str
-            Hexadecimal, equal for equal materials.
+            Hexadecimal digits, equal for materials that are equal but for their density.
         """
         digest = hashlib.sha256(f"{self.law} {self.volumetric}".encode())
         for key in sorted(self.shape):
@@ -227,14 +234,14 @@ class Material:
         return digest.hexdigest()
 
     def weight(self, direction: Any = (0.0, 0.0, -1.0), g: float = GRAVITY_MM_PER_S2) -> FloatArray:
-        """Return the body force of gravity.
+        """Return the body force that gravity exerts on the material.
 
         Parameters
         ----------
         direction : array_like of float, shape (3,)
             Direction of gravity; normalised here.
         g : float
-            Acceleration in mm/s^2.
+            Acceleration of gravity in mm/s^2.
 
         Returns
         -------
@@ -287,7 +294,11 @@ def _positive(name: str, value: Any, unit: str) -> None:
 
 
 def _check_unit(young: FloatArray) -> None:
-    """Refuse moduli that no solid has, warn of those that no soft solid has, and name the unit they may be in."""
+    """Check Young's moduli in kPa, of any shape, for a wrong unit.
+
+    Raise MaterialError if one is outside the range of all solids. Warn by a UnitWarning, which names the unit that they
+    may be in, if their median is outside the range of soft solids.
+    """
     lowest, highest = SOLID_YOUNG_KPA
     _within("young", young, (young >= lowest) & (young <= highest), f"in kPa, from {lowest:g} to {highest:g} kPa")
     typical = float(np.median(young)) if young.size else 1.0

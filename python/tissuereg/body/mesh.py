@@ -1,4 +1,4 @@
-"""A tetrahedral mesh in its reference shape: nodes, tets, named node sets."""
+"""A tetrahedral mesh in its reference shape: nodes, tetrahedra (tets) and named sets of nodes."""
 
 import hashlib
 from collections.abc import Callable, Mapping
@@ -21,29 +21,30 @@ PLAUSIBLE_EXTENT_MM = (1.0, 3000.0)
 
 
 class Mesh:
-    """Tetrahedra in the undeformed shape.
+    """A mesh of four-node tetrahedra (tets) in the undeformed shape of a body.
 
     Parameters
     ----------
     nodes : array_like of float, shape (n_nodes, 3)
-        Coordinates in mm.
+        Coordinates of the nodes in mm.
     tets : array_like of int, shape (n_tets, 4)
-        Node indices; positive volume in the order (a, b, c, d) with d on the side of (b-a) x (c-a).
+        Node indices (a, b, c, d) of every tet, ordered for positive volume: d lies on the side to which (b-a) x (c-a)
+        points.
     node_sets : mapping of str to array_like of int, optional
-        Named sets of nodes. The set ``fixed`` is held.
+        Node indices by the name of a set. The nodes of the set ``fixed`` are held: they have a prescribed displacement.
     frame : {"LPS", "RAS"}, optional
-        Declared patient frame of the coordinates; nothing is computed from it, and files that state a frame are written
-        in it.
+        Declared patient frame of the coordinates. Nothing is computed from it; files of a format that states a frame
+        are written in it.
 
     Raises
     ------
     ShapeError
         If an array has another shape or dtype.
     MeshError
-        If a coordinate is not finite, an index out of range, a tet inverted or degenerate, a node loose; or if `frame`
-        is none of the two.
+        If a coordinate is not finite, an index is out of range, a tet is inverted or degenerate, a node belongs to no
+        tet, or `frame` is neither of the two.
     UnitError
-        If the body's extent cannot be millimetres.
+        If the largest extent of the body is outside 1 to 3000 mm, so that the coordinates are probably not in mm.
 
     Examples
     --------
@@ -85,7 +86,7 @@ class Mesh:
 
     @property
     def fixed_nodes(self) -> IntArray:
-        """Indices of the held nodes, the set ``fixed``.
+        """Sorted indices of the held nodes, those of the node set ``fixed``, shape (n,).
 
         Raises
         ------
@@ -129,12 +130,12 @@ class Mesh:
         name : str
             Name of the set.
         indices : array_like of int, shape (n,)
-            Its nodes.
+            Indices of its nodes.
 
         Returns
         -------
         Mesh
-            Shares nodes and tets with this one.
+            A new mesh, with the same nodes and tets.
         """
         text("name", name, error=MeshError)
         return Mesh(self.nodes, self.tets, {**self.node_sets, name: indices}, self.frame)
@@ -145,23 +146,23 @@ class Mesh:
         Parameters
         ----------
         frame : {"LPS", "RAS"} or None
-            Frame of a patient; None is an unknown one.
+            Patient frame of the coordinates; None states that it is unknown.
 
         Returns
         -------
         Mesh
-            Shares nodes and tets with this one.
+            A new mesh, with the same nodes and tets.
         """
         return Mesh(self.nodes, self.tets, self.node_sets, frame)
 
     @cached_property
     def extent(self) -> float:
-        """Largest extent along an axis, mm."""
+        """Largest extent of the nodes along a coordinate axis, in mm."""
         return float(np.max(np.ptp(self.nodes, axis=0)))
 
     @cached_property
     def surface(self) -> IntArray:
-        """Boundary triangles, outward normals, shape (n_triangles, 3)."""
+        """Boundary triangles as node indices, ordered so that normals point outwards, shape (n_triangles, 3)."""
         return frozen(surface_triangles(self.nodes, self.tets))
 
     @cached_property
@@ -170,14 +171,12 @@ class Mesh:
         return frozen(np.unique(self.surface))
 
     def surface_nodes_within(self, centre: Any, radius: float) -> IntArray:
-        """Return the surface nodes in a ball.
+        """Return the indices of the surface nodes that lie within a ball.
 
         Parameters
         ----------
         centre : array_like of float, shape (3,)
-            mm.
-        radius : float
-            mm.
+            Centre of the ball in mm. radius : float mm.
 
         Returns
         -------
@@ -189,7 +188,7 @@ class Mesh:
 
     @cached_property
     def edges(self) -> IntArray:
-        """Edges of the tets, each once, lower index first, shape (n_edges, 2)."""
+        """Node indices of the edges of all tets, shape (n_edges, 2); each edge stands once, its lower index first."""
         pairs = self.tets[:, [[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]]].reshape(-1, 2)
         return frozen(np.unique(np.sort(pairs, axis=1), axis=0))
 
@@ -199,12 +198,13 @@ class Mesh:
         return frozen(tet_volumes(self.nodes, self.tets))
 
     def digest(self) -> str:
-        """Return a fingerprint of nodes, tets and held nodes.
+        """Return a fingerprint (hash) of the coordinates, the tets and the node set ``fixed``.
 
         Returns
         -------
         str
-            SHA-256, hexadecimal. Coordinates are rounded to 1e-6 mm, so that text formats preserve it.
+            SHA-256 in hexadecimal digits. Coordinates are rounded to 1e-6 mm first, so that a mesh read back from a
+            text file has the same fingerprint.
         """
         digest = hashlib.sha256()
         digest.update(np.round(self.nodes * 1e6).astype("<i8").tobytes())
@@ -214,10 +214,10 @@ class Mesh:
 
 
 def node_normals(mesh: Mesh, areas: FloatArray) -> FloatArray:
-    """Return unit normals at the nodes of a surface: means over the triangles that meet there, by their areas.
+    """Return unit normals at the nodes: means of the normals of the adjacent surface triangles, weighted by area.
 
-    `areas` (n_triangles, 3): outward normal of every triangle of `Mesh.surface`, as long as its area, in any unit.
-    Result: (n_nodes, 3), zero inside.
+    `areas` (n_triangles, 3): for every triangle of `Mesh.surface` its outward normal vector, whose length is
+    proportional to the triangle's area. Result: (n_nodes, 3), zero at inner nodes.
     """
     total = np.zeros_like(mesh.nodes)
     for corner in range(3):
@@ -226,7 +226,10 @@ def node_normals(mesh: Mesh, areas: FloatArray) -> FloatArray:
 
 
 def free_surface(mesh: Mesh) -> tuple[IntArray, FloatArray]:
-    """Return the triangles (k, 3) of the surface that are not held, and the share (k,) of each in their area."""
+    """Return the surface triangles of which not all three corners are held, and the share of each in their total area.
+
+    Result: node indices (k, 3), and dimensionless shares (k,), which add up to 1.
+    """
     held = np.zeros(mesh.n_nodes, dtype=bool)
     held[mesh.fixed_nodes] = True
     free = mesh.surface[~held[mesh.surface].all(axis=1)]
@@ -236,10 +239,11 @@ def free_surface(mesh: Mesh) -> tuple[IntArray, FloatArray]:
 
 
 def det_f(mesh: Mesh, displacement: FloatArray) -> FloatArray:
-    """Return the volume ratio of every tet under a displacement of its corners.
+    """Return the volume ratio of every tet under a displacement of the nodes.
 
-    `mesh`: reference shape; `displacement` (..., n_nodes, 3): displacement in mm; leading axes are kept. Result: (...,
-    n_tets), det F, dimensionless; not positive where a tet is inverted.
+    `mesh`: mesh in the reference shape; `displacement` (..., n_nodes, 3): displacements in mm; leading axes are kept.
+    Result: (..., n_tets), determinant of the deformation gradient F, dimensionless; not positive where a tet is
+    inverted.
     """
     places = np.ascontiguousarray(mesh.nodes + displacement)
     volumes = [tet_volumes(one, mesh.tets) for one in places.reshape(-1, mesh.n_nodes, 3)]
@@ -270,9 +274,10 @@ Made = TypeVar("Made")
 
 
 def per_mesh(make: Callable[[Mesh], Made]) -> Callable[[Mesh], Made]:
-    """Return a function that computes its value once for every mesh, whose arrays never change.
+    """Return a function that calls `make` once for each mesh and afterwards returns the kept result for that mesh.
 
-    Two threads that call it at the same time may both compute it; both values are the same.
+    A result is dropped with its mesh, whose arrays never change. Two threads that ask for the same mesh at the same
+    time may both compute the result; both get the same value.
     """
     kept: WeakKeyDictionary[Mesh, Made] = WeakKeyDictionary()
 

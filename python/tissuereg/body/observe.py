@@ -1,12 +1,13 @@
-r"""From displacement fields to tracked points: markers on the surface, targets inside.
+r"""From displacement fields to tracked points: displacements of markers on the surface and of targets inside the body.
 
-A marker that is not on the facets moves rigidly with its patch of surface,
+A marker that does not lie on the triangles of the surface moves rigidly with the patch of surface around its foot,
 
     u(marker) = u(foot) + (R - I) offset,      offset = reference place - foot,
 
-where the foot is the closest point of the surface and R the best rotation of the patch's nodes (Kabsch).
-An inner target moves with the tetrahedron that contains it. Fields are interpolated linearly between corner nodes, or
-quadratically where the mid-edge nodes of ten-node elements are given too.
+where u is the displacement, the foot is the closest point of the surface, R the rotation that fits the motion of the
+patch's nodes best (Kabsch), and I the identity. An inner target moves with the tetrahedron that contains it. Fields are
+interpolated linearly between corner nodes, or quadratically where the mid-edge nodes of ten-node elements are given
+too.
 """
 
 import warnings
@@ -38,22 +39,22 @@ _BEYOND = 1e-6
 
 
 class MarkerObservation:
-    """Displacement of markers as a function of the displacement of few nodes.
+    """Observation operator of tracked markers: their displacement as a function of the displacement of nearby nodes.
 
     Parameters
     ----------
     mesh : Mesh
-        Reference shape.
-    reference : array_like of float, shape (n_markers, 3)
-        Places of the markers on or near the undeformed body, mm.
+        Mesh in the reference shape. reference : array_like of float, shape (n_markers, 3) Places of the markers on or
+        near the undeformed body, mm.
     names : sequence of str
-        Used in messages.
+        Names of the markers, used in error messages.
     quadratic : bool
-        Whether fields are those of ten-node elements: nodes in the middle of `mesh.edges`, in their order, follow those
-        of the mesh.
+        Whether displacement fields are those of ten-node elements: the mid-edge nodes, in the order of `mesh.edges`,
+        follow the nodes of the mesh.
     like : MarkerObservation, optional
-        Observation of the same markers on a mesh of the same tets: feet stay in the same triangles, or on the same
-        edges if they are the closest points of convex ones. Needed for derivatives with respect to the shape of a mesh,
+        Observation of the same markers on a mesh with the same tets and other coordinates. The foot of a marker (the
+        closest point of the surface) then stays in the same triangle as there, or on the same edge or corner if the
+        marker lies beyond that edge or corner. This is needed for derivatives with respect to the shape of a mesh,
         because the closest triangle of a marker on an edge may change with any step.
 
     Raises
@@ -64,7 +65,7 @@ class MarkerObservation:
     Attributes
     ----------
     nodes : ndarray of int64, shape (n_needed,)
-        Nodes whose displacement `predict` needs.
+        Indices of the nodes whose displacement `predict` needs.
     distance : ndarray of float64, shape (n_markers,)
         Distance of every marker from the surface, mm.
     """
@@ -117,13 +118,12 @@ class MarkerObservation:
         Parameters
         ----------
         displacement : ndarray of float64, shape (..., n_needed, 3)
-            Displacement of `nodes` in mm.
+            Displacement in mm of the nodes listed in the attribute `nodes`; leading axes are kept.
 
         Returns
         -------
         ndarray of float64, shape (..., n_markers, 3)
-            mm.
-        """
+            Displacement of every marker in mm. """
         moved = np.einsum("mc,...mcx->...mx", self._weights, displacement[..., self._foot_nodes, :])
         if len(self._turned):
             patches = displacement[..., self._members, :]
@@ -131,18 +131,19 @@ class MarkerObservation:
         return np.asarray(moved)
 
     def points(self, n_nodes: int) -> Any:
-        """Return what `predict_points` needs, as weights on the nodes of the mesh.
+        """Return the matrix that maps a displacement field to the point values that `predict_points` takes.
 
         Parameters
         ----------
         n_nodes : int
-            Number of nodes of the fields.
+            Number of nodes of a displacement field.
 
         Returns
         -------
         scipy.sparse.csr_array, shape (n_points, n_nodes)
-            First the feet of all markers. Then three rows for each marker off the surface: how displacement varies
-            across its patch along x, y and z, in mm.
+            Weights of the nodes. Its product with a field (n_nodes, 3) in mm has first one row per marker, the
+            displacement of its foot (the closest point of the surface), then three rows for each marker off the
+            surface: how the displacement varies along x, y and z across the patch of surface around the foot, in mm.
         """
         from scipy import sparse
 
@@ -158,7 +159,10 @@ class MarkerObservation:
         return sparse.csr_array(found)
 
     def predict_points(self, moved: FloatArray) -> FloatArray:
-        """Return the displacement (..., n_markers, 3) of every marker from that of `points` (..., n_points, 3), mm."""
+        """Return the displacement of every marker, (..., n_markers, 3), in mm.
+
+        `moved` (..., n_points, 3): product of the matrix of `points` with a displacement field, in mm.
+        """
         feet: FloatArray = moved[..., : self.n_markers, :].copy()
         if len(self._turned):
             across = moved[..., self.n_markers :, :].reshape(*moved.shape[:-2], len(self._turned), 3, 3)
@@ -173,44 +177,52 @@ class MarkerObservation:
 
     @cached_property
     def _at_rest(self) -> FloatArray:
-        """Products (m, 3, 3) of scaled arms and arms, to which those of displacements add."""
+        """Correlation matrices (m, 3, 3) in mm, at rest, of the lever arms of each patch with the scaled ones.
+
+        Under a displacement, its products with the scaled lever arms are added before the rotation is fitted.
+        """
         return np.asarray(np.einsum("mpx,mpy->mxy", self._arms, self._levers))
 
     def _add_rotation(self, moved: FloatArray, across: FloatArray) -> None:
-        """Add to the displacement of feet how far the rotation of patches moves markers off them; (..., m, 3, 3) mm."""
+        """Add to `moved` (..., n_markers, 3), displacements of the feet in mm, the motion of markers about their feet.
+
+        `across` (..., m, 3, 3): sums of displacement times scaled lever arm over the patch of each of the m markers off
+        the surface, in mm. `moved` is changed in place.
+        """
         turned = _rotations(self._at_rest + across)
         moved[..., self._turned, :] += np.einsum("...mxy,my->...mx", turned - np.eye(3), self._offset[self._turned])
 
     def variation(self, displacement: FloatArray) -> FloatArray:
-        """Return the variation of the motion across the element under every marker.
+        """Return how much the displacement varies across the surface triangle under every marker.
 
         Parameters
         ----------
         displacement : ndarray of float64, shape (n_needed, 3)
-            Displacement of `nodes` in mm.
+            Displacement in mm of the nodes listed in the attribute `nodes`.
 
         Returns
         -------
         ndarray of float64, shape (n_markers,)
-            Largest difference between corners of the closest triangle, mm; more for a marker off the surface, by its
-            distance over the longest edge.
+            Largest difference between the displacements of two corners of the closest triangle, mm, times 1 plus the
+            marker's distance from the surface over the longest edge of the triangle.
         """
         corners = displacement[self._foot_nodes[:, :3]]
         differences = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
         return np.asarray((1.0 + self._height) * differences)
 
     def jacobian(self, displacement: FloatArray) -> FloatArray:
-        """Return the derivative of the displacement of every marker by that of `nodes`.
+        """Return the derivative of the displacement of every marker with respect to the displacement of the nodes `nodes`.
 
         Parameters
         ----------
         displacement : ndarray of float64, shape (n_needed, 3)
-            Displacement of `nodes` in mm, where the derivative is taken.
+            Displacement in mm of the nodes listed in the attribute `nodes`, at which the derivative is taken.
 
         Returns
         -------
         ndarray of float64, shape (n_markers, 3, n_needed, 3)
-            By central differences in the rotation of markers off the surface, exact for all others.
+            Dimensionless derivatives: by central differences for the rotation of markers off the surface, exact
+            otherwise.
         """
         slopes = np.zeros((self.n_markers, 3, len(self.nodes), 3))
         for marker, (members, weights) in enumerate(self._slopes(displacement)):
@@ -219,17 +231,19 @@ class MarkerObservation:
         return slopes
 
     def rows(self, displacement: FloatArray) -> list[tuple[IntArray, FloatArray]]:
-        """Return the same, three rows per marker, each with only the nodes on which it depends.
+        """Return the derivative of each coordinate of each marker's displacement, with only the nodes on which it depends.
 
         Parameters
         ----------
         displacement : ndarray of float64, shape (n_needed, 3)
-            Displacement of `nodes` in mm, where the derivative is taken.
+            Displacement in mm of the nodes listed in the attribute `nodes`, at which the derivative is taken.
 
         Returns
         -------
         list of (ndarray of int64 (k,), ndarray of float64 (k, 3))
-            Nodes of the mesh and their weights; ``3 n_markers`` rows, x, y and z of the first marker first.
+            One entry for x, y and z of each marker in turn, ``3 n_markers`` in all: indices of nodes of the mesh, and
+            the dimensionless derivatives with respect to their displacements. A node may be listed twice; its
+            derivatives are then to be added.
         """
         found = []
         for members, weights in self._slopes(displacement):
@@ -237,7 +251,11 @@ class MarkerObservation:
         return found
 
     def _slopes(self, displacement: FloatArray) -> Iterator[tuple[IntArray, FloatArray]]:
-        """Yield, for every marker, the members (k,) of `nodes` it depends on and its derivative, (3, k, 3)."""
+        """Yield for every marker the nodes on which its displacement depends, and the derivative with respect to these.
+
+        `displacement` (n_needed, 3): displacement of `nodes` in mm. Yields positions (k,) in the attribute `nodes`, and
+        dimensionless derivatives (3, k, 3): marker coordinate, node, node coordinate.
+        """
         turned = {int(marker): row for row, marker in enumerate(self._turned)}
         for marker in range(self.n_markers):
             members = self._foot_nodes[marker]
@@ -256,22 +274,22 @@ class MarkerObservation:
 
 
 class TargetObservation:
-    """Displacement of inner points, linear in the nodes of the tets that contain them.
+    """Observation operator of targets: their displacement, interpolated between the nodes of the tets that contain them.
 
     Parameters
     ----------
     mesh : Mesh
-        Reference shape.
-    targets : mapping of str to array_like of float, shape (3,)
-        Points of the undeformed body, mm.
+        Mesh in the reference shape. targets : mapping of str to array_like of float, shape (3,) Places in the
+        undeformed body, mm, by name.
     quadratic : bool
-        As in `MarkerObservation`.
+        Whether displacement fields are those of ten-node elements: the mid-edge nodes, in the order of `mesh.edges`,
+        follow the nodes of the mesh.
 
     Raises
     ------
     MarkerError
-        If a target lies outside the body by more than a tenth of its extent, or is not finite.
-    """
+        If a target lies outside the body by more than a tenth of its extent, or is not finite.  Attributes ----------
+        nodes : ndarray of int64, shape (k,) Indices of the nodes whose displacement `predict` needs. """
 
     def __init__(self, mesh: Mesh, targets: Mapping[str, Any], *, quadratic: bool = False) -> None:
         self.names = tuple(targets)
@@ -287,11 +305,19 @@ class TargetObservation:
         self._corners = np.searchsorted(self.nodes, nodes)
 
     def predict(self, displacement: FloatArray) -> FloatArray:
-        """Return the displacement of every target; `displacement` as in `MarkerObservation.predict`."""
+        """Return the displacement of every target in mm, (..., n_targets, 3).
+
+        `displacement` (..., k, 3): displacement in mm of the nodes listed in the attribute `nodes`; leading axes are
+        kept.
+        """
         return np.asarray(np.einsum("tc,...tcx->...tx", self._weights, displacement[..., self._corners, :]))
 
     def points(self, n_nodes: int) -> Any:
-        """Return the targets as weights on nodes: scipy.sparse.csr_array, shape (n_targets, n_nodes)."""
+        """Return the interpolation matrix, a scipy.sparse.csr_array of dimensionless weights, (n_targets, n_nodes).
+
+        `n_nodes` is the number of nodes of a displacement field; the matrix times that field gives the targets'
+        displacement.
+        """
         from scipy import sparse
 
         rows = np.repeat(np.arange(len(self.names)), self._corners.shape[1])
@@ -308,9 +334,12 @@ class TargetObservation:
 
 
 def _interpolation(mesh: Mesh, corners: IntArray, weights: FloatArray, quadratic: bool) -> tuple[IntArray, FloatArray]:
-    """Return nodes and weights of points from the corners and weights (n, 3) or (n, 4) of their triangles or tets.
+    """Return the nodes and weights that interpolate a displacement at n points, from barycentric weights.
 
-    The same, or nodes and shape functions of second order: ``l_a (2 l_a - 1)`` at corners, ``4 l_a l_b`` between.
+    `corners`, `weights` (n, 3) or (n, 4): node indices of the triangle or tet of each point, and barycentric weights.
+    For linear elements these are returned as they are. For quadratic ones mid-edge nodes are appended along the second
+    axis, and the weights are the shape functions of second order, ``l_a (2 l_a - 1)`` at corner a and ``4 l_a l_b``
+    between corners a and b, where ``l`` are the barycentric weights.
     """
     if not quadratic:
         return corners, weights
@@ -325,7 +354,7 @@ def _interpolation(mesh: Mesh, corners: IntArray, weights: FloatArray, quadratic
 
 @per_mesh
 def _surface(mesh: Mesh) -> Any:
-    """Return the surface with its search tree."""
+    """Return the surface of the mesh as a `trimesh.Trimesh`, which keeps its tree for searches of closest points."""
     import trimesh
 
     return trimesh.Trimesh(mesh.nodes, mesh.surface, process=False)
@@ -352,7 +381,11 @@ def _free_corners(corners: FloatArray, places: FloatArray, weights: FloatArray) 
 
 
 def _feet_in(corners: FloatArray, places: FloatArray, free: BoolArray) -> tuple[FloatArray, FloatArray]:
-    """Return weights (n, 3) and feet (n, 3): the closest points of planes, or of lines, through free corners."""
+    """Return the feet of places on the planes, lines or points through the marked corners of their triangles.
+
+    `corners` (n, 3, 3), `places` (n, 3): mm; `free` (n, 3): mask of the corners to use. Result: barycentric weights (n,
+    3) and closest points (n, 3) in mm.
+    """
     weights = _barycentric(corners, places)
     for marker in np.flatnonzero(~free.all(axis=1)):
         ends = np.flatnonzero(free[marker])
@@ -365,7 +398,10 @@ def _feet_in(corners: FloatArray, places: FloatArray, free: BoolArray) -> tuple[
 
 
 def _barycentric(corners: FloatArray, places: FloatArray) -> FloatArray:
-    """Return the weights (n, 3) of places projected onto the planes of triangles with corners (n, 3, 3)."""
+    """Return the barycentric weights (n, 3) of places (n, 3) projected onto the planes of triangles.
+
+    `corners` (n, 3, 3): corners of the triangle of each place, mm.
+    """
     if not len(places):
         return np.empty((0, 3))
     import trimesh
@@ -375,7 +411,10 @@ def _barycentric(corners: FloatArray, places: FloatArray) -> FloatArray:
 
 
 def _patches(mesh: Mesh, triangles: IntArray) -> list[IntArray]:
-    """Return, for each triangle, the surface nodes of all triangles that touch it."""
+    """Return the patch of surface around each of the surface triangles with numbers `triangles` (n,).
+
+    A patch is the sorted node indices of all surface triangles that share a node with that triangle.
+    """
     patches = []
     for triangle in triangles:
         touching = np.isin(mesh.surface, mesh.surface[triangle]).any(axis=1)
@@ -395,12 +434,14 @@ def _padded(patches: list[IntArray], places: FloatArray) -> tuple[IntArray, Floa
 
 
 def _rotations(correlation: FloatArray) -> FloatArray:
-    """Return the rotations (..., 3, 3) closest to matrices C, the sums of (moved arm) (arm)' over a patch.
+    """Return the rotation matrices R (..., 3, 3) closest to matrices C (..., 3, 3), one for each patch of surface.
 
-    R = ((k + |C|^2) C + l adj(C)' - C C' C) / (k l - det C) with k = (l^2 - |C|^2) / 2 and l the sum of the singular
-    values, the last with the sign of det C: F. L. Markley, "Attitude determination using vector observations: a fast
-    optimal matrix algorithm", Journal of the Astronautical Sciences 41, 261-280, 1993. Several times as fast as
-    singular values in numpy; these serve where two of them vanish.
+    C is the sum over a patch's nodes of (moved lever arm) (lever arm at rest)', where ' is the transpose. With l the
+    sum of the singular values, the last with the sign of det C, and k = (l^2 - |C|^2) / 2, R = ((k + |C|^2) C + l
+    adj(C)' - C C' C) / (k l - det C), where |C| is the Frobenius norm and adj the adjugate: F. L. Markley, "Attitude
+    determination using vector observations: a fast optimal matrix algorithm", Journal of the Astronautical Sciences 41,
+    261-280, 1993. This is several times as fast as a singular value decomposition in numpy, which is used only where
+    two singular values nearly vanish.
     """
     # Components first: every product below runs over whole rows.
     c = np.ascontiguousarray(np.moveaxis(correlation, (-2, -1), (0, 1)))
@@ -436,7 +477,7 @@ _LEAST_BELOW = 1e-4
 
 
 def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return the cross product of vectors (3, ...), components first."""
+    """Return the cross products (3, ...) of two arrays of vectors (3, ...), whose first axis is the coordinate."""
     return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 
 
@@ -460,7 +501,10 @@ def _check_distance(distance: FloatArray, names: tuple[str, ...], extent: float)
 
 
 class _Locator:
-    """Finds the tet that contains a point; boxes and inverses of all tets are formed once and sorted along x."""
+    """Search structure for the tet of a mesh that contains a point.
+
+    It holds the bounding boxes of all tets, sorted along x, and the inverse matrices that give barycentric weights.
+    """
 
     def __init__(self, mesh: Mesh) -> None:
         self._corners = mesh.nodes[mesh.tets]
@@ -473,7 +517,7 @@ class _Locator:
         self._inverse = np.linalg.inv(np.moveaxis(self._corners[:, 1:] - self._corners[:, :1], 1, 2))
 
     def locate(self, name: str, point: FloatArray) -> tuple[int, FloatArray]:
-        """Return the tet that contains a point, or the closest one, and the barycentric weights (4,)."""
+        """Return the number of the tet that contains a point (3,), or is closest to it, and its weights (4,)."""
         if not np.isfinite(point).all():
             message = f"target '{name}' must be finite, got {point.tolist()}"
             raise MarkerError(message, where=name)
@@ -500,7 +544,7 @@ class _Locator:
         return tet, weights[tet]
 
     def _weights(self, tets: IntArray, point: FloatArray) -> FloatArray:
-        """Return the barycentric weights (n, 4) of a point in some tets."""
+        """Return the barycentric weights (n, 4) of a point (3,), in mm, in the tets with indices `tets` (n,)."""
         inner = np.einsum("tij,tj->ti", self._inverse[tets], point - self._corners[tets, 0])
         return np.concatenate([1.0 - inner.sum(axis=1, keepdims=True), inner], axis=1)
 

@@ -1,4 +1,4 @@
-"""Unlabelled points measured on the deformed surface of a body: their correspondence to the body is unknown."""
+"""Unlabelled points measured on the deformed surface of a body; which point of the body each one is, is unknown."""
 
 from typing import Any
 
@@ -16,32 +16,32 @@ _MOST_COMPARED = 20_000
 
 
 class SurfacePoints:
-    """Unlabelled points of one moment.
+    """Points measured on the deformed surface of a body at one moment, without labels.
 
     Parameters
     ----------
     measured : array_like of float, shape (n, 3)
         Places on all or part of the deformed surface, mm. Rows with NaN are ignored.
     std : float
-        Standard deviation of a point along the surface's normal, mm.
+        Standard deviation of the measured place of a point along the surface's normal, mm.
 
     Raises
     ------
     ShapeError
-        If the shape is another one.
+        If `measured` has another shape.
     SurfaceError
         If there are fewer than three points, a coordinate is infinite, or `std` is not positive.
 
     Attributes
     ----------
     places : ndarray of float64, shape (n_points, 3)
-        At most `MOST_POINTS` points, spread evenly over those given, mm.
+        The points that are used, mm: at most `MOST_POINTS`, spread evenly over the given points.
     rows : ndarray of int64, shape (n_points,)
-        Their indices among the given points.
+        Indices of these points among the given ones.
     std : float
-        As given.
+        The argument `std`, mm.
     given : int
-        Number of points before thinning.
+        Number of given points without NaN, before thinning.
 
     Examples
     --------
@@ -75,7 +75,10 @@ class SurfacePoints:
 
 
 def _positive(std: Any) -> float:
-    """Return a checked standard deviation in mm; it must be so small that its square does not overflow."""
+    """Return the standard deviation `std` in mm as a float; raise SurfaceError if it is not positive and below 1e9 mm.
+
+    A larger one would overflow when it is squared.
+    """
     try:
         return real("std", std, above=0.0, below=1e9, error=SurfaceError)
     except SurfaceError:
@@ -84,9 +87,10 @@ def _positive(std: Any) -> float:
 
 
 def evenly(places: FloatArray, count: int) -> IntArray:
-    """Return indices of at most `count` places, each the farthest from those before it, in their own order.
+    """Return the sorted indices of at most `count` of the given places, spread evenly by farthest-point sampling.
 
-    `places` (n, 3): mm; `count`: largest number of places. Result: int64 (min(n, count),), sorted.
+    `places` (n, 3): mm. Each chosen place is the farthest from those chosen before it. Result: int64 (min(n, count),).
+    Many thousands of places are first thinned by a constant stride.
     """
     if len(places) <= count:
         return np.arange(len(places))

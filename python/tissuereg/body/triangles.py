@@ -1,4 +1,4 @@
-"""A surface of triangles, as written by segmentation programs and scanners: not yet a body."""
+"""A triangle surface as written by segmentation programs and scanners, before it is filled with tetrahedra."""
 
 from typing import Any
 
@@ -9,14 +9,14 @@ from tissuereg.errors import MeshError
 
 
 class Triangles:
-    """Triangles in space, possibly with defects.
+    """A surface of triangles, which may have defects such as holes, duplicates or inconsistent winding.
 
     Parameters
     ----------
     vertices : array_like of float, shape (n_vertices, 3)
-        Coordinates in mm.
+        Coordinates of the vertices in mm.
     triangles : array_like of int, shape (n_triangles, 3)
-        Vertex indices, counter-clockwise from outside if the surface has no defects.
+        Vertex indices of each triangle, counter-clockwise seen from outside if the surface has no defects.
 
     Raises
     ------
@@ -56,12 +56,12 @@ class Triangles:
 
     @property
     def extent(self) -> float:
-        """Largest extent along an axis of what the triangles use, mm."""
+        """Largest extent, along a coordinate axis, of the vertices that triangles use, in mm."""
         return float(np.max(np.ptp(self.vertices[np.unique(self.triangles)], axis=0)))
 
     @property
     def corners(self) -> FloatArray:
-        """Corners of every triangle, mm, shape (n_triangles, 3, 3)."""
+        """Coordinates in mm of the three corners of every triangle, shape (n_triangles, 3, 3)."""
         return np.asarray(self.vertices[self.triangles])
 
     @property
@@ -71,17 +71,21 @@ class Triangles:
 
     @property
     def volume(self) -> float:
-        """Volume that a closed surface encloses, mm^3; negative where its normals point inwards."""
+        """Volume that the surface encloses if it is closed, in mm^3; negative where its normals point inwards."""
         return float(signed_volumes(self.corners - self.vertices[self.triangles[0, 0]]).sum())
 
 
 def triangle_areas(corners: FloatArray) -> FloatArray:
-    """Return areas from corners (..., 3, 3)."""
+    """Return the areas (...) in mm^2 of triangles from the coordinates of their corners (..., 3, 3) in mm."""
     across = np.cross(corners[..., 1, :] - corners[..., 0, :], corners[..., 2, :] - corners[..., 0, :])
     return np.asarray(0.5 * np.linalg.norm(across, axis=-1))
 
 
 def signed_volumes(corners: FloatArray) -> FloatArray:
-    """Return the signed volumes of the tets from the origin to corners (..., 3, 3)."""
+    """Return the signed volumes (...) in mm^3 of the tets between the origin and each triangle.
+
+    `corners` (..., 3, 3): coordinates of the triangles' corners in mm. A volume is positive where the triangle's normal
+    points away from the origin.
+    """
     across = np.cross(corners[..., 0, :], corners[..., 1, :])
     return np.asarray(np.einsum("...i,...i->...", across, corners[..., 2, :]) / 6.0)

@@ -49,7 +49,11 @@ _THREADS = "threads to use (default: all cores); the result does not depend on i
 
 @dataclass(frozen=True)
 class Help:
-    """What ``tissuereg COMMAND --help`` says besides the command's arguments."""
+    """What ``tissuereg COMMAND --help`` says besides the command's arguments.
+
+    `details`: what the command does; `example`: a command line; `seed`, `threads`: help of these options; `seed` None
+    leaves the option out.
+    """
 
     details: str  # a paragraph below the purpose
     example: str  # command lines that work

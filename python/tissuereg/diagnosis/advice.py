@@ -1,7 +1,8 @@
-"""What to measure next: the stock action whose predicted outcomes best separate causes that the data cannot.
+"""Advice on what to measure next: the proposed load case whose predicted outcomes best separate tied causes.
 
-For every pair of tied causes the two fitted models are simulated under the action; the separability is the norm of the
-difference of their predictions, whitened by noise, tracker frame, modulus and force error.
+Causes are tied where the data cannot decide between them. For every pair of tied causes the two fitted models are
+simulated under the proposed load case; the separability is the norm of the difference of their predictions, whitened by
+noise, tracker frame, modulus and force error.
 """
 
 from collections.abc import Sequence
@@ -32,20 +33,25 @@ UP, HOLD, LONG = 2.0, 6.0, 30.0
 
 @dataclass(frozen=True, eq=False)
 class _Action:
-    """A case that could be measured next."""
+    """A load case that could be measured next.
+
+    `words`: the instruction in plain text; `case`: the same as a load case, with the commanded motion of one pad
+    (n_frames, 3) in mm, and without measurements.
+    """
 
     words: str
     case: Case
 
 
 def advise(target: FitTarget, steps: Sequence[Step], findings: Sequence[Finding]) -> dict[str, Any] | None:
-    """Return the stock action that best separates tied causes.
+    """Return the proposed load case that best separates causes between which the data cannot decide.
 
-    `target`: data, believed model, noise and nuisances; `steps`: rounds of the search; `findings`: accepted causes with
-    their groups. Result: ``action`` in words, ``separates`` pairs of ids, ``separability`` the least over the pairs:
-    norm of the difference between the two fitted models' predictions under the action, in noise deviations, given the
-    uncertainty of the tracker's frame, of the modulus as fitted, and of forces. None where nothing is tied, and where
-    no pad is moved.
+    `target`: data, believed model, noise and nuisances; `steps`: rounds of the search for causes; `findings`: accepted
+    causes, each with its group, the ids of the causes that explain the data about as well. The result has three
+    entries: ``action`` is the instruction in words, ``separates`` lists the pairs of ids, and ``separability`` is the
+    least over these pairs of the norm of the difference between the two fitted models' predictions under the action, in
+    noise deviations, given the uncertainty of the tracker's frame, of the modulus as fitted, and of forces. The result
+    is None where no causes are tied, and where no pad is moved.
 
     Notes
     -----
@@ -75,7 +81,11 @@ def advise(target: FitTarget, steps: Sequence[Step], findings: Sequence[Finding]
 
 
 def _actions(experiment: Experiment) -> list[_Action]:
-    """Return pushes and pulls of every pad along the three axes, and a long hold of its own motion."""
+    """Return the load cases that could be measured next with the displacement-controlled pads of an experiment.
+
+    For every pad these are pushes and pulls along the three axes, as far as it has moved, and its own motion with a
+    long hold; where no forces were measured, also its own motion with a measurement of its force.
+    """
     actions = []
     known = experiment.force_std is not None
     for pad in experiment.actuators:
@@ -114,14 +124,19 @@ def _measured(target: FitTarget, action: _Action) -> Experiment:
 
 
 def _prediction(target: FitTarget, fit: Fit, action: _Action) -> FloatArray:
-    """Return the prediction of a fitted model under an action, mm and mN."""
+    """Return a fitted model's prediction under an action, flat: marker displacements in mm, then pad forces in mN."""
     experiment = _measured(target, action)
     predictor = Predictor(experiment, SignalLayout(experiment), element=target.bench.predictor.element)
     return predictor.predict(fit.effects(target.bench.young), young=float(np.exp(fit.x[0])))
 
 
 def _separability(target: FitTarget, action: _Action, fit: Fit, one: FloatArray, other: FloatArray) -> float:
-    """Return the norm of the difference between a fit's prediction and another's, whitened by noise and nuisances."""
+    """Return the norm of the difference between two fitted models' predictions under an action, in standard deviations.
+
+    `one`, `other` (n,): the predictions, flat arrays of marker displacements in mm and forces in mN; `fit`: the fit
+    that predicts `one`; the difference is whitened by noise, tracker frame, force error and its uncertainty of the
+    modulus.
+    """
     layout = SignalLayout(_measured(target, action))
     markers = layout.of_markers()
     force_std = target.noise.force_std if target.bench.experiment.force_std is not None else MEASURED_TO

@@ -25,19 +25,21 @@ class Finding:
     id : str
         Id of the likeliest cause.
     group : tuple of str
-        Ids that the data cannot distinguish from it, itself first; three at most.
+        Ids of the causes that the data cannot distinguish, `id` itself first; three at most.
     probability : float
-        Posterior probability of the id among all causes tried, no cause, and the generic rival.
+        Posterior probability of the id among all causes tried, no cause, and the generic rival (a smooth change without
+        a physical cause).
     log_bayes_factor : float
-        Of the model with the cause against the model without it, nats.
+        Log Bayes factor of the model with the cause against the model without it, nats.
     threshold : float
-        Log Bayes factor that was required.
+        Log Bayes factor that was required, nats.
     parameters : dict
-        Fitted parameters by key of the ``[[effect]]`` table.
+        Fitted parameters by key of the ``[[effect]]`` table; the ending of a key names the unit.
     deviations : dict
-        Their standard deviations, where they are numbers.
+        Standard deviations of those parameters that are numbers, by the same keys.
     held_out : dict
-        Errors of the predictions of held-out data.
+        Errors of the predictions of data that were left out of the fit, with and without the cause: ``rms_..._mm`` of a
+        marker's coordinate, ``chi_...`` of markers and forces in noise deviations. Empty where there are none.
     sentence : str
         The finding in words.
     """
@@ -53,7 +55,7 @@ class Finding:
     sentence: str
 
     def to_json(self) -> dict[str, Any]:
-        """Return the entry of the answer; numbers with a deviation as pairs, lists of them key by key."""
+        """Return the finding as plain data for JSON; a number with a standard deviation becomes a pair of both."""
         return {
             "id": self.id,
             "group": list(self.group),
@@ -73,11 +75,13 @@ class Diagnosis:
     Attributes
     ----------
     verdict : str
-        ``named``, ``group``, ``consistent`` or ``unexplained``.
+        ``named`` (causes were found), ``group`` (found up to a group of causes that the data cannot distinguish),
+        ``consistent`` (the data agree with the model) or ``unexplained`` (they do not, and no cause accounts for it).
     findings : tuple of Finding
         Accepted causes.
     candidates : tuple of dict
-        Every id that was tried: ``id``, ``probability``, ``log_bayes_factor``, ``detectability``.
+        One entry for every cause that was tried: its ``id``, ``probability``, ``log_bayes_factor`` in nats, and
+        ``detectability``, the size of its effect in noise deviations.
     p_misfit : float
         p-value of the residual after the findings: probability that data without further effects misfit as much.
     discrepancy : dict
@@ -85,7 +89,7 @@ class Diagnosis:
     extended : Experiment
         The believed experiment with the findings as effects, and the fitted modulus where the data determine it.
     next_experiment : dict or None
-        Action that would distinguish tied causes; where the verdict is ``unexplained``, what to check
+        Action that would distinguish causes that these data cannot; where the verdict is ``unexplained``, what to check
         (`localisation`).
     left : dict or None
         Residual misfit after the findings, None where there is none: its p-value ``p``, ``where`` (markers and pads),
@@ -116,12 +120,12 @@ class Diagnosis:
 
     @property
     def provisional(self) -> bool:
-        """Whether fewer than `LEAST_CASES` load cases were measured, too few to hold out a case and fit several."""
+        """Whether fewer than `LEAST_CASES` cases load the body, too few to hold one out and fit several others."""
         acts = [case for case in self.extended.cases.values() if case.displacements or case.applied_forces]
         return len(acts) < LEAST_CASES
 
     def to_json(self) -> dict[str, Any]:
-        """Return the answer in the schema ``tissuereg.diagnosis/1``."""
+        """Return the diagnosis as plain data for JSON, in the schema ``tissuereg.diagnosis/1``."""
         return {
             "schema": SCHEMA,
             "verdict": self.verdict,
@@ -138,7 +142,9 @@ class Diagnosis:
         }
 
     def report(self, path: str | os.PathLike[str]) -> Path:
-        """Write one self-contained HTML page: verdict, body with residuals, ranking, proof, assumptions.
+        """Write one self-contained HTML page: verdict, residuals on the body, ranking of causes, proof, assumptions.
+
+        The proof of a cause is its prediction of data that were left out of the fit.
 
         Parameters
         ----------
@@ -166,9 +172,9 @@ class Diagnosis:
         Parameters
         ----------
         folder : path-like
-            Files of these names in it are replaced, others stay.
+            Folder to write into; files of these names in it are replaced, others stay.
         extra : mapping, optional
-            Entries added to the JSON, or replacing its own.
+            Entries added to ``diagnosis.json``; they replace entries of the same name.
 
         Returns
         -------
@@ -197,7 +203,11 @@ class Diagnosis:
 
 
 def _pairs(values: Values, deviations: Values) -> dict[str, Any]:
-    """Return numbers with their deviations as [value, deviation]; lists of numbers as lists of such pairs."""
+    """Return fitted parameters by key, each number that has a standard deviation as the pair [value, deviation].
+
+    Lists of numbers become lists of such pairs. The components of a centre or a direction, and the first semi-axis as a
+    radius, are added under keys of their own.
+    """
     pairs: dict[str, Any] = {}
     for key, value in values.items():
         spread = deviations.get(key)

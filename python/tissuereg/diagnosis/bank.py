@@ -37,11 +37,13 @@ Bank = dict[str, list[Variant]]
 
 
 def make_bank(bench: Bench, *, keep: bool = True, progress: Callable[[str], None] | None = None) -> Bank:
-    """Return the bank of a believed model, from the cache where possible.
+    """Return the bank: for every hypothesis of every cause, the change that it makes to the predicted data.
 
     `bench`: the believed model; its prediction is taken from the cache too; `keep`: whether to read and write the
-    cache; `progress`: called with the id of the cause whose columns are computed. Result: columns in mm and mN, single
-    precision. Raises `ConvergenceError` if the believed model itself has no equilibrium.
+    cache; `progress`: called with the id of the cause whose columns are computed. The result lists the hypotheses of
+    each cause by its id; the columns (p, size) of a hypothesis are changes of all measured numbers by one prior
+    standard deviation of each of its p amplitudes, in mm and mN, single precision. Raises `ConvergenceError` if the
+    believed model itself has no equilibrium.
     """
     entry = f"bank_{fingerprint(bench.experiment, f'{bench.predictor.element} {SCHEMA}')}"
     base, bank = _read(entry) if keep else (None, {})
@@ -60,7 +62,10 @@ def make_bank(bench: Bench, *, keep: bool = True, progress: Callable[[str], None
 
 
 def fingerprint(experiment: Experiment, of: str) -> str:
-    """Return a hash of everything that a believed model's prediction depends on, and of a label `of`, hexadecimal."""
+    """Return a hash, 32 hexadecimal digits, of all that a believed model's prediction depends on and of a label.
+
+    `of`: the label, such as a version of the cached content.
+    """
     digest = hashlib.sha256(f"{__version__} {of}".encode())
     mesh = experiment.mesh
     parts = [mesh.nodes, mesh.tets, experiment.marker_reference]
@@ -117,7 +122,10 @@ def _write(entry: str, base: FloatArray, bank: Bank) -> None:
 
 
 def _read(entry: str) -> tuple[FloatArray | None, Bank]:
-    """Return the cached prediction of the believed model and the hypotheses; none where there is no whole entry."""
+    """Return the cached prediction (size,) of the believed model, mm and mN, and its hypotheses by id of the cause.
+
+    They are None and empty where the cache has no whole entry of the name `entry`.
+    """
     content = read_entry(entry)
     if content is None:
         return None, {}

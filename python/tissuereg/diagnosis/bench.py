@@ -34,10 +34,13 @@ _Out = TypeVar("_Out")
 
 
 class Bench:
-    """The believed model: prediction, sensitivities, and changes by effects.
+    """The believed model of an experiment: its prediction, its sensitivities, and its changes by effects.
 
-    `experiment`: the believed model, with loads and marker places; `layout`: order of all columns; `element` {"tet4",
-    "tet4-averaged", "tet10"}: elements to use; `threads`: threads to use; 0 takes all cores.
+    Predictions are flat vectors of all measured numbers, (size,): displacements of markers in mm, forces in mN.
+    `experiment`: the believed model, with loads and marker places; `layout`: order of these numbers; `element` {"tet4",
+    "tet4-averaged", "tet10"}: elements to use; `threads`: threads to use; 0 takes all cores. Attributes: `young`: mean
+    of the believed modulus, kPa; `young_spread`: its prior standard deviation over that mean; `extent`: extent of the
+    body, mm.
     """
 
     def __init__(
@@ -52,48 +55,56 @@ class Bench:
 
     @cached_property
     def base(self) -> FloatArray:
-        """Prediction of the believed model on the user's mesh, shape (size,), mm and mN."""
+        """Prediction of the believed model on the user's mesh, (size,): marker displacements in mm, forces in mN."""
         return self.predictor.predict()
 
     @cached_property
     def fine(self) -> FineModel:
-        """The believed model on a fine mesh."""
+        """The believed model on a fine mesh of ten-node elements, made at the first use."""
         return FineModel(self.experiment)
 
     @property
     def is_exact(self) -> bool:
-        """Whether the data were simulated on this mesh with these elements: there is no discretisation error."""
+        """Whether the data were simulated on this mesh with these elements, and so have no discretisation error."""
         simulated = self.experiment.simulated
         return simulated is not None and simulated.model == "plain" and simulated.element == self.predictor.element
 
     @cached_property
     def is_elastic(self) -> bool:
-        """Whether every frame of the believed model depends on its own load alone."""
+        """Whether every frame of the believed model depends on its own load alone, not on the frames before it."""
         return not goes_through_time(extended(self.experiment, self.predictor.element))
 
     @cached_property
     def scales_forces(self) -> bool:
-        """Whether the modulus does nothing but scale forces, because displacements alone drive the body."""
+        """Whether a factor on the modulus scales forces and moves no marker, as displacements alone drive the body."""
         driven = any(case.applied_forces for case in self.experiment.cases.values())
         absolute = any(effect.id in _ABSOLUTE for effect in self.experiment.effects)
         return self.experiment.gravity is None and not driven and not absolute
 
     @cached_property
     def tangents(self) -> Tangents:
-        """Sensitivities of the believed model, where it is elastic."""
+        """The equilibria of the believed model with their tangent stiffnesses, for derivatives, where it is elastic."""
         return Tangents(self.predictor)
 
     def by(self, direction: Callable[[State], Sequence[Cause]], count: int) -> FloatArray:
-        """Return the sensitivity columns of parameters; see `Tangents.columns`."""
+        """Return the derivatives of the prediction by some parameters, shape (count, size), in mm and mN per unit.
+
+        `direction`: returns, for an equilibrium, the derivatives of load or material by the parameters; `count`: number
+        of parameters.
+        """
         return self.tangents.columns(direction, count)
 
     def by_fields(self, shares: "sparse.csr_array") -> FloatArray:
-        """Return the sensitivity columns of relative changes of the modulus; see `Tangents.by_fields`."""
+        """Return the derivatives of the prediction by the modulus in parts of the body, (n_fields, size), mm and mN.
+
+        `shares` (n_tets, n_fields), sparse: share of every tet that belongs to each part. The derivatives are by the
+        relative change of the modulus: extrapolated linearly, they are the changes for a doubled modulus.
+        """
         return self.tangents.by_fields(shares)
 
     @cached_property
     def by_young(self) -> FloatArray:
-        """Sensitivity column of a relative change of the modulus, shape (1, size)."""
+        """Derivative of the prediction by the relative change of the whole body's modulus, (1, size), mm and mN."""
         if not self.is_elastic:
             forces = np.where(self.layout.of_markers(), 0.0, self.base)
             if self.scales_forces:
@@ -105,13 +116,17 @@ class Bench:
         return self.by(lambda state: [ModulusField("young", rates)], 1)
 
     def change(self, *effects: Effect) -> FloatArray | None:
-        """Return the change that effects make, shape (size,); None where they do not apply or have no equilibrium."""
+        """Return the change (size,) of the prediction that effects make together, mm and mN.
+
+        The result is None where an effect does not apply, or the body has no equilibrium with them.
+        """
         return self.changes([effects])[0]
 
     def changes(self, tried: Sequence[Sequence[Effect]]) -> list[FloatArray | None]:
-        """Return the change that each of many sets of effects makes, as `change`; several are simulated in parallel.
+        """Return the change of the prediction that each of many sets of effects makes, each (size,), mm and mN.
 
-        The frames of a history are solved one after another on one thread, so that histories run in parallel.
+        The change is None where an effect of the set does not apply, or the body has no equilibrium with it. Several
+        sets are simulated in parallel, the frames of each history one after another on one thread.
         """
         base = self.base
 
@@ -124,7 +139,7 @@ class Bench:
         return self.side_by_side(one, tried)
 
     def side_by_side(self, work: Callable[[_In], _Out], tried: Sequence[_In]) -> list[_Out]:
-        """Return the results of pieces of work, each run on one thread, in their order."""
+        """Return `work(one)` for every entry `one` of `tried`, in order; calls run in parallel, each on one thread."""
         workers = self.predictor.threads or os.cpu_count() or 1
         if workers == 1 or len(tried) == 1:
             return [work(one) for one in tried]
@@ -133,17 +148,17 @@ class Bench:
 
     @property
     def first_time(self) -> float:
-        """Begin of the first case in s."""
+        """Time of the first frame of all cases in s."""
         return min(float(part.times[0]) for part in self.layout.parts)
 
     @property
     def last_time(self) -> float:
-        """End of the last case in s."""
+        """Time of the last frame of all cases in s."""
         return max(float(part.times[-1]) for part in self.layout.parts)
 
     @property
     def frame_step(self) -> float:
-        """Median time between frames in s; 0 where every case is a single one."""
+        """Median time between successive frames of a case in s; 0 where every case has a single frame."""
         steps = np.concatenate([np.diff(part.times) for part in self.layout.parts])
         return float(np.median(steps)) if len(steps) else 0.0
 

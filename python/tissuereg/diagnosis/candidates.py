@@ -1,7 +1,8 @@
 """Candidates of one round of the search: causes with enough linear evidence, fitted nonlinearly and corrected.
 
-Input is the screening of all causes given the current model; output, for each candidate, its best fit over the forms it
-may take, with the discretisation error of the cause corrected (`recorrect`), and its log Bayes factor.
+Input is the screening of all causes given the current model; output, for each candidate, its best fit over its
+likeliest hypothesis and the alternatives to it, with the discretisation error of the cause corrected (`recorrect`), and
+its log Bayes factor.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -30,10 +31,11 @@ FURTHER, LEAST_FURTHER = 1.5, 18.0
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A cause that was fitted together with those found before.
+    """A cause that was fitted together with the causes found in earlier rounds.
 
-    `id`: of the cause; `fit`: of this cause and those found before; `gain`: log Bayes factor against the model without
-    it, nats; `target`: target of the fit; for likely candidates with the discretisation error of the causes corrected.
+    `id`: id of the cause; `fit`: fit of the model with this cause, as the last, and those found before; `gain`: log
+    Bayes factor of that model against the one without this cause, nats; `target`: the data and the believed model that
+    were fitted; for likely candidates the discretisation error of the causes is corrected in it.
     """
 
     id: str
@@ -42,7 +44,7 @@ class Candidate:
     target: FitTarget
 
     def as_rival(self) -> tuple[FittedCause, FloatArray]:
-        """Return the cause, the last one of the fit, with its fitted parameters."""
+        """Return the cause with its fitted free parameters (k,), to be tried in place of another cause."""
         return self.fit.parts[-1], self.fit.x[self.fit.slices()[-1]]
 
 
@@ -54,12 +56,12 @@ def refitted(
     required: Mapping[str, float],
     progress: Callable[[str], None] | None,
 ) -> list[Candidate]:
-    """Return the fitted candidates; those near enough to acceptance have their discretisation error corrected.
+    """Return the causes with enough linear evidence, each fitted with those found before, likeliest first.
 
-    `target`: data, believed model, noise and nuisances; `screen`: all hypotheses of the bank; `screened`: linear
-    evidence of all causes given the current fit; `current`: with the causes found before; `required`: log Bayes factor
-    that each cause must exceed, nats; `progress`: called with the name of the step that begins. Result: likeliest
-    first.
+    For candidates that come near to acceptance the discretisation error of the causes is corrected. `target`: data,
+    believed model, noise and nuisances; `screen`: all hypotheses of the bank; `screened`: linear evidence of all causes
+    given the current fit, by id; `current`: fit with the causes found before; `required`: log Bayes factor that each
+    cause must exceed, nats, by id; `progress`: called with the name of the step that begins.
     """
     taken = set(current.ids)
     order = sorted(
@@ -98,9 +100,10 @@ def refitted(
 
 
 def required_thresholds(thresholds: Mapping[str, float], found: Iterable[str] = ()) -> dict[str, float]:
-    """Return the log Bayes factor that each cause must exceed, given the causes found before.
+    """Return the log Bayes factor, in nats, that each cause must exceed, by id, given the causes found before.
 
-    `thresholds`: thresholds of first causes, by id; `found`: ids of the causes found before. Result: nats.
+    `thresholds`: log Bayes factors required of a first cause, nats, by id; `found`: ids of the causes found before.
+    Unless these are only errors of the marker tracker, more is required of a further cause.
     """
     if all(issubclass(EFFECTS[name], ChainEffect) for name in found):
         return dict(thresholds)
@@ -110,10 +113,11 @@ def required_thresholds(thresholds: Mapping[str, float], found: Iterable[str] = 
 def _fit_forms(
     target: FitTarget, screen: Screen, screened: Screened, current: Fit, name: str, least: float
 ) -> list[Fit]:
-    """Return the fits of a cause's likeliest hypothesis and of the alternatives to it, likeliest first.
+    """Return the fits of a cause, from its likeliest hypothesis and from the alternatives to it, likeliest first.
 
-    A fit ends early where it will not reach the log evidence `least`, or where the correction of its discretisation
-    error could not make it likelier than the best one.
+    `screened`: linear evidence of the cause; `current`: fit with the causes found before; `name`: id of the cause. A
+    fit ends early where it will not reach the log evidence `least`, in nats, or where the correction of its
+    discretisation error could not make it likelier than the best one.
     """
     variant = screened.best
     assert variant is not None  # only the generic rival has none

@@ -1,7 +1,7 @@
 """Correction of the discretisation error: predictions on the user's mesh, carried to a finer mesh.
 
 Markers get an additive difference. Forces get a linear map per frame and pad plus a difference, because a coarse mesh
-is too stiff by a factor. A fitted effect may have a term of its own (`OfEffect`), proportional to the effect.
+is too stiff by a factor. A fitted effect may have a further difference (`OfEffect`), proportional to the effect.
 """
 
 from collections.abc import Mapping
@@ -16,12 +16,12 @@ from tissuereg.simulation.fine.reading import force_maps, mapped
 
 @dataclass(frozen=True, eq=False)
 class OfEffect:
-    """The discretisation error of one effect, for predictions that have more or less of the effect.
+    """The discretisation error of one effect, for predictions that contain more or less of the effect.
 
     `base` (size,): prediction of the believed model on the user's mesh, mm and mN; `change` (size,): change that the
-    effect makes there; `along` (size,): its scalar product with a change is the amount of the effect in it: 0 for the
-    believed model, 1 for the effect; `difference` (size,): fine minus corrected prediction with the effect, at the
-    believed modulus, mm and mN.
+    effect makes there, mm and mN; `along` (size,): weights whose scalar product with a change is the amount of the
+    effect in it: 0 for no change, 1 for `change`; `difference` (size,): prediction with the effect on the fine mesh
+    minus the corrected one of the user's mesh, at the believed modulus, mm and mN.
     """
 
     base: FloatArray
@@ -30,15 +30,21 @@ class OfEffect:
     difference: FloatArray
 
     def share(self, coarse: FloatArray) -> FloatArray:
-        """Return the amount of the effect in predictions (..., size) on the user's mesh, at the believed modulus."""
+        """Return the amount of the effect, shape (...), in predictions (..., size) on the user's mesh, mm and mN.
+
+        The amount is 0 for the believed model, 1 for that with the effect; predictions are at the believed modulus.
+        """
         return np.asarray((coarse - self.base) @ self.along)
 
     def at(self, coarse: FloatArray) -> FloatArray:
-        """Return the correction of such predictions (..., size)."""
+        """Return what must be added to predictions (..., size) on the user's mesh for the effect's error, mm and mN."""
         return np.asarray(self.share(coarse)[..., None] * self.difference)
 
     def other(self, coarse: FloatArray) -> FloatArray:
-        """Return the part of the change in such predictions (..., size) that is no multiple of the effect."""
+        """Return the part, (..., size) in mm and mN, of a model's changes that is no multiple of the effect's change.
+
+        `coarse` (..., size): predictions of the model on the user's mesh at the believed modulus, mm and mN.
+        """
         return np.asarray(coarse - self.base - self.share(coarse)[..., None] * self.change)
 
 
@@ -47,10 +53,10 @@ class Correction:
     """The correction from the user's mesh to a finer one: a difference for markers, a linear map per frame for forces.
 
     Forces need a map because their error is proportional to modulus and memory; the error of the markers depends on the
-    motion alone. `layout`: order of the data; `maps` (n_frames, n_pads, 3, 3): maps of forces by case; forces of other
-    cases are unchanged; `difference` (size,): fine minus mapped prediction, mm and mN; `modulus`: modulus over the
-    believed one at which derivatives are taken; forces are proportional to it; `of_effect`: correction of a fitted
-    effect.
+    motion alone. `layout`: order of the data; `maps`: by name of the case, matrices (n_frames, n_pads, 3, 3) that map
+    the forces of the pads; forces of other cases are not mapped; `difference` (size,): fine minus mapped prediction, mm
+    and mN; `modulus`: modulus over the believed one for which derivatives are given; forces are proportional to it;
+    `of_effect`: the further discretisation error of a fitted effect; None where there is none.
     """
 
     layout: SignalLayout
@@ -60,25 +66,32 @@ class Correction:
     of_effect: OfEffect | None = None
 
     def corrected(self, coarse: FloatArray, modulus: float = 1.0) -> FloatArray:
-        """Return predictions (..., size) as the finer mesh would give them; the modulus is over the believed one."""
+        """Return predictions (..., size) on the user's mesh, mm and mN, as the finer mesh would give them.
+
+        `modulus`: the modulus with which they were computed, over the believed one.
+        """
         scale = self._scale(modulus)
         missing = self.difference if self.of_effect is None else self.difference + self.of_effect.at(coarse / scale)
         return self._mapped(coarse) + scale * missing
 
     def of_columns(self, columns: FloatArray) -> FloatArray:
-        """Return derivatives (..., size) of the believed model as the finer mesh would give them at the modulus."""
+        """Return derivatives (..., size) of a prediction on the user's mesh, converted to the finer mesh and modulus.
+
+        They are given at the believed modulus and returned for the modulus of this correction.
+        """
         return self.at_modulus(self._mapped(columns))
 
     def at_modulus(self, columns: FloatArray) -> FloatArray:
-        """Return derivatives (..., size) of a fine mesh at the believed modulus as they are at this one."""
+        """Return derivatives (..., size) of a prediction, converted from the believed modulus to `self.modulus`."""
         return np.asarray(columns * self._scale(self.modulus))
 
     def with_effect(self, base: FloatArray, coarse: FloatArray, fine: FloatArray, std: FloatArray) -> "Correction":
         """Return a correction that is exact for the believed model and for the model with an effect.
 
-        `base`, `coarse` (size,): the user's mesh without and with the effect, at the believed modulus; `fine` (size,):
-        the fine mesh with it; `std` (size,): noise, by which the amount of the effect in a prediction is weighted.
-        Result: itself where the effect changes nothing.
+        `base`, `coarse` (size,): predictions on the user's mesh without and with the effect, at the believed modulus,
+        mm and mN; `fine` (size,): prediction on the fine mesh with the effect; `std` (size,): standard deviation of the
+        noise, mm and mN, by which the amount of the effect in a prediction is weighted. Returns this correction where
+        the effect changes nothing.
         """
         change = coarse - base
         weighed = change / std**2
@@ -100,10 +113,10 @@ class Correction:
 
 
 def make_correction(layout: SignalLayout, coarse: FloatArray, fine: FloatArray) -> Correction:
-    """Return the correction that maps one prediction exactly to another.
+    """Return the correction that maps a prediction on one mesh exactly to that on another.
 
-    `layout`: order of both; `coarse`, `fine` (size,): predictions of the believed model on two meshes. Result: with one
-    map for each frame and pad.
+    `layout`: order of both; `coarse`, `fine` (size,): predictions of the believed model on two meshes, mm and mN. The
+    result has one 3 x 3 map of forces for each frame and pad.
     """
     maps = {}
     for part in layout.parts:

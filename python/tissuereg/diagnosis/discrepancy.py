@@ -17,12 +17,13 @@ ABOVE = 1.3
 
 
 def describe(layout: SignalLayout, base: Fit, final: Fit) -> dict[str, Any]:
-    """Return the discrepancy of the believed model with fitted modulus.
+    """Return where, when and by how much the believed model with fitted modulus differs from the data.
 
-    `layout`: order of the data; `base`, `final`: the believed model, and with all causes found. Result: ``rms_mm`` and
-    ``in_sigma`` over all markers, ``where`` the worst markers, ``when`` in words, ``under`` the worst case; chi (root
-    mean square residual in noise deviations) by case and marker; ``rms_mm`` and ``in_sigma`` of the final model under
-    ``after``.
+    `layout`: order of the data; `base`, `final`: fits of the believed model and of that with all causes found. The
+    result has the entries ``rms_mm`` and ``in_sigma``, root mean square residual of a marker's coordinate in mm and in
+    noise deviations; ``where``, names of the worst markers; ``when``, a text; ``under``, name of the worst case;
+    ``chi_by_case``, ``chi_forces_by_case`` and ``chi_by_marker``, root mean square residuals in noise deviations by
+    name; and ``after``, with ``rms_mm`` and ``in_sigma`` of the final model.
     """
     seen = layout.seen
     error = np.where(seen, layout.measured - base.prediction, np.nan)
@@ -81,11 +82,12 @@ LOOKS_LIKE = 6.0
 
 
 def residual_summary(layout: SignalLayout, screen: Screen, found: Search, misfit: Misfit) -> dict[str, Any]:
-    """Return the description of a residual that is a misfit.
+    """Return a description of the residual that remains after the findings, where it is too large to be noise.
 
-    `layout`: order of the data; `screen`: all hypotheses, for the nearest cause; `found`: findings and reduced
-    residual; `misfit`: its misfit test. Result: ``p``, ``where`` (names of markers and pads), ``when``, ``looks_like``
-    (an id, or ``"unknown"``), ``sentence``.
+    `layout`: order of the data; `screen`: all hypotheses, to find the cause that it resembles; `found`: the search,
+    with findings and remaining residual; `misfit`: result of the misfit test of that residual. The result has the
+    p-value ``p``, ``where`` (names of markers and pads), the text ``when``, ``looks_like`` (an id, or ``"unknown"``),
+    and the text ``sentence``.
     """
     where = largest_residuals(layout, found.reduced)
     case, time = worst_frame(layout, found.reduced)
@@ -98,7 +100,10 @@ def residual_summary(layout: SignalLayout, screen: Screen, found: Search, misfit
 
 
 def largest_residuals(layout: SignalLayout, reduced: FloatArray) -> list[str]:
-    """Return the markers and pads with the largest root mean square residual, the largest first."""
+    """Return the names of the markers and pads with the largest root mean square residuals, the largest first.
+
+    `reduced` (size,): whitened by noise and nuisances. At most `MOST_PLACES` are named, and only those above `ABOVE`.
+    """
     power: dict[str, float] = {}
     count: dict[str, float] = {}
     seen = layout.seen
@@ -116,7 +121,7 @@ def largest_residuals(layout: SignalLayout, reduced: FloatArray) -> list[str]:
 
 
 def worst_frame(layout: SignalLayout, reduced: FloatArray) -> tuple[str, float]:
-    """Return the case and the time of the frame with the largest sum of squared residuals."""
+    """Return the case and the time, s, of the frame with the largest sum of squares in a whitened residual (size,)."""
     worst = ("", 0.0, -np.inf)
     for part in layout.parts:
         power = (part.markers(reduced) ** 2).sum(axis=(1, 2)) + (part.forces(reduced) ** 2).sum(axis=(1, 2))
@@ -127,7 +132,10 @@ def worst_frame(layout: SignalLayout, reduced: FloatArray) -> tuple[str, float]:
 
 
 def nearest_cause(screen: Screen, found: Search) -> str:
-    """Return the id of the cause with the most evidence in the residual; ``"unknown"`` below `LOOKS_LIKE` nats."""
+    """Return the id of the further cause that the remaining residual resembles most, or ``"unknown"``.
+
+    It is ``"unknown"`` where no cause has a log Bayes factor of at least `LOOKS_LIKE` nats.
+    """
     gains = {name: one.log_bayes_factor for name, one in screen.of(found.reduced).items()}
     named = set(found.final.ids)
     others = {name: gain for name, gain in gains.items() if name not in named and name != UNKNOWN}

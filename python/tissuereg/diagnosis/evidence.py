@@ -20,9 +20,10 @@ from tissuereg._base.arrays import FloatArray
 
 
 class Null:
-    """The null covariance ``C0 = I + N N^T`` of whitened data without a cause.
+    """The covariance of whitened data without any cause: ``C0 = I + N N^T``, noise and nuisances.
 
-    `nuisances` (n_nuisances, size): whitened columns times their prior standard deviations, ``N^T``.
+    `nuisances` (n_nuisances, size): N^T, whitened changes by nuisance parameters, times their prior standard
+    deviations.
     """
 
     def __init__(self, nuisances: FloatArray) -> None:
@@ -34,16 +35,16 @@ class Null:
             self._modes, self._shrink = np.zeros((0, nuisances.shape[1])), np.zeros(0)
 
     def reduced(self, white: FloatArray) -> FloatArray:
-        """Return C0^-1/2 times whitened vectors (..., size)."""
+        """Return whitened vectors (..., size) times C0^-1/2, where C0 is the covariance of noise and nuisances."""
         return np.asarray(white - ((white @ self._modes.T) * self._shrink) @ self._modes)
 
 
 @dataclass(frozen=True, eq=False)
 class Amplitudes:
-    """Linear fit of a hypothesis.
+    """Result of the linear fit of one hypothesis, which has p amplitudes.
 
-    `log_bayes_factor`: against the null hypothesis, nats; `mean` (p,): posterior mean of the amplitudes, in prior
-    standard deviations.
+    `log_bayes_factor`: log Bayes factor of the hypothesis against no cause, nats; `mean` (p,): posterior mean of the
+    amplitudes, in prior standard deviations.
     """
 
     log_bayes_factor: float
@@ -51,9 +52,10 @@ class Amplitudes:
 
 
 def fit_amplitudes(residual: FloatArray, columns: FloatArray) -> Amplitudes:
-    """Return the evidence and the amplitudes of one hypothesis.
+    """Return the evidence and the amplitudes of one hypothesis, by linear regression on the residual.
 
-    `residual` (size,): reduced (`Null.reduced`); `columns` (p, size): reduced, times prior standard deviations.
+    `residual` (size,): of the data, whitened by noise and nuisances (`Null.reduced`); `columns` (p, size): changes by
+    one prior standard deviation of each amplitude, whitened likewise.
     """
     inner = np.eye(len(columns)) + columns @ columns.T
     factor = cho_factor(inner, lower=True)
@@ -66,8 +68,9 @@ def fit_amplitudes(residual: FloatArray, columns: FloatArray) -> Amplitudes:
 class Blocks:
     """Many hypotheses with the same number of columns, factored once for any number of residuals.
 
-    `columns` float32 (n_blocks, p, size): reduced, times prior standard deviations; `positive`: whether the one
-    amplitude (p = 1) cannot be negative: its prior is then half-normal.
+    `columns` float32 (n_blocks, p, size): changes by one prior standard deviation of each amplitude, whitened by noise
+    and nuisances (`Null.reduced`); `positive`: whether the one amplitude (p = 1) cannot be negative: its prior is then
+    half-normal.
     """
 
     def __init__(self, columns: FloatArray, *, positive: bool = False) -> None:
@@ -80,7 +83,10 @@ class Blocks:
         self._inverse = np.linalg.inv(lower)
 
     def log_bayes_factors(self, residuals: FloatArray) -> FloatArray:
-        """Return log Bayes factors against the null hypothesis, (n, n_blocks), for reduced residuals (n, size)."""
+        """Return the log Bayes factors, in nats, of all hypotheses against no cause, shape (n, n_blocks).
+
+        `residuals` (n, size): n residuals of the data, whitened by noise and nuisances (`Null.reduced`).
+        """
         n_blocks, p, size = self.columns.shape
         along = residuals.astype(np.float32) @ self.columns.reshape(-1, size).T
         along = along.astype(np.float64).reshape(-1, n_blocks, p)
@@ -92,7 +98,7 @@ class Blocks:
 
 
 def log_mean_exp(values: FloatArray, axis: int = -1) -> FloatArray:
-    """Return the logarithm of the mean of exponentials."""
+    """Return the logarithm of the mean of ``exp(values)`` along an axis, which the result lacks."""
     top = values.max(axis=axis, keepdims=True)
     return np.asarray(np.squeeze(top, axis) + np.log(np.exp(values - top).mean(axis=axis)))
 
@@ -106,10 +112,10 @@ LOOK_ALIKE = 0.04
 
 
 def probabilities(log_bayes_factors: Mapping[str, float]) -> dict[str, float]:
-    """Return the probability of every cause and, under an empty name, of no cause; equal prior probabilities.
+    """Return the posterior probability of every cause by id and, under an empty name, of no cause.
 
-    `log_bayes_factors`: of every cause against no cause, nats. Result: ``exp(log BF / TEMPER)``, normalised to the sum
-    1.
+    `log_bayes_factors`: log Bayes factor of every cause against no cause, nats, by id. Prior probabilities are equal;
+    the results are proportional to ``exp(log_bayes_factor / TEMPER)`` and have the sum 1.
     """
     names = ["", *log_bayes_factors]
     logs = np.array([0.0, *log_bayes_factors.values()]) / TEMPER

@@ -1,4 +1,7 @@
-"""The findings of a search with groups, probabilities and held-out errors, and the table of all candidates."""
+"""The findings of a search with groups, probabilities and held-out errors, and the table of all candidates.
+
+A group holds a cause that was found and those that the data cannot distinguish from it.
+"""
 
 from collections.abc import Collection, Mapping
 from typing import Any
@@ -24,10 +27,11 @@ AS_LIKELY = 0.1
 
 
 def findings_of(target: FitTarget, screen: Screen, found: Search, thresholds: Mapping[str, float]) -> list[Finding]:
-    """Return the findings of a search, the modulus among them where it lies beyond its prior.
+    """Return the findings of a search; the modulus is one of them where it lies beyond its prior.
 
-    `target`: target of the first fit; `screen`: all hypotheses and the generic rival; `found`: all rounds;
-    `thresholds`: threshold of every cause, nats. Result: without errors at inner targets.
+    `target`: data, believed model, noise and nuisances of the first fit; `screen`: all hypotheses and the generic
+    rival; `found`: all rounds of the search; `thresholds`: log Bayes factor required of every cause, nats, by id. The
+    findings lack the errors at inner targets, which are added later.
     """
     findings = []
     young = target.bench.young
@@ -61,10 +65,10 @@ def findings_of(target: FitTarget, screen: Screen, found: Search, thresholds: Ma
 
 
 def group_of(step: Step, threshold: float, named: Collection[str] = ()) -> tuple[str, ...]:
-    """Return the cause that a step found, and those that the data cannot distinguish from it, likeliest first.
+    """Return the id of the cause that a round found, then those the data cannot distinguish from it, likeliest first.
 
-    `step`: with a cause found; `threshold`: threshold of that cause, nats; `named`: ids that are findings themselves
-    and join no group. Result: `MOST_IN_GROUP` ids at most.
+    `step`: round in which a cause was found; `threshold`: log Bayes factor required of that cause, nats; `named`: ids
+    that are findings themselves and join no group. Result: at most `MOST_IN_GROUP` ids.
     """
     top = step.found
     assert top is not None  # required above
@@ -75,9 +79,11 @@ def group_of(step: Step, threshold: float, named: Collection[str] = ()) -> tuple
 
 
 def candidates_of(screen: Screen, first: Step) -> tuple[dict[str, Any], ...]:
-    """Return every id that was tried in the first step, likeliest first, as `Diagnosis.candidates` has them.
+    """Return every cause that was tried in the first round, likeliest first, as plain data for the answer.
 
-    `screen`: all hypotheses; `first`: first round of the search. Result: one for each id.
+    `screen`: all hypotheses; `first`: first round of the search. Each entry has ``id``, ``probability``,
+    ``log_bayes_factor`` in nats, and ``detectability``, the norm of the change that the cause makes, in noise
+    deviations.
     """
     chances, gains = _chances(first), _gains(first)
     rows: list[dict[str, Any]] = []
@@ -97,13 +103,16 @@ def candidates_of(screen: Screen, first: Step) -> tuple[dict[str, Any], ...]:
 
 
 def _gains(step: Step) -> dict[str, float]:
-    """Return log Bayes factors of all causes in a step: from the fit where there is one, else from screening."""
+    """Return the log Bayes factor of every cause in a round, in nats, by id.
+
+    It is that of the nonlinear fit where the cause was fitted, else that of the linear screening.
+    """
     screened = {name: screened.log_bayes_factor for name, screened in step.screened.items()}
     return screened | {candidate.id: candidate.gain for candidate in step.candidates}
 
 
 def _chances(step: Step) -> dict[str, float]:
-    """Return the probabilities of all causes in a step."""
+    """Return the posterior probability, by id, of every cause in a round, of the generic rival and of no cause."""
     gains = _gains(step)
     if step.found is not None:
         # The held-out proof has distinguished the cause from the generic rival.

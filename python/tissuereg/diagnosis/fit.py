@@ -2,11 +2,11 @@
 
     minimise 1/2 |C0^-1/2 L^-1 (y - f(x))|^2 + 1/2 |(x - mean) / deviation|^2
 
-over x, the logarithm of the modulus followed by the free parameters (`FreeParameters`) of all causes. L^-1 whitens by
-the noise; the other nuisance parameters are integrated out in C0. The Jacobian comes from difference quotients;
-Broyden's update carries it from step to step, and it is evaluated again where steps no longer reduce the objective.
-With H the Hessian in units of the prior deviations, the log evidence is -objective - 1/2 log det H - log(number of
-discrete choices).
+over x, the logarithm of the modulus followed by the free parameters (`FreeParameters`) of all causes; y are the
+measured numbers, f(x) those predicted, mean and deviation the prior of x. L^-1 whitens by the noise; the other nuisance
+parameters are integrated out in C0. The Jacobian comes from difference quotients; Broyden's update carries it from step
+to step, and it is evaluated again where steps no longer reduce the objective. With H the Hessian in units of the prior
+deviations, the log evidence is -objective - 1/2 log det H - log(number of discrete choices).
 """
 
 from collections.abc import Sequence
@@ -46,10 +46,10 @@ ABSOLUTE = tuple(cause.id for cause in CAUSES.values() if cause.absolute)
 
 @dataclass(frozen=True, eq=False)
 class FitTarget:
-    """What fits have in common: the believed model, its correction, noise and nuisances.
+    """The data and the believed model that all fits to one experiment share, with noise and nuisances.
 
-    `bench`: the believed model; `noise`: measurement noise; `correction`: correction of the discretisation error;
-    `null`: null covariance of all nuisances but the modulus, which is fitted.
+    `bench`: the believed model, and by its layout the data; `noise`: measurement noise; `correction`: correction of the
+    discretisation error; `null`: covariance of noise and of all nuisances but the modulus, which is fitted.
     """
 
     bench: Bench
@@ -58,13 +58,13 @@ class FitTarget:
     null: Null
 
     def white(self, flat: FloatArray) -> FloatArray:
-        """Return flat differences (..., size) whitened."""
+        """Return differences (..., size) of data and predictions, given in mm and mN, whitened by the noise alone."""
         return self.noise.whitened(flat, self.bench.layout)
 
 
 @dataclass(frozen=True, eq=False)
 class FittedCause:
-    """One cause in a fit."""
+    """One cause in a fit: its `id`, and its `free_parameters` with their normal priors."""
 
     id: str
     free_parameters: FreeParameters
@@ -77,25 +77,26 @@ class Fit:
     Attributes
     ----------
     parts : tuple of FittedCause
-        Its causes; empty for the believed model.
+        The causes in the model; empty for the believed model.
     x : ndarray of float64, shape (k,)
-        Logarithm of the factor on the modulus, then the parameters of all parts.
+        Logarithm of the factor on the modulus, then the free parameters of all causes.
     mean, deviation : ndarray of float64, shape (k,)
-        Prior mean and standard deviation.
+        Prior mean and standard deviation of x.
     prediction : ndarray of float64, shape (size,)
-        Corrected, mm and mN.
+        Prediction of all measured numbers, corrected for the discretisation error, mm and mN.
     jacobian : ndarray of float64, shape (k, size)
-        Derivative of the corrected prediction by x.
+        Derivative of the corrected prediction by x, mm and mN.
     residual : ndarray of float64, shape (size,)
-        Measured minus predicted, whitened.
+        Measured minus predicted, whitened by the noise alone; 0 where nothing was measured.
     objective : float
-        Minimum.
+        Minimum of half the squared residual (whitened by noise and nuisances) plus half the squared distance of x from
+        its prior mean in prior deviations, nats.
     log_evidence : float
-        Up to a constant that is the same for all fits to the same data.
+        Logarithm of the evidence in nats, up to a constant that is the same for all fits to the same data.
     covariance : ndarray of float64, shape (k, k)
         Posterior covariance of x (Laplace).
     choices : int
-        Number of discrete hypotheses among which these were chosen.
+        Number of discrete hypotheses among which these causes were chosen.
     """
 
     parts: tuple[FittedCause, ...]
@@ -112,19 +113,19 @@ class Fit:
 
     @property
     def ids(self) -> tuple[str, ...]:
-        """Ids of its causes."""
+        """Ids of the causes in the model, in their order."""
         return tuple(part.id for part in self.parts)
 
     def slices(self) -> list[slice]:
-        """Return where the parameters of every part lie in `x`."""
+        """Return for every cause the slice of `x` that holds its parameters."""
         return slices_of(self.parts)
 
     def young(self, believed: float) -> float:
-        """Return the fitted modulus in kPa."""
+        """Return the fitted modulus in kPa; `believed`: believed modulus, kPa."""
         return believed * float(np.exp(self.x[0]))
 
     def effects(self, believed: float) -> tuple[Effect, ...]:
-        """Return the effects of all parts."""
+        """Return the effects of all causes at the fitted parameters; `believed`: believed modulus, kPa."""
         young = self.young(believed)
         return tuple(
             effect
@@ -133,8 +134,9 @@ class Fit:
         )
 
     def values(self, number: int, believed: float) -> tuple[Values, Values]:
-        """Return the parameters of one part and their standard deviations.
+        """Return the physical parameters of one cause and their standard deviations, both by key.
 
+        `number`: number of the cause in the fit; `believed`: believed modulus, kPa; the ending of a key names the unit.
         Physical parameters may be nonlinear functions of the fitted ones. Each principal axis of the fitted covariance
         is followed by one deviation to both sides; half the sum of the squared changes is the variance.
         """
@@ -163,13 +165,14 @@ def fit(
     choices: int = 1,
     hopeless: float = np.inf,
 ) -> Fit | None:
-    """Return the fit of a model with causes.
+    """Return the fit of a model with causes to the data.
 
     `target`: data, believed model, noise and nuisances; `parts`: causes with their parameters; empty for the believed
-    model; `start` (k,): first guess; that of the parts' own parameters where absent; `choices`: number of discrete
-    hypotheses among which these were chosen; its logarithm is subtracted from the evidence; `hopeless`: objective above
-    which a fit is of no use. A fit that is not expected to come below it ends early, with an approximate Jacobian.
-    Result: None where there is no equilibrium at the start.
+    model; `start` (k,): first guess of the logarithm of the modulus and the parameters of all causes; by default the
+    first guess that the causes themselves have; `choices`: number of discrete hypotheses among which these were chosen;
+    its logarithm is subtracted from the evidence; `hopeless`: objective, in nats, above which a fit is of no use. A fit
+    that is not expected to come below it ends early, with an approximate Jacobian. The result is None where there is no
+    equilibrium at the start.
     """
     solver = _FitSolver(target, tuple(parts))
     x = solver.start if start is None else start.copy()
@@ -234,11 +237,11 @@ def fit(
 
 
 def best_start(target: FitTarget, parts: Sequence[FittedCause], before: FloatArray) -> FloatArray:
-    """Return the first guess of the fit of a further cause: of its starts that with the smallest objective.
+    """Return the best first guess of the fit with a further cause: that with the smallest objective.
 
     `target`: data, believed model, noise and nuisances; `parts`: all causes, the further one last; `before` (k,):
-    parameters of the fit without it. Result: (k + n_parameters,), with the cause's first start where it has no others
-    or none of them has an equilibrium.
+    parameters of the fit without it. Result: (k + n_parameters,), the parameters before and then one of the first
+    guesses that the further cause offers; its default one where it offers no others or none of them has an equilibrium.
     """
     free_parameters = parts[-1].free_parameters
     first = np.concatenate([before, free_parameters.start])
@@ -255,13 +258,13 @@ def best_start(target: FitTarget, parts: Sequence[FittedCause], before: FloatArr
 
 
 def choices_of(cause: str, variants: Sequence[Variant]) -> int:
-    """Return the number of discrete hypotheses of a cause between which its free parameters cannot move."""
+    """Return how many discrete hypotheses a cause has between which its free parameters cannot move; at least 1."""
     keys = CAUSES[cause].discrete
     return max(1, len({tuple(str(v.settings.get(key)) for key in keys) for v in variants}))
 
 
 def slices_of(parts: Sequence[FittedCause]) -> list[slice]:
-    """Return where the parameters of every part lie in the vector x, after the modulus."""
+    """Return for every cause the slice of its parameters in the vector x, whose first entry is that of the modulus."""
     found, at = [], 1
     for part in parts:
         found.append(slice(at, at + len(part.free_parameters.start)))
@@ -270,11 +273,11 @@ def slices_of(parts: Sequence[FittedCause]) -> list[slice]:
 
 
 def at_believed_modulus(target: FitTarget, found: Fit) -> tuple[tuple[Effect, ...], FloatArray]:
-    """Return the effects of a fit, and their prediction on the user's mesh, at the believed modulus.
+    """Return the effects of a fit's causes, and the prediction with them on the user's mesh, at the believed modulus.
 
-    `target`: data, believed model, noise and nuisances; `found`: with causes. Result: (size,), the latter in mm and mN.
-    Raises `ConvergenceError` if a frame has no equilibrium; `ExperimentError`, `MaterialError` or `SupportError` if an
-    effect does not apply to the experiment.
+    `target`: data, believed model, noise and nuisances; `found`: fit with causes. The prediction is (size,), in mm and
+    mN, and not corrected for the discretisation error. Raises `ConvergenceError` if a frame has no equilibrium;
+    `ExperimentError`, `MaterialError` or `SupportError` if an effect does not apply to the experiment.
     """
     x = found.x.copy()
     x[0] = 0.0
@@ -283,7 +286,10 @@ def at_believed_modulus(target: FitTarget, found: Fit) -> tuple[tuple[Effect, ..
 
 
 class _FitSolver:
-    """Objective, Jacobian and step of one fit."""
+    """Objective, Jacobian and step of one fit, for the causes `parts`, to the data and the believed model of `target`.
+
+    Its parameters x (k,) are the logarithm of the factor on the modulus, then those of all causes.
+    """
 
     def __init__(self, target: FitTarget, parts: tuple[FittedCause, ...]) -> None:
         self.target = target
@@ -310,7 +316,7 @@ class _FitSolver:
         return self.target.correction.corrected(found, self.factor(x))
 
     def uncorrected(self, x: FloatArray) -> FloatArray:
-        """Return the prediction on the user's mesh for parameters (k,)."""
+        """Return the prediction (size,) on the user's mesh for parameters (k,), mm and mN."""
         factor = self.factor(x)
         total = np.zeros(len(self.measured))
         for part, mine in zip(self.parts, slices_of(self.parts), strict=True):
@@ -321,7 +327,10 @@ class _FitSolver:
         return np.where(self.force, factor * total, total) if self.scales else total
 
     def body(self, effects: Sequence[Effect], factor: float) -> FloatArray:
-        """Return the prediction on the user's mesh with effects."""
+        """Return the prediction (size,) on the user's mesh with effects, in mm and mN.
+
+        `factor`: modulus over the believed one; it is left out where it only scales forces.
+        """
         bench = self.target.bench
         if not effects and (self.scales or factor == 1.0):
             return bench.base
@@ -329,11 +338,14 @@ class _FitSolver:
         return bench.predictor.predict(effects, young=young, threads=1, near=self.near)
 
     def factor(self, x: FloatArray) -> float:
-        """Return the modulus over the believed one."""
+        """Return the modulus over the believed one, for parameters (k,); the first of them is its logarithm."""
         return float(np.exp(np.clip(x[0], -3.0, 3.0)))
 
     def mixture(self, x: FloatArray) -> Mixture:
-        """Return weights and sets of effects whose predictions are interpolated, over all parts but linear ones."""
+        """Return weights of sum 1 and sets of effects, over whose predictions the fit averages for parameters (k,).
+
+        Causes whose predictions are linear in their parameters are left out.
+        """
         young = self.target.bench.young * (1.0 if self.scales else self.factor(x))
         mixture: Mixture = [(1.0, ())]
         for part, mine in zip(self.parts, slices_of(self.parts), strict=True):
@@ -343,7 +355,7 @@ class _FitSolver:
         return mixture
 
     def start_from(self, x: FloatArray) -> None:
-        """Let the following solutions start from that of parameters that were just predicted."""
+        """Let the following solutions start from the equilibria for parameters (k,) that were just predicted."""
         if effects := max(self.mixture(x), key=lambda one: one[0])[1]:
             young = None if self.scales else self.factor(x)
             self.near = self.target.bench.predictor.solved(effects, young=young, threads=1, near=self.near)
@@ -355,7 +367,10 @@ class _FitSolver:
         return float(0.5 * reduced @ reduced + 0.5 * prior @ prior), reduced
 
     def jacobian(self, x: FloatArray, prediction: FloatArray) -> FloatArray:
-        """Return the derivative of the corrected prediction, shape (k, size)."""
+        """Return the derivative (k, size) of the corrected prediction by the parameters, in mm and mN.
+
+        `x` (k,): parameters; `prediction` (size,): corrected prediction for them, mm and mN.
+        """
         rows = np.zeros((len(x), len(prediction)))
         first = 1 if self.scales else 0
         if self.scales:
@@ -375,18 +390,21 @@ class _FitSolver:
         return rows
 
     def updated(self, jacobian: FloatArray, step: FloatArray, change: FloatArray) -> FloatArray:
-        """Return Broyden's update of a Jacobian by a step and the change it made, in units of the prior deviations."""
+        """Return Broyden's update of a Jacobian (k, size) by a step (k,) and the change (size,) that it made.
+
+        The update is the least one in units of the prior deviations.
+        """
         along = step / self.deviation
         unpredicted = change - step @ jacobian
         update = np.outer(along / (self.deviation * float(along @ along)), unpredicted)
         return np.asarray(jacobian + update)
 
     def reduced(self, rows: FloatArray) -> FloatArray:
-        """Return derivatives, whitened and reduced."""
+        """Return derivatives (k, size) of predictions, given in mm and mN, whitened by noise and nuisances."""
         return self.target.null.reduced(self.target.white(rows))
 
     def predicted_decrease(self, step: FloatArray, slopes: FloatArray) -> float:
-        """Return the decrease of the objective that the linearised model predicts for a step."""
+        """Return the decrease of the objective, nats, that whitened derivatives (k, size) predict for a step (k,)."""
         prior = step / self.deviation
         along = step @ slopes
         return float(0.5 * along @ along + 0.5 * prior @ prior)
@@ -398,7 +416,10 @@ class _FitSolver:
 
 
 def _principal_axes(covariance: FloatArray, deviation: FloatArray) -> FloatArray:
-    """Return the principal axes (rows) of a covariance, each one standard deviation long, in units of the prior's."""
+    """Return the principal axes of a covariance (k, k) as rows (k, k), each one standard deviation long.
+
+    `deviation` (k,): prior standard deviations, in whose units the axes are orthogonal.
+    """
     power, axes = np.linalg.eigh(covariance / np.outer(deviation, deviation))
     return np.asarray((np.sqrt(np.maximum(power, 0.0)) * axes * deviation[:, None]).T)
 

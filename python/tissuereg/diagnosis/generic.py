@@ -21,10 +21,10 @@ JAM = 0.5
 
 
 def generic_columns(bench: Bench, marker_std: float) -> FloatArray:
-    """Return the rival's columns for every size.
+    """Return the changes that the generic rival, smooth and without a physical cause, makes, for several sizes of it.
 
-    `bench`: the believed model; `marker_std`: typical noise of a coordinate, mm. Result: (n_sizes, p, size), for one
-    prior standard deviation, mm and mN.
+    `bench`: the believed model; `marker_std`: typical noise of a coordinate, mm. Result: (n_sizes, p, size), changes of
+    all measured numbers by one prior standard deviation of each of the rival's p amplitudes, mm and mN.
     """
     layout = bench.layout
     patterns = smooth_patterns(layout.reference, bench.extent)
@@ -55,9 +55,11 @@ def generic_columns(bench: Bench, marker_std: float) -> FloatArray:
 
 
 def histories(part: CasePart, base: FloatArray) -> list[FloatArray]:
-    """Return the histories of a generic change in a case: load, load squared, fading memory, clock, constant.
+    """Return the time histories, each (n_frames,), that a generic change may have in a case.
 
-    `base` (size,): prediction of the believed model. Result: of about unit size.
+    They are load, load squared (minus load), fading memory of the load, clock and constant; without load only a
+    constant and the clock. `part`: the case; `base` (size,): prediction of the believed model, mm and mN. The histories
+    are dimensionless and of about unit size.
     """
     load = load_history(part, base)
     span = float(part.times[-1] - part.times[0]) if part.n_frames > 1 else 1.0

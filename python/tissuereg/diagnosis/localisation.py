@@ -33,8 +33,8 @@ _NEAR = 0.5
 class RigComponent:
     """A component of the rig or of the model that can be checked.
 
-    `kind`: ``marker``, ``pad``, ``support``, ``case`` or ``body``; `name`: as in the experiment; for the body its
-    elements; `proximity` (size,): weight of every measured number, 0 to 1.
+    `kind`: ``marker``, ``pad``, ``support``, ``case`` or ``body``; `name`: its name in the experiment; for the body the
+    name of its elements; `proximity` (size,): how near every measured number is to the component, 0 to 1.
     """
 
     kind: str
@@ -56,12 +56,13 @@ _ACTIONS = {
 
 
 def next_check(bench: Bench, residual: FloatArray, nearest: str = UNKNOWN) -> dict[str, Any]:
-    """Return the component to check next.
+    """Return the component of the rig or model to check next, where no cause explains the data.
 
-    `bench`: the believed model; `residual` (size,): unexplained residual, whitened and reduced; `nearest`: the cause
-    that it resembles most, ``"unknown"`` for none. Result: ``action`` in words, ``separates`` (empty) and
-    ``separability`` (None) as in `advise`, and ``check``: the component's ``kind`` and ``name``, the ``share`` of the
-    misfit near it, ``where`` (markers and pads, the worst first), ``case`` and ``time_s``.
+    `bench`: the believed model; `residual` (size,): unexplained residual, whitened by noise and nuisances; `nearest`:
+    id of the cause that it resembles most, ``"unknown"`` for none. The result has ``action``, the advice in words,
+    ``separates`` (empty) and ``separability`` (None), and ``check``: the component's ``kind`` and ``name``, the
+    ``share`` of the misfit near it, ``where`` (markers and pads, the worst first), and ``case`` and ``time_s`` of the
+    worst frame.
     """
     layout = bench.layout
     components = list(components_of(bench))
@@ -94,7 +95,7 @@ def next_check(bench: Bench, residual: FloatArray, nearest: str = UNKNOWN) -> di
 
 
 def components_of(bench: Bench) -> Iterator[RigComponent]:
-    """Yield all components that can be checked."""
+    """Yield every marker, pad, support and case, and the body, each with its proximity to all measured numbers."""
     layout, experiment = bench.layout, bench.experiment
     for i, name in enumerate(layout.marker_names):
         yield RigComponent("marker", name, _near_markers(layout, np.eye(len(layout.marker_names))[i]))
@@ -116,7 +117,11 @@ def components_of(bench: Bench) -> Iterator[RigComponent]:
 
 
 def log_likelihood_gain(residual: FloatArray, proximity: FloatArray, layout: SignalLayout) -> float:
-    """Return the gain in log likelihood, in nats, of an additional variance near a component over unit variance."""
+    """Return the gain in log likelihood, in nats, of an additional variance near a component over unit variance.
+
+    `residual` (size,): whitened by noise and nuisances; `proximity` (size,): weight of every measured number in the
+    additional variance, 0 to 1; `layout`: order of both. The gain is the largest over the sizes of that variance.
+    """
     seen = layout.seen
     squares, variance = residual[seen] ** 2, 1.0 + _VARIANCES[:, None] * proximity[seen]
     nats = 0.5 * (squares * (1.0 - 1.0 / variance) - np.log(variance)).sum(axis=1)
@@ -124,7 +129,10 @@ def log_likelihood_gain(residual: FloatArray, proximity: FloatArray, layout: Sig
 
 
 def _share(residual: FloatArray, proximity: FloatArray, layout: SignalLayout) -> float:
-    """Return the share of the squared residual beyond noise that lies near a component."""
+    """Return the share of the squared residual (size,) beyond noise that lies near a component of the rig.
+
+    `residual`: whitened; `proximity` (size,): weight of every measured number, 0 to 1.
+    """
     seen = layout.seen
     beyond = residual[seen] ** 2 - 1.0
     whole, there = float(beyond.sum()), float(beyond[proximity[seen] > _NEAR].sum())
@@ -139,14 +147,14 @@ def _near_markers(layout: SignalLayout, closeness: FloatArray) -> FloatArray:
 
 
 def _closeness(bench: Bench, nodes: IntArray) -> FloatArray:
-    """Return a Gaussian of each marker's distance from a patch, 1 on it, shape (n_markers,)."""
+    """Return how close each marker at rest lies to a patch, (n_markers,): a Gaussian of the distance, 1 on it."""
     places = bench.experiment.mesh.nodes[nodes]
     apart = np.linalg.norm(bench.layout.reference[:, None] - places, axis=2).min(axis=1)
     return np.asarray(np.exp(-0.5 * (apart / (REACH * bench.extent)) ** 2))
 
 
 def _squared_motion(layout: SignalLayout, believed: FloatArray) -> FloatArray:
-    """Return the squares of the believed model's prediction over the largest, for markers and forces each."""
+    """Return the squares of a prediction (size,) over the largest of them, 0 to 1, for markers and forces each."""
     near = np.zeros(layout.size)
     markers = layout.of_markers()
     for rows in (markers, ~markers):

@@ -33,11 +33,11 @@ class Diagnosed:
     name : str
         Name of the experiment's folder, and of its results.
     folder : Path
-        Where ``diagnosis.json``, ``experiment.extended.toml`` and ``report.html`` lie.
+        Folder in which ``diagnosis.json``, ``experiment.extended.toml`` and ``report.html`` lie.
     answer : dict
         Content of ``diagnosis.json``, schema ``tissuereg.diagnosis/1``.
     made : bool
-        False if it was there already.
+        True if the diagnosis was made now, False if it was there already.
     """
 
     name: str
@@ -47,7 +47,7 @@ class Diagnosed:
 
     @property
     def verdict(self) -> str:
-        """``named``, ``group``, ``consistent`` or ``unexplained``."""
+        """Verdict of the diagnosis: ``named``, ``group``, ``consistent`` or ``unexplained``."""
         return str(self.answer["verdict"])
 
 
@@ -75,9 +75,10 @@ def diagnose_many(
         Folder of the results, which lie in ``out/NAME``; NAME is that of the experiment's folder. Workers on other
         machines must reach it and the experiments by the same paths.
     executor : tissuereg.parallel.Executor, optional
-        Where diagnoses are made. By default in this process, one after another.
+        Processes or machines that make the diagnoses. By default they are made in this process, one after another.
     seed, keep, element
-        As in `diagnose`.
+        Seed of all random draws; whether the bank of hypotheses and the predictions on fine meshes are cached; elements
+        of the believed model of a body. Types and defaults are those of `diagnose`.
     threads : int, optional
         Threads of a diagnosis; 0 takes all cores. By default 0, and 1 where there is an `executor`.
     progress : callable of (int, int), optional
@@ -144,7 +145,7 @@ def _diagnosed(
 
 
 def _diagnose_one(task: _DiagnosisTask) -> Diagnosed:
-    """Diagnose an experiment and write the result, unless it is there."""
+    """Diagnose one experiment and write the result into its folder, unless a result of the same inputs is there."""
     begun = time.perf_counter()
     is_test = is_material_test(task.path)
     experiment = read_material_experiment(task.path) if is_test else read_experiment(task.path)
@@ -168,19 +169,19 @@ def _diagnose_one(task: _DiagnosisTask) -> Diagnosed:
 
 
 def _name(path: Path) -> str:
-    """Return the name of an experiment's results."""
+    """Return the name for an experiment's results: that of its folder, or of its file without ``.toml``."""
     return path.parent.name if path.name == "experiment.toml" else path.stem if path.suffix == ".toml" else path.name
 
 
 def _fingerprint(files: list[Path], mesh: str, task: _DiagnosisTask) -> str:
-    """Return a fingerprint of an experiment's files and of how it is diagnosed."""
+    """Return a hash, hexadecimal, of an experiment's files, its mesh and the settings with which it is diagnosed."""
     contents = [[file.name, hashlib.sha256(file.read_bytes()).hexdigest()] for file in files]
     identity = json.dumps([contents, mesh, task.seed, task.element, __version__])
     return hashlib.sha256(identity.encode()).hexdigest()
 
 
 def _kept(folder: Path, mark: str) -> dict[str, Any] | None:
-    """Return the answer that is there, if it is this one's."""
+    """Return the answer that lies in a folder, if it was made from inputs with this fingerprint; None otherwise."""
     try:
         answer = _answer(folder)
     except (OSError, ValueError):

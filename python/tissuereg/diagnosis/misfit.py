@@ -30,9 +30,9 @@ _LEAST = 1e-6
 class Misfit:
     """Result of the misfit test.
 
-    `p`: p-value: probability that effect-free data misfit as much; `explained`, `explained_there`: share of the
-    believed model's misfit (statistic minus its mean over null draws) that the judged model removes: in the sum of all
-    squares, and in the statistic that is largest for the judged model.
+    `p`: p-value: probability that data without any effect misfit as much; `explained`, `explained_there`: share of the
+    believed model's misfit (statistic minus its mean over draws of such data) that the judged model removes: in the sum
+    of all squares, and in the statistic that is largest for the judged model.
     """
 
     p: float
@@ -43,7 +43,8 @@ class Misfit:
 class Battery:
     """The statistics of the misfit test, each a sum of squares of residuals or the largest of several such sums.
 
-    `layout`: order of the data; `subspaces`: orthonormal rows; see `smooth_subspaces`.
+    `layout`: order of the data; `subspaces`: for each subspace of smooth changes, orthonormal rows (k, size) that span
+    it (`smooth_subspaces`).
     """
 
     def __init__(self, layout: SignalLayout, subspaces: Sequence[FloatArray]) -> None:
@@ -53,10 +54,10 @@ class Battery:
     def judge(self, before: FloatArray, after: FloatArray, nulls: FloatArray) -> Misfit:
         """Return the misfit test of a model's residual.
 
-        `before`, `after` (size,): reduced residuals (`Null.reduced`) of the believed model and of the model that is
-        judged; `nulls` (n, size): reduced residuals of null draws. Result: the p-value of the largest standardised
-        statistic: its rank among the null draws, and the tail of a Gumbel distribution fitted to them by moments where
-        it exceeds all draws.
+        `before`, `after` (size,): residuals, whitened by noise and nuisances (`Null.reduced`), of the believed model
+        and of the model that is judged; `nulls` (n, size): likewise whitened residuals of null draws, that is of data
+        without any effect. The p-value is the rank of the largest standardised statistic among those of the null draws,
+        and the tail of a Gumbel distribution fitted to them by moments where it exceeds all draws.
         """
         sums, drawn = self.sums(np.stack([before, after])), self.sums(nulls)
         logs = np.log(drawn)
@@ -76,7 +77,10 @@ class Battery:
         )
 
     def sums(self, residuals: FloatArray) -> FloatArray:
-        """Return all statistics, shape (n, n_statistics), positive; the sum of all squares first."""
+        """Return all statistics, shape (n, n_statistics), of residuals (n, size) whitened by noise and nuisances.
+
+        The statistics are positive; the sum of all squares is the first.
+        """
         layout, rows = self.layout, [(residuals**2).sum(axis=1)]
         per_marker = np.zeros((len(residuals), len(layout.marker_names)))
         per_frame = []
@@ -99,7 +103,7 @@ def smooth_subspaces(layout: SignalLayout, base: FloatArray, extent: float, nois
     """Return the subspaces of smooth changes: per case, one for each time history and one for all of them together.
 
     `layout`: order of the data; `base` (size,): prediction of the believed model, mm and mN; `extent`: extent of the
-    body, mm; `noise`: measurement noise. Result: orthonormal rows over whitened data.
+    body, mm; `noise`: measurement noise. Each subspace is given by orthonormal rows (k, size) over whitened data.
     """
     patterns = smooth_patterns(layout.reference, extent)[:SMOOTH]
     found = []
@@ -114,13 +118,17 @@ def smooth_subspaces(layout: SignalLayout, base: FloatArray, extent: float, nois
 
 
 def _removed(sums: FloatArray, drawn: FloatArray, without_misfit: float) -> float:
-    """Return the share of a statistic's excess over its null mean that is removed, of (before, after) in `sums`."""
+    """Return the share of a statistic's excess, over its mean in data drawn without any effect, that a model removes.
+
+    `sums` (2,): the statistic before and after, that is of the believed model and of the one judged; `drawn` (n,): the
+    statistic of the draws; `without_misfit`: value returned where there is no excess.
+    """
     (before, after), expected = sums.tolist(), float(drawn.mean())
     return float((before - after) / (before - expected)) if before > expected else without_misfit
 
 
 def _basis(columns: FloatArray) -> FloatArray:
-    """Return orthonormal rows that span the given vectors (k, size)."""
+    """Return orthonormal rows (m, size) that span the same space as the given vectors (k, size), with m at most k."""
     lengths = np.linalg.norm(columns, axis=1)
     columns = columns[lengths > 0.0] / lengths[lengths > 0.0, None]
     if not len(columns):

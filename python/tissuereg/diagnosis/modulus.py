@@ -37,13 +37,14 @@ _PINNED = 1e-9
 
 
 def modulus_finding(target: FitTarget, screen: Screen, found: Search) -> Finding | None:
-    """Return the modulus as a finding where it lies beyond its prior, the data determine it, and it is proved.
+    """Return the modulus as a finding where it lies far from its prior mean, the data determine it, and it is proved.
 
-    `target`: target of the first fit; `screen`: with the generic rival; `found`: with the causes found; the modulus is
-    the first parameter of their fit. Result: the log Bayes factor compares a free modulus with its log-normal prior:
-    half the square of the distance in prior deviations, which is the same for half and for twice the believed modulus.
-    The held-out proof compares with the model whose modulus is fixed at the believed value. Also None where that model
-    has no equilibrium.
+    `target`: data, believed model, noise and nuisances of the first fit; `screen`: all hypotheses, with the generic
+    rival; `found`: the search with the causes found; the modulus is the first parameter of their fit. The log Bayes
+    factor compares a free modulus with its log-normal prior: half the square of the distance in prior deviations, which
+    is the same for half and for twice the believed modulus. The proof compares predictions of held-out data with those
+    of the model whose modulus is fixed at the believed value. The result is None where one of the three fails, and
+    where that model has no equilibrium.
     """
     target = found.target or target
     final, bench = found.final, target.bench
@@ -83,7 +84,7 @@ def modulus_finding(target: FitTarget, screen: Screen, found: Search) -> Finding
 
 
 def _pinned(bench: Bench) -> Bench:
-    """Return the same bench with the modulus fixed at the believed value; computed results are shared."""
+    """Return a copy of the believed model whose modulus is fixed at the believed value; computed results are shared."""
     other = copy(bench)
     other.young_spread = _PINNED
     return other

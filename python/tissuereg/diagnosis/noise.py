@@ -32,11 +32,11 @@ class Noise:
     Attributes
     ----------
     marker_std : ndarray of float64, shape (n_markers,)
-        Standard deviation of every marker's own noise, mm.
+        Standard deviation of every marker's own noise, per coordinate, mm.
     common_std : float
-        Standard deviation of the motion common to all markers, mm.
+        Standard deviation of the motion common to all markers, per coordinate, mm.
     memory, common_memory : float
-        Correlation of both between frames that are `step_s` apart.
+        Correlation, between frames that are `step_s` apart, of the markers' own noise and of the common motion.
     step_s : float
         Median time between frames, s.
     force_std : float
@@ -54,9 +54,9 @@ class Noise:
     from_rest: bool
 
     def whitened(self, flat: FloatArray, layout: SignalLayout) -> FloatArray:
-        """Return whitened vectors; entries that were not measured become zero.
+        """Return residuals or changes of predictions whitened by the noise; entries that were not measured become 0.
 
-        `flat` (..., size): residuals or columns, mm and mN; `layout`: their order. Result: (..., size), dimensionless.
+        `flat` (..., size): residuals or changes, mm and mN; `layout`: their order. Result: (..., size), dimensionless.
         The map is linear.
         """
         white = np.zeros_like(flat)
@@ -68,7 +68,7 @@ class Noise:
         return white
 
     def draw(self, layout: SignalLayout, generator: np.random.Generator) -> FloatArray:
-        """Return one draw of the whitened noise, shape (size,)."""
+        """Return one draw of the whitened noise, shape (size,); 0 where nothing was measured."""
         return np.where(layout.seen, generator.standard_normal(layout.size), 0.0)
 
     def _markers(self, moved: FloatArray, seen: BoolArray, part: CasePart) -> FloatArray:
@@ -85,7 +85,11 @@ class Noise:
         return np.where(seen, own + along * together, 0.0)
 
     def _faded(self, values: FloatArray, memory: float, step: FloatArray, seen: BoolArray) -> FloatArray:
-        """Return the innovations of an autoregressive process (..., n_frames, k, 3), scaled to unit variance."""
+        """Return the innovations (..., n_frames, k, 3) of an autoregressive process, scaled to unit variance.
+
+        `values` (..., n_frames, k, 3): the process, of unit variance; `memory`: its correlation between frames `step_s`
+        apart; `step` (n_frames,): time since the frame before, s; `seen`: which values were measured.
+        """
         if memory == 0.0:
             return values
         share = memory ** (np.nan_to_num(step[1:], nan=self.step_s) / self.step_s)[:, None, None]
@@ -99,9 +103,9 @@ class Noise:
 def estimate_noise(experiment: Experiment, layout: SignalLayout) -> Noise:
     """Return the noise estimated from rest frames and holds, or the stated one where they do not contradict it.
 
-    `experiment`: with the stated standard deviations, and optionally a rest case; `layout`: its measured numbers.
-    Result: the stated standard deviations, white in time, where there are no rest frames. Raises `NoiseError` if forces
-    were measured and their standard deviation is not stated.
+    `experiment`: with the stated standard deviations, and optionally a rest case (a case without load); `layout`: its
+    measured numbers. Where there are no rest frames, the noise has the stated standard deviations and is white in time.
+    Raises `NoiseError` if forces were measured and their standard deviation is not stated.
     """
     n_markers = len(experiment.marker_names)
     stated = np.full(n_markers, experiment.marker_std)
@@ -142,10 +146,11 @@ def estimate_noise(experiment: Experiment, layout: SignalLayout) -> Noise:
 
 
 def _still(experiment: Experiment, layout: SignalLayout) -> list[tuple[FloatArray, int]]:
-    """Return runs of frames without change of load: the rest case minus its mean, holds minus a straight line in time.
+    """Return runs of frames without change of load, each with the number of parameters fitted to every coordinate.
 
-    Each (n_frames, n_markers, n_axes), with the number of parameters fitted to every coordinate; axes along which
-    nothing was measured are omitted. The line removes slow changes, such as relaxation, from a hold.
+    A run (n_frames, n_markers, n_axes), in mm, is the rest case minus its mean (1 parameter), or a hold minus a
+    straight line in time (2), which removes slow changes such as relaxation. Axes along which nothing was measured are
+    omitted.
     """
     found = []
     along = np.any([np.isfinite(part.markers(layout.measured)).any(axis=(0, 1)) for part in layout.parts], axis=0)
@@ -175,13 +180,21 @@ def _still(experiment: Experiment, layout: SignalLayout) -> list[tuple[FloatArra
 
 
 def _believed(stated: FloatArray, found: FloatArray, statistic: FloatArray, freedom: float) -> FloatArray:
-    """Return the stated deviations where a chi-square test does not contradict them, the estimated ones elsewhere."""
+    """Return standard deviations (k,): stated ones where a chi-square test agrees, estimated ones elsewhere.
+
+    `stated`, `found` (k,): stated and estimated standard deviations, mm; `statistic` (k,): sums of squares over the
+    stated variance; `freedom`: their degrees of freedom.
+    """
     tail = 2.0 * np.minimum(chi2.sf(statistic, freedom), chi2.cdf(statistic, freedom))
     return np.where(tail < LEVEL, np.maximum(found, LEAST_SHARE * stated), stated)
 
 
 def _memory(runs: list[FloatArray], shapes: list[tuple[int, int]]) -> float:
-    """Return the correlation of values (n_frames, k, 3) from frame to frame, over all runs; 0 if there is none."""
+    """Return the correlation of noise from one frame to the next, over all runs of frames; 0 if there is none.
+
+    `runs`: arrays (n_frames, k, n_axes) in mm, from each of which a mean or a line in time was subtracted; `shapes`:
+    for each run its number of frames and the number of parameters subtracted, 1 (mean) or 2 (line).
+    """
     power = float(sum((values**2).sum() for values in runs))
     if power == 0.0:
         return 0.0
@@ -193,7 +206,11 @@ def _memory(runs: list[FloatArray], shapes: list[tuple[int, int]]) -> float:
 
 
 def _expected(memory: float, shapes: list[tuple[int, int]]) -> tuple[float, float]:
-    """Return expected sums of squares and of products of neighbours for unit noise in runs minus their mean or line."""
+    """Return the expected sums of squares and of products of neighbouring frames, for one coordinate of unit noise.
+
+    `memory`: correlation from one frame to the next; `shapes`: for each run of frames its number of frames and the
+    number of parameters fitted to it and subtracted, 1 (mean) or 2 (line in time).
+    """
     power = pairs = 0.0
     for n_frames, fitted in shapes:
         frames = np.arange(n_frames)

@@ -46,29 +46,29 @@ _LEAST_FORM = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Nuisances:
-    """Nuisance parameters with their columns.
+    """Nuisance parameters, each with the change of all measured numbers that it makes.
 
-    `names`: one for each column; `columns` (n, size): change by one prior standard deviation, mm and mN, on the fine
-    mesh at the believed modulus.
+    `names`: one for each of n parameters; `columns` (n, size): change by one prior standard deviation, mm and mN, on
+    the fine mesh at the believed modulus.
     """
 
     names: tuple[str, ...]
     columns: FloatArray
 
     def but(self, name: str) -> BoolArray:
-        """Return which columns have another name, shape (n,)."""
+        """Return a boolean mask (n,), False for the nuisance parameters of this name."""
         return np.array([other != name for other in self.names], bool)
 
 
 def make_nuisances(bench: Bench, mesh_errors: FloatArray, correction: Correction) -> Nuisances:
-    """Return the nuisances of an experiment.
+    """Return the nuisance parameters of an experiment, with the change that each makes.
 
     `bench`: the believed model; `mesh_errors` (n_meshes, size): predictions on further fine meshes minus those on the
-    correcting one, mm and mN; `correction`: correction of the discretisation error, at the believed modulus. Result:
-    modulus, six of the tracker's frame, three of its drift, the shape of the body and of its patches (`shape`); for the
-    remaining discretisation error, which is proportional to the load, smooth patterns over the markers and the three
-    components of every force in each case, of the size by which fine meshes differ; where ``trial_share`` is stated,
-    the difference between trials of one case.
+    correcting one, mm and mN; `correction`: correction of the discretisation error, at the believed modulus. The
+    parameters are the modulus, six of the tracker's frame, three of its drift, the shape of the body and of its patches
+    (`shape`); for the remaining discretisation error, which is proportional to the load, smooth patterns over the
+    markers and the three components of every force in each case, of the size by which fine meshes differ; where
+    ``trial_share`` is stated, the difference between trials of one case.
     """
     layout = bench.layout
     names, columns = ["stiffness"], [bench.young_spread * bench.by_young[0]]
@@ -113,9 +113,10 @@ def make_nuisances(bench: Bench, mesh_errors: FloatArray, correction: Correction
 
 
 def frame_columns(layout: SignalLayout, base: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:
-    """Yield, axis by axis, the columns of a shift and of a rotation of the tracker's frame, each (size,), in mm.
+    """Yield for each axis the changes (size,) by a shift along it and by a rotation about it of the tracker's frame.
 
-    `layout`: order of the columns; `base` (size,): displacements of the markers, mm.
+    The changes are in mm, by one prior standard deviation; those of forces are 0. `layout`: order of the entries;
+    `base` (size,): predicted displacements of the markers, mm.
     """
     middle = layout.reference.mean(axis=0)
     for axis in range(3):
@@ -128,12 +129,16 @@ def frame_columns(layout: SignalLayout, base: FloatArray) -> Iterator[tuple[Floa
 
 
 def _rms(errors: FloatArray) -> float:
-    """Return the root mean square; 0 where there is nothing."""
+    """Return the root mean square of an array of any shape; 0 where it is empty."""
     return float(np.sqrt((errors**2).mean())) if errors.size else 0.0
 
 
 def _trials(bench: Bench, patterns: FloatArray) -> Iterator[tuple[str, FloatArray]]:
-    """Yield the difference between trials of one case: smooth over the markers, a share of each measured motion."""
+    """Yield names and columns (size,), in mm, of the difference between trials, that is repetitions, of one case.
+
+    The difference is a pattern, smooth over the markers, times a share of each marker's measured motion. `patterns`
+    (n_patterns, n_markers): smooth patterns.
+    """
     layout, share = bench.layout, bench.experiment.trial_share
     for part in layout.parts if share else ():
         moved = np.nan_to_num(np.linalg.norm(part.markers(layout.measured), axis=-1))
@@ -143,7 +148,7 @@ def _trials(bench: Bench, patterns: FloatArray) -> Iterator[tuple[str, FloatArra
 
 
 def _shapes(bench: Bench, correction: Correction) -> Iterator[tuple[str, FloatArray]]:
-    """Yield the columns of the shape of the body and of its patches."""
+    """Yield name and column (size,), mm and mN, of each uncertainty of the shape, by one prior standard deviation."""
     if not bench.is_exact:
         for direction, column in shape_columns(bench, correction.corrected(bench.base)):
             yield direction.name, direction.std_mm * column
@@ -153,8 +158,8 @@ def effect_nuisances(bench: Bench, change: FloatArray) -> FloatArray:
     """Return nuisances for the model error of the causes found, whose laws are only approximately the body's own.
 
     `bench`: the believed model; `change` (size,): change that the causes found so far make, mm and mN. Result: (n,
-    size), in every case the change itself, smooth patterns over the markers and the components of every force, by one
-    prior standard deviation.
+    size), changes by one prior standard deviation, mm and mN: in every case the change itself, smooth patterns over the
+    markers and the components of every force.
     """
     layout = bench.layout
     patterns = smooth_patterns(layout.reference, bench.extent)
@@ -175,10 +180,10 @@ def other_forms(hypotheses: FloatArray, change: FloatArray) -> FloatArray:
     """Return nuisances for the form of a found cause: another place, onset, history or exponent than fitted.
 
     Without them the difference between the fitted and the true form would be taken for a further cause. `hypotheses`
-    (n_variants, p, size): whitened columns of all hypotheses of the cause; `change` (size,): fitted change, whitened.
-    Result: (n, size), orthogonal to the change, by one prior standard deviation: each hypothesis that reproduces the
-    share `ALIKE` of the change is fitted to it and scaled to its norm, and its part orthogonal to the change is kept;
-    all together have the size `FORM_ERROR`.
+    (n_variants, p, size): columns of all hypotheses of the cause, whitened by the noise; `change` (size,): change that
+    the fitted cause makes, whitened. Result: (n, size), whitened changes by one prior standard deviation, orthogonal to
+    the fitted change: each hypothesis that reproduces the share `ALIKE` of it is fitted to it and scaled to its norm,
+    and its part orthogonal to it is kept; all together have the size `FORM_ERROR`.
     """
     power, found = float(change @ change), []
     for columns in hypotheses:

@@ -37,10 +37,10 @@ MESH_SPREAD = 1.3
 
 @dataclass(frozen=True, eq=False)
 class Nulls:
-    """Reduced residuals of effect-free data.
+    """Residuals drawn for data without any effect, and the thresholds of causes that follow from them.
 
-    `residuals` (n, size): whitened and reduced; `thresholds`: log Bayes factor that each cause must exceed, nats.
-    Higher for causes that resemble a discretisation error.
+    `residuals` (n, size): whitened by noise and nuisances; `thresholds`: log Bayes factor that each cause must exceed,
+    nats, by id. It is higher for causes that resemble a discretisation error.
     """
 
     residuals: FloatArray
@@ -50,11 +50,11 @@ class Nulls:
 def draw_nulls(
     screen: Screen, null: Null, noise: Noise, layout: SignalLayout, mesh_errors: Sequence[FloatArray], seed: int
 ) -> Nulls:
-    """Return null draws and the thresholds that follow.
+    """Return residuals drawn for data without any effect, and the thresholds that follow.
 
-    `screen`: all hypotheses; `null`: nuisances; `noise`: measurement noise; `layout`: order of the data; `mesh_errors`
-    (size,): predictions on further fine meshes minus those on the correcting one, mm and mN; `seed`: seed of the draws.
-    Result: `DRAWS` residuals, and thresholds.
+    `screen`: all hypotheses; `null`: covariance of noise and nuisances; `noise`: measurement noise; `layout`: order of
+    the data; `mesh_errors`: for each further fine mesh the prediction (size,) on it minus that on the correcting one,
+    mm and mN; `seed`: seed of the draws. There are `DRAWS` residuals.
     """
     generator = np.random.default_rng([seed, 5])
     white = [noise.whitened(error, layout) for error in mesh_errors]
@@ -76,7 +76,11 @@ def draw_nulls(
 
 
 def _thresholds(found: Mapping[str, FloatArray]) -> dict[str, float]:
-    """Return a quantile of every cause's log Bayes factors (n,), such that any exceeds its own in `LEVEL` of draws."""
+    """Return a threshold for every cause, in nats, so that any cause passes its own in at most `LEVEL` of the draws.
+
+    `found`: log Bayes factors (n,) of every cause in n draws without any effect, by id. The threshold of a cause is a
+    quantile of its own log Bayes factors, of the same order for all causes, and at least `LEAST_THRESHOLD`.
+    """
     values = np.array(list(found.values()))
     # The last share is Bonferroni's bound, which holds however the causes are correlated.
     for share in LEVEL * np.geomspace(1.0, 1.0 / len(values), SHARES):

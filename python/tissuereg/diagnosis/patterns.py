@@ -1,4 +1,7 @@
-"""Columns of smooth changes: Gaussian-process patterns over the markers times a history over the frames of a case."""
+"""Columns of smooth changes: Gaussian-process patterns over the markers times a history over the frames of a case.
+
+A column is a flat vector of all measured numbers, (size,): displacements of markers in mm and forces in mN.
+"""
 
 import numpy as np
 
@@ -15,8 +18,8 @@ LENGTH = 0.35
 def smooth_patterns(places: FloatArray, extent: float) -> FloatArray:
     """Return the leading eigenvectors of a Gaussian process of unit variance over places.
 
-    `places` (n, 3): mm; `extent`: extent of the body, mm. Result: (n_patterns, n), scaled by the roots of their
-    eigenvalues, so that their squares sum to nearly 1 at every place.
+    `places` (n, 3): mm; `extent`: extent of the body, mm. Result: (n_patterns, n), dimensionless, scaled by the roots
+    of the eigenvalues, so that their squares sum to nearly 1 at every place.
     """
     distance = np.linalg.norm(places[:, None] - places[None], axis=2)
     values, vectors = np.linalg.eigh(np.exp(-0.5 * (distance / (LENGTH * extent)) ** 2))
@@ -25,17 +28,20 @@ def smooth_patterns(places: FloatArray, extent: float) -> FloatArray:
 
 
 def load_history(part: CasePart, base: FloatArray) -> FloatArray:
-    """Return the predicted size of the marker motion in every frame over its largest, 0 to 1; 0 in a rest case."""
+    """Return the predicted size of the marker motion in every frame over its largest, (n_frames,), 0 to 1.
+
+    It is 0 throughout in a case at rest. `part`: the case; `base` (size,): prediction of the believed model, mm and mN.
+    """
     moved = np.sqrt((part.markers(base) ** 2).sum(axis=(1, 2)))
     return np.asarray(moved / moved.max()) if moved.max() > 1e-6 else np.zeros(part.n_frames)
 
 
 def marker_columns(layout: SignalLayout, part: CasePart, history: FloatArray, patterns: FloatArray) -> FloatArray:
-    """Return columns in which the markers of one case move along one axis, by a pattern times a history.
+    """Return flat vectors of all measured numbers in which the markers of one case move by a pattern times a history.
 
-    `layout`: order of the columns; `part`: the case; all others are zero; `history` (n_frames,) for all markers, or
-    (n_frames, n_markers) for each, mm; `patterns` (n_patterns, n_markers): over the markers. Result: (3, n_patterns,
-    size), axes first.
+    `layout`: order of the vectors; `part`: the case, outside which all entries are zero; `history` (n_frames,) for all
+    markers, or (n_frames, n_markers) for each, mm; `patterns` (n_patterns, n_markers): factor at every marker. Result:
+    (3, n_patterns, size), in mm, for motions along x, y and z.
     """
     columns = np.zeros((3, len(patterns), layout.size))
     for axis in range(3):
@@ -44,10 +50,10 @@ def marker_columns(layout: SignalLayout, part: CasePart, history: FloatArray, pa
 
 
 def force_columns(layout: SignalLayout, part: CasePart, pad: int, history: FloatArray) -> FloatArray:
-    """Return columns in which one component of a pad's force follows a history.
+    """Return flat vectors of all measured numbers in which one component of a pad's force follows a history.
 
-    `layout`: order of the columns; `part`: the case; all others are zero; `pad`: its number in `CasePart.pads`;
-    `history` (n_frames,): mN. Result: (3, size), one for each component.
+    `layout`: order of the vectors; `part`: the case, outside which all entries are zero; `pad`: number of the pad in
+    `part.pads`; `history` (n_frames,): mN. Result: (3, size), in mN, one for each component.
     """
     columns = np.zeros((3, layout.size))
     for axis in range(3):

@@ -26,7 +26,12 @@ MOST_SOLVED = 4
 
 @dataclass(frozen=True, eq=False)
 class Solved:
-    """The solution of a model, before the tracker's effects."""
+    """The equilibria of a model in all cases, as they are before the tracker's errors are applied.
+
+    `effects`: effects in addition to those of the experiment; `young`: factor on the believed modulus, None for 1. The
+    rest is by name of the case: `places` (n_frames, n_markers, 3): places of the markers, mm; `forces`: by pad,
+    (n_frames, 3), mN; `times` (n_frames,): s; `fields` (n_frames, n, 3): displacements of all n element nodes, mm.
+    """
 
     effects: tuple[Effect, ...]
     young: float | None
@@ -39,7 +44,7 @@ class Solved:
 class Predictor:
     """The believed model of an experiment, solved with varying further effects.
 
-    `experiment`: the believed model, with its own effects; `layout`: order of the predictions; `element` {"tet4",
+    `experiment`: the believed model, with its own effects; `layout`: order of the predicted numbers; `element` {"tet4",
     "tet4-averaged", "tet10"}: elements to use; `threads`: threads to use; 0 takes all cores.
     """
 
@@ -63,13 +68,13 @@ class Predictor:
         threads: int | None = None,
         near: Solved | None = None,
     ) -> FloatArray:
-        """Return the prediction with further effects.
+        """Return the prediction (size,) of all measured numbers with further effects, in mm (markers) and mN (forces).
 
         `effects`: in addition to those of the experiment; `young`: factor on the believed modulus; `threads`: threads
-        to use; the predictor's own number where absent; `near`: a similar model, from which frames that are solved one
-        after another start; the believed one where absent. Result: (size,), as `SignalLayout.measured`, everywhere
-        finite. Raises `ConvergenceError` if a frame has no equilibrium; `ExperimentError` if an effect does not apply
-        to the experiment.
+        to use; by default the predictor's own number; `near`: solution of a similar model, from which frames that are
+        solved one after another start; by default that of the believed model. All entries of the result are finite.
+        Raises `ConvergenceError` if a frame has no equilibrium; `ExperimentError` if an effect does not apply to the
+        experiment.
         """
         believed = replace(self.experiment, effects=(*self.experiment.effects, *effects))
         solved = self.solved(effects, young=young, threads=threads, near=near)
@@ -84,7 +89,11 @@ class Predictor:
         threads: int | None = None,
         near: Solved | None = None,
     ) -> Solved:
-        """Return the solution for the arguments of `predict`; the last few are kept."""
+        """Return the equilibria of the believed model with further effects; the last few solutions are kept.
+
+        `effects`: in addition to those of the experiment, without errors of the tracker, which are left out; `young`:
+        factor on the believed modulus; `threads`: threads to use; `near`: solution of a similar model to start from.
+        """
         # The tracker does not act on the body: models that differ in it alone have one solution.
         bodily = tuple(effect for effect in effects if not isinstance(effect, ChainEffect))
         for solved in reversed(self._solved):
@@ -96,7 +105,7 @@ class Predictor:
 
     @cached_property
     def _believed(self) -> Solved:
-        """The solution of the believed model."""
+        """The equilibria of the believed model without further effects."""
         return self._solve((), None, self.threads, None)
 
     def _solve(self, effects: tuple[Effect, ...], young: float | None, threads: int, near: Solved | None) -> Solved:
@@ -126,10 +135,9 @@ class Predictor:
 
 
 def refuse_failures(case: str, failed: Sequence[tuple[int, str]]) -> None:
-    """Raise for a case with a frame that has no equilibrium.
+    """Raise `ConvergenceError` if a frame of a case has no equilibrium; the error names the first such frame.
 
-    `failed`: frames without equilibrium, with the reason. Raises `ConvergenceError` if there is one; it names the
-    first.
+    `case`: name of the case; `failed`: number of each frame without equilibrium, with the reason.
     """
     if failed:
         frame, why = failed[0]

@@ -1,9 +1,10 @@
 """Held-out proof: the predictive density that a model, fitted without a block of the data, gives to that block.
 
-Models are linearised at their fit (`Fit.jacobian`). Holding a block out is then exact linear algebra: the posterior of
-parameters and nuisances given all other data, and the Gaussian predictive density of the block. A cause must predict
-better than the model without it and than the generic rival: an empirical discrepancy term interpolates well but
-extrapolates badly, a physical cause does both (Brynjarsdottir and O'Hagan, Inverse Problems 30, 2014).
+A block is a set of entries of the data, such as a load case. Models are linearised at their fit (`Fit.jacobian`).
+Holding a block out is then exact linear algebra: the posterior of parameters and nuisances given all other data, and
+the Gaussian predictive density of the block. A cause must predict better than the model without it and than the generic
+rival: an empirical discrepancy term interpolates well but extrapolates badly, a physical cause does both
+(Brynjarsdottir and O'Hagan, Inverse Problems 30, 2014).
 """
 
 from collections.abc import Callable
@@ -33,10 +34,10 @@ TIME_BLOCKS = 4
 
 @dataclass(frozen=True, eq=False)
 class LinearModel:
-    """A model linear in its parameters: residual = columns^T x + white noise, x ~ N(0, I).
+    """A model linear in its parameters x: residual = columns^T x + white noise, x ~ N(0, I).
 
-    `residual` (size,): measured minus predicted at x = 0, whitened; `columns` (p, size): whitened, times prior standard
-    deviations.
+    `residual` (size,): measured minus predicted at x = 0, whitened by the noise; `columns` (p, size): whitened changes
+    of the prediction by one prior standard deviation of each parameter.
     """
 
     residual: FloatArray
@@ -45,10 +46,10 @@ class LinearModel:
 
 @dataclass(frozen=True, eq=False)
 class HeldOut:
-    """Predictions of blocks of data by models that were fitted without them.
+    """Predictions of blocks of data by several models, each fitted to all data but the block.
 
     `blocks`: names of the blocks; `log_density` (n_models, n_blocks): log predictive density of every block given all
-    others; `residuals` (n_models, size): whitened residuals of the predictions, NaN outside all blocks.
+    others, nats; `residuals` (n_models, size): whitened residuals of the predictions, NaN outside all blocks.
     """
 
     blocks: tuple[str, ...]
@@ -57,7 +58,11 @@ class HeldOut:
 
 
 def linear_model(target: FitTarget, fit: Fit, extra: FloatArray | None = None) -> LinearModel:
-    """Return a fit as a linear model whose columns are nuisances, the fit's Jacobian, and further ones (p, size)."""
+    """Return a fit as a model linear in its nuisances, its parameters and the amplitudes of further columns.
+
+    `target`: data, believed model, noise and nuisances; `fit`: the fit, about which the model is linear; `extra` (p,
+    size): further columns, whitened by the noise, times prior standard deviations; None for none.
+    """
     slopes = target.white(fit.jacobian) * fit.deviation[:, None]
     # The model is linear about the fit; x = 0 is the prior mean.
     residual = fit.residual + slopes.T @ ((fit.x - fit.mean) / fit.deviation)
@@ -66,10 +71,10 @@ def linear_model(target: FitTarget, fit: Fit, extra: FloatArray | None = None) -
 
 
 def held_out(models: list[LinearModel], blocks: dict[str, BoolArray]) -> HeldOut:
-    """Return the predictions of blocks, each from all other data.
+    """Return the predictions of blocks of the data by several models, each block predicted from all other data.
 
-    `models`: to be compared; `blocks` bool (size,): entries that are held out together. Result: log densities without
-    the constant that all models have in common.
+    `models`: models to be compared; `blocks`: by name, a boolean mask (size,) of the entries that are held out
+    together. Log densities lack the constant that all models have in common.
     """
     size = len(models[0].residual)
     density = np.zeros((len(models), len(blocks)))
@@ -93,11 +98,11 @@ def held_out(models: list[LinearModel], blocks: dict[str, BoolArray]) -> HeldOut
 
 
 def proof_blocks(layout: SignalLayout, slopes: FloatArray) -> dict[str, BoolArray]:
-    """Return the blocks that are held out to prove a cause by its predictive density.
+    """Return the blocks that are held out to prove a cause by its predictive density, as masks (size,) by name.
 
-    `layout`: order of the data; `slopes` (k, size): the cause's whitened sensitivity columns, times prior standard
-    deviations. Result: bool (size,), the load cases in which the cause shows and without which its parameters are still
-    determined (`DETERMINED`); if there is none, blocks of frames of the case that shows it most.
+    `layout`: order of the data; `slopes` (k, size): whitened changes of the prediction by one prior standard deviation
+    of each of the cause's parameters. The blocks are the load cases in which the cause shows and without which its
+    parameters are still determined (`DETERMINED`); if there is none, blocks of frames of the case that shows it most.
     """
 
     def determined(mask: BoolArray) -> bool:
@@ -107,12 +112,12 @@ def proof_blocks(layout: SignalLayout, slopes: FloatArray) -> dict[str, BoolArra
 
 
 def figure_blocks(layout: SignalLayout, slopes: FloatArray, change: FloatArray) -> dict[str, BoolArray]:
-    """Return the blocks for which prediction errors with and without a cause are stated.
+    """Return the blocks for which prediction errors with and without a cause are stated, as masks (size,) by name.
 
-    `layout`: order of the data; `slopes` (k, size): the cause's whitened sensitivity columns, times prior standard
-    deviations; `change` (size,): whitened change that the cause makes. Result: bool (size,), the load cases whose
-    change the other data determine (`UNDETERMINED`); if there is none, blocks of frames of the case with the largest
-    change. Undetermined parameters do no harm where their columns vanish.
+    `layout`: order of the data; `slopes` (k, size): whitened changes of the prediction by one prior standard deviation
+    of each of the cause's parameters; `change` (size,): whitened change that the fitted cause makes. The blocks are the
+    load cases whose change the other data determine (`UNDETERMINED`); if there is none, blocks of frames of the case
+    with the largest change. Undetermined parameters do no harm where their columns vanish.
     """
 
     def determined(mask: BoolArray) -> bool:
@@ -125,8 +130,10 @@ def figure_blocks(layout: SignalLayout, slopes: FloatArray, change: FloatArray) 
 def held_out_figures(layout: SignalLayout, noise: Noise, proof: HeldOut, figures: HeldOut) -> dict[str, object]:
     """Return the held-out errors of a finding: of markers in mm, and of markers and forces in noise deviations.
 
-    `layout`: order of the data; `noise`: measurement noise; `proof`, `figures`: on the blocks of `proof_blocks` and of
-    `figure_blocks`; rows as this module names them. Result: ``held_out`` of the answer.
+    `layout`: order of the data; `noise`: measurement noise; `proof`, `figures`: predictions of the blocks of
+    `proof_blocks` and of `figure_blocks`, by the models before the cause, with it, with the generic rival instead, and
+    by the believed model. The entries are ``rms_..._mm`` and ``chi_...`` of three models, ``noise_mm``,
+    ``log_density_gain`` in nats, and ``cases``, the names of the blocks.
     """
     markers = layout.of_markers() & layout.seen
     chi = [_rms(row[layout.seen & np.isfinite(row)]) for row in figures.residuals]
@@ -146,7 +153,10 @@ def held_out_figures(layout: SignalLayout, noise: Noise, proof: HeldOut, figures
 
 
 def frame_blocks(layout: SignalLayout, part: CasePart) -> dict[str, BoolArray]:
-    """Return blocks of frames of one case, every `TIME_BLOCKS`-th frame each."""
+    """Return masks (size,) by name that divide one case into `TIME_BLOCKS` blocks of frames.
+
+    Each block holds every `TIME_BLOCKS`-th frame; a case of fewer frames has a block for each frame.
+    """
     blocks = {}
     for number in range(min(TIME_BLOCKS, part.n_frames)):
         mask = np.zeros(layout.size, bool)
@@ -160,7 +170,11 @@ def frame_blocks(layout: SignalLayout, part: CasePart) -> dict[str, BoolArray]:
 
 
 def _blocks(layout: SignalLayout, shown: FloatArray, determined: Callable[[BoolArray], bool]) -> dict[str, BoolArray]:
-    """Return the cases with a change that are determined without them; else blocks of frames of the largest change."""
+    """Return the cases that a cause changes and without which it is still determined, as masks (size,) by name.
+
+    `shown` (size,): squared whitened change of every measured number; `determined`: returns whether the other data
+    suffice, given a mask. If there is no such case, the blocks are blocks of frames of the case that changes most.
+    """
     power = {part.name: float(shown[layout.of_case(part.name)].sum()) for part in layout.parts}
     masks = {name: layout.of_case(name) for name, size in power.items() if size > 1.0}
     cases = {name: mask for name, mask in masks.items() if determined(mask)}
@@ -168,7 +182,10 @@ def _blocks(layout: SignalLayout, shown: FloatArray, determined: Callable[[BoolA
 
 
 def _spread(slopes: FloatArray, mask: BoolArray) -> FloatArray:
-    """Return the posterior covariance of parameters, in units of their prior deviations, given data without a block."""
+    """Return the posterior covariance (k, k) of parameters, in prior deviations, given all data but a block.
+
+    `slopes` (k, size): whitened changes by one prior deviation of each parameter; `mask` (size,): entries of the block.
+    """
     others = slopes[:, ~mask]
     return np.asarray(np.linalg.inv(np.eye(len(slopes)) + others @ others.T))
 

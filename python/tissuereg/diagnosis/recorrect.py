@@ -35,15 +35,15 @@ def corrected_fit(
 ) -> tuple[FitTarget, Fit]:
     """Return a target whose correction covers a fitted model, and the fit to it: correct and refit until they agree.
 
-    `target`: target of the fit; `found`: with causes; `progress`: called before each fine solve. Result: the given ones
-    where `recorrected` changes nothing.
+    `target`: data, believed model and correction of the fit; `found`: fit with causes; `progress`: called before each
+    solution on the fine mesh. The two given ones are returned where `recorrected` changes nothing.
 
     Notes
     -----
     Most effects need one round: in 12 fits of bodies of 600 nodes a second one at the new fit changed the log evidence
     by 1.3 at most, where the first one changed it by up to 18, and moved no parameter by more than 0.5 of its
-    deviations. Friction needs six: of an open body (d = 21) the fit gains 51 nats on the user's mesh, 35 after one
-    round, 108 after six, and 103 with ten-node elements throughout.
+    deviations. Friction needs six: of a test body whose friction has a size of 21 noise deviations the fit gains 51
+    nats on the user's mesh, 35 after one round, 108 after six, and 103 with ten-node elements throughout.
     """
     corrected = target, found
     for _ in range(MOST_ROUNDS):
@@ -61,7 +61,8 @@ def corrected_fit(
 def _uncorrected(target: FitTarget, found: Fit) -> float:
     """Return the estimated discretisation error of a fit that its correction does not cover, in noise deviations.
 
-    The corrected error times the relative size of the part of the new effect that is no multiple of the corrected one.
+    It is the error of the effect that was corrected last, times the relative size of that part of the new effect which
+    is no multiple of it.
     """
     of_effect = target.correction.of_effect
     if of_effect is None:
@@ -79,11 +80,12 @@ def _uncorrected(target: FitTarget, found: Fit) -> float:
 
 
 def recorrected(target: FitTarget, found: Fit, *, progress: Callable[[str], None] | None = None) -> FitTarget:
-    """Return a target whose correction covers the believed model and a fitted one.
+    """Return a target whose correction is exact for the believed model and for a fitted model with causes.
 
-    `target`: target of the fit; `found`: with causes; `progress`: called before the fine solve. Result: the given one
-    where the modulus does more than scale forces, where all causes are errors of the tracker or one is memory, where
-    the fine mesh has no equilibrium, and for data that were simulated on the user's mesh.
+    `target`: data, believed model and correction of the fit; `found`: fit with causes; `progress`: called before the
+    solution on the fine mesh. The given target is returned where the modulus does more than scale forces, where all
+    causes are errors of the tracker or one is memory, where the fine mesh has no equilibrium, and for data that were
+    simulated on the user's mesh.
     """
     bench = target.bench
     if bench.is_exact or not bench.scales_forces or any(part.id in ABSOLUTE for part in found.parts):

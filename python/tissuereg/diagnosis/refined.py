@@ -32,10 +32,10 @@ MOST_ENTRIES = 500
 
 
 def flat_of(layout: SignalLayout, answers: dict[str, CaseSimulation]) -> FloatArray:
-    """Return simulated cases as a flat vector.
+    """Return simulated cases as a flat vector (size,): marker displacements in mm and forces in mN.
 
-    `layout`: order of the vector; `answers`: simulation of every case. Result: (size,), mm and mN. Raises
-    `ConvergenceError` if a frame has no equilibrium.
+    `layout`: order of the vector; `answers`: simulation of every case, by name. Raises `ConvergenceError` if a frame
+    has no equilibrium.
     """
     for name, answer in answers.items():
         refuse_failures(name, answer.failed)
@@ -46,18 +46,18 @@ def flat_of(layout: SignalLayout, answers: dict[str, CaseSimulation]) -> FloatAr
 
 
 def entry_of(experiment: Experiment) -> str:
-    """Return the name of the cached entry of a believed model's predictions on fine meshes."""
+    """Return the name of the cache entry that holds a believed model's predictions on fine meshes."""
     return f"fine_{fingerprint(experiment, f'tet10 {SCHEMA}')}"
 
 
 def refined_predictions(
     bench: Bench, entry: str | None, *, thirds: int = THIRDS, progress: Callable[[str], None] | None = None
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the predictions of the believed model on the correcting fine mesh and on further ones.
+    """Return the prediction of the believed model on the correcting fine mesh, and those on further fine meshes.
 
-    `bench`: the believed model; `entry`: name of the cached entry; see `entry_of`; `thirds`: number of further meshes;
-    `progress`: called with the name of the step that begins. Result: mm and mN. Raises `ConvergenceError` if a frame
-    has no equilibrium.
+    `bench`: the believed model; `entry`: name of the cached entry (`entry_of`), None to use no cache; `thirds`: number
+    of further meshes; `progress`: called with the name of the step that begins. Result: (size,) and (thirds, size), mm
+    and mN. Raises `ConvergenceError` if a frame has no equilibrium.
     """
     kept = None if entry is None else _read(entry)
     if kept is not None and kept.shape == (1 + thirds, bench.layout.size):
@@ -76,12 +76,12 @@ def refined_predictions(
 
 
 def refined_effects(bench: Bench, effects: Sequence[Effect]) -> FloatArray | None:
-    """Return the prediction of the believed model with further effects on the fine mesh.
+    """Return the prediction (size,) of the believed model with further effects on the fine mesh, mm and mN.
 
-    `bench`: the believed model; `effects`: in addition to those of the experiment. Result: (size,) or None, mm and mN.
-    None where the material has memory: such histories take minutes on a fine mesh, and the discretisation error of a
-    memory effect is that of the load's own response, which the correction of the believed model contains. Raises
-    `ConvergenceError` if a frame has no equilibrium.
+    `bench`: the believed model; `effects`: in addition to those of the experiment. The result is None where the
+    material has memory: such histories take minutes on a fine mesh, and the discretisation error of a memory effect is
+    that of the load's own response, which the correction of the believed model contains. Raises `ConvergenceError` if a
+    frame has no equilibrium.
     """
     every = (*bench.experiment.effects, *effects)
     if remembers(extended(replace(bench.experiment, effects=every), bench.predictor.element)):

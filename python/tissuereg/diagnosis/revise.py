@@ -18,10 +18,10 @@ BETTER = 2.0
 
 
 def without(target: FitTarget, current: Fit, part: int, *, hopeless: float = np.inf) -> Fit | None:
-    """Return the fit of a model without one of its causes.
+    """Return the fit of a model without one of its causes; None where there is no equilibrium.
 
-    `target`: data, believed model, noise and nuisances; `current`: with all causes; `part`: number of the cause that is
-    removed; `hopeless`: as in `fit`. Result: None where there is no equilibrium.
+    `target`: data, believed model, noise and nuisances; `current`: fit with all causes; `part`: number of the cause
+    that is removed; `hopeless`: objective, in nats, above which a fit is of no use and ends early.
     """
     mine = current.slices()[part]
     others = [*current.parts[:part], *current.parts[part + 1 :]]
@@ -34,8 +34,8 @@ def without_redundant(
     """Return the fit without redundant causes: those whose removal costs less evidence than their threshold.
 
     The discretisation error of the causes is corrected in every fit. `target`: data, believed model, noise and
-    nuisances; `current`: with all causes; `thresholds`: nats, by id. Result: target and fit of the causes that stay,
-    and their numbers among the parts of `current`; one at least.
+    nuisances; `current`: fit with all causes; `thresholds`: log Bayes factor required of every cause, nats, by id.
+    Result: target and fit of the causes that stay, and their numbers among the causes of `current`; one at least.
     """
     kept = list(range(len(current.parts)))
     while len(kept) > 1:
@@ -60,8 +60,9 @@ def exchanged(
     """Return the fit with the best of some rivals in place of one cause, where that gains `BETTER` nats.
 
     The discretisation error of the causes is corrected in every fit. `target`: data, believed model, noise and
-    nuisances; `current`: with all causes; `part`: number of the cause that may be replaced; `rivals`: rivals,
-    with the parameters at which their fits begin. Result: the given ones where no rival is better.
+    nuisances; `current`: fit with all causes; `part`: number of the cause that may be replaced; `rivals`: other causes,
+    each with the free parameters (k,) at which its fit begins. Result: target and fit; the given ones where no rival is
+    better.
     """
     mine = current.slices()[part]
     best, of_best = current, target
@@ -76,7 +77,10 @@ def exchanged(
 
 
 def _reaching(least: float, target: FitTarget, fitted: Fit | None) -> tuple[FitTarget, Fit] | None:
-    """Return a fit with its discretisation error corrected, if its log evidence then exceeds the least."""
+    """Return target and fit with the discretisation error corrected, if the log evidence exceeds `least` nats.
+
+    Return None otherwise, and where there is no fit.
+    """
     if fitted is None or fitted.log_evidence < least - CORRECTION_GAIN:
         return None
     better, again = corrected_fit(target, fitted)

@@ -2,8 +2,8 @@
 
 Input is an `Experiment` (believed model and measurements), output a `Diagnosis`. The steps: noise model, bank of
 hypotheses, correction of the discretisation error, nuisance parameters, linear evidence of all causes, thresholds from
-null draws, search with nonlinear fits and held-out proof, test of the residual, verdict and advice. Each is a module of
-this package; ``docs/diagnose.md`` describes them in this order.
+data drawn without any effect, search with nonlinear fits and held-out proof, test of the residual, verdict and advice.
+Each is a module of this package; ``docs/diagnose.md`` describes them in this order.
 """
 
 import platform
@@ -55,7 +55,13 @@ def diagnose_body(
     element: str | None,
     progress: Callable[[str], None] | None,
 ) -> Diagnosis:
-    """Return the diagnosis of a body; see `tissuereg.diagnosis.diagnose`."""
+    """Return the diagnosis of a body: the causes of the difference between its measurements and its simulation.
+
+    `experiment`: the believed model and the measurements; `seed`: seed of all random draws; `threads`: threads to use;
+    0 takes all cores; `keep`: whether the cache is used; `element`: elements of the believed model, None for the
+    default; `progress`: called with the name of the step that begins. Errors are those of
+    `tissuereg.diagnosis.diagnose`.
+    """
     experiment = _own_modulus(experiment)
     simulated = experiment.simulated
     plain = simulated is not None and simulated.model == "plain"
@@ -118,9 +124,10 @@ def diagnose_body(
 class BelievedModel:
     """The believed model, corrected for discretisation error, with its nuisance parameters.
 
-    `target`: what fits need: corrected model, noise, and the null covariance of all nuisances but the modulus;
-    `nuisances`: nuisance parameters with their columns; `null`: null covariance of all nuisances, the modulus included;
-    `mesh_errors` (n_meshes, size): predictions on further fine meshes minus those on the mesh that corrects, mm and mN.
+    `target`: the input of fits: data, corrected model, noise, and the covariance of noise and all nuisances but the
+    modulus; `nuisances`: nuisance parameters with their columns; `null`: covariance of noise and all nuisances, the
+    modulus included; `mesh_errors` (n_meshes, size): predictions on further fine meshes minus those on the mesh that
+    corrects, mm and mN.
     """
 
     target: FitTarget
@@ -152,7 +159,7 @@ def make_believed(
 
 
 def _at_modulus(bench: Bench, noise: Noise, correction: Correction, nuisances: Nuisances) -> Correction:
-    """Return a correction at the modulus fitted to the data, if the modulus does nothing but scale forces."""
+    """Return the correction at the modulus fitted to the data, if the modulus only scales forces; else unchanged."""
     if not bench.scales_forces:
         return correction
     others = noise.whitened(correction.at_modulus(nuisances.columns[nuisances.but("stiffness")]), bench.layout)
@@ -163,7 +170,10 @@ def _at_modulus(bench: Bench, noise: Noise, correction: Correction, nuisances: N
 def _with_targets(
     findings: list[Finding], experiment: Experiment, extended: Experiment, *, element: str, threads: int
 ) -> list[Finding]:
-    """Return findings with the errors at inner targets without and with all findings; unchanged without targets."""
+    """Return findings that also state the rms errors, mm, at inner targets, with and without all the findings.
+
+    They are unchanged where there are no targets.
+    """
     if not findings or not experiment.targets:
         return findings
     gains = {
@@ -174,7 +184,7 @@ def _with_targets(
 
 
 def _own_modulus(experiment: Experiment) -> Experiment:
-    """Return the experiment with the modulus of a `stiffness` effect moved into its material, which fits scale."""
+    """Return the experiment with the modulus of a `stiffness` effect moved into its material, where fits scale it."""
     stated = [effect for effect in experiment.effects if isinstance(effect, Stiffness)]
     if not stated:
         return experiment
@@ -198,11 +208,11 @@ def _verdict(findings: list[Finding], misfit: float, *, withdrawn: bool) -> str:
 
 
 def target_rms(experiment: Experiment, *, element: str, threads: int) -> float | None:
-    """Return the error of an experiment's model at its measured targets.
+    """Return the error of an experiment's model at its measured targets, a root mean square of coordinates in mm.
 
-    `experiment`: with its effects; simulated on the user's mesh, without correction; `element`: elements, as in
-    `simulate_plain`; `threads`: threads to use; 0 takes all cores. Result: root mean square over coordinates, frames
-    and targets in mm; None where no target was measured or the model has no equilibrium.
+    `experiment`: with its effects; simulated on the user's mesh, without correction; `element` {"tet4",
+    "tet4-averaged", "tet10"}: elements to use; `threads`: threads to use; 0 takes all cores. The mean is over
+    coordinates, frames and targets; the result is None where no target was measured or the model has no equilibrium.
     """
     measured = {name: case.targets for name, case in experiment.cases.items() if case.targets}
     if not measured:

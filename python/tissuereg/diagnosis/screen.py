@@ -1,7 +1,8 @@
 """Screening: the exact linear-Gaussian evidence of every hypothesis in the bank, and of the generic rival.
 
-Input is a reduced residual, output the log Bayes factor of every cause against no cause: that of each hypothesis
-(`evidence`), averaged over the hypotheses of the cause. The average is the penalty for having searched in many places.
+Input is a residual whitened by noise and nuisances, output the log Bayes factor of every cause against no cause: that
+of each hypothesis (`evidence`), averaged over the hypotheses of the cause. The average is the penalty for having
+searched in many places.
 """
 
 from collections.abc import Callable
@@ -28,9 +29,9 @@ _AT_A_TIME = 400
 class Screened:
     """Linear evidence of one cause.
 
-    `log_bayes_factor`: of the cause against no cause: logarithm of the mean Bayes factor of its hypotheses; `best`: the
-    likeliest hypothesis; None for the generic rival; `amplitudes` (p,): posterior mean of its amplitudes, in prior
-    standard deviations.
+    `log_bayes_factor`: of the cause against no cause, nats: logarithm of the mean Bayes factor of its hypotheses;
+    `best`: the likeliest hypothesis; None for the generic rival; `amplitudes` (p,): posterior mean of the amplitudes of
+    that hypothesis, in prior standard deviations; empty for the generic rival.
     """
 
     log_bayes_factor: float
@@ -39,11 +40,12 @@ class Screened:
 
 
 class Screen:
-    """All hypotheses, corrected, whitened and reduced once for any number of residuals.
+    """All hypotheses, corrected and whitened by noise and nuisances once for any number of residuals.
 
-    `bank`: hypotheses in mm and mN; `generic` (n_sizes, p, size): columns of the generic rival; `noise`: measurement
-    noise; `layout`: order of all columns; `correction`: correction of the discretisation error; `null`: null
-    covariance: noise and nuisances. `generic_white` (n_sizes, p, size): the rival's columns, whitened and not reduced.
+    `bank`: hypotheses of each cause, with columns in mm and mN; `generic` (n_sizes, p, size): columns of the generic
+    rival, mm and mN; `noise`: measurement noise; `layout`: order of all columns; `correction`: correction of the
+    discretisation error; `null`: covariance of noise and nuisances. `generic_white` (n_sizes, p, size): the rival's
+    columns, whitened by the noise alone.
     """
 
     def __init__(
@@ -73,7 +75,7 @@ class Screen:
         self.generic = [Blocks(null.reduced(columns)[None].astype(np.float32)) for columns in self.generic_white]
 
     def of(self, residual: FloatArray) -> dict[str, Screened]:
-        """Return the evidence of every cause for one reduced residual (size,)."""
+        """Return the evidence of every cause, by id, for one residual (size,) whitened by noise and nuisances."""
         found: dict[str, Screened] = {}
         for name, blocks in self.blocks.items():
             variants = self.bank[name]
@@ -89,23 +91,29 @@ class Screen:
         return found
 
     def white_columns(self, name: str) -> FloatArray:
-        """Return the whitened columns of all hypotheses of a cause, (n_variants, p, size), not reduced."""
+        """Return the columns of all hypotheses of a cause, (n_variants, p, size), whitened by the noise alone."""
         return np.stack([self._white(variant.columns.astype(np.float64)) for variant in self.bank[name]])
 
     def detectability(self, name: str, variant: Variant, amplitudes: FloatArray) -> float:
-        """Return the norm of the change that a hypothesis makes, whitened by the null covariance (noise deviations)."""
+        """Return the size of the change that a hypothesis makes, a norm whitened by noise and nuisances.
+
+        `name`: id of its cause; `amplitudes` (p,): its amplitudes in prior standard deviations.
+        """
         number = next(i for i, other in enumerate(self.bank[name]) if other is variant)
         return float(np.linalg.norm(amplitudes @ self.blocks[name].columns[number].astype(np.float64)))
 
     def many(self, residuals: FloatArray) -> dict[str, FloatArray]:
-        """Return log Bayes factors of every cause for many reduced residuals (n, size), generic rival included."""
+        """Return the log Bayes factors (n,), in nats, of every cause and of the generic rival, by id.
+
+        `residuals` (n, size): whitened by noise and nuisances.
+        """
         found = {name: log_mean_exp(self._each(name, residuals)) for name in self.blocks}
         each = [block.log_bayes_factors(residuals)[:, 0] for block in self.generic]
         found[UNKNOWN] = log_mean_exp(np.stack(each, axis=-1))
         return found
 
     def _each(self, name: str, residuals: FloatArray) -> FloatArray:
-        """Return log Bayes factors of all hypotheses of a cause, shape (n, n_variants)."""
+        """Return the log Bayes factors (n, n_variants) of a cause's hypotheses, for whitened residuals (n, size)."""
         blocks = self.blocks[name]
         if self.bank[name][0].fixed:
             shift = blocks.columns[:, 0]

@@ -55,18 +55,20 @@ class Step:
     Attributes
     ----------
     screened : dict of str to Screened
-        Linear evidence of all causes.
+        Linear evidence of all causes by id.
     candidates : list of Candidate
         The causes that were fitted, likeliest first.
     found : Candidate or None
-        The candidate that was accepted.
+        The candidate that was accepted; None where none was.
     proof : HeldOut or None
-        Held-out proof of the accepted candidate, else of the likeliest; rows as in `proof`.
+        Predictions of held-out blocks with the accepted candidate, else with the likeliest; None where none passed its
+        threshold. Rows are models: before the cause, with it, with the generic rival instead, the believed one.
     figures : HeldOut or None
-        Errors of the accepted candidate on the blocks of `figure_blocks`; rows as in the proof.
+        Errors of the accepted candidate on the held-out blocks for which errors are reported (`figure_blocks`); rows as
+        in the proof. None where none was accepted.
     rivals : float
-        Log predictive density of the best rival on the held-out blocks of the proof: the generic rival, or a candidate
-        that the data distinguish from the accepted one.
+        Log predictive density, in nats, of the best rival on the held-out blocks of the proof: the generic rival, or a
+        candidate that the data distinguish from the accepted one.
     """
 
     screened: dict[str, Screened]
@@ -84,7 +86,7 @@ class Step:
         return self.found.gain >= CLEAR and float(self.proof.log_density[NAMED].sum()) > self.rivals
 
     def close(self, nats: float) -> list[Candidate]:
-        """Return the other candidates within so many nats of the accepted one, likeliest first."""
+        """Return the other candidates, likeliest first, within `nats` of the accepted one's log Bayes factor."""
         if self.found is None:
             return []
         own = next((c.gain for c in self.candidates if c.id == self.found.id), self.found.gain)
@@ -93,12 +95,12 @@ class Step:
 
 @dataclass(frozen=True, eq=False)
 class Search:
-    """All rounds.
+    """All rounds of the search for causes.
 
-    `base`: the believed model; `final`: with all causes found; `steps`: in order; the last one accepted nothing, unless
-    there are `MOST_CAUSES`; `reduced` (size,): residual of the final model, reduced by all nuisances and the model's
-    own parameters; `target`: target of the last fit, with the discretisation error of the causes found corrected; None
-    where none was found.
+    `base`: fit of the believed model; `final`: fit with all causes found; `steps`: rounds in order; the last one
+    accepted nothing, unless there are `MOST_CAUSES`; `reduced` (size,): residual of the final model, whitened by noise,
+    nuisances and the model's own parameters; `target`: data and model of the last fit, with the discretisation error of
+    the causes found corrected; None where none was found.
     """
 
     base: Fit
@@ -108,7 +110,7 @@ class Search:
     target: FitTarget | None = None
 
     def withdrawn(self, target: FitTarget) -> "Search":
-        """Return the search with all findings withdrawn."""
+        """Return the same rounds with all findings withdrawn, so that the final model is the believed one."""
         steps = [replace(step, found=None) for step in self.steps]
         return Search(self.base, self.base, steps, target.null.reduced(self.base.residual))
 
@@ -116,11 +118,11 @@ class Search:
 def search(
     target: FitTarget, screen: Screen, thresholds: Mapping[str, float], *, progress: Callable[[str], None] | None = None
 ) -> Search:
-    """Return the causes that the data show.
+    """Return the causes that the data show, with all rounds of the search for them.
 
     `target`: data, believed model, noise and nuisances; `screen`: all hypotheses of the bank; `thresholds`: log Bayes
-    factor that each cause must exceed, by id; `progress`: called with the name of the step that begins. Result: without
-    causes where none is accepted.
+    factor that each cause must exceed, nats, by id; `progress`: called with the name of the step that begins. The
+    result is without causes where none is accepted.
     """
     base = fit(target, [])
     assert base is not None  # the believed model has an equilibrium: it was solved before
@@ -147,7 +149,10 @@ def _round(
     thresholds: Mapping[str, float],
     progress: Callable[[str], None] | None,
 ) -> Step:
-    """Return the candidates for the current model, and the likeliest of them that passes the held-out proof."""
+    """Return one round: the candidates for a further cause, and the likeliest that passes the held-out proof.
+
+    `base`, `current`: fits of the believed model and with the causes found before; `thresholds`: nats, by id.
+    """
     screened = screen.of(_as_screened(screen, target, current))
     required = required_thresholds(thresholds, current.ids)
     candidates = refitted(target, screen, screened, current, required, progress)
@@ -167,7 +172,10 @@ def _round(
 
 
 def _best_rival(target: FitTarget, current: Fit, candidates: Sequence[Candidate], found: Candidate) -> float:
-    """Return the best log density, on held-out blocks, of the candidates that the data distinguish from `found`."""
+    """Return the best log density, in nats, of held-out data by a candidate that the data distinguish from `found`.
+
+    It is minus infinity where there is no such candidate.
+    """
     blocks = proof_blocks(target.bench.layout, _columns_and_change(target, current, found, -1)[0])
     others = [other for other in candidates if other.gain <= found.gain - 0.5 * SEPARABLE**2]
     held = held_out([linear_model(target, other.fit) for other in others], blocks) if others else None
@@ -177,7 +185,11 @@ def _best_rival(target: FitTarget, current: Fit, candidates: Sequence[Candidate]
 def _with_finding(
     plain: FitTarget, screen: Screen, base: Fit, before: Fit, found: Candidate
 ) -> tuple[FitTarget, FitTarget, Fit]:
-    """Return the targets after a cause was found, without and with nuisances for its size, and the fit to the last."""
+    """Return the targets after a cause was found, without and with nuisances for its size, and the fit to the last.
+
+    `plain`: the target before, without such nuisances; `base`: fit of the believed model; `before`: fit without
+    `found`.
+    """
     # A found cause has a model error of its own. Its discretisation error was corrected; what remains of that, and the
     # error of its form, are nuisances when further causes are tested.
     forms = other_forms(screen.white_columns(found.id), plain.white(found.fit.prediction - before.prediction))
@@ -191,7 +203,10 @@ def _with_finding(
 def _revised(
     target: FitTarget, screen: Screen, base: Fit, current: Fit, steps: list[Step], thresholds: Mapping[str, float]
 ) -> tuple[FitTarget, Fit, list[Step]]:
-    """Return the causes that remain after each was tested for redundancy and exchanged for its closest rivals."""
+    """Return target, fit and rounds after each cause was tested for redundancy and exchanged for its closest rivals.
+
+    `base`, `current`: fits of the believed model and with all causes; `thresholds`: nats, by id.
+    """
     found = [number for number, step in enumerate(steps) if step.found is not None]
     target, current, kept = without_redundant(target, current, thresholds)
     found = [found[part] for part in kept]
@@ -215,7 +230,11 @@ def _revised(
 def _prove(
     target: FitTarget, references: list[LinearModel], current: Fit, candidate: Candidate, part: int = -1
 ) -> HeldOut:
-    """Return the predictive densities of the models on the blocks of `proof_blocks`, rows as in `proof`."""
+    """Return the predictive densities of the compared models on held-out blocks of the data.
+
+    `references`: models the candidate is compared with; `current`: fit without it; `part`: which cause of the fit is
+    judged.
+    """
     slopes, _ = _columns_and_change(target, current, candidate, part)
     return held_out(_models(target, references, candidate), proof_blocks(target.bench.layout, slopes))
 
@@ -223,7 +242,11 @@ def _prove(
 def _figures(
     target: FitTarget, references: list[LinearModel], current: Fit, candidate: Candidate, part: int = -1
 ) -> HeldOut:
-    """Return the prediction errors of the same models on the blocks of `figure_blocks`."""
+    """Return the prediction errors of the compared models on held-out blocks, as they are reported.
+
+    `references`: models the candidate is compared with; `current`: fit without it; `part`: which cause of the fit is
+    judged.
+    """
     slopes, change = _columns_and_change(target, current, candidate, part)
     return held_out(_models(target, references, candidate), figure_blocks(target.bench.layout, slopes, change))
 
@@ -231,7 +254,10 @@ def _figures(
 def _columns_and_change(
     target: FitTarget, current: Fit, candidate: Candidate, part: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Return a cause's columns (k, size), times prior deviations, and the change it makes (size,), whitened."""
+    """Return the change of the prediction by each parameter of a cause (k, size), and by the whole cause (size,).
+
+    Both are whitened by the noise, the former by one prior deviation; `current`: fit without it; `part`: its number.
+    """
     mine = candidate.fit.slices()[part]
     slopes = target.white(candidate.fit.jacobian[mine]) * candidate.fit.deviation[mine, None]
     change = target.white(candidate.fit.prediction - current.prediction)
@@ -239,7 +265,7 @@ def _columns_and_change(
 
 
 def _references(target: FitTarget, screen: Screen, base: Fit, current: Fit) -> list[LinearModel]:
-    """Return the models a cause is compared with: that before it, that plus the generic rival, the believed one."""
+    """Return three models to compare a cause with: one without it, that plus the generic rival, the believed one."""
     rival = linear_model(target, current, rival_columns(screen, target, current))
     return [linear_model(target, current), rival, linear_model(target, base)]
 
@@ -250,20 +276,20 @@ def _models(target: FitTarget, references: list[LinearModel], candidate: Candida
 
 
 def rival_columns(screen: Screen, target: FitTarget, current: Fit) -> FloatArray:
-    """Return the generic rival's whitened columns (p, size), of the size with the most evidence given a fit."""
+    """Return the generic rival's whitened columns (p, size), in the size that has the most evidence given a fit."""
     reduced = target.null.reduced(current.residual)
     gains = [fit_amplitudes(reduced, target.null.reduced(columns)).log_bayes_factor for columns in screen.generic_white]
     return np.asarray(screen.generic_white[int(np.argmax(gains))])
 
 
 def _null_after(target: FitTarget, current: Fit) -> Null:
-    """Return the null covariance given the causes found: their parameters are nuisances too."""
+    """Return the covariance of noise and nuisances given the causes found, whose parameters are nuisances in it too."""
     slopes = target.white(current.jacobian) * current.deviation[:, None]
     return Null(np.concatenate([target.null.nuisances, slopes]))
 
 
 def _as_screened(screen: Screen, target: FitTarget, current: Fit) -> FloatArray:
-    """Return the residual of a model, reduced by the screen's null and orthogonal to the model's own columns."""
+    """Return the residual (size,) of a fit, whitened by noise and nuisances, orthogonal to its parameters' changes."""
     residual = screen.null.reduced(current.residual)
     if not current.parts:
         return residual

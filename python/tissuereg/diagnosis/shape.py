@@ -57,9 +57,10 @@ _ROUND = 0.3
 
 @dataclass(frozen=True, eq=False)
 class Direction:
-    """One deviation of the body's shape.
+    """One way in which the body's shape may deviate from the mesh.
 
-    `motion` (n_nodes, 3): motion of the mesh's nodes per mm; `std_mm`: prior standard deviation.
+    `name`: name of the nuisance; `motion` (n_nodes, 3): motion of the mesh's nodes per mm of the deviation; `std_mm`:
+    prior standard deviation, mm.
     """
 
     name: str
@@ -68,11 +69,11 @@ class Direction:
 
 
 def shape_directions(experiment: Experiment, given: Mesh | None = None) -> list[Direction]:
-    """Return the deviations of the shape of an experiment's body.
+    """Return the ways in which the shape of an experiment's body may deviate from its mesh.
 
     `experiment`: mesh and patches, with their deviations where stated; `given`: the mesh whose facets the experiment's
-    own mesh subdivides; gaps to the smooth surface are those of its facets. Result: ten for each pad, one for each
-    support whose edge is no edge of the body, and those of the whole surface.
+    own mesh subdivides; gaps to the smooth surface are those of its facets; by default the experiment's own mesh.
+    Result: ten for each pad, one for each support whose edge is no edge of the body, and those of the whole surface.
     """
     surface = _BodySurface(experiment, given or experiment.mesh)
     found = [direction for pad in experiment.actuators for direction in _of_pad(surface, pad)]
@@ -81,7 +82,10 @@ def shape_directions(experiment: Experiment, given: Mesh | None = None) -> list[
 
 
 class _BodySurface:
-    """The surface of a body: normals, gaps to the smooth surface, sharp edges, nodes of each patch."""
+    """The surface of a body: normals, gaps to the smooth surface, sharp edges, nodes of each patch.
+
+    `normals` (n_nodes, 3): of unit length; `gaps` (n_nodes, 3): mm; `facets`: rms gap, mm; `sharp`: node numbers.
+    """
 
     def __init__(self, experiment: Experiment, given: Mesh) -> None:
         self.mesh: Mesh = experiment.mesh
@@ -94,21 +98,21 @@ class _BodySurface:
         self.patches: Sequence[Actuator | Boundary] = (*experiment.actuators, *experiment.boundaries)
 
     def of(self, patch: Actuator | Boundary) -> IntArray:
-        """Return the nodes of a patch that lie on the surface."""
+        """Return the numbers of the nodes of a patch that lie on the surface, sorted."""
         return np.intersect1d(patch.nodes, self.mesh.surface_nodes)
 
     def radius(self, nodes: IntArray) -> float:
-        """Return the radius of a disc of a patch's area, a third of a facet for each of its corners, mm."""
+        """Return the radius, mm, of a disc of a patch's area: a third of a facet counts for each corner in `nodes`."""
         share = np.isin(self.mesh.surface, nodes).sum(axis=1) / 3.0
         return float(np.sqrt((share * self.folds.areas).sum() / np.pi))
 
     def stays(self, patch: Actuator | Boundary) -> np.ndarray:
-        """Return which nodes stay when a patch moves (edges of the body, other patches), shape (n_nodes,)."""
+        """Return a mask (n_nodes,) of the nodes that stay when a patch moves: edges of the body and other patches."""
         others = [other.nodes for other in self.patches if other is not patch]
         return np.isin(np.arange(self.mesh.n_nodes), np.concatenate([self.sharp, *others]))
 
     def along(self, motion: FloatArray) -> FloatArray:
-        """Return the tangential part of a motion at the surface's nodes."""
+        """Return a motion (n_nodes, 3) without its part along the surface's normals."""
         return np.asarray(motion - (motion * self.normals).sum(axis=1, keepdims=True) * self.normals)
 
 
@@ -146,7 +150,7 @@ def _of_pad(surface: _BodySurface, pad: Actuator) -> Iterator[Direction]:
 
 
 def _of_grip(surface: _BodySurface, pad: Actuator, radius: float) -> Iterator[Direction]:
-    """Yield the directions of a pad that surrounds the body: shifts along its surface, and a displaced edge."""
+    """Yield the deviations of a pad that surrounds the body: shifts along its surface, and a displaced edge."""
     near = np.where(surface.stays(pad), 0.0, _nearness(surface.mesh, surface.of(pad), REACH * radius))[:, None]
     for axis, side in enumerate(np.eye(3)):
         motion = surface.along(near * side)
@@ -190,9 +194,9 @@ def _of_surface(surface: _BodySurface, experiment: Experiment) -> Iterator[Direc
 
 
 def _patterns(places: FloatArray, length: float) -> FloatArray:
-    """Return the leading patterns (n_patterns, n) of a Gaussian process of unit variance over places (n, 3).
+    """Return the leading patterns (n_patterns, n) of a Gaussian process of unit variance over places (n, 3) in mm.
 
-    Where there are many places, from an even share of them (Nystrom approximation).
+    `length`: its correlation length, mm. Many places are thinned out evenly to compute them (Nystrom approximation).
     """
     known = places[:: -(-len(places) // MOST_PLACES)]
 
@@ -207,7 +211,10 @@ def _patterns(places: FloatArray, length: float) -> FloatArray:
 
 
 def _carried(given: Mesh, motion: FloatArray, mesh: Mesh) -> FloatArray:
-    """Return a surface motion interpolated to a mesh that subdivides the surface, (n_nodes, 3); zero inside."""
+    """Return the motion (n_nodes, 3) of a mesh whose surface subdivides a given one, by interpolation; zero inside.
+
+    `motion` (n_given, 3): of the given mesh's nodes, mm per mm.
+    """
     places = mesh.nodes[mesh.surface_nodes]
     between = MarkerObservation(given, places, tuple(f"node {node}" for node in mesh.surface_nodes))
     carried = np.zeros_like(mesh.nodes)
@@ -216,7 +223,7 @@ def _carried(given: Mesh, motion: FloatArray, mesh: Mesh) -> FloatArray:
 
 
 def _nearness(mesh: Mesh, nodes: IntArray, reach: float) -> FloatArray:
-    """Return a Gaussian of the distance to the given nodes, 1 on them, shape (n_nodes,)."""
+    """Return a Gaussian of every node's distance to given nodes, (n_nodes,), 1 on them; `reach`: its width, mm."""
     from scipy.spatial import KDTree
 
     away = KDTree(mesh.nodes[nodes]).query(mesh.nodes)[0]
@@ -224,12 +231,12 @@ def _nearness(mesh: Mesh, nodes: IntArray, reach: float) -> FloatArray:
 
 
 def shape_columns(bench: Bench, fine: FloatArray) -> Iterator[tuple[Direction, FloatArray]]:
-    """Yield the directions of the shape with their sensitivity columns.
+    """Yield every deviation of the body's shape with the change of the prediction (size,) that it makes, per mm.
 
     `bench`: the believed model. A model with memory is replaced by its elastic counterpart; `fine` (size,): prediction
-    of the believed model on the fine mesh with ten-node elements, mm and mN. Gives: (size,), change per mm, in mm and
-    mN; forces are mapped to those of ten-node elements (`Correction`). Raises `ConvergenceError` if a frame has no
-    equilibrium.
+    of the believed model on the fine mesh with ten-node elements, mm and mN. Changes are in mm and mN, per mm of the
+    deviation; forces are mapped to those of ten-node elements (`Correction`). Raises `ConvergenceError` if a frame has
+    no equilibrium.
 
     Notes
     -----

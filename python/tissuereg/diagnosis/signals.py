@@ -16,10 +16,11 @@ _T = TypeVar("_T", bound=np.generic)
 
 @dataclass(frozen=True, eq=False)
 class CasePart:
-    """The entries of one case in the flat vector.
+    """Where the numbers of one case lie in the flat vector of all measured numbers.
 
-    `times` (n_frames,): s; `pads`: actuators whose force was measured in it; `begin`: first entry; markers come first,
-    (n_frames, n_markers, 3), then forces, (n_frames, n_pads, 3); `n_markers`: number of markers.
+    `name`: name of the case; `times` (n_frames,): s; `pads`: actuators whose force was measured in it; `begin`: index
+    of its first entry; coordinates of markers come first, (n_frames, n_markers, 3), then forces, (n_frames, n_pads, 3);
+    `n_markers`: number of markers.
     """
 
     name: str
@@ -30,34 +31,34 @@ class CasePart:
 
     @property
     def n_frames(self) -> int:
-        """Number of frames."""
+        """Number of frames of the case."""
         return len(self.times)
 
     @property
     def middle(self) -> int:
-        """First entry of the forces."""
+        """Index of the case's first force in the flat vector; its markers lie before it."""
         return self.begin + 3 * self.n_frames * self.n_markers
 
     @property
     def end(self) -> int:
-        """One past the last entry."""
+        """Index in the flat vector one past the case's last entry."""
         return self.middle + 3 * self.n_frames * len(self.pads)
 
     def markers(self, flat: NDArray[_T]) -> NDArray[_T]:
-        """Return the markers of a flat vector, or of many: a view of shape (..., n_frames, n_markers, 3)."""
+        """Return the case's markers in flat vectors (..., size): a view of shape (..., n_frames, n_markers, 3)."""
         return flat[..., self.begin : self.middle].reshape(*flat.shape[:-1], self.n_frames, self.n_markers, 3)
 
     def forces(self, flat: NDArray[_T]) -> NDArray[_T]:
-        """Return the forces of a flat vector, or of many: a view of shape (..., n_frames, n_pads, 3)."""
+        """Return the case's forces in flat vectors (..., size): a view of shape (..., n_frames, n_pads, 3)."""
         return flat[..., self.middle : self.end].reshape(*flat.shape[:-1], self.n_frames, len(self.pads), 3)
 
 
 class SignalLayout:
-    """The order of all measured numbers of an experiment.
+    """The order of all measured numbers of an experiment in one flat vector.
 
-    `experiment`: with its measured cases. Raises `ExperimentError` if nothing was measured. `parts`: one for each case,
-    in the experiment's order; `size`: length of the flat vector; `measured` (size,): displacements of markers from
-    their reference places in mm, and forces in mN; NaN = not measured.
+    `experiment`: with its measured cases. Raises `ExperimentError` if nothing was measured. Attributes: `parts`: for
+    each case, in the experiment's order, where its numbers lie; `size`: length of the flat vector; `measured` (size,):
+    displacements of markers from their reference places in mm, and forces in mN; NaN = not measured.
     """
 
     def __init__(self, experiment: Experiment) -> None:
@@ -81,23 +82,23 @@ class SignalLayout:
             raise ExperimentError(message, where=experiment.name)
 
     def __getitem__(self, name: str) -> CasePart:
-        """Return the part of a case."""
+        """Return where the numbers of a case lie, by its name."""
         return next(part for part in self.parts if part.name == name)
 
     @property
     def seen(self) -> BoolArray:
-        """Which entries were measured, shape (size,)."""
+        """Mask (size,) of the entries that were measured."""
         return np.isfinite(self.measured)
 
     def of_markers(self) -> BoolArray:
-        """Return which entries are markers, shape (size,)."""
+        """Return a mask (size,) of the entries that are coordinates of markers."""
         chosen = np.zeros(self.size, bool)
         for part in self.parts:
             chosen[part.begin : part.middle] = True
         return chosen
 
     def of_case(self, name: str) -> BoolArray:
-        """Return which entries belong to a case, shape (size,)."""
+        """Return a mask (size,) of the entries that belong to a case."""
         chosen = np.zeros(self.size, bool)
         chosen[self[name].begin : self[name].end] = True
         return chosen
@@ -111,10 +112,10 @@ class SignalLayout:
         return moments
 
     def flatten(self, places: Mapping[str, FloatArray], forces: Mapping[str, Mapping[str, FloatArray]]) -> FloatArray:
-        """Return predictions as a flat vector.
+        """Return predictions as a flat vector (size,): displacements of markers in mm, and forces in mN.
 
-        `places` (n_frames, n_markers, 3): places of markers in every case, mm; `forces` (n_frames, 3): force on the
-        body at the pads of every case, mN. Result: (size,), as `measured`.
+        `places`: by case, (n_frames, n_markers, 3), places of markers, mm; `forces`: by case and pad, (n_frames, 3),
+        force on the body, mN.
         """
         flat = np.zeros(self.size)
         for part in self.parts:

@@ -34,11 +34,11 @@ STEP = 1e-5
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """An equilibrium of one case.
+    """One equilibrium of a load case, with the frames that have it.
 
-    `case`: the load case; `frames` int64 (n,): frames of the case with this equilibrium; `simulator`: with the
-    boundaries and pads as held nodes; `load`: prescribed displacements and forces; `pad_rows`: rows of the held nodes
-    that belong to each pad.
+    `case`: the load case; `frames` int64 (n,): its frames with this equilibrium; `simulator`: solver of the body, with
+    the boundaries and pads as held nodes; `load`: prescribed displacements, mm, and forces, mN; `pad_rows`: by pad, its
+    rows in the list of the held nodes.
     """
 
     case: Case
@@ -48,21 +48,21 @@ class State:
     pad_rows: dict[str, IntArray]
 
     def moved(self, pad: str, motion: FloatArray) -> FloatArray:
-        """Return the prescribed displacements (n_held, 3) that move one pad by `motion` (3,) or (n_pad, 3)."""
+        """Return the prescribed displacements (n_held, 3) that move one pad by `motion` (3,) or (n_pad, 3), mm."""
         prescribed = np.zeros((len(self.simulator.held_nodes), 3))
         prescribed[self.pad_rows[pad]] = motion
         return prescribed
 
     @property
     def frame(self) -> int:
-        """The first of its frames."""
+        """Number of the first frame with this equilibrium."""
         return int(self.frames[0])
 
 
 class Tangents:
-    """All equilibria of an elastic model with their tangents.
+    """All equilibria of an elastic model, each with its factored tangent stiffness.
 
-    `predictor`: of a model without memory, without sliding supports, and with an unloaded mesh. Raises
+    `predictor`: solver of a model without memory, without sliding supports, and with an unloaded mesh. Raises
     `ConvergenceError` if a state has no equilibrium.
     """
 
@@ -74,15 +74,19 @@ class Tangents:
         self._kept: list[tuple[Linearised, FloatArray, FloatArray] | None] = [None] * len(self.states)
 
     def columns(self, direction: Callable[[State], Sequence[Cause]], count: int) -> FloatArray:
-        """Return the sensitivity columns of some parameters.
+        """Return the derivatives of the prediction by some parameters, (count, size), in mm and mN per unit of each.
 
-        `direction`: returns the derivatives of the load or the material by the parameters in a state, `count` of them;
-        `count`: number of parameters. Result: (count, size), for a unit of each parameter, mm and mN.
+        `direction`: returns, for an equilibrium, the derivatives of the load or the material by the parameters, `count`
+        of them; `count`: number of parameters.
         """
         return self._seen(self._columns(lambda _, state: direction(state), count))
 
     def _columns(self, direction: Callable[[int, State], Sequence[Cause]], count: int) -> FloatArray:
-        """Return columns as `columns`, before the tracker's effects; `direction` also gets the number of the state."""
+        """Return derivatives (count, size) of the prediction, in mm and mN per unit, before the tracker's effects.
+
+        `direction`: takes the number of an equilibrium and the equilibrium, and returns the derivatives of load or
+        material; `count`: number of parameters.
+        """
         flat = np.zeros((count, self.layout.size))
         for number, state in enumerate(self.states):
             tangent, slopes, _ = self._at(number)
@@ -97,10 +101,10 @@ class Tangents:
         return flat
 
     def by_fields(self, shares: "sparse.csr_array") -> FloatArray:
-        """Return the sensitivity columns of relative changes of the modulus in parts of the body.
+        """Return the derivatives of the prediction by the relative modulus in parts of the body, (n_fields, size).
 
-        `shares` (n_tets, n_fields): share of every tet that changes. Result: (n_fields, size), for a modulus that is
-        doubled where a share is 1 (derivative by the relative change), mm and mN.
+        `shares` (n_tets, n_fields): share of every tet that changes. The result, in mm and mN, is the linear change for
+        a modulus that is doubled where a share is 1.
         """
         flat = np.zeros((shares.shape[1], self.layout.size))
         young = np.broadcast_to(_per_tet(self.worked.material.young_array), (self.worked.mesh.n_tets,))
@@ -116,11 +120,10 @@ class Tangents:
         return self._seen(flat)
 
     def by_shapes(self, motions: Sequence[FloatArray]) -> FloatArray:
-        """Return the sensitivity columns of motions of the mesh's nodes (shape derivatives).
+        """Return the derivatives of the prediction by motions of the mesh's nodes (shape derivatives).
 
-        `motions` (n_nodes, 3): motions of the nodes. Result: (n_motions, size), for a unit of each motion, mm and mN.
-        Patches move with their nodes, reference places of markers do not. The weight of material that the motion adds
-        is neglected.
+        `motions`: each (n_nodes, 3). Result: (n_motions, size), in mm and mN for a unit of each motion. Patches move
+        with their nodes, reference places of markers do not. The weight of material that the motion adds is neglected.
 
         Notes
         -----
@@ -155,7 +158,10 @@ class Tangents:
         return [State(case, mine, believed.simulator, believed.loads[mine[0]], rows) for mine in frames]
 
     def _at(self, number: int) -> tuple[Linearised, FloatArray, FloatArray]:
-        """Return the tangent, the Jacobian of the observation and the displacement of all nodes in a state."""
+        """Return the tangent stiffness, the Jacobian of the markers and the displacement (n_nodes, 3), mm, in a state.
+
+        The Jacobian (n_markers, 3, n_used, 3) is that of marker displacements by those of the nodes that carry them.
+        """
         kept = self._kept[number]
         if kept is not None:
             return kept
@@ -183,7 +189,7 @@ class Tangents:
         return observations
 
     def _seen(self, flat: FloatArray) -> FloatArray:
-        """Return columns with the believed tracker's effects, which change places by an affine map."""
+        """Return changes (n, size), mm and mN, as the tracker records them: its effects map places affinely."""
         chain = tuple(effect for effect in self.predictor.experiment.effects if isinstance(effect, ChainEffect))
         if not chain:
             return flat
@@ -199,7 +205,7 @@ class Tangents:
 
 
 class _Moved:
-    """The body of an experiment on a mesh whose nodes were moved."""
+    """The body of an experiment on a mesh whose nodes were moved, for derivatives by its shape."""
 
     def __init__(self, worked: Experiment, predictor: Predictor, motion: FloatArray, step: float) -> None:
         mesh = worked.mesh
@@ -212,13 +218,16 @@ class _Moved:
         )
 
     def out_of_balance(self, field: FloatArray, state: State) -> FloatArray:
-        """Return the external nodal forces of pads minus the internal ones of a displacement field, mN."""
+        """Return the pads' nodal forces minus the internal ones, (n_nodes, 3) in mN.
+
+        `field` (n_nodes, 3): displacements of all nodes, mm; `state`: the equilibrium whose loads act.
+        """
         held = self._simulator.internal_forces(field, self._experiment.material)
         pulled = self._simulator.forces(Load(traction=traction_of(self._experiment, state.case, state.frame)))
         return -held if pulled is None else pulled - held
 
     def seen(self, field: FloatArray) -> FloatArray:
-        """Return the displacements of the markers, (n_markers, 3) in mm."""
+        """Return the displacements of the markers, (n_markers, 3) in mm, in a displacement field (n_nodes, 3) in mm."""
         return self._observation.predict(field[self._observation.nodes])
 
 

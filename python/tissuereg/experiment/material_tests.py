@@ -224,7 +224,11 @@ def _starts(law: str, terms: int) -> list[tuple[tuple[float, ...], tuple[Any, An
 
 @dataclass(frozen=True, eq=False)
 class _ShapeProblem:
-    """Weighted residuals as a function of the shape of a law."""
+    """Residuals of material tests as a function of the shape parameters of a law; the modulus is fitted for each shape.
+
+    `tests`: curves; `law`: name of the law; `weights` (n_rows,): weight of each row, 1/kPa; `unit`: believed material
+    of modulus 1 kPa; `volumetric`: form of the volumetric energy; `incompressible`: whether the volume is preserved.
+    """
 
     tests: Sequence[MaterialTest]
     law: str
@@ -234,7 +238,7 @@ class _ShapeProblem:
     incompressible: bool
 
     def material(self, x: FloatArray) -> Material:
-        """Return the law of a shape with Young's modulus 1 kPa."""
+        """Return the law with shape parameters x and a Young's modulus of 1 kPa."""
         values = [float(v) for v in x]
         shape: dict[str, Any] = {}
         if DECLARED[self.law].has_terms:
@@ -246,18 +250,21 @@ class _ShapeProblem:
         return replace(self.unit, law=self.law, shape=shape, volumetric=self.volumetric)
 
     def unit_stress(self, x: FloatArray) -> FloatArray:
-        """Return the stress of all tests for 1 kPa."""
+        """Return the stress (n_rows,) of all tests for shape parameters x and a modulus of 1 kPa."""
         material = self.material(x)
         return np.concatenate([t.predicted(material, incompressible=self.incompressible) for t in self.tests])
 
     def young(self, x: FloatArray) -> float:
-        """Return the best Young's modulus of a shape in kPa; NaN where it has none."""
+        """Return the Young's modulus, kPa, that fits best with shape parameters x; NaN where the law has no stress."""
         measured = np.concatenate([test.stress for test in self.tests])
         unit = self.unit_stress(x) * self.weights
         return float(np.sum(unit * measured * self.weights) / np.sum(unit * unit))
 
     def residuals(self, x: FloatArray) -> FloatArray:
-        """Return weighted residuals at the best modulus; those of no stress at all where there is none."""
+        """Return the weighted residuals (n_rows,) at the best modulus for shape parameters x.
+
+        Where the law has no stress, they are those of no stress at all.
+        """
         measured = np.concatenate([test.stress for test in self.tests])
         young = self.young(x)
         modelled = young * self.unit_stress(x) if young > 0 else np.zeros(len(measured))

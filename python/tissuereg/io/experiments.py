@@ -194,7 +194,7 @@ def _actuator(table: Table, mesh: Mesh) -> Actuator:
 
 
 def _selected_nodes(table: Table, rule: Any, mesh: Mesh) -> IntArray:
-    """Return the nodes of a set, near a plane, or of the surface within a ball."""
+    """Return the numbers of the nodes of a set, near a plane, or on the surface within a ball, by a rule."""
     try:
         return nodes_by_rule(mesh, rule, "nodes")
     except MeshError as error:
@@ -296,7 +296,7 @@ def _marker_reference(table: Table, given: MarkersKeys) -> tuple[dict[str, Float
 
 
 def _first_places(table: Table, markers: Histories, time: float) -> dict[str, FloatArray]:
-    """Return where each marker was seen at the reference time."""
+    """Return where each marker was seen at the reference time (s): its place (3,), mm, by name."""
     places: dict[str, FloatArray] = {}
     for histories in markers.values():
         for name, history in histories.items():

@@ -63,9 +63,9 @@ class Archive:
         return array
 
     def indices(self, name: str, *shape: int | None) -> IntArray:
-        """Return an array of whole numbers.
+        """Return an array of whole numbers, int64, from the archive.
 
-        `name`: name in the archive; `*shape`: wanted shape; None means any length. Result: of that shape.
+        `name`: name in the archive; `*shape`: wanted shape; None means any length along that axis.
         """
         return self._checked(name, index_array, shape)
 

@@ -181,7 +181,7 @@ def _node_sets(file: Path, content: Any, n_nodes: int) -> dict[str, IntArray]:
 
 
 def _sets_of_cells(content: Any) -> dict[str, IntArray]:
-    """Return the nodes of every named set or Gmsh physical group of cells."""
+    """Return the numbers of the nodes of every named set, or Gmsh physical group, of cells, by name."""
     found: dict[str, list[npt.NDArray[Any]]] = {}
     for name, rows in content.cell_sets.items():
         if not str(name).startswith("gmsh:"):

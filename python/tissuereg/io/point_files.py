@@ -96,7 +96,10 @@ def reference_of(path: str | os.PathLike[str], std: float, frame: str | None) ->
 
 
 def _markers(sit: NamedPoints, seen: dict[str, FloatArray], std: float, frame: str) -> Markers:
-    """Return the markers that sit somewhere, with the places where they were seen."""
+    """Return the markers of which a reference place is known, with the places where they were seen.
+
+    `sit`: reference places by label; `seen`: measured places (3,), mm, by label; `std`: noise, mm; `frame`: LPS or RAS.
+    """
     names = [name for name, known in zip(sit.names, sit.defined, strict=True) if known]
     if len(names) < len(sit.names):
         lost = ", ".join(name for name in sit.names if name not in names)

@@ -119,7 +119,7 @@ def _floats_if_there(archive: Archive, name: str, *shape: int) -> FloatArray | N
 
 
 def _prescribed(archive: Archive) -> FloatArray | None:
-    """Return the prescribed displacements in the sorted order of the mesh's node set."""
+    """Return the prescribed displacements (n_fixed, 3), mm, in the order of the mesh's sorted fixed nodes; or None."""
     if "prescribed_mm" not in archive:
         return None
     given = archive.indices("fixed_nodes", None)

@@ -137,7 +137,7 @@ def _cut(faces: IntArray) -> IntArray:
 
 
 def _joined(vertices: FloatArray, triangles: IntArray) -> tuple[FloatArray, IntArray]:
-    """Return the surface with equal vertices merged, in the order of their first occurrence."""
+    """Return vertices (n, 3) and triangles (m, 3) with equal vertices merged, in the order of first occurrence."""
     _, first, of_vertex = np.unique(vertices, axis=0, return_index=True, return_inverse=True)
     order = np.argsort(first)
     rank = np.empty(len(order), np.int64)

@@ -41,7 +41,10 @@ def crossing_pairs(surface: Triangles) -> IntArray | None:
 
 
 def _in_strips(low: FloatArray, high: FloatArray) -> tuple[IntArray, IntArray]:
-    """Return triangles and the strips that they reach into, every pair of the two once."""
+    """Return all pairs of a triangle and a strip of space that it reaches into, as two arrays of numbers.
+
+    `low`, `high` (m,): extent of each triangle along the axis that the strips divide, mm.
+    """
     span = float(high.max() - low.min())
     width = max(MESHING.strip * float((high - low).mean()), span / MESHING.most_strips)
     first, last = (((bound - low.min()) // width).astype(np.int64) for bound in (low, high))
@@ -51,7 +54,10 @@ def _in_strips(low: FloatArray, high: FloatArray) -> tuple[IntArray, IntArray]:
 
 
 def _blocks(after: IntArray) -> Iterator[tuple[IntArray, IntArray]]:
-    """Yield rows with each of those that follow them, `after` many, in blocks."""
+    """Yield all pairs of a row and one of the rows that follow it, in blocks of two arrays of numbers.
+
+    `after` (m,): how many of the following rows each row is paired with.
+    """
     ends = np.cumsum(after)
     start = 0
     while start < len(after):
@@ -65,7 +71,7 @@ def _blocks(after: IntArray) -> Iterator[tuple[IntArray, IntArray]]:
 
 
 def _cross(one: FloatArray, other: FloatArray) -> BoolArray:
-    """Return which pairs of triangles (n, 3, 3) cross."""
+    """Return a mask (n,) of the pairs of triangles, corners (n, 3, 3) each, that cross."""
     size = np.maximum(np.ptp(one, axis=1).max(axis=1), np.ptp(other, axis=1).max(axis=1))
     nought = MESHING.nought * size**3
     crossing = np.zeros(len(one), bool)
@@ -76,7 +82,10 @@ def _cross(one: FloatArray, other: FloatArray) -> BoolArray:
 
 
 def _passes(start: FloatArray, end: FloatArray, through: FloatArray, nought: FloatArray) -> BoolArray:
-    """Return which segments pass through the inside of their triangle."""
+    """Return a mask (n,) of the segments that pass through the inside of their triangle, (n, 3, 3).
+
+    `start`, `end` (n, 3): ends, mm; `nought` (n,): volume below which a tet counts as flat, mm^3.
+    """
     a, b, c = (through[:, i] for i in range(3))
     before, behind = _volume(start, a, b, c), _volume(end, a, b, c)
     apart = (before * behind < 0) & (np.abs(before) > nought) & (np.abs(behind) > nought)

@@ -59,7 +59,7 @@ def filled(
 
 
 def _in_order(nodes: FloatArray, tets: IntArray) -> tuple[FloatArray, IntArray]:
-    """Return nodes that are used and tets of positive volume."""
+    """Return the nodes (n, 3) that tets use, and the tets (m, 4) turned to positive volume."""
     if not len(tets):
         message = "the mesher must find an inside; it made no tetrahedron: repair the defects listed in `repaired`"
         raise MeshingError(message, where="surface")

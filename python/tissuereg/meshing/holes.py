@@ -109,7 +109,7 @@ def _without_loose(surface: Triangles) -> tuple[Triangles, list[str]]:
 
 
 def _rims(triangles: IntArray) -> list[IntArray]:
-    """Return the rims of all holes, each in the orientation of its cap; chains that do not close are ignored."""
+    """Return the rim of every hole as node numbers, oriented as its cap; open chains are ignored."""
     edges = Edges.of(triangles)
     onward: dict[int, list[int]] = {}
     for start, end in edges.ends[edges.count[edges.group] == 1].tolist():

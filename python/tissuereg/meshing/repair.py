@@ -80,7 +80,7 @@ def _joined(surface: Triangles) -> tuple[Triangles, list[str]]:
 
 
 def _first_of_place(surface: Triangles, used: IntArray) -> IntArray:
-    """Return, for every vertex, the lowest used vertex at its place."""
+    """Return for every vertex the lowest number of a used vertex at the same place, (n_vertices,)."""
     from scipy.spatial import KDTree
 
     places = surface.vertices[used]

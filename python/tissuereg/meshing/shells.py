@@ -68,7 +68,10 @@ def _check_encloses(surface: Triangles, largest: BoolArray, volume: float) -> No
 
 
 def _closed_shells(triangles: IntArray, shell: IntArray) -> BoolArray:
-    """Return which shells are closed: two of their own triangles at every edge; other shells may touch them there."""
+    """Return a mask (n_shells,) of the shells that are closed: every edge has two of their own triangles.
+
+    `shell` (m,): number of the shell of each triangle. Other shells may touch them there.
+    """
     edges = Edges.of(triangles)
     key, count = np.unique(edges.group * (shell.max() + 1) + shell[edges.owner], return_counts=True)
     loose = key[count != 2] % (shell.max() + 1)
@@ -76,7 +79,10 @@ def _closed_shells(triangles: IntArray, shell: IntArray) -> BoolArray:
 
 
 def _containers(surface: Triangles, shell: IntArray, among: IntArray) -> dict[int, list[int]]:
-    """Return, for every shell, the shells that contain it."""
+    """Return for every shell of `among` the numbers of the shells that contain it.
+
+    `shell` (m,): number of the shell of each triangle.
+    """
     corners = {int(number): surface.corners[shell == number] for number in among}
     boxes = {number: (c.min(axis=(0, 1)), c.max(axis=(0, 1))) for number, c in corners.items()}
     within: dict[int, list[int]] = {number: [] for number in corners}

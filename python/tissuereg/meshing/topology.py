@@ -11,7 +11,12 @@ from tissuereg.errors import MeshError
 
 @dataclass(frozen=True)
 class Edges:
-    """The edges of m triangles, three per triangle: from its first to its second corner, and so on."""
+    """The edges of m triangles, three for each: from its first to its second corner, and so on.
+
+    `ends` int64 (3 m, 2): corners, in the direction of the triangle; `owner` int64 (3 m,): number of the triangle;
+    `group` int64 (3 m,): the same number for all edges between the same two vertices; `count` int64 (n_groups,): edges
+    in each group.
+    """
 
     ends: IntArray  # from, to, in the orientation of the triangle, (3 m, 2)
     owner: IntArray  # the triangle, (3 m,)
@@ -58,7 +63,7 @@ def agreed_winding(surface: Triangles) -> tuple[IntArray, IntArray]:
 
 
 def _largest_first(label: IntArray, areas: FloatArray) -> IntArray:
-    """Return labels (n,) renumbered by decreasing area."""
+    """Return labels (n,) renumbered by decreasing area, the largest total first; `areas` (n,): mm^2."""
     size = np.bincount(label, areas)
     rank = np.empty(len(size), np.int64)
     rank[np.argsort(-size, kind="stable")] = np.arange(len(size))
@@ -66,7 +71,7 @@ def _largest_first(label: IntArray, areas: FloatArray) -> IntArray:
 
 
 def turned_round(triangles: IntArray, which: IntArray | BoolArray) -> IntArray:
-    """Return triangles (m, 3), some of them with reversed normals."""
+    """Return triangles (m, 3) of which those in `which`, numbers or a mask, have their orientation reversed."""
     changed: IntArray = triangles.copy()
     changed[which] = changed[which][:, [0, 2, 1]]
     return changed

@@ -63,7 +63,10 @@ def _write_input(folder: Path, event: PhantomEvent, simulation: FloatArray) -> N
 
 
 def _errors(event: PhantomEvent, simulation: FloatArray, result: Registration) -> dict[str, Any]:
-    """Return the errors before and after, mean Euclidean, mm."""
+    """Return the mean Euclidean errors before and after registration, mm, at markers, lesion and over the body.
+
+    `simulation` (n_nodes, 3): displacement by the believed model, mm.
+    """
     lesion = result.target("lesion")
     registered = event.markers.measured - np.array([result.markers.residual_mm[n] for n in event.markers.names])
     true_places = event.markers.reference + event.true_markers

@@ -162,7 +162,7 @@ def _pushes(mesh: Mesh, factor: float, tilt_deg: float) -> Load:
 
 
 def _pad(mesh: Mesh, direction: FloatArray) -> tuple[IntArray, float]:
-    """Return the triangles of the pad that lies in a direction from `PHANTOM.pad_origin_mm`, and their area in mm^2."""
+    """Return the surface triangles (n, 3) of the pad in a direction from the body's middle, and their area, mm^2."""
     corners = mesh.nodes[mesh.surface]
     centres = corners.mean(axis=1)
     arms = centres - PHANTOM.pad_origin_mm
@@ -175,7 +175,7 @@ def _pad(mesh: Mesh, direction: FloatArray) -> tuple[IntArray, float]:
 
 
 def _marker_places(mesh: Mesh, rng: np.random.Generator) -> FloatArray:
-    """Return places spread over the skin, inside triangles: each the farthest of random candidates."""
+    """Return places (n_markers, 3), mm, spread over the skin: of random candidates, the farthest each time."""
     corners = mesh.nodes[mesh.surface]
     skin = np.flatnonzero(corners[:, :, 2].mean(axis=1) > 6.0)
     candidates = []

@@ -58,7 +58,10 @@ _EDGES = np.array([(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)])
 
 
 def _lattice(low: FloatArray, high: FloatArray, size: float) -> tuple[FloatArray, IntArray]:
-    """Return a body-centred cubic lattice on z >= 0, its lowest tetrahedra halved by the plane."""
+    """Return nodes (n, 3), mm, and tets (m, 4) of a body-centred cubic lattice on z >= 0.
+
+    `low`, `high` (3,): box to fill, mm; `size`: edge of a cube, mm. The plane halves the lowest tets.
+    """
     nx, ny, nz = (int(one) for one in np.ceil((high - low) / size) + 1)
     start = np.array([*(0.5 * (low + high - size * np.array([nx, ny, nz])))[:2], 0.0])
     corner = np.arange((nx + 1) * (ny + 1) * (nz + 1)).reshape(nx + 1, ny + 1, nz + 1)
@@ -76,14 +79,20 @@ def _lattice(low: FloatArray, high: FloatArray, size: float) -> tuple[FloatArray
 
 
 def _around(layers: IntArray, one: IntArray, other: IntArray) -> list[IntArray]:
-    """Return the four tetrahedra of every square of nodes with the points on its two sides."""
+    """Return four arrays of tets (k, 4) around k squares of nodes: each has a side of the square and both its points.
+
+    `layers` (l, m, n): node numbers of square grids; `one`, `other` (k,): points on the two sides of each square.
+    """
     ring = [layers[:, :-1, :-1], layers[:, 1:, :-1], layers[:, 1:, 1:], layers[:, :-1, 1:]]
     flat = [part.ravel() for part in ring]
     return [np.stack([flat[k], flat[(k + 1) % 4], one, other], axis=1) for k in range(4)]
 
 
 def _cuts(inside: Inside, nodes: FloatArray, crossing: IntArray, sign: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return where edges cross the surface, and the share of the edge up to there from its first node."""
+    """Return where edges cross the surface: places (k, 3), mm, and the share (k,) of the edge up to there.
+
+    `crossing` int64 (k, 2): edges with ends on different sides; `sign` (n,): side of every node.
+    """
     first, second = nodes[crossing[:, 0]], nodes[crossing[:, 1]]
     low, high = np.zeros(len(crossing)), np.ones(len(crossing))
     for _ in range(STUFFING.bisections):
@@ -97,7 +106,11 @@ def _cuts(inside: Inside, nodes: FloatArray, crossing: IntArray, sign: FloatArra
 def _warped(
     nodes: FloatArray, sign: FloatArray, crossing: IntArray, cuts: FloatArray, share: FloatArray, size: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return nodes and signs once nodes near the surface lie on it; those on the plane stay on it."""
+    """Return nodes (n, 3) and signs (n,) after nodes near the surface were moved onto it.
+
+    `crossing` int64 (k, 2): edges that cross the surface; `cuts` (k, 3): where; `share` (k,): of the edge up to there;
+    `size`: edge of a cube, mm. Nodes on the plane z = 0 stay on it.
+    """
     nodes, sign = nodes.copy(), sign.copy()
     length = np.linalg.norm(nodes[crossing[:, 1]] - nodes[crossing[:, 0]], axis=1)
     limit = np.where(length > 0.99 * size, STUFFING.warp_long, STUFFING.warp_short)
@@ -114,7 +127,10 @@ def _warped(
 
 
 def _part(tet: list[int], sign: FloatArray, cut_of: dict[tuple[int, int], int]) -> list[list[int]]:
-    """Return the tetrahedra of the part of one that lies inside."""
+    """Return the tets, as lists of node numbers, of the part of one tet that lies inside the surface.
+
+    `sign` (n,): side of every node; `cut_of`: number of the node at which an edge is cut.
+    """
     inner = sorted(v for v in tet if sign[v] > 0)
     on = [v for v in tet if sign[v] == 0]
     outer = [v for v in tet if sign[v] < 0]
@@ -148,7 +164,7 @@ def _prism(one: list[int], other: list[int]) -> list[list[int]]:
 
 
 def _compact(nodes: FloatArray, tets: IntArray) -> tuple[FloatArray, IntArray]:
-    """Return the nodes that are used, and tetrahedra all turned to positive volume."""
+    """Return the nodes (n, 3) that tets use, and the tets (m, 4), all turned to positive volume."""
     used, flat = np.unique(tets, return_inverse=True)
     tets, nodes = flat.reshape(tets.shape).astype(np.int64), nodes[used]
     a, b, c, d = (nodes[tets[:, k]] for k in range(4))

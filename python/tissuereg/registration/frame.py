@@ -122,7 +122,7 @@ def register_frame(
 
 
 def _through_time(experiment: Experiment, case: Case, frame: int, element: str, threads: int) -> FloatArray:
-    """Return the displacement of a frame, by solving its case, or all cases, from the start."""
+    """Return the displacement (n_nodes, 3), mm, of one frame, by solving its case, or all cases, from the start."""
     carried = is_carried(experiment)
     before = [other for other in experiment.cases.values() if carried and other.times[0] < case.times[0]]
     settings = FrameSettings(element, threads=threads)

@@ -44,7 +44,11 @@ class LinearAnswer:
 
 @dataclass(frozen=True, eq=False)
 class _Directions:
-    """Eigenvalues, and the eigenvectors (n_obs, n_obs) over the noise, of one set of seen markers."""
+    """Eigenvectors of a prior's covariance over the noise, for one set of seen markers.
+
+    `rows` int64 (n_obs,): components seen; `values` (n_obs,): eigenvalues; `vectors` (n_obs, n_obs): eigenvectors over
+    the noise, 1/mm.
+    """
 
     rows: IntArray
     values: FloatArray
@@ -135,7 +139,11 @@ class LinearPrior:
         return _product(self._to_nodes, weights).reshape(self._n_nodes, 3)
 
     def answer(self, displacement_mm: FloatArray, seen: IntArray, scale: float | None = None) -> LinearAnswer:
-        """Return the most probable field; arguments as in `scaled`. Cost: a product with U in addition."""
+        """Return the most probable field given displacements of markers.
+
+        `displacement_mm` (n_seen, 3): measured; `seen` int64 (n_seen,): numbers of the markers; `scale`: factor on the
+        prior's covariance, by default that of the highest evidence. Cost: that of `scaled`, and a product with U.
+        """
         scale, evidence, weights = self.scaled(displacement_mm, seen, scale)
         return LinearAnswer(self.field(weights), scale, evidence)
 
@@ -156,7 +164,11 @@ class LinearPrior:
 def most_probable(
     priors: "dict[str, LinearPrior]", displacement_mm: FloatArray, seen: IntArray, std_mm: FloatArray | None = None
 ) -> tuple[str, LinearAnswer]:
-    """Return the prior of the highest evidence and its answer; arguments as in `LinearPrior.scaled`."""
+    """Return the name of the prior with the highest evidence, and its most probable field.
+
+    `priors`: by name; `displacement_mm` (n_seen, 3): measured; `seen` int64 (n_seen,): numbers of the markers; `std_mm`
+    (n_seen,): standard deviations of their coordinates, by default those of the priors.
+    """
     found = {name: prior.scaled(displacement_mm, seen, std_mm=std_mm) for name, prior in priors.items()}
     best = max(found, key=lambda name: found[name][1])
     scale, evidence, weights = found[best]
@@ -164,5 +176,5 @@ def most_probable(
 
 
 def _product(matrix: FloatArray, vector: FloatArray) -> FloatArray:
-    """Return ``matrix @ vector`` by one thread: on busy cores, waking another takes far longer than the product."""
+    """Return ``matrix @ vector`` by one thread: on busy cores, waking another takes far longer."""
     return np.asarray(np.einsum("ij,j->i", matrix, vector))

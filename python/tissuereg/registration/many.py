@@ -108,7 +108,11 @@ def register_many(
 
 @dataclass(frozen=True)
 class _Task:
-    """The registration of one moment as a task: its input, and the registrar for a process that has not kept it."""
+    """The registration of one moment, as it is sent to another process.
+
+    `mark`: fingerprint of body and options; `packed`: these as bytes, for a process that has not kept them; `markers`:
+    of the moment.
+    """
 
     mark: str
     packed: bytes
@@ -165,7 +169,7 @@ class _Moments:
 
 @dataclass(frozen=True)
 class _Computed:
-    """What is computed when it is read, computed already."""
+    """A value that results compute when it is read, computed already."""
 
     values: Any
 
@@ -175,7 +179,10 @@ class _Computed:
 
 @dataclass(frozen=True, eq=False)
 class _Again:
-    """Posterior fields of a moment, which is registered again for them."""
+    """Draws posterior fields of a moment by registering it again in this process.
+
+    `moments`: registers moments of the body; `markers`: of this moment.
+    """
 
     moments: _Moments
     markers: Markers

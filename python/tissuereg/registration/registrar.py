@@ -250,7 +250,10 @@ class Registrar:
         return replace(result, linear=lambda: self._linear(markers, used, start))
 
     def _simulated(self, moment: MomentInput) -> tuple[FloatArray | None, Variants | None]:
-        """Return the simulation of a moment and its variants, checked; refuse what does not go with the method."""
+        """Return the simulation (n_nodes, 3), mm, of a moment and its variants, checked; each may be None.
+
+        Refuse what does not go with the method.
+        """
         if self._points is not None and moment.after is not None:
             message = "`after` must be left out with a trained model, which registers every moment on its own"
             raise ModelError(message, where="after")
@@ -265,7 +268,7 @@ class Registrar:
     def _registered(
         self, moment: MomentInput, field: FloatArray | None, varied: Variants | None, clock: Clock
     ) -> Registration:
-        """Return the registration of a moment; see `registered`."""
+        """Return the registration of a moment; `field` (n_nodes, 3) or None: simulated displacement, mm."""
         with clock.stage("attach"):
             always = self._examines and (moment.after is None or self._points is not None)
             examined = always or not self._plausible
@@ -288,7 +291,11 @@ class Registrar:
         *,
         examined: bool,
     ) -> Registration:
-        """Return the registration of a moment with a trained model."""
+        """Return the registration of a moment with a trained model.
+
+        `points`: the model at markers and targets; `given`: checked input; `field` (n_nodes, 3) or None: simulated
+        displacement, mm; `varied`: its variants; `examined`: whether the input was examined for misreadings.
+        """
         result: Registration = register_by_model(given, points, field, clock, varied)
         if not examined:
             result = self._judged(result, given.markers, clock)
@@ -323,7 +330,7 @@ class Registrar:
 
 @dataclass(frozen=True, eq=False)
 class _LoadSolver:
-    """The solver of a believed load with a model, made when it is first used."""
+    """The finite-element solver for a believed load beside a model, made when it is first used."""
 
     body: Body
 

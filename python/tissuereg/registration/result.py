@@ -388,5 +388,5 @@ class Registration:
 
 
 def _row_json(row: FloatArray) -> list[float | None]:
-    """Return a row with None where nothing was seen."""
+    """Return a row (3,) as a list with None for components that were not seen."""
     return [float(value) if np.isfinite(value) else None for value in row]

@@ -16,7 +16,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class _Panel:
-    """One target as its panel shows it: places in mm across the line of sight, relative to the registered place."""
+    """One target as its panel shows it: places across the line of sight, relative to the registered place.
+
+    `ellipse` (n, 2): outline of the region, mm; `before` (2,): place before registration, mm.
+    """
 
     ellipse: FloatArray  # outline of the region, (n, 2)
     before: FloatArray  # where the target was, undeformed or as simulated, (2,)
@@ -100,7 +103,10 @@ def _draw(axes: Any, panel: _Panel, extent: float, *, flagged: bool) -> None:
 
 
 def _window(axes: Any, panel: _Panel, extent: float) -> tuple[FloatArray, FloatArray]:
-    """Return middle and half sides of the window in mm: it shows the region, and the former place if near enough."""
+    """Return middle (2,) and half sides (2,) of a panel's window, mm.
+
+    It shows the region, and the former place if that is near enough; `extent`: of the body, mm.
+    """
     box = axes.get_position()
     sides = np.array([box.width * axes.figure.get_figwidth(), box.height * axes.figure.get_figheight()])
     room = sides - (0.0, STYLE.bar_inch)
@@ -115,7 +121,10 @@ def _window(axes: Any, panel: _Panel, extent: float) -> tuple[FloatArray, FloatA
 
 
 def _inside(before: FloatArray, middle: FloatArray, half: FloatArray) -> float:
-    """Return the share of the line from the registered place to the former one that lies in the window."""
+    """Return the share of the line from the registered place to the former one that lies in the window.
+
+    `before`, `middle`, `half` (2,): former place, middle and half sides of the window, mm.
+    """
     with np.errstate(divide="ignore", invalid="ignore"):
         reach = np.where(before > 0.0, (middle + half) / before, (middle - half) / before)
     return float(min(1.0, np.min(reach[before != 0.0], initial=1.0)))

@@ -59,7 +59,7 @@ def shortened(figure: Any, text: str, width: float, **style: Any) -> str:
 
 
 def _fitted(figure: Any, text: str, frame: FloatArray) -> str:
-    """Return a text whose lines are no wider than most of a frame."""
+    """Return a text whose lines are shortened to most of the width of a frame (2, 2), its low and high corner."""
     width = STYLE.widest_label * float(np.ptp(frame[:, 0])) / ratio(figure)
     return "\n".join(shortened(figure, line, width, fontsize=STYLE.font) for line in text.split("\n"))
 
@@ -77,7 +77,7 @@ def _frame(figure: Any, view: View) -> FloatArray:
 
 
 def _size(figure: Any, text: str, **style: Any) -> FloatArray:
-    """Return width and height of a text in heights of the figure."""
+    """Return width and height (2,) of a text, in heights of the figure."""
     probe = figure.text(0.0, 0.0, text, **{"fontsize": STYLE.font, **style})
     box = probe.get_window_extent(figure.canvas.get_renderer())
     probe.remove()
@@ -96,7 +96,11 @@ def _free_place(
     taken: list[FloatArray],
     drawn: tuple[FloatArray, FloatArray],
 ) -> FloatArray | None:
-    """Return the middle of the box of least cost inside the frame overlapping nothing in `taken`; None if none does."""
+    """Return the middle (2,) of the cheapest free box for a label inside a frame; None if there is none.
+
+    `anchor` (2,): what the label names; `size` (2,): of the box; `taken`: boxes it must not overlap; `drawn`: points
+    and weights of the picture beneath.
+    """
     best, least = None, np.inf
     for reach, middle in _candidates(anchor, size, frame):
         box = _box(middle, size)
@@ -113,7 +117,10 @@ def _free_place(
 
 
 def _candidates(anchor: FloatArray, size: FloatArray, frame: FloatArray) -> Iterator[tuple[float, FloatArray]]:
-    """Yield distances from an anchor to middles of boxes: around it, then anywhere in the frame, which costs more."""
+    """Yield middles (2,) of boxes for a label with their distance from its anchor, which is their cost.
+
+    First around the anchor, then anywhere in the frame, which costs more.
+    """
     for reach in STYLE.reaches:
         for angle in 2.0 * np.pi * np.arange(STYLE.directions) / STYLE.directions:
             way = np.array([np.cos(angle), np.sin(angle)])

@@ -54,7 +54,11 @@ def registration_figure(result: "Registration") -> Any:
 
 
 def _views(figure: Any, result: "Registration", body: FloatArray, ends: tuple[float, float]) -> list[scene.View]:
-    """Return two empty views side by side, zoomed alike, so that the body fills them but for a border for labels."""
+    """Return two empty views side by side, zoomed alike, so that the body fills them but for a border for labels.
+
+    `body` (n, 3): places that must be visible, mm; `ends`: right and top end of the part of the page for views, shares
+    of it.
+    """
     right, top = ends
     wide = 0.5 * (right - STYLE.left)
     frames = [(STYLE.left + wide * column, STYLE.low, wide - 0.006, top - STYLE.low) for column in range(2)]
@@ -73,7 +77,7 @@ def _views(figure: Any, result: "Registration", body: FloatArray, ends: tuple[fl
 
 
 def _view(figure: Any, frame: tuple[float, ...], azimuth: float, body: FloatArray) -> scene.View:
-    """Return one empty view with equal scales along all axes."""
+    """Return one empty view of a body (n, 3), mm, with equal scales along all axes; `azimuth`: degrees."""
     axes: Any = figure.add_axes(frame, projection="3d", proj_type="ortho")
     axes.set_axis_off()
     axes.computed_zorder = False  # markers and regions stay readable through the body

@@ -1,4 +1,4 @@
-"""Simulations: one solve, many solves, random events, data sets, whole experiments."""
+"""Finite-element simulations of a soft body: single solves, batches, random loads, training data, experiments."""
 
 from tissuereg.simulation.solve import Simulation, Simulations, Simulator, simulate
 

@@ -1,4 +1,4 @@
-"""Springs under a body, as the compiled solver takes them."""
+"""Checks of the sets of springs under a body, before they go to the compiled solver."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -11,10 +11,11 @@ from tissuereg.errors import ArgumentError
 
 
 def core_springs(springs: Sequence[tuple[Any, Any]]) -> list[tuple[IntArray, list[float]]]:
-    """Return sets of springs checked.
+    """Return sets of springs as integer and float lists for the compiled solver, after a check of their shapes.
 
-    `springs`: surface triangles with the stiffness along the normal and in the plane in kPa/mm. Result: in the same
-    order. Raises `ShapeError` if triangles or stiffness have another shape.
+    `springs`: one pair per set, of surface triangles (n, 3), as node numbers, and the stiffness (2,) along the normal
+    and in the plane in kPa/mm. Result: the same pairs in the same order. Raises `ArgumentError` if an item is no pair;
+    `ShapeError` if triangles or stiffness have another shape.
     """
     pairs = each("springs", springs, (tuple, list))
     if not all(len(pair) == 2 for pair in pairs):
@@ -27,10 +28,11 @@ def core_springs(springs: Sequence[tuple[Any, Any]]) -> list[tuple[IntArray, lis
 
 
 def stiffness_array(stiffness: Any, shape: tuple[int | None, ...]) -> FloatArray | None:
-    """Return the stiffness of springs; None where absent, each member's alike where the member axis is absent.
+    """Return the stiffness of sets of springs as an array, the same for every member if no member axis is given.
 
-    `stiffness`: stiffness along the normal and in the plane of every set in kPa/mm; `shape`: wanted shape: (n_sets, 2)
-    or (n_members, n_sets, 2). Result: in the wanted shape. Raises `ShapeError` if it cannot have that shape.
+    `stiffness`: stiffness along the normal and in the plane of every set in kPa/mm, (n_sets, 2) or (n_members, n_sets,
+    2), or None; `shape`: wanted shape, one of these two. Result: in the wanted shape, or None if None is given. Raises
+    `ShapeError` if it cannot have that shape.
     """
     if stiffness is None:
         return None

@@ -1,4 +1,4 @@
-"""Inelastic behaviour of a material, and springs and membranes on the surface of a body.
+"""Inelastic behaviour of a material, and springs on the surface of a body.
 
 Fields have the names of the keys of an experiment's ``[[effect]]`` tables: ``RelaxationLaw(g=[0.3], tau_s=[2.0])``
 corresponds to such a table. Ranges are checked by the solver.
@@ -15,10 +15,10 @@ from tissuereg._base.arrays import index_array
 
 @dataclass(frozen=True)
 class RelaxationLaw:
-    """Stress relaxation, as a Prony series; moduli are instantaneous.
+    """Stress relaxation by a Prony series, a sum of exponentials in time; moduli are the instantaneous ones.
 
-    `g`: share of the stress that each term relaxes; above 0, sum below 1; `tau_s`: relaxation time of each term in s;
-    `part` {"whole", "isochoric"}: which part of the stress relaxes.
+    `g` (n_terms,): share of the stress that each term relaxes, each above 0, with a sum below 1; `tau_s` (n_terms,):
+    relaxation time of each term in s; `part`: which part of the stress relaxes, "whole" or "isochoric".
     """
 
     g: Sequence[float]
@@ -28,21 +28,25 @@ class RelaxationLaw:
 
 @dataclass(frozen=True)
 class RateLaw:
-    """Viscous stress ``2 eta D``, added to the elastic Cauchy stress. `viscosity_kpa_s`: viscosity ``eta`` in kPa s."""
+    """Viscous Cauchy stress ``2 eta D``, added to the elastic one, with viscosity eta and rate of deformation D.
+
+    `viscosity_kpa_s`: the viscosity ``eta`` in kPa s.
+    """
 
     viscosity_kpa_s: float
 
 
 @dataclass(frozen=True)
 class SofteningLaw:
-    """Softening by the largest energy so far, `Wm`.
+    """Softening of the stress by the largest strain energy density ``Wm`` that a point has had so far.
 
-    `r`: largest softening is ``1 - 1/r``; at least 1; `m_kpa`: energy over which small loads soften, in kPa; `beta`:
-    share of the largest energy added to it; 0 for damage; `form` {'ogden-roxburgh', 'damage'}: the Mullins effect:
-    below the largest isochoric energy the isochoric stress is multiplied by ``1 - erf((Wm - W) / (m + beta Wm)) / r``;
-    first loading is unaffected (Ogden and Roxburgh, Proc. R. Soc. A 455, 1999). Damage: the whole stress, under a first
-    load too, is multiplied by ``1 - (1 - 1/r) (1 - exp(-Wm/m))`` with the whole energy (after Simo, Comput. Methods
-    Appl. Mech. Eng. 60, 1987).
+    `r`: at most the share ``1/r`` of the stress is lost with "ogden-roxburgh", and ``1 - 1/r`` with "damage"; at least
+    1; `m_kpa`: energy density ``m`` over which small loads soften, in kPa; `beta`: share of ``Wm`` added to ``m``, 0
+    for damage; `form`: "ogden-roxburgh" or "damage". The first is the Mullins effect: below the largest isochoric
+    energy the isochoric stress is multiplied by ``1 - erf((Wm - W) / (m + beta Wm)) / r`` with the present energy ``W``
+    (Ogden and Roxburgh, Proc. R. Soc. A 455, 1999); first loading is unaffected. With damage the whole stress, under a
+    first load too, is multiplied by ``1 - (1 - 1/r) (1 - exp(-Wm/m))`` with the whole energy (after Simo, Comput.
+    Methods Appl. Mech. Eng. 60, 1987).
     """
 
     r: float
@@ -53,16 +57,19 @@ class SofteningLaw:
 
 @dataclass(frozen=True)
 class SetLaw:
-    """Permanent set: a share of the largest strain remains; it acts from the next frame on. `fraction`: in (0, 1)."""
+    """Permanent set: a share of the largest strain so far remains without load; it acts from the next frame on.
+
+    `fraction`: that share, in (0, 1).
+    """
 
     fraction: float
 
 
 @dataclass(frozen=True)
 class DrainageLaw:
-    """Relaxation of the volumetric stress, as a simple model of drainage.
+    """Relaxation of a share of the volumetric stress, as a simple model of fluid that drains from the body.
 
-    `share`: share that drains, in (0, 1); `tau_s`: relaxation time in s.
+    `share`: share of the volumetric stress that relaxes, in (0, 1); `tau_s`: relaxation time in s.
     """
 
     share: float
@@ -71,10 +78,9 @@ class DrainageLaw:
 
 @dataclass(frozen=True)
 class SwellingLaw:
-    """Isotropic, uniform growth along a ramp in time.
+    """Isotropic, uniform growth of the unloaded body, linear in time between two times.
 
-    `linear_strain`: strain at the end of the ramp, above -1; `from_time_s`: start of the ramp in s; `to_time_s`: end of
-    the ramp in s.
+    `linear_strain`: strain of all lengths at the end, above -1; `from_time_s`, `to_time_s`: start and end in s.
     """
 
     linear_strain: float
@@ -84,10 +90,10 @@ class SwellingLaw:
 
 @dataclass(frozen=True)
 class Behaviour:
-    """Inelastic behaviour of a material; purely elastic if all are None.
+    """Inelastic behaviour of a material; it is purely elastic if all fields are None.
 
     `relaxation`: stress relaxation; `rate`: viscous stress; `softening`: softening by earlier load; `set`: permanent
-    strain; `drainage`: relaxation of the volumetric stress; `swelling`: growth.
+    strain; `drainage`: relaxation of the volumetric stress; `swelling`: growth. A field that is None does not act.
     """
 
     relaxation: RelaxationLaw | None = None
@@ -98,7 +104,10 @@ class Behaviour:
     swelling: SwellingLaw | None = None
 
     def as_dict(self) -> dict[str, Any]:
-        """Return what the compiled solver takes. Result: parameters of every behaviour that is present."""
+        """Return the parameters of each inelastic law that is present, as keyword arguments of the compiled solver.
+
+        Times are in s, viscosity in kPa s, energy in kPa; all other parameters are dimensionless.
+        """
         numbers: dict[str, Any] = {}
         if self.relaxation is not None:
             g, tau = ([float(v) for v in np.atleast_1d(x)] for x in (self.relaxation.g, self.relaxation.tau_s))
@@ -131,12 +140,13 @@ LAWS: dict[str, type[Any]] = {
 
 @dataclass(frozen=True, eq=False)
 class Springs:
-    """Springs between triangles of the surface and their undeformed place.
+    """A set of springs between triangles of the surface and their undeformed place.
 
-    `triangles` (n, 3): boundary triangles; `normal_kpa_per_mm`: stiffness along the undeformed normal, in kPa/mm;
-    `tangential_kpa_per_mm`: stiffness in the plane, in kPa/mm; `friction`: coefficient of Coulomb friction: the
-    traction of the springs in the plane is at most the cohesion plus this coefficient times the pressure of the normal
-    springs; `cohesion_kpa`: traction that holds without pressure; used with friction only.
+    `triangles` (n, 3): boundary triangles, as node numbers; `normal_kpa_per_mm`: stiffness along the undeformed normal,
+    in kPa/mm; `tangential_kpa_per_mm`: stiffness in the plane, in kPa/mm; `friction`: coefficient of Coulomb friction,
+    or None for springs that do not slip: the traction of the springs in the plane is at most the cohesion plus this
+    coefficient times the pressure of the normal springs; `cohesion_kpa`: traction in kPa that holds without pressure;
+    used with friction only.
     """
 
     triangles: Any
@@ -146,9 +156,10 @@ class Springs:
     cohesion_kpa: float = 0.0
 
     def as_tuple(self) -> tuple[Any, list[float]]:
-        """Return what the compiled solver takes.
+        """Return the springs as the compiled solver takes them: triangles (n, 3) and a list of two or four numbers.
 
-        Result: triangles and stiffness, followed by coefficient and cohesion if there is friction.
+        The list holds normal and tangential stiffness in kPa/mm, followed by the friction coefficient and the cohesion
+        in kPa if there is friction.
         """
         numbers = [float(self.normal_kpa_per_mm), float(self.tangential_kpa_per_mm)]
         if self.friction is not None:

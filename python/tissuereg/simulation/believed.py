@@ -1,4 +1,4 @@
-"""Simulation of an experiment, by the fine model that `diagnose` uses or on the mesh as it is."""
+"""Simulation of an experiment, on the fine mesh that `diagnose` uses or on the mesh as it is."""
 
 from collections.abc import Callable
 
@@ -19,24 +19,29 @@ def simulate_experiment(
 ) -> dict[str, CaseSimulation]:
     """Return the prediction of the believed model, effects included, for every case of an experiment.
 
+    An effect is a property that the basic elastic model lacks, such as relaxation or a sliding support; a case is one
+    load history of the experiment, and a frame is one moment of it.
+
     Parameters
     ----------
     experiment : Experiment
-        The believed model (`tissuereg.read_experiment`).
+        The believed model (`tissuereg.read_experiment`): mesh, material, supports, loads and effects as stated.
     model : {"fine", "plain"}
         `fine`: pads cut out of the surface along their rims, with small ten-node elements around them: the model that
         `tissuereg.diagnose` uses (`tissuereg.FineModel`). `plain`: the mesh as it is.
     element : {"tet4", "tet4-averaged", "tet10"}
-        Elements of the plain model; the fine one has its own.
+        Elements of the plain model: four-node, four-node with averaged volume ratios, or ten-node. The fine model has
+        its own elements and ignores this.
     threads : int
         Threads to use; 0 takes all cores. The result does not depend on it.
     progress : callable of (int, int), optional
-        Called with frames done and frames in all.
+        Called with the number of frames done and the number of all frames.
 
     Returns
     -------
     dict of str to CaseSimulation
-        One per case, in the experiment's order; displacements are those of the nodes of its mesh, mm.
+        One prediction per case, in the experiment's order: displacement of the nodes of its mesh and places of markers
+        and targets in mm, forces of the actuators in mN.
 
     Raises
     ------

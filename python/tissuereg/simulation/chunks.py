@@ -1,4 +1,4 @@
-"""One chunk of a data set: random events on a mesh that is analysed once, solved together.
+"""One chunk of a data set: simulations under random loads on a mesh that is analysed once, solved together.
 
 A chunk depends on the recipe, the seed and its own number alone, whichever process makes it. `make_one_chunk` is the
 task of a worker: it writes its chunk itself and returns a small report, so that nothing heavy passes between processes.
@@ -43,18 +43,18 @@ _MAKING = threading.Lock()
 
 @dataclass(frozen=True)
 class ChunkTask:
-    """What a worker needs to make a chunk.
+    """Input of a worker that makes one chunk (the simulations of one file) of a data set.
 
     Attributes
     ----------
     recipe : dict
         Content of the recipe's file.
     mark : str
-        Fingerprint of recipe, seed, mesh and version (`data_mark`).
+        Fingerprint (SHA-256, hexadecimal) of recipe, seed, mesh and version.
     seed : int
         Seed of the data set.
     number : int
-        Number of the chunk.
+        Number of the chunk, from 0 on.
     destination : str
         Folder (absolute) or URL of the data set, which holds its mesh already.
     threads : int
@@ -71,26 +71,26 @@ class ChunkTask:
 
 @dataclass(frozen=True, eq=False)
 class ChunkReport:
-    """What is known about a chunk that has been written.
+    """Summary of a chunk (the simulations, or members, of one file) that has been written.
 
     Attributes
     ----------
     number : int
-        Number of the chunk.
+        Number of the chunk, from 0 on.
     members : int
-        Members that found equilibrium.
+        Number of members that found equilibrium.
     failed : list of (int, str)
-        The others, each with its reason.
+        Index of every other member in the data set, with the reason.
     seconds : float
-        Wall time of the task.
+        Wall time of the task in s.
     n_bytes : int
-        Size of its file.
+        Size of its file in bytes.
     sha256 : str
-        Of its file, hexadecimal.
+        SHA-256 of its file, hexadecimal.
     made : bool
-        False if the chunk was there already, and whole.
+        Whether it was made now; False if an intact file was there already.
     motion : Motion
-        How far its members move.
+        Displacement statistics of its members.
     """
 
     number: int
@@ -104,7 +104,7 @@ class ChunkReport:
 
 
 class ChunkMaker:
-    """Makes the chunks of one data set; the mesh is analysed once.
+    """Generator of the chunks (files of simulations) of one data set; the mesh is analysed once.
 
     `recipe`: recipe of the data set; `mesh`: its mesh; `seed`: seed of all random numbers.
     """
@@ -125,13 +125,14 @@ class ChunkMaker:
         progress: Callable[[int], None] | None = None,
         rows: IntArray | None = None,
     ) -> Chunk:
-        """Return a chunk, or some of its members.
+        """Return a chunk: simulations (members) under random loads, or some of its members.
 
         `number`: its number, from 0 on; `threads`: threads to use; 0 takes all cores. The chunk does not depend on it;
-        `progress`: called with the members of this chunk that are done; `rows` int64 (k,): members of the chunk that
-        are wanted, ascending; all by default. They are the same, bit for bit, with others or without: all events are
-        drawn, and only these are solved. Result: members that found equilibrium, and the others with their reasons.
-        Raises `EnsembleError` if more than half of at least eight members fail.
+        `progress`: called with the number of members of this chunk that are done; `rows` int64 (k,): members of the
+        chunk that are wanted, ascending, all by default. Each is the same, bit for bit, with the others or without: all
+        loads are drawn, and only these are solved. Result: displacement (n_solved, n_nodes, 3), float32, mm, and
+        parameters of the members that found equilibrium, and the others with their reasons. Raises `EnsembleError` if
+        more than half of at least eight members fail.
         """
         recipe = self.recipe
         rng = np.random.default_rng([self.seed, 3, number])
@@ -185,7 +186,11 @@ class ChunkMaker:
         threads: int,
         progress: Callable[[int], None] | None = None,
     ) -> tuple[FloatArray, dict[int, str]]:
-        """Return displacements (n, n_nodes, 3) in mm, NaN for members without equilibrium, and the reasons of these."""
+        """Return the displacement (n, n_nodes, 3) of the body under n events, mm, and the reasons, by row, of failures.
+
+        `events`: random loads of unit size; `size` (n,): factor on each, mN; `materials`: material for each;
+        `progress`: called with the number of events done. Displacements without equilibrium are NaN.
+        """
         loads = [event.load(self.simulator, s) for event, s in zip(events, size, strict=True)]
         found = self.simulator.solve_many(loads, materials, threads=threads, progress=progress, **SOLVE)
         displacement, lost = found.displacement, dict(found.failed)
@@ -196,9 +201,11 @@ class ChunkMaker:
     def events(
         self, material: Material, n: int, rng: np.random.Generator, threads: int, rows: IntArray | None = None
     ) -> tuple[list[Event], FloatArray, FloatArray]:
-        """Return random events, their sizes in mN under `material`, and their largest linear displacements in mm.
+        """Return k random loads of unit size (events), their sizes (k,) in mN, and their displacements (k,) in mm.
 
-        Of `n` that are drawn, those of some rows alone; all by default.
+        A size is the factor on the load; the displacement is the largest one of a node in the linear solution with that
+        size. `material`: material of the body in it; `n`: number of events drawn; `rng`: source of random numbers;
+        `rows` int64 (k,): the events that are wanted, all n by default.
         """
         chosen = np.arange(n) if rows is None else rows
         drawn = [self._sampler.draw(rng) for _ in range(n)]
@@ -209,20 +216,21 @@ class ChunkMaker:
 
 
 def data_mark(recipe: Recipe, mesh: Mesh, seed: int) -> str:
-    """Return the fingerprint of a data set: of recipe (without ``[train]``), seed, mesh and version."""
+    """Return the fingerprint (SHA-256, hexadecimal) of recipe (without ``[train]``), seed, mesh and version."""
     identity = {k: v for k, v in recipe.raw.items() if k != "train"}
     text = json.dumps([CHUNK_SCHEMA, identity, seed, mesh.digest(), __version__], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
 
 
 def make_one_chunk(task: ChunkTask, progress: Callable[[int], None] | None = None) -> ChunkReport:
-    """Make a chunk and write it, or find that it is there and whole.
+    """Make a chunk (a file of simulations) and write it, or check that an intact file is there; return its summary.
 
     Safe to be called again, and by several processes at once: all write the same bytes, each whole or not at all.
-    `task`: which chunk; `progress`: called with the members of this chunk that are done. Result: a few kB. Raises
-    `EnsembleError` if more than half of a chunk of at least eight members fails; `ExperimentError` if the destination
-    holds another mesh, or this process another version, than the task was made for; `FormatError` if the chunk is there
-    but spoilt, or the mesh is; `OutputError` if it cannot be written.
+    `task`: recipe, seed, number and folder of the chunk; `progress`: called with the number of members (simulations) of
+    this chunk that are done. Result: a few kB. Raises `EnsembleError` if more than half of a chunk of at least eight
+    members fails; `ExperimentError` if the destination holds another mesh, or this process another version, than the
+    task was made for; `FormatError` if the chunk is there but spoilt, or the mesh is; `OutputError` if it cannot be
+    written.
     """
     start = time.perf_counter()
     store, name = store_of(task.destination), chunk_name(task.number)
@@ -248,7 +256,7 @@ def make_one_chunk(task: ChunkTask, progress: Callable[[int], None] | None = Non
 
 
 def chunk_maker(task: ChunkTask) -> ChunkMaker:
-    """Return the maker of a task's data set, kept in this process for the next task."""
+    """Return the chunk generator of a task's data set; it stays in this process for the next task."""
     with _MAKING:
         maker = _MAKERS.get(task.mark)
         if maker is None:

@@ -1,4 +1,4 @@
-"""A data set: thousands of solves on one mesh, in chunks that survive an interruption.
+"""A training data set: thousands of solves on one mesh, in files (chunks) of some hundred, safe against interruption.
 
 `docs/files.md` describes the folder. A chunk depends on the recipe, the seed and its own number alone
 (`tissuereg.simulation.chunks`), so a resumed run makes the same data as an uninterrupted one, and so do many processes.
@@ -41,36 +41,38 @@ def make_dataset(
     progress: Progress | None = None,
     executor: Executor | None = None,
 ) -> dict[str, Any]:
-    """Make a data set, or resume an unfinished one.
+    """Make a data set of simulations (members) under random loads, or resume an unfinished one.
 
     Parameters
     ----------
     recipe : Recipe
-        Recipe of the data set.
+        Recipe of the data set: mesh, material, random loads, pairs.
     out : path-like
-        Folder, or a URL of fsspec; chunks already there are kept.
+        Folder, or a URL of fsspec; chunks (files of members) already there are kept.
     seed : int, optional
-        Instead of the recipe's.
+        Seed of all random numbers; by default the recipe's.
     threads : int
         Threads of a chunk; 0 takes all cores. The data do not depend on it.
     progress : callable of (int, int), optional
-        Called with simulations done and simulations in all.
+        Called with the number of simulations done and the number of all simulations, pairs included.
     executor : tissuereg.parallel.Executor, optional
-        Where chunks are made, each a task of its own that writes its file itself. By default in this process.
+        Where chunks are made, each as a separate task that writes its file itself. By default in this process.
 
     Returns
     -------
     dict
-        ``members``, ``failed`` (list of [index, reason]), ``members_per_s`` (None if all was there), ``motion``
-        (`tissuereg.simulation.motion.motion_summary`), ``bytes``, ``seconds``, ``seed``, ``overhead`` (None without an
-        executor, or where none of its workers was counted): the share of the workers' time that made no chunk.
+        ``members`` (number with equilibrium), ``failed`` (list of [index, reason]), ``members_per_s`` (None if all were
+        there), ``motion`` (statistics of the displacements in mm, see `tissuereg.simulation.motion.motion_summary`),
+        ``bytes``, ``seconds`` (dict of wall times by stage), ``seed``, and ``overhead``, the share of the workers' time
+        that made no chunk (None without an executor, or where none of its workers was counted).
 
     Raises
     ------
     ExperimentError
         If the folder holds other files, or another recipe's data.
     FormatError
-        If a chunk, or the pairs, that are there already are spoilt, or no longer those of a card that is there.
+        If a chunk, or the pairs, that are there already are spoilt, or no longer those of a card (``dataset.json``)
+        that is there.
     EnsembleError
         If more than half of a chunk of at least eight members fails, or of the whole.
     OutputError
@@ -132,7 +134,7 @@ def make_dataset(
 
 
 def size_line(recipe: Recipe, out: str | os.PathLike[str]) -> str:
-    """Return in one line what a data set will hold and take on disk, and what of it is there."""
+    """Return one line of text with the size of a data set: simulations, nodes, MB on disk, files, files present."""
     data, n_nodes = recipe.data, recipe.mesh().n_nodes
     n_bytes = 12 * n_nodes * (data.members + 2 * recipe.pairs.members)
     n_chunks = _n_chunks(recipe)
@@ -158,7 +160,12 @@ def _task(recipe: dict[str, Any], mark: str, seed: int, address: str, threads: i
 def _made(
     tasks: Iterable[ChunkTask], recipe: Recipe, executor: Executor | None, within: Callable[[int, int], None] | None
 ) -> Iterator[ChunkReport]:
-    """Yield the report of every chunk as soon as the chunk is written."""
+    """Make the chunks (files of simulations) of the tasks, and yield the report of each as soon as it is written.
+
+    `executor`: where they are made, in this process if None; `within`: called, in this process only, with the number of
+    the chunk's first member and the number of its members done. Raises the task's error if a chunk cannot be made at
+    all; `ClusterError` if chunks failed on workers.
+    """
     if executor is None:
         for task in tasks:
             first = task.number * recipe.data.chunk
@@ -184,7 +191,10 @@ def _made(
 
 
 def _begin(store: Store, recipe: Recipe, mesh: Mesh, seed: int) -> str:
-    """Mark the place as this recipe's, or refuse it; return the fingerprint of the data set."""
+    """Mark the place as this recipe's, or refuse it; return the fingerprint (SHA-256, hexadecimal) of the data set.
+
+    An empty place receives the mesh. Raises `ExperimentError` if it holds other files or another data set.
+    """
     mark = data_mark(recipe, mesh, seed)
     store.check()
     if not store.exists(_MARKER):
@@ -206,7 +216,10 @@ def _begin(store: Store, recipe: Recipe, mesh: Mesh, seed: int) -> str:
 
 
 def _check_enough(reports: list[ChunkReport]) -> None:
-    """Refuse a data set of which more than half has failed, in chunks too small to be judged alone."""
+    """Refuse a data set of which more than half of the members have failed, summed over all chunks.
+
+    This catches chunks that are too small to be judged alone. Raises `EnsembleError`.
+    """
     failed = [one for report in reports for one in report.failed]
     solved = sum(report.members for report in reports)
     if solved < len(failed):
@@ -218,7 +231,10 @@ def _check_enough(reports: list[ChunkReport]) -> None:
 
 
 def _check_unchanged(store: Store, reports: list[ChunkReport], pairs: PairsReport | None) -> None:
-    """Refuse files that differ from those of an existing card, so that a new card does not certify them."""
+    """Refuse existing files that differ from those of an existing card, so that a new card does not certify them.
+
+    The card (``dataset.json``) lists the SHA-256 of every file. Raises `FormatError` if one differs.
+    """
     try:
         card = read_card(store)
     except FormatError:

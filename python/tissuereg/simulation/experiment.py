@@ -1,7 +1,8 @@
-"""Predictions of an experiment's believed model: for a frame, a case, or all cases.
+"""Predictions of an experiment's believed model (as the user states it): for a frame, a case, or all cases.
 
-If the model is elastic a frame depends on its own load alone, and all frames of a case are solved in parallel. With
-memory, sliding supports, or a mesh that was imaged under gravity they are solved one after another (`memory`).
+A case is one load history and a frame one moment of it. If the model is elastic, a frame depends on its own load alone,
+and all frames of a case are solved in parallel. With memory, sliding supports, or a mesh that was imaged under gravity
+they are solved one after another (`memory`).
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -23,9 +24,10 @@ from tissuereg.simulation.solve import Simulator
 
 @dataclass(frozen=True, eq=False)
 class Believed:
-    """One case of an experiment, ready to be solved.
+    """One case of an experiment, ready to be solved: the analysed body and its loads.
 
-    `simulator`: with fixed boundaries and bonded pads held; `loads`: one per frame.
+    `simulator`: solver in which the nodes of fixed boundaries and bonded pads are held; `loads`: one per frame, with
+    the displacement of the held nodes in mm.
     """
 
     simulator: Simulator
@@ -34,20 +36,20 @@ class Believed:
 
 @dataclass(frozen=True, eq=False)
 class CaseSimulation:
-    """Prediction of the believed model for one case.
+    """Prediction of the believed model (as the user states it) for one case (one load history) of an experiment.
 
     Attributes
     ----------
     times : ndarray of float64, shape (n_frames,)
-        s.
+        Time of every frame in s.
     displacement : ndarray of float64, shape (n_frames, n_nodes, 3)
-        mm; NaN in frames without equilibrium.
+        Displacement of the mesh's nodes in mm; NaN in frames without equilibrium.
     markers : ndarray of float64, shape (n_frames, n_markers, 3)
-        Places of the markers in mm, as the tracker sees them.
+        Places of the markers in mm, as the tracker sees them, modelled errors of the tracker included.
     forces : dict of str to ndarray of float64, shape (n_frames, 3)
-        Force on the body at every displacement actuator that is present, mN.
+        Force on the body at every displacement actuator that is present, by its name, mN.
     targets : dict of str to ndarray of float64, shape (n_frames, 3)
-        Places of the targets in mm.
+        Places of the targets (inner points of the body) in mm, by name.
     failed : list of (int, str)
         Frames without equilibrium, with the reason.
     """
@@ -72,14 +74,15 @@ def believed_case(
     threads: int = 0,
     simulators: Simulators | None = None,
 ) -> Believed:
-    """Return the solver's input for a case: held nodes, and the load of every frame.
+    """Return the solver's input for a case (load history): the analysed body, and the load of every frame.
 
-    `experiment`: the believed model, effects applied (`tissuereg.experiment.effects.extended`); `case`: one of its
-    cases; `element` {"tet4", "tet4-averaged", "tet10"}: elements to use; `threads`: threads to use; 0 takes all cores;
-    `simulators`: cached simulators of the same mesh; new ones are added. Result: a pad is bonded to the shape that the
-    body has when the case begins: with gravity acting, the sagged one. A weight under which the mesh was imaged is left
-    out: it is in balance there, and its influence on the response to other loads is neglected. `simulate_plain`
-    includes it. Raises `ConvergenceError` if the body's own weight finds no equilibrium.
+    `experiment`: the model as the user states it, effects applied (`tissuereg.experiment.effects.extended`); `case`:
+    one of its cases; `element` {"tet4", "tet4-averaged", "tet10"}: elements to use; `threads`: threads to use; 0 takes
+    all cores; `simulators`: cache of simulators of the same mesh, by element and held nodes, to which new ones are
+    added. A pad is bonded to the shape that the body has when the case begins: with gravity acting, the sagged one. A
+    weight under which the mesh was imaged is left out: it is in balance there, and its influence on the response to
+    other loads is neglected. `simulate_plain` includes it. Raises `ConvergenceError` if the body's own weight finds no
+    equilibrium.
     """
     mesh = experiment.mesh
     pads = pads_of(experiment, case)
@@ -109,13 +112,14 @@ def simulate_plain(
     threads: int = 0,
     progress: Callable[[int, int], None] | None = None,
 ) -> dict[str, CaseSimulation]:
-    """Return the prediction of the believed model, effects included, for every case, on the mesh as it is.
+    """Return the prediction of an experiment's model for every case (load history), on the mesh as it is.
 
-    `experiment`: the believed model; `element` {"tet4", "tet4-averaged", "tet10"}: elements to use; `threads`: threads
-    to use; 0 takes all cores. The result does not depend on it; `progress`: called with frames done and frames in all.
-    Result: one per case, in the experiment's order. Raises `ConvergenceError` if no frame of a case finds equilibrium,
-    or a mesh that was imaged under gravity has no unloaded shape; `ExperimentError` if an effect does not fit the
-    experiment.
+    `experiment`: the model as the user states it, with its effects; `element` {"tet4", "tet4-averaged", "tet10"}:
+    elements to use; `threads`: threads to use; 0 takes all cores. The result does not depend on it; `progress`: called
+    with frames done and frames in all. Result: one prediction per case, by name in the experiment's order:
+    displacements and places in mm, forces in mN. Raises `ConvergenceError` if no frame of a case finds equilibrium, or
+    a mesh that was imaged under gravity has no unloaded shape; `ExperimentError` if an effect does not fit the
+    experiment, or cases that depend on each other overlap in time.
     """
     experiment = extended(experiment, element)
     markers = MarkerObservation(experiment.mesh, experiment.marker_reference, experiment.marker_names)
@@ -146,12 +150,14 @@ def solve_cases(
     similar: Similar | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> dict[str, SolvedCase]:
-    """Return the equilibria of cases: elastic frames in parallel, frames with memory in order.
+    """Return the equilibria of cases (load histories): elastic frames in parallel, frames with memory in order.
 
     `experiment`: with effects applied (`tissuereg.experiment.effects.extended`); `cases`: some of its cases;
     `settings`: elements, tolerance, threads. The result does not depend on the threads; `similar`: solutions of similar
-    models to begin from: by case of those that go through time; solvers of elastic ones; `progress`: called with frames
-    done and frames in all. Result: one per case. Raises `ConvergenceError` or `ExperimentError` as `simulate_plain`.
+    models to save work: displacements by case if frames are solved in order, cached simulators if they are elastic;
+    `progress`: called with frames done and frames in all. Result: by case name, displacements in mm and forces on pads
+    in mN, one row per frame. Raises `ConvergenceError` if no frame of a case finds equilibrium, or a mesh that was
+    imaged under gravity has no unloaded shape; `ExperimentError` if cases that depend on each other overlap in time.
     """
     in_all = sum(len(case.times) for case in cases)
     if goes_through_time(experiment):
@@ -174,7 +180,11 @@ def _solve_elastic(
     how: FrameSettings,
     progress: Callable[[int], None] | None,
 ) -> SolvedCase:
-    """Return the frames of a case, solved independently and in parallel."""
+    """Return the equilibria of a case's frames, solved independently and in parallel: displacement in mm, forces in mN.
+
+    `believed`: the analysed body and the load of every frame; `how`: tolerance and threads; `progress`: called with
+    frames done. Frames of equal load are solved once. Raises `ConvergenceError` if no frame finds equilibrium.
+    """
     simulator = believed.simulator
     _, state_of = distinct_states(case)
     loads = [believed.loads[frame] for frame in first_frames(state_of)]
@@ -200,7 +210,11 @@ def _loads(
     sag: FloatArray,
     weight: FloatArray | None,
 ) -> list[Load]:
-    """Return the load of every frame."""
+    """Return the load of every frame of a case: displacement of the held nodes (n_held, 3), weight and tractions.
+
+    `pads`: displacement actuators of the case; `held` (n_held,): numbers of the held nodes; `sag` (n_nodes, 3):
+    displacement in mm under the body's weight, from which pads move; `weight` (3,): body force in mN/mm^3, or None.
+    """
     rows = [np.flatnonzero(np.isin(held, pad.nodes)) for pad in pads]
     fixed = np.isin(held, experiment.mesh.fixed_nodes)
     loads = []
@@ -218,9 +232,9 @@ def with_noise(
 ) -> dict[str, CaseSimulation]:
     """Return simulated cases with measurement noise.
 
-    `experiment`: with the standard deviations of markers and forces; `answers`: without noise; `seed`: seed of all
-    random numbers. Result: white normal noise on the markers, and on the forces if their standard deviation is stated;
-    targets and displacements unchanged.
+    `experiment`: experiment that states the standard deviations of markers (mm) and forces (mN); `answers`: predictions
+    without noise, by case; `seed`: seed of all random numbers. Result: the same predictions with white normal noise on
+    the markers, and on the forces if their standard deviation is stated; targets and displacements are unchanged.
     """
     generator = np.random.default_rng([seed, 6])
     std = experiment.force_std or 0.0

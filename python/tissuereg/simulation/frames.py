@@ -1,4 +1,4 @@
-"""A body through time frames: history, pads that come and go, springs, a mesh that was imaged under gravity."""
+"""A body through time frames: history, pads that attach and release, springs, a mesh that was imaged under gravity."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -21,9 +21,9 @@ from tissuereg.simulation.solve import Simulator
 class Pad:
     """A patch of nodes that an actuator holds in some of the frames.
 
-    `name`: key of its forces in the answer; `nodes` (n,): nodes of the patch; nodes that are held anyway stay where
-    they are; `motion` (n_frames, 3): translation in mm in every frame, relative to the shape of the body when the pad
-    attaches. Rows of NaN are frames in which it is absent and its nodes are free.
+    `name`: key of its forces in the answer; `nodes` (n,): numbers of the nodes of the patch; nodes that are held anyway
+    stay where they are; `motion` (n_frames, 3): translation in mm in every frame, relative to the shape of the body
+    when the pad attaches. Rows of NaN are frames in which the pad is absent and its nodes are free.
     """
 
     name: str
@@ -33,30 +33,31 @@ class Pad:
 
 @dataclass(frozen=True, eq=False)
 class Frames:
-    """Equilibria of all frames; those without are rows of NaN.
+    """Equilibria of a body in all time frames; frames without equilibrium are rows of NaN.
 
     Attributes
     ----------
     times : ndarray of float64, shape (n_frames,)
-        s.
+        Time of every frame in s.
     displacement : ndarray of float64, shape (n_frames, n_nodes, 3)
         Displacement of the mesh's nodes from the mesh as given, mm.
     reactions : ndarray of float64, shape (n_frames, n_held, 3)
         Force on the body at every held node, mN.
     pad_forces : dict of str to ndarray of float64, shape (n_frames, 3)
-        Force of every pad on the body, mN; NaN where it is absent.
+        Force of every pad on the body by its name, mN; NaN where it is absent.
     pad_moments : dict of str to ndarray of float64, shape (n_frames, 3)
-        Its moment about the mean place of the pad's nodes, mN mm.
+        Moment of every pad on the body about the mean place of its nodes, mN mm; NaN where it is absent.
     spring_forces : ndarray of float64, shape (n_frames, n_springs, 3)
         Force of every set of springs on the body, mN.
     all_displacement : ndarray of float64, shape (n_frames, n_element_nodes, 3)
-        The displacement with the mid-edge nodes of ten-node elements after the mesh's nodes.
+        Displacement of all nodes, mm: those of the mesh, then the mid-edge nodes of ten-node elements.
     rest_nodes : ndarray of float64, shape (n_nodes, 3)
-        Nodes without load, mm; those of the mesh unless it was given under its weight.
+        Places of the nodes of the unloaded body, mm: those of the mesh unless it was given in its shape under its
+        weight.
     failed : list of (int, str)
         Frames without equilibrium, with the reason; the history continues from the previous frame.
     reports : list of dict
-        Work done, one per frame; empty for one that failed.
+        Record of the work, one per frame; empty for a frame that failed.
     """
 
     times: FloatArray
@@ -73,9 +74,10 @@ class Frames:
 
 @dataclass(frozen=True, eq=False)
 class KeptRig:
-    """A cached rig from which others are made.
+    """A cached rig (an analysed body with pads, in some state of its history) from which others are made.
 
-    `mesh`: its mesh; `spreader`: spreads loads over nodes; `rig`: in the frame in which it was last used.
+    `mesh`: mesh of the body; `spreader`: simulator of the same mesh that turns tractions into nodal forces and never
+    solves; `rig`: the compiled rig, in the frame in which it was last used.
     """
 
     mesh: Mesh
@@ -89,14 +91,15 @@ Rigs = dict[tuple[object, ...], KeptRig]
 
 @dataclass(frozen=True, eq=False)
 class Acting:
-    """What acts on a body through its frames, and what carries it.
+    """Loads, pads and supports that act on a body through its frames.
 
-    `loads`: the same in all frames, or one per frame. Prescribed rows are those of the held nodes; `pads`: patches that
-    are held in some frames; `springs`: springs under the surface; they can support the body without held nodes;
-    `weight` (3,): body force in all frames, mN/mm^3, added to that of the loads; `Material.weight` gives gravity's;
-    `in_reference`: whether the mesh is given in its shape under `weight`. The unloaded shape is then found first;
-    `held_nodes`: nodes whose displacement is given by the loads (zero where absent); by default the node set ``fixed``.
-    Raises `LoadError` if a mesh hangs in a weight that is not given.
+    `loads`: one load for all frames, or one per frame; None is no load. Its prescribed displacements are those of the
+    held nodes, mm; `pads`: patches that are held in some frames; `springs`: springs under the surface; they can support
+    the body without held nodes; `weight` (3,): body force in all frames, mN/mm^3, added to that of the loads, or None;
+    `Material.weight` gives gravity's; `in_reference`: whether the mesh is given in its shape under `weight`, so that
+    the unloaded shape is found first; `held_nodes` (n_held,): numbers of the nodes whose displacement is given by the
+    loads (zero where absent), by default the node set ``fixed``. Raises `LoadError` if `in_reference` is set without
+    `weight`.
     """
 
     loads: Load | Sequence[Load] | None = None
@@ -114,14 +117,14 @@ class Acting:
 
 @dataclass(frozen=True)
 class FrameSettings:
-    """How frames are solved.
+    """Numerical settings of a solve through time frames.
 
     Parameters
     ----------
     element : {"tet4", "tet4-averaged", "tet10"}
-        Four-node tets, or ten-node tets on the same edges.
+        Four-node tets; four-node tets with volume ratios averaged at the nodes; or ten-node tets on the same edges.
     tolerance : float
-        Norm of the residual over the norm of the load.
+        Norm of the residual over the norm of the load at which a frame counts as solved.
     threads : int
         Threads to use; 0 takes all cores. The result does not depend on it.
     """
@@ -133,14 +136,15 @@ class FrameSettings:
 
 @dataclass(frozen=True, eq=False)
 class Similar:
-    """What solutions of similar bodies left: saves work, and changes no answer beyond the tolerance.
+    """Solutions of similar bodies that save work; they change no answer beyond the tolerance.
 
-    `near` (n_frames, n_element_nodes, 3): `Frames.all_displacement` of a similar body, or by case
-    `SolvedCase.all_displacement`, mm; the initial guess of a frame is the last frame plus the change of that body. NaN
-    where unknown. Of bodies that go through time; `rigs`: cached rigs of the same mesh, whose analyses and factors are
-    reused; new ones are added. For many histories that differ in material and behaviour; rigs with springs or
-    `in_reference` are made anew; `simulators`: solvers of elastic models by element and held nodes, as in
-    `tissuereg.simulation.experiment.believed_case`.
+    `near`: displacement of all nodes of a similar body, mm, NaN where unknown: (n_frames, n_element_nodes, 3), or a
+    dict of such arrays by the name of the case. The initial guess of a frame is the last frame plus the change of that
+    body between the two frames. It serves bodies that are solved through time; `rigs`: cache of analysed bodies with
+    pads, whose analyses and factors are reused for the same mesh, and to which new ones are added. It serves many
+    histories that differ in material and behaviour; bodies with springs or with `Acting.in_reference` are not cached;
+    `simulators`: cache of simulators of elastic models, by element and the bytes of the held nodes' numbers. None:
+    nothing is reused.
     """
 
     near: Any = None
@@ -164,11 +168,12 @@ def solve_frames(
     The first frame is reached instantaneously (the elastic solution). Between frames, forces and motions change
     linearly; the step to a frame without equilibrium is subdivided. `mesh`: reference shape; its node set ``fixed`` is
     held unless other nodes are; `material`: the elastic law; instantaneous moduli where the stress relaxes; `times`
-    (n_frames,): s, never decreasing; `acting`: loads, pads and supports; `behaviour`: inelastic behaviour of the
-    material; `settings`: elements, tolerance, threads; `similar`: solutions of similar bodies to begin from;
-    `progress`: called with the number of frames done. Result: displacements, forces, failures. Raises `LoadError` if
-    loads, pads and times do not fit together; `ConvergenceError` if no frame finds equilibrium, or the mesh has no
-    unloaded shape; `MaterialError`, `ShapeError` or `SupportError` if the input does not fit the body.
+    (n_frames,): s, never decreasing; `acting`: loads, pads and supports, none by default; `behaviour`: inelastic
+    behaviour of the material, none by default; `settings`: elements, tolerance, threads; `similar`: solutions of
+    similar bodies to begin from; `progress`: called with the number of frames done. Result: displacements in mm and
+    forces in mN, one row per frame, and the frames that failed. Raises `LoadError` if loads, pads and times do not fit
+    together; `ConvergenceError` if no frame finds equilibrium, or the mesh has no unloaded shape; `MaterialError`,
+    `ShapeError` or `SupportError` if the input does not fit the body.
 
     Warns
     -----
@@ -234,7 +239,11 @@ def solve_frames(
 
 @dataclass(frozen=True, eq=False)
 class _Plan:
-    """The parts of a rig other than its material."""
+    """Everything that defines a rig (an analysed body with pads) except its material.
+
+    `mesh`: reference shape; `held` (n_held,): numbers of the held nodes; `pads`: patches that are held in some frames;
+    `springs`: sets of springs under the surface; `settings`: elements, tolerance, threads.
+    """
 
     mesh: Mesh
     held: IntArray
@@ -244,14 +253,18 @@ class _Plan:
 
     @property
     def key(self) -> tuple[object, ...]:
-        """Cache key of rigs without springs on one mesh."""
+        """Cache key of a rig without springs on one mesh: bytes of the held nodes, pads and settings."""
         patches = tuple((pad.name, np.asarray(pad.nodes).tobytes()) for pad in self.pads)
         return (self.held.tobytes(), patches, self.settings)
 
     def build(
         self, spreader: Simulator, material: Material, behaviour: Behaviour | None, hangs_in: FloatArray | None
     ) -> _core.Rig:
-        """Return the rig at its beginning."""
+        """Return a new compiled rig (body with pads, springs and behaviour) in its state before the first frame.
+
+        `spreader`: simulator of the same mesh that checks the moduli; `material`: the elastic law; `behaviour`:
+        inelastic behaviour, if any; `hangs_in` (3,) or None: body force in mN/mm^3 under which the mesh was imaged.
+        """
         young, poisson = spreader.moduli(material)
         body = _core.Body(
             self.mesh.nodes,

@@ -29,12 +29,12 @@ _TIMELESS = (Softening,)
 
 @dataclass(frozen=True, eq=False)
 class SolvedCase:
-    """Frames of one case.
+    """Equilibria of the frames of one case (one load history).
 
-    `displacement` (n_frames, n_nodes, 3): mm; NaN in frames without equilibrium; `forces` (n_frames, 3): force on the
-    body at every displacement actuator that is present, mN; `failed`: frames without equilibrium, with the reason;
-    `all_displacement` (n_frames, n_element_nodes, 3): the displacement with the mid-edge nodes of ten-node elements
-    after the mesh's nodes.
+    `displacement` (n_frames, n_nodes, 3): displacement of the mesh's nodes, mm; NaN in frames without equilibrium;
+    `forces`: by the name of every displacement actuator that is present, its force on the body, (n_frames, 3), mN;
+    `failed`: number of each frame without equilibrium, with the reason; `all_displacement` (n_frames, n_element_nodes,
+    3): displacement of all nodes, mm: those of the mesh, then the mid-edge nodes of ten-node elements.
     """
 
     displacement: FloatArray
@@ -43,7 +43,7 @@ class SolvedCase:
     all_displacement: FloatArray
 
     def at_every_frame(self, of_frame: IntArray) -> "SolvedCase":
-        """Return a case of more frames, each equal to one of these; `of_frame` (n,) holds the indices."""
+        """Return a case of more frames, each a copy of one of these; `of_frame` (n,) holds the copied frame's index."""
         why = dict(self.failed)
         every = self.all_displacement[of_frame]
         return SolvedCase(
@@ -55,24 +55,22 @@ class SolvedCase:
 
 
 def goes_through_time(experiment: Experiment) -> bool:
-    """Return whether frames must be solved one after another.
+    """Return whether the frames of a case must be solved one after another.
 
-    `experiment`: with the effects on body, supports and actuators applied (`tissuereg.experiment.effects.extended`).
-    Result: True with memory, swelling, sliding supports, or a mesh that was imaged under gravity.
+    `experiment`: experiment whose effects on body, supports and actuators are applied
+    (`tissuereg.experiment.effects.extended`). Result: True with memory, swelling, sliding supports, or a mesh that was
+    imaged under gravity.
     """
     return hangs_already(experiment) or any(isinstance(effect, Memory | Sliding) for effect in experiment.effects)
 
 
 def remembers(experiment: Experiment) -> bool:
-    """Return whether the material depends on earlier frames.
-
-    `experiment`: with effects applied. Result: True with memory or swelling.
-    """
+    """Return True if the stress depends on earlier frames, by memory (such as relaxation) or by swelling."""
     return any(isinstance(effect, Memory) for effect in experiment.effects)
 
 
 def is_carried(experiment: Experiment) -> bool:
-    """Return whether a case depends on the cases before it: with softening, set or friction."""
+    """Return True if a case depends on earlier cases, by softening, permanent set or friction of a support."""
     return any(
         isinstance(effect, Softening | Set) or (isinstance(effect, Sliding) and effect.friction is not None)
         for effect in experiment.effects
@@ -87,13 +85,13 @@ def solve_through_time(
     similar: Similar | None = None,
     progress: Callable[[int], object] | None = None,
 ) -> dict[str, SolvedCase]:
-    """Return the equilibria of cases, solved frame after frame.
+    """Return the equilibria of cases (load histories), solved frame after frame.
 
     `experiment`: with the effects on body, supports and actuators applied; `cases`: the cases to solve: with softening,
     set or friction, every case from the first one on; `settings`: elements, tolerance, threads; `similar`: solutions of
-    similar models to begin from, by case; `progress`: called with frames done. Result: one per case, in the order
-    given. Raises `ConvergenceError` if no frame of a case finds equilibrium; `ExperimentError` if cases that depend on
-    each other overlap in time.
+    similar models to begin from, by case; `progress`: called with the number of frames done. Result: by case name, in
+    the order given, displacements in mm and forces on pads in mN, one row per frame. Raises `ConvergenceError` if no
+    frame of a case finds equilibrium; `ExperimentError` if cases that depend on each other overlap in time.
     """
     groups = [sorted(cases, key=lambda case: float(case.times[0]))] if is_carried(experiment) else [[c] for c in cases]
     settings, similar = settings or FrameSettings(), similar or Similar()
@@ -117,11 +115,11 @@ def solve_through_time(
 
 
 def frames_of_own(experiment: Experiment, case: Case) -> tuple[IntArray, IntArray]:
-    """Return the frames of a case that must be solved, and for every frame the index of its solved equal.
+    """Return the frames of a case that must be solved, (n_solved,), and every frame's index among them, (n_frames,).
 
-    `experiment`: with effects applied; `case`: one of its cases. Result: if memory depends on time, all frames; if it
-    depends on the load path alone, or with friction, the frames whose load differs from the previous one; otherwise one
-    frame per distinct load.
+    A frame that is not solved equals the one that its index names. `experiment`: with effects applied; `case`: one of
+    its cases. If memory depends on time, all frames are solved; if it depends on the load path alone, or with friction,
+    the frames whose load differs from the previous one; otherwise one frame per distinct load.
     """
     if any(isinstance(effect, Memory) and not isinstance(effect, _TIMELESS) for effect in experiment.effects):
         every = np.arange(len(case.times))
@@ -133,7 +131,7 @@ def frames_of_own(experiment: Experiment, case: Case) -> tuple[IntArray, IntArra
 
 
 def _only(case: Case, frames: IntArray) -> Case:
-    """Return some frames of the loads of a case."""
+    """Return a copy of a case with some frames of its loads alone; `frames` int64 (n,): numbers of these frames."""
     return replace(
         case,
         times=case.times[frames],
@@ -145,7 +143,11 @@ def _only(case: Case, frames: IntArray) -> Case:
 def _counting(
     progress: Callable[[int], object], before: int, frames: Sequence[tuple[IntArray, IntArray]]
 ) -> Callable[[int], None]:
-    """Return a progress callback that counts all frames when it is called with solved ones."""
+    """Return a callback that takes the number of solved frames and reports how many frames they stand for.
+
+    `progress`: receives that number; `before`: frames done earlier; `frames`: for each case the frames that are solved
+    and, for every frame, its index among them.
+    """
     done = before + np.cumsum(np.concatenate([[0], *(np.bincount(of_frame) for _, of_frame in frames)]))
 
     def report(solved: int) -> None:
@@ -162,7 +164,12 @@ def _solve_group(
     similar: Similar,
     progress: Callable[[int], object] | None,
 ) -> dict[str, SolvedCase]:
-    """Return cases that share one history."""
+    """Return the equilibria of cases that share one load history, by name: displacement in mm, forces on pads in mN.
+
+    `group`: the cases in order of time; between two of them all pads are released; `growing`: growth that pads follow,
+    or None; `settings`: elements, tolerance, threads; `similar`: solutions to begin from, by case; `progress`: called
+    with frames done. Raises `ConvergenceError` if no frame of a case finds equilibrium.
+    """
     standing = _standing_times(experiment, float(group[0].times[0]))
     times, loads, rows = [standing], [Load()] * len(standing), {}
     done = [0] * (len(standing) + 1)
@@ -213,7 +220,7 @@ def _solve_group(
 
 
 def behaviour_of(experiment: Experiment) -> behaviour.Behaviour | None:
-    """Return the behaviour given by the history effects, in the solver's form; None if there are none."""
+    """Return the inelastic behaviour given by an experiment's effects of memory or swelling; None if none."""
     given = {}
     for effect in experiment.effects:
         if isinstance(effect, Memory):
@@ -223,7 +230,10 @@ def behaviour_of(experiment: Experiment) -> behaviour.Behaviour | None:
 
 
 def _standing_times(experiment: Experiment, begin: float) -> FloatArray:
-    """Return the frames in which a body with a weight or a swelling comes to rest before its first case."""
+    """Return the times in s, (5,) or (0,), at which a body comes to rest under weight or growth before its first case.
+
+    `begin`: start of the first case in s. There are none if no stress relaxes, or if the body stands without load.
+    """
     fading = [tau for effect in experiment.effects if isinstance(effect, Relaxation) for tau in effect.tau_s]
     fading += [effect.tau_s for effect in experiment.effects if isinstance(effect, Drainage)]
     swells = any(isinstance(effect, Swelling) for effect in experiment.effects)
@@ -233,19 +243,25 @@ def _standing_times(experiment: Experiment, begin: float) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class _Growing:
-    """Final displacement of a growing body that nothing touches, (n_nodes, 3) in mm."""
+    """Growth (swelling) of a body with held boundaries on which no pad acts.
+
+    `swelling`: the effect, with its strain and times; `field` (n_nodes, 3): displacement by the complete growth, mm.
+    """
 
     swelling: Swelling
     field: FloatArray
 
     def moved(self, nodes: IntArray, times: FloatArray) -> FloatArray:
-        """Return how far a patch has moved on since the first of some times, (n, 3) in mm."""
+        """Return the mean displacement of a patch of nodes by growth since the first of `times` (n,), s: (n, 3), mm.
+
+        `nodes` (k,): numbers of the nodes of the patch.
+        """
         share = self.swelling.share(times)
         return np.asarray((share - share[0])[:, None] * self.field[nodes].mean(axis=0))
 
 
 def _growing(experiment: Experiment, settings: FrameSettings) -> _Growing | None:
-    """Return the growth of a body whose pads follow it; None if pads hold their patches or nothing grows."""
+    """Return the growth of a body whose pads follow it; None if nothing grows or pads hold their patches in place."""
     swelling = next((effect for effect in experiment.effects if isinstance(effect, Swelling)), None)
     if swelling is None or swelling.pads == "hold":
         return None
@@ -275,7 +291,7 @@ def _pads(
 
 
 def _held(experiment: Experiment) -> IntArray:
-    """Return the nodes of all boundaries that do not slide."""
+    """Return the numbers of the nodes of all boundaries that do not slide, shape (n_held,)."""
     sliding = {effect.boundary for effect in experiment.effects if isinstance(effect, Sliding)}
     if not sliding:
         return experiment.mesh.fixed_nodes

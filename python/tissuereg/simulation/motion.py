@@ -1,4 +1,4 @@
-"""How far the members of a data set move, and how far they lie apart."""
+"""Statistics of a data set's members: size of their displacements, and distances between members."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,10 +15,10 @@ QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """Motion of some members.
+    """Displacement statistics of k members (simulations) of a data set.
 
-    `mean_mm`, `largest_mm` (k,): mean and largest displacement of a member's nodes; `apart_mm` (n_pairs,): mean
-    distance between corresponding nodes of two members, over pairs.
+    `mean_mm`, `largest_mm` (k,): mean and largest displacement of a member's nodes, mm; `apart_mm` (n_pairs,): mean
+    distance between corresponding nodes of two members, mm, for pairs of members.
     """
 
     mean_mm: FloatArray
@@ -27,9 +27,10 @@ class Motion:
 
 
 def motion_of(displacement: Fields) -> Motion:
-    """Return the motion of a chunk's members.
+    """Return displacement statistics of a chunk's members (simulations).
 
-    `displacement` float32 (k, n_nodes, 3): in mm. Result: all pairs of the first 32 members.
+    `displacement` float32 (k, n_nodes, 3): displacement of each member, mm. Distances are taken between all pairs of
+    the first 32 members.
     """
     moved = np.linalg.norm(displacement.astype(np.float64), axis=2)
     few = displacement[: DATA_SET.paired].astype(np.float64)
@@ -38,11 +39,11 @@ def motion_of(displacement: Fields) -> Motion:
 
 
 def motion_summary(motions: Sequence[Motion]) -> dict[str, object]:
-    """Return means and quantiles of the motion of all members.
+    """Return means and quantiles, in mm, of the displacement statistics of all members of a data set.
 
-    `motions`: one a chunk. Result: ``quantiles`` (the probabilities), for ``mean_node_mm``, ``largest_mm`` and
-    ``apart_mm`` a dict of ``mean``, ``quantiles`` and ``largest``; ``n_pairs``; ``share_apart_7_mm``, the share of
-    pairs at least 7 mm apart.
+    `motions`: one per chunk. Result: ``quantiles`` (the probabilities); for each of ``mean_node_mm``, ``largest_mm``
+    and ``apart_mm`` a dict of ``mean``, ``quantiles`` and ``largest``, or None without values; ``n_pairs``;
+    ``share_apart_7_mm``, the share of pairs at least 7 mm apart (None without pairs).
     """
     mean, largest, apart = (
         np.concatenate([np.empty(0), *(getattr(motion, name) for motion in motions)])

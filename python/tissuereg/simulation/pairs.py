@@ -1,4 +1,4 @@
-"""Pairs of a data set: the same event simulated by the believed model and by another one."""
+"""Pairs of simulations in a data set: one event by the believed model (as assumed) and by another model."""
 
 import hashlib
 from dataclasses import dataclass
@@ -22,7 +22,11 @@ PAIRS_NAME = "pairs.h5"
 
 @dataclass(frozen=True)
 class PairsReport:
-    """What is known about the pairs' file: its size and SHA-256, and whether it was made now."""
+    """Summary of the file that holds the pairs of simulations of a data set.
+
+    `n_bytes`: its size in bytes; `sha256`: its SHA-256, hexadecimal; `made`: whether it was made now (False if it was
+    there already).
+    """
 
     n_bytes: int
     sha256: str
@@ -30,11 +34,12 @@ class PairsReport:
 
 
 def make_pairs(task: ChunkTask) -> PairsReport:
-    """Simulate pairs (true event, believed model's answer to it) and write them, unless a valid file is there.
+    """Simulate pairs of displacement fields, and write them unless a valid file is there; return a summary of the file.
 
-    `task`: any task of the data set, for its recipe and folder. Result: size in bytes and SHA-256 of the file. Raises
-    `EnsembleError` if more than half of the pairs fail; `FormatError` if the pairs are there already, but spoilt;
-    `OutputError` if they cannot be written.
+    A pair is the answer of the assumed (believed) model to a random load, and that of another model, the truth, to a
+    varied load. `task`: any chunk task of the data set, for its recipe, seed and folder. Raises `EnsembleError` if more
+    than half of the pairs fail; `FormatError` if the pairs are there already, but spoilt; `OutputError` if they cannot
+    be written.
     """
     store = store_of(task.destination)
     made = not store.exists(PAIRS_NAME)
@@ -54,7 +59,7 @@ def make_pairs(task: ChunkTask) -> PairsReport:
 
 
 def _check(task: ChunkTask, content: bytes) -> None:
-    """Refuse pairs of another data set, or spoilt ones; their checksums are compared."""
+    """Refuse a file of pairs (`content`, its bytes) that is spoilt or of another data set, by `FormatError`."""
     store = store_of(task.destination)
     where, n_nodes = store.where(PAIRS_NAME), chunk_maker(task).simulator.mesh.n_nodes
     with opened(store, PAIRS_NAME, content) as file:
@@ -66,12 +71,12 @@ def _check(task: ChunkTask, content: bytes) -> None:
 def simulated_pairs(
     maker: ChunkMaker, threads: int = 0, *, max_iterations: int = SOLVE_ITERATIONS
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the pairs of a data set.
+    """Return pairs of displacement fields under a random load: of the assumed model, and of another one, the truth.
 
     `maker`: recipe, mesh and seed; `threads`: threads to use; 0 takes all cores. The pairs do not depend on it;
     `max_iterations`: a simulation that needs more fails, and its pair with it. Result: `simulations`, `truths`
-    (n_pairs, n_nodes, 3): displacements of the believed model and of the other one, mm; pairs of which one found no
-    equilibrium are left out. Raises `EnsembleError` if more than half of the pairs fail.
+    (n_pairs, n_nodes, 3): displacements of the assumed (believed) model and of the other one, mm; a pair is left out if
+    either simulation found no equilibrium. Raises `EnsembleError` if more than half of the pairs fail.
     """
     recipe, simulator = maker.recipe, maker.simulator
     # A stream of its own: what else is drawn does not depend on Poisson's ratio.
@@ -98,7 +103,10 @@ def simulated_pairs(
 
 
 def _inclusion(maker: ChunkMaker, rng: np.random.Generator) -> FloatArray:
-    """Return the factor on Young's modulus of every tet: a stiff ball around a random node, or none."""
+    """Return a factor on Young's modulus (n_tets,): another one in a ball about a random node, or one everywhere.
+
+    The recipe states the probability of a ball, and the ranges of its radius and factor.
+    """
     pairs, mesh = maker.recipe.pairs, maker.simulator.mesh
     ball = random_inclusion(mesh, rng, pairs.inclusion_radius_mm, pairs.inclusion_contrast)
     return ball if rng.random() < pairs.inclusion_share else np.ones(mesh.n_tets)

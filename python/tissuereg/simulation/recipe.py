@@ -1,6 +1,6 @@
-"""The recipe of a data set and of the network trained on it: one TOML file.
+"""The recipe of a training data set and of the network trained on it: one TOML file.
 
-``[mesh] [material] [data] [pairs]`` are read here, ``[train]`` by the training package.
+The tables ``[mesh] [material] [data] [pairs]`` are read here, ``[train]`` by the training package.
 """
 
 import os
@@ -24,18 +24,18 @@ from tissuereg.io.toml import Keys, Table, read_toml
 
 @dataclass(frozen=True)
 class Variation:
-    """Standard deviations of the variations.
+    """Standard deviations of random variations of a load and of Young's modulus.
 
     Parameters
     ----------
     young_log_std : float
-        Standard deviation of the logarithm of Young's modulus.
+        Standard deviation of the natural logarithm of a factor on Young's modulus.
     load_log_std : float
-        The same for the size of every believed load.
+        Standard deviation of the natural logarithm of a factor on the size of every load.
     load_tilt_deg : float
-        Standard deviation of a load's rotation about each axis, degrees.
+        Standard deviation of a load's rotation about each axis, in degrees.
     motion_log_std, motion_tilt_deg : float
-        The same two for prescribed displacements.
+        The corresponding two for prescribed displacements: logarithm of the factor, and rotation in degrees.
     """
 
     young_log_std: float = 0.25
@@ -45,21 +45,22 @@ class Variation:
     motion_tilt_deg: float = 2.0
 
     def draw(self, load: Load, material: Material, rng: np.random.Generator) -> tuple[Load, Material]:
-        """Return one variation of a load and a material.
+        """Return one random variation of a load and a material.
 
         Parameters
         ----------
         load : Load
-            The believed load.
+            The load to be varied, as the user believes it to be.
         material : Material
-            The believed material.
+            The material to be varied, as the user believes it to be.
         rng : numpy.random.Generator
             Source of random numbers; the same numbers are drawn whatever the load holds.
 
         Returns
         -------
         load, material : Load, Material
-            Forces, body force, traction and motions, each rotated and scaled independently.
+            The load with its nodal forces, body force, traction and prescribed displacements each rotated and scaled
+            independently, and the material with Young's modulus multiplied by one random factor.
         """
         softer = float(np.exp(self.young_log_std * rng.standard_normal()))
         force, weight, pull = (_turn(rng, self.load_log_std, self.load_tilt_deg) for _ in range(3))
@@ -74,7 +75,10 @@ class Variation:
 
 
 def _turn(rng: np.random.Generator, log_std: float, tilt_deg: float) -> FloatArray:
-    """Return a small random rotation times a factor near one, shape (3, 3)."""
+    """Return a small random rotation matrix times a random factor near one, shape (3, 3), dimensionless.
+
+    `log_std`: standard deviation of the factor's logarithm; `tilt_deg`: that of the rotation about each axis, degrees.
+    """
     from scipy.spatial.transform import Rotation
 
     vector = np.deg2rad(tilt_deg) * rng.standard_normal(3)
@@ -84,11 +88,11 @@ def _turn(rng: np.random.Generator, log_std: float, tilt_deg: float) -> FloatArr
 def random_inclusion(
     mesh: Mesh, rng: np.random.Generator, radius: tuple[float, float], contrast: tuple[float, float]
 ) -> FloatArray:
-    """Return the factor on Young's modulus of every tet for a ball around a random node.
+    """Return a factor on Young's modulus for every tet that differs from 1 inside a ball around a random node.
 
-    `mesh`: reference shape; `rng`: source of random numbers; `radius`: range of the ball's radius in mm; `contrast`:
-    range of the modulus inside over that outside. Result: (n_tets,), `contrast` where a tet's centre lies in the ball,
-    1 elsewhere.
+    `mesh`: reference shape; `rng`: source of random numbers; `radius`: smallest and largest radius of the ball in mm;
+    `contrast`: smallest and largest ratio of the modulus inside to that outside; both are drawn uniformly. Result:
+    (n_tets,), the drawn ratio where a tet's centre lies in the ball, 1 elsewhere.
     """
     centres = mesh.nodes[mesh.tets].mean(axis=1)
     centre = mesh.nodes[rng.integers(mesh.n_nodes)]
@@ -108,7 +112,7 @@ DEFAULT_NODES = 4223
 
 @dataclass(frozen=True, kw_only=True)
 class MeshRecipe(Keys):
-    """The body: a mesh file, or the breast phantom, meshed by the recipe."""
+    """The mesh of the body: a mesh file, or one that the recipe makes for the breast phantom of this package."""
 
     heading: ClassVar[str] = "[mesh]"
     needed: ClassVar[bool] = True
@@ -122,7 +126,7 @@ class MeshRecipe(Keys):
     n_nodes: int | None = whole("of that mesh: nodes, about", least=1, default=None, otherwise=f"{DEFAULT_NODES}")
 
     def check(self) -> None:
-        """Refuse a recipe with neither or both of `file` and `source`, or with a key that belongs to the other."""
+        """Refuse neither or both of `file` and `source`, `fixed` without `file`, and `n_nodes` without `source`."""
         if (self.file is None) == (self.source is None):
             self.refuse("either `file` or `source` must be given")
         if (self.fixed if self.file is None else self.n_nodes) is not None:
@@ -131,7 +135,7 @@ class MeshRecipe(Keys):
 
 @dataclass(frozen=True, kw_only=True)
 class MaterialRecipe(Keys):
-    """Stiffness, one for the whole body."""
+    """The elastic moduli of the simulated bodies; each simulation has one value for the whole body."""
 
     heading: ClassVar[str] = "[material]"
     young_kpa: tuple[float, float] = span("range of Young's modulus", above=0.0, default=(10.0, 60.0))
@@ -140,7 +144,7 @@ class MaterialRecipe(Keys):
 
 @dataclass(frozen=True, kw_only=True)
 class DataRecipe(Keys):
-    """Random events on the mesh."""
+    """The simulations of the data set: random loads on the mesh, their number, size and composition."""
 
     heading: ClassVar[str] = "[data]"
     members: int = whole("simulations", least=1, default=300)
@@ -166,7 +170,7 @@ class DataRecipe(Keys):
     )
 
     def check(self) -> None:
-        """Refuse a limit below the wanted motion, and shares of more than all members."""
+        """Refuse a `most_mm` below the upper end of `largest_mm`, and plate and gravity shares whose sum exceeds 1."""
         if self.most_mm < self.largest_mm[1]:
             self.refuse("`most_mm` must be at least the largest of `largest_mm`", self.most_mm)
         if self.plate_share + self.gravity_share > 1.0:
@@ -177,7 +181,7 @@ class DataRecipe(Keys):
 
 @dataclass(frozen=True, kw_only=True)
 class PairsRecipe(Keys):
-    """The same event simulated by the believed model and by another model."""
+    """Pairs of simulations of one random event: by the assumed (believed) model, and by a varied one, the truth."""
 
     heading: ClassVar[str] = "[pairs]"
     members: int = whole("number of pairs", default=100)
@@ -200,28 +204,32 @@ class PairsRecipe(Keys):
 
     @property
     def variation(self) -> Variation:
-        """The spreads in the form of the sampler."""
+        """The standard deviations by which Young's modulus and load of the truth differ from the believed ones."""
         return Variation(self.young_log_std, self.load_log_std, self.load_tilt_deg)
 
 
 @dataclass(frozen=True)
 class Recipe:
-    """A whole recipe.
+    """The content of a recipe file: mesh, material, random loads and pairs of a training data set.
 
     Attributes
     ----------
     path : Path
-        File it was read from.
+        File from which it was read.
     seed : int
         Seed of all random numbers.
     mesh_file : str or None
         ``phantom``, ``phantom-small``, or a mesh file relative to the recipe; None if the recipe makes its mesh.
     n_nodes : int or None
-        Nodes of the mesh of the breast phantom that the recipe makes, about.
+        Approximate number of nodes of the mesh of the breast phantom that the recipe makes; None for the default.
     fixed : str, dict or None
-        Rule of the held nodes, if the mesh file has no such set.
-    material, data, pairs
-        The tables.
+        Rule that selects the held nodes; None if the mesh file's own node set ``fixed`` is used.
+    material : MaterialRecipe
+        Table ``[material]``: range of Young's modulus in kPa, and Poisson's ratio.
+    data : DataRecipe
+        Table ``[data]``: number of simulations and their random loads.
+    pairs : PairsRecipe
+        Table ``[pairs]``: number of pairs, and how the second model of a pair differs.
     raw : dict
         The whole content of the file, for the record.
     """
@@ -237,7 +245,7 @@ class Recipe:
     raw: dict[str, Any] = field(default_factory=dict)
 
     def mesh(self) -> Mesh:
-        """Return the mesh that the recipe names.
+        """Return the mesh that the recipe names: read from a file, taken from the package, or newly made.
 
         Raises
         ------
@@ -258,19 +266,20 @@ class Recipe:
 
 
 def read_recipe(path: str | os.PathLike[str]) -> Recipe:
-    """Read a recipe.
+    """Read the recipe of a training data set from a TOML file.
 
-    `path`: a TOML file. Result: with defaults for missing keys. Raises `ExperimentError` if a table or key is unknown,
-    or a value has the wrong type or is out of its range.
+    `path`: the file. Result: the recipe, with defaults for missing keys. Raises `ExperimentError` if a table or key is
+    unknown, or a value has the wrong type or is out of its range.
     """
     return recipe_of(read_toml(path).rest(), path)
 
 
 def recipe_of(raw: dict[str, Any], path: str | os.PathLike[str]) -> Recipe:
-    """Return a recipe from the content of its file.
+    """Return the recipe of a training data set from the content of its TOML file.
 
-    `raw`: content of the file; `path`: the file, for messages and as the place of a mesh file. Result: with defaults
-    for missing keys. Raises `ExperimentError` as `read_recipe`.
+    `raw`: content of the file; `path`: the file, for messages and as the place to which a mesh file is relative.
+    Result: the recipe, with defaults for missing keys. Raises `ExperimentError` if a table or key is unknown, or a
+    value has the wrong type or is out of its range.
     """
     top = Table(Path(path), "", raw)
     seed = top.take("seed", partial(arguments.whole, most=2**64 - 1)) if "seed" in top else 0

@@ -1,9 +1,10 @@
-"""Random events on a body: surface patches pulled or pushed, plates pressed in, body forces in random directions.
+"""Random loads (events) on a body: surface patches pulled or pushed, flat plates pressed in, and body forces.
 
 An event is drawn in two steps. First its *shape*: one to three patches of the free surface, each with a direction, or a
-plate, and a share of body force; or a body force alone. Then its *size*: the load is scaled so that in the linear
-solution the largest node displacement has a wanted value. The linear solutions of all events come from one cheap pass
-of nearly unloaded solves. Patches near the support and far from it therefore deform the body by similar amounts.
+plate, and a share of body force; or a body force alone. Then its *size*, a factor in mN: the load is scaled so that in
+the linear solution the largest node displacement has a wanted value. The linear solutions of all events come from one
+cheap pass of nearly unloaded solves. Patches near the support and far from it therefore deform the body by similar
+amounts.
 """
 
 from collections.abc import Sequence
@@ -23,20 +24,20 @@ from tissuereg.simulation.solve import Simulator
 
 @dataclass(frozen=True)
 class EventSettings:
-    """Settings of random events.
+    """Ranges and probabilities from which random loads (events) on a body are drawn.
 
     Parameters
     ----------
     n_patches : tuple of int
-        Smallest and largest number of patches of an event.
+        Smallest and largest number of loaded surface patches of an event.
     radius_share : tuple of float
-        Smallest and largest patch radius as a share of the body's largest extent.
+        Smallest and largest radius of a patch or plate, as a share of the body's largest extent.
     body_force_share : float
         Probability that an event with patches or a plate has a body force as well.
     plate_share : float
-        Probability that a plate is pressed in, in place of patches.
+        Probability that an event presses in a plate (a flat disc) instead of loading patches.
     gravity_share : float
-        Probability that there is nothing but a body force.
+        Probability that an event consists of a body force alone.
     """
 
     n_patches: tuple[int, int] = (1, 3)
@@ -47,11 +48,12 @@ class EventSettings:
 
 
 class EventSampler:
-    """Draws random events on one body.
+    """Generator of random loads (events) on one body.
 
-    `mesh`: reference shape with its held nodes; `settings`: settings of the events; `held_nodes`: nodes that patches
-    avoid; by default the node set ``fixed``. Raises `MeshError` if the whole surface is held, so that nothing could be
-    loaded.
+    `mesh`: undeformed body with its held nodes; `settings`: ranges and probabilities of the events, with defaults if
+    None; `held_nodes` (n_held,): numbers of the nodes whose boundary triangles are not loaded, by default the node set
+    ``fixed`` (a triangle is left out if all three of its nodes are held). Raises `MeshError` if the whole surface is
+    held, so that nothing could be loaded.
     """
 
     def __init__(self, mesh: Mesh, settings: EventSettings | None = None, held_nodes: Any = None) -> None:
@@ -72,9 +74,10 @@ class EventSampler:
         self._volume = float(mesh.volumes.sum())
 
     def draw(self, rng: np.random.Generator) -> "Event":
-        """Return one event of unit total force (1 mN a patch, 1 mN for the body force).
+        """Return one random event of unit size: a load that still has to be multiplied by a size in mN.
 
-        `rng`: source of random numbers. Result: shape of the load, not yet scaled.
+        Per mN of size, each patch has a total force of 0.3 to 1 mN and a plate one of 1 mN; a body force has a total of
+        1 mN where it acts alone and of up to 1.5 mN beside them. `rng`: source of random numbers.
         """
         settings = self.settings
         other = settings.plate_share + settings.gravity_share
@@ -96,10 +99,11 @@ class EventSampler:
         return Event(tuple(patches), self._body_force(rng), tuple(drawn))
 
     def pressed(self, plate: "Plate") -> "Loaded":
-        """Return the triangles that a plate presses, and the traction on each for a total of 1 mN.
+        """Return the triangles (n, 3) that a plate presses, as node numbers, and the traction (n, 3) in kPa on each.
 
-        The pressure is that of an elastic foundation: it grows with the depth by which the plate overlaps the
-        undeformed surface (K. L. Johnson, Contact Mechanics, 1985, section 4.3); no contact problem is solved.
+        The total force is 1 mN. The pressure is that of an elastic foundation: it grows with the depth by which the
+        plate overlaps the undeformed surface (K. L. Johnson, Contact Mechanics, 1985, section 4.3); no contact problem
+        is solved.
         """
         along = (self._centres - plate.centre) @ plate.direction
         across = np.linalg.norm(self._centres - plate.centre - np.outer(along, plate.direction), axis=1)
@@ -116,24 +120,27 @@ class EventSampler:
         return Plate(self._centres[row], radius, np.asarray(tilted / np.linalg.norm(tilted)), depth)
 
     def _place(self, rng: np.random.Generator) -> tuple[int, float]:
-        """Return a random triangle of the free surface, and a radius in mm."""
+        """Return the row of a random triangle in the list of free boundary triangles, and a random radius in mm.
+
+        The probability of a triangle is proportional to its area.
+        """
         row = int(rng.choice(len(self._areas), p=self._areas / self._areas.sum()))
         return row, self.mesh.extent * rng.uniform(*self.settings.radius_share)
 
     def _body_force(self, rng: np.random.Generator) -> FloatArray:
-        """Return a body force in mN/mm^3, or zero."""
+        """Return a random body force, shape (3,), in mN/mm^3 per mN of an event's size; zero if the event has none."""
         if rng.random() < self.settings.body_force_share:
             return np.asarray(_direction(rng) * rng.uniform(0.0, 1.5) / self._volume)
         return np.zeros(3)
 
     def columns(self, events: Sequence["Event"], sizes: FloatArray) -> dict[str, FloatArray]:
-        """Return a table of events with their sizes.
+        """Return the drawn parameters of events as a table: a dict of arrays with one row per event.
 
-        `events`: as drawn; `sizes` (n_events,): their sizes in mN. Result: ``patch_centre_mm`` (n_events, p, 3),
-        ``patch_radius_mm`` (n_events, p), ``patch_force_mN`` (n_events, p, 3) with p the largest number of patches, NaN
-        where an event has fewer; ``body_force_mN_per_mm3`` (n_events, 3); where plates are drawn, ``plate_centre_mm``,
-        ``plate_force_mN`` (n_events, 3), ``plate_radius_mm``, ``plate_depth_mm`` (n_events,), NaN where an event has
-        none.
+        `events`: events from `draw`; `sizes` (n_events,): factor in mN by which each is multiplied. Result:
+        ``patch_centre_mm`` (n_events, p, 3), ``patch_radius_mm`` (n_events, p) and ``patch_force_mN`` (n_events, p, 3),
+        where p is the largest number of patches, with NaN where an event has fewer; ``body_force_mN_per_mm3``
+        (n_events, 3); and, if plates can be drawn, ``plate_centre_mm`` and ``plate_force_mN`` (n_events, 3),
+        ``plate_radius_mm`` and ``plate_depth_mm`` (n_events,), with NaN where an event has no plate.
         """
         shape = (len(events), self.settings.n_patches[1])
         centre, force = np.full((*shape, 3), np.nan), np.full((*shape, 3), np.nan)
@@ -164,7 +171,11 @@ class EventSampler:
 
 @dataclass(frozen=True, eq=False)
 class Patch:
-    """A loaded part of the surface: centre and radius in mm, total force of an event of unit size in mN."""
+    """A round part of the surface on which a random load acts.
+
+    `centre` (3,): centre in mm; `radius`: radius in mm; `force` (3,): total force on the patch in mN per mN of the
+    event's size.
+    """
 
     centre: FloatArray
     radius: float
@@ -173,9 +184,10 @@ class Patch:
 
 @dataclass(frozen=True, eq=False)
 class Plate:
-    """A flat disc pressed in along `direction` (a unit vector): centre, radius, and depth of overlap in mm.
+    """A rigid flat disc that is pressed into the surface.
 
-    The disc overlaps the undeformed surface by the depth where it meets it first.
+    `centre` (3,): centre in mm; `radius`: radius in mm; `direction` (3,): unit vector along which it is pressed in;
+    `depth`: depth in mm by which the disc overlaps the undeformed surface at the place that it meets first.
     """
 
     centre: FloatArray
@@ -190,9 +202,12 @@ Loaded = tuple[IntArray, FloatArray]
 
 @dataclass(frozen=True, eq=False)
 class Event:
-    """A random load of unit size: patches (triangles, traction in kPa a unit) and a body force (mN/mm^3 a unit).
+    """A random load of unit size, to be multiplied by a size in mN.
 
-    `drawn` and `plate` say what was drawn; other makers of events leave them out.
+    `patches`: loaded parts of the surface, each a pair of boundary triangles (k, 3), as node numbers, and the traction
+    on them, (3,) for all or (k, 3), in kPa per mN of size; `body_force` (3,): mN/mm^3 per mN of size; `drawn`: the
+    random patches as drawn, empty for other events; `plate`: the random plate as drawn, None for other events. The last
+    two only serve as a record.
     """
 
     patches: tuple[Loaded, ...]
@@ -201,10 +216,11 @@ class Event:
     plate: Plate | None = None
 
     def load(self, simulator: Simulator, scale: float, base: Load | None = None) -> Load:
-        """Return the event as a load of a given size on top of another load.
+        """Return the event, multiplied by a size, as a load of body force and tractions, added to another load.
 
-        `simulator`: body on which tractions become nodal forces; `scale`: size of the event in mN; `base`: load that
-        acts in addition. Result: tractions added up where patches share a triangle.
+        `simulator`: body under the load; not used, since tractions become nodal forces only in the solve; `scale`: size
+        of the event in mN; `base`: load that acts in addition, none by default. Result: where several patches share a
+        triangle, their tractions are added up.
         """
         base = base or Load()
         body_force = scale * self.body_force + (0.0 if base.body_force is None else np.asarray(base.body_force))
@@ -227,16 +243,16 @@ class Event:
 def linear_answers(
     simulator: Simulator, events: Sequence[Event], material: Material, *, threads: int = 0
 ) -> tuple[FloatArray, FloatArray]:
-    """Return each event's linear displacement, scaled to a largest node displacement of 1 mm, and its size for that.
+    """Return each event's displacement in the linear limit, scaled to a maximum of 1 mm, and the event size for it.
 
-    `simulator`: analysed body; `events`: unit events; `material`: material of the body; `threads`: threads to use; 0
-    takes all cores. Result: `displacement` (n_events, n_nodes, 3): mm, largest node displacement 1 mm; `scale`
-    (n_events,): mN that give it.
+    `simulator`: the analysed body; `events`: loads of unit size; `material`: material of the body; `threads`: threads
+    to use; 0 takes all cores. Result: `displacement` (n_events, n_nodes, 3), in mm, whose largest node displacement is
+    1 mm; `scale` (n_events,), sizes in mN that give it. Both are 0 for an event without equilibrium.
 
     Notes
     -----
-    Solved by the nonlinear solver under loads that move the body by about 1e-4 of its extent, so that the solution
-    is linear to about 1e-4; cost: a few back-substitutions per event.
+    Solved by the nonlinear solver under loads that move the body by about 1e-4 of its extent, so that the solution is
+    linear to about 1e-4; cost: a few back-substitutions per event.
     """
     extent = simulator.mesh.extent
     force_per_mm = float(np.median(material.young_array)) * extent  # stiffness of a cube of this size, mN/mm
@@ -260,14 +276,15 @@ def random_changes(
     held_nodes: Any = None,
     threads: int = 0,
 ) -> FloatArray:
-    """Return fields of random pushes and pulls, linear about the undeformed body.
+    """Return displacement fields of the body under random loads, linear about the undeformed shape, in mm.
 
-    `mesh`: undeformed body; `material`: believed material; `largest_mm`: largest node displacement of a usual event,
-    mm; sizes are log-normal about it; `n_events`: events drawn; `rng`: source of places, directions and sizes;
-    `held_nodes`: nodes that are held; by default the node set ``fixed``; `threads`: threads to use; 0 takes all cores.
-    Result: (n, n_nodes, 3), of the events with an equilibrium, mm. Cost: a nearly linear solve each. Raises `MeshError`
-    or `SupportError` if nothing of the surface is free, or the body can move freely; `EnsembleError` if half of the
-    events find no equilibrium.
+    `mesh`: undeformed body; `material`: material of the body; `largest_mm`: median of the largest node displacement of
+    a field, mm, about which the sizes are log-normal; `n_events`: number of loads drawn; `rng`: source of places,
+    directions and sizes; `held_nodes` (n_held,): numbers of the nodes that do not move, by default the node set
+    ``fixed``; `threads`: threads to use; 0 takes all cores. Result: (n, n_nodes, 3), one field per load that has an
+    equilibrium. Cost: one nearly linear solve per load. Raises `MeshError` or `SupportError` if no part of the surface
+    is free, or the body can move freely; `EnsembleError` if fewer than half of the loads, or fewer than four, have an
+    equilibrium.
     """
     simulator = Simulator(mesh, held_nodes=held_nodes)
     sampler = EventSampler(mesh, held_nodes=held_nodes)

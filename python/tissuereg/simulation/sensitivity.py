@@ -1,4 +1,4 @@
-"""Derivatives of an equilibrium by causes, and of observations by the stiffness of every point.
+"""Derivatives of an equilibrium by causes (moduli, load, springs), and of observations by the moduli of every point.
 
 The derivatives are exact. The tangent stiffness at the equilibrium is factored once; each cause costs one solution, and
 so does each observation.
@@ -20,11 +20,12 @@ from tissuereg.simulation.solve import Simulation, Simulator
 
 @dataclass(frozen=True)
 class Parameter:
-    """A scalar parameter, changed uniformly: of the law, or of springs on the surface.
+    """A scalar parameter by which an equilibrium is differentiated: of the material law, or of springs.
 
-    `name`: ``"young"``, ``"poisson"``, a shape parameter of the law (as in `Material.shape`), or ``"k1_over_mu"`` and
-    ``"k2"`` of fibres, or that of springs (``"springs.normal_kpa_per_mm"``, ``"springs.tangential_kpa_per_mm"``);
-    `term`: index of the term of an Ogden law, or of the springs; from 0 on.
+    It has the same value everywhere. `name`: ``"young"`` (kPa), ``"poisson"``, a shape parameter of the law (a key of
+    `Material.shape`), ``"k1_over_mu"`` or ``"k2"`` of fibres, or ``"springs.normal_kpa_per_mm"`` or
+    ``"springs.tangential_kpa_per_mm"`` of springs on the surface; `term`: index of the term of an Ogden law, or of the
+    set of springs, from 0 on.
     """
 
     name: str
@@ -33,10 +34,10 @@ class Parameter:
 
 @dataclass(frozen=True, eq=False)
 class ModulusField:
-    """A change of a modulus by a field of rates; of an inclusion or a layer, 1 inside and 0 outside.
+    """A spatial field of changes of a modulus by which an equilibrium is differentiated.
 
-    `name` {"young", "poisson"}: which modulus; `rates` (n_tets,) or (n_tets, n_points): change of the modulus per unit
-    of the cause.
+    `name` {"young", "poisson"}: which modulus; `rates` (n_tets,) or (n_tets, n_points): change of the modulus (kPa for
+    "young") per unit of the cause. For an inclusion or a layer this is 1 inside and 0 outside.
     """
 
     name: str
@@ -49,10 +50,11 @@ Cause = Parameter | ModulusField | Load
 
 @dataclass(frozen=True, eq=False)
 class Observation:
-    """A scalar observation of an equilibrium: weights times displacements plus weights times reactions.
+    """A scalar function of an equilibrium: a weighted sum of nodal displacements plus a weighted sum of reactions.
 
-    `nodes` (k,): nodes whose displacement is used; repeated nodes add up; `weights` (k, 3): weights of their
-    components; `held_nodes` (r,): held nodes whose reaction is used; `held_weights` (r, 3): weights of its components.
+    `nodes` (k,): nodes whose displacement is used; repeated nodes add up; `weights` (k, 3): weights of the
+    displacement's components in mm; `held_nodes` (r,): held nodes whose reaction is used; `held_weights` (r, 3):
+    weights of the reaction's components in mN.
     """
 
     nodes: Any = ()
@@ -62,9 +64,9 @@ class Observation:
 
 
 def core_cause(simulator: Simulator, cause: Cause) -> _core.Cause:
-    """Return a cause in the form of the compiled solver.
+    """Return a cause (a parameter, modulus field or load by which to differentiate) for the compiled solver.
 
-    `simulator`: the analysed body; `cause`: the cause. Result: checked as far as possible without a law. Raises
+    `simulator`: the analysed body; `cause`: the cause. It is checked as far as possible without a material law. Raises
     `TissueRegError` if there is no such parameter or field; `LoadError` or `ShapeError` if rates do not fit the body.
     """
     if isinstance(cause, Parameter):
@@ -79,9 +81,9 @@ def core_cause(simulator: Simulator, cause: Cause) -> _core.Cause:
 
 
 def core_observation(observation: Observation) -> tuple[IntArray, FloatArray, IntArray, FloatArray]:
-    """Return an observation in the form of the compiled solver.
+    """Return the arrays of an observation, checked for the compiled solver.
 
-    `observation`: the observation. Result: nodes and weights of displacements, nodes and weights of reactions. Raises
+    Result: nodes (k,) and weights (k, 3) of displacements, held nodes (r,) and weights (r, 3) of reactions. Raises
     `ShapeError` if there is not one row of weights per node.
     """
     nodes = index_array("nodes", observation.nodes, (None,))
@@ -112,11 +114,12 @@ __all__ = [
 
 @dataclass(frozen=True, eq=False)
 class Derivatives:
-    """Derivatives of an equilibrium by each cause, per unit of the cause.
+    """Derivatives of an equilibrium by each of n_causes causes, per unit of the cause.
 
-    `displacement` (n_causes, n_nodes, 3): of the mesh's nodes, mm; `reactions` (n_causes, n_held, 3): of the force on
-    the body at every held node, mN; `all_displacement` (n_causes, n_element_nodes, 3): of all nodes, with the mid-edge
-    nodes of ten-node elements after the mesh's nodes.
+    A cause is a parameter, a modulus field or a load. `displacement` (n_causes, n_nodes, 3): of the displacement of the
+    mesh's nodes, mm; `reactions` (n_causes, n_held, 3): of the force on the body at every held node, mN;
+    `all_displacement` (n_causes, n_element_nodes, 3): of the displacement of all nodes, mm: those of the mesh, then the
+    mid-edge nodes of ten-node elements.
     """
 
     displacement: FloatArray
@@ -128,20 +131,23 @@ class Derivatives:
 class Adjoints:
     """Derivatives of each observation by all inputs (adjoint solutions).
 
+    An observation is a scalar: a weighted sum of displacements and reactions. Its unit precedes each "per" below.
+
     Attributes
     ----------
     young : ndarray of float64, shape (n_obs, n_tets, n_points)
-        Derivative by Young's modulus of every quadrature point, per kPa. The derivative by a field is the weighted sum.
+        Derivative by Young's modulus at every quadrature point, per kPa. The derivative by a field of moduli is the sum
+        over points, weighted by the field.
     poisson : ndarray of float64, shape (n_obs, n_tets, n_points)
-        By Poisson's ratio of every quadrature point.
+        Derivative by Poisson's ratio at every quadrature point.
     forces : ndarray of float64, shape (n_obs, n_element_nodes, 3)
-        By the force at every node, per mN.
+        Derivative by the force at every node, per mN.
     body_force : ndarray of float64, shape (n_obs, 3)
-        By the body force, per mN/mm^3.
+        Derivative by the body force, per mN/mm^3.
     prescribed : ndarray of float64, shape (n_obs, n_held, 3)
-        By the prescribed displacement of every held node, per mm.
+        Derivative by the prescribed displacement of every held node, per mm.
     springs : ndarray of float64, shape (n_obs, n_sets, 2)
-        By the stiffness of every set of springs along the normal and in the plane, per kPa/mm.
+        Derivative by the stiffness of every set of springs along the normal and in the plane, per kPa/mm.
     """
 
     young: FloatArray
@@ -154,7 +160,7 @@ class Adjoints:
 
 @dataclass(frozen=True, eq=False)
 class Compliance:
-    """Derivatives of observations of displacements by forces and prescribed displacements.
+    """Derivatives of observations (weighted sums of displacements) by forces and prescribed displacements.
 
     `forces` (n_obs, n_element_nodes, 3): derivative by the force at every node, per mN; zero at held nodes;
     `body_force` (n_obs, 3): by the body force, per mN/mm^3; `prescribed` (n_obs, n_held, 3): by the prescribed
@@ -169,13 +175,15 @@ class Compliance:
 class Linearised:
     """An equilibrium with its exact tangent, factored once for any number of causes and observations.
 
+    A cause is a quantity by which to differentiate, an observation a weighted sum of displacements and reactions.
     `simulator`: the analysed body; `load`: the load; `material`: material of the body; `displacement` (n_element_nodes,
-    3): equilibrium under them in mm: `Simulation.all_displacement`; `springs` (n_sets, 2): stiffness of the simulator's
-    springs in kPa/mm; by default that given to the simulator; `precision` {"double", "single"}: precision of the
-    factor. A single one takes 60 to 80 % of the time and half the memory; its solutions are refined to a relative error
-    of 1e-9. If the tangent is too close to singular for that, a double one is used; `threads`: threads to use; 0 takes
-    all cores. The result does not depend on it. Raises `ConvergenceError` if the displacement is not an equilibrium, or
-    not a stable one; `LoadError`, `MaterialError` or `ShapeError` if the input does not fit the body.
+    3): equilibrium under them in mm (`Simulation.all_displacement`); `springs` (n_sets, 2): stiffness of the
+    simulator's springs, along the normal and in the plane, in kPa/mm; by default that given to the simulator;
+    `precision` {"double", "single"}: precision of the factor. A single one takes 60 to 80 % of the time and half the
+    memory; its solutions are refined to a relative error of 1e-9. If the tangent is too close to singular for that, a
+    double one is used; `threads`: threads to use; 0 takes all cores. The result does not depend on it. Raises
+    `ConvergenceError` if the displacement is not an equilibrium, or not a stable one; `LoadError`, `MaterialError` or
+    `ShapeError` if the input does not fit the body.
 
     Examples
     --------
@@ -218,21 +226,22 @@ class Linearised:
         )
 
     def derivatives(self, causes: Sequence[Cause]) -> Derivatives:
-        """Return the derivatives of displacement and reactions by each cause.
+        """Return the derivatives of displacement (mm) and reactions (mN) by each cause.
 
-        `causes`: causes; the cost is one solution each. Result: one entry per cause, in their order. Raises
-        `MaterialError` if the law does not have a parameter; `LoadError` or `ShapeError` if rates do not fit the body.
+        `causes`: parameters, modulus fields or loads; the cost is one solution each. Result: arrays with one row per
+        cause, in their order. Raises `MaterialError` if the law does not have a parameter; `LoadError` or `ShapeError`
+        if rates do not fit the body.
         """
         everything, reactions = self._core.derivatives([core_cause(self.simulator, cause) for cause in causes])
         n_nodes = self.simulator.mesh.n_nodes
         return Derivatives(everything[:, :n_nodes].copy(), reactions, everything)
 
     def adjoints(self, observations: Sequence[Observation]) -> Adjoints:
-        """Return the derivatives of each observation by all inputs.
+        """Return the derivatives of each observation by all inputs: moduli, forces, prescribed displacements, springs.
 
-        `observations`: observations; the cost is one solution each. Result: one entry per observation, in their order.
-        Raises `LoadError` if a node does not exist or is not held; `ShapeError` if there is not one row of weights per
-        node.
+        `observations`: weighted sums of displacements and reactions; the cost is one solution each. Result: arrays with
+        one row per observation, in their order. Raises `LoadError` if a node does not exist or is not held;
+        `ShapeError` if there is not one row of weights per node.
         """
         found = self._core.adjoints([core_observation(observation) for observation in observations])
         return Adjoints(found.young, found.poisson, found.forces, found.body_force, found.prescribed, found.springs)
@@ -240,9 +249,9 @@ class Linearised:
     def compliance(self, observations: Sequence[Observation]) -> Compliance:
         """Return the derivatives of observations of displacements by forces and supports only; fast for many.
 
-        `observations`: observations, without reactions. Result: one entry per observation, in their order; each has the
-        same bits whatever the others are. Raises `LoadError` if a node does not exist, or if an observation weighs
-        reactions; `ShapeError` if there is not one row of weights per node.
+        `observations`: weighted sums of displacements, without reactions. Result: arrays with one row per observation,
+        in their order; each has the same bits whatever the others are. Raises `LoadError` if a node does not exist, or
+        if an observation weighs reactions; `ShapeError` if there is not one row of weights per node.
         """
         found = self._core.compliance([core_observation(observation) for observation in observations])
         return Compliance(found.forces, found.body_force, found.prescribed)
@@ -257,12 +266,12 @@ class Linearised:
         return self._core.responses(float_array("forces", forces, (None, self.simulator.body.n_nodes, 3)))
 
     def unbalanced(self, causes: Sequence[Cause]) -> FloatArray:
-        """Return the unbalanced nodal forces of each cause at fixed displacement.
+        """Return the nodal forces by which each cause disturbs the equilibrium while the displacement is kept.
 
-        The derivative of an observation ``o`` of free nodes by cause ``c`` is ``-sum(compliance.forces[o] *
-        unbalanced[c])``: one matrix product for many of both. `causes`: causes. Result: (n_causes, n_element_nodes, 3),
-        in mN per unit of the cause. Raises `MaterialError` if the law does not have a parameter; `LoadError` or
-        `ShapeError` if rates do not fit the body.
+        They are the derivative of inner minus applied force, (n_causes, n_element_nodes, 3), in mN per unit of the
+        cause. The derivative of an observation ``o`` of free nodes by cause ``c`` is ``-sum(compliance.forces[o] *
+        unbalanced[c])``: one matrix product for many of both. `causes`: parameters, modulus fields or loads. Raises
+        `MaterialError` if the law does not have a parameter; `LoadError` or `ShapeError` if rates do not fit the body.
         """
         return self._core.unbalanced([core_cause(self.simulator, cause) for cause in causes])
 
@@ -271,10 +280,11 @@ class Linearised:
     ) -> Simulation:
         """Return the equilibrium under another load, starting from this one with its factor.
 
-        `load`: the load; `springs` (n_sets, 2): stiffness of the simulator's springs in kPa/mm; by default that given
-        to the simulator; `tolerance`: norm of the residual over the norm of the load, free degrees of freedom;
-        `max_iterations`: iterations allowed. Result: as `Simulator.solve` with the material of this equilibrium. Raises
-        `ConvergenceError` if no equilibrium is found; `LoadError` or `ShapeError` if the load does not fit the body.
+        `load`: the load; `springs` (n_sets, 2): stiffness of the simulator's springs, along the normal and in the
+        plane, in kPa/mm; by default that given to the simulator; `tolerance`: norm of the residual over the norm of the
+        load, free degrees of freedom; `max_iterations`: iterations allowed. Result: displacement in mm and reactions in
+        mN, with the material of this equilibrium. Raises `ConvergenceError` if no equilibrium is found; `LoadError` or
+        `ShapeError` if the load does not fit the body.
         """
         found = self._core.solve_near(
             **self.simulator.load_parts(load),
@@ -286,5 +296,9 @@ class Linearised:
 
     @property
     def report(self) -> dict[str, Any]:
-        """Work so far: `precision` of the factor, `factorisations`, `right_hand_sides` and their `corrections`."""
+        """Record of the work so far, a dict of the factor's `precision`, "double" or "single", and three counts.
+
+        They are `factorisations`, and for `compliance` and `responses` the `right_hand_sides` and their `corrections`
+        (iterative refinements in double precision).
+        """
         return self._core.report

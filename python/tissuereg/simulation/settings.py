@@ -1,32 +1,38 @@
-"""Numbers of simulations that may change an answer, each with its unit and its reason."""
+"""Constants of the simulations (tolerances, limits, ranges) that can change a result, each with unit and reason."""
 
 from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
 class DataSetRules:
-    """How members of a data set are drawn, solved, given up and described.
+    """Constants for drawing, solving, discarding and describing the members of a training data set.
+
+    A member is one simulation under a random load; a chunk is the group of members that share a file.
 
     Attributes
     ----------
     small : float
-        Size of the first, nearly linear pass, share of the body's extent.
+        Displacement at which the first, nearly linear solves take place, as a share of the body's largest extent.
     depth_share : tuple of float
-        Range of a plate's depth, share of its radius.
+        Range of the depth by which a plate is pressed in, as a share of the plate's radius.
     size_log_std : float
-        Standard deviation of the logarithm of a random change's size.
+        Standard deviation of the natural logarithm of the size of a random displacement field.
     again : int
-        How often a member that moves too far is solved again,
+        How often a member is solved again, under a smaller load, if a node moves farther than the recipe allows.
     below : float
-        and how far it is then meant to move, share of the most: a little less, so that it does not miss again.
+        Largest displacement at which such a repetition aims, as a share of the allowed one. It lies a little below 1,
+        so that the repetition does not exceed the limit again.
     few : int
-        A chunk of fewer members says nothing about the rest: all of it may fail.
+        A chunk of at least this many members is refused if more than half of them fail. A smaller chunk is accepted
+        even if all of its members fail.
     most_failed : int
-        So many more chunks than were made may fail on workers before the rest is given up.
+        The run ends when the chunks that failed on workers outnumber the finished ones by this number.
     paired : int
-        Members of a chunk of which all pairs are compared: members are independent, so these stand for all.
+        Number of members of a chunk that are compared with each other pair by pair. Members are independent, so these
+        represent all others.
     far_mm : float
-        Distance of two members, mm, whose share among pairs is stated: about the paper's error at the start.
+        Distance between two members, mm; the share of pairs that lie at least this far apart is reported. It is about
+        the error that the paper has at the start.
     """
 
     small: float = 1e-4
@@ -42,17 +48,19 @@ class DataSetRules:
 
 @dataclass(frozen=True)
 class MemoryRules:
-    """How tissue with a memory comes to rest, and boundaries that slide or stick.
+    """Constants for bringing a material with memory to rest, and for boundaries that slide or stick.
 
     Attributes
     ----------
     rest : float
-        Relaxation times per step, in the four steps in which a loaded body comes to rest before the first frame. A
-        step assumes linearly growing strain, so each leaves about 1/30 of the remaining creep.
+        Length of a time step, in units of the longest relaxation time, for the four steps in which a loaded body comes
+        to rest before the first frame. A step assumes linearly growing strain, so each step leaves about 1/30 of the
+        remaining creep.
     across : float
-        Normal stiffness of a sliding boundary, in modulus over extent: it gives way by about 1e-4 of the strain.
+        Stiffness of a sliding boundary along its normal, in units of Young's modulus over the body's largest extent
+        (kPa/mm). The boundary gives way by about 1e-4 of the strain.
     sticks : float
-        Tangential stiffness of a boundary that sticks by friction, in the same unit.
+        Stiffness in its tangent plane of a boundary that sticks by friction, in the same unit.
     """
 
     rest: float = 30.0
@@ -62,32 +70,36 @@ class MemoryRules:
 
 @dataclass(frozen=True)
 class SizeRules:
-    """Memory and time that a body may take: when a warning is given, and when it is refused.
+    """Limits on the memory and time that a body may take: when a warning is given, and when the body is refused.
+
+    A factor is the Cholesky factor of the stiffness matrix of the body.
 
     Attributes
     ----------
     warned_share : float
         Share of the available memory above which a warning is given.
     long_seconds : float
-        Time above which a message says how long it takes, s.
+        Computing time in s above which a message states how long the work takes.
     working : float
-        Working entries while a factor is made, over those of one thread: threads work on several fronts.
+        Temporary entries while a factor is computed, as a multiple of those of one thread. It is above 1 because
+        several threads work on several fronts (dense submatrices) at the same time.
     large_entries : int
-        A factor of so many entries is checked in any case, whatever is done with the body.
+        A body whose factor has at least this many entries is checked against the available memory in any case, whatever
+        is done with it.
     per_entry : float
-        Cost of a factor entry and right-hand side, in operations at the speed of matrix products,
+        Cost of one factor entry for one right-hand side, in floating-point operations at the speed of matrix products.
     per_tet : float
-        and of a tet and factorisation.
+        Cost of one tet in one factorisation, in the same operations.
     order : int
-        Order of the matrix product that measures the speed,
+        Order of the square matrices whose product measures the speed of the machine.
     repeats : int
-        and how often it is made.
+        How often that product is timed; the median counts.
     smallest : int
-        Meshes of fewer nodes are not suggested.
+        An error message does not suggest a mesh of fewer nodes than this.
     room : float
         Share of the available memory that a suggested mesh may take.
     rigs_kept : int
-        Analysed rigs that are kept.
+        Largest number of rigs (analysed bodies with pads attached) that a cache keeps.
     """
 
     warned_share: float = 0.5
@@ -105,44 +117,53 @@ class SizeRules:
 
 @dataclass(frozen=True)
 class FineRules:
-    """How a fine mesh is cut, judged and solved.
+    """Constants for cutting, judging and solving the fine mesh of an experiment, and the third meshes made from it.
+
+    A third mesh is another mesh of the same body with a different discretisation error. A rim is the circle on the
+    surface that bounds a pad; it lies on the sphere (ball) by which the pad is given.
 
     Attributes
     ----------
     most_rounds : int
-        Rounds of bisection: more than any refinement to a size above a millionth of the body takes.
+        Largest number of rounds of bisection. It is more than any refinement to a size above a millionth of the body
+        takes.
     along : float
-        Loads whose directions differ by less than this are collinear.
+        A load counts as collinear with another one if its distance from the other's line is at most this share of that
+        other load's size.
     most_states : int
-        Solved states for an extrapolated guess: a parabola.
+        Largest number of solved states from which an initial guess is extrapolated; three give a parabola.
     tolerance : float
-        Relative residual at which a frame counts as solved: errors of about 1e-5 mm in markers and 1e-2 mN in forces.
+        Norm of the residual over that of the load at which a frame counts as solved. It gives errors of about 1e-5 mm
+        in markers and 1e-2 mN in forces.
     sharp : float
-        Facets that meet at a sharper angle (cosine between normals) form an edge of the body itself.
+        Two facets form an edge of the body itself if the cosine of the angle between their normals is less than this.
     least_loaded : float
-        Frames whose force is less than this share of the largest do not determine a ratio.
+        A frame whose force is at most this share of the largest does not determine a ratio of forces.
     most_changed : float
-        Largest change of a force by a map, along and across it; larger differences are not mapped.
+        Largest relative change of a force by a map from coarse to fine elements, along the force and across it. The
+        part of a difference beyond it is not mapped.
     locks_above : float
         Poisson's ratio above which four-node tets lock.
     solutions_kept : int
-        Elastic solutions that are kept: coarse and fine ones of ten cases.
+        Largest number of elastic solutions in the cache: coarse and fine ones of ten cases.
     snap_share : float
-        An end of a crossing edge slides onto the rim if the crossing is nearer to it than this share of the edge.
+        An end of an edge that crosses a rim is moved onto the rim if the crossing lies within this share of the edge's
+        length from it.
     kept_quality : float
-        After a node is moved, every tetrahedron must keep this share of its quality,
+        Share of its shape quality (mean ratio, 1 where regular) that every tetrahedron must keep when nodes are moved.
     least_quality : float
-        and at a rim have at least this quality.
+        Shape quality that suffices for a tetrahedron at a rim, even if it is a smaller share of the earlier quality.
     inside : float
-        Nodes of the rim lie this share of the radius inside it, so that rounding leaves none outside.
+        Nodes of a rim lie inside its sphere by this share of the radius, so that rounding leaves none outside.
     dip_share : float
-        Edges between outer nodes are cut if they enter the ball by this share of their length.
+        An edge between two nodes outside the ball is cut if it enters the ball deeper than this share of its length.
     jitter_share : float
-        Largest motion of a node of a third mesh, over its shortest edge.
+        Largest random motion of a node of a third mesh, as a share of the node's shortest edge.
     rim_factors : tuple of float
-        Range of the edge length at the rims of a third mesh, over that of the fine mesh; uniform.
+        Range of a factor on the edge length at the rims, by which a third mesh differs from the fine mesh; uniform.
     bulge_shares : tuple of float
-        Range of the outward motion of its surface, over the mean gap between facets and a smooth surface; uniform.
+        Range of the outward motion of the surface of a third mesh, as a share of the mean gap between the flat facets
+        and a smooth surface; uniform.
     """
 
     most_rounds: int = 1000

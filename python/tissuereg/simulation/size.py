@@ -1,4 +1,4 @@
-"""How much memory and time a body will take, estimated from its symbolic analysis before anything is factored.
+"""Estimates of the memory and time that a body will take, from its symbolic analysis, before anything is factored.
 
 The rule for large bodies (``docs/large-bodies.md``): a body is refused if its estimated memory is more than what is
 available; above half of that a warning is given. Numbers of bytes and operations below are properties of the code, set
@@ -24,12 +24,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class BodySize:
-    """Result of the symbolic analysis.
+    """Size of an analysed body: its mesh, and the Cholesky factor of its stiffness matrix.
 
-    `n_nodes`, `n_tets`, `n_unknowns`: nodes of the mesh, elements, and displacement components that are not held;
-    `n_entries`: entries of the factor of the stiffness; `flops`: floating-point operations of one factorisation;
-    `n_working`: most additional entries that one thread holds while it makes the factor; `element`: elements of the
-    solver.
+    `n_nodes`: nodes of the mesh; `n_tets`: elements; `n_unknowns`: displacement components that are not held;
+    `n_entries`: entries of the factor; `flops`: floating-point operations of one factorisation; `n_working`: largest
+    number of temporary entries that one thread holds while it computes the factor; `element`: name of the element,
+    "tet4", "tet4-averaged" or "tet10".
     """
 
     n_nodes: int
@@ -42,7 +42,7 @@ class BodySize:
 
     @classmethod
     def of(cls, simulator: "Simulator") -> "BodySize":
-        """Return the size of an analysed body."""
+        """Return the size of the body that a simulator has analysed: nodes, elements, unknowns, factor entries."""
         body, mesh = simulator.body, simulator.mesh
         n_entries, flops, n_working = body.factor_size
         return cls(mesh.n_nodes, mesh.n_tets, body.n_unknowns, n_entries, flops, n_working, simulator.element)
@@ -50,26 +50,29 @@ class BodySize:
 
 @dataclass(frozen=True)
 class Work:
-    """The work to be done with a body.
+    """The number of operations and stored arrays that a computation on a body needs.
+
+    A factor is the Cholesky factor of the body's stiffness matrix.
 
     Attributes
     ----------
     factorisations : int
-        Expected number.
+        Expected number of numeric factorisations.
     factors_held : int
-        Factors that are held at the same time.
+        Number of factors that are held in memory at the same time.
     entry_bytes : int
-        Memory of an entry of a factor.
+        Bytes per entry of a factor.
     right_hand_sides : int
-        Expected number.
+        Expected number of solutions with a factor.
     fields : int
-        Whole fields, three numbers per node, that are held at the same time.
+        Number of nodal vector fields (three float64 numbers per node) held at the same time.
     tet_fields : int
-        Numbers per tet that are held at the same time.
+        Number of float64 numbers per tet held at the same time.
     later_bytes : int
-        Memory of modules imported and pictures drawn later; not part of the rule, since it does not depend on the body.
+        Bytes of modules imported and pictures drawn later. They are not part of the rule by which a body is refused,
+        since they do not depend on the body.
     tet_flops : float
-        All other work per tet, as operations at the speed of matrix products.
+        All other work per tet, as floating-point operations at the speed of matrix products.
     """
 
     factorisations: int
@@ -88,20 +91,20 @@ SOLVE = Work(1, 1, 2, 60, 60, 60)
 
 @dataclass(frozen=True)
 class Estimate:
-    """Time and memory that a body will need.
+    """Estimated time and memory of a computation on a body.
 
     Attributes
     ----------
     size : BodySize
-        The body.
+        Size of the body.
     work : Work
-        What is done with it.
+        Operations and arrays of the computation.
     seconds : float
-        Wall time, while nothing else runs on the machine.
+        Wall time in s, while nothing else runs on the machine.
     added_bytes : int
-        Memory that the body takes in addition to what the process holds.
+        Memory that the body takes in addition to what the process holds now.
     peak_bytes : int
-        Memory of the process at most.
+        Largest memory of the whole process.
     available_bytes : int or None
         Memory that the process may still take; None if unknown.
     """
@@ -115,9 +118,9 @@ class Estimate:
 
     @classmethod
     def of(cls, size: BodySize, work: Work, threads: int) -> "Estimate":
-        """Return the estimate of some work on a body with so many threads (0: all cores).
+        """Return the estimated time and memory of a computation on a body with a number of threads (0: all cores).
 
-        Cost: about two milliseconds, once per process.
+        Cost: about two milliseconds, once per process, to measure the speed of the machine.
         """
         n_threads = min(threads or n_cores(), n_cores())
         flops = work.factorisations * (size.flops + SIZE.per_tet * size.n_tets)
@@ -132,27 +135,27 @@ class Estimate:
 
     @property
     def is_small(self) -> bool:
-        """Whether it takes about a second at most, and little of the available memory."""
+        """True if the computation takes less than 1 s and less than 1 GB of additional memory."""
         return self.seconds < 1.0 and self.added_bytes < 1e9
 
     @property
     def is_long(self) -> bool:
-        """Whether it will take longer than a minute or so."""
+        """True if the computation takes longer than a minute."""
         return self.seconds > SIZE.long_seconds
 
     @property
     def is_too_large(self) -> bool:
-        """Whether it needs more memory than is available."""
+        """True if the computation needs more additional memory than is known to be available."""
         return self.available_bytes is not None and self.added_bytes > self.available_bytes
 
     def duration(self) -> str:
-        """Return the time in words."""
+        """Return the estimated wall time in words, such as "about 7 minutes"."""
         return _duration(self.seconds)
 
     def sentence(self) -> str:
-        """Return size and need in one line.
+        """Return one line of text about the size of the body and what the computation needs.
 
-        Result: nodes, tets, unknowns, the factor, how often it is made, time and memory.
+        It states nodes, tets, unknowns, entries of the factor, number of factorisations, time and memory.
         """
         size, work = self.size, self.work
         times = f"about {work.factorisations} factorisation{'' if work.factorisations == 1 else 's'}"
@@ -186,7 +189,7 @@ class Estimate:
         warnings.warn(need, LargeBodyWarning, stacklevel=2)
 
     def _advice(self, there: int) -> str:
-        """Return advice for a body that does not fit into memory."""
+        """Return one sentence of advice for a body that does not fit into the available memory of `there` bytes."""
         # Entries of a factor grow with the power 4/3 of the nodes (nested dissection in space).
         share = (SIZE.room * there / self.added_bytes) ** 0.75
         fits = int(float(f"{share * self.size.n_nodes:.2g}"))
@@ -199,10 +202,10 @@ class Estimate:
 
 
 def check_fits(simulator: "Simulator") -> None:
-    """Refuse a body whose smallest factor would not fit into memory.
+    """Refuse a body of which not even the smallest Cholesky factor would fit into memory.
 
-    `simulator`: analysed. The available memory is not looked up for a small body. Raises `LargeBodyError` if one factor
-    of 16-bit integers, with the memory for making it, is more than what is available.
+    `simulator`: the analysed body. The available memory is not looked up for a small body. Raises `LargeBodyError` if
+    one factor of 16-bit integers, with the memory for making it, is more than what is available.
     """
     if simulator.body.factor_size[0] < SIZE.large_entries:
         return
@@ -213,7 +216,7 @@ def check_fits(simulator: "Simulator") -> None:
 
 @cache
 def product_rate() -> float:
-    """Return the speed of matrix products on one thread of this machine, in floating-point operations per second."""
+    """Return the speed of matrix products on one thread of this machine, in floating-point operations per s."""
     from threadpoolctl import threadpool_limits
 
     left = np.ones((SIZE.order, SIZE.order), np.float32)
@@ -228,7 +231,7 @@ def product_rate() -> float:
 
 
 def _figure(value: float) -> str:
-    """Return a number in words: at least two digits, never an exponent."""
+    """Return a positive number as text with at least two digits and without an exponent."""
     return f"{value:,.0f}" if value >= 10.0 else f"{max(value, 0.01):.2g}"
 
 
@@ -237,12 +240,12 @@ def _count(number: int) -> str:
 
 
 def _gb(size: float) -> str:
-    """Return bytes in GB (1e9)."""
+    """Return a number of bytes as text in GB (1e9 bytes)."""
     return f"{_figure(size / 1e9)} GB"
 
 
 def _duration(seconds: float) -> str:
-    """Return a time in words, two digits at most.
+    """Return a time in s as text, rounded to two digits at most.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""One static solve, or many on one body: the Python interface of the Rust solver."""
+"""One static solve, or many on one body: the Python interface of the compiled (Rust) solver."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -32,7 +32,11 @@ ELEMENTS = ("tet4", "tet4-averaged", "tet10")
 
 
 class LoadParts(TypedDict):
-    """The parts of a load, or of many with the member axis first, in the form of the compiled solver."""
+    """The parts of a load as the compiled solver takes them; of many loads, each array has the member axis first.
+
+    `forces` (n_element_nodes, 3): nodal forces, mN; `body_force` (3,): mN/mm^3; `prescribed` (n_held, 3): displacement
+    of the held nodes, mm. None where a load has no such part.
+    """
 
     forces: FloatArray | None
     body_force: FloatArray | None
@@ -40,7 +44,10 @@ class LoadParts(TypedDict):
 
 
 def stacked_parts(parts: Sequence[LoadParts]) -> LoadParts:
-    """Return the parts of many loads stacked, zero where absent; None where absent in all."""
+    """Return the parts of many loads stacked along a new first axis, (n_members, ...).
+
+    A part is zero where one load lacks it, and None if all loads lack it.
+    """
     return {
         "forces": stacked([part["forces"] for part in parts]),
         "body_force": stacked([part["body_force"] for part in parts]),
@@ -50,18 +57,20 @@ def stacked_parts(parts: Sequence[LoadParts]) -> LoadParts:
 
 @dataclass(frozen=True, eq=False)
 class Simulation:
-    """Result of a solve.
+    """Result of a solve: the equilibrium of a body under one load.
 
     Attributes
     ----------
     displacement : ndarray of float64, shape (n_nodes, 3)
         Displacement of the mesh's nodes in mm.
     reactions : ndarray of float64, shape (n_held, 3)
-        Force on the body at every held node in mN.
+        Force on the body at every held node in mN, in the order of the held nodes.
     all_displacement : ndarray of float64, shape (n_element_nodes, 3)
-        The same with the mid-edge nodes of ten-node elements after the mesh's nodes.
+        Displacement of all nodes in mm: those of the mesh, then the mid-edge nodes of ten-node elements.
     report : dict
-        Work counters and quality: `iterations`, `solves`, `factorisations`, `load_steps`, `residual`, `min_det_f`.
+        Work and quality of the solve, among them `iterations`, `solves` (solutions with a factor), `factorisations`,
+        `load_steps`, `residual` (norm of the unbalanced forces over that of the load) and `min_det_f` (smallest
+        determinant of the deformation gradient).
     """
 
     displacement: FloatArray
@@ -72,7 +81,7 @@ class Simulation:
 
 @dataclass(frozen=True, eq=False)
 class Simulations:
-    """Results of many solves; failed members are rows of NaN.
+    """Result of many solves on one body; a member is one load with its material, and failed members are rows of NaN.
 
     Attributes
     ----------
@@ -81,9 +90,9 @@ class Simulations:
     reactions : ndarray of float64, shape (n_members, n_held, 3)
         Force on the body at every held node in mN.
     failed : list of (int, str)
-        Members without equilibrium, each with its reason.
+        Index of every member without equilibrium, with the reason.
     all_displacement : ndarray of float64, shape (n_members, n_element_nodes, 3)
-        The displacement with the mid-edge nodes of ten-node elements after the mesh's nodes.
+        Displacement of all nodes in mm: those of the mesh, then the mid-edge nodes of ten-node elements.
     """
 
     displacement: FloatArray
@@ -93,7 +102,7 @@ class Simulations:
 
     @property
     def solved(self) -> IntArray:
-        """Indices of the members that found equilibrium."""
+        """Indices of the members that found equilibrium, shape (n_solved,), ascending."""
         lost = {index for index, _ in self.failed}
         return np.array([i for i in range(len(self.displacement)) if i not in lost], dtype=np.int64)
 
@@ -106,16 +115,16 @@ class Simulator:
     mesh : Mesh
         Reference shape.
     element : {"tet4", "tet4-averaged", "tet10"}
-        Four-node tets, the same with volume ratios averaged at the nodes (for Poisson's ratios above 0.475), or
+        Four-node tets; four-node tets with volume ratios averaged at the nodes (for Poisson's ratios above 0.475); or
         ten-node tets on the same edges (second order, straight edges).
     held_nodes : array_like of int, optional
         Nodes whose displacement is given; by default the node set ``fixed``. With springs there may be none.
     springs : sequence of (array_like of int (n, 3), array_like of float (2,)), optional
-        Sets of springs: surface triangles with the stiffness along the normal and in the plane in kPa/mm, which every
-        solve may override.
+        Sets of springs between the surface and its undeformed place. A set is a pair of surface triangles and the
+        stiffness along the normal and in the plane in kPa/mm, which every solve may override.
     rests : bool
-        Whether the springs support the body. Directions without stiffness must then have none in every solve, and
-        the others must keep theirs.
+        Whether the springs support the body, in addition to held nodes. A direction (normal or plane) in which a set
+        has no stiffness here must then have none in every solve, and a direction with stiffness must keep some.
 
     Raises
     ------
@@ -150,11 +159,11 @@ class Simulator:
 
     @property
     def n_points(self) -> int:
-        """Quadrature points of an element."""
+        """Number of quadrature points of an element: 1 for "tet4", 4 for the other elements."""
         return 1 if self.element == "tet4" else 4
 
     def forces(self, load: Load) -> FloatArray | None:
-        """Return all nodal forces of a load, tractions included, in mN; None where there are none."""
+        """Return the nodal forces (n_element_nodes, 3) of a load, mN, tractions included; None if it has none."""
         of_kind("load", load, Load)
         total = None
         if load.forces is not None:
@@ -171,7 +180,7 @@ class Simulator:
         return total
 
     def load_parts(self, load: Load, n_held: int | None = None) -> LoadParts:
-        """Return the parts of a load in the form of the compiled solver.
+        """Return the parts of a load as arrays for the compiled solver.
 
         Parameters
         ----------
@@ -183,7 +192,8 @@ class Simulator:
         Returns
         -------
         LoadParts
-            ``forces``, ``body_force`` and ``prescribed``.
+            ``forces`` (n_element_nodes, 3) in mN, with those of tractions, ``body_force`` (3,) in mN/mm^3 and
+            ``prescribed`` (n_held, 3) in mm; each None where the load has no such part.
 
         Raises
         ------
@@ -207,13 +217,15 @@ class Simulator:
         material : Material
             Material of the body.
         **settings
-            ``tolerance`` (residual over load), ``threads`` (0: all), ``method``, ``start`` (n_element_nodes, 3) in mm,
-            ``springs`` (n_sets, 2) in kPa/mm, ``max_iterations``.
+            ``tolerance`` (norm of the residual over that of the load), ``threads`` (0: all cores), ``method`` ("auto",
+            "newton" or "quasi-newton"), ``start`` (n_element_nodes, 3), the initial guess in mm, ``springs`` (n_sets,
+            2), stiffness along the normal and in the plane in kPa/mm, ``max_iterations``, ``load_steps`` (0: as many as
+            needed).
 
         Returns
         -------
         Simulation
-            Displacement, reactions and the record of work.
+            Displacement in mm, reactions in mN and the record of work.
 
         Raises
         ------
@@ -238,12 +250,18 @@ class Simulator:
         return self.simulation(found)
 
     def simulation(self, found: _core.Solution) -> Simulation:
-        """Return a result of the compiled solver as a simulation of the mesh."""
+        """Return a result of the compiled solver as a `Simulation` (displacement in mm, reactions in mN)."""
         everything = found.displacement
         return Simulation(everything[: self.mesh.n_nodes].copy(), found.reactions, everything, found.report)
 
     def _arrays(self, settings: dict[str, Any], members: tuple[int, ...]) -> dict[str, Any]:
-        """Return settings with their arrays checked; of many, the member axis may be absent."""
+        """Return the settings of a solve with the stiffness of springs and the initial guess as arrays.
+
+        `settings`: keyword arguments of `solve` or `solve_many`; `members`: () for one solve, (n_members,) for many.
+        Result: `springs`, kPa/mm, of shape (*members, n_sets, 2), repeated for every member if given only once;
+        `start`, mm, of shape (*members, n_element_nodes, 3), or without the member axis. Unknown settings and other
+        shapes are refused.
+        """
         _check_settings(settings)
         checked = dict(settings)
         if settings.get("springs") is not None:
@@ -259,16 +277,17 @@ class Simulator:
         Parameters
         ----------
         displacement : array_like of float, shape (n_element_nodes, 3)
-            Displacement of all nodes in mm.
+            Displacement of all nodes in mm: those of the mesh, then the mid-edge nodes of ten-node elements.
         material : Material
             Material of the body.
         springs : array_like of float, shape (n_sets, 2), optional
-            Stiffness of the springs in kPa/mm; by default that given to the simulator.
+            Stiffness of each set of springs, along the normal and in the plane, in kPa/mm; by default that given to the
+            simulator.
 
         Returns
         -------
         ndarray of float64, shape (n_element_nodes, 3)
-            In mN; at held nodes the reactions of a body without load.
+            Forces in mN; at held nodes the reactions of a body without load.
 
         Raises
         ------
@@ -294,14 +313,14 @@ class Simulator:
         Parameters
         ----------
         displacement : array_like of float, shape (n_element_nodes, 3)
-            Displacement of all nodes in mm.
+            Displacement of all nodes in mm: those of the mesh, then the mid-edge nodes of ten-node elements.
         springs : array_like of float, shape (n_sets, 2), optional
-            Their stiffness in kPa/mm; by default that given to the simulator.
+            Stiffness of each set, along the normal and in the plane, in kPa/mm; by default that given to the simulator.
 
         Returns
         -------
         ndarray of float64, shape (n_sets, n_element_nodes, 3)
-            In mN.
+            Nodal forces in mN.
 
         Raises
         ------
@@ -316,17 +335,20 @@ class Simulator:
     ) -> Simulations:
         """Return the equilibria of many members, solved in parallel, each on one thread.
 
+        A member is one load together with one material.
+
         Parameters
         ----------
         loads : sequence of Load
-            One per member.
+            The load of each member.
         materials : sequence of Material
-            One per member.
+            The material of each member.
         progress : callable of int, optional
             Called with the number of members finished so far.
         **settings
-            As in `solve`; ``start`` (n_members, n_element_nodes, 3) or one for all, ``springs`` (n_members, n_sets, 2)
-            or one for all.
+            Settings of `solve`: ``tolerance``, ``threads``, ``method``, ``max_iterations``, ``load_steps``; ``start``,
+            the initial guess in mm, (n_members, n_element_nodes, 3), or (n_element_nodes, 3) for all members;
+            ``springs``, stiffness in kPa/mm, (n_members, n_sets, 2), or (n_sets, 2) for all members.
 
         Returns
         -------
@@ -336,12 +358,12 @@ class Simulator:
         Raises
         ------
         LoadError
-            If there is not one material a load.
+            If the numbers of loads and materials differ.
 
         Warns
         -----
         LockingWarning
-            As `solve`, once for all members.
+            If Poisson's ratio is above 0.475 somewhere and the elements are ``"tet4"``; once for all members.
         """
         loads, materials = each("loads", loads, Load), each("materials", materials, Material)
         called("progress", progress)
@@ -361,22 +383,22 @@ class Simulator:
         return Simulations(everything[:, : self.mesh.n_nodes].copy(), found.reactions, found.failed, everything)
 
     def moduli(self, material: Material) -> tuple[FloatArray, FloatArray]:
-        """Return a material's moduli, checked against the mesh.
+        """Return Young's modulus and Poisson's ratio of a material as arrays, checked against the mesh.
 
         Parameters
         ----------
         material : Material
-            One value for all tets, or one per tet.
+            Material with one value for all tets, one per tet, or one per quadrature point.
 
         Returns
         -------
-        tuple of ndarray of float64, each of shape (1,) or (n_tets,)
-            Young's modulus in kPa and Poisson's ratio.
+        tuple of ndarray of float64, each of shape (1,), (n_tets,) or (n_tets, n_points)
+            Young's modulus in kPa and Poisson's ratio; both have the same shape.
 
         Raises
         ------
         MaterialError
-            If the number of values is neither one nor that of the tets.
+            If the number of values is neither one, nor that of the tets, nor that of the quadrature points.
         """
         of_kind("material", material, Material)
         young, poisson = material.young_array, material.poisson_array
@@ -393,7 +415,7 @@ class Simulator:
 
 
 def _check_settings(settings: dict[str, Any]) -> None:
-    """Refuse settings of a solve that are unknown or out of their range."""
+    """Refuse settings of a solve (`tolerance`, `threads`, ...) that are unknown or out of their range."""
     known = ("tolerance", "threads", "method", "start", "springs", "max_iterations", "load_steps")
     for name in settings:
         check_choice("setting", name, known, ArgumentError)
@@ -408,14 +430,17 @@ def _check_settings(settings: dict[str, Any]) -> None:
 
 
 def _broadcast(fields: Sequence[FloatArray]) -> list[FloatArray]:
-    """Return fields of moduli, (1,), (n_tets,) or (n_tets, n_points), all in the largest shape among them."""
+    """Return arrays of moduli, each (1,), (n_tets,) or (n_tets, n_points), all in the largest shape among them."""
     deepest = max((values.ndim for values in fields), default=1)
     columns = [values[:, None] if values.ndim < deepest else values for values in fields]
     return [np.ascontiguousarray(values) for values in np.broadcast_arrays(*columns)]
 
 
 def _one_a_member(fields: Sequence[FloatArray]) -> FloatArray:
-    """Return fields stacked: (n,), (n, n_tets) or (n, n_tets, n_points)."""
+    """Return arrays of moduli, one array per member, stacked along a new first axis.
+
+    Shape (n_members,), (n_members, n_tets) or (n_members, n_tets, n_points): that of the largest array decides.
+    """
     if not fields:
         return np.empty(0)
     stacked = np.stack(_broadcast(fields))
@@ -443,7 +468,8 @@ def simulate(
     material : Material
         Material of the body.
     element : {"tet4", "tet4-averaged", "tet10"}
-        Four-node tets, or ten-node tets on the same edges.
+        Four-node tets; four-node tets with volume ratios averaged at the nodes (for Poisson's ratios above 0.475); or
+        ten-node tets on the same edges.
     held_nodes : array_like of int, optional
         Nodes whose displacement is given by `load.prescribed` (zero where absent).
     tolerance : float

@@ -51,11 +51,11 @@ class _Changes:
         return self.changes.card
 
     def errors(self, latents: FloatArray | None = None) -> FloatArray:
-        """Return the expected errors of the change; see `LatentModel.errors`."""
+        """Return the expected errors (n_fields, n_nodes, 3), mm, of a change with latents (n_latent,)."""
         return self.changes.errors(latents)
 
     def error_law(self, latents: FloatArray | None = None) -> tuple[ScaledErrors, FloatArray]:
-        """Return the errors, and the factor (n_fields,) of each at `latents`, as `ScalesErrors` states."""
+        """Return error fields of known size, and the factor (n_fields,) on each at latents (n_latent,)."""
         return self.changes.error_law(latents)
 
     def prior(self, simulation: FloatArray | None) -> Gaussian:
@@ -78,7 +78,7 @@ class FittedPrior(_Changes):
         return ChangedSimulation(self.changes, simulation)
 
     def decode(self, latents: FloatArray, nodes: IntArray | None = None) -> FloatArray:
-        """Return changes, one per column of `latents`; see `LatentModel.decode`."""
+        """Return changes (n_members, k, 3), mm, of latents (n_latent, n_members) at nodes (k,), or at all."""
         return self.changes.decode(latents, nodes)
 
 
@@ -89,7 +89,7 @@ class ChangedSimulation(_Changes):
     simulation: FloatArray
 
     def decode(self, latents: FloatArray, nodes: IntArray | None = None) -> FloatArray:
-        """Return displacement fields, one per column of `latents`; see `LatentModel.decode`."""
+        """Return displacement fields (n_members, k, 3), mm, of latents (n_latent, n_members), at nodes (k,) or all."""
         simulation = self.simulation if nodes is None else self.simulation[nodes]
         return np.asarray(simulation + self.changes.decode(latents, nodes))
 

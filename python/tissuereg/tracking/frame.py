@@ -14,7 +14,11 @@ from tissuereg.registration.result import MarkerFit, Registration, Target
 
 @dataclass(frozen=True, eq=False)
 class MeasuredFrame:
-    """A frame before it is registered: what was measured, what the actuators did, and since when it waits."""
+    """A frame before it is registered.
+
+    `measured_mm` (n_markers, 3): places of the markers; `time_s`: time of the measurement; `actuator`: what the
+    actuators did, in the simulation's own terms; `since`: clock reading from which it has waited, s.
+    """
 
     measured_mm: Any
     time_s: Any
@@ -32,7 +36,7 @@ class Inbox:
         self.dropped = 0
 
     def push(self, frame: MeasuredFrame) -> None:
-        """Put a frame in; one that waits is dropped."""
+        """Put a frame in; a frame that is still waiting to be registered is dropped and counted."""
         with self._lock:
             if self._frame is not None:
                 self.dropped += 1
@@ -109,7 +113,7 @@ class Layout:
         return np.concatenate([self._of_markers(field).ravel(), np.ravel(targets), field.ravel()])
 
     def change(self, field: FloatArray) -> FloatArray:
-        """Return the same of a displacement (n_nodes, 3)."""
+        """Return a displacement (n_nodes, 3), mm, in the filter's layout: of markers, targets, nodes; flat."""
         inner = self.attached.targets
         return np.concatenate(
             [self._of_markers(field).ravel(), inner.predict(field[inner.nodes]).ravel(), field.ravel()]

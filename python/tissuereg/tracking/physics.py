@@ -144,12 +144,15 @@ class FemPhysics:
         self._kept: dict[str, tuple[Load, FloatArray]] = {}
 
     def field(self, actuator: Any, *, start: FloatArray | None = None) -> FloatArray:
-        """Return the displacement under a load; see `Physics.field`."""
+        """Return the displacement (n_nodes, 3), mm, under the load that belongs to what the actuators do.
+
+        `start` (n_nodes, 3): a first guess, mm.
+        """
         known = self._load(actuator)
         return self._solved("known", Load(self._simulator.forces(known), known.body_force, known.prescribed), start)
 
     def holding(self, displacement: FloatArray, actuator: Any) -> FloatArray:
-        """Return what holds a displacement beside the known load; see `HoldingPhysics.holding`."""
+        """Return the nodal forces (n_nodes, 3), mN, that hold a displacement (n_nodes, 3), mm, beside the load."""
         simulator = self._simulator
         forces = simulator.internal_forces(displacement, self._material)
         known = self._load(actuator)
@@ -162,7 +165,10 @@ class FemPhysics:
         return forces
 
     def held_field(self, actuator: Any, forces: FloatArray, start: FloatArray) -> FloatArray:
-        """Return the displacement under a load and dead loads; see `HoldingPhysics.held_field`."""
+        """Return the displacement (n_nodes, 3), mm, under the known load and further nodal forces (n_nodes, 3), mN.
+
+        `start` (n_nodes, 3): a first guess, mm.
+        """
         known = self._load(actuator)
         given = self._simulator.forces(known)
         together = forces if given is None else forces + given
@@ -173,7 +179,7 @@ class FemPhysics:
         return Load() if load is None else of_kind("actuator", load, Load, error=LoadError)
 
     def _solved(self, which: str, load: Load, start: FloatArray | None) -> FloatArray:
-        """Return the equilibrium under a load, or the last one of the same kind if that was the same load."""
+        """Return the equilibrium (n_nodes, 3), mm, under a load; the one kept under this name if the load is equal."""
         if which in self._kept and start is not None and _same(self._kept[which][0], load):
             return np.array(self._kept[which][1])
         settings: dict[str, Any] = {"tolerance": self._tolerance, "threads": self._threads}
@@ -221,7 +227,7 @@ class CalledPhysics:
         self._function = function
 
     def field(self, actuator: Any, *, start: FloatArray | None = None) -> FloatArray:
-        """Return what the function returns; see `Physics.field`."""
+        """Return the displacement (n_nodes, 3), mm, that the given function returns for what the actuators do."""
         return float_array("simulation", self._function(actuator), (None, 3))
 
 

@@ -30,7 +30,12 @@ RESTARTS = ("forces", "displacement", "guess", "reference")
 
 @dataclass(frozen=True, eq=False)
 class SimulatedFrame:
-    """The simulation of a frame; displacements (n_nodes, 3) in mm."""
+    """The simulation of a frame; displacements (n_nodes, 3) in mm.
+
+    `field`: the simulation, started from the registered state before if that is carried on; `change`: how it differs
+    from that of the frame before; `plain`: the simulation with nothing carried on; `carried`: whether a registered
+    state was carried on.
+    """
 
     field: FloatArray  # from which the frame is registered
     change: FloatArray  # since the last frame, due to the actuators
@@ -40,7 +45,12 @@ class SimulatedFrame:
 
 @dataclass(eq=False)
 class _CarriedState:
-    """The registered state that is carried on: its shape, its simulation with nothing carried on, what holds it."""
+    """The registered state from which the next frame is simulated.
+
+    `displacement` (n_nodes, 3): registered, mm; `actuator`: what the actuators did; `plain` (n_nodes, 3): its
+    simulation with nothing carried on, mm; `forces` (n_nodes, 3) or None: nodal forces that hold it beside the known
+    load, mN.
+    """
 
     displacement: FloatArray
     actuator: Any
@@ -92,7 +102,10 @@ class Restart:
         return SimulatedFrame(field, field - before, plain, self._carried is not None)
 
     def registered(self, simulated: SimulatedFrame, displacement: FloatArray, actuator: Any) -> bool:
-        """Remember a frame, registered displacement in mm; return whether its state is carried on from now on."""
+        """Remember a frame, and return whether its registered state is carried on from now on.
+
+        `displacement` (n_nodes, 3): registered, mm; `actuator`: what the actuators did.
+        """
         self._plain_before = self._last_plain
         self._last_field, self._last_shape, self._last_plain = simulated.field, displacement, simulated.plain
         self._origin = simulated.field if self._origin is None else self._origin
@@ -109,19 +122,28 @@ class Restart:
         self._origin = self._last_field = self._last_plain
 
     def _expected_plain(self) -> FloatArray | None:
-        """Return a first guess with nothing carried on: the actuators move on as they did."""
+        """Return a first guess (n_nodes, 3), mm, of the simulation with nothing carried on; None at first.
+
+        It is extrapolated from the last two frames: the actuators move on as they did.
+        """
         if self._last_plain is None or self._plain_before is None:
             return self._last_plain
         return 2.0 * self._last_plain - self._plain_before
 
     def _expected(self, carried: _CarriedState, plain: FloatArray) -> FloatArray:
-        """Return a first guess from a registered state: it changes as the simulation with nothing carried on does."""
+        """Return a first guess (n_nodes, 3), mm, of the simulation from a registered state.
+
+        It changes as the simulation with nothing carried on, `plain` (n_nodes, 3), does.
+        """
         if self._last_field is None or self._last_plain is None:
             return np.asarray(carried.displacement + plain - carried.plain)
         return np.asarray(self._last_field + plain - self._last_plain)
 
     def _carried_on(self, carried: _CarriedState, actuator: Any, plain: FloatArray) -> FloatArray:
-        """Return the simulation from a registered state, given the one with nothing carried on."""
+        """Return the simulation (n_nodes, 3), mm, from a registered state.
+
+        `plain` (n_nodes, 3): simulation with nothing carried on, mm; `actuator`: what the actuators do.
+        """
         moved = plain - carried.plain
         if self.how == "forces" and isinstance(self._physics, HoldingPhysics):
             try:

@@ -138,7 +138,7 @@ def _axes(axes: Any) -> tuple[FloatArray, ...]:
 
 
 def _between(number: int, axis: FloatArray, value: float) -> tuple[int, float]:
-    """Return the grid point before a value, and the value's share of the way to the next one."""
+    """Return the number of the grid point before a value, and the value's share of the way to the next one."""
     if not axis[0] <= value <= axis[-1]:
         within = f"must lie within the table, {axis[0]:g} to {axis[-1]:g}, got {value:g}"
         message = f"parameter {number + 1} of `actuator` {within}"

@@ -99,7 +99,10 @@ class TemporalPrior:
         return np.asarray(weights / weights.sum())
 
     def _weigh(self, innovations: FloatArray, total: FloatArray) -> None:
-        """Add the innovations (n_rates, n_scored) of a frame to the record, with their variances over the noise's."""
+        """Score the filters of all rates by a frame: record innovations (n_rates, n_scored), mm.
+
+        `total` (n_rates,): their variance under each rate, over the noise's.
+        """
         self._per_frame = innovations.shape[1] / FILTER.together
         self._squares = FILTER.memory * self._squares + (innovations**2).sum(axis=1) / total / FILTER.together
         self._logs = FILTER.memory * self._logs + self._per_frame * np.log(total)

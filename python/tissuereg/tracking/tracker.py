@@ -282,7 +282,7 @@ class Tracker:
         return self._last
 
     def _varied(self, actuator: Any, field: FloatArray | None) -> SimulationVariants | FloatArray | None:
-        """Return the simulation of a frame, with its variants if there are any."""
+        """Return a frame's simulation `field` (n_nodes, 3), mm, with its variants where there are any."""
         shape = self._registrar.mesh.nodes.shape
         fields = [float_array("variants", one.field(actuator), shape) for one in self._variants]
         return SimulationVariants(fields, field) if fields else field

@@ -33,7 +33,12 @@ from tissuereg.simulation.recipe import PairsRecipe
 
 @dataclass(frozen=True)
 class PaperStep:
-    """The paper's setting of a step, and how its time is taken."""
+    """The paper's setting of a step, and how its time is taken.
+
+    `n_members`, `n_steps`: ensemble size and number of assimilations; `n_markers`: number of markers; `n_warm`: steps
+    that are not counted; `side`, `products`: size and number of the matrix products by which the machine's speed is
+    measured.
+    """
 
     n_members: int = 100  # of the ensemble
     n_steps: int = 5  # assimilations
@@ -48,7 +53,12 @@ PAPER = PaperStep()
 
 @dataclass(frozen=True)
 class StepSettings:
-    """Settings of the timings of a step."""
+    """Settings of the timings of a step.
+
+    `repeats`: timed steps after one that is not counted; `threads`: threads to use, 0 takes all cores; `seed`: of
+    markers and ensemble; `model`: folder of the model, None for the shipped one; `table2`: folder of a network of the
+    paper's Table II, None for one with random weights; `n_sets`: sets of markers over which times are taken.
+    """
 
     repeats: int = 10  # timed registrations of every set of markers
     threads: int = 0  # 0: all cores

@@ -17,7 +17,11 @@ N_MARKERS, _N_PADS = 10, 2
 
 @dataclass(frozen=True, eq=False)
 class MadeUpRig:
-    """Made-up pads, markers and a target on a body, in mm."""
+    """Made-up pads, markers and a target on a body.
+
+    `centres` (2, 3) and `radii` (2,): balls that cut the pads out of the surface, mm; `pushes` (2, 3): motion of each
+    pad, mm; `markers` (n, 3): reference places, mm; `target` (3,): an inner point, mm.
+    """
 
     centres: FloatArray  # of the balls whose surface nodes are the pads, (2, 3); above the surface of a thin body
     radii: FloatArray  # of these balls, (2,)
@@ -77,7 +81,10 @@ class MadeUpRig:
 
 
 def _pads(places: FloatArray, from_held: FloatArray, radius: float) -> IntArray:
-    """Return the indices of two pads' middles: far from what is held, then from each other, away from corners."""
+    """Return the numbers of two surface places for pads: far from what is held, from each other and from corners.
+
+    `places` (n, 3): mm; `from_held` (n,): distance from the held nodes, mm; `radius`: of a pad, mm.
+    """
     from_middle = np.linalg.norm(places - places.mean(axis=0), axis=1)
     first = int(np.argmax(from_held - 1e-3 * from_middle))
     apart = np.minimum(np.linalg.norm(places - places[first], axis=1), 3.0 * radius)
@@ -94,7 +101,7 @@ def _cap(radius: float, depth: float) -> tuple[float, float]:
 
 
 def _middle(body: Mesh) -> FloatArray:
-    """Return the centre of the tet that is nearest to the body's centre of volume, mm."""
+    """Return the centre (3,) of the tet that is nearest to the body's centre of volume, mm."""
     centres = body.nodes[body.tets].mean(axis=1)
     middle = np.average(centres, axis=0, weights=body.volumes)
     return np.asarray(centres[np.argmin(np.linalg.norm(centres - middle, axis=1))])

@@ -21,14 +21,18 @@ GAIN, ANGLE, OFFSET, SHIFT = 0.08, 3.0, 0.7, 2.0
 
 
 class GainCause(Cause):
-    """One actuator's motion is scaled."""
+    """The possible error of a simulation that one actuator gives a multiple of its prescribed motion (no fields)."""
 
     id: ClassVar[str] = "actuator_gain"
     always_fitted: ClassVar[bool] = True
     discrete: ClassVar[tuple[str, ...]] = ("actuator",)
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return one hypothesis for each actuator."""
+        """Return one hypothesis for each actuator that a case uses: its motion or force is multiplied by a gain.
+
+        `bench`: the simulation as believed. Columns of a hypothesis, shape (1, size), are the change of all `size`
+        measured numbers (markers in mm, forces in mN) by one prior standard deviation of the gain.
+        """
         for pad in _present(bench):
             if bench.is_elastic and pad.kind == "displacement":
                 columns = bench.by(partial(_gains, pad), 1)
@@ -40,7 +44,11 @@ class GainCause(Cause):
             yield Variant(pad.name, GAIN * columns, {"actuator": pad.name})
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
-        """Return the gain minus one."""
+        """Return the one free parameter of the nonlinear fit: the gain minus one.
+
+        `bench`: the simulation as believed; `variant`: hypothesis that starts the fit; `amplitudes` (1,): its fitted
+        amplitudes, in prior standard deviations. The result has first guess, prior, step and effect of each parameter.
+        """
         name = str(variant.settings["actuator"])
         return free_parameters(
             [(GAIN * float(amplitudes[0]), 0.0, GAIN, 0.01)],
@@ -49,18 +57,23 @@ class GainCause(Cause):
         )
 
     def sentence(self, values: Values) -> str:
-        """Return the finding in words."""
+        """Return the finding as a sentence; `values` has the fitted `gain` (a factor) of the named `actuator`."""
         return f"Actuator '{values['actuator']}' moves by {values['gain']:.3f} times the prescribed motion."
 
 
 class DirectionCause(Cause):
-    """One actuator's motion has another direction."""
+    """The possible error of a simulation that one actuator moves in another direction than believed (no fields)."""
 
     id: ClassVar[str] = "actuator_direction"
     discrete: ClassVar[tuple[str, ...]] = ("actuator",)
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return one hypothesis for each actuator, with two angles about axes across its motion."""
+        """Return one hypothesis for each actuator that a case uses: its motion or force is rotated.
+
+        `bench`: the simulation as believed. Columns of a hypothesis, shape (2, size), are the change of all `size`
+        measured numbers (markers in mm, forces in mN) by one prior standard deviation of each of two angles, about axes
+        perpendicular to the motion.
+        """
         for pad in _present(bench):
             across = _across(bench, pad)
             if bench.is_elastic and pad.kind == "displacement":
@@ -75,7 +88,11 @@ class DirectionCause(Cause):
             yield Variant(pad.name, ANGLE * columns, {"actuator": pad.name, "across": across})
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
-        """Return the two angles in degrees."""
+        """Return two free parameters: angles in degrees about two axes perpendicular to the motion.
+
+        `bench`: the simulation as believed; `variant`: hypothesis that starts the fit; `amplitudes` (2,): its fitted
+        amplitudes, in prior standard deviations. The result has first guess, prior, step and effect of each parameter.
+        """
         name, across = str(variant.settings["actuator"]), np.asarray(variant.settings["across"])
         return free_parameters(
             [(ANGLE * float(a), 0.0, ANGLE, 0.5) for a in amplitudes],
@@ -84,19 +101,25 @@ class DirectionCause(Cause):
         )
 
     def sentence(self, values: Values) -> str:
-        """Return the finding in words."""
+        """Return the finding as a sentence; `values` has the fitted `rotation_deg` (a vector) of an `actuator`."""
         turn = float(np.linalg.norm(np.asarray(values["rotation_deg"])))
         return f"Actuator '{values['actuator']}' moves in a direction {turn:.1f} degrees from the believed one."
 
 
 class OffsetCause(Cause):
-    """One actuator's motion has a constant offset, or its patch has another position."""
+    """The possible error that one actuator's motion has a constant offset, or its patch another place (no fields)."""
 
     id: ClassVar[str] = "actuator_offset"
     discrete: ClassVar[tuple[str, ...]] = ("actuator", "kind")
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return two hypotheses for each actuator: of its motion (three amplitudes), of its patch (two, and a zero)."""
+        """Return up to two hypotheses for each actuator that a case uses: offset of its motion, or shift of its patch.
+
+        `bench`: the simulation as believed. Columns of a hypothesis, shape (3, size), are the change of all `size`
+        measured numbers (markers in mm, forces in mN) by one prior standard deviation of each offset along x, y and z,
+        or of each of two shifts along the surface; the third column of a shift is zero. The offset is tried only for
+        prescribed displacements of a body without memory.
+        """
         for pad in _present(bench):
             if pad.kind == "displacement" and bench.is_elastic:
                 columns = bench.by(partial(_offsets, pad), 3)
@@ -111,7 +134,11 @@ class OffsetCause(Cause):
                 yield Variant(f"{pad.name} patch", columns, settings)
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
-        """Return the offset of the motion, or the shift along the surface, in mm."""
+        """Return the offset of the motion (three parameters), or the shift along the surface (two), in mm.
+
+        `bench`: the simulation as believed; `variant`: hypothesis that starts the fit; `amplitudes` (3,): its fitted
+        amplitudes, in prior standard deviations. The result has first guess, prior, step and effect of each parameter.
+        """
         name = str(variant.settings["actuator"])
         if variant.settings["kind"] == "motion":
             return free_parameters(
@@ -129,7 +156,7 @@ class OffsetCause(Cause):
         return replace(moved, columns=variant.columns[:2] / SHIFT)
 
     def sentence(self, values: Values) -> str:
-        """Return the finding in words."""
+        """Return the finding as a sentence; `values` has the fitted `offset_mm` or `shift_mm` of an `actuator`."""
         if "offset_mm" in values:
             size = float(np.linalg.norm(np.asarray(values["offset_mm"])))
             return f"The motion of actuator '{values['actuator']}' has a constant offset of {size:.2f} mm."
@@ -170,13 +197,13 @@ def _load(state: State, pad: Actuator, motion: FloatArray) -> Moved:
 
 
 def _across(bench: Bench, pad: Actuator) -> FloatArray:
-    """Return two directions (2, 3) across an actuator's motion."""
+    """Return two unit vectors, shape (2, 3), perpendicular to the main direction of an actuator's motion or force."""
     given = [c.displacements.get(pad.name, c.applied_forces.get(pad.name)) for c in bench.experiment.cases.values()]
     motion = np.concatenate([g for g in given if g is not None])
     return np.asarray(np.linalg.svd(motion, full_matrices=True)[2][1:])
 
 
 def _along_surface(bench: Bench, pad: Actuator) -> FloatArray:
-    """Return two directions (2, 3) along the surface at a patch."""
+    """Return two unit vectors, shape (2, 3), that are tangential to the surface at an actuator's patch."""
     places = bench.experiment.mesh.nodes[pad.nodes]
     return np.asarray(np.linalg.svd(places - places.mean(axis=0), full_matrices=True)[2][:2])

@@ -26,20 +26,21 @@ Mixture = list[tuple[float, tuple[Effect, ...]]]
 
 @dataclass(frozen=True, eq=False)
 class Variant:
-    """One hypothesis of a cause: fixed discrete choices, free amplitudes.
+    """One hypothesis of a cause: its discrete choices are fixed, and p amplitudes are free.
 
     Attributes
     ----------
     label : str
-        Distinguishes it from the cause's other hypotheses.
+        Name that distinguishes the hypothesis from the others of the same cause.
     columns : ndarray of float64, shape (p, size)
-        Change of all measured numbers by one prior standard deviation of each amplitude, mm and mN.
+        Change of all `size` measured numbers by one prior standard deviation of each amplitude: marker displacements in
+        mm and forces in mN.
     settings : mapping
-        The discrete choices.
+        The discrete choices by name, for instance ``{"actuator": "left pad"}``, and values at which the fit starts.
     positive : bool
-        Whether its one amplitude cannot be negative.
+        Whether the amplitude cannot be negative; there is then one (p = 1).
     fixed : bool
-        Whether its one amplitude is exactly 1, as for two markers that are exchanged.
+        Whether the amplitude is exactly 1, as for two markers that are exchanged; there is then one (p = 1).
     """
 
     label: str
@@ -51,26 +52,26 @@ class Variant:
 
 @dataclass(frozen=True, eq=False)
 class FreeParameters:
-    """A cause's free parameters: unconstrained real numbers with normal priors.
+    """The k parameters that the nonlinear fit of one cause varies: real numbers without bounds, with normal priors.
 
     Attributes
     ----------
     start, mean, deviation : ndarray of float64, shape (k,)
         First guess, prior mean and prior standard deviation.
     effects : callable
-        Returns the effects for parameters (k,) and the body's modulus in kPa.
+        Takes parameters (k,) and the body's Young's modulus in kPa; returns effects, each a change of the simulation.
     values : callable
-        Returns the physical parameters of the answer for the same arguments.
+        Takes the same arguments; returns the physical parameters of the answer, by key of the effect's table.
     step : ndarray of float64, shape (k,)
         Steps of difference quotients.
     columns : ndarray of float64, shape (k, size), optional
-        Linear change by a unit of every parameter, mm and mN, used in fits instead of simulations where those would
-        change in jumps on the user's mesh.
+        Linear change of all measured numbers by a unit of every parameter, mm and mN, used in fits instead of
+        simulations where those would change in jumps on the user's mesh.
     between : callable, optional
-        Returns weights and effects for the same arguments, whose predictions are averaged in fits where a simulation
-        would jump from one to the other on the user's mesh.
+        Takes the same arguments; returns pairs of a weight and effects. Predictions with these effects are averaged in
+        fits where a simulation would jump from one to the other on the user's mesh.
     starts : ndarray of float64, shape (n, k), optional
-        Further first guesses.
+        Further n first guesses.
     """
 
     start: FloatArray
@@ -84,12 +85,21 @@ class FreeParameters:
     starts: FloatArray | None = None
 
     def mixture(self, x: FloatArray, young: float) -> Mixture:
-        """Return weights with the sum 1, and effects whose predictions on the user's mesh are averaged for (k,)."""
+        """Return pairs of a weight and a tuple of effects whose predictions are averaged at given parameters.
+
+        `x` (k,): the parameters; `young`: Young's modulus of the body, kPa. The weights have the sum 1; the predictions
+        are those on the user's mesh. There is a single pair where `between` is None.
+        """
         return [(1.0, self.effects(x, young))] if self.between is None else self.between(x, young)
 
 
 class Cause(ABC):
-    """One physical cause that a diagnosis can name."""
+    """One physical error of a simulation that a diagnosis can name as the cause of a misfit.
+
+    Instances have no fields. Attributes of each class: `id`: name of the cause in answers and in ``[[effect]]`` tables;
+    `discrete`: keys of `Variant.settings` that the free parameters cannot change; `always_fitted`: whether a nuisance
+    parameter describes the same error in every fit; `absolute`: whether its size does not scale with Young's modulus.
+    """
 
     #: Id in answers and in ``[[effect]]`` tables.
     id: ClassVar[str]
@@ -106,17 +116,17 @@ class Cause(ABC):
 
     @abstractmethod
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return the hypotheses of the cause in an experiment; none where it cannot occur or be seen.
+        """Return the hypotheses of the cause in an experiment; none where it cannot occur or cannot be observed.
 
         Parameters
         ----------
         bench : Bench
-            The believed model and its sensitivities.
+            The believed model of the experiment, with its prediction and sensitivities.
 
         Returns
         -------
         iterable of Variant
-            All with the same number of columns.
+            Hypotheses, all with the same number p of columns.
         """
 
     @abstractmethod
@@ -135,29 +145,29 @@ class Cause(ABC):
         Returns
         -------
         FreeParameters
-            With the discrete choices of the hypothesis.
+            First guess, prior and step of each parameter; its effects have the discrete choices of the hypothesis.
         """
 
     def alternatives(self, bench: Bench, variant: Variant) -> tuple[Variant, ...]:
-        """Return hypotheses that are too similar to one of the bank to be screened; all of them are fitted.
+        """Return hypotheses that differ too little from a screened one to be screened; each is fitted beside it.
 
         Parameters
         ----------
         bench : Bench
             The believed model.
         variant : Variant
-            Hypothesis of the bank.
+            Hypothesis that was screened.
 
         Returns
         -------
         tuple of Variant
-            With other discrete choices.
+            Hypotheses with other discrete choices; empty by default.
         """
         return ()
 
     @abstractmethod
     def sentence(self, values: Values) -> str:
-        """Return the finding in words."""
+        """Return the finding as a sentence; `values`: its fitted parameters by key of the ``[[effect]]`` table."""
 
 
 def free_parameters(
@@ -165,13 +175,18 @@ def free_parameters(
     effects: Callable[[FloatArray, float], tuple[Effect, ...]],
     values: Callable[[FloatArray, float], Values],
 ) -> FreeParameters:
-    """Return free parameters from rows of first guess, prior mean, prior standard deviation and step."""
+    """Return k free parameters of a cause from four numbers for each: first guess, prior mean, deviation and step.
+
+    `coordinates`: k rows of these numbers; the deviation is the prior standard deviation, the step that of difference
+    quotients. `effects`, `values`: functions of the parameters (k,) and the body's Young's modulus in kPa; they return
+    the changes of a simulation and the physical parameters of the answer.
+    """
     start, mean, deviation, step = np.array(list(coordinates), np.float64).T
     return FreeParameters(start, mean, deviation, effects, values, step)
 
 
 def three(vector: FloatArray | Sequence[float]) -> tuple[float, float, float]:
-    """Return a vector as a tuple of three floats, as effects take it."""
+    """Return a vector, shape (3,), as a tuple of three Python floats in the same unit."""
     x, y, z = (float(v) for v in vector)
     return x, y, z
 
@@ -182,6 +197,6 @@ def logistic(x: float) -> float:
 
 
 def logit(p: float, edge: float = 0.02) -> float:
-    """Return the inverse of `logistic` for a share that is clipped to [edge, 1 - edge]."""
+    """Return log(p / (1 - p)), the inverse of `logistic`, of a share `p` that is first clipped to [edge, 1 - edge]."""
     p = min(max(p, edge), 1.0 - edge)
     return float(np.log(p / (1.0 - p)))

@@ -35,13 +35,18 @@ DEPTHS = 200
 
 
 class DetachmentCause(Cause):
-    """A part of a boundary, from its rim in one direction, is free."""
+    """The possible error that a part of a support, from its rim in one direction, is detached and free (no fields)."""
 
     id: ClassVar[str] = "detachment"
     discrete: ClassVar[tuple[str, ...]] = ("boundary", "azimuth")
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return one hypothesis for each boundary, direction and share, simulated at that share."""
+        """Return one hypothesis for each support, direction of the detached rim and detached share of the area.
+
+        `bench`: the simulation as believed. Columns of a hypothesis, shape (1, size), are the change of all `size`
+        measured numbers (markers in mm, forces in mN) by the detachment of that share, simulated. Choices at which no
+        node is freed or no equilibrium exists are left out.
+        """
         names = [boundary.name for boundary in bench.experiment.boundaries]
         azimuths = [(share, 360.0 * turn / count) for share, count in DIRECTIONS.items() for turn in range(count)]
         tried = [(name, share, azimuth) for name in names for share, azimuth in azimuths]
@@ -53,10 +58,12 @@ class DetachmentCause(Cause):
                 yield Variant(f"{name} {azimuth:.0f} deg {share:g}", changed[None], settings, positive=True)
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
-        """Return the direction and the logit of the share.
+        """Return two free parameters: direction of the rim (degrees from x to y) and logit of the detached share.
 
         A node is either free or held, so that a simulation on the user's mesh changes in jumps. The prediction is
         therefore interpolated between the two simulations whose edges lie at the nodes next to the detachment's edge.
+        `bench`: the simulation as believed; `variant`: hypothesis that starts the fit; `amplitudes` (1,): its fitted
+        amplitudes, in prior standard deviations. The result has first guess, prior, step and effect of each parameter.
         """
         name, share = str(variant.settings["boundary"]), float(variant.settings["share"])
         azimuth = float(variant.settings["azimuth"])
@@ -100,7 +107,7 @@ class DetachmentCause(Cause):
         return replace(found, between=between, starts=np.array([(turn, share) for turn in turns for share in shares]))
 
     def sentence(self, values: Values) -> str:
-        """Return the finding in words."""
+        """Return the finding as a sentence; `values` has the fitted `share` and `azimuth_deg` on a `boundary`."""
         share = values["share"]
         return (
             f"About {100 * share:.0f} % of boundary '{values['boundary']}' has detached, "

@@ -16,12 +16,16 @@ SHARE = 0.5
 
 
 class DrainageCause(Cause):
-    """A share of the volumetric stress relaxes with one time constant."""
+    """The possible error that a share of the volumetric stress relaxes with one time constant (no fields)."""
 
     id: ClassVar[str] = "drainage"
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return hypotheses for several time constants."""
+        """Return one hypothesis for each of three time constants; none where no time passes or drainage is believed.
+
+        `bench`: the simulation as believed. Columns of a hypothesis, shape (1, size), are the change of all `size`
+        measured numbers (markers in mm, forces in mN) by drainage of a fixed share of the volumetric stress.
+        """
         if bench.longest_case == 0.0 or any(effect.id == self.id for effect in bench.experiment.effects):
             return
         times = times_of(bench)[1::2]
@@ -31,7 +35,11 @@ class DrainageCause(Cause):
                 yield Variant(f"{tau:.2g} s", changed[None], {"tau": tau}, positive=True)
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
-        """Return the logit of the share and the logarithm of the time constant."""
+        """Return two free parameters: logit of the share that relaxes, and logarithm of the time constant in s.
+
+        `bench`: the simulation as believed; `variant`: hypothesis that starts the fit; `amplitudes` (1,): its fitted
+        amplitudes, in prior standard deviations. The result has first guess, prior, step and effect of each parameter.
+        """
         tau, middle = float(variant.settings["tau"]), float(np.log(times_of(bench)).mean())
         return free_parameters(
             [
@@ -43,7 +51,7 @@ class DrainageCause(Cause):
         )
 
     def sentence(self, values: Values) -> str:
-        """Return the finding in words."""
+        """Return the finding as a sentence; `values` has the fitted `share` and time constant `tau_s` (s)."""
         share = values["share"]
         return (
             f"The body loses volume under load: {100 * share:.0f} % of its pressure relaxes with a time constant of "

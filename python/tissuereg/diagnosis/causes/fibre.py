@@ -16,13 +16,18 @@ SIZE = 0.5
 
 
 class FibreCause(Cause):
-    """One family of fibres of any direction, which carry tension only."""
+    """The possible error that one family of fibres, which carry tension only, stiffens the body (no fields)."""
 
     id: ClassVar[str] = "fibre"
     discrete: ClassVar[tuple[str, ...]] = ("direction",)
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return hypotheses along the 13 lines through neighbours in a cubic lattice."""
+        """Return one hypothesis for each of 13 fibre directions: the lines through neighbours in a cubic lattice.
+
+        `bench`: the simulation as believed. Columns of a hypothesis, shape (1, size), are the change of all `size`
+        measured numbers (markers in mm, forces in mN) by fibres of fixed stiffness. There is none where the believed
+        material has fibres.
+        """
         if bench.experiment.material.fibre is not None:
             return
         changes = bench.changes([[_effect(SIZE, direction)] for direction in _lines()])
@@ -32,7 +37,13 @@ class FibreCause(Cause):
                 yield Variant(f"along {name}", changed[None], {"direction": direction}, positive=True)
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
-        """Return the logarithm of the stiffness and two angles from the hypothesis' direction."""
+        """Return three free parameters: the logarithm of the stiffness, and two rotations of the direction.
+
+        The stiffness is given over the shear modulus. The rotations are tangents of the angles by which the fibres
+        deviate from the direction of the hypothesis, towards two perpendicular axes. `bench`: the simulation as
+        believed; `variant`: hypothesis that starts the fit; `amplitudes` (1,): its fitted amplitudes, in prior standard
+        deviations. The result has first guess, prior, step and effect of each parameter.
+        """
         along = np.asarray(variant.settings["direction"])
         sides = np.linalg.svd(along[None])[2][1:]
 
@@ -48,7 +59,7 @@ class FibreCause(Cause):
         )
 
     def sentence(self, values: Values) -> str:
-        """Return the finding in words."""
+        """Return the finding as a sentence; `values` has the fitted `direction` (3,) and `k1_over_mu`."""
         along = values["direction"]
         axis = ", ".join(f"{x:.2f}" for x in along)
         return f"Fibres along ({axis}) stiffen the body, with {values['k1_over_mu']:.2g} times its shear modulus."

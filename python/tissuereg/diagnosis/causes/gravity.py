@@ -21,13 +21,18 @@ UNKNOWN, KNOWN = 0.6, 0.2
 
 
 class GravityCause(Cause):
-    """Three components of the body's weight."""
+    """The possible error that the body's weight has another direction or size than believed (no fields)."""
 
     id: ClassVar[str] = "gravity"
     absolute: ClassVar[bool] = True
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return one hypothesis with three amplitudes."""
+        """Return one hypothesis, whose three amplitudes are the components of the change of the body's weight.
+
+        `bench`: the simulation as believed. Columns of a hypothesis, shape (3, size), are the change of all `size`
+        measured numbers (markers in mm, forces in mN) by one prior standard deviation of each component. The list is
+        empty where a simulation with a changed weight has no equilibrium.
+        """
         spread = UNKNOWN if bench.experiment.gravity is None else KNOWN
         if bench.is_elastic:
             columns = self._by_tangents(bench)
@@ -40,7 +45,11 @@ class GravityCause(Cause):
         return [Variant("weight", spread * columns, {"spread": spread})]
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
-        """Return the three components over standard gravity."""
+        """Return three free parameters: the components of the gravity vector over standard gravity.
+
+        `bench`: the simulation as believed; `variant`: hypothesis that starts the fit; `amplitudes` (3,): its fitted
+        amplitudes, in prior standard deviations. The result has first guess, prior, step and effect of each parameter.
+        """
         spread, believed = float(variant.settings["spread"]), _believed(bench)
         return free_parameters(
             [(float(b + spread * a), float(b), spread, 0.02) for a, b in zip(amplitudes, believed, strict=True)],
@@ -52,14 +61,18 @@ class GravityCause(Cause):
         )
 
     def sentence(self, values: Values) -> str:
-        """Return the finding in words."""
+        """Return the finding as a sentence; `values` has the fitted `direction` (3,) and `g_mm_per_s2`."""
         along, size = values["direction"], values["g_mm_per_s2"]
         axis = ", ".join(f"{x:.2f}" for x in along)
         over = size / GRAVITY_MM_PER_S2
         return f"Gravity acts along ({axis}) with {over:.2g} g, unlike in the simulation."
 
     def _by_tangents(self, bench: Bench) -> FloatArray:
-        """Return derivatives by the weight; pads are attached to the sagged shape and move with it."""
+        """Return the derivatives of the prediction by the weight along each axis, shape (3, size), in mm and mN.
+
+        They are per unit of standard gravity. Pads are attached to the shape that has sagged under the weight, so that
+        they move with it.
+        """
         worked, tangents = bench.tangents.worked, bench.tangents
         unit = [worked.material.weight(axis) for axis in np.eye(3)]
         free = Simulator(worked.mesh, element=bench.predictor.element)

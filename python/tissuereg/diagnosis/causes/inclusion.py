@@ -36,12 +36,17 @@ LEAST_EXCESS = 0.05
 
 
 class InclusionCause(Cause):
-    """A ball of another modulus, at any place."""
+    """The possible error that a ball at any place in the body has another Young's modulus (no fields)."""
 
     id: ClassVar[str] = "inclusion"
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return one hypothesis for each radius and centre on a grid."""
+        """Return one hypothesis for each radius and each centre on a grid; none for a body with memory.
+
+        `bench`: the simulation as believed. Columns of a hypothesis, shape (1, size), are the change of all `size`
+        measured numbers (markers in mm, forces in mN) by one prior standard deviation of the contrast (modulus of the
+        ball over that around it), linearised.
+        """
         if not bench.is_elastic:
             return
         balls = _places(bench)
@@ -51,10 +56,14 @@ class InclusionCause(Cause):
             yield Variant(f"at {name} radius {radius:.1f}", SPREAD * column[None], settings)
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
-        """Return the centre, the logarithm of the radius, and the logarithm (softer: logit) of ``abs(contrast - 1)``.
+        """Return five free parameters: centre (3,) in mm, logarithm of the radius in mm, and strength of the contrast.
 
-        A small ball of high contrast and a large one of low contrast have nearly the same effect. In the logarithms of
-        the radius and of ``contrast - 1`` that valley of the objective is straight, in that of the contrast it is not.
+        The contrast is the ball's modulus over that around it; its strength is the logarithm of ``contrast - 1`` for a
+        stiff ball, and the logit of ``1 - contrast`` for a soft one. A small ball of high contrast and a large one of
+        low contrast have nearly the same effect. In the logarithms of the radius and of ``contrast - 1`` that valley of
+        the objective is straight, in that of the contrast it is not. `bench`: the simulation as believed; `variant`:
+        hypothesis that starts the fit; `amplitudes` (1,): its fitted amplitudes, in prior standard deviations. The
+        result has first guess, prior, step and effect of each parameter.
         """
         centre, radius = np.asarray(variant.settings["centre"]), float(variant.settings["radius"])
         middle = bench.experiment.mesh.nodes.mean(axis=0)
@@ -88,7 +97,7 @@ class InclusionCause(Cause):
         )
 
     def sentence(self, values: Values) -> str:
-        """Return the finding in words."""
+        """Return the finding as a sentence; `values` has the fitted `centre_mm`, `semi_axes_mm` and `contrast`."""
         centre, axes, contrast = values["centre_mm"], values["semi_axes_mm"], values["contrast"]
         kind = "stiff" if contrast > 1 else "soft"
         place = ", ".join(f"{x:.1f}" for x in centre)
@@ -99,7 +108,10 @@ class InclusionCause(Cause):
 
 
 def _shares(mesh: Mesh, balls: list[tuple[float, tuple[float, float, float]]]) -> "sparse.csr_array":
-    """Return the share of every tet inside every ball, shape (n_tets, n_balls); the edge is smoothed over one tet."""
+    """Return the share of every tetrahedron that lies inside every ball, sparse, shape (n_tets, n_balls).
+
+    `balls`: radius and centre of each, mm. The share falls from 1 to 0 over about the width of one tetrahedron.
+    """
     centres = mesh.nodes[mesh.tets].mean(axis=1)
     width = np.cbrt(6.0 * mesh.volumes)
     reach = float(width.max())
@@ -116,14 +128,20 @@ def _shares(mesh: Mesh, balls: list[tuple[float, tuple[float, float, float]]]) -
 
 
 def _line(low: float, high: float, radius: float) -> FloatArray:
-    """Return grid coordinates along one axis; the middle alone where the body is thinner than the ball."""
+    """Return grid coordinates (n,), in mm, for centres of balls between `low` and `high` along one axis.
+
+    Where the body is thinner than a ball of that `radius` (mm), the middle is the only coordinate.
+    """
     if high - low < 2.0 * radius:
         return np.array([0.5 * (low + high)])
     return np.arange(low + 0.5 * radius, high, SPACING * radius)
 
 
 def _places(bench: Bench) -> list[tuple[float, tuple[float, float, float]]]:
-    """Return radii and centres on grids inside the body, coarser for larger balls."""
+    """Return radius and centre, in mm, of every ball that is tried.
+
+    Centres lie on one grid inside the body for each radius; grids of larger balls are coarser.
+    """
     mesh = bench.experiment.mesh
     tree, reach = KDTree(mesh.nodes[mesh.tets].mean(axis=1)), float(np.cbrt(6.0 * mesh.volumes.max()))
     found = []

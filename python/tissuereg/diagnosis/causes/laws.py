@@ -21,7 +21,11 @@ from tissuereg.experiment.effects import Asymmetry, Effect, Mooney, Stiffening
 
 
 class LawCause(Cause):
-    """Laws that contain the believed one at a shape parameter of zero; changes are simulated at one or more values."""
+    """Base of possible errors that the body follows another law, which contains the believed one as a special case.
+
+    The believed law is neo-Hookean; the other one equals it where its dimensionless shape parameter is zero. Subclasses
+    list in `tried` the pairs of a law and a shape parameter at which changes are simulated. Instances have no fields.
+    """
 
     discrete: ClassVar[tuple[str, ...]] = ("law",)
 
@@ -30,10 +34,19 @@ class LawCause(Cause):
 
     @abstractmethod
     def effect(self, law: str, size: float, form: str) -> Effect:
-        """Return a law with a shape parameter, in a form of `Material.volumetric`."""
+        """Return the effect that puts another law in place of the believed one.
+
+        `law`: its name; `size`: shape parameter, dimensionless, 0 for the neo-Hookean law; `form` {"coupled", "log",
+        "quadratic"}: energy of volume change, as `Material.volumetric`.
+        """
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return hypotheses for all laws in the nested form; none where the believed law is not neo-Hookean."""
+        """Return one hypothesis for each law and shape parameter tried; none unless the believed law is neo-Hookean.
+
+        `bench`: the simulation as believed. Columns of a hypothesis, shape (1, size), are the change of all `size`
+        measured numbers (markers in mm, forces in mN) by that law. Its energy of volume change is the one with which it
+        contains the believed law.
+        """
         for form in _forms(bench)[:1]:
             changes = bench.changes([[self.effect(law, size, form)] for law, size in self.tried])
             for (law, size), changed in zip(self.tried, changes, strict=True):
@@ -42,12 +55,19 @@ class LawCause(Cause):
                     yield Variant(f"{law} {size:g}", changed[None], settings, positive=True)
 
     def alternatives(self, bench: Bench, variant: Variant) -> tuple[Variant, ...]:
-        """Return the same law in the other volumetric forms."""
+        """Return the hypothesis with the same law for each other form of the energy of volume change.
+
+        `bench`: the simulation as believed; `variant`: hypothesis that was screened; the ones returned, with the same
+        columns, are fitted beside it.
+        """
         return tuple(replace(variant, settings={**variant.settings, "volumetric": form}) for form in _forms(bench)[1:])
 
 
 def _forms(bench: Bench) -> tuple[str, ...]:
-    """Return the volumetric forms of other laws, the nested one first; none where the law is not neo-Hookean."""
+    """Return the names of the energies of volume change (`Material.volumetric`) that are tried for other laws.
+
+    The first one makes the other law contain the believed one. There is none where the believed law is not neo-Hookean.
+    """
     material = bench.experiment.material
     if material.law != "neo-hookean":
         return ()
@@ -58,17 +78,24 @@ MOONEY = "mooney-rivlin"
 
 
 class MooneyCause(LawCause):
-    """The Mooney-Rivlin law."""
+    """The possible error that the energy also depends on the second invariant: the Mooney-Rivlin law (no fields)."""
 
     id: ClassVar[str] = "mooney"
     tried: ClassVar[tuple[tuple[str, float], ...]] = ((MOONEY, 0.5),)
 
     def effect(self, law: str, size: float, form: str) -> Effect:
-        """Return the law with a share."""
+        """Return the Mooney-Rivlin law in which the second invariant has the share `size` of the energy.
+
+        `law`: ``"mooney-rivlin"``; `form` {"coupled", "log", "quadratic"}: energy of volume change.
+        """
         return Mooney(law=law, volumetric=form, **shape_of(law, size))
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
-        """Return the logit of the share."""
+        """Return one free parameter: the logit of the share of the energy that follows the second invariant.
+
+        `bench`: the simulation as believed; `variant`: hypothesis that starts the fit; `amplitudes` (1,): its fitted
+        amplitudes, in prior standard deviations. The result has first guess, prior, step and effect of each parameter.
+        """
         form = str(variant.settings["volumetric"])
         return free_parameters(
             [(logit(0.5 * float(amplitudes[0])), 0.0, 1.5, 0.1)],
@@ -77,7 +104,7 @@ class MooneyCause(LawCause):
         )
 
     def sentence(self, values: Values) -> str:
-        """Return the finding in plain words."""
+        """Return the finding as a sentence; `values` has the fitted share of the second invariant."""
         return f"A share of {values[main_key(MOONEY)]:.2g} of the energy follows the second invariant (Mooney-Rivlin)."
 
 
@@ -90,9 +117,10 @@ EXCESSES = (-0.4, 0.7)
 
 
 class AsymmetryCause(LawCause):
-    """Ogden's law with one term, or a bimodular law, whose tension and compression differ at the smallest strain.
+    """The possible error that the small-strain stiffness differs between tension and compression (no fields).
 
-    Ogden's law is stiffer in compression for negative exponents, in tension for large positive ones.
+    The law is Ogden's with one term, which is stiffer in compression for negative exponents and in tension for large
+    positive ones, or a bimodular law, whose tension and compression differ at the smallest strain.
     """
 
     id: ClassVar[str] = "asymmetry"
@@ -102,7 +130,11 @@ class AsymmetryCause(LawCause):
     )
 
     def effect(self, law: str, size: float, form: str) -> Effect:
-        """Return a bimodular law of some excess, or Ogden's law at some distance from the neo-Hookean exponent."""
+        """Return a bimodular law of excess `size`, or Ogden's law whose exponent is 2 (neo-Hookean) plus `size`.
+
+        `law` {"bimodular", "ogden"}; the excess is the stiffness in tension over that in compression, minus one; `form`
+        {"coupled", "log", "quadratic"}: energy of volume change. An exponent near 0 is moved to 0.1 or -0.1.
+        """
         if law == "bimodular":
             return Asymmetry(law=law, volumetric=form, **shape_of(law, size))
         exponent = EVEN + size
@@ -111,7 +143,12 @@ class AsymmetryCause(LawCause):
         return Asymmetry(law=law, alpha=(exponent,), weight=(1.0,), volumetric=form)
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
-        """Return the exponent's distance from the neo-Hookean one, or the logarithm of the stiffness in tension."""
+        """Return one free parameter: Ogden's exponent minus 2, or the logarithm of the stiffness ratio.
+
+        The ratio is that of the bimodular law, of tension over compression; an exponent of 2 is the neo-Hookean law.
+        `bench`: the simulation as believed; `variant`: hypothesis that starts the fit; `amplitudes` (1,): its fitted
+        amplitudes, in prior standard deviations. The result has first guess, prior, step and effect of each parameter.
+        """
         form, law = str(variant.settings["volumetric"]), str(variant.settings["law"])
         start = float(variant.settings["size"]) * min(max(float(amplitudes[0]), 0.1), 2.0)
         if law == "ogden":
@@ -127,11 +164,15 @@ class AsymmetryCause(LawCause):
         )
 
     def alternatives(self, bench: Bench, variant: Variant) -> tuple[Variant, ...]:
-        """Return the same exponent with the other volumetric forms; a bimodular law has one form."""
+        """Return the hypothesis with the same Ogden exponent for each other form of the energy of volume change.
+
+        There is none for a bimodular law. `bench`: the simulation as believed; `variant`: hypothesis that was screened;
+        the ones returned, with the same columns, are fitted beside it.
+        """
         return () if variant.settings["law"] == "bimodular" else super().alternatives(bench, variant)
 
     def sentence(self, values: Values) -> str:
-        """Return the finding in plain words."""
+        """Return the finding as a sentence; `values` has the fitted shape of Ogden's or a bimodular `law`."""
         if values["law"] == "bimodular":
             factor = 1.0 + values[main_key("bimodular")]
             return f"Stretched directions of the body have {factor:.3g} times the stiffness of compressed ones."
@@ -149,7 +190,7 @@ LARGEST = 7.0
 
 
 class StiffeningCause(LawCause):
-    """Fung's exponential law or Yeoh's polynomial law in place of the neo-Hookean one."""
+    """The possible error that the body stiffens with strain, by Fung's or Yeoh's law (no fields)."""
 
     id: ClassVar[str] = "stiffening"
     tried: ClassVar[tuple[tuple[str, float], ...]] = tuple(
@@ -157,11 +198,19 @@ class StiffeningCause(LawCause):
     )
 
     def effect(self, law: str, size: float, form: str) -> Effect:
-        """Return a law by its first shape parameter, the others zero."""
+        """Return the law `law` with its first shape parameter equal to `size` and all others zero.
+
+        `law` {"fung", "yeoh"}: the exponent of Fung's law or the first coefficient ratio of Yeoh's is `size`,
+        dimensionless; `form` {"coupled", "log", "quadratic"}: energy of volume change.
+        """
         return Stiffening(law=law, volumetric=form, **shape_of(law, size))
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
-        """Return the logarithm of the law's shape parameter."""
+        """Return one free parameter: the logarithm of the law's first shape parameter, which is dimensionless.
+
+        `bench`: the simulation as believed; `variant`: hypothesis that starts the fit; `amplitudes` (1,): its fitted
+        amplitudes, in prior standard deviations. The result has first guess, prior, step and effect of each parameter.
+        """
         law, size = str(variant.settings["law"]), float(variant.settings["size"])
         form = str(variant.settings["volumetric"])
         start = float(np.log(size * np.clip(amplitudes[0], 0.1, 3.0)))
@@ -172,7 +221,7 @@ class StiffeningCause(LawCause):
         )
 
     def sentence(self, values: Values) -> str:
-        """Return the finding in plain words."""
+        """Return the finding as a sentence; `values` has the fitted shape parameter of the `law`."""
         key = main_key(str(values["law"]))
         return f"The body stiffens with strain ({key} = {values[key]:.3g}): large pushes meet more than is believed."
 

@@ -20,12 +20,17 @@ SPREAD = 1.5
 
 
 class LayerCause(Cause):
-    """A layer of constant thickness below the free surface, with another modulus."""
+    """The possible error that a layer of constant thickness below the free surface has another modulus (no fields)."""
 
     id: ClassVar[str] = "layer"
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return one hypothesis for each thickness."""
+        """Return one hypothesis for each of several thicknesses of the layer.
+
+        `bench`: the simulation as believed. Columns of a hypothesis, shape (1, size), are the change of all `size`
+        measured numbers (markers in mm, forces in mN) by one prior standard deviation of the contrast (modulus of the
+        layer over that of the core), linearised.
+        """
         mesh = bench.experiment.mesh
         sizes = [share * bench.extent for share in THICKNESSES]
         if bench.is_elastic:
@@ -38,7 +43,12 @@ class LayerCause(Cause):
             yield Variant(f"{size:.1f} mm", SPREAD * column[None], {"thickness": size})
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
-        """Return the logarithms of thickness and contrast."""
+        """Return two free parameters: logarithms of the thickness in mm and of the contrast.
+
+        The contrast is the modulus of the layer over that of the core. `bench`: the simulation as believed; `variant`:
+        hypothesis that starts the fit; `amplitudes` (1,): its fitted amplitudes, in prior standard deviations. The
+        result has first guess, prior, step and effect of each parameter.
+        """
         contrast = 1.0 + float(np.clip(SPREAD * amplitudes[0], -0.85, 20.0))
         thickness = float(variant.settings["thickness"])
 
@@ -55,7 +65,7 @@ class LayerCause(Cause):
         )
 
     def sentence(self, values: Values) -> str:
-        """Return the finding in words."""
+        """Return the finding as a sentence; `values` has the fitted `thickness_mm` and modulus ratio `contrast`."""
         contrast, thickness = values["contrast"], values["thickness_mm"]
         kind = "stiffer" if contrast > 1 else "softer"
         return f"An outer layer of {thickness:.2g} mm is {kind} than the core: {contrast:.2g} times its modulus."

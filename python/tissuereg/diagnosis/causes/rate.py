@@ -15,12 +15,16 @@ SIZE = 0.2
 
 
 class RateCause(Cause):
-    """A viscous stress in addition to the elastic one."""
+    """The possible error that a viscous stress acts in addition to the elastic one (no fields)."""
 
     id: ClassVar[str] = "rate"
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return one hypothesis."""
+        """Return one hypothesis: a fixed viscosity; none where no time passes, or where a viscosity is believed.
+
+        `bench`: the simulation as believed. Columns of a hypothesis, shape (1, size), are the change of all `size`
+        measured numbers (markers in mm, forces in mN) by that viscosity.
+        """
         if bench.longest_case == 0.0 or any(effect.id == self.id for effect in bench.experiment.effects):
             return
         changed = bench.change(Rate(viscosity_kpa_s=SIZE * bench.frame_step * bench.young))
@@ -28,7 +32,11 @@ class RateCause(Cause):
             yield Variant("viscosity", changed[None], positive=True)
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
-        """Return the logarithm of viscosity over modulus."""
+        """Return one free parameter: the logarithm of the viscosity over Young's modulus, in s.
+
+        `bench`: the simulation as believed; `variant`: hypothesis that starts the fit; `amplitudes` (1,): its fitted
+        amplitudes, in prior standard deviations. The result has first guess, prior, step and effect of each parameter.
+        """
         unit = SIZE * bench.frame_step
         return free_parameters(
             [(float(np.log(unit * np.clip(amplitudes[0], 0.05, 20.0))), float(np.log(unit)), 1.5, 0.05)],
@@ -37,5 +45,5 @@ class RateCause(Cause):
         )
 
     def sentence(self, values: Values) -> str:
-        """Return the finding in words."""
+        """Return the finding as a sentence; `values` has the fitted `viscosity_kpa_s`."""
         return f"The body resists fast motion: a viscosity of {values['viscosity_kpa_s']:.2g} kPa s."

@@ -18,18 +18,23 @@ TIMES = 6
 
 
 def times_of(bench: Bench) -> FloatArray:
-    """Return the time constants in s that an experiment may show."""
+    """Return time constants of relaxation, shape (6,), in s, from the time between frames to twice the longest case."""
     return np.geomspace(max(bench.frame_step, 1e-3), max(2.0 * bench.longest_case, 2e-3), TIMES)
 
 
 class RelaxationCause(Cause):
-    """A share of the whole stress, or of its isochoric part, relaxes with one time constant."""
+    """The possible error that a share of the stress, whole or isochoric, relaxes with one time constant (no fields)."""
 
     id: ClassVar[str] = "relaxation"
     discrete: ClassVar[tuple[str, ...]] = ("part",)
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return hypotheses for several time constants and both parts."""
+        """Return hypotheses for several time constants, of the whole stress and of its isochoric part.
+
+        `bench`: the simulation as believed. Columns of a hypothesis, shape (1, size), are the change of all `size`
+        measured numbers (markers in mm, forces in mN) by the relaxation of a fixed share. There is none where no time
+        passes, or where relaxation is already believed.
+        """
         if bench.longest_case == 0.0 or any(effect.id == self.id for effect in bench.experiment.effects):
             return
         # The two parts differ little; every second time constant suffices for the isochoric one.
@@ -41,7 +46,11 @@ class RelaxationCause(Cause):
                 yield Variant(f"{part} {tau:.2g} s", changed[None], {"tau": tau, "part": part}, positive=True)
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
-        """Return the logit of the share and the logarithm of the time constant."""
+        """Return two free parameters: logit of the share that relaxes, and logarithm of the time constant in s.
+
+        `bench`: the simulation as believed; `variant`: hypothesis that starts the fit; `amplitudes` (1,): its fitted
+        amplitudes, in prior standard deviations. The result has first guess, prior, step and effect of each parameter.
+        """
         part, tau = str(variant.settings["part"]), float(variant.settings["tau"])
         middle = float(np.log(times_of(bench)).mean())
 
@@ -58,6 +67,6 @@ class RelaxationCause(Cause):
         )
 
     def sentence(self, values: Values) -> str:
-        """Return the finding in words."""
+        """Return the finding as a sentence; `values` has the fitted share `g` (1,) and time constant `tau_s` (1,)."""
         share, tau = values["g"], values["tau_s"]
         return f"Stress relaxes: {100.0 * share[0]:.0f} % of it, with a time constant of {tau[0]:.2g} s."

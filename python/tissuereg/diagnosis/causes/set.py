@@ -13,12 +13,16 @@ SIZE = 0.1
 
 
 class SetCause(Cause):
-    """Permanent set."""
+    """The possible error that a share of the largest strain remains when the load is gone (no fields)."""
 
     id: ClassVar[str] = "set"
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return one hypothesis."""
+        """Return one hypothesis: a fixed share of the largest strain remains; none where a set is already believed.
+
+        `bench`: the simulation as believed. Columns of a hypothesis, shape (1, size), are the change of all `size`
+        measured numbers (markers in mm, forces in mN) by that set.
+        """
         if any(effect.id == self.id for effect in bench.experiment.effects):
             return
         changed = bench.change(Set(fraction=SIZE))
@@ -26,7 +30,11 @@ class SetCause(Cause):
             yield Variant("share", changed[None], positive=True)
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
-        """Return the logit of the share."""
+        """Return one free parameter: the logit of the share of the largest strain that remains.
+
+        `bench`: the simulation as believed; `variant`: hypothesis that starts the fit; `amplitudes` (1,): its fitted
+        amplitudes, in prior standard deviations. The result has first guess, prior, step and effect of each parameter.
+        """
         return free_parameters(
             [(logit(SIZE * float(amplitudes[0]), 0.005), logit(SIZE), 1.2, 0.1)],
             lambda x, young: (Set(fraction=logistic(x[0])),),
@@ -34,6 +42,6 @@ class SetCause(Cause):
         )
 
     def sentence(self, values: Values) -> str:
-        """Return the finding in words."""
+        """Return the finding as a sentence; `values` has the fitted `fraction` of the strain that remains."""
         share = values["fraction"]
         return f"The body does not return to its shape: {100 * share:.1f} % of its largest strain remains."

@@ -19,13 +19,18 @@ COHESIONS = (0.03, 0.1)
 
 
 class SlidingCause(Cause):
-    """A boundary on tangential springs, or one that slips where the tangential stress exceeds friction."""
+    """The possible error that a support slides, on tangential springs or against friction (no fields)."""
 
     id: ClassVar[str] = "sliding"
     discrete: ClassVar[tuple[str, ...]] = ("boundary", "kind")
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return two hypotheses for each boundary and kind."""
+        """Return four hypotheses for each support: springs of two compliances, and friction with two cohesions.
+
+        `bench`: the simulation as believed. Columns of a hypothesis, shape (1, size), are the change of all `size`
+        measured numbers (markers in mm, forces in mN) by that sliding. A support already believed to slide, or without
+        a whole surface triangle, has none.
+        """
         taken = {getattr(effect, "boundary", None) for effect in bench.experiment.effects if effect.id == self.id}
         for boundary in bench.experiment.boundaries:
             name = boundary.name
@@ -42,7 +47,13 @@ class SlidingCause(Cause):
                     yield Variant(f"{name} {kind} {size:g}", changed[None], settings, positive=True)
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
-        """Return the logarithm of the compliance, or those of coefficient and cohesion."""
+        """Return the logarithm of the compliance of springs, or the logarithms of friction coefficient and cohesion.
+
+        The compliance is Young's modulus over spring stiffness and extent of the body; the cohesion is given over the
+        modulus. All are dimensionless. `bench`: the simulation as believed; `variant`: hypothesis that starts the fit;
+        `amplitudes` (1,): its fitted amplitudes, in prior standard deviations. The result has first guess, prior, step
+        and effect of each parameter.
+        """
         name, size = str(variant.settings["boundary"]), float(variant.settings["size"])
         more = float(np.clip(amplitudes[0], 0.1, 10.0))
         if variant.settings["kind"] == "springs":
@@ -69,7 +80,7 @@ class SlidingCause(Cause):
         )
 
     def sentence(self, values: Values) -> str:
-        """Return the finding in words."""
+        """Return the finding as a sentence; `values` has the fitted springs or friction of a `boundary`."""
         if "friction" in values:
             return (
                 f"Boundary '{values['boundary']}' slips against friction (coefficient {values['friction']:.2g}, "

@@ -19,13 +19,18 @@ FORMS = {"ogden-roxburgh": 0.1, "damage": 0.0}
 
 
 class SofteningCause(Cause):
-    """Softening by the largest strain energy so far: on reloading only (Mullins), or on first loading too (damage)."""
+    """The possible error that the largest energy so far softens the body: Mullins effect or damage (no fields)."""
 
     id: ClassVar[str] = "softening"
     discrete: ClassVar[tuple[str, ...]] = ("form",)
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return hypotheses for two energies in both forms."""
+        """Return four hypotheses: Mullins effect and damage, each over two energies; none where one is believed.
+
+        `bench`: the simulation as believed. Columns of a hypothesis, shape (1, size), are the change of all `size`
+        measured numbers (markers in mm, forces in mN) by that softening, which acts on reloading only (Mullins) or on
+        first loading too (damage).
+        """
         if any(effect.id == self.id for effect in bench.experiment.effects):
             return
         every = [(form, energy) for form in FORMS for energy in ENERGIES]
@@ -36,7 +41,12 @@ class SofteningCause(Cause):
                 yield Variant(f"{form}, energy {energy:g}", changed[None], settings, positive=True)
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
-        """Return logarithms of r - 1 and of m over the modulus."""
+        """Return two free parameters: the logarithms of r - 1 and of m over Young's modulus, both dimensionless.
+
+        The body loses at most the share 1/r of the stress (damage: 1 - 1/r), over an energy density of about m (kPa).
+        `bench`: the simulation as believed; `variant`: hypothesis that starts the fit; `amplitudes` (1,): its fitted
+        amplitudes, in prior standard deviations. The result has first guess, prior, step and effect of each parameter.
+        """
         # At most a share of (1 - 1/r) of the stress is lost.
         lost = min((1.0 - 1.0 / SIZE) * float(np.clip(amplitudes[0], 0.05, 2.8)), 0.9)
         energy, form = float(variant.settings["energy"]), str(variant.settings["form"])
@@ -60,7 +70,7 @@ class SofteningCause(Cause):
         )
 
     def sentence(self, values: Values) -> str:
-        """Return the finding in words."""
+        """Return the finding as a sentence; `values` has the fitted `r` (dimensionless) and its `form`."""
         if values["form"] == "damage":
             return f"The body is damaged and softens while it is first loaded (r = {values['r']:.2g})."
         return f"The first large load softens the body permanently (Mullins effect, r = {values['r']:.2g})."

@@ -16,17 +16,29 @@ YOUNG_SPREAD = 1.0
 
 
 class StiffnessCause(Cause):
-    """Another Young's modulus; every fit has it as a nuisance, a finding is named where it lies far from its prior."""
+    """The possible error that Young's modulus of the whole body differs from the believed one (no fields).
+
+    Every fit varies the modulus as a nuisance parameter; it is named as a cause where it lies far from its prior.
+    """
 
     id: ClassVar[str] = "stiffness"
     absolute: ClassVar[bool] = True
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return one hypothesis: another modulus in the whole body."""
+        """Return one hypothesis: another modulus in the whole body; none for a body with memory.
+
+        `bench`: the simulation as believed. Columns of a hypothesis, shape (1, size), are the change of all `size`
+        measured numbers (markers in mm, forces in mN) by one prior standard deviation of the logarithm of the modulus,
+        linearised.
+        """
         return [Variant("everywhere", YOUNG_SPREAD * bench.by_young)] if bench.is_elastic else []
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
-        """Return the logarithm of the factor on the modulus."""
+        """Return one free parameter: the logarithm of a factor on Young's modulus.
+
+        `bench`: the simulation as believed; `variant`: hypothesis that starts the fit; `amplitudes` (1,): its fitted
+        amplitudes, in prior standard deviations. The result has first guess, prior, step and effect of each parameter.
+        """
         return free_parameters(
             [(YOUNG_SPREAD * float(amplitudes[0]), 0.0, YOUNG_SPREAD, 0.02)],
             lambda x, young: (Stiffness(young_kpa=young * float(np.exp(x[0]))),),
@@ -34,7 +46,7 @@ class StiffnessCause(Cause):
         )
 
     def sentence(self, values: Values) -> str:
-        """Return the finding in words."""
+        """Return the finding as a sentence; `values` has the fitted modulus `young_kpa`."""
         return f"The body's modulus is {values['young_kpa']:.3g} kPa, far from the believed one."
 
 
@@ -43,12 +55,16 @@ POISSON_SPREAD = 0.06
 
 
 class PoissonCause(Cause):
-    """Poisson's ratio."""
+    """The possible error that Poisson's ratio of the whole body differs from the believed one (no fields)."""
 
     id: ClassVar[str] = "poisson"
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return one hypothesis: another ratio in the whole body."""
+        """Return one hypothesis: another Poisson's ratio in the whole body; none if its simulation fails.
+
+        `bench`: the simulation as believed. Columns of a hypothesis, shape (1, size), are the change of all `size`
+        measured numbers (markers in mm, forces in mN) by one prior standard deviation of the ratio, linearised.
+        """
         if bench.is_elastic:
             column = bench.by(lambda state: [Parameter("poisson")], 1)
         else:
@@ -59,7 +75,11 @@ class PoissonCause(Cause):
         return [Variant("everywhere", POISSON_SPREAD * column)]
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
-        """Return the logit of twice the ratio."""
+        """Return one free parameter: the logit of twice Poisson's ratio.
+
+        `bench`: the simulation as believed; `variant`: hypothesis that starts the fit; `amplitudes` (1,): its fitted
+        amplitudes, in prior standard deviations. The result has first guess, prior, step and effect of each parameter.
+        """
         believed = _ratio(bench)
         start = min(max(believed + POISSON_SPREAD * float(amplitudes[0]), 0.05), 0.495)
         return free_parameters(
@@ -69,7 +89,7 @@ class PoissonCause(Cause):
         )
 
     def sentence(self, values: Values) -> str:
-        """Return the finding in words."""
+        """Return the finding as a sentence; `values` has the fitted ratio `poisson`."""
         return f"The body's compressibility differs from the believed one: Poisson's ratio is {values['poisson']:.3f}."
 
 

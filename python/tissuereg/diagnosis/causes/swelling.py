@@ -17,13 +17,18 @@ HOLD = "hold"
 
 
 class SwellingCause(Cause):
-    """Growth of all lengths at a constant rate, over the whole session or a half of it."""
+    """The possible error that all lengths grow or shrink at a constant rate, in a session or half of it (no fields)."""
 
     id: ClassVar[str] = "swelling"
     discrete: ClassVar[tuple[str, ...]] = ("window", "pads")
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return hypotheses for three windows of time."""
+        """Return one hypothesis for each window of time: the whole session, its first and its second half.
+
+        `bench`: the simulation as believed. Columns of a hypothesis, shape (1, size), are the change of all `size`
+        measured numbers (markers in mm, forces in mN) by a fixed linear strain that is reached at the end of the
+        window. There is none where no time passes, or where swelling is already believed.
+        """
         if any(effect.id == self.id for effect in bench.experiment.effects):
             return
         begin, end = bench.first_time, bench.last_time
@@ -37,12 +42,20 @@ class SwellingCause(Cause):
                 yield Variant(f"{window[0]:.3g} to {window[1]:.3g} s", changed[None], {"window": window, "pads": HOLD})
 
     def alternatives(self, bench: Bench, variant: Variant) -> tuple[Variant, ...]:
-        """Return the same growth with pads that move with the body."""
+        """Return the hypothesis of the same growth with pads that move with the body; none where no pad is moved.
+
+        `bench`: the simulation as believed; `variant`: hypothesis that was screened; the one returned, with the same
+        columns, is fitted beside it.
+        """
         moved = any(case.displacements for case in bench.experiment.cases.values())
         return (replace(variant, settings={**variant.settings, "pads": "follow"}),) if moved else ()
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
-        """Return the strain in units of `SIZE`."""
+        """Return one free parameter: the linear strain at the end of the window, in units of `SIZE` (0.01).
+
+        `bench`: the simulation as believed; `variant`: hypothesis that starts the fit; `amplitudes` (1,): its fitted
+        amplitudes, in prior standard deviations. The result has first guess, prior, step and effect of each parameter.
+        """
         window, pads = variant.settings["window"], str(variant.settings["pads"])
         return free_parameters(
             [(float(amplitudes[0]), 0.0, 1.5, 0.1)],
@@ -56,7 +69,7 @@ class SwellingCause(Cause):
         )
 
     def sentence(self, values: Values) -> str:
-        """Return the finding in words."""
+        """Return the finding as a sentence; `values` has the fitted `linear_strain` (dimensionless)."""
         strain = values["linear_strain"]
         verb = "swells" if strain > 0 else "shrinks"
         return f"The body {verb} by {abs(100 * strain):.2g} % in length during the measurement."

@@ -26,19 +26,32 @@ ONSETS_A_CASE = 4
 
 
 class FrameCause(Cause):
-    """The tracker's frame is shifted and rotated, by more than its prior as a nuisance allows."""
+    """The possible error that the tracker's frame of reference is shifted and rotated (no fields).
+
+    Every fit allows a small shift and rotation as nuisance parameters; the cause is one larger than their prior.
+    """
 
     id: ClassVar[str] = "frame"
     always_fitted: ClassVar[bool] = True
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return one hypothesis, with three shifts and three rotations about the middle of the markers."""
+        """Return one hypothesis: the tracker's frame is shifted, and rotated about the mean marker place.
+
+        `bench`: the simulation as believed. Columns of a hypothesis, shape (6, size), are the change of all `size`
+        measured numbers (markers in mm, forces in mN) by one prior standard deviation of each of three shifts and three
+        rotations.
+        """
         shifts = [changed_by(bench, _frame(bench, np.eye(6)[i])) for i in range(6)]
         scale = np.array([SHIFT] * 3 + [TURN] * 3)
         return [Variant("frame", scale[:, None] * np.array(shifts))]
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
-        """Return shifts in mm and rotations in degrees about the middle of the markers."""
+        """Return six free parameters: shifts along x, y and z in mm, then a rotation vector in degrees.
+
+        The rotation is about the mean reference place of the markers. `bench`: the simulation as believed; `variant`:
+        hypothesis that starts the fit; `amplitudes` (6,): its fitted amplitudes, in prior standard deviations. The
+        result has first guess, prior, step and effect of each parameter.
+        """
         scale = np.array([SHIFT] * 3 + [TURN] * 3)
         return free_parameters(
             [(float(s * a), 0.0, float(s), 0.05) for s, a in zip(scale, amplitudes, strict=True)],
@@ -47,25 +60,34 @@ class FrameCause(Cause):
         )
 
     def sentence(self, values: Values) -> str:
-        """Return the finding in words."""
+        """Return the finding as a sentence; `values` has the fitted rotation vector `rotation_deg`."""
         turn = float(np.linalg.norm(np.asarray(values["rotation_deg"])))
         return f"The tracker's frame is rotated by {turn:.2f} degrees against the mesh's, and shifted."
 
 
 class ScaleCause(Cause):
-    """The tracker's lengths have a wrong scale, about any origin."""
+    """The possible error that the tracker's lengths have a wrong scale, about any origin (no fields)."""
 
     id: ClassVar[str] = "scale"
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return one hypothesis, with the scale about the middle of the markers and three shifts."""
+        """Return one hypothesis: a wrong scale about the mean marker place, and three shifts.
+
+        `bench`: the simulation as believed. Columns of a hypothesis, shape (4, size), are the change of all `size`
+        measured numbers (markers in mm, forces in mN) by one prior standard deviation of the scale and of each shift.
+        """
         middle = _middle(bench)
         scale = changed_by(bench, Scale(scale=1.01, origin_mm=three(middle))) * 100.0 * SCALE
         shifts = [SHIFT * changed_by(bench, Frame(shift_mm=three(axis))) for axis in np.eye(3)]
         return [Variant("scale", np.array([scale, *shifts]))]
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
-        """Return the scale minus one about the middle of the markers, and three shifts in mm."""
+        """Return four free parameters: the scale minus one, then shifts along x, y and z in mm.
+
+        The scale is about the mean reference place of the markers; with the shifts it is one about any origin. `bench`:
+        the simulation as believed; `variant`: hypothesis that starts the fit; `amplitudes` (4,): its fitted amplitudes,
+        in prior standard deviations. The result has first guess, prior, step and effect of each parameter.
+        """
         spread = np.array([SCALE, SHIFT, SHIFT, SHIFT])
 
         def effect(x: FloatArray) -> Scale:
@@ -80,25 +102,33 @@ class ScaleCause(Cause):
         )
 
     def sentence(self, values: Values) -> str:
-        """Return the finding in words."""
+        """Return the finding as a sentence; `values` has the fitted factor `scale` on all lengths."""
         scale = values["scale"]
         return f"The tracker's lengths are wrong by {100 * (scale - 1):+.2f} %."
 
 
 class LatencyCause(Cause):
-    """Markers are recorded with a delay."""
+    """The possible error that markers are recorded with a delay against the actuators' clock (no fields)."""
 
     id: ClassVar[str] = "latency"
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return one hypothesis: a delay of a part of a frame."""
+        """Return one hypothesis, a delay of half the time between frames; none for single frames or a believed delay.
+
+        `bench`: the simulation as believed. Columns of a hypothesis, shape (1, size), are the change of all `size`
+        measured numbers (markers in mm, forces in mN) by that delay.
+        """
         delay = DELAY * bench.frame_step
         if delay == 0.0 or any(effect.id == self.id for effect in bench.experiment.effects):
             return []
         return [Variant("delay", changed_by(bench, Latency(latency_s=delay))[None])]
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
-        """Return the delay in units of the hypothesis' delay."""
+        """Return one free parameter: the delay in units of half the time between frames.
+
+        `bench`: the simulation as believed; `variant`: hypothesis that starts the fit; `amplitudes` (1,): its fitted
+        amplitudes, in prior standard deviations. The result has first guess, prior, step and effect of each parameter.
+        """
         unit = DELAY * bench.frame_step
         return free_parameters(
             [(float(amplitudes[0]), 0.0, 1.0, 0.1)],
@@ -107,23 +137,31 @@ class LatencyCause(Cause):
         )
 
     def sentence(self, values: Values) -> str:
-        """Return the finding in words."""
+        """Return the finding as a sentence; `values` has the fitted delay `latency_s` (s)."""
         delay = values["latency_s"]
         return f"Markers are delayed by {1000 * delay:.0f} ms against the actuators' clock."
 
 
 class SlipCause(Cause):
-    """One marker is displaced on the body from some time on."""
+    """The possible error that one marker is displaced on the body from some time on (no fields)."""
 
     id: ClassVar[str] = "marker_slip"
     discrete: ClassVar[tuple[str, ...]] = ("marker", "onset")
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return one hypothesis for each marker and onset, with three amplitudes."""
+        """Return one hypothesis for each marker and each of several times at which it may slip.
+
+        `bench`: the simulation as believed. Columns of a hypothesis, shape (3, size), are the change of all `size`
+        measured numbers (markers in mm, forces in mN) by one prior standard deviation of its offset along x, y and z.
+        """
         return (_slip(bench, marker, onset) for onset in _onsets(bench) for marker in bench.layout.marker_names)
 
     def alternatives(self, bench: Bench, variant: Variant) -> tuple[Variant, ...]:
-        """Return the same marker with the onsets between the neighbouring onsets of the bank."""
+        """Return the hypothesis that the same marker slips at another frame, for each frame near the screened time.
+
+        Frames between the screened times before and after that of `variant` are taken. `bench`: the simulation as
+        believed; `variant`: hypothesis that was screened; the ones returned are fitted beside it.
+        """
         screened, mine = _onsets(bench), float(variant.settings["onset"])
         before = max((onset for onset in screened if onset < mine), default=-np.inf)
         after = min((onset for onset in screened if onset > mine), default=np.inf)
@@ -132,7 +170,11 @@ class SlipCause(Cause):
         return tuple(_slip(bench, str(variant.settings["marker"]), onset) for onset in onsets)
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
-        """Return the offset in mm."""
+        """Return three free parameters: the offset of the marker along x, y and z in mm.
+
+        `bench`: the simulation as believed; `variant`: hypothesis that starts the fit; `amplitudes` (3,): its fitted
+        amplitudes, in prior standard deviations. The result has first guess, prior, step and effect of each parameter.
+        """
         marker, onset = str(variant.settings["marker"]), float(variant.settings["onset"])
         return free_parameters(
             [(SLIP * float(a), 0.0, SLIP, 0.1) for a in amplitudes],
@@ -141,19 +183,23 @@ class SlipCause(Cause):
         )
 
     def sentence(self, values: Values) -> str:
-        """Return the finding in words."""
+        """Return the finding as a sentence; `values` has the fitted `offset_mm` and `from_time_s` of a `marker`."""
         size = float(np.linalg.norm(np.asarray(values["offset_mm"])))
         return f"Marker '{values['marker']}' has slipped by {size:.2f} mm, from {values['from_time_s']:.4g} s on."
 
 
 class SwapCause(Cause):
-    """Two markers are mistaken for each other from some time on."""
+    """The possible error that two markers are mistaken for each other from some time on (no fields)."""
 
     id: ClassVar[str] = "marker_swap"
     discrete: ClassVar[tuple[str, ...]] = ("pair", "onset")
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return one hypothesis for each frame and each of the likeliest pairs."""
+        """Return one hypothesis for each frame and each likely pair of markers: they are exchanged from then on.
+
+        `bench`: the simulation as believed. Columns of a hypothesis, shape (1, size), are the change of all `size`
+        measured numbers (markers in mm, forces in mN) by that exchange; its amplitude is exactly 1.
+        """
         for onset in sorted({float(time) for part in bench.layout.parts for time in part.times}):
             for pair in _likely_pairs(bench):
                 changed = changed_by(bench, MarkerSwap(markers=pair, from_time_s=onset))
@@ -165,7 +211,11 @@ class SwapCause(Cause):
                 )
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
-        """Return no parameters."""
+        """Return no free parameters (k = 0): the pair of markers and the time of the exchange are fixed.
+
+        `bench`: the simulation as believed; `variant`: the hypothesis; `amplitudes` (1,): not used. The result holds
+        the functions that return the effect and the reported values.
+        """
         pair, onset, none = tuple(variant.settings["pair"]), float(variant.settings["onset"]), np.empty(0)
         return FreeParameters(
             none, none, none,
@@ -175,13 +225,17 @@ class SwapCause(Cause):
         )  # fmt: skip
 
     def sentence(self, values: Values) -> str:
-        """Return the finding in words."""
+        """Return the finding as a sentence; `values` has the fitted `markers` (two names) and `from_time_s`."""
         one, other = values["markers"]
         return f"Markers '{one}' and '{other}' are exchanged from {values['from_time_s']:.4g} s on."
 
 
 def _likely_pairs(bench: Bench) -> list[tuple[str, str]]:
-    """Return the pairs whose measured places lie nearest to each other's predicted places, relative to their own."""
+    """Return the names of the pairs of markers that are most likely exchanged, likeliest first.
+
+    For two markers, the distance of each one's measured place from its predicted place is divided by that from the
+    other one's, both summed over all frames; pairs of largest ratio are likeliest.
+    """
     names = bench.layout.marker_names
     own, other = np.zeros(len(names)), np.zeros((len(names), len(names)))
     for part in bench.layout.parts:
@@ -196,7 +250,7 @@ def _likely_pairs(bench: Bench) -> list[tuple[str, str]]:
 
 
 def changed_by(bench: Bench, effect: Effect) -> FloatArray:
-    """Return the change that an effect of the tracker makes to the believed prediction, shape (size,)."""
+    """Return the change (size,) of the believed prediction by an error of the tracker: mm (markers), 0 (forces)."""
     tracker = replace(bench.experiment, effects=(effect,))
     changed = np.zeros(bench.layout.size)
     for part in bench.layout.parts:
@@ -206,7 +260,10 @@ def changed_by(bench: Bench, effect: Effect) -> FloatArray:
 
 
 def _frame(bench: Bench, x: FloatArray) -> Frame:
-    """Return the frame that is shifted by x[:3] mm and rotated by x[3:] degrees about the middle of the markers."""
+    """Return the tracker's frame shifted by x[:3] mm and rotated by the vector x[3:] degrees, as an effect.
+
+    The rotation is about the mean reference place of the markers.
+    """
     from tissuereg.experiment.effects.base import rotation_from_vector
 
     turn, middle = rotation_from_vector(three(x[3:])), _middle(bench)
@@ -218,7 +275,10 @@ def _middle(bench: Bench) -> FloatArray:
 
 
 def _slip(bench: Bench, marker: str, onset: float) -> Variant:
-    """Return the hypothesis that one marker slips at a time, with three amplitudes."""
+    """Return the hypothesis that `marker` slips at the time `onset` (s), with columns (3, size) in mm.
+
+    Each column is the change of all measured numbers by one prior standard deviation of the offset along x, y or z.
+    """
     later, number = bench.layout.times() >= onset, bench.layout.marker_names.index(marker)
     columns = np.zeros((3, bench.layout.size))
     for part in bench.layout.parts:

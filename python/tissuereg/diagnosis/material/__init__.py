@@ -33,11 +33,11 @@ class MaterialDiagnosis:
     Attributes
     ----------
     answer : dict
-        Schema ``tissuereg.diagnosis/1``, of JSON's types.
+        The answer in JSON's types, by the schema ``tissuereg.diagnosis/1``.
     experiment : MaterialExperiment
         Believed law and measured curves.
     extended : MaterialExperiment
-        With the causes found as effects; the same where none was named.
+        The experiment with the causes found as effects; the same as `experiment` where none was named.
     outcome : SelectionOutcome
         All intermediate results, for further work in Python.
     """
@@ -49,11 +49,11 @@ class MaterialDiagnosis:
 
     @property
     def verdict(self) -> str:
-        """``named``, ``group``, ``consistent`` or ``unexplained``."""
+        """Verdict of the answer: ``named``, ``group``, ``consistent`` or ``unexplained``."""
         return str(self.answer["verdict"])
 
     def to_json(self) -> dict[str, Any]:
-        """Return the answer in JSON's types."""
+        """Return the answer, a dictionary of JSON's types by the schema ``tissuereg.diagnosis/1``."""
         return self.answer
 
     def save(self, folder: str | os.PathLike[str], extra: Mapping[str, Any] | None = None) -> Path:
@@ -62,9 +62,9 @@ class MaterialDiagnosis:
         Parameters
         ----------
         folder : path-like
-            Files of these names in it are replaced, others stay.
+            Folder of the files; files of these names in it are replaced, others stay.
         extra : mapping, optional
-            Entries added to the JSON, or replacing its own.
+            Entries that are added to the JSON, or that replace those of the answer.
 
         Returns
         -------
@@ -74,7 +74,7 @@ class MaterialDiagnosis:
         Raises
         ------
         OutputError
-            If it cannot be written there.
+            If the files cannot be written there.
         """
         out = place("folder", folder, error=OutputError)
         with atomic_folder(out) as draft:
@@ -93,7 +93,8 @@ def diagnose_material(
     Parameters
     ----------
     experiment : MaterialExperiment
-        From `tissuereg.io.material_experiments.read_material_experiment`, or made in Python.
+        Believed law and measured curves, from `tissuereg.io.material_experiments.read_material_experiment` or made in
+        Python.
     seed : int
         Seed of the simulated null experiments; the result is the same at each call.
     progress : callable, optional
@@ -106,7 +107,7 @@ def diagnose_material(
 
     Notes
     -----
-    Seconds for a few curves; up to half a minute where holds at several rates make relaxation one of the candidates.
+    Takes seconds for a few curves, and up to half a minute where holds at several rates make relaxation a candidate.
 
     Examples
     --------

@@ -20,9 +20,10 @@ _ROWS = 40
 
 @dataclass(frozen=True)
 class Advice:
-    """A test and its expected benefit.
+    """A further test that would distinguish two causes, and its expected benefit.
 
-    `action`: description of the test; `separability`: of the two causes by the new curve alone, in noise deviations.
+    `action`: description of the test in words; `separability`: norm of the difference between the stresses that the two
+    causes predict for it, in standard deviations of the noise.
     """
 
     action: str
@@ -30,10 +31,10 @@ class Advice:
 
 
 def best_test(experiment: MaterialExperiment, scene: Scene, one: Model, other: Model) -> Advice | None:
-    """Return the stock test that separates two models best.
+    """Return the further test, of a list of usual ones, that distinguishes two fitted models best.
 
-    `experiment`: the experiment so far; `scene`: its scope; `one`, `other`: both fitted to it. Result: None where the
-    models have predictions for no common test.
+    `experiment`: the curves measured so far; `scene`: tested modes and ranges; `one`, `other`: models fitted to these
+    curves. Result: None where no test has finite stresses under both models.
     """
     tests = []
     for action, curve in _stock(experiment, scene):
@@ -44,7 +45,11 @@ def best_test(experiment: MaterialExperiment, scene: Scene, one: Model, other: M
 
 
 def _separability(experiment: MaterialExperiment, curve: Curve, first: FloatArray, second: FloatArray) -> float:
-    """Return the norm of the difference between two predictions, whitened by the noise of one more specimen."""
+    """Return the norm of the difference between two predicted stress curves, in standard deviations of the noise.
+
+    `curve`: load history; `first`, `second` (n,): predictions, kPa. The noise is that of one more specimen. The norm is
+    0 where `first` is not a valid stress curve.
+    """
     try:
         measured = replace(curve, stress=first)
     except ExperimentError:

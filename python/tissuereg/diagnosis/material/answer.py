@@ -27,7 +27,7 @@ def answer_of(experiment: MaterialExperiment, outcome: SelectionOutcome, seed: i
     """Return the answer in JSON's types.
 
     `experiment`: believed law and measured curves; `outcome`: result of all steps; `seed`: seed of the simulated null
-    experiments. Result: the schema of bodies with ``kind = "material-test"``; lengths become stresses
+    experiments. Result: by the schema for bodies, with ``kind = "material-test"``; stresses replace lengths
     (``rms_base_kpa``), and ``held_out`` also has ``unit`` and ``by_case``.
     """
     parameters = {} if outcome.refined is None else parameters_of(outcome.refined.fit, outcome.known.ids)
@@ -79,10 +79,10 @@ def answer_of(experiment: MaterialExperiment, outcome: SelectionOutcome, seed: i
 
 
 def parameters_of(fit: MaterialFit, ids: Sequence[str]) -> dict[str, dict[str, list[float]]]:
-    """Return the parameters of every finding, with standard deviations by linear propagation of the fit's covariance.
+    """Return the value and the standard deviation of every parameter of each cause found.
 
-    `fit`: of all findings together; `ids`: ids of its forms, in their order. Result: by id, then by key of the effect's
-    table: value and standard deviation.
+    `fit`: fit of all causes together; `ids`: ids of the causes in the order of its `forms`. Result: by id, then by key
+    of the effect's table; deviations follow from the fit's covariance by linear propagation.
     """
     plain = [_numbers(effect) for effect in fit.effects]
     columns: list[list[FloatArray]] = [[] for _ in plain]
@@ -101,7 +101,7 @@ def parameters_of(fit: MaterialFit, ids: Sequence[str]) -> dict[str, dict[str, l
 
 
 def _numbers(effect: Effect) -> dict[str, float]:
-    """Return the numbers of an effect's table; lists get numbered keys."""
+    """Return the numbers of an effect's ``[[effect]]`` table by key; entries of a list have keys like ``tau_s_1``."""
     numbers: dict[str, float] = {}
     for key, value in effect.table().items():
         if isinstance(value, list):
@@ -137,7 +137,7 @@ def _held_out(outcome: SelectionOutcome) -> dict[str, Any]:
 
 
 def _discrepancy(outcome: SelectionOutcome) -> dict[str, Any]:
-    """Return in which curves and parts of them the believed law differs from the measured stress."""
+    """Return, in JSON's types, the believed law's misfit (kPa, noise deviations), and where and when it is largest."""
     data = outcome.bench.problem.data
     residual = data.stress - data.modelled(outcome.believed.model)
     chi = residual / np.sqrt(np.diag(outcome.bench.noise))
@@ -159,7 +159,7 @@ def _discrepancy(outcome: SelectionOutcome) -> dict[str, Any]:
 
 
 def _names(curves: Sequence[Curve]) -> list[str]:
-    """Return the names of curves; curves of the same name are numbered."""
+    """Return the name of each curve; curves of the same name are numbered from 1 on."""
     seen: Counter[str] = Counter()
     several = Counter(curve.name for curve in curves)
     names = []
@@ -232,7 +232,7 @@ def _sentences(outcome: SelectionOutcome) -> list[str]:
 
 
 def _again(outcome: SelectionOutcome) -> dict[str, Any]:
-    """Return which test to repeat: the mode and the part of the curves with the largest residual."""
+    """Return, in JSON's types, the advice to repeat the mode and the part of a curve with the largest residual."""
     worst = _discrepancy(outcome)
     mode, curves = worst["under"].replace("-", " "), outcome.bench.problem.data.curves
     others = len({curve.specimen for curve in curves if curve.mode == worst["under"]}) > 1
@@ -246,7 +246,10 @@ def _again(outcome: SelectionOutcome) -> dict[str, Any]:
 
 
 def _next(experiment: MaterialExperiment, outcome: SelectionOutcome) -> dict[str, Any] | None:
-    """Return the test that distinguishes tied causes; where nothing explains the curves, the test to repeat."""
+    """Return, in JSON's types, the test that distinguishes causes of a group; None where there is no such test.
+
+    Where no cause explains the curves, it is the advice to repeat a test.
+    """
     if outcome.verdict == "unexplained":
         return _again(outcome)
     for finding in outcome.findings:

@@ -19,16 +19,16 @@ MAX_ROWS = 320
 
 @dataclass(frozen=True, eq=False)
 class Data:
-    """Rows used, curve after curve.
+    """The n rows (measured points) of all curves that are used in fits, curve after curve.
 
     Attributes
     ----------
     curves : tuple of Curve
-        Those of the experiment, or some of them.
+        Curves of the experiment; some of them may have no rows.
     rows : tuple of ndarray of int64
-        Rows used of each.
+        For each curve, the indices of its rows that are used.
     stress : ndarray of float64, shape (n,)
-        kPa.
+        Nominal stress, kPa, compression negative.
     curve_of : ndarray of int64, shape (n,)
         Index of the curve.
     level : ndarray of float64, shape (n,)
@@ -36,9 +36,9 @@ class Data:
     arc : ndarray of float64, shape (n,)
         Progress along the load history, 0 to 1, strain and time counting half each.
     strain : ndarray of float64, shape (n,)
-        Strain over the largest of its mode.
+        Strain over the largest strain of its mode, -1 to 1.
     log_rate : ndarray of float64, shape (n,)
-        Decadic logarithm of the rate in 1/s; 0 where it is not known.
+        Decadic logarithm of the strain rate in 1/s; 0 where it is not known.
     """
 
     curves: tuple[Curve, ...]
@@ -52,38 +52,38 @@ class Data:
 
     @property
     def modes(self) -> list[str]:
-        """Mode of every row."""
+        """Mode of every row: "tension", "compression" or "simple-shear"."""
         return [self.curves[c].mode for c in self.curve_of]
 
     @property
     def specimens(self) -> list[str]:
-        """Specimen of every row."""
+        """Name of the specimen of every row."""
         return [self.curves[c].specimen for c in self.curve_of]
 
     def part(self, kept: BoolArray) -> "Data":
-        """Return some of the rows.
+        """Return the data with some of the rows.
 
         Parameters
         ----------
         kept : ndarray of bool, shape (n,)
-            Which.
+            Whether each row is kept.
 
         Returns
         -------
         Data
-            With all curves; those without rows contribute nothing.
+            Data with all curves; those without rows contribute nothing.
         """
         rows = tuple(rows[kept[self.curve_of == i]] for i, rows in enumerate(self.rows))
         columns: tuple[Any, ...] = (self.stress, self.curve_of, self.level, self.arc, self.strain, self.log_rate)
         return Data(self.curves, rows, *(column[kept] for column in columns))
 
     def modelled(self, model: Model) -> FloatArray:
-        """Return the stresses of a model.
+        """Return the nominal stresses that a model predicts at the rows.
 
         Parameters
         ----------
         model : Model
-            Law and memory.
+            Law, with effects of time and load history.
 
         Returns
         -------
@@ -95,10 +95,10 @@ class Data:
 
 
 def data_of(experiment: MaterialExperiment, max_rows: int = MAX_ROWS) -> Data:
-    """Return the rows of an experiment that are fitted.
+    """Return the rows (measured points) of an experiment that are used in fits.
 
-    `experiment`: with its curves; `max_rows`: of all curves together. Result: rows evenly spaced along each load
-    history.
+    `experiment`: its curves are used; `max_rows`: largest number of rows of all curves together, but a curve may keep
+    12 in any case. Result: rows evenly spaced along each load history.
     """
     curves = experiment.curves
     share = max(12, max_rows // len(curves))
@@ -129,10 +129,10 @@ def data_of(experiment: MaterialExperiment, max_rows: int = MAX_ROWS) -> Data:
 
 
 def path_arc(curve: Curve) -> FloatArray:
-    """Return the progress of each row along its load history, 0 to 1.
+    """Return the progress of each row along its load history, shape (n,), from 0 to 1.
 
-    `curve`: with or without times. Result: (n,), mean of the shares of the path length in strain and of the time;
-    without times strain alone.
+    `curve`: n rows, with or without times. Progress is the mean of two shares: of the path length in strain and of the
+    time; without times it is the former alone.
     """
     moved = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(curve.amounts)))])
     strain = moved / (moved[-1] or 1.0)
@@ -153,7 +153,7 @@ def _thinned(curve: Curve, arc: FloatArray, share: int) -> IntArray:
 
 
 def _with_count(arc: FloatArray) -> FloatArray:
-    """Return the mean of progress and row number, 0 to 1 each, so that rows within short loadings are kept."""
+    """Return the mean (n,) of progress `arc` (n,) and row number, each scaled to 0 to 1: short loadings keep rows."""
     count = np.linspace(0.0, 1.0, len(arc))
     span = float(arc[-1] - arc[0]) or 1.0
     return np.asarray(0.5 * (arc - arc[0]) / span + 0.5 * count)

@@ -33,8 +33,8 @@ _STEP = 1e-4
 class StatedFit:
     """A fit with the covariance that is reported.
 
-    `fit`: its covariance includes noise, the form's model error and the prior; `form_error`: root mean square of the
-    form's model error, over the stress.
+    `fit`: fit whose covariance includes noise, the form's model error and the prior; `form_error`: root mean square of
+    the model error of its form (the formula of the law), over the stress.
     """
 
     fit: MaterialFit
@@ -44,8 +44,8 @@ class StatedFit:
 def stated(bench: ProofInput, fit: MaterialFit) -> StatedFit:
     """Return a fit with the covariance due to noise, the model error of its form, and the prior.
 
-    `bench`: bench of the fit: its `noise` is that of the curves, its `fitting` the covariance that weights fits; `fit`:
-    of all rows. Result: the fit is otherwise unchanged.
+    `bench`: its `noise` is the covariance of the curves' errors, its `fitting` the one that weights fits; `fit`: fit to
+    all rows. Result: the fit is otherwise unchanged; a form is the formula of a law or effect with fitted parameters.
 
     Notes
     -----
@@ -68,7 +68,12 @@ def stated(bench: ProofInput, fit: MaterialFit) -> StatedFit:
 def _squared_size(
     bench: ProofInput, slopes: FloatArray, gain: FloatArray, inverse: FloatArray, residual: FloatArray
 ) -> float:
-    """Return the posterior mean square of the form's model error over the stress."""
+    """Return the posterior mean square of the form's model error, over the stress.
+
+    `slopes` (n, k): derivatives of stresses, kPa per prior deviation; `gain` (k, n): change of parameters by errors,
+    1/kPa; `inverse` (k, k): covariance by the curvature, over prior deviations; `residual` (n,): measured minus
+    modelled stress, kPa.
+    """
     unit = np.sqrt(np.diag(bench.noise))
     # Simulated curves may be fitted to the last digit.
     found = max(float(np.sum((residual / unit) ** 2)), float(np.finfo(np.float64).tiny))
@@ -84,14 +89,20 @@ def _squared_size(
 
 
 def _log_density(found: float, covariance: FloatArray) -> float:
-    """Return the log density of a sum of squared Gaussian numbers, approximated by a Gamma distribution."""
+    """Return the log density, at `found`, of a sum of squared Gaussian numbers of mean 0 and given covariance (n, n).
+
+    The density is approximated by that of a Gamma distribution of the same mean and variance.
+    """
     mean, variance = float(np.trace(covariance)), 2.0 * float(np.sum(covariance**2))
     shape, unit = mean**2 / variance, variance / mean
     return (shape - 1.0) * math.log(found) - found / unit - math.lgamma(shape) - shape * math.log(unit)
 
 
 def _slopes(bench: ProofInput, fit: MaterialFit, scale: FloatArray) -> FloatArray:
-    """Return the derivatives of the stresses by the parameters, in units of their prior deviations."""
+    """Return the derivatives of the n stresses by the k parameters, shape (n, k), in kPa per prior standard deviation.
+
+    `scale` (k,): prior standard deviations.
+    """
     problem = bench.problem
     columns = []
     for i, unit in enumerate(scale):

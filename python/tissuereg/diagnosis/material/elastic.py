@@ -1,8 +1,8 @@
 """Elastic response to homogeneous deformation: second Piola-Kirchhoff stress and isochoric energy.
 
-All of them are the solver's own point: of bars free across by `tissuereg.experiment.material_tests`, of plane
-deformations, whose
-whole tensor is needed because memory acts on its parts, by the first Piola-Kirchhoff stress at ``F = C^(1/2)``.
+All of them are computed by the solver's own law at a point. Bars with free lateral surfaces use
+`tissuereg.experiment.material_tests`; plane deformations, whose whole tensor is needed because memory acts on its
+parts, use the first Piola-Kirchhoff stress at ``F = C^(1/2)``.
 """
 
 from dataclasses import replace
@@ -15,17 +15,17 @@ from tissuereg.experiment.material_tests import uniaxial_stress
 
 
 def axial_second_pk(material: Material, stretch: FloatArray) -> FloatArray:
-    """Return the axial second Piola-Kirchhoff stress of a bar with free lateral surfaces.
+    """Return the axial second Piola-Kirchhoff stress of a bar with free lateral surfaces, shape (n,), in kPa.
 
-    `material`: homogeneous; `stretch` (n,): positive. Result: (n,), kPa; NaN where the law has no solution.
+    `material`: homogeneous; `stretch` (n,): positive. The stress is NaN where the law has no solution.
     """
     return np.asarray(uniaxial_stress(material, stretch) / stretch)
 
 
 def shear_metric(shear: FloatArray) -> FloatArray:
-    """Return ``C`` in the plane of simple shear ``F = I + shear e0 e1``.
+    """Return the right Cauchy-Green tensor in the plane of simple shear ``F = I + shear e0 e1``, shape (n, 2, 2).
 
-    `shear` (n,): amounts. Result: (n, 2, 2), determinant 1.
+    `shear` (n,): amounts of shear. The tensors have the determinant 1.
     """
     metric = np.zeros((len(shear), 2, 2))
     metric[:, 0, 0] = 1.0
@@ -35,10 +35,10 @@ def shear_metric(shear: FloatArray) -> FloatArray:
 
 
 def plane_second_pk(material: Material, metric: FloatArray) -> FloatArray:
-    """Return the second Piola-Kirchhoff stress of an area-preserving plane deformation.
+    """Return the in-plane second Piola-Kirchhoff stress of an area-preserving plane deformation, (n, 2, 2), kPa.
 
-    `material`: homogeneous; not of the law hooke; `metric` (n, 2, 2): ``C`` in the plane, determinant 1. Result: (n, 2,
-    2), kPa, in the plane.
+    `material`: homogeneous; not of the law hooke; `metric` (n, 2, 2): right Cauchy-Green tensor in the plane, of
+    determinant 1.
     """
     identity = np.eye(2)
     # The root of a matrix of determinant 1.
@@ -50,9 +50,9 @@ def plane_second_pk(material: Material, metric: FloatArray) -> FloatArray:
 
 
 def isochoric_energy(material: Material, stretches: FloatArray) -> FloatArray:
-    """Return the energy density at volume-preserving principal stretches, without fibres.
+    """Return the energy density at volume-preserving principal stretches, shape (n,), in kPa, without fibres.
 
-    `material`: homogeneous; `stretches` (n, 3): of product 1. Result: (n,), kPa.
+    `material`: homogeneous; `stretches` (n, 3): principal stretches of product 1.
     """
     young, poisson = _moduli(material)
     # Without a lambda, St. Venant and Kirchhoff's energy is that of the change of shape; Hooke's is taken for it.

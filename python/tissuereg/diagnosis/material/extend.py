@@ -21,12 +21,13 @@ def extended(experiment: MaterialExperiment, fit: MaterialFit) -> MaterialExperi
     experiment : MaterialExperiment
         The believed experiment.
     fit : MaterialFit
-        Of the causes found.
+        Fit of the causes found.
 
     Returns
     -------
     MaterialExperiment
-        New effects replace older ones of the same kind; the modulus is the fitted one, unless it is itself a finding.
+        The experiment in which each new effect replaces an older one of the same id, or an older law; Young's modulus
+        is the fitted one, unless it is itself a finding.
     """
     found = fit.effects
     kept = [old for old in experiment.effects if not any(_same_kind(old, new) for new in found)]
@@ -44,12 +45,13 @@ def predicted_stresses(experiment: MaterialExperiment) -> list[FloatArray]:
     Parameters
     ----------
     experiment : MaterialExperiment
-        With its effects, for instance from an ``experiment.extended.toml``.
+        Experiment whose effects are applied, for instance from an ``experiment.extended.toml``.
 
     Returns
     -------
     list of ndarray of float64
-        Nominal stress of every row of every curve, kPa, compression negative; NaN where the law has no solution.
+        For each curve, shape (n_rows,): nominal stress of every row, kPa, compression negative; NaN where the law has
+        no solution.
 
     Examples
     --------

@@ -28,20 +28,20 @@ _STEP = 1e-4
 
 @dataclass(frozen=True, eq=False)
 class FitProblem:
-    """Data, weights and believed model of a fit.
+    """Data, weights and believed model that all fits to a material test share.
 
     Attributes
     ----------
     base : Model
         The believed model.
     data : Data
-        Rows that are fitted.
+        Rows (measured points) that are fitted.
     weights : Weights
-        Whitening of these rows.
+        Whitening of the residuals of these rows.
     young_log : float
-        Prior mean of the logarithm of the modulus in kPa.
+        Prior mean of the logarithm of Young's modulus in kPa.
     young_std : float
-        Prior standard deviation of the logarithm.
+        Prior standard deviation of that logarithm.
     """
 
     base: Model
@@ -51,7 +51,10 @@ class FitProblem:
     young_std: float
 
     def model(self, forms: Sequence[Form], x: FloatArray) -> Model:
-        """Return the model for parameters x: the modulus' logarithm, then those of every form."""
+        """Return the believed model with causes in the given forms, at the parameters `x`.
+
+        `x` (n,): the logarithm of Young's modulus in kPa, then the parameters of every form.
+        """
         model = self.base.with_material(young=float(np.exp(np.clip(x[0], -30.0, 30.0))))
         for effect in effects_of(forms, x):
             if not isinstance(effect, Stiffness):
@@ -61,25 +64,25 @@ class FitProblem:
 
 @dataclass(frozen=True, eq=False)
 class MaterialFit:
-    """A fitted hypothesis.
+    """A fitted hypothesis: the believed law with some causes, each in one form (formula of a law or effect).
 
     Attributes
     ----------
     forms : tuple of Form
         Forms of its causes.
     x : ndarray of float64, shape (n,)
-        Logarithm of the modulus, then the parameters of each form.
+        Logarithm of Young's modulus in kPa, then the parameters of each form.
     covariance : ndarray of float64, shape (n, n)
-        Of `x`, from the curvature; valid if form and noise model are correct. `deviations.stated` gives the covariance
-        that is reported.
+        Covariance of `x`, from the curvature; valid if form and noise model are correct. `deviations.stated` gives the
+        covariance that is reported.
     share : float
-        Size of the generic misfit in its covariance, over the stress; 0 for none.
+        Size of the generic misfit (a smooth Gaussian process) in its covariance, over the stress; 0 for none.
     evidence : float
         Log evidence, up to a constant that all hypotheses have in common.
     log_posterior : float
         Log posterior density at `x`: the log evidence without Occam's factor.
     model : Model
-        Fitted.
+        The model at `x`.
     """
 
     forms: tuple[Form, ...]
@@ -92,12 +95,15 @@ class MaterialFit:
 
     @property
     def effects(self) -> list[Effect]:
-        """Effects of the forms, in their order."""
+        """Effects (changes of the believed model) at the fitted parameters, one for each form, in their order."""
         return effects_of(self.forms, self.x)
 
 
 def effects_of(forms: Sequence[Form], x: FloatArray) -> list[Effect]:
-    """Return the effects of fitted parameters, one for each form."""
+    """Return the effects (changes of the believed model) at the parameters `x`, one for each form.
+
+    `x` (n,): the logarithm of Young's modulus in kPa, then the parameters of each form.
+    """
     effects: list[Effect] = []
     first = 1
     for form in forms:
@@ -111,7 +117,7 @@ def effects_of(forms: Sequence[Form], x: FloatArray) -> list[Effect]:
 
 
 def prior_of(problem: FitProblem, forms: Sequence[Form]) -> tuple[FloatArray, FloatArray]:
-    """Return prior mean and standard deviation of the fitted parameters."""
+    """Return prior mean and standard deviation, each (n,), of the log modulus (kPa) and each form's parameters."""
     wide = any(form.effect is None for form in forms)
     mean = np.concatenate([[problem.young_log], *(form.mean for form in forms)])
     std = np.concatenate([[WIDE_YOUNG if wide else problem.young_std], *(form.std for form in forms)])
@@ -121,8 +127,9 @@ def prior_of(problem: FitProblem, forms: Sequence[Form]) -> tuple[FloatArray, Fl
 def fitted(problem: FitProblem, forms: Sequence[Form], starts: Sequence[FloatArray], share: float = 0.0) -> MaterialFit:
     """Return the fit of a hypothesis, the best from several starts.
 
-    `problem`: data, weights and believed model; `forms`: forms of its causes; `starts` (n,): first guesses; `share`:
-    size of the generic misfit in its covariance, over the stress; 0 for none. Result: with the largest log posterior.
+    `problem`: data, weights and believed model; `forms`: forms of its causes; `starts`: first guesses, each (n,);
+    `share`: size of the generic misfit in its covariance, over the stress; 0 for none. Result: the fit with the largest
+    log posterior.
     """
     ends = [_descent(problem, forms, start, share) for start in starts]
     return max(ends, key=lambda fit: fit.log_posterior)
@@ -156,9 +163,10 @@ def _descent(problem: FitProblem, forms: Sequence[Form], start: FloatArray, shar
 
 
 def _levenberg(residuals: Residuals, z: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Minimise half the sum of squared residuals, which include the prior, by damped Gauss-Newton steps.
+    """Return the point (k,) that minimises half the sum of squared residuals, with residuals (m,) and Jacobian (m, k).
 
-    The Jacobian is taken by finite differences, which cost less than analytic derivatives of the stress.
+    `residuals`: function of a point (k,), which includes the prior; `z` (k,): start. The method is damped Gauss-Newton;
+    the Jacobian is taken by finite differences, which cost less than analytic derivatives of the stress.
     """
     z = np.clip(z, -6.0, 6.0)
     value = residuals(z)

@@ -1,6 +1,6 @@
 """Stress along a curve of a model with an elastic law and memory.
 
-The formulas are those of the solver (`crates/fem/src/history`) at one point of homogeneous deformation, with rows as
+The formulas are those of the solver (`crates/fem/src/memory`) at one point of homogeneous deformation, with rows as
 time steps. Relaxation acts on the second Piola-Kirchhoff stress with an instantaneous modulus; softening multiplies the
 isochoric stress; the set is a stress-free stretch ``exp(fraction E_max)``, constant within a step; viscosity is the
 Cauchy stress ``2 eta D``. The lateral stress of a bar is zero: without lateral elastic stress there is none to relax
@@ -26,7 +26,12 @@ from tissuereg.experiment.material_tests import shear_stress, uniaxial_stress
 
 @dataclass(frozen=True)
 class _Law:
-    """Everything that the elastic stress of modulus 1 depends on, as a cache key."""
+    """The parameters on which the elastic stress of a law with a modulus of 1 kPa depends, as a key of caches.
+
+    `law`, `shape`: name and shape parameters of the law; `poisson`: Poisson's ratio; `volumetric`: energy of volume
+    change; `fibre`: stiffness over shear modulus, exponent, direction and whether fibres carry tension only; None
+    without; `set_fraction`: share of the largest strain that remains.
+    """
 
     law: str
     shape: tuple[tuple[str, tuple[float, ...]], ...]
@@ -36,18 +41,18 @@ class _Law:
     set_fraction: float
 
     def material(self) -> Material:
-        """Return the law with a modulus of 1 kPa."""
+        """Return the material with this law and a Young's modulus of 1 kPa."""
         shape = {key: list(values) if key in ("alpha", "weight") else values[0] for key, values in self.shape}
         fibre = None if self.fibre is None else Fibre(*self.fibre)
         return Material(1.0, self.poisson, self.law, shape=shape, volumetric=self.volumetric, fibre=fibre)
 
 
 def stress_of(model: Model, curve: Curve, rows: Sequence[int] | IntArray | None = None) -> FloatArray:
-    """Return the nominal stress of a model along a curve.
+    """Return the nominal stress of a model along a curve, shape (n_rows,), in kPa, compression negative.
 
-    `model`: law and memory; `curve`: path and times; its stress is not used. Without times relaxation and viscosity are
-    left out; `rows`: rows to return; all where absent. The history includes all rows in either case. Result: (n_rows,),
-    kPa, compression negative; NaN where the law has no solution.
+    `model`: law and effects of time and history; `curve`: its strains and times are used, its stress is not. Without
+    times relaxation and viscosity are left out; `rows`: indices of the rows to return; all where absent. The history
+    includes all rows in either case. The stress is NaN where the law has no solution.
     """
     wanted = np.arange(len(curve.amounts)) if rows is None else np.asarray(rows, dtype=np.int64)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
@@ -76,7 +81,10 @@ def _young(model: Model) -> float:
 
 @lru_cache(maxsize=256)
 def _from_rest(curve: Curve) -> tuple[FloatArray, FloatArray]:
-    """Return path and times, preceded by the state of rest; from there to the first row at the curve's rate, if any."""
+    """Return stretches (or amounts of shear) and times in s of a curve, each (n + 1,), with the state of rest first.
+
+    The time from rest to the first row follows from the curve's strain rate, and is 0 where that is not known.
+    """
     rest = 0.0 if curve.mode == "simple-shear" else 1.0
     times = curve.clock
     if not curve.timed:
@@ -104,7 +112,10 @@ def _stretched(model: Model, curve: Curve) -> FloatArray:
 
 @lru_cache(maxsize=256)
 def _stretched_unit(law: _Law, curve: Curve) -> tuple[FloatArray, FloatArray]:
-    """Return axial stress and isochoric energy along a path, per kPa of the modulus."""
+    """Return axial second Piola-Kirchhoff stress and isochoric energy density of a bar, each (n + 1,), in kPa.
+
+    They belong to a modulus of 1 kPa, at rest and at every row of `curve`.
+    """
     material, (stretch, _) = law.material(), _from_rest(curve)
     stays = np.exp(law.set_fraction * _largest_before(np.log(stretch)))
     elastic = stretch / stays
@@ -129,7 +140,10 @@ def _sheared(model: Model, curve: Curve) -> FloatArray:
 
 @lru_cache(maxsize=256)
 def _sheared_unit(law: _Law, curve: Curve) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return stress components 01 and 11 and isochoric energy along a path, per kPa of the modulus."""
+    """Return stresses 01 and 11 (second Piola-Kirchhoff) and isochoric energy density in shear, each (n + 1,), in kPa.
+
+    They belong to a modulus of 1 kPa, at rest and at every row of `curve`.
+    """
     material, (shear, _) = law.material(), _from_rest(curve)
     metric = shear_metric(shear)
     back = None if law.set_fraction == 0 else _shear_back(law.set_fraction, metric, shear)
@@ -149,8 +163,9 @@ def _sheared_unit(law: _Law, curve: Curve) -> tuple[FloatArray, FloatArray, Floa
 def _shear_back(fraction: float, metric: FloatArray, shear: FloatArray) -> FloatArray:
     """Return the inverse of the permanent stretch in simple shear at every row, shape (n, 2, 2).
 
-    It is ``exp(-fraction E_max)``, with E_max the logarithmic strain of the row of largest shear before. `metric` is
-    the right Cauchy-Green tensor (n, 2, 2) of every row in the plane of shear.
+    It is ``exp(-fraction E_max)``, with `fraction` the share of the strain that remains and E_max the logarithmic
+    strain of the row of largest shear before. `metric` is the right Cauchy-Green tensor (n, 2, 2) in the plane of
+    shear, `shear` (n,) the amount.
     """
     sizes = np.abs(shear)
     best = np.maximum.accumulate(sizes)
@@ -162,7 +177,7 @@ def _shear_back(fraction: float, metric: FloatArray, shear: FloatArray) -> Float
 
 
 def _largest_before(values: FloatArray) -> FloatArray:
-    """Return, at every row, the value of the largest size in the rows before it; 0 at the first."""
+    """Return, at each of n rows, the entry of `values` (n,) that is largest in size in earlier rows; 0 at the first."""
     sizes = np.abs(values)
     best = np.maximum.accumulate(sizes)
     first = np.concatenate([[True], sizes[1:] > best[:-1]])
@@ -181,9 +196,12 @@ def _softened(softening: Softening, energy: FloatArray) -> FloatArray:
 
 
 def _relaxed(relaxation: Relaxation, elastic: FloatArray, times: FloatArray) -> FloatArray:
-    """Return ``(1 - sum g) S + sum g_i H_i`` by Simo's recursion, `elastic` (..., n) linear in time within a step.
+    """Return the stress after relaxation, ``(1 - sum g) S + sum g_i H_i``, shape (..., n), in kPa.
 
-    ``H_n = e_n H_n-1 + beta_n dS_n`` is evaluated for all steps at once by recursive doubling.
+    S is the `elastic` stress (..., n), linear in time within a step; `times` (n,) are in s; g_i and H_i are the share
+    and the history stress of each term of the Prony series. Simo's recursion ``H_n = e_n H_n-1 + beta_n dS_n``, with
+    decay e_n, mean decay beta_n and stress change dS_n of a step, is evaluated for all steps at once by recursive
+    doubling.
     """
     shares, taus = np.array(relaxation.g), np.array(relaxation.tau_s)
     x = np.diff(times) / taus[:, None]
@@ -200,14 +218,21 @@ def _relaxed(relaxation: Relaxation, elastic: FloatArray, times: FloatArray) -> 
 
 
 def _viscous(square: FloatArray, times: FloatArray) -> FloatArray:
-    """Return ``2 / dt C_n^-1 dE C_n^-1`` of a principal direction with ``C = square``, 1/s; 0 where no time passes."""
+    """Return the rate ``2 / dt C_n^-1 dE C_n^-1`` of a principal direction, shape (n,), in 1/s; 0 where no time passes.
+
+    C = `square` (n,) is the squared stretch, C_n its value at a step's start, dE the change of the strain (C - 1) / 2
+    in the step and dt its duration, from `times` (n,) in s.
+    """
     steps = np.diff(times)
     flow = np.diff(square) / square[:-1] ** 2
     return np.concatenate([[0.0], np.where(steps > 0, flow / np.where(steps > 0, steps, 1.0), 0.0)])
 
 
 def _viscous_shear(shear: FloatArray, times: FloatArray) -> FloatArray:
-    """Return the nominal shear stress of unit viscosity, 1/s."""
+    """Return the nominal viscous shear stress over the viscosity, shape (n,), in 1/s; 0 where no time passes.
+
+    `shear` (n,): amounts of shear; `times` (n,): s.
+    """
     metric, steps = shear_metric(shear), np.diff(times)
     before = shear[:-1]
     inverse = np.empty((len(before), 2, 2))

@@ -22,14 +22,14 @@ _SAME_RATE = 1.5
 
 @dataclass(frozen=True, eq=False)
 class Fold:
-    """Rows that are held out together.
+    """A set of rows (measured points) that are held out of a fit together.
 
     Attributes
     ----------
     name : str
-        For instance ``compression``.
+        Name of what is held out, for instance ``compression``.
     held_out : ndarray of bool, shape (n,)
-        Which rows.
+        Whether each row is held out.
     """
 
     name: str
@@ -38,22 +38,22 @@ class Fold:
 
 @dataclass(frozen=True, eq=False)
 class ProofInput:
-    """Everything that held-out proofs need.
+    """The n rows, covariances and folds that held-out proofs need.
 
     Attributes
     ----------
     unit : str
-        ``mode``, ``rate``, ``specimen`` or ``part``.
+        What each fold holds out: a ``mode``, a ``rate``, a ``specimen``, or the last ``part`` of the curves.
     folds : tuple of Fold
-        Every row is held out once at most.
+        Sets of rows; every row is held out once at most.
     problem : FitProblem
-        Of all rows.
+        Data, weights and believed model of all rows.
     noise, generic : ndarray of float64, shape (n, n)
-        Covariances of the noise and of a generic misfit of size 1, kPa^2.
+        Covariances of the noise and of a generic misfit (a smooth Gaussian process) of size 1, kPa^2.
     repeats : int
         Number of curves that repeat another one; without any the noise is an assumption.
     fitting : ndarray of float64, shape (n, n), optional
-        Covariance that weights the fits, in place of `noise`.
+        Covariance that weights the fits, in place of `noise`, kPa^2.
     """
 
     unit: str
@@ -67,18 +67,18 @@ class ProofInput:
 
 @dataclass(frozen=True)
 class HeldOutErrors:
-    """Errors of a hypothesis' predictions of held-out rows.
+    """Errors of a hypothesis' predictions of held-out rows, by fold (set of rows held out together) and in all.
 
     Attributes
     ----------
     rms : dict of str to float
-        Root mean square error by fold, kPa.
+        Root mean square error by name of the fold, kPa.
     chi : float
-        Root mean square of the error over its standard deviation, all folds together.
+        Root mean square of the error over its standard deviation, all folds together; NaN without predictions.
     misfits : dict of str to float
-        Half the sum of squared whitened errors, by fold.
+        Half the sum of squared whitened errors, by name of the fold, dimensionless.
     rms_all : float
-        Root mean square error of all folds together, kPa.
+        Root mean square error of all folds together, kPa; NaN without predictions.
     """
 
     rms: dict[str, float]
@@ -88,15 +88,16 @@ class HeldOutErrors:
 
     @property
     def total(self) -> float:
-        """Sum of the misfits of all folds."""
+        """Sum of `misfits`, half the squared whitened errors, over all folds, dimensionless."""
         return sum(self.misfits.values())
 
 
 def folds_of(experiment: MaterialExperiment, data: Data) -> tuple[str, tuple[Fold, ...]]:
-    """Return the folds: sets of rows that are held out in turn.
+    """Return what is held out (a unit), and the folds: sets of rows that are held out in turn.
 
-    `experiment`: its `hold_out` is the unit where it is given; else the first of mode, rate and specimen with two
-    values; `data`: rows used. Result: `unit`: as in `ProofInput`; `folds`: at least one.
+    `experiment`: its `hold_out` is the unit where it is given; else the first of mode, rate and specimen with several
+    values; `data`: rows used. Result: `unit`: "mode", "rate", "specimen", or "part" where none has several; `folds`: at
+    least one.
     """
     wanted = HELD_OUT if experiment.hold_out is None else (experiment.hold_out,)
     for unit in wanted:
@@ -112,7 +113,7 @@ def folds_of(experiment: MaterialExperiment, data: Data) -> tuple[str, tuple[Fol
 
 
 def _alike(rates: Sequence[object]) -> list[list[object]]:
-    """Return rates in sets of nearby values."""
+    """Return strain rates (1/s) in ascending order, in sets of which each rate is below 1.5 times the one before."""
     sets: list[list[object]] = []
     for rate in sorted(float(str(r)) for r in rates):
         if sets and rate < _SAME_RATE * float(str(sets[-1][-1])):
@@ -131,10 +132,10 @@ def _named(unit: str, values: Sequence[object]) -> str:
 def held_out_errors(bench: ProofInput, fit: MaterialFit, *, patch_share: float | None = None) -> HeldOutErrors:
     """Return the errors of a hypothesis on every fold, each predicted by a fit to all other rows.
 
-    `bench`: rows, covariances and folds; `fit`: of all rows; its parameters are the first guess; `patch_share`: size of
-    a generic misfit (Gaussian process) that is conditioned on the fitted rows and added to the prediction; none where
-    absent. Without it, the believed law is fitted with independent rows, as a user would do: with correlated errors a
-    wrong law would be fitted to slopes alone. Result: NaN where no fold could be predicted.
+    `bench`: rows, covariances and folds; `fit`: fit to all rows; its parameters are the first guess; `patch_share`:
+    size, over the stress, of a generic misfit (Gaussian process) that is conditioned on the fitted rows and added to
+    the prediction; none where absent. Without it, the believed law is fitted with independent rows, as a user would do:
+    with correlated errors a wrong law would be fitted to slopes alone. Result: NaN where no fold could be predicted.
     """
     data = bench.problem.data
     errors, pointwise, rms, misfits = [], [], {}, {}

@@ -24,7 +24,7 @@ _SIMPLER = 3.0
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
-    """A set of causes, fitted.
+    """A set of causes, fitted together, each in one form (formula of a law or effect with fitted parameters).
 
     Attributes
     ----------
@@ -45,13 +45,13 @@ class Hypothesis:
 
 
 def null_hypothesis(problem: FitProblem) -> Hypothesis:
-    """Return the null hypothesis: the believed law holds, with the modulus within its prior."""
+    """Return the fitted null hypothesis: the believed law holds, with Young's modulus within its prior."""
     fit = fitted(problem, (), [np.array([problem.young_log])])
     return Hypothesis((), fit, fit.evidence)
 
 
 def plain_fit(problem: FitProblem, noise: FloatArray) -> MaterialFit:
-    """Return the believed law fitted with independent rows, as a user would do.
+    """Return a fit of the believed law that treats all rows as independent, the usual practice.
 
     `problem`: data, weights and believed model; `noise` (n, n): covariance of the rows, kPa^2, of which only the
     diagonal is used. Result: its evidence cannot be compared with that of a hypothesis.
@@ -61,10 +61,11 @@ def plain_fit(problem: FitProblem, noise: FloatArray) -> MaterialFit:
 
 
 def unknown(problem: FitProblem, known: Hypothesis) -> Hypothesis:
-    """Return the generic rival: the causes found so far, and a smooth misfit that no cause explains.
+    """Return the generic rival of all causes: those found so far, and a smooth misfit that no cause explains.
 
     `problem`: data, weights and believed model; `known`: causes found so far. Result: with the fit of the likeliest
-    size, and the evidence averaged over all sizes.
+    size of the misfit (a Gaussian process), and the log evidence averaged over all sizes; the last of its ids is
+    ``unknown``.
     """
     fits = [fitted(problem, known.fit.forms, [known.fit.x], share) for share in SHARES]
     best = max(fits, key=lambda fit: fit.evidence)
@@ -76,8 +77,8 @@ def with_cause(problem: FitProblem, known: Hypothesis, cause: str, forms: Sequen
     """Return the hypothesis with one more cause, in its best form.
 
     `problem`: data, weights and believed model; `known`: causes found so far; their forms are kept, their parameters
-    are fitted again; `cause`: id of the new cause; `forms`: its forms, at least one. Result: evidence averaged over the
-    forms.
+    are fitted again; `cause`: id of the new cause; `forms`: formulas in which it is tried, at least one. Result: its
+    log evidence is averaged over the forms.
     """
     found: list[tuple[MaterialFit, float]] = []
     # The fit of a simpler form gives a first guess for a richer one.
@@ -96,7 +97,7 @@ def with_cause(problem: FitProblem, known: Hypothesis, cause: str, forms: Sequen
 
 
 def refitted(problem: FitProblem, forms: Sequence[Form], starts: Sequence[FloatArray]) -> tuple[MaterialFit, float]:
-    """Return the fit of forms with or without a generic misfit, and their evidence.
+    """Return a fit of causes in given forms, with or without a generic misfit, and the log evidence of these forms.
 
     `problem`: data, weights and believed model; `forms`: forms of the causes; `starts`: first guesses. Result: `fit`:
     the likelier of the two; `evidence`: log of the mean evidence with and without the generic misfit, weighted by their
@@ -113,7 +114,10 @@ def refitted(problem: FitProblem, forms: Sequence[Form], starts: Sequence[FloatA
 
 
 def forms_of(cause: str, known: Sequence[str], forms: dict[str, list[Form]]) -> list[Form]:
-    """Return the forms of a cause given those found; none where one of those excludes it (`Cause.slot`)."""
+    """Return the forms in which a cause is tried beside those found; none where its `slot` is taken by one of those.
+
+    `known`: ids of the causes found; `forms`: forms by cause.
+    """
     taken = {CAUSES[other].slot for other in known}
     return [] if CAUSES[cause].slot in taken else forms[cause]
 
@@ -130,7 +134,11 @@ def _likeliest_share(problem: FitProblem, fit: MaterialFit) -> float:
 
 
 def _grown(form: Form, found: Sequence[tuple[MaterialFit, float]]) -> list[list[FloatArray]]:
-    """Return first guesses for a relaxation from the fit with one term less."""
+    """Return first guesses for a Prony series from the fitted one with one term less.
+
+    `form`: form of the series; `found`: earlier fits with their evidence, the last of which must be that series, else
+    the list is empty. A guess has two arrays, each (n_terms,): parameters of the shares, and log times in s.
+    """
     if not found or not form.label.startswith("prony") or not found[-1][0].forms[-1].label.startswith("prony"):
         return []
     last = found[-1][0]

@@ -15,14 +15,15 @@ from tissuereg.experiment.material_experiment import MaterialExperiment
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """A material model: elastic law and memory.
+    """A material model: an elastic law, with optional effects of time and load history (its memory).
 
     Parameters
     ----------
     material : Material
         Law, instantaneous moduli and fibres.
     relaxation, rate, softening, set : effects of these names, optional
-        Effects of time and history.
+        Effects of time and history; None where the model has none: stress relaxation, viscosity, softening by the
+        largest energy so far, permanent set.
     """
 
     material: Material
@@ -33,21 +34,21 @@ class Model:
 
     @property
     def remembers(self) -> bool:
-        """Whether the stress depends on more than the present strain."""
+        """Whether the stress depends on the history of the strain, not on the present strain alone."""
         return any(part is not None for part in (self.relaxation, self.rate, self.softening, self.set))
 
     def with_material(self, **changes: Any) -> "Model":
-        """Return the model with other fields of its material.
+        """Return the model with other values of some fields of its material.
 
         Parameters
         ----------
         **changes
-            Fields of `Material`.
+            Fields of `Material` by name, for instance ``young=3.0`` (kPa).
 
         Returns
         -------
         Model
-            With everything else unchanged.
+            The model with everything else unchanged.
         """
         return replace(self, material=replace(self.material, **changes))
 
@@ -57,12 +58,12 @@ class Model:
         Parameters
         ----------
         effect : Effect
-            Of moduli, law, fibres or memory.
+            Change of moduli, law, fibres or memory.
 
         Returns
         -------
         Model
-            With everything else unchanged.
+            The model with everything else unchanged.
 
         Raises
         ------
@@ -93,9 +94,9 @@ class Model:
 
 
 def model_of(experiment: MaterialExperiment, effects: Iterable[Effect] | None = None) -> Model:
-    """Return the believed model with effects applied.
+    """Return the model of an experiment: its believed material with effects applied.
 
-    `experiment`: believed law and effects; `effects`: in place of the experiment's own. Result: for `stress_of`.
+    `experiment`: believed material and effects; `effects`: effects to apply in place of the experiment's own.
     """
     model = Model(experiment.material)
     for effect in experiment.effects if effects is None else effects:

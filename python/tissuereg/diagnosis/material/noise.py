@@ -24,14 +24,14 @@ ROUGH = 0.2
 
 @dataclass(frozen=True, eq=False)
 class CurveNoise:
-    """Standard deviations of the noise.
+    """Standard deviations of the errors of measured stress curves.
 
     Attributes
     ----------
     std : ndarray of float64, shape (n_curves,)
         White noise of one stress, kPa.
     factor : float
-        Factor between specimens, dimensionless.
+        Standard deviation of the factor by which the stresses of specimens differ, dimensionless.
     along : float
         Correlated error along a curve, over its stress.
     repeats : int
@@ -45,12 +45,12 @@ class CurveNoise:
 
 
 def noise_of(experiment: MaterialExperiment) -> CurveNoise:
-    """Return the estimated noise of an experiment.
+    """Return the estimated noise of the curves of an experiment.
 
     White noise is estimated from the difference between every row and a cubic through its four neighbours along the
     load history. Curves of one mode and rate repeat each other: the factors between them and their mean give the spread
-    of specimens, the remaining differences the correlated errors along a curve. `experiment`: with its curves. Result:
-    with typical values where no curve is repeated.
+    of specimens, the remaining differences the correlated errors along a curve. Typical values are returned where no
+    curve is repeated.
     """
     std = np.array([_white(curve, experiment.stress_std) for curve in experiment.curves])
     factors, rests, repeats = 0.0, 0.0, 0
@@ -66,9 +66,9 @@ def noise_of(experiment: MaterialExperiment) -> CurveNoise:
 
 
 def covariance(data: Data, noise: CurveNoise) -> FloatArray:
-    """Return the covariance of measured stresses about a correct law.
+    """Return the covariance of measured stresses about a correct law, shape (n, n), in kPa^2.
 
-    `data`: rows used; `noise`: standard deviations. Result: (n, n), kPa^2.
+    `data`: the n rows used; `noise`: standard deviations.
     """
     level, specimens = data.level, np.array(data.specimens)
     total = np.diag(noise.std[data.curve_of] ** 2)
@@ -102,7 +102,7 @@ def _white(curve: Curve, given: float | None) -> float:
 
 
 def _cubic_weights(offsets: FloatArray) -> FloatArray:
-    """Return the weights of the cubic through four points at the place 0."""
+    """Return the weights (4,) of the values at four `offsets` (4,) in the cubic through them, evaluated at 0."""
     weights = np.empty(4)
     for i in range(4):
         others = np.delete(offsets, i)
@@ -111,7 +111,11 @@ def _cubic_weights(offsets: FloatArray) -> FloatArray:
 
 
 def _repeated(curves: Sequence[Curve]) -> list[list[int]]:
-    """Return sets of curves of one mode and, within a tenth, one rate and one largest strain."""
+    """Return sets of indices of curves that repeat each other; curves without a repeat are left out.
+
+    They have one mode, rates that are unknown or differ by less than a tenth, and similar strains along the load
+    history.
+    """
     sets: list[list[int]] = []
     for index, curve in enumerate(curves):
         for members in sets:
@@ -133,7 +137,10 @@ def _similar_path(one: Curve, other: Curve) -> bool:
 
 
 def _spread(curves: Sequence[Curve], std: FloatArray) -> tuple[float, float]:
-    """Return the variances of factors and of correlated errors along curves, over the stress."""
+    """Return the variance of the factor between specimens and that of correlated errors along curves, over the stress.
+
+    `curves`: measured curves that repeat each other; `std` (n_curves,): white noise of each, kPa.
+    """
     places = np.linspace(0.05, 1.0, 40)
     # Stress at equal strain, so that small differences of a machine's stroke do not count as errors of the stress.
     common = np.mean([np.interp(places, path_arc(c), c.strains) for c in curves], axis=0)

@@ -25,9 +25,10 @@ def threshold(
 ) -> float:
     """Return the log Bayes factor that the best cause exceeds in one of a hundred null experiments.
 
-    Every form is linearised about its first guesses: one column of stress with a unit prior amplitude, in addition to
-    the column of the modulus. `problem`: data, weights and believed model; `known`: of the believed model; `forms`: by
-    id; `rng`: for the noise; `n_nulls`: number of null experiments. Result: nats, at least `LEAST_THRESHOLD`.
+    Every form (formula of a cause) is linearised about its first guesses: one column of stress with a unit prior
+    amplitude, in addition to the column of the modulus. `problem`: data, weights and believed model; `known`: fit of
+    the believed model; `forms`: by id of the cause; `rng`: random generator of the noise; `n_nulls`: number of null
+    experiments. Result: nats, at least `LEAST_THRESHOLD`.
     """
     draws = rng.standard_normal((len(problem.data.stress), n_nulls))
     young = _young_column(problem, known)
@@ -45,9 +46,9 @@ def threshold(
 def misfit_probability(weights: Weights, residual: FloatArray, rng: np.random.Generator, n_nulls: int = 500) -> float:
     """Return the p-value of the structure in a residual.
 
-    The statistic is the largest log likelihood ratio of a generic misfit against none, over its sizes. `weights`:
-    whitening of the rows; `residual` (n,): measured minus modelled, kPa; `rng`: for the noise; `n_nulls`: number of
-    residuals of noise alone, of uncertain size. Result: from 1 / (n_nulls + 1) to 1.
+    The statistic is the largest log likelihood ratio of a generic misfit (a smooth Gaussian process) against none, over
+    its sizes. `weights`: whitening of the rows; `residual` (n,): measured minus modelled, kPa; `rng`: random generator
+    of the noise; `n_nulls`: number of residuals of noise alone, of uncertain size. Result: from 1 / (n_nulls + 1) to 1.
     """
     found = _structure(weights, weights.whitened(residual)[:, None])[0]
     scale = np.exp(_NOISE_OF_NOISE * rng.standard_normal(n_nulls))
@@ -64,7 +65,11 @@ def _structure(weights: Weights, white: FloatArray) -> FloatArray:
 
 
 def _evidence(draws: FloatArray, columns: FloatArray) -> FloatArray:
-    """Return the linear-Gaussian log evidence of columns with unit prior amplitudes, for every draw."""
+    """Return the log Bayes factor (n_draws,) of a linear-Gaussian model against none, from `draws` (n, n_draws).
+
+    `draws`: residuals of n stresses, whitened; `columns` (n, p): their whitened change by each amplitude, whose prior
+    is the unit normal.
+    """
     inner = np.eye(columns.shape[1]) + columns.T @ columns
     pulled = columns.T @ draws
     gain = 0.5 * np.einsum("in,in->n", pulled, np.linalg.solve(inner, pulled))

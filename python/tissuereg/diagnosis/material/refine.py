@@ -29,18 +29,18 @@ _WORTH = 0.1
 
 @dataclass(frozen=True, eq=False)
 class Refined:
-    """The reported fit.
+    """The reported fit of the causes found.
 
     Attributes
     ----------
     fit : MaterialFit
-        Of all rows; its covariance includes the model error of its form.
+        Fit to all rows; its covariance includes the model error of its form (the formula of the law).
     held_out : HeldOutErrors
         Errors on held-out data with the same form and weights.
     weighting : {"lasting errors", "rows alike"}
-        Weights of the rows: by the full covariance with correlated errors, or equal.
+        Weights of the rows: by the full covariance with correlated errors, or equal within a curve.
     form_error : float
-        Size of the form's model error, over the stress.
+        Root mean square of the form's model error, over the stress; NaN until it is estimated.
     """
 
     fit: MaterialFit
@@ -50,10 +50,11 @@ class Refined:
 
 
 def refined(search: MaterialSearch, none: Hypothesis, known: Hypothesis, noise: CurveNoise) -> Refined:
-    """Return the fit in the form and with the weights that predict best.
+    """Return the fit of the causes found in the form and with the weights that predict held-out data best.
 
-    `search`: with its bench; `none`, `known`: the believed law without and with the causes found; `noise`: noise of the
-    curves. Result: with one of the forms tried of each cause, and its deviations.
+    `search`: search that found them, with its data; `none`, `known`: the believed law without and with the causes
+    found; `noise`: noise of the curves. Result: with one of the forms (formulas) tried of each cause, and its
+    deviations.
     """
     benches = {"lasting errors": search.bench, "rows alike": rows_alike(search.bench, noise)}
     if search.bench.unit == "part":
@@ -95,7 +96,7 @@ def _in_each_form(search: MaterialSearch, none: Hypothesis, known: Hypothesis, c
 
 
 def _reordered(fit: MaterialFit, order: list[str], wanted: tuple[str, ...]) -> MaterialFit:
-    """Return a fit with its forms and their parameters in another order of the ids."""
+    """Return a fit whose forms and parameters, now in the order of the ids `order`, are in that of the ids `wanted`."""
     parts: dict[str, tuple[Form, slice]] = {}
     first = 1
     for id, form in zip(order, fit.forms, strict=True):
@@ -113,7 +114,7 @@ def _of(bench: ProofInput, fit: MaterialFit, weighting: str) -> Refined:
 
 
 def _error(search: MaterialSearch, refined: Refined) -> float:
-    """Return the error that decides: on held-out data, or of the fit itself for a single curve; kPa."""
+    """Return the error (rms, kPa) that decides between fits: on held-out data, or of the fit for a single curve."""
     if search.bench.unit != "part":
         return refined.held_out.rms_all
     data = search.bench.problem.data
@@ -121,7 +122,7 @@ def _error(search: MaterialSearch, refined: Refined) -> float:
 
 
 def rows_alike(bench: ProofInput, noise: CurveNoise) -> ProofInput:
-    """Return a bench on which the rows of a curve have equal weights in fits.
+    """Return a bench (data, covariances and folds) on which the rows of a curve have equal weights in fits.
 
     `bench`: rows, covariances and folds; `noise`: noise of the curves. Result: prediction errors are still measured in
     units of the full noise covariance.

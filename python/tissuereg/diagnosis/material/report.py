@@ -44,10 +44,9 @@ _MOST_POINTS = 300
 
 
 def material_page(found: "MaterialDiagnosis", folder: Path) -> str:
-    """Return the page that will lie in a folder.
+    """Return the HTML page of a diagnosed material test, without external resources.
 
-    `found`: the diagnosis; `folder`: folder of the page, to which paths in the extended model are relative. Result:
-    HTML without external resources.
+    `found`: the diagnosis; `folder`: folder of the page, to which paths in the extended model are relative.
     """
     answer = found.answer
     tone = "yes" if answer["verdict"] == "consistent" else "no"
@@ -105,7 +104,7 @@ def _key(found: "MaterialDiagnosis") -> str:
 
 
 def _charts(found: "MaterialDiagnosis") -> list[str]:
-    """Return one chart for each mode, with all of its curves, measured and modelled."""
+    """Return one HTML chart for each mode, with the measured and modelled stresses (kPa) of all of its curves."""
     curves = found.experiment.curves
     believed = [stress_of(found.outcome.believed.model, curve) for curve in curves]
     after = predicted_stresses(found.extended) if found.answer["causes"] else None

@@ -1,4 +1,4 @@
-"""The scope of a set of curves: tested modes, strains, times and unloading, which decide what causes can be seen."""
+"""The modes, strains, times and unloading of a set of curves, which decide what causes can be observed."""
 
 from dataclasses import dataclass
 
@@ -10,7 +10,7 @@ from tissuereg.experiment.material_experiment import Curve, MaterialExperiment
 
 @dataclass(frozen=True)
 class Scene:
-    """Scope of an experiment, for priors and for the choice of causes.
+    """Tested modes and ranges of a set of curves, which set the priors and decide what causes can be observed.
 
     Attributes
     ----------
@@ -19,9 +19,9 @@ class Scene:
     poisson : float
         Believed Poisson's ratio.
     invariant : float
-        Largest ``I1 - 3``, volume preserved.
+        Largest ``I1 - 3``, with I1 the first invariant of the right Cauchy-Green tensor at preserved volume.
     pulled, pushed : bool
-        Whether a bar was stretched and compressed, each by at least 1 %.
+        Whether a bar was stretched and compressed, each by more than 1 %.
     timed : bool
         Whether times or rates are known.
     paced : bool
@@ -30,7 +30,7 @@ class Scene:
     unloaded : bool
         Whether the strain falls below nine tenths of its largest so far.
     shortest_s, longest_s : float
-        Range of time constants that the curves can resolve.
+        Range of time constants that the curves can resolve, s.
     peak : float
         Largest stress, kPa.
     peak_energy : float
@@ -60,10 +60,7 @@ class Scene:
 
 
 def scene_of(experiment: MaterialExperiment) -> Scene:
-    """Return the scope of an experiment's curves.
-
-    `experiment`: with its curves. Result: ranges, and which kinds of loading there are.
-    """
+    """Return the modes and the ranges of strain, time and stress of an experiment's curves."""
     curves = experiment.curves
     bars = np.concatenate([np.zeros(1), *(c.strains for c in curves if c.mode != "simple-shear")])
     timed = [curve for curve in curves if curve.timed]

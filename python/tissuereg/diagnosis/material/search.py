@@ -36,18 +36,18 @@ Progress = Callable[[str], None]
 
 @dataclass(frozen=True)
 class CandidateCause:
-    """One cause in the race of single causes.
+    """One cause of the first round, in which each is added alone to the believed model.
 
     Attributes
     ----------
     id : str
-        Of the cause.
+        Id of the cause, or ``unknown`` for a generic misfit.
     log_bayes_factor : float
-        Against the same hypothesis without it, nats.
+        Log Bayes factor of the hypothesis with the cause against that without it, nats.
     detectability : float
-        Root of twice the gain in log posterior.
+        Root of twice the gain in log posterior, about the size of the effect in standard deviations of the noise.
     probability : float
-        Posterior probability among all causes, no cause, and the generic rival.
+        Posterior probability among all causes, no cause, and a generic misfit.
     """
 
     id: str
@@ -58,7 +58,7 @@ class CandidateCause:
 
 @dataclass(frozen=True, eq=False)
 class MaterialFinding:
-    """An accepted cause.
+    """An accepted cause, with the group of causes that the data cannot distinguish from it.
 
     Attributes
     ----------
@@ -67,13 +67,13 @@ class MaterialFinding:
     group : tuple of str
         Ids that these data cannot distinguish from it, itself first.
     probability : float
-        As in `CandidateCause`.
+        Posterior probability among all causes, no cause, and a generic misfit, given the other findings.
     log_bayes_factor : float
-        Against the other findings without it, nats.
+        Log Bayes factor of all findings against the other findings without it, nats.
     separability : dict of str to float
-        From each other member of the group.
+        Root of twice the difference in log posterior from each other cause of the group.
     rivals : dict of str to Hypothesis
-        The hypotheses with each of them in its place.
+        For each other cause of the group, the hypothesis with it in place of this one.
     """
 
     id: str
@@ -88,9 +88,10 @@ class MaterialFinding:
 class MaterialSearch:
     """The selection of causes.
 
-    `bench`: data, believed model and folds; `forms`: forms by cause; causes without forms cannot be seen in these
-    curves; `threshold`: log Bayes factor that null experiments exceed rarely, nats; `progress`: called with the name of
-    the step that begins.
+    `bench`: data, believed model and folds; `forms`: formulas in which each cause is fitted, by id; a cause without any
+    cannot be observed in these curves; `threshold`: log Bayes factor that null experiments exceed rarely, nats;
+    `progress`: called with the name of the step that begins; `first_race`: the causes of the first round with their
+    evidence.
     """
 
     bench: ProofInput
@@ -102,9 +103,9 @@ class MaterialSearch:
     _tried: dict[tuple[tuple[str, ...], tuple[str, ...], str], Hypothesis] = field(default_factory=dict)
 
     def run(self, none: Hypothesis) -> Hypothesis:
-        """Return the hypothesis with the accepted causes.
+        """Return the hypothesis with the accepted causes, at most `MOST_FINDINGS` (3).
 
-        `none`: the believed model. Result: with at most `MOST_FINDINGS` causes.
+        `none`: hypothesis of the believed model, without causes.
         """
         known = none
         while len(known.ids) < MOST_FINDINGS:
@@ -115,7 +116,11 @@ class MaterialSearch:
         return self._pruned(none, known)
 
     def race(self, known: Hypothesis, skipped: tuple[str, ...] = ()) -> tuple[list[Hypothesis], Hypothesis]:
-        """Return a hypothesis with each further cause, likeliest first, and with the generic misfit."""
+        """Return a hypothesis with each further cause, likeliest first, and the one with a generic misfit.
+
+        `known`: hypothesis with the causes found before; `skipped`: ids of causes that are not tried. The generic
+        misfit is a smooth Gaussian process.
+        """
         causes = [id for id in self.forms if id not in known.ids and id not in skipped]
         found = []
         for cause in causes:
@@ -132,7 +137,10 @@ class MaterialSearch:
         return self._tried[key]
 
     def in_forms(self, rest: Hypothesis, cause: str) -> tuple[MaterialFit, ...]:
-        """Return the fits with one more cause, in each of its forms, likeliest first."""
+        """Return the fits with one more cause, in each of its forms (formulas), likeliest first.
+
+        `rest`: hypothesis without that cause; `cause`: its id.
+        """
         return self._with(rest, cause, self.forms[cause]).forms
 
     def _step(self, known: Hypothesis) -> Hypothesis | None:
@@ -152,14 +160,19 @@ class MaterialSearch:
     def required(self, known: Hypothesis, grown: Hypothesis) -> float:
         """Return the log Bayes factor that a further cause requires, nats.
 
-        Without repeated curves the noise is an assumption, and the model error of the first cause is easily taken for
-        another cause: further causes then need the evidence that they would need under noise twice as large.
+        `known`, `grown`: hypotheses without and with it. Without repeated curves the noise is an assumption, and the
+        model error of the first cause is easily taken for another cause: further causes then need the evidence that
+        they would need under noise twice as large.
         """
         guessed = self.bench.repeats == 0 and len(known.ids) > 0 and grown.ids[-1] != "stiffness"
         return self.threshold * (4.0 if guessed else 1.0)
 
     def _pair(self, known: Hypothesis, first: Hypothesis, generic: Hypothesis) -> Hypothesis | None:
-        """Return a hypothesis with two more causes where the first has evidence but no proof without the second."""
+        """Return a hypothesis with two more causes; None where two are not accepted either.
+
+        It is tried where one cause (hypothesis `first`) has enough evidence over `known` and `generic` (hypotheses
+        without it, and with a generic misfit), but no proof on held-out data without the second.
+        """
         worth = first.evidence - max(generic.evidence, known.evidence)
         if worth < self.threshold or len(first.ids) == MOST_FINDINGS:
             return None
@@ -170,9 +183,11 @@ class MaterialSearch:
         return None
 
     def is_proved(self, known: Hypothesis, grown: Hypothesis, generic: Hypothesis) -> bool:
-        """Return whether a cause predicts held-out data better than the model without it and than a generic patch.
+        """Return whether a cause predicts held-out data better than the model without it and than a generic misfit.
 
-        `known`: without it; `grown`: with it; `generic`: with a generic misfit in its place. Result: both must hold.
+        `known`: hypothesis without it; `grown`: hypothesis with it; `generic`: hypothesis with a generic misfit (a
+        smooth Gaussian process) in its place. Result: both must hold; for the cause "stiffness" a modulus far from its
+        prior, without a clear loss, suffices.
         """
         self.progress(f"held-out proof of {grown.ids[-1]}")
         before, after = held_out_errors(self.bench, known.fit), held_out_errors(self.bench, grown.fit)
@@ -189,7 +204,11 @@ class MaterialSearch:
         )
 
     def far_modulus(self, fit: MaterialFit) -> bool:
-        """Return whether the prior mean is far from the range between the instantaneous and the relaxed modulus."""
+        """Return whether the prior mean of Young's modulus is far from the fitted one.
+
+        Far is more than `FAR_YOUNG` (3) prior standard deviations of its logarithm from the range between the fitted
+        instantaneous and relaxed moduli.
+        """
         problem, relaxation = self.bench.problem, fit.model.relaxation
         relaxed = 0.0 if relaxation is None else float(np.log1p(-min(sum(relaxation.g), 0.999)))
         above, below = fit.x[0] + relaxed - problem.young_log, problem.young_log - fit.x[0]
@@ -211,13 +230,17 @@ class MaterialSearch:
         return bool(after.chi < patch.chi or after.rms_all < patch.rms_all)
 
     def alternatives(self, none: Hypothesis, known: Hypothesis, cause: str) -> tuple[Hypothesis, list[Hypothesis]]:
-        """Return the hypothesis without a cause, and those with each other cause in its place, likeliest first."""
+        """Return the hypothesis without one cause, and those with each other cause in its place, likeliest first.
+
+        `none`: the believed model; `known`: hypothesis with all accepted causes; `cause`: id of the one that is taken
+        out.
+        """
         rest = self.without(none, known, cause)
         racers, _ = self.race(rest, skipped=(cause,))
         return rest, racers
 
     def without(self, none: Hypothesis, known: Hypothesis, cause: str) -> Hypothesis:
-        """Return the hypothesis without one cause, fitted again."""
+        """Return the hypothesis `known` without one cause (an id), fitted again; `none` where no cause is left."""
         kept = [(id, form) for id, form in zip(known.ids, known.fit.forms, strict=True) if id != cause]
         if not kept:
             return none
@@ -232,7 +255,7 @@ class MaterialSearch:
         return Hypothesis(tuple(id for id, _ in kept), fit, evidence)
 
     def _swapped(self, none: Hypothesis, known: Hypothesis) -> Hypothesis:
-        """Return `known` with each cause but the newest exchanged for another where that raises the log evidence."""
+        """Return `known` with each cause but the last exchanged for another where that raises the evidence clearly."""
         for cause in known.ids[:-1]:
             self.progress(f"exchange of {cause}")
             _, racers = self.alternatives(none, known, cause)
@@ -241,7 +264,7 @@ class MaterialSearch:
         return known
 
     def _pruned(self, none: Hypothesis, known: Hypothesis) -> Hypothesis:
-        """Return the hypothesis without causes that the others have made redundant."""
+        """Return `known` without causes that the others have made redundant; `none`: hypothesis without causes."""
         for cause in known.ids:
             rest = self.without(none, known, cause)
             last = Hypothesis((*rest.ids, cause), known.fit, known.evidence)
@@ -250,9 +273,9 @@ class MaterialSearch:
         return known
 
     def finding(self, none: Hypothesis, known: Hypothesis, cause: str) -> MaterialFinding:
-        """Return the finding of one accepted cause.
+        """Return the finding of one accepted cause, with the group of causes that cannot be distinguished from it.
 
-        `none`: the believed model; `known`: with all accepted causes; `cause`: one of its ids. Result: with its group.
+        `none`: the believed model; `known`: hypothesis with all accepted causes; `cause`: id of one of them.
         """
         self.progress(f"rivals of {cause}")
         rest, racers = self.alternatives(none, known, cause)
@@ -274,7 +297,11 @@ class MaterialSearch:
 
 
 def candidates(known: Hypothesis, racers: list[Hypothesis], generic: Hypothesis) -> list[CandidateCause]:
-    """Return the entries of the answer for a race, the generic rival included."""
+    """Return every cause that was tried alone, and the generic misfit, with their evidence and probability.
+
+    `known`: hypothesis without them; `racers`: hypotheses with one of them each; `generic`: hypothesis with a generic
+    misfit (a smooth Gaussian process).
+    """
     everyone = [*racers, generic]
     total = np.logaddexp.reduce([known.evidence, *(h.evidence for h in everyone)])
     return [
@@ -289,7 +316,7 @@ def candidates(known: Hypothesis, racers: list[Hypothesis], generic: Hypothesis)
 
 
 def visible(forms: dict[str, list[Form]]) -> dict[str, list[Form]]:
-    """Return the causes that have forms, in the catalogue's order."""
+    """Return the causes, with their forms, that the curves can show: those with a form, in the catalogue's order."""
     return {id: forms[id] for id in CAUSES if forms.get(id)}
 
 

@@ -31,12 +31,12 @@ EXPLAINED = 0.8
 
 @dataclass(frozen=True, eq=False)
 class SelectionOutcome:
-    """The result of all steps.
+    """Everything that a diagnosis of material tests found, from which its answer and report are made.
 
     Attributes
     ----------
     verdict : {"named", "group", "consistent", "unexplained"}
-        Verdict.
+        Causes are named, or known up to a group; or the curves are consistent with the believed law, or unexplained.
     known : Hypothesis
         The believed law with the causes found.
     believed : MaterialFit
@@ -44,9 +44,9 @@ class SelectionOutcome:
     refined : Refined or None
         The reported fit of the findings; None without findings.
     findings : tuple of MaterialFinding
-        Empty where the verdict is consistent or unexplained.
+        Named causes; empty where the verdict is consistent or unexplained.
     candidates : tuple of CandidateCause
-        The race of single causes, the generic rival included.
+        Every cause tried alone, and the generic misfit.
     threshold : float
         Log Bayes factor that a cause must exceed, nats.
     p_misfit : float
@@ -54,15 +54,15 @@ class SelectionOutcome:
     explained : float
         Share of the misfit (in squared units of noise) that the findings explain; NaN without findings.
     before, after, patch : HeldOutErrors
-        Of the believed law, with the findings, and with a generic patch.
+        Errors on held-out data of the believed law, with the findings, and with a generic misfit.
     unit : str
-        Unit that was held out.
+        What was held out in turn: a mode, a rate, a specimen or a part of a curve.
     noise : CurveNoise
         Noise of the curves.
     bench : ProofInput
-        Rows, covariances and folds.
+        Rows, covariances and the parts that are held out.
     scene : Scene
-        Scope of the curves.
+        Tested modes and ranges of strain, time and stress.
     """
 
     verdict: str
@@ -84,10 +84,10 @@ class SelectionOutcome:
 
 
 def find_out(experiment: MaterialExperiment, seed: int, progress: Callable[[str], None]) -> SelectionOutcome:
-    """Return the result of all steps of a material diagnosis.
+    """Return everything that a diagnosis of material tests finds, from noise and fits to the verdict.
 
     `experiment`: believed law and measured curves; `seed`: seed of the simulated null experiments; `progress`: called
-    with the name of the step that begins. Result: everything that the answer is made from.
+    with the name of the step that begins.
     """
     rng = np.random.default_rng(seed)
     bench, noise = bench_of(experiment)
@@ -135,10 +135,9 @@ def find_out(experiment: MaterialExperiment, seed: int, progress: Callable[[str]
 
 
 def bench_of(experiment: MaterialExperiment) -> tuple[ProofInput, CurveNoise]:
-    """Return everything that fits and held-out proofs of an experiment need.
+    """Return the rows, covariances and folds that fits and proofs of an experiment need, and the noise of its curves.
 
-    `experiment`: believed law and measured curves. Result: `bench`: rows, covariances and folds; `noise`: noise of the
-    curves.
+    `experiment`: believed law and measured curves.
     """
     data, noise = data_of(experiment), noise_of(experiment)
     own, generic = covariance(data, noise), generic_covariance(data)
@@ -151,7 +150,10 @@ def bench_of(experiment: MaterialExperiment) -> tuple[ProofInput, CurveNoise]:
 
 
 def _without_near_modulus(search: MaterialSearch, none: Hypothesis, known: Hypothesis) -> Hypothesis:
-    """Return the hypothesis without a finding of the modulus where that lies within its prior."""
+    """Return `known` without the cause "stiffness" where the fitted modulus lies within its prior.
+
+    `none` is the hypothesis without causes.
+    """
     if "stiffness" not in known.ids:
         return known
     return known if search.far_modulus(known.fit) else search.without(none, known, "stiffness")

@@ -1,8 +1,8 @@
 """Whitening of residuals by the noise covariance, with or without a generic misfit.
 
 The generic misfit is a Gaussian process in strain, progress and rate, common to all curves of a mode, whose standard
-deviation is `share` times the stress. In the eigenvectors of its covariance, whitened by the noise, the whitening for
-any share is a division:
+deviation is `share` times the stress. In the eigenvectors U of its covariance, whitened by the noise, with eigenvalues
+Lambda, the whitening for any share is a division:
 
     C(share) = L U (1 + share^2 Lambda) U^T L^T,      L L^T = noise
 """
@@ -23,14 +23,16 @@ _STRAIN, _ARC, _SHORT_ARC, _RATE = 0.5, 0.25, 0.06, 1.0
 
 @dataclass(frozen=True, eq=False)
 class Weights:
-    """Whitening of some rows.
+    """Whitening of measured stresses, for any size of a generic misfit (a smooth Gaussian process).
+
+    With noise covariance ``L L^T`` and generic covariance G, ``L^-1 G L^-T = U Lambda U^T``, an eigendecomposition.
 
     Attributes
     ----------
     whitener : ndarray of float64, shape (n, n)
         ``U^T L^-1``, 1/kPa.
     spectrum : ndarray of float64, shape (n,)
-        ``Lambda``.
+        Diagonal of ``Lambda``.
     """
 
     whitener: FloatArray
@@ -42,29 +44,29 @@ class Weights:
         Parameters
         ----------
         residual : ndarray of float64, shape (n,) or (n, k)
-            kPa.
+            Measured minus modelled stresses, kPa.
         share : float
             Size of the generic misfit over the stress.
 
         Returns
         -------
         ndarray of float64, of that shape
-            Dimensionless.
+            Residuals over their standard deviations and without correlation, dimensionless.
         """
         turned = self.whitener @ residual
         size = np.sqrt(1.0 + share**2 * self.spectrum)
         return np.asarray(turned / (size if turned.ndim == 1 else size[:, None]))
 
     def log_size(self, share: float) -> float:
-        """Return half the log determinant of the covariance with a generic misfit over that of the noise."""
+        """Return half the log of the determinant of noise plus generic covariance (size `share`) over that of noise."""
         return 0.5 * float(np.log1p(share**2 * self.spectrum).sum())
 
 
 def weights_of(noise: FloatArray, generic: FloatArray) -> Weights:
-    """Return the whitening of a noise covariance and a generic one.
+    """Return the whitening for a noise covariance and the covariance of a generic misfit.
 
-    `noise`, `generic` (n, n): kPa^2; `generic` for a share of 1. Result: costs one Cholesky factor and one eigenvalue
-    problem.
+    `noise`, `generic` (n, n): kPa^2; `generic` for a misfit of size 1 over the stress. It costs one Cholesky factor and
+    one eigenvalue problem.
     """
     factor = np.linalg.cholesky(noise)
     inverse = np.linalg.inv(factor)
@@ -73,7 +75,7 @@ def weights_of(noise: FloatArray, generic: FloatArray) -> Weights:
 
 
 def generic_covariance(data: Data) -> FloatArray:
-    """Return the covariance of a generic misfit of size 1, kPa^2, shape (n, n)."""
+    """Return the covariance, shape (n, n), kPa^2, of a generic misfit of size 1 over the stress at the n rows."""
 
     def near(values: FloatArray, length: float) -> FloatArray:
         return np.asarray(np.exp(-0.5 * ((values[:, None] - values[None, :]) / length) ** 2))
@@ -91,8 +93,8 @@ def patched(
     """Return the posterior mean of a generic misfit at some rows, given the residual at others.
 
     `noise`, `generic` (n, n): covariances, kPa^2; `share`: size of the misfit over the stress; `known`, `left_out`:
-    rows; `residual` (n_known,): measured minus modelled there, kPa. Result: (n_left_out,), to be added to the model,
-    kPa.
+    indices of the rows with and without a residual; `residual` (n_known,): measured minus modelled there, kPa. Result:
+    (n_left_out,), to be added to the model, kPa.
     """
     own = noise[np.ix_(known, known)] + share**2 * generic[np.ix_(known, known)]
     across = share**2 * generic[np.ix_(left_out, known)]
@@ -100,5 +102,5 @@ def patched(
 
 
 def block(matrix: FloatArray, rows: IntArray) -> FloatArray:
-    """Return the submatrix of some rows and the same columns."""
+    """Return the submatrix (k, k) of the rows and columns with the indices `rows` (k,)."""
     return np.asarray(matrix[np.ix_(rows, rows)])

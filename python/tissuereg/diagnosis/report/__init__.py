@@ -4,5 +4,5 @@ from pathlib import Path
 
 
 def viewer_text() -> str:
-    """Return the script of the three-dimensional view."""
+    """Return the JavaScript text of the page's three-dimensional view."""
     return Path(__file__).with_name("viewer.js").read_text(encoding="utf-8")

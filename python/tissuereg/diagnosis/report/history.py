@@ -26,11 +26,11 @@ _WIDTH, _LEFT, _RIGHT = 900.0, 60.0, 20.0
 
 @dataclass(frozen=True, eq=False)
 class ChannelCurve:
-    """Residuals of one channel of one case over time, in noise deviations.
+    """Residuals of the markers, or of one pad's force, in one case over time, in noise deviations.
 
-    `times` (n_frames,): s; `before`, `after` (n_frames,): root mean squares over the channel's components before and
-    after the findings are included; NaN where nothing was measured; `low`,
-    `high` (n_frames,): band in which noise alone lies in `SHARE` of all frames.
+    `title`: name of the curve; `times` (n_frames,): s; `before`, `after` (n_frames,): root mean squares over the
+    components before and after the findings are included; NaN where nothing was measured; `low`, `high` (n_frames,):
+    band in which noise alone lies in `SHARE` of all frames.
     """
 
     title: str
@@ -41,7 +41,7 @@ class ChannelCurve:
     high: FloatArray
 
     def worst(self, most: int = MOST_FRAMES) -> "ChannelCurve":
-        """Return the curve in fewer frames: of every few consecutive ones, that with the largest residual before."""
+        """Return the curve in at most `most` frames: of every few successive ones the one with the largest `before`."""
         stride = -(-len(self.times) // most)
         size = np.where(np.isfinite(self.before), self.before, -1.0)
         rows = [i + int(np.argmax(size[i : i + stride])) for i in range(0, len(size), stride)]
@@ -51,9 +51,9 @@ class ChannelCurve:
 
 
 def curves(found: "Diagnosis") -> dict[str, list[ChannelCurve]]:
-    """Return the curves of every case: markers, then every measured force.
+    """Return the curves of every case by its name: one of the markers, then one of every measured force.
 
-    Residuals are reduced by the null covariance (tracker frame, drift, discretisation error), so that a correct model
+    Residuals are whitened by noise and nuisances (tracker frame, drift, discretisation error), so that a correct model
     leaves uncorrelated noise of unit variance.
     """
     search, layout, target = found.details["search"], found.details["layout"], found.details["target"]
@@ -76,7 +76,7 @@ def curves(found: "Diagnosis") -> dict[str, list[ChannelCurve]]:
 
 
 def histories(found: "Diagnosis") -> str:
-    """Return the charts of all cases, HTML."""
+    """Return the charts of residuals over time in all cases, as HTML."""
     cases = found.extended.cases
     parts = [
         f"<h3>{escape(name)}</h3>" + _chart(name, several, _load(cases[name]))
@@ -99,7 +99,10 @@ def _curve(title: str, part: "CasePart", before: FloatArray, after: FloatArray, 
 
 
 def _load(case: "Case") -> dict[str, FloatArray]:
-    """Return the size of every actuator's motion or force over its largest, by a label with the largest."""
+    """Return the size of every actuator's motion or force over its largest, each (n_frames,), by a label.
+
+    The label states the largest size, in mm or mN; actuators at rest are left out.
+    """
     load = {}
     for given, unit in ((case.displacements, "mm"), (case.applied_forces, "mN")):
         for name, values in given.items():

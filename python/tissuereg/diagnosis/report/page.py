@@ -38,9 +38,9 @@ summary { cursor: pointer; }
 
 
 def write_report(found: "Diagnosis", path: Path, *, seen_from: str | os.PathLike[str] | None = None) -> Path:
-    """Write the page, whole or not at all.
+    """Write the page of a diagnosis, whole or not at all, and return its path.
 
-    `found`: the diagnosis. Without its details the page has text and the ranking alone; `path`: file to write;
+    `found`: the diagnosis; without its `details` the page has text and the ranking alone; `path`: file to write;
     `seen_from`: final folder of the page, where it is written elsewhere first. Raises `OutputError` if the file cannot
     be written.
     """
@@ -52,7 +52,7 @@ def write_report(found: "Diagnosis", path: Path, *, seen_from: str | os.PathLike
 
 
 def page_parts(found: "Diagnosis", folder: Path) -> list[str]:
-    """Return the sections of the page that will lie in a folder, HTML."""
+    """Return the sections of a diagnosis' page, as HTML; `folder`: the folder in which the page will lie."""
     drawn = {"search", "layout", "target"} <= set(found.details)
     parts = [summary(found), "<h2>Findings</h2>", findings(found)]
     if drawn:

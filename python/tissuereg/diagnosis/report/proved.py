@@ -24,7 +24,7 @@ _MODELS = (
 
 
 def proved(found: "Diagnosis") -> str:
-    """Return the held-out errors of every finding, HTML."""
+    """Return the errors of every finding on data that were left out of its fit, as HTML."""
     proofs = proofs_of(found)
     parts = []
     for number, finding in enumerate(found.findings):
@@ -40,7 +40,7 @@ def proved(found: "Diagnosis") -> str:
 
 
 def proofs_of(found: "Diagnosis") -> dict[int, "HeldOut"]:
-    """Return the held-out errors of findings by their number, without that of a modulus beyond its prior."""
+    """Return the held-out predictions of every finding by its number; a finding of the modulus has none."""
     search = found.details.get("search")
     steps = [step for step in search.steps if step.found is not None] if search is not None else []
     # Findings are in the order of the steps; only the modulus may precede them.
@@ -49,7 +49,7 @@ def proofs_of(found: "Diagnosis") -> dict[int, "HeldOut"]:
 
 
 def gain_words(finding: "Finding") -> str:
-    """Return a finding's held-out errors in a sentence, plain text; empty where nothing was held out."""
+    """Return a finding's errors on held-out data in a sentence, plain text; empty where nothing was held out."""
     held = finding.held_out
     if not held:
         return ""
@@ -66,10 +66,9 @@ def gain_words(finding: "Finding") -> str:
 
 
 def blocks_words(blocks: Sequence[str]) -> str:
-    """Return the names of held-out blocks, plain text; blocks of frames of one case are joined.
+    """Return the names of held-out blocks of data as plain text; blocks of frames of one case are joined.
 
-    `blocks`: as in a proof: cases, or every nth frame of one case from the first, the second, and so on. Result: for a
-    sentence.
+    `blocks`: names of cases, or of every nth frame of one case from the first, the second, and so on.
 
     Examples
     --------

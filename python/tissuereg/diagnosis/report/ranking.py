@@ -22,7 +22,7 @@ _LEAST = -10.0
 
 
 def plain_name(cause: str) -> str:
-    """Return a cause's id as words."""
+    """Return the id of a cause as words for a text."""
     return "something else (generic)" if cause == UNKNOWN else cause.replace("_", " ")
 
 
@@ -32,21 +32,24 @@ def separated(advice: Mapping[str, Any]) -> str:
 
 
 def gloss(cause: str) -> str:
-    """Return the line of the report that explains a cause, given its id."""
+    """Return one line of text that explains a cause, given its id."""
     if cause == UNKNOWN:
         return "Any smooth change over the body, the load and time, without a physical cause."
     return ((type(CAUSES[cause]).__doc__ if cause in CAUSES else None) or "").partition("\n")[0].partition(" (`")[0]
 
 
 def thresholds_of(found: "Diagnosis") -> dict[str, float]:
-    """Return the thresholds of the first round by cause; those of the findings alone where details are missing."""
+    """Return the log Bayes factors, nats, required of causes in the first round, by id.
+
+    Where the diagnosis lacks its details they are those of the findings alone, without the modulus.
+    """
     if "thresholds" in found.details:
         return dict(found.details["thresholds"])
     return {finding.id: finding.threshold for finding in found.findings if finding.id != "stiffness"}
 
 
 def rankings(found: "Diagnosis") -> str:
-    """Return the chart of the first round, and those of later rounds in collapsed sections, HTML."""
+    """Return the chart of causes in the first round, and those of later rounds in collapsed sections, as HTML."""
     thresholds = thresholds_of(found)
     search = found.details.get("search")
     steps = [] if search is None else search.steps
@@ -66,10 +69,11 @@ def rankings(found: "Diagnosis") -> str:
 
 
 def ranking(rows: Sequence[Mapping[str, Any]], thresholds: Mapping[str, float], named: "set[str]", title: str) -> str:
-    """Return the bars of one round.
+    """Return a chart of the log Bayes factors of causes in one round, as HTML.
 
-    `rows`: as `Diagnosis.candidates`; ``probability`` may be absent; `thresholds`: by id; drawn as lines across the
-    bars; `named`: ids that are highlighted as found; `title`: plain text. Result: HTML.
+    `rows`: one mapping for each cause, with ``id``, ``log_bayes_factor`` in nats, and optionally ``probability`` and
+    ``detectability``; `thresholds`: nats by id, drawn as lines across the bars; `named`: ids that are highlighted as
+    found; `title`: plain text.
     """
     if not rows:
         return "<p>No cause of the catalogue applies to this experiment.</p>"
@@ -121,19 +125,22 @@ def ranking(rows: Sequence[Mapping[str, Any]], thresholds: Mapping[str, float], 
 
 
 def chance(probability: float) -> str:
-    """Return a probability as text, never as 0 or 1."""
+    """Return a probability as text with two digits, never as 0 or 1."""
     if probability > 0.995:
         return "> 0.99"
     return f"{probability:.2f}" if probability >= 0.005 else "< 0.01"
 
 
 def _scaled(value: float) -> float:
-    """Return a value on an axis that is linear about zero and logarithmic far away."""
+    """Return sign(value) log10(1 + abs(value)): an axis that is linear about zero and logarithmic far away."""
     return math.copysign(math.log10(1.0 + abs(value)), value)
 
 
 def _rows(step: "Step", before: Sequence[str]) -> list[dict[str, Any]]:
-    """Return the causes tried in a later round; those already in the model only if they were fitted again."""
+    """Return the causes tried in a later round, with ``id`` and ``log_bayes_factor`` in nats, likeliest first.
+
+    `before`: ids of the causes already in the model, which are listed only if they were fitted again.
+    """
     gains = {name: screened.log_bayes_factor for name, screened in step.screened.items()}
     gains |= {candidate.id: candidate.gain for candidate in step.candidates}
     tried = {candidate.id for candidate in step.candidates}

@@ -22,10 +22,11 @@ MOST_VECTORS = 60_000
 
 
 def scene(found: "Diagnosis", most: int = MOST_VECTORS) -> dict[str, Any]:
-    """Return the scene of a diagnosis.
+    """Return the data of the three-dimensional view of a diagnosis, of JSON's types.
 
-    `found`: with its details; `most`: number of residual vectors at most. Result: of JSON's types. Lengths in
-    micrometres, forces in mN, None = not measured. Residuals are measured minus predicted.
+    `found`: the diagnosis, with its details; `most`: number of residual vectors at most. The entries are the drawn
+    surface, pads, markers, targets and inclusions, and for each case the residuals (measured minus predicted) before
+    and after the findings. Lengths are in micrometres, forces in mN, None = not measured.
     """
     layout, search = found.details["layout"], found.details["search"]
     body = found.extended
@@ -78,7 +79,7 @@ def _pad(body: "Experiment", name: str) -> dict[str, Any]:
 
 
 def _worst(cases: list[dict[str, Any]]) -> list[int]:
-    """Return the number of the case and of its frame with the largest residuals before."""
+    """Return the numbers of the case and of its frame with the largest residuals of markers before the findings."""
     sizes = [
         (sum(x * x for x in frame if x is not None), number, row)
         for number, case in enumerate(cases)
@@ -93,7 +94,7 @@ def _rows(flat: list[Any], count: int) -> list[list[Any]]:
 
 
 def _new(found: "Diagnosis") -> tuple[Any, ...]:
-    """Return the effects that the diagnosis added."""
+    """Return the effects that the diagnosis added to the believed model."""
     target = found.details.get("target")
     believed = () if target is None else target.bench.experiment.effects
     return tuple(effect for effect in found.extended.effects if not any(effect is other for other in believed))
@@ -105,7 +106,10 @@ def _markers_of(effect: Any) -> tuple[str, ...]:
 
 
 def _micrometres(places: FloatArray) -> list[int | None]:
-    """Return lengths in mm, flattened, as whole micrometres: short text, and far below any noise."""
+    """Return lengths in mm of any shape as a flat list of whole micrometres, None where not finite.
+
+    Whole micrometres make short text, and are far below any noise.
+    """
     flat = np.asarray(places, np.float64).ravel()
     return [round(1000.0 * x) if np.isfinite(x) else None for x in flat.tolist()]
 
@@ -120,10 +124,10 @@ MOST_TRIANGLES = 12_000
 
 @dataclass(frozen=True, eq=False)
 class PatchedSurface:
-    """Triangles with their patches.
+    """The triangles of a surface, each with the number of its patch.
 
-    `nodes` (n, 3): mm; `triangles` int64 (m, 3): outward; `patch` int64 (m,): 0 is free, 1 held, 2 and on the actuators
-    in their order.
+    `nodes` (n, 3): mm; `triangles` int64 (m, 3): with outward normals; `patch` int64 (m,): 0 is the free surface, 1
+    held nodes, 2 and above the actuators in their order.
     """
 
     nodes: FloatArray
@@ -132,10 +136,10 @@ class PatchedSurface:
 
 
 def drawn_surface(experiment: Experiment, most: int = MOST_TRIANGLES) -> PatchedSurface:
-    """Return the surface of a body at rest.
+    """Return the surface of a body at rest, coarse enough to be drawn.
 
-    `experiment`: with the body and its patches; `most`: number of triangles at most. Result: nodes are merged on
-    coarser and coarser grids until there are few enough triangles.
+    `experiment`: with the body and its patches; `most`: number of triangles at most. Nodes are merged on coarser and
+    coarser grids until there are few enough triangles.
     """
     mesh = experiment.mesh
     patch = np.zeros(len(mesh.surface), np.int64)
@@ -155,7 +159,7 @@ def drawn_surface(experiment: Experiment, most: int = MOST_TRIANGLES) -> Patched
 
 
 def _joined(surface: PatchedSurface, width: float) -> PatchedSurface:
-    """Return the surface with all nodes of a grid cell replaced by their mean."""
+    """Return the surface with all nodes in a grid cell, a cube of edge `width` mm, replaced by their mean."""
     cells = np.floor((surface.nodes - surface.nodes.min(axis=0)) / width).astype(np.int64)
     _, group = np.unique(cells, axis=0, return_inverse=True)
     group = group.reshape(-1)

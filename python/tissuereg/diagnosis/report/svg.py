@@ -15,7 +15,7 @@ BEFORE, AFTER, GENERIC, FLOOR = "#c2571a", "#1f5fa8", "#8a8f98", "#2d8a4e"
 
 @dataclass(frozen=True)
 class PixelScale:
-    """A map from values to pixels. `low`, `high`: values at the ends; `first`, `last`: pixels there."""
+    """A linear map from values to pixels: `low` and `high` are values, `first` and `last` the pixels at them."""
 
     low: float
     high: float
@@ -23,13 +23,13 @@ class PixelScale:
     last: float
 
     def __call__(self, value: float) -> float:
-        """Return the pixel of a value; the middle where all values are one."""
+        """Return the pixel coordinate of a value; the middle where `low` and `high` are equal."""
         if self.high <= self.low:
             return 0.5 * (self.first + self.last)
         return self.first + (self.last - self.first) * (value - self.low) / (self.high - self.low)
 
     def ticks(self, about: int = 5) -> list[float]:
-        """Return round values between the ends."""
+        """Return about `about` round values between `low` and `high`, for the ticks of an axis."""
         span = self.high - self.low
         if span <= 0:
             return [self.low]
@@ -43,8 +43,8 @@ class PixelScale:
 def picture(width: float, height: float, parts: Sequence[str], name: str) -> str:
     """Return an SVG element as wide as the page.
 
-    `width`, `height`: of its coordinates; `parts`: SVG; `name`: description in plain text, for screen readers. Result:
-    SVG element.
+    `width`, `height`: extent of its coordinates, in pixels; `parts`: SVG elements; `name`: description in plain text,
+    for screen readers.
     """
     return (
         f"<svg viewBox='0 0 {width:g} {height:g}' role='img' aria-label='{escape(name)}' "
@@ -53,12 +53,12 @@ def picture(width: float, height: float, parts: Sequence[str], name: str) -> str
 
 
 def text(x: float, y: float, said: object, anchor: str = "start", colour: str = "#333", more: str = "") -> str:
-    """Return plain text at a place."""
+    """Return the plain text `said` as SVG at (x, y) in pixels; `anchor`: start, middle or end; `more`: attributes."""
     return f"<text x='{x:.1f}' y='{y:.1f}' text-anchor='{anchor}' fill='{colour}' {more}>{escape(said)}</text>"
 
 
 def line(x: FloatArray, y: FloatArray, colour: str, more: str = "") -> str:
-    """Return a line through points, in pieces where one is not finite; a single point is a dot."""
+    """Return a line through points (n,), in pixels, as SVG; points that are not finite cut it, a lone one is a dot."""
     good = np.isfinite(x) & np.isfinite(y)
     pieces, start = [], 0
     for i in range(len(x) + 1):
@@ -73,18 +73,18 @@ def line(x: FloatArray, y: FloatArray, colour: str, more: str = "") -> str:
 
 
 def bar(x: float, y: float, width: float, height: float, colour: str, more: str = "") -> str:
-    """Return a rectangle; a negative width goes to the left."""
+    """Return a rectangle from (x, y) in pixels as SVG; a negative width extends to the left; `more`: attributes."""
     left = x + min(width, 0.0)
     return f"<rect x='{left:.1f}' y='{y:.1f}' width='{abs(width):.1f}' height='{height:.1f}' fill='{colour}' {more}/>"
 
 
 def swatch(colour: str, said: str) -> str:
-    """Return an entry of a key, HTML for an element of class ``key``."""
+    """Return an entry of a chart's key, a coloured box and text, as HTML for an element of class ``key``."""
     return f"<span style='background:{colour}'></span>{escape(said)}"
 
 
 def upright(x: float, top: float, bottom: float, colour: str, more: str = "") -> str:
-    """Return a vertical line."""
+    """Return a vertical line as SVG; `x`, `top`, `bottom` in pixels, `more`: further attributes."""
     return f"<line x1='{x:.1f}' x2='{x:.1f}' y1='{top:.1f}' y2='{bottom:.1f}' stroke='{colour}' {more}/>"
 
 

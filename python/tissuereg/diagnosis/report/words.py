@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def verdict_sentence(found: "Diagnosis") -> str:
-    """Return the verdict in one sentence, plain text."""
+    """Return the verdict of a diagnosis in one sentence, plain text."""
     if found.verdict == "consistent":
         return "The measurements are consistent with the simulation, within noise and nuisance parameters."
     if found.verdict == "unexplained":
@@ -35,7 +35,7 @@ def verdict_sentence(found: "Diagnosis") -> str:
 
 
 def summary(found: "Diagnosis") -> str:
-    """Return the top of the page, HTML."""
+    """Return the top of the page as HTML: title, verdict, size of the residual, and what is provisional."""
     good = found.verdict == "consistent"
     tone = "yes" if good else "no"
     parts = [
@@ -51,14 +51,14 @@ def summary(found: "Diagnosis") -> str:
 
 
 def findings(found: "Diagnosis") -> str:
-    """Return every finding with its parameters and evidence, HTML."""
+    """Return every finding with its parameters and evidence, as HTML."""
     if not found.findings:
         return "<p>No cause was accepted.</p>"
     return "\n".join(_finding(finding) for finding in found.findings)
 
 
 def ties(found: "Diagnosis") -> str:
-    """Return the causes that cannot be distinguished and the experiment that would do so, HTML."""
+    """Return the causes that cannot be distinguished and the experiment that would do so, as HTML."""
     groups = [finding for finding in found.findings if len(finding.group) > 1]
     if not groups:
         distinct = "These data distinguish every finding from all other causes that were tried."
@@ -84,7 +84,7 @@ def ties(found: "Diagnosis") -> str:
 
 
 def assumed(found: "Diagnosis") -> str:
-    """Return noise model, nuisances, believed model, seed and versions, HTML."""
+    """Return noise model, nuisance parameters, modulus, prior probabilities, seed and versions, as HTML."""
     items = []
     noise = found.details.get("noise")
     if noise is not None:

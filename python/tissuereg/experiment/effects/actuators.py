@@ -114,7 +114,10 @@ def shifted_patch(mesh: Mesh, actuator: Actuator, shift: Vector) -> IntArray:
 
 
 def _given(experiment: Experiment, name: str, change: Callable[[FloatArray], FloatArray]) -> Experiment:
-    """Return the experiment with an actuator's commanded motion or force changed in every case that has it."""
+    """Return the experiment with one actuator's commanded values changed in every case that has it.
+
+    `change`: takes its motion or force (n_frames, 3), in mm or mN, and returns the changed one.
+    """
     cases = dict(experiment.cases)
     for title, case in cases.items():
         if name in case.displacements:

@@ -111,7 +111,10 @@ class ChainEffect(Effect):
         raise NotImplementedError
 
     def undone(self, seen: FloatArray, times: FloatArray, names: Sequence[str]) -> FloatArray:
-        """Return where markers are, from where the tracker saw them: the inverse of `seen`."""
+        """Return where markers truly are, (n_frames, n_markers, 3), mm, from where the tracker saw them.
+
+        `seen`: places that the tracker saw, of that shape; `times` (n_frames,): s; `names`: of the markers.
+        """
         raise NotImplementedError
 
 

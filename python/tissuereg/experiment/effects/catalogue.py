@@ -154,7 +154,10 @@ def seen_markers(experiment: Experiment, places: FloatArray, times: FloatArray) 
 
 
 def true_markers(experiment: Experiment, seen: FloatArray, times: FloatArray) -> FloatArray:
-    """Return where markers are, errors of the measuring chain undone: the inverse of `seen_markers`."""
+    """Return where markers truly are, (n_frames, n_markers, 3), mm: all errors of the measuring chain are undone.
+
+    `seen`: places that the tracker saw, of that shape; `times` (n_frames,): s.
+    """
     for effect in reversed(_chain(experiment.effects)):
         seen = effect.undone(seen, times, experiment.marker_names)
     return seen

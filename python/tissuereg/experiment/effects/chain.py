@@ -21,11 +21,11 @@ class Frame(ChainEffect):
     shift_mm: Vector = numbers("shift", 3, default=(0.0, 0.0, 0.0))
 
     def seen(self, places: FloatArray, times: FloatArray, names: Sequence[str]) -> FloatArray:
-        """Return turned and shifted places."""
+        """Return places (n_frames, n_markers, 3), mm, turned and shifted, as the tracker sees them."""
         return np.asarray(places @ rotation_from_vector(self.rotation_deg).T + np.asarray(self.shift_mm))
 
     def undone(self, seen: FloatArray, times: FloatArray, names: Sequence[str]) -> FloatArray:
-        """Return places shifted and turned back."""
+        """Return the true places (n_frames, n_markers, 3), mm: shifted and turned back."""
         return np.asarray((seen - np.asarray(self.shift_mm)) @ rotation_from_vector(self.rotation_deg))
 
 
@@ -38,12 +38,12 @@ class Scale(ChainEffect):
     origin_mm: Vector = numbers("point that stays", 3, default=(0.0, 0.0, 0.0))
 
     def seen(self, places: FloatArray, times: FloatArray, names: Sequence[str]) -> FloatArray:
-        """Return stretched places."""
+        """Return places (n_frames, n_markers, 3), mm, stretched about the origin, as the tracker sees them."""
         origin = np.asarray(self.origin_mm)
         return np.asarray(origin + self.scale * (places - origin))
 
     def undone(self, seen: FloatArray, times: FloatArray, names: Sequence[str]) -> FloatArray:
-        """Return places stretched back."""
+        """Return the true places (n_frames, n_markers, 3), mm: stretched back."""
         origin = np.asarray(self.origin_mm)
         return np.asarray(origin + (seen - origin) / self.scale)
 
@@ -56,11 +56,14 @@ class Latency(ChainEffect):
     latency_s: float = number("delay; negative: early")
 
     def seen(self, places: FloatArray, times: FloatArray, names: Sequence[str]) -> FloatArray:
-        """Return places of an earlier time, linear between frames."""
+        """Return the places (n_frames, n_markers, 3), mm, of an earlier time, linear between frames."""
         return _at(times - self.latency_s, places, times)
 
     def undone(self, seen: FloatArray, times: FloatArray, names: Sequence[str]) -> FloatArray:
-        """Return what was seen later, linear between frames; after the last frame, its places are used."""
+        """Return the places (n_frames, n_markers, 3), mm, that were recorded later, linear between frames.
+
+        After the last frame its places are used.
+        """
         return _at(times + self.latency_s, seen, times)
 
 
@@ -79,11 +82,11 @@ class MarkerSlip(ChainEffect):
         _known(experiment, "marker", self.marker)
 
     def seen(self, places: FloatArray, times: FloatArray, names: Sequence[str]) -> FloatArray:
-        """Return places with the marker moved by its slip."""
+        """Return places (n_frames, n_markers, 3), mm, with the marker moved by its slip from its onset on."""
         return self._moved(places, times, names, 1.0)
 
     def undone(self, seen: FloatArray, times: FloatArray, names: Sequence[str]) -> FloatArray:
-        """Return places with the marker put back."""
+        """Return places (n_frames, n_markers, 3), mm, with the marker put back."""
         return self._moved(seen, times, names, -1.0)
 
     def _moved(self, places: FloatArray, times: FloatArray, names: Sequence[str], sign: float) -> FloatArray:
@@ -107,7 +110,7 @@ class MarkerSwap(ChainEffect):
             _known(experiment, "markers", marker)
 
     def seen(self, places: FloatArray, times: FloatArray, names: Sequence[str]) -> FloatArray:
-        """Return places with the two exchanged."""
+        """Return places (n_frames, n_markers, 3), mm, with the two markers exchanged from the onset on."""
         one, other = (names.index(marker) for marker in self.markers)
         rows = times >= self.from_time_s
         swapped: FloatArray = places.copy()
@@ -115,7 +118,7 @@ class MarkerSwap(ChainEffect):
         return swapped
 
     def undone(self, seen: FloatArray, times: FloatArray, names: Sequence[str]) -> FloatArray:
-        """Return places with the two exchanged again."""
+        """Return places (n_frames, n_markers, 3), mm, with the two markers exchanged again."""
         return self.seen(seen, times, names)
 
 

@@ -48,7 +48,10 @@ class Rate(Memory):
 
 @dataclass(frozen=True, kw_only=True)
 class Softening(Memory):
-    """Softening by the largest energy so far, as `tissuereg.simulation.behaviour.SofteningLaw`."""
+    """Softening of the stress by the largest strain energy that the material has had so far (Mullins effect, damage).
+
+    The factor on the stress is that of `tissuereg.simulation.behaviour.SofteningLaw`.
+    """
 
     id: ClassVar[str] = "softening"
     absolute: ClassVar[bool] = True

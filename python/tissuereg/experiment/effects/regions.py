@@ -57,7 +57,10 @@ class Ellipsoid:
         return 2.0 * max(self.semi_axes) / min(self.semi_axes)
 
     def depth(self, points: FloatArray) -> FloatArray:
-        """Return the depth of points (..., 3): to first order near the edge, exact for a ball."""
+        """Return how deep points (..., 3) lie inside, mm, negative outside.
+
+        It is exact for a ball, and to first order near the edge otherwise.
+        """
         offset = points - np.asarray(self.centre)
         axes = np.asarray(self.semi_axes)
         size = np.linalg.norm(offset / axes, axis=-1)
@@ -66,7 +69,11 @@ class Ellipsoid:
         return np.asarray(np.where(slope > 0, size * (1 - size) / np.where(slope > 0, slope, 1.0), inner))
 
     def lattice_depth(self, mesh: Mesh, tets: IntArray, weights: FloatArray) -> FloatArray:
-        """Return the depth of points in tets."""
+        """Return the depth of lattice points in tets, (n_tets, n_points), mm, negative outside the ellipsoid.
+
+        `tets` int64 (n_tets,): numbers of tets; `weights` (n_points, 4): barycentric weights of the points in every
+        tet.
+        """
         return self.depth(np.einsum("pc,tcx->tpx", weights, mesh.nodes[mesh.tets[tets]]))
 
 
@@ -92,7 +99,11 @@ class OuterLayer:
         return np.asarray(self._thickness - _surface_of(self._mesh).distance(points))
 
     def lattice_depth(self, mesh: Mesh, tets: IntArray, weights: FloatArray) -> FloatArray:
-        """Return the depth of points in tets, linear between a tet's corners and its centre."""
+        """Return the depth of lattice points in tets, (n_tets, n_points), mm.
+
+        It is linear between a tet's corners and its centre. `tets` int64 (n_tets,): numbers of tets; `weights`
+        (n_points, 4): barycentric weights of the points in every tet.
+        """
         surface = _surface_of(self._mesh)
         inner = weights.min(axis=1)
         to_corners = (weights - inner[:, None]) @ surface.of_nodes[mesh.tets[tets]].T
@@ -116,7 +127,7 @@ class _FreeSurface:
         self.of_centres = self.distance(mesh.nodes[mesh.tets].mean(axis=1))
 
     def distance(self, points: FloatArray) -> FloatArray:
-        """Return the distance of points (..., 3) from the triangles of their nearest samples."""
+        """Return the distance (...), mm, of points (..., 3) from the triangles of their nearest surface samples."""
         import trimesh
 
         closest: Any = trimesh.triangles.closest_point  # trimesh leaves this function without annotations

@@ -143,7 +143,11 @@ class Detachment(_Support):
         return towards[order[0]] - towards[order], areas
 
     def _towards(self, mesh: Mesh, nodes: IntArray) -> tuple[IntArray, FloatArray, FloatArray]:
-        """Return the nodes' order, outermost first, coordinates along the azimuth, and area shares in that order."""
+        """Return the order of a boundary's nodes from the rim in the direction of the azimuth inwards.
+
+        `nodes` int64 (n,): of the boundary. Result: that order (n,); the coordinate (n,) of the nodes, as given, along
+        the azimuth, mm; the share (n,) of the boundary's area that belongs to each node, in that order.
+        """
         assert self.azimuth_deg is not None  # `check` has seen it
         angle = np.deg2rad(self.azimuth_deg)
         towards = mesh.nodes[nodes] @ np.array([np.cos(angle), np.sin(angle), 0.0])

@@ -23,11 +23,11 @@ from tissuereg.registration.trust import LEVEL, Trust, judge
 
 @dataclass(frozen=True, eq=False)
 class Known:
-    """Registered targets and markers.
+    """What a registration found at the targets and at the markers.
 
-    `used`, `lost`: markers that were used, and those that were not seen or are wrong; `displacement` (n_targets +
-    n_markers, 3): in the tracker's frame, targets first, mm; `points`: uncertainty of the targets, then of the lost
-    markers.
+    `used`, `lost` int64: numbers of the markers that were used, and of those that were not seen or were found wrong;
+    `displacement` (n_targets + n_markers, 3): displacement of the targets, then of all markers, in the tracker's frame,
+    mm; `points`: uncertainty of the targets, then of the lost markers.
     """
 
     used: IntArray
@@ -37,7 +37,7 @@ class Known:
 
 
 def known_of(given: RegisterInput, fit: ContactFit, spread: Spread) -> Known:
-    """Return the registered targets and markers."""
+    """Return the registered displacement and covariance of targets and markers, as the fit has them."""
     state, observed, inner = fit.state, given.observed, given.targets
     n_targets = len(inner.names)
     measured = np.isfinite(given.markers.measured).any(axis=1)
@@ -126,7 +126,7 @@ class Answer:
         )
 
     def _of_markers(self, both: FloatArray) -> FloatArray:
-        """Return the markers' part of an array with the targets first."""
+        """Return the markers' rows (n_markers, 3) of an array (n_targets + n_markers, 3), targets first."""
         return both[len(self.given.targets.names) :]
 
     def _start_displacement(self) -> FloatArray:
@@ -145,7 +145,11 @@ class Answer:
         }
 
     def _unseen(self, position: int, start_displacement: FloatArray) -> Target:
-        """Return the predicted measurement of a lost marker, given its position among the lost ones."""
+        """Return the place at which a lost marker would have been measured, with its covariance in mm^2.
+
+        `position`: number of the marker among the lost ones; `start_displacement` (n_markers, 3): displacement of all
+        markers under the believed load, mm. The covariance contains the tracker's noise.
+        """
         markers, marker = self.given.markers, int(self.known.lost[position])
         index = len(self.given.targets.names) + position
         covariance = self.known.points.covariance[index] + np.diag(markers.axis_std[marker] ** 2)
@@ -167,9 +171,10 @@ class Answer:
         )
 
     def _wrong(self, unseen: list[Target]) -> list[str]:
-        """Return a reason for every dropped marker outside the region that is predicted from the others.
+        """Return one sentence for every dropped marker that lies outside the region predicted from the other markers.
 
-        A dropped marker inside its region contradicts nothing: no sampled contact reaches it, and the region is wide.
+        `unseen`: predicted measurement of each lost marker. A dropped marker inside its region contradicts nothing: no
+        sampled contact reaches it, and the region is wide.
         """
         markers, limit = self.given.markers, LEVEL / max(len(self.given.markers), 1)
         return [
@@ -207,7 +212,10 @@ class Answer:
 
 
 def _chance(residual: FloatArray, covariance: FloatArray) -> float:
-    """Return the p-value of an offset; components that are NaN are ignored."""
+    """Return the chance of an offset (3,), mm, at least as large under a covariance (3, 3), mm^2.
+
+    Components that are NaN are ignored.
+    """
     from scipy.stats import chi2
 
     measured = np.flatnonzero(np.isfinite(residual))
@@ -216,7 +224,7 @@ def _chance(residual: FloatArray, covariance: FloatArray) -> float:
 
 
 def surface_fit(given: RegisterInput, points: PointData | None, start: BodyState, end: BodyState) -> SurfaceFit | None:
-    """Return the fit of the points of the surface; None if there are none."""
+    """Return how well the points of the surface are met before and after a fit; None without points."""
     if given.surface is None or points is None:
         return None
     return SurfaceFit.of(points, given.surface, start, end)

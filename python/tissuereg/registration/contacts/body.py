@@ -21,24 +21,24 @@ _lock = threading.Lock()
 
 @dataclass(frozen=True, eq=False)
 class ContactBody:
-    """A mesh made ready for contacts.
+    """A mesh with everything that contacts on it need and that depends on mesh and supports alone.
 
     Attributes
     ----------
     mesh : Mesh
         Undeformed body.
     supports : Supports
-        Its supports.
+        Its held nodes.
     simulator : Simulator
-        Analysed solver.
+        Finite-element solver whose matrices have been analysed for this mesh.
     patches : Patches
-        Where contacts may be.
+        Parts of the surface on which contacts may act.
     base : Patches or None
-        Patches of the doubtful supports.
+        Parts of the doubtful supports on which unknown tractions may act.
     springs : list of (ndarray of int64 (n, 3), ndarray of float64 (2,))
-        Sets of springs: see `springs_of`.
+        Triangles of each set of springs, with the normal and tangential stiffness of one unit; see `springs_of`.
     blobs : ndarray of float64, shape (n_blobs, n_tets)
-        Smooth fields; their squares add up to one in every tet.
+        Smooth fields along which the stiffness may vary; their squares add up to one in every tet.
     """
 
     mesh: Mesh
@@ -107,6 +107,6 @@ class ContactBody:
 
 
 def forget_bodies() -> None:
-    """Empty the cache of bodies."""
+    """Empty the cache of prepared bodies (`ContactBody.of`)."""
     with _lock:
         _kept.clear()

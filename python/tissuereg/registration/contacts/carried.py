@@ -19,26 +19,27 @@ from tissuereg.simulation.sensitivity import Cause
 
 @dataclass(frozen=True, eq=False)
 class Carried:
-    """Where the passes of one frame ended, from which those of the next frame start.
+    """The state in which the registration of one frame ended, from which the registration of the next frame starts.
 
     Attributes
     ----------
     columns : Columns
-        Causes, with the stiffness of doubtful supports that was found.
+        Possible causes of motion, with the stiffness of doubtful supports that was found.
     state : BodyState
         The equilibrium under the mean load.
     samples : tuple of ndarray
-        Slots, levels and wrong markers of every sample; the last has a column for each marker of the next moment.
+        Of every sample of the posterior: the contacts, the sizes of the families of causes, and the markers that are
+        wrong; the last has a column for each marker of the next frame.
     tangent : Tangent
-        The tangent near that equilibrium.
+        The linearised equilibrium near that state.
     material : Material
         Material, with the graded stiffness that was found.
     further : list of (Cause, float)
         Other uncertain parameters, each with its standard deviation.
     residual : float
-        Root mean square residual over standard deviations that was left.
+        Root mean square residual that was left, in standard deviations.
     moments : int
-        Moments through which the samples have gone on.
+        Number of frames through which the samples have been carried on.
     """
 
     columns: Columns
@@ -52,10 +53,10 @@ class Carried:
 
     @classmethod
     def of(cls, draw: Draws, before: BoolArray, now: BoolArray) -> "Carried":
-        """Return what a registration leaves.
+        """Return the end of a registration, made ready for the next frame.
 
-        `draw`: of the registration; `before`, `now` bool (n_markers,): markers that were seen at that moment, and those
-        that are seen now. Result: markers that were not seen before are taken for right.
+        `draw`: holds the fit of the registration; `before`, `now` bool (n_markers,): markers that were seen in that
+        frame, and those that are seen in the next one. Markers that were not seen before are taken for right.
         """
         fit = draw.fit
         slots, levels, wrong = fit.samples
@@ -66,16 +67,16 @@ class Carried:
         return cls(fit.columns, fit.state, samples, fit.tangent, draw.material, list(draw.further), left, draw.moments)
 
     def columns_for(self, columns: Columns) -> Columns | None:
-        """Return the next frame's columns with the supports' stiffness found; None if body or causes differ."""
+        """Return the causes of the next frame on supports of the stiffness found; None if body or causes differ."""
         if columns.body is not self.columns.body or columns.n_columns != self.columns.n_columns:
             return None
         return columns.made_of(self.material).on(self.columns.springs)
 
     def begin(self, columns: Columns, solve: Callable[[FloatArray], FloatArray]) -> BodyState | None:
-        """Return the body under the contacts of the moment before and the believed load of the next one.
+        """Return the body under the contacts found in the frame before and the next frame's believed load.
 
-        `columns`: of the next moment; `solve` (n_element_nodes, 3): returns the equilibrium under coefficients, mm.
-        Result: None if that load has no equilibrium near the state before.
+        `columns`: causes of the next frame; `solve`: takes the displacement (n_element_nodes, 3) to start from, mm, and
+        returns the equilibrium. Result: None if the load has no equilibrium near that state.
         """
         coefficients = self.state.coefficients
         if _differ(columns, self.columns, coefficients) <= DISCRETISATION.same_load:
@@ -87,7 +88,7 @@ class Carried:
 
 
 def _differ(here: Columns, there: Columns, coefficients: FloatArray) -> float:
-    """Return the relative difference of two loads, the motion of held nodes included."""
+    """Return the relative difference of the loads that two sets of causes make of coefficients (n_columns,)."""
     loads = [columns.load(coefficients) for columns in (here, there)]
     parts = [
         np.concatenate([np.ravel(load.forces), np.ravel(load.body_force), np.ravel(load.prescribed)]) for load in loads

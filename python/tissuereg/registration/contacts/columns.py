@@ -23,11 +23,11 @@ from tissuereg.simulation.solve import LoadParts
 
 @dataclass(frozen=True)
 class Family:
-    """Causes that share one unknown standard deviation.
+    """A group of causes, such as all tractions of the background, that share one standard deviation.
 
-    `columns`: columns of the block; `variance`: variance of each coefficient at factor one; `factors` (n_levels,):
-    candidate factors on the variance; `log_prior` (n_levels,): logarithm of each level's prior probability, up to a
-    constant.
+    `columns`: the causes that belong to it; `variance`: variance of each coefficient at factor one; `factors`
+    (n_levels,): candidate factors on that variance; `log_prior` (n_levels,): logarithm of each candidate's prior
+    probability, up to a constant.
     """
 
     name: str
@@ -47,24 +47,24 @@ class Family:
 
 @dataclass(frozen=True, eq=False)
 class Columns:
-    """All causes of one registration.
+    """All causes that may have moved the body in one registration: one column each, with an unknown coefficient.
 
     Attributes
     ----------
     body : ContactBody
-        The body they act on.
+        The body on which they act.
     young : ndarray of float64, shape (n_patches,)
-        Mean Young's modulus near every patch in kPa; scales its forces.
+        Mean Young's modulus near every patch of the surface, kPa: forces are in proportion to it.
     base_young : float
-        The same near the doubtful supports, one value for all.
+        Mean Young's modulus near the doubtful supports, kPa.
     springs : ndarray of float64, shape (n_sets, 2), or None
-        Stiffness in kPa/mm of the springs under doubtful supports or of the soft bed of a free body.
+        Normal and tangential stiffness, kPa/mm, of the springs under doubtful supports or under a free body.
     believed : LoadParts
-        The believed load; zero coefficients mean that it acts exactly.
+        The believed load; with zero coefficients it acts exactly.
     families : tuple of Family
-        One per block, the background first.
+        Groups of causes; first the weak tractions anywhere on the surface (the background).
     rigid : ndarray of float64, shape (2, 3)
-        Pivot and length of rigid motions; the coefficient of a rotation is the displacement at that length.
+        Pivot of rigid rotations, and the length at which the coefficient of a rotation is the displacement in mm.
     """
 
     body: ContactBody
@@ -86,7 +86,10 @@ class Columns:
         *,
         drifts: bool = False,
     ) -> "Columns":
-        """Return the columns of a body under a believed load; `drifts` allows a small rigid motion of the tracker."""
+        """Return the possible causes on a body of some material under a believed load.
+
+        `drifts`: whether a small rigid motion of the tracker is among them.
+        """
         n_patches = 3 * body.patches.n_patches
         extent = body.mesh.extent
         families = [
@@ -127,12 +130,12 @@ class Columns:
         return replace(self, young=_patch_young(self.body, material))
 
     def on_springs(self, stiffness: Sequence[float]) -> "Columns":
-        """Return the same columns with other spring stiffnesses, one per set, in Young's modulus over extent."""
+        """Return the same causes on springs of other stiffness: one value a set, modulus over extent."""
         springs = [unit * self.base_young * one for (_, unit), one in zip(self.body.springs, stiffness, strict=True)]
         return replace(self, springs=np.array(springs))
 
     def on(self, springs: FloatArray | None) -> "Columns":
-        """Return the same columns with springs (n_sets, 2) in kPa/mm."""
+        """Return the same causes on springs of other stiffness (n_sets, 2), normal and tangential, in kPa/mm."""
         return replace(self, springs=springs)
 
     @property
@@ -174,7 +177,7 @@ class Columns:
         return np.asarray(np.einsum("kpx,px->pk", self.rigid_field(places), directions))
 
     def rigid_field(self, places: FloatArray) -> FloatArray:
-        """Return the motions (6, n_points, 3) of places by unit translations and rotations, mm."""
+        """Return the motions (6, n_points, 3), mm, of places (n_points, 3) by unit translations and rotations."""
         pivot, length = self.rigid
         moves = np.zeros((6, len(places), 3))
         for axis in range(3):
@@ -183,7 +186,10 @@ class Columns:
         return moves
 
     def _believed_responses(self, compliance: Compliance) -> FloatArray:
-        """Return responses to the size of every believed force, along each axis."""
+        """Return how observations respond to the size of each believed force along each axis, (n_obs, n_forces), in mm.
+
+        `compliance`: sensitivities of the observations to nodal forces.
+        """
         out = np.zeros((len(compliance.forces), 3))
         forces, weight, moved = (self.believed[part] for part in ("forces", "body_force", "prescribed"))
         if forces is not None:
@@ -195,7 +201,7 @@ class Columns:
         return out
 
     def load(self, coefficients: FloatArray) -> Load:
-        """Return the load of coefficients (n_columns,), the believed one included."""
+        """Return the load that belongs to coefficients (n_columns,) of the causes, the believed load included."""
         (forces,), (weight,) = self._forces_and_weights(coefficients[None])
         moved = np.zeros((len(self.body.simulator.held_nodes), 3))
         if self.believed["forces"] is not None:
@@ -239,18 +245,18 @@ class Columns:
         return forces, weights
 
     def frame(self, coefficients: FloatArray) -> FloatArray:
-        """Return the coefficients (6,) of the rigid motion; zero where there is none."""
+        """Return the coefficients (6,) of the tracker's rigid motion among all (n_columns,); zero without one."""
         return np.asarray(coefficients[self._offsets["frame"]]) if "frame" in self._offsets else np.zeros(6)
 
     def without_frame(self, coefficients: FloatArray) -> FloatArray:
-        """Return coefficients whose rigid motion is zero."""
+        """Return coefficients (n_columns,) with the part that is a rigid motion of the tracker set to zero."""
         out: FloatArray = np.array(coefficients)
         if "frame" in self._offsets:
             out[self._offsets["frame"]] = 0.0
         return out
 
     def core_families(self) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
-        """Return the families in the form that the compiled sampler takes."""
+        """Return columns, candidate factors on the variance and log priors of every family, for the sampler."""
         found = []
         for family in self.families:
             variances = np.zeros(self.n_columns)
@@ -266,7 +272,7 @@ def _spread(patches: Patches, units: FloatArray) -> FloatArray:
 
 
 def _in_mm(size: tuple[float, float], extent: float) -> tuple[float, float]:
-    """Return a size over the extent in mm."""
+    """Return (median, standard deviation of the logarithm) of a size given over the extent, with the median in mm."""
     return (size[0] * extent, size[1])
 
 

@@ -68,30 +68,30 @@ class Cells:
 
 @dataclass(frozen=True, eq=False)
 class Condensed:
-    """Responses of observations and cells to all causes, on springs of one stiffness.
+    """Responses of the observations and of small parts of the supports to all causes, on springs of one stiffness.
 
     Attributes
     ----------
     columns : Columns
         Causes, on these springs.
     cells : Cells
-        Cells of the springs.
+        Small parts of the surface on springs, each of which moves nearly as one.
     known : float
         Stiffness of these springs, in Young's modulus over extent.
     stiffness : ndarray of float64, shape (n_cells,)
         Force per mm of each cell at stiffness one, mN/mm.
     innovation : ndarray of float64, shape (n_obs,)
-        Measured minus predicted at zero coefficients, mm.
+        Measured displacement minus that predicted at zero coefficients, mm.
     variances : ndarray of float64, shape (n_obs,)
-        Noise variances, mm^2.
+        Variances of the observations' noise, mm^2.
     responses : ndarray of float64, shape (n_obs + 3 n_cells, n_columns)
-        Of observations and motions of cells to the causes.
+        Motion of observations, then of cells, under a unit coefficient of each cause, mm.
     rest : ndarray of float64, shape (3 n_cells,)
-        Motions of cells at zero coefficients, mm.
+        Motions of the cells at zero coefficients, mm.
     by_cells : ndarray of float64, shape (n_obs, 3 n_cells)
-        Responses of observations to forces on cells, mm/mN.
+        Motion of the observations under unit forces on the cells, mm/mN.
     among : ndarray of float64, shape (3 n_cells, 3 n_cells)
-        Responses of cells to forces on cells, mm/mN.
+        Motion of the cells under unit forces on the cells, mm/mN.
     """
 
     columns: Columns
@@ -107,11 +107,11 @@ class Condensed:
 
     @classmethod
     def of(cls, passes: Passes, frame: RigidMotion, known: float) -> "Condensed":
-        """Return the condensed problem of a body at its start.
+        """Return the condensed problem of a body before its first registration step.
 
-        `passes`: body, material, data. Its work is counted; `frame`: rigid motion to begin with; `known`: stiffness of
-        the springs there, in Young's modulus over extent. Cost: a factorisation, one right-hand side per
-        observation and three per cell.
+        `passes`: body, material and data; the work is counted there; `frame`: rigid motion of the tracker to begin
+        with; `known`: stiffness of the springs, in Young's modulus over extent. Cost: a factorisation, one right-hand
+        side for each observation and three for each cell.
         """
         body = passes.columns.body
         columns = passes.columns.on_springs([known] * len(body.springs))
@@ -146,17 +146,17 @@ class Condensed:
         )
 
     def on(self, stiffness: Sequence[float]) -> "OnSprings":
-        """Return the observations on springs of other stiffnesses, one per set, in modulus over extent."""
+        """Return the observations on springs of other stiffness: one value a set, modulus over extent."""
         more = np.array(stiffness)[self.cells.of_set] - self.known
         return OnSprings(self, np.repeat(more * self.stiffness, 3))
 
 
 @dataclass(frozen=True, eq=False)
 class OnSprings:
-    """Observations on springs of one stiffness.
+    """The observations of a body on springs of another stiffness than the one for which responses were computed.
 
-    `condensed`: on springs of the known stiffness; `pull` (3 n_cells,): force per mm of every cell in excess of the
-    known springs, mN/mm.
+    `condensed`: responses on the springs of known stiffness K0; `pull` (3 n_cells,): stiffness of every cell in excess
+    of K0, mN/mm.
     """
 
     condensed: Condensed
@@ -164,21 +164,25 @@ class OnSprings:
 
     @cached_property
     def _kept(self) -> FloatArray:
-        """I + C K, (3 n_cells, 3 n_cells)."""
+        """Matrix I + C K, (3 n_cells, 3 n_cells): C are motions of cells by forces on cells, K the excess stiffness."""
         return np.asarray(np.eye(len(self.pull)) + self.condensed.among * self.pull)
 
     @cached_property
     def by_motion(self) -> FloatArray:
-        """W, (n_obs, 3 n_cells): change of the observations by motions of cells on the known springs."""
+        """Change of the observations by unit motions of the cells on the known springs, (n_obs, 3 n_cells)."""
         return np.asarray(-np.linalg.solve(self._kept.T, (self.condensed.by_cells * self.pull).T).T)
 
     @cached_property
     def innovation(self) -> FloatArray:
-        """Measured minus predicted at zero coefficients, (n_obs,) in mm."""
+        """Measured displacement minus that predicted at zero coefficients on these springs, (n_obs,), in mm."""
         return self.condensed.innovation - self.by_motion @ self.condensed.rest
 
     def observed(self, covariance: FloatArray) -> FloatArray:
-        """Return the covariance (n_obs, n_obs) of observations, given that of all motions on the known springs."""
+        """Return the covariance (n_obs, n_obs) of the observations on these springs, in mm^2.
+
+        `covariance` (n_obs + 3 n_cells, n_obs + 3 n_cells): of observations and cells on the springs of known
+        stiffness, mm^2.
+        """
         n_obs = len(self.condensed.innovation)
         mixed = self.by_motion @ covariance[n_obs:, :n_obs]
         inner = self.by_motion @ covariance[n_obs:, n_obs:] @ self.by_motion.T

@@ -77,10 +77,10 @@ class Draws:
 
 @dataclass(frozen=True, eq=False)
 class NodesOfContacts:
-    """The covariance of every node, computed on call.
+    """Computes the covariance of every node when it is called, and keeps it.
 
     `spread`: uncertainty of the fit; `seed`: of the registration; `fields` (n_draws, n_nodes, 3) or None: posterior
-    fields in equilibrium, if they have been solved; else linear draws are used.
+    displacement fields in equilibrium, mm, if they have been solved; otherwise fields are drawn from the linear model.
     """
 
     spread: Spread

@@ -57,7 +57,7 @@ class ElasticBody:
 
     @cached_property
     def rows(self) -> list[tuple[IntArray, FloatArray]]:
-        """What each coordinate of a marker sees: nodes and their weights, 3 n_markers rows."""
+        """Nodes, int64 (k,), and weights, float64 (k, 3), of each of the 3 n_markers coordinates of the markers."""
         return self.observed.rows(np.zeros((len(self.observed.nodes), 3)))
 
     @cached_property
@@ -67,7 +67,7 @@ class ElasticBody:
 
     @cached_property
     def _free(self) -> IntArray:
-        """Nodes of the surface that are not held."""
+        """Numbers of the surface nodes that are not held, int64 (n_free,)."""
         return np.setdiff1d(self.mesh.surface_nodes, self.mesh.fixed_nodes)
 
     @cached_property
@@ -76,22 +76,22 @@ class ElasticBody:
         return make_patches(self.mesh, self._free)
 
     def seen(self, fields: FloatArray) -> FloatArray:
-        """Return the markers' displacements (n_fields, 3 n_markers) in fields (n_fields, n_nodes, 3)."""
+        """Return the markers' displacements (n_fields, 3 n_markers) in fields (n_fields, n_nodes, 3), mm."""
         columns = [np.einsum("fkx,kx->f", fields[:, nodes], weights) for nodes, weights in self.rows]
         return np.stack(columns, axis=1)
 
     def residual(self, displacement_mm: FloatArray, seen: IntArray, simulation_mm: FloatArray | None) -> FloatArray:
-        """Return what displacements (n_seen, 3) of the markers `seen` have in excess of a simulation's, mm.
+        """Return the measured displacements of some markers minus those of a simulation, (3 n_seen,), mm.
 
-        `displacement_mm` (n_seen, 3); `seen` int64 (n_seen,); `simulation_mm` (n_nodes, 3) or None: None: the body at
-        rest.
+        `displacement_mm` (n_seen, 3): measured; `seen` int64 (n_seen,): numbers of the markers; `simulation_mm`
+        (n_nodes, 3): simulated displacement; None for the body at rest.
         """
         if simulation_mm is None:
             return displacement_mm
         return displacement_mm - self.observed.predict(simulation_mm[self.observed.nodes])[seen]
 
     def least_energy(self) -> LinearPrior:
-        """Return the prior of the strain energy, ``P = K^-1``."""
+        """Return the prior under which a displacement is the less likely, the more strain energy it takes: P = K^-1."""
         fields = self._at_markers[:, : self.mesh.n_nodes]
         return LinearPrior(self.seen(fields), np.moveaxis(fields, 0, -1), self._std)
 
@@ -144,9 +144,10 @@ class ElasticBody:
         return {name: self.given_way(prior, rigid) for name, prior in found.items()}
 
     def given_way(self, prior: LinearPrior, share: float) -> LinearPrior:
-        """Return a prior with small rigid motions of the whole body, held nodes included, added.
+        """Return a prior to which small rigid motions of the whole body, held nodes included, have been added.
 
-        `prior`: of this body; `share`: variance of the markers by these motions over that by `prior`; 0 adds none.
+        `prior`: of this body; `share`: variance of the markers by these motions over their variance by `prior`; 0 adds
+        none.
         """
         off = self.mesh.nodes - self.mesh.nodes.mean(axis=0)
         turns = np.cross(np.eye(3)[:, None], off) / np.sqrt(np.mean(off**2))

@@ -18,10 +18,10 @@ from tissuereg.registration.contacts.state import RigidMotion
 
 
 def log_evidence(passes: Passes, frame: RigidMotion) -> float:
-    """Return the logarithm of the evidence of a body, up to a constant of its markers.
+    """Return the logarithm of the evidence that the observations give a body, up to their own constant.
 
-    `passes`: body, material, data. Its work is counted; `frame`: rigid motion to begin with. Result: at the best sizes,
-    with their prior.
+    `passes`: body, material and data; the work is counted there; `frame`: rigid motion of the tracker to begin with.
+    Unknown sizes of the causes take their best values, with their prior.
     """
     start = start_of(passes.columns, passes.material, None, frame, passes.threads)
     problem = passes.observations(start)
@@ -32,9 +32,10 @@ def log_evidence(passes: Passes, frame: RigidMotion) -> float:
 
 @dataclass(frozen=True)
 class SupportStiffness:
-    """Stiffness of doubtful supports, one number per set of springs, in Young's modulus over extent.
+    """Estimated stiffness of doubtful supports, one number for each set of springs, in Young's modulus over extent.
 
-    `best`: of the highest evidence; `log_std`: standard deviation of the logarithm of each, with the others fixed.
+    `best`: values of the highest evidence; `log_std`: standard deviation of the logarithm of each, with the others
+    fixed.
     """
 
     best: tuple[float, ...]
@@ -44,9 +45,9 @@ class SupportStiffness:
 def support_stiffness(passes: Passes, frame: RigidMotion) -> SupportStiffness:
     """Return the stiffness of doubtful supports that has the highest evidence.
 
-    `passes`: body, material, data; `frame`: rigid motion to begin with. Result: the best common value for all sets of
-    springs, then the best for one set after the other, twice. Cost: one factorisation, one right-hand side per marker
-    component and three per cell, for any number of candidates.
+    `passes`: body, material and data; `frame`: rigid motion of the tracker to begin with. First the best common value
+    of all sets of springs is found, then the best of one set after the other, twice. Cost: one factorisation, one
+    right-hand side for each component of a marker and three for each cell, for any number of candidates.
     """
     tried, settings = passes.settings.stiffness_tried, passes.settings.evidence
     n_sets = len(passes.columns.body.springs)
@@ -81,7 +82,11 @@ def support_stiffness(passes: Passes, frame: RigidMotion) -> SupportStiffness:
 def _parts(
     columns: Columns, responses: FloatArray, settings: EvidenceSettings
 ) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
-    """Return covariances of the observations with factors and log priors: one contact anywhere, then all families."""
+    """Return the parts of the observations' covariance whose sizes are unknown: one contact anywhere, then each family.
+
+    `responses` (n_obs, n_columns): of the observations to the causes, mm. Result: for each part its covariance (n_obs,
+    n_obs) at size one, the candidate factors on it, and the logarithm of their prior.
+    """
     patches = columns.body.patches
     count = np.bincount(patches.level)
     likely = np.repeat(1.0 / (3.0 * len(count) * count[patches.level]), 3)
@@ -100,7 +105,10 @@ def _best_over_sizes(
     parts: list[tuple[FloatArray, FloatArray, FloatArray]],
     settings: EvidenceSettings,
 ) -> float:
-    """Return the log evidence maximised over the sizes of all parts, one part after the other."""
+    """Return the log evidence maximised over the sizes of all parts of the covariance, one part after the other.
+
+    `innovation` (n_obs,): mm; `noise` (n_obs,): variances, mm^2; `parts`: covariance, candidate factors and log priors.
+    """
     levels = [int(np.argmin(np.abs(np.log(factors)))) for _, factors, _ in parts]
     total = noise + sum(part[0] * part[1][level] for part, level in zip(parts, levels, strict=True))
     best = -np.inf
@@ -118,7 +126,7 @@ def _best_over_sizes(
 
 
 def _log_normal(innovation: FloatArray, covariance: FloatArray) -> float:
-    """Return the logarithm of a normal density of mean zero, up to a constant."""
+    """Return log N(v; 0, C) up to a constant, for an innovation v (n_obs,), mm, and covariance C, mm^2."""
     factor = np.linalg.cholesky(covariance)
     white = np.linalg.solve(factor, innovation)
     return -0.5 * float(white @ white) - float(np.log(np.diag(factor)).sum())

@@ -31,10 +31,11 @@ Samples = tuple[Any, Any, Any]
 
 @dataclass(frozen=True, eq=False)
 class _Pass:
-    """One pass: its end, its samples, and the linear problem at its start.
+    """One round of linearising, sampling and solving: its end, its samples, and the linear problem at its start.
 
-    `residual` is the root mean square residual over standard deviations, `predicted` the linear model's prediction of
-    it, `misfit` the mean over samples of the squared Mahalanobis length of the innovation.
+    `state`: equilibrium at its end; `samples`: of the posterior; `at`: the linear problem; `residual`: root mean square
+    residual over standard deviations; `predicted`: what the linear model predicted for it; `misfit`: mean over the
+    samples of the squared Mahalanobis length of the innovation.
     """
 
     state: BodyState
@@ -51,7 +52,7 @@ class _Pass:
 
 @dataclass(frozen=True)
 class _Residuals:
-    """The numbers that are kept of every pass: see `_Pass`."""
+    """Root mean square residual of a round over standard deviations, and the linear model's prediction of it."""
 
     residual: float
     predicted: float
@@ -59,30 +60,30 @@ class _Residuals:
 
 @dataclass(frozen=True, eq=False)
 class ContactFit:
-    """The result of the passes.
+    """The contacts that were found, and the equilibrium under them.
 
     Attributes
     ----------
     columns : Columns
-        Causes.
+        Possible causes.
     state : BodyState
         The equilibrium under the mean load.
     tangent : Tangent
-        The tangent there, or at the start of the last step if that step ended as its linear model predicted.
+        The linearised equilibrium there, or at the start of the last step if that ended as its linear model predicted.
     observations : LinearObservations
-        Data at that tangent, in the sampler's form.
+        Observations with their responses to the causes, linearised there.
     sampler : _core.Contacts
-        Dictionary, prior and data there.
+        Compiled sampler with prior and data at that linearisation.
     samples : tuple of ndarray
-        Slots, levels and wrong groups of every sample.
+        Of every sample: the contacts, the size of each family of causes, and which markers are wrong.
     wrong : ndarray of float64, shape (n_markers,)
         Probability that each marker is wrong; zero for markers that were not seen.
     misfit : float
         Mean over samples of the squared Mahalanobis length of the innovation at the end.
     residual_rms : list of float
-        Root mean square residual after each pass, over standard deviations.
+        Root mean square residual after each round, over standard deviations.
     counters : collections.Counter
-        Work counters.
+        Numbers of factorisations, right-hand sides, solves and sweeps.
     """
 
     columns: Columns
@@ -99,12 +100,12 @@ class ContactFit:
 
 @dataclass(eq=False)
 class Passes:
-    """The loop over passes with its data and settings.
+    """The loop of linearising, sampling and solving, with its data and settings; one round is called a pass.
 
-    `columns`: causes; `observed`: data; `material`: material of the body; `settings`: prior and chains; `rng`: source
-    of all random numbers; `threads`: threads to use; 0 takes all cores; `clock`: records the times of the stages;
-    notified of every pass; `before`: samples from which the first pass goes on, if the data are not matched anew;
-    `kept`: a tangent near the start.
+    `columns`: possible causes; `observed`: data; `material`: material of the body; `settings`: prior and Markov chains;
+    `rng`: source of all random numbers; `threads`: threads to use, 0 takes all cores; `clock`: records the times of the
+    stages and is notified of every pass; `before`: samples from which the first pass goes on, if points are not matched
+    anew; `kept`: a linearised equilibrium near the start.
     """
 
     columns: Columns
@@ -152,7 +153,7 @@ class Passes:
         return self._fit(last, self._at_end(last, full), history)
 
     def _at_end(self, last: "_Pass", full: ObservedData) -> AtBody:
-        """Return the linear problem at the end of a pass, or that at its start if the step ended as predicted."""
+        """Return the linear problem at the end of a pass, or at its start if the step ended as predicted."""
         if last.ended_as_predicted(self.steps.as_predicted) and not full.rematches:
             return last.at
         try:
@@ -161,7 +162,11 @@ class Passes:
             return last.at
 
     def _from(self, start: BodyState, stages: list[tuple[ObservedData, int]]) -> tuple["_Pass", list[float]]:
-        """Return the closest pass from a start, and the cost after each pass."""
+        """Return the pass that came closest to the data from a start, and the residual after each pass.
+
+        `stages`: data to be met one after the other, each with its largest number of passes. Residuals: root mean
+        square, over standard deviations.
+        """
         last, state, history = None, start, list[float]()
         samples = None if self.observed.weighed or self.observed.rematches else self.before
         for observed, most in stages:
@@ -177,7 +182,11 @@ class Passes:
         return last, history
 
     def _stages(self, full: ObservedData, width: float) -> list[tuple[ObservedData, int]]:
-        """Return the data of each stage with its largest number of passes."""
+        """Return the data of each stage with its largest number of passes: few points first, then all.
+
+        `full`: all data; `width`: length, as a share of the extent, within which errors of first matches are
+        correlated.
+        """
         if not full.rematches:
             return [(full, self.settings.max_passes)]
         stages = [(full.coarser(width), self.steps.coarse_passes), (full, self.steps.fine_passes)]
@@ -253,13 +262,16 @@ class Passes:
         return tuple(samples)
 
     def _mean(self, at: AtBody, samples: Samples) -> tuple[FloatArray, float]:
-        """Return the mean coefficients (n_columns,) over samples, and their misfit."""
+        """Return mean coefficients (n_columns,) over samples, and the mean squared length of the innovation."""
         no_points = np.zeros((0, self.columns.n_columns))
         found = at.sampler.moments(list(samples), no_points, threads=self.threads)
         return found[0], float(found[5])
 
     def _solve(self, at: AtBody, samples: Samples, state: BodyState, wanted: FloatArray) -> BodyState:
-        """Return the equilibrium under the wanted coefficients, or after the longest step that reduces the residual."""
+        """Return the equilibrium under `wanted` coefficients (n_columns,), or as far towards it as it helps.
+
+        That is after the longest step that reduces the residual.
+        """
         steps, matched = self.steps, not self.observed.rematches
         share, decrease = 1.0, steps.decrease if matched else steps.decrease_unmatched
         # Points are matched anew, but keep the weights for which the step was predicted.
@@ -284,7 +296,7 @@ class Passes:
         return best[1]
 
     def _towards(self, tangent: Tangent, state: BodyState, coefficients: FloatArray) -> BodyState | None:
-        """Return the equilibrium under coefficients; None where there is none."""
+        """Return the equilibrium under coefficients (n_columns,), started from a body; None if there is none."""
         try:
             load = self.columns.load(coefficients)
             found = tangent.linearised.solve_near(
@@ -307,7 +319,11 @@ class Passes:
         return BodyState(self.columns.without_frame(coefficients), found.all_displacement, frame)
 
     def residual_rms(self, state: BodyState, samples: Samples, std: FloatArray | None = None) -> float:
-        """Return the root mean square residual over standard deviations, observations weighted by not being wrong."""
+        """Return the root mean square residual of a body, over standard deviations.
+
+        Each observation is weighted by its probability of not being wrong; `std` (n_obs,): standard deviations, mm, by
+        default those at the body.
+        """
         reading = self.observed.read(state)
         if std is not None:
             return float(np.sqrt(np.mean((reading.residual / std) ** 2)))
@@ -317,7 +333,7 @@ class Passes:
         return float(np.sqrt(np.average(reading.cost, weights=weights)))
 
     def _ended(self, reached: list["_Residuals"]) -> bool:
-        """Return whether the data are met as well as the linear model predicted, or the last passes brought nothing."""
+        """Return whether the data are met as the linear model predicted, or passes no longer improve the fit."""
         # A first pass from samples of the moment before is no first look.
         if len(reached) < (2 if self.before is None else 1):
             return False
@@ -361,7 +377,10 @@ class Passes:
 
 
 def _predicted_residual(problem: LinearObservations, coefficients: FloatArray, samples: Samples) -> float:
-    """Return the root mean square residual that the linear model predicts, over standard deviations."""
+    """Return the root mean square residual, over standard deviations, that the linear model predicts.
+
+    `coefficients` (n_columns,): of the causes; `samples`: of the posterior, for the probability that a marker is wrong.
+    """
     residual = (problem.innovation - problem.responses @ coefficients) ** 2 / problem.variances
     weights = np.ones(len(residual))
     for group, wrong in zip(problem.groups, samples[2].mean(axis=0), strict=True):

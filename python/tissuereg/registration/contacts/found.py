@@ -69,7 +69,10 @@ def find_contacts(fit: ContactFit, settings: ReportSettings) -> tuple[FoundConta
 
 
 def _next(fit: ContactFit, slots: Any, left: BoolArray) -> tuple[FoundContact, BoolArray]:
-    """Return the contact around the most frequent patch that remains, and the slots that belong to it."""
+    """Return the contact around the most frequent patch among samples that remain, and which of them belong to it.
+
+    `slots`: patch of each contact of each sample; `left`: which of them belong to no contact yet.
+    """
     patches = fit.columns.body.patches
     count = np.bincount(slots[left], minlength=patches.n_patches)
     # Nearby patches are the same contact: weigh each by all within its radius.
@@ -97,7 +100,7 @@ def _next(fit: ContactFit, slots: Any, left: BoolArray) -> tuple[FoundContact, B
 
 
 def _force(fit: ContactFit, centre: FloatArray, radius: float) -> FloatArray:
-    """Return the mean force on the surface within a ball, mN."""
+    """Return the mean force (3,), mN, on the part of the surface within a ball about `centre` (3,), mm."""
     columns = fit.columns
     within = np.linalg.norm(columns.body.mesh.nodes - centre, axis=1) <= 1.2 * radius
     loads = columns.load(fit.state.coefficients)

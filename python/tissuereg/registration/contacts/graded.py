@@ -26,10 +26,11 @@ STIFFNESS = ("believed", "graded")
 
 @dataclass(frozen=True, eq=False)
 class Grading:
-    """An estimated graded stiffness.
+    """A stiffness that changes along the body, as it was estimated: log E = log E0 + g . xi.
 
-    `material`: with one modulus per tet; `rates` (3,): g along the principal axes; `std` (3,): their standard
-    deviations; `profiles` (3, n_tets): xi along the principal axes at the middle of every tet.
+    `material`: with one modulus per tet; `rates` (3,): g, the change of the logarithm along each principal axis; `std`
+    (3,): standard deviations of g; `profiles` (3, n_tets): xi, the coordinate of the middle of every tet along each
+    principal axis, from -1 to 1.
     """
 
     material: Material
@@ -67,7 +68,7 @@ def grade(passes: Passes, frame: RigidMotion) -> Grading:
 
 @dataclass(frozen=True, eq=False)
 class _Trial:
-    """Inputs of every evaluation."""
+    """Inputs of every evaluation: the loop with body and data, the tracker's rigid motion, the profiles xi."""
 
     passes: Passes
     frame: RigidMotion
@@ -78,7 +79,7 @@ class _Trial:
         return self.passes.material.scaled(np.exp(rates @ self.profiles))
 
     def log_evidence(self, rates: FloatArray) -> float:
-        """Return the logarithm of the evidence times the prior of the rates, up to a constant."""
+        """Return the logarithm of evidence times prior, up to a constant, for rates (3,) of the stiffness."""
         material = self.material(rates)
         trial = replace(self.passes, material=material, columns=self.passes.columns.made_of(material))
         prior = -0.5 * float(np.sum((rates / trial.settings.graded_log_std) ** 2))
@@ -86,7 +87,10 @@ class _Trial:
 
 
 def _along(trial: _Trial, best: FloatArray, value: float, axis: int, step: float) -> tuple[FloatArray, float, float]:
-    """Return the best rates along one axis, their evidence, and the standard deviation by its curvature."""
+    """Return the best rates (3,) when one of them is varied, their log evidence, and that rate's standard deviation.
+
+    `best`: rates to start from; `value`: their log evidence; `axis`: which rate; `step`: first step of the search.
+    """
     limit = trial.passes.settings.graded_log_std
     found = [(0.0, value)]
     found += [(side, trial.log_evidence(best + side * np.eye(3)[axis])) for side in (-step, step)]

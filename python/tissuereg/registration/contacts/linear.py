@@ -32,11 +32,11 @@ class AtBody:
 
 @dataclass(eq=False)
 class Linearisation:
-    """Linearises; counts its work and caches the projection of many observations while the data stay the same.
+    """Linearises the body and its observations; counts the work, and keeps the projection of many observations.
 
-    `columns`: causes; `material`: material of the body; `settings`: prior; `threads`: threads to use; `clock`: records
-    the times of the stages; `counters`: records the work; `kept`: a tangent near the first body, in place of the one
-    there.
+    `columns`: possible causes; `material`: material of the body; `settings`: prior; `threads`: threads to use; `clock`:
+    records the times of the stages; `counters`: counts the work; `kept`: a linearised equilibrium near the first body,
+    used in place of the one there.
     """
 
     columns: Columns
@@ -49,7 +49,7 @@ class Linearisation:
     _basis: tuple[ObservedData, Basis] | None = field(default=None, repr=False)
 
     def at(self, state: BodyState, observed: ObservedData) -> AtBody:
-        """Return data, tangent and sampler at a body."""
+        """Return the linearised equilibrium at a body, its observations, and the sampler with prior and data."""
         tangent = self.tangent(state)
         with self.clock.stage("match"):
             reading = observed.read(state)
@@ -63,7 +63,7 @@ class Linearisation:
             return AtBody(tangent, observations, sampler(self.columns, self.settings, observations.responses, data))
 
     def tangent(self, state: BodyState) -> Tangent:
-        """Return the tangent at a body, or, once, the one that was kept."""
+        """Return the linearised equilibrium at a body; at first the one kept from before, if there is one."""
         if self.kept is not None:
             found, self.kept = self.kept, None
             return found
@@ -75,7 +75,10 @@ class Linearisation:
     def observations(
         self, tangent: Tangent, reading: Observations, coefficients: FloatArray, observed: ObservedData
     ) -> LinearObservations:
-        """Return observations as they are, or, if they are many, a projection that keeps nearly all information."""
+        """Return observations linearised at a body; if they are many, a projection that keeps nearly all information.
+
+        `reading`: observations at the body; `coefficients` (n_columns,): of the causes there; `observed`: the data.
+        """
         rigid = self.columns.rigid_rows(reading.places, reading.directions)
         if not observed.weighed:
             return plain(reading, self._responses(tangent, reading.rows, rigid), coefficients)
@@ -91,7 +94,10 @@ class Linearisation:
         return projected(reading, basis, few, coefficients)
 
     def _responses(self, tangent: Tangent, rows: list[Row], rigid: FloatArray) -> FloatArray:
-        """Return the responses of rows of nodes and weights to the columns, (n_rows, n_columns)."""
+        """Return how observations respond to the causes, (n_rows, n_columns), mm for a unit of each coefficient.
+
+        `rows`: nodes and weights of each; `rigid` (n_rows, 6): their motions by unit rigid motions, mm.
+        """
         with self.clock.stage("sensitivities"):
             compliance, solved = tangent.compliance(rows, self._solved)
             self.counters["right_hand_sides"] += solved

@@ -65,24 +65,30 @@ class Observations:
 
 
 class DataPart(Protocol):
-    """One kind of data."""
+    """One kind of data, markers or points of the surface: what every kind can be asked for."""
 
     @property
     def n_obs(self) -> int:
         """Number of observations."""
 
     def read(self, state: BodyState, *, weighed: bool) -> Observations:
-        """Return the observations at a deformed body, with weights instead of groups if `weighed`."""
+        """Return the observations at a deformed body.
+
+        `weighed`: whether outliers get a small weight, instead of a group that the sampler may take for wrong.
+        """
 
     def coarser(self, width: float) -> "DataPart":
-        """Return the same data with fewer observations, for first passes; `width` is a share of the extent."""
+        """Return the same data with fewer observations, for first passes.
+
+        `width`: distance within which errors of matching are correlated, over the extent.
+        """
 
     def outliers(self, state: BodyState) -> float:
-        """Return the share of observations without labels that a body does not explain."""
+        """Return the share of the observations without labels that lie too far from a body to belong to it."""
 
 
 def _turned(rows: list[tuple[IntArray, FloatArray]], rotation: FloatArray) -> list[tuple[IntArray, FloatArray]]:
-    """Return rows along the body's axes, three per marker, read along the tracker's."""
+    """Return rows of nodes and weights for displacements along the tracker's axes, given those of the body."""
     if np.array_equal(rotation, np.eye(3)):
         return rows
     found = []
@@ -133,7 +139,7 @@ class MarkerData:
         return np.asarray(np.linalg.norm(np.where(self.mask, self.markers.measured - places, 0.0), axis=1))
 
     def std(self, frame: RigidMotion) -> FloatArray:
-        """Return the standard deviation of each component seen: the tracker's and the model's, mm."""
+        """Return the standard deviation (n_obs,), mm, of each component seen: tracker's and model's."""
         both = np.hypot(self.markers.axis_std, self.model_error * self.moved(frame)[:, None])
         return np.asarray(both.ravel()[self.rows])
 
@@ -176,22 +182,22 @@ class MarkerData:
         return np.asarray(1.0 / (1.0 + np.exp(-np.clip(logs, -700.0, 700.0))))
 
     def outliers(self, state: BodyState) -> float:
-        """Return zero: markers have labels, and wrong ones indicators or weights."""
+        """Return zero: a wrong marker is found by its label, not counted among outliers."""
         del state
         return 0.0
 
     def coarser(self, width: float) -> "MarkerData":
-        """Return the same markers; having labels, they lead in the first passes."""
+        """Return the markers as data of first passes: all of them, because their labels bring the body close."""
         del width
         return replace(self, rough=True)
 
 
 @dataclass(frozen=True, eq=False)
 class ObservedData:
-    """All data of one registration, in one or two parts.
+    """All data of one registration: the markers, and points of the surface if there are any.
 
-    `parts`: markers first; `weighed`: whether markers, too, have a heavy tail instead of indicators; data are then
-    projected; `rough`: whether these are data of first passes.
+    `parts`: markers first; `weighed`: whether wrong markers get a small weight instead of an indicator of the sampler;
+    data are then projected; `rough`: whether these are the reduced data of first passes.
     """
 
     parts: tuple[DataPart, ...]
@@ -231,15 +237,22 @@ class ObservedData:
         return max(part.outliers(state) for part in self.parts)
 
     def coarser(self, width: float) -> "ObservedData":
-        """Return the same data with fewer points, with the same kind of noise."""
+        """Return the same data with fewer points, spaced by a share `width` of the extent, and equal noise."""
         return ObservedData(tuple(part.coarser(width) for part in self.parts), self.weighed, rough=True)
 
 
 def tail_variance(squares: FloatArray | float, count: int) -> FloatArray:
-    """Return the factor on the variance of `count` observations that a Student tail gives for their scaled squares."""
+    """Return the factor on the variance of `count` observations that a Student tail gives for residuals.
+
+    `squares`: their squared length in standard deviations.
+    """
     return np.asarray((MATCHING.tail + squares) / (MATCHING.tail + count), np.float64)
 
 
 def tail_cost(squares: FloatArray | float, count: int) -> FloatArray:
-    """Return minus twice the logarithm of Student's density, up to a constant; about `count` for noise alone."""
+    """Return minus twice the logarithm of Student's density of squared residuals, up to a constant.
+
+    `squares`: squared length of the residuals of `count` observations, in standard deviations. About `count` for noise
+    alone.
+    """
     return np.asarray((MATCHING.tail + count) * np.log1p(np.asarray(squares) / MATCHING.tail), np.float64)

@@ -23,22 +23,22 @@ from tissuereg.registration.contacts.settings import MATCHING, ContactSettings
 
 @dataclass(frozen=True, eq=False)
 class LinearObservations:
-    """Data of one linearisation.
+    """Observations as a linear function of the coefficients of the causes, about one body.
 
     Attributes
     ----------
     responses : ndarray of float64, shape (n_kept, n_columns)
-        Their responses to the causes.
+        Change of each observation by a unit coefficient of each cause.
     innovation : ndarray of float64, shape (n_kept,)
         Measured minus predicted at zero coefficients.
     variances : ndarray of float64, shape (n_kept,)
         Variances of their independent noise.
     groups : list of list of int
-        Observations that may be wrong together.
+        Observations that may be wrong together: those of one marker.
     rows : list of (ndarray of int64 (k,), ndarray of float64 (k, 3))
         Nodes and weights of each observation.
     dropped_signal : float
-        Largest signal of a dropped direction.
+        Largest effect of the causes, squared and over the noise, on a combination of observations that was left out.
     """
 
     responses: FloatArray
@@ -62,7 +62,11 @@ class Basis:
 
     @classmethod
     def of(cls, reading: Observations, responses: FloatArray, variances: FloatArray, most: int) -> "Basis":
-        """Return the basis of observations with given responses (n_obs, n_columns) to causes of given variances."""
+        """Return the combinations of observations in which the causes have an effect.
+
+        `reading`: observations; `responses` (n_obs, n_columns): to the causes; `variances` (n_columns,): of the
+        coefficients; `most`: largest number of combinations.
+        """
         white = responses / reading.std[:, None]
         signals, vectors = np.linalg.eigh((white * variances) @ white.T)
         n_kept = min(most, max(1, int(np.sum(signals > MATCHING.least_signal))))
@@ -70,7 +74,7 @@ class Basis:
         return cls(np.ascontiguousarray(vectors[:, ::-1][:, :n_kept].T), max(dropped, 0.0))
 
     def rows(self, reading: Observations) -> list[tuple[IntArray, FloatArray]]:
-        """Return nodes and weights of the projected observations."""
+        """Return nodes (k,) and weights (k, 3) of every projected observation."""
         nodes, root = self.nodes(reading), self.vectors / reading.std
         weights = np.zeros((len(reading.rows), len(nodes), 3))
         for row, (own, given) in enumerate(reading.rows):
@@ -80,12 +84,15 @@ class Basis:
 
     @staticmethod
     def nodes(reading: Observations) -> IntArray:
-        """Return all nodes on which observations depend, sorted."""
+        """Return the numbers of all nodes on which observations depend, sorted."""
         return np.unique(np.concatenate([own for own, _ in reading.rows]))
 
 
 def plain(reading: Observations, responses: FloatArray, coefficients: FloatArray) -> LinearObservations:
-    """Return observations as they are, with their responses (n_obs, n_columns) at the present coefficients."""
+    """Return observations as they are, in linear form.
+
+    `responses` (n_obs, n_columns): to the causes, mm; `coefficients` (n_columns,): at which they were linearised.
+    """
     return LinearObservations(
         responses, reading.residual + responses @ coefficients, reading.std**2, reading.groups, reading.rows
     )
@@ -94,7 +101,11 @@ def plain(reading: Observations, responses: FloatArray, coefficients: FloatArray
 def projected(
     reading: Observations, basis: Basis, responses: FloatArray, coefficients: FloatArray
 ) -> LinearObservations:
-    """Return projected observations with their responses (n_kept, n_columns) at the present coefficients."""
+    """Return observations projected onto a basis, in linear form.
+
+    `responses` (n_kept, n_columns): of the projected ones to the causes; `coefficients` (n_columns,): at which they
+    were linearised.
+    """
     root = basis.vectors / reading.std
     innovation = root @ reading.residual + responses @ coefficients
     return LinearObservations(responses, innovation, np.ones(len(root)), [], basis.rows(reading), basis.dropped_signal)

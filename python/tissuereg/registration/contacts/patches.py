@@ -20,7 +20,7 @@ from tissuereg.registration.contacts.settings import DISCRETISATION
 
 @dataclass(frozen=True, eq=False)
 class Patches:
-    """Patches of one mesh.
+    """Overlapping round parts of a mesh's surface, of several radii, on each of which a contact may act.
 
     Attributes
     ----------
@@ -29,15 +29,16 @@ class Patches:
     radii : ndarray of float64, shape (n_patches,)
         mm.
     level : ndarray of int64, shape (n_patches,)
-        Which radius, 0 the smallest.
+        Number of the radius, 0 the smallest.
     normals : ndarray of float64, shape (n_patches, 3)
         Outward unit normal at the centre.
     shapes : scipy.sparse.csr_array, shape (n_patches, n_nodes)
         Nodal force of one unit over Young's modulus, mm^2 per mm.
     texture : tuple of ndarray
-        For each patch the next smaller ones inside, as first entries, entries, and ratios of standard deviations.
+        For each patch the patches of the next smaller radius inside it, as compressed rows (first entries, entries),
+        and the ratios of their standard deviations.
     neighbours : tuple of ndarray
-        For each patch the similar ones, as first entries and entries.
+        For each patch the similar patches, as compressed rows (first entries, entries).
     """
 
     centres: FloatArray
@@ -104,7 +105,10 @@ def _radii(extent: float, edge: float) -> FloatArray:
 
 
 def _thinned(places: FloatArray, normals: FloatArray, gap: float) -> IntArray:
-    """Return indices of places of which no two on the same side are closer than a gap, in their order."""
+    """Return the numbers of places of which no two on the same side of the body are closer than `gap`, in order.
+
+    `places` (n, 3), mm; `normals` (n, 3): outward unit normals.
+    """
     from scipy.spatial import cKDTree
 
     tree = cKDTree(places)
@@ -125,7 +129,11 @@ def _shapes(
     patches: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
     n_nodes: int,
 ) -> Any:
-    """Return the profile of every patch at every node, times the node's weight, over the patch's scale."""
+    """Return the nodal forces (n_patches, n_nodes) of one unit on every patch, sparse.
+
+    Each is the patch's profile times the node's share of the surface, over the patch's scale. `surface`: places,
+    normals, areas and numbers of surface nodes; `patches`: centres, normals, radii and scales.
+    """
     places, normals, weights, nodes = surface
     centres, across, radii, scale = patches
     from scipy.sparse import csr_array
@@ -146,7 +154,10 @@ def _shapes(
 def _texture(
     centres: FloatArray, across: FloatArray, radii: FloatArray, level: IntArray
 ) -> tuple[IntArray, IntArray, FloatArray]:
-    """Return, for each patch, the patches of the next smaller radius whose centre lies inside it."""
+    """Return for each patch the patches of the next smaller radius inside it, with ratios of spread.
+
+    They are compressed rows: first entries, entries, ratios.
+    """
     trees = _trees(centres, level)
     found = [_pairs(trees, (coarse, coarse - 1), radii, across) for coarse in range(1, len(trees))]
     first, inside, patches = _by_patch(found, len(centres))
@@ -156,7 +167,10 @@ def _texture(
 def _neighbours(
     centres: FloatArray, across: FloatArray, radii: FloatArray, level: IntArray
 ) -> tuple[IntArray, IntArray]:
-    """Return, for each patch, its neighbours of the same radius and the patches of the next radii about its centre."""
+    """Return for each patch the similar patches as compressed rows: first entries, entries.
+
+    Those are its neighbours of the same radius, and the patches of the next radii about its centre.
+    """
     trees, reach = _trees(centres, level), DISCRETISATION.thinning * radii
     found = []
     for of in range(len(trees)):
@@ -169,7 +183,7 @@ def _neighbours(
 
 
 def _trees(centres: FloatArray, level: IntArray) -> list[tuple[IntArray, Any]]:
-    """Return, for each level, its patches and the tree of their centres."""
+    """Return for each level the numbers of its patches and a search tree of their centres."""
     from scipy.spatial import cKDTree
 
     members = [np.flatnonzero(level == one) for one in range(int(level.max(initial=-1)) + 1)]
@@ -179,7 +193,10 @@ def _trees(centres: FloatArray, level: IntArray) -> list[tuple[IntArray, Any]]:
 def _pairs(
     trees: list[tuple[IntArray, Any]], levels: tuple[int, int], reach: FloatArray, across: FloatArray
 ) -> tuple[IntArray, IntArray]:
-    """Return pairs of patches of two levels, on the same side and nearer to each other than the first one's reach."""
+    """Return pairs of patches of two levels on the same side, nearer to each other than the first one's reach.
+
+    `reach` (n_patches,): mm; `across` (n_patches, 3): outward normals. Result: two arrays of patch numbers.
+    """
     (own, of), (theirs, tree) = trees[levels[0]], trees[levels[1]]
     # Exclude those exactly at the reach.
     found = tree.query_ball_point(of.data, np.nextafter(reach[own], 0.0))
@@ -191,7 +208,7 @@ def _pairs(
 
 
 def _by_patch(found: list[tuple[IntArray, IntArray]], n_patches: int) -> tuple[IntArray, IntArray, IntArray]:
-    """Return pairs sorted by patch: where each patch's partners begin, the partners ascending, the patch of each."""
+    """Return pairs of patches sorted by the first: first entries (n_patches + 1,), second and first of each pair."""
     patches = np.concatenate([np.empty(0, np.int64), *(one[0] for one in found)])
     others = np.concatenate([np.empty(0, np.int64), *(one[1] for one in found)])
     order = np.lexsort((others, patches))

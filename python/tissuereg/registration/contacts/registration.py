@@ -88,7 +88,11 @@ def register_by_contacts(
 
 @dataclass(frozen=True, eq=False)
 class _Found:
-    """A fit with the state from which its passes began, the material and supports estimated before, and its moments."""
+    """A fit, the body from which its search began, the material and supports that were estimated before it.
+
+    `further`: other uncertain parameters, each with its standard deviation; `moments`: frames through which the samples
+    have been carried on.
+    """
 
     fit: ContactFit
     start: BodyState
@@ -99,7 +103,11 @@ class _Found:
 
 @dataclass(frozen=True, eq=False)
 class _ContactSearch:
-    """The search for contacts, for any believed load."""
+    """The search for the contacts that explain what was measured, for any believed load.
+
+    `given`: checked input; `body`: prepared mesh; `observed`: data; `settings`: prior and chains; `clock`: records the
+    times of the stages; `carried`: end of the frame before, or None.
+    """
 
     given: RegisterInput
     body: ContactBody
@@ -159,7 +167,7 @@ class _ContactSearch:
         return _Found(passes.run(start), start, passes.material, further)
 
     def _gone_on(self, carried: Carried, passes: Passes, field: FloatArray | None, frame: RigidMotion) -> _Found | None:
-        """Return the fit that goes on from the moment before; None if that is of no use."""
+        """Return the fit that continues from the frame before; None if it leaves much larger residuals."""
         columns = carried.columns_for(passes.columns)
         if columns is None:
             return None
@@ -218,7 +226,11 @@ def _supported(passes: Passes, frame: RigidMotion) -> tuple[Passes, list[tuple[C
 def _graded(
     passes: Passes, frame: RigidMotion, simulation: FloatArray | None
 ) -> tuple[Passes, list[tuple[Cause, float]]]:
-    """Return the passes with the graded stiffness of highest evidence, and its remaining uncertainty."""
+    """Return the loop of the fit with the graded stiffness of highest evidence, and the rest of its uncertainty.
+
+    `simulation` (n_element_nodes, 3) or None: displacement under the believed load, mm. Second result: uncertain
+    parameters, each with its standard deviation.
+    """
     if simulation is not None:
         message = "a graded stiffness needs a load or none: it would change the forces that hold a `simulation`"
         raise MaterialError(message, where="stiffness")
@@ -235,7 +247,7 @@ def _graded(
 def _believed(
     body: ContactBody, material: Material, believed: ContactInput, settings: ContactSettings
 ) -> tuple[LoadParts, FloatArray | None]:
-    """Return the parts of the believed load and, if it is known, the displacement under it."""
+    """Return the parts of the believed load, and the displacement (n_element_nodes, 3) under it, mm, if it is known."""
     simulator = body.simulator
     if believed.simulation is None:
         return simulator.load_parts(believed.load or Load()), None

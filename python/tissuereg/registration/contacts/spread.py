@@ -37,7 +37,7 @@ class Points:
 
 
 class Spread:
-    """Uncertainty of one fit.
+    """Covariances of points and nodes for one fit.
 
     `fit`: the fit after its last pass; `material`: material of the body; `settings`: uncertainty of the model;
     `threads`: threads to use; `further`: other uncertain parameters of the model, each with its standard deviation.
@@ -66,9 +66,10 @@ class Spread:
         return found
 
     def _moments(self, responses: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return means and covariances of points, and the spurious loads by which the fit compensates model errors.
+        """Return mean and covariance of points over the samples, and the loads that make up for model errors.
 
-        The last, (n_columns, n_errors), do not depend on the points.
+        `responses` (n_rows, n_columns): of the points to the causes, mm. The last result, (n_columns, n_errors), does
+        not depend on the points.
         """
         fit = self._fit
         _, gain, means, covariance, *_ = fit.sampler.moments(
@@ -78,7 +79,10 @@ class Spread:
         return means, covariance, self._suggested
 
     def _by_model(self, compliance: Compliance) -> FloatArray:
-        """Return the effects of model errors on observations, (n_rows, n_errors), mm."""
+        """Return the displacement of observations by each error of the model, (n_rows, n_errors), mm.
+
+        `compliance`: sensitivities of the observations to nodal forces.
+        """
         n_errors = len(self._model_forces)
         return np.asarray(
             compliance.forces.reshape(len(compliance.forces), self._model_forces[0].size)
@@ -116,7 +120,11 @@ class Spread:
         )
 
     def _unseen(self, responses: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the covariance (n, 3, 3) of points under one more contact given the markers, and the share removed."""
+        """Return how far one more contact, which no marker detected, may move points.
+
+        `responses` (3 n, n_columns): of the points to the causes, mm. Result: covariance (n, 3, 3) given the markers,
+        mm^2, and the share (n,) of the variance that the markers remove.
+        """
         cross = (responses * self._unseen_variances) @ self._fit.observations.responses.T
         taken = np.linalg.solve(self._under_unseen, cross.T).T.reshape(len(cross) // 3, 3, cross.shape[1])
         scaled = (responses * np.sqrt(self._unseen_variances)).reshape(len(taken), 3, responses.shape[1])
@@ -184,7 +192,10 @@ def _in_parts(count: int) -> Iterator[slice]:
 def _forces_of_errors(
     fit: ContactFit, errors: tuple[Sequence[Cause], FloatArray], of_supports: FloatArray
 ) -> FloatArray:
-    """Return the unbalanced forces due to model errors at their sizes, (n_errors, n_element_nodes, 3), mN."""
+    """Return the unbalanced forces (n_errors, n_element_nodes, 3), mN, by errors of the model of their usual size.
+
+    `errors`: causes and their standard deviations; `of_supports`: forces by errors of the supports' stiffness.
+    """
     causes, scales = errors
     forces = np.empty((len(causes) + len(of_supports), *of_supports.shape[1:]))
     for some in _in_parts(len(causes)):
@@ -204,7 +215,10 @@ def unseen_variances(patches: Patches, settings: ContactSettings, n_columns: int
 
 
 def linear_fields(fit: ContactFit, change: FloatArray, forces: FloatArray) -> FloatArray:
-    """Return displacement fields (n, n_element_nodes, 3) of changes of coefficients and of further nodal forces."""
+    """Return the displacement fields (n, n_element_nodes, 3), mm, that changes of the load cause, linearised.
+
+    `change` (n, n_columns): changes of coefficients; `forces` (n, n_element_nodes, 3): further nodal forces, mN.
+    """
     columns = fit.columns
     total = forces + columns.forces(change)
     fields = fit.tangent.linearised.responses(np.ascontiguousarray(total))

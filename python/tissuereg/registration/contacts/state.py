@@ -40,11 +40,11 @@ class RigidMotion:
         return not (np.array_equal(self.rotation, np.eye(3)) and not self.shift.any())
 
     def apply(self, places: FloatArray) -> FloatArray:
-        """Return places (..., 3) of the body's frame in the tracker's."""
+        """Return where the tracker sees places (..., 3), mm, that are given in the body's frame."""
         return np.asarray(places @ self.rotation.T + self.shift)
 
     def undo(self, places: FloatArray) -> FloatArray:
-        """Return places (..., 3) of the tracker's frame in the body's."""
+        """Return places (..., 3), mm, in the body's frame, given where the tracker sees them."""
         return np.asarray((places - self.shift) @ self.rotation)
 
     def followed_by(self, coefficients: FloatArray, rigid: FloatArray) -> "RigidMotion":
@@ -61,7 +61,7 @@ class RigidMotion:
 
 
 def _rotation(vector: FloatArray) -> FloatArray:
-    """Return the rotation about a vector by its length (Rodrigues)."""
+    """Return the rotation matrix (3, 3) about a vector (3,) by its length in radian (Rodrigues)."""
     angle = float(np.linalg.norm(vector))
     if angle == 0.0:
         return np.eye(3)
@@ -72,10 +72,10 @@ def _rotation(vector: FloatArray) -> FloatArray:
 
 @dataclass(eq=False)
 class BodyState:
-    """Coefficients, the equilibrium under them, and the frame.
+    """A body in equilibrium: the load on it, its displacement, and where the tracker sees it.
 
     `coefficients` (n_columns,): of all causes; `displacement` (n_element_nodes, 3): in the body's frame, mm; `frame`:
-    from the body's frame to the tracker's.
+    rigid motion from the body's frame to the tracker's.
     """
 
     coefficients: FloatArray

@@ -88,7 +88,10 @@ def springs_of(mesh: Mesh, supports: Supports) -> list[tuple[IntArray, FloatArra
 
 
 def _zones(mesh: Mesh, triangles: IntArray) -> tuple[IntArray, IntArray]:
-    """Return the rim of a part of the surface and its inside, about half of its triangles each."""
+    """Return the triangles of the rim of a part of the surface, and of its inside, about half of them each.
+
+    `triangles` int64 (n, 3): the part.
+    """
     from scipy.spatial import cKDTree
 
     edges = np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
@@ -103,7 +106,7 @@ def _zones(mesh: Mesh, triangles: IntArray) -> tuple[IntArray, IntArray]:
 
 
 def _covering(mesh: Mesh, nodes: IntArray) -> IntArray:
-    """Return the surface triangles of a set of nodes: those within the set, and those that touch its other nodes."""
+    """Return the surface triangles (m, 3) within a set of nodes, and those that touch its other nodes."""
     count = np.isin(mesh.surface, nodes).sum(axis=1)
     within = count == 3
     left = np.setdiff1d(nodes, mesh.surface[within])

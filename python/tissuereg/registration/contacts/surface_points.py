@@ -132,7 +132,10 @@ class PointData:
         return np.asarray(np.sqrt(self.noise**2 + self._alike * (size**2 + facet**2)))
 
     def distances(self, state: BodyState) -> tuple[FloatArray, FloatArray]:
-        """Return the distance of every point from the surface along the normal, mm, and over its standard deviation."""
+        """Return each point's distance (n_points,) from the surface along the normal: in mm, and in deviations.
+
+        Deviations are the points' standard deviations.
+        """
         feet = self.feet(state)
         residual, _ = feet.off(state.frame.undo(self.places), MATCHING.far * self.noise)
         return np.abs(residual), np.abs(residual) / self.std(state, feet)
@@ -225,7 +228,7 @@ def _starts(mesh: Mesh, points: FloatArray) -> list[RigidMotion]:
 
 
 def _iterated(mesh: Mesh, points: FloatArray, frame: RigidMotion, count: int) -> tuple[RigidMotion, float]:
-    """Return the frame after some iterations and the root mean square distance of the points that are used, mm."""
+    """Return the rigid motion after `count` iterations, and the root mean square distance of the points used, mm."""
     length = 0.5 * mesh.extent
     for _ in range(count):
         places = frame.undo(points)
@@ -243,7 +246,11 @@ def _iterated(mesh: Mesh, points: FloatArray, frame: RigidMotion, count: int) ->
 
 
 def _rows(arms: FloatArray, normals: FloatArray, off: FloatArray, length: float) -> tuple[FloatArray, FloatArray]:
-    """Return the least-squares system of a small rigid motion: weight one along normals, a small one along axes."""
+    """Return matrix and right-hand side of the least squares for a small rigid motion onto a surface.
+
+    `arms` (n, 3): points from the pivot, mm; `normals` (n, 3); `off` (n,): distances, mm; `length`: of a unit rotation,
+    mm. Weight one along normals, a small one along the axes.
+    """
     parts, goals = [], []
     for directions, weight in (
         (normals, 1.0),

@@ -18,9 +18,9 @@ Row = tuple[IntArray, FloatArray]
 
 
 class Tangent:
-    """A linearised equilibrium with the sensitivities computed so far.
+    """A linearised equilibrium, with the sensitivities to nodal forces that have been computed so far.
 
-    `linearised`: the equilibrium; `threads`: threads that it uses; 0: all cores. `linearised`.
+    `linearised`: the equilibrium; `threads`: threads to use, 0 takes all cores.
     """
 
     def __init__(self, linearised: Linearised, threads: int = 0) -> None:
@@ -55,7 +55,10 @@ class Tangent:
         return _together(parts), len(missing)
 
     def _solved(self, rows: list[Row], progress: Callable[[int, int], None] | None) -> Compliance:
-        """Return the sensitivity of rows to nodal forces; on a large body in parts, so that progress can be shown."""
+        """Return the sensitivities of observations (`rows`: nodes and weights) to nodal forces, computed anew.
+
+        On a large body they are computed in parts, so that `progress` can be told how many are done.
+        """
         parts = []
         for first in range(0, max(1, len(rows)), self._at_once):
             if progress is not None and first > 0:
@@ -71,7 +74,7 @@ class Tangent:
 
 
 def _apart(whole: Compliance) -> list[Compliance]:
-    """Return sensitivities to nodal forces one by one, an entry per observation."""
+    """Return the sensitivities of many observations to nodal forces as a list with one entry for each observation."""
     return [
         Compliance(whole.forces[i : i + 1], whole.body_force[i : i + 1], whole.prescribed[i : i + 1])
         for i in range(len(whole.forces))
@@ -128,7 +131,7 @@ def forget_rest() -> None:
 
 
 def _rest_key(columns: Columns, material: Material, state: BodyState, threads: int) -> tuple[object, ...] | None:
-    """Return the key of a tangent at rest; None if the body is not at rest."""
+    """Return the key under which the tangent of a body at rest is cached; None if the body is not at rest."""
     loaded = any(part is not None for part in columns.believed.values())
     if loaded or state.displacement.any() or state.coefficients.any():
         return None

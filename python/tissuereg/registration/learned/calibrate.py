@@ -112,13 +112,13 @@ def calibrate(
     n_kinds: int = 12,
     settings: RehearsalSettings | None = None,
 ) -> Calibration:
-    """Return the calibration of a model.
+    """Return the calibration of a model: kinds of events, the model's errors, and the outcome of trial registrations.
 
     `model`: encoder and decoder; `mesh`: its mesh; `codes` (n_codes, n_latent): encoder's means of fields of the
-    training set; `unseen` (n_fields, n_nodes, 3): fields that were not used in training, mm; `pairs` (n_pairs, n_nodes,
-    3): simulations and truths of the same events, mm: one entry for each kind of change; `n_kinds`: kinds of events to
-    start from; `settings`: of the rehearsals. Cost: about six decodes of 2 n_latent + 1 columns at some nodes
-    for every rehearsed event.
+    training set; `unseen` (n_fields, n_nodes, 3): fields that were not used in training, mm; `pairs`: for each kind of
+    change a pair of arrays (n_pairs, n_nodes, 3), simulations and truths of the same events, mm; `n_kinds`: number of
+    Gaussian components of the codes to start from; `settings`: of the trial registrations. Cost: about six decodes of 2
+    n_latent + 1 columns at some nodes for every trial.
     """
     how = settings or RehearsalSettings()
     rehearsal = _Rehearsing(model, mesh, how)
@@ -162,7 +162,7 @@ def calibrate(
 
 
 def _equal(*shape: int) -> FloatArray:
-    """Return equal probabilities."""
+    """Return an array of a shape whose entries are all the same and sum to one."""
     return np.full(shape, 1.0 / np.prod(shape))
 
 
@@ -173,10 +173,11 @@ def codes_of(model: Codes, fields: Any, rows: IntArray) -> FloatArray:
 
 
 def field_errors(errors: FloatArray, shares: FloatArray, n_patterns: int) -> FieldErrors:
-    """Return the covariances of errors by kind.
+    """Return the covariances of the model's errors, one for each kind of event, by common patterns.
 
-    `errors` (n_fields, n_nodes, 3): mm; `shares` (n_fields, n_kinds): probability of each kind; `n_patterns`: patterns
-    kept at most. Result: those of a kind are mixed with those of all kinds in so far as there are few.
+    `errors` (n_fields, n_nodes, 3): true minus decoded fields, mm; `shares` (n_fields, n_kinds): probability that a
+    field is of each kind; `n_patterns`: patterns kept at most. Result: the covariance of a kind with few fields is
+    drawn towards that of all kinds.
     """
     rows = errors.reshape(len(errors), -1).astype(np.float64)
     values, vectors = np.linalg.eigh(rows @ rows.T)
@@ -201,7 +202,12 @@ def field_errors(errors: FloatArray, shares: FloatArray, n_patterns: int) -> Fie
 
 @dataclass(frozen=True, eq=False)
 class _Differences:
-    """Differences of truths from simulations, relative to the size of the simulated event, and other errors."""
+    """How true fields differ from simulations of the same events, over the size of the simulated event.
+
+    `kind` int64 (n_pairs,): kind of change of each pair; `codes` (n_pairs, n_latent): difference of codes, 1/mm;
+    `missed` (n_pairs, n_nodes, 3): difference of fields that the decoder misses; `others` (n_fields, n_nodes, 3):
+    errors of whole fields, scaled to the size of `missed`, which lend their patterns.
+    """
 
     kind: IntArray
     codes: FloatArray
@@ -212,7 +218,11 @@ class _Differences:
     def of(
         cls, model: Codes, simulations: FloatArray, truths: FloatArray, kind: IntArray, others: FloatArray
     ) -> "_Differences":
-        """Return the differences of pairs of some kinds; `others` are errors of whole fields, in mm."""
+        """Return the differences of pairs of simulated and true fields.
+
+        `simulations`, `truths` (n_pairs, n_nodes, 3): mm; `kind` int64 (n_pairs,): kind of change of each pair;
+        `others` (n_fields, n_nodes, 3): true minus decoded whole fields, mm.
+        """
         squares = np.maximum((simulations**2).sum(axis=(1, 2)), 1e-300)
         factors = ((truths - simulations) * simulations).sum(axis=(1, 2)) / squares
         # Without what the factor explains.
@@ -225,7 +235,7 @@ class _Differences:
         return cls(kind, off, missed, scale * others)
 
     def change(self, rows: IntArray) -> Change:
-        """Return how truths differ from simulations, estimated from the pairs of some rows."""
+        """Return how truths differ from simulations, estimated from the pairs with numbers `rows`."""
         n_kinds, n_latent = int(self.kind.max()) + 1, self.codes.shape[1]
         kind, every = self.kind[rows], self.codes[rows]
         pooled, covariances = every.T @ every / len(every), np.empty((n_kinds, n_latent, n_latent))
@@ -246,7 +256,11 @@ class _Differences:
 
 @dataclass(frozen=True, eq=False)
 class _Places:
-    """Random markers on the free surface and targets inside, as sums over nodes."""
+    """Random markers on the free surface and random targets inside: each place is a weighted sum of nodes.
+
+    `nodes` int64 (k,): nodes that are needed; `where` int64 (n_places, 4): positions in `nodes`; `weights` (n_places,
+    4): weights of these nodes; markers come first.
+    """
 
     nodes: IntArray
     where: IntArray
@@ -265,15 +279,18 @@ class _Places:
         return cls(nodes, where.reshape(members.shape), weights)
 
     def rows(self, fields: FloatArray) -> FloatArray:
-        """Return components (n_fields, n_rows) of fields (n_fields, k, 3) at `nodes`."""
+        """Return the displacement components (n_fields, 3 n_places) of fields (n_fields, k, 3) given at `nodes`, mm."""
         return np.asarray(np.einsum("fpcx,pc->fpx", fields[:, self.where], self.weights).reshape(len(fields), -1))
 
     def rows_of(self) -> RowsOf:
-        """Return the same for whole fields."""
+        """Return a function from whole fields (n_fields, n_nodes, 3) to components (n_fields, 3 n_places), mm."""
         return lambda fields: self.rows(fields[:, self.nodes])
 
     def decoder(self, model: Codes) -> RowsOf:
-        """Return the rows of a model's latents (n_latent, n_members); a network's decoder is cut down to them."""
+        """Return a function from latents (n_latent, n_members) to displacement components (n_members, 3 n_places), mm.
+
+        The decoder of a network is cut down to the places.
+        """
         from scipy import sparse
 
         cut = None
@@ -323,7 +340,10 @@ class _Trials:
 
 
 class _Rehearsing:
-    """Registers truths from random markers, with scales equally probable at first; see `Rehearsal`."""
+    """Registers known truths from random markers with random noise, to see what registrations are worth.
+
+    `model`: encoder and decoder; `mesh`: its mesh; `how`: numbers of markers and targets, noise, seed.
+    """
 
     def __init__(self, model: Codes, mesh: Mesh, how: RehearsalSettings) -> None:
         self._model, self._mesh, self._how = model, mesh, how
@@ -421,7 +441,7 @@ def _with_groups(law: Rehearsal, statistics: FloatArray, groups: Sequence[int]) 
 
 
 def _mixing(logs: FloatArray) -> FloatArray:
-    """Return the probabilities under which evidences exp(logs) (n_events, n_cases) are likeliest."""
+    """Return the probabilities (n_cases,) under which evidences exp(logs), (n_events, n_cases), are likeliest."""
     weights = np.full(logs.shape[1], 1.0 / logs.shape[1])
     for _ in range(200):
         # One event for each, so that none becomes impossible.
@@ -431,7 +451,10 @@ def _mixing(logs: FloatArray) -> FloatArray:
 
 
 def _misfits(off: FloatArray, covariance: FloatArray, first: int) -> FloatArray:
-    """Return squared distances of points from row `first` on, in their own covariance."""
+    """Return the squared distances (n_points,) of points from their means, in their own covariance.
+
+    `off` (n_rows,): true minus mean, mm; `covariance` (n_rows, n_rows): mm^2; `first`: row at which the points begin.
+    """
     rows = range(first, len(off), 3)
     return np.array([off[i : i + 3] @ np.linalg.solve(covariance[i : i + 3, i : i + 3], off[i : i + 3]) for i in rows])
 
@@ -459,10 +482,11 @@ def _regions(misfits: FloatArray) -> tuple[float, float | None]:
 
 
 def _folds(kind: IntArray) -> list[tuple[IntArray, IntArray]]:
-    """Return parts of events of some kinds (n_events,), each with the others, in equal shares of every kind.
+    """Return a division of events into parts for cross-validation: each part with the numbers of all other events.
 
-    A covariance knows the events that it was made of too well. Parts are runs of consecutive events of a kind: those of
-    one body or one rig follow each other, and are in one part but where it ends.
+    `kind` int64 (n_events,): every part has an equal share of each kind. A covariance fits the events that it was made
+    of too well. Parts are runs of consecutive events of a kind: those of one body or one rig follow each other, and are
+    in one part but where it ends.
     """
     part = np.empty(len(kind), np.int64)
     for number in np.unique(kind):

@@ -36,11 +36,11 @@ BESIDE_VARIANTS = 0.25
 
 @dataclass(frozen=True, eq=False)
 class FieldErrors:
-    """Covariances of fields of errors, by few patterns.
+    """Covariances of a model's error fields, expressed by few orthogonal patterns.
 
-    `basis` (n_patterns, n_nodes, 3): orthogonal patterns; `covariances` (n_kinds, n_patterns, n_patterns): second
-    moments of the coefficients for each kind, mm^2; `rest` (n_nodes, 3): standard deviation of what the patterns leave,
-    mm.
+    `basis` (n_patterns, n_nodes, 3): the patterns; `covariances` (n_kinds, n_patterns, n_patterns): second moments of
+    the patterns' coefficients for each kind of event, mm^2; `rest` (n_nodes, 3): standard deviation of what the
+    patterns leave, mm.
     """
 
     basis: FloatArray
@@ -48,7 +48,7 @@ class FieldErrors:
     rest: FloatArray
 
     def sum(self, coefficients: FloatArray) -> FloatArray:
-        """Return the patterns times coefficients (n_patterns,), (n_nodes, 3), in single precision."""
+        """Return the sum (n_nodes, 3) of the patterns times coefficients (n_patterns,), mm, in single precision."""
         return np.asarray(coefficients.astype(np.float32) @ self._single).reshape(self.basis.shape[1:])
 
     @cached_property
@@ -56,14 +56,14 @@ class FieldErrors:
         return self.basis.reshape(len(self.basis), -1).astype(np.float32)
 
     def project(self, fields: FloatArray) -> FloatArray:
-        """Return what the patterns represent of fields (n_fields, n_nodes, 3)."""
+        """Return the part of fields (n_fields, n_nodes, 3) that is a sum of the patterns."""
         patterns = self.basis.reshape(len(self.basis), -1)
         squares = np.einsum("pi,pi->p", patterns, patterns)
         rows = fields.reshape(len(fields), -1)
         return np.asarray((((rows @ patterns.T) / squares) @ patterns).reshape(fields.shape))
 
     def at(self, rows_of: RowsOf) -> "RowErrors":
-        """Return the errors at points."""
+        """Return the errors at markers and targets; `rows_of`: takes fields and returns their components there, mm."""
         patterns = rows_of(self.basis)
         rest = rows_of(self.rest[None])[0] ** 2
         return RowErrors(self, patterns, np.asarray(patterns.T @ self.covariances @ patterns + np.diag(rest)))
@@ -82,7 +82,7 @@ class RowErrors:
     covariances: FloatArray
 
     def of(self, rows: IntArray) -> "RowErrors":
-        """Return those of some rows, in their order."""
+        """Return the errors at the components with numbers `rows`, in their order."""
         return RowErrors(self.whole, self.patterns[:, rows], self.covariances[:, rows[:, None], rows])
 
 
@@ -104,13 +104,14 @@ class Change:
 
 @dataclass(frozen=True, eq=False)
 class Rehearsal:
-    """Outcome of registrations of events that the model never saw, with random markers and targets.
+    """Outcome of trial registrations of events that the model never saw, with random markers and targets.
 
-    `scales` (n_scales,): factors on the standard deviations of a kind; `scale_weights` (n_forms, n_scales):
-    probabilities, which sum to one: without a simulation of one form, whatever the kind; with one, of each kind of
-    change with each variance of its factor; `widening`: factor on covariances with which 90 % regions hold 90 % of the
-    targets; `tail`: degrees of freedom of the t law of the targets about their means, with which 50 % regions hold
-    their share too; None for a Gaussian; `calibration_set`: what calibration events show.
+    `scales` (n_scales,): candidate factors on the standard deviations of a component, because events differ in size;
+    `scale_weights` (n_forms, n_scales): their probabilities, which sum to one: without a simulation one row for all
+    components, with one a row for each kind of change with each variance of its factor; `widening`: factor on
+    covariances with which 90 % regions hold 90 % of the targets; `tail`: degrees of freedom of the t law of the targets
+    about their means, with which 50 % regions hold their share too, None for a Gaussian; `calibration_set`: test
+    statistics of the trials.
     """
 
     scales: FloatArray
@@ -122,11 +123,11 @@ class Rehearsal:
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """Kinds of events, errors and rehearsals of a model.
+    """What a trained model's answers are worth: kinds of events, the model's errors, outcomes of trial registrations.
 
-    `kinds`: of the codes of the training set; `errors`: truth minus decoder(encoder(truth)), by kind; `alone`: without
-    a simulation; `change`: differences from simulations; None if the model has seen no pairs; `anchored`: with a
-    simulation.
+    `kinds`: Gaussian mixture of the training set's codes; `errors`: truth minus decoder(encoder(truth)), for each kind;
+    `alone`: trials without a simulation; `change`: differences of truths from simulations, None if the model has seen
+    no pairs; `anchored`: trials with a simulation.
     """
 
     kinds: Components
@@ -136,7 +137,11 @@ class Calibration:
     anchored: Rehearsal | None = None
 
     def at(self, rows_of: RowsOf) -> "PointCalibration":
-        """Return the same at markers and targets. Cost: a product of n_patterns^2 n_rows for every kind."""
+        """Return the calibration at the markers and targets of one registration.
+
+        `rows_of`: takes fields and returns their components there, mm. Cost: a product of n_patterns^2 n_rows for every
+        kind.
+        """
         change = None if self.change is None else self.change.errors.at(rows_of)
         return PointCalibration(self, self.errors.at(rows_of), change)
 
@@ -204,7 +209,8 @@ class Calibration:
 class PointCalibration:
     """A calibration at the markers and targets of one registration.
 
-    `errors`: of each kind; `change_errors`: of the change from a simulation, by kind; per mm of the event's size.
+    `whole`: at all nodes; `errors`: the model's errors, for each kind of event; `change_errors`: what the decoder
+    misses of the change from a simulation, for each kind of change, per mm of the event's size; None without pairs.
     """
 
     whole: Calibration
@@ -212,12 +218,12 @@ class PointCalibration:
     change_errors: RowErrors | None
 
     def of(self, rows: IntArray) -> "PointCalibration":
-        """Return that of some rows, in their order."""
+        """Return the calibration at the components with numbers `rows`, in their order."""
         change = None if self.change_errors is None else self.change_errors.of(rows)
         return PointCalibration(self.whole, self.errors.of(rows), change)
 
     def rehearsal(self, anchored: bool) -> Rehearsal:
-        """Return the rehearsal that a registration with or without a simulation is compared with."""
+        """Return the outcome of trial registrations with a simulation (`anchored`), or without one."""
         known = self.whole.anchored if anchored else None
         return self.whole.alone if known is None else known
 
@@ -243,14 +249,14 @@ class PointCalibration:
     def prior_about(
         self, code: FloatArray, size: float, simulated: FloatArray, variants: RowErrors | None = None
     ) -> tuple[list[Component], list[tuple[int, float]]]:
-        """Return the components of the truth of an event that is simulated.
+        """Return the prior of a simulated event: components about the simulation, then those of an unrelated event.
 
         `code` (n_latent,): of the simulation; `size`: root mean square displacement of the simulation, mm; `simulated`
         (n_rows,): the simulation at markers and targets, mm; `variants`: covariance of variants of the simulation,
-        which is their mean: changes then have it, a share of what they have in general, and no factor. Result: the
-        simulated event's first, all variances of a factor for one kind of change after those of another; then those of
-        an unrelated event. list of (int, float) Kind of change, and variance of its factor, of the first ones; none
-        where the model knows no changes.
+        which is their mean; changes then have it beside a share of what they have in general, and no factor. Result:
+        components, those about the simulation ordered by kind of change and within a kind by the variance of the
+        factor; and for each of these (kind of change, variance of the factor). The second list is empty where the model
+        knows no changes.
         """
         change, law = self.whole.change, self.whole.anchored
         if change is None or law is None or self.change_errors is None:

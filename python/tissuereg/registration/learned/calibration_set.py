@@ -33,7 +33,7 @@ _LEAST = 1e-300
 
 @dataclass(frozen=True, eq=False)
 class CalibrationSet:
-    """Test statistics of calibration events.
+    """Test statistics of trial registrations with right measurements, with which a registration is compared.
 
     `statistics` (n_events, 5): as `STATISTICS`; `groups` int64 (n_events,): group of each event, such as those of the
     physics that the model was trained on, and of another physics.
@@ -44,7 +44,7 @@ class CalibrationSet:
 
     @classmethod
     def none(cls) -> "CalibrationSet":
-        """Return no events: chances are then taken as they are."""
+        """Return a set without trials; a statistic that is a chance is then taken as it is."""
         return cls(np.empty((0, len(STATISTICS))), np.empty(0, np.int64))
 
     def beside(self, statistics: FloatArray) -> "CalibrationSet":
@@ -76,7 +76,10 @@ class CalibrationSet:
 
 @dataclass(frozen=True, eq=False)
 class _Group:
-    """Test statistics of one group of events, each column ascending, and minus the log share of the rarest."""
+    """Test statistics of one group of trials: each column sorted, and the rarity of each trial's rarest statistic.
+
+    `columns`: sorted values of each statistic; `rarest`: sorted values of minus the logarithm of the least share.
+    """
 
     columns: list["_Ascending"]
     rarest: "_Ascending"
@@ -99,7 +102,7 @@ class _Group:
 
 @dataclass(frozen=True, eq=False)
 class _Ascending:
-    """Values (n,), ascending, and where their tail begins."""
+    """Sorted values (n,) of one statistic, and the value at which their tail begins."""
 
     values: FloatArray
     first: float

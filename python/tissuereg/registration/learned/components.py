@@ -51,10 +51,10 @@ class Components:
 
     @classmethod
     def fit(cls, codes: FloatArray, n_kinds: int, seed: int) -> "Components":
-        """Return the kinds of a training set.
+        """Return the Gaussian mixture of the codes of a training set; each component is called a kind of event.
 
-        `codes` (n_codes, n_latent): means of the encoder; `n_kinds`: kinds to start from; those that keep too few codes
-        are left out; `seed`: of the start. Cost: 40 rounds of n_kinds products (n_latent, n_codes).
+        `codes` (n_codes, n_latent): means of the encoder; `n_kinds`: components to start from; those that keep too few
+        codes are left out; `seed`: of the start. Cost: 40 rounds of n_kinds products (n_latent, n_codes).
         """
         shares = _sorted_by_direction_and_size(codes, n_kinds, np.random.default_rng([seed, 21]))
         kinds = cls._of(codes, shares)

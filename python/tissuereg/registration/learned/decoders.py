@@ -135,10 +135,10 @@ class ClosureDecoder:
 
 @dataclass(frozen=True, eq=False)
 class GraphLevel:
-    """One level of a graph network's decoder: unpooling and convolution in one.
+    """One level of a graph network's decoder: unpooling and convolution, ``y = sum_m T_m x B_m + b``.
 
-    `tables` (n_fine, n_coarse): T_m for every basis, all with the same pattern; `bases` (M, n_in, n_out): B_m; `bias`
-    (n_out,): b.
+    `tables` (n_fine, n_coarse): sparse T_m, one for each basis m, all with the same pattern; `bases` (M, n_in, n_out):
+    B_m; `bias` (n_out,): b.
     """
 
     tables: tuple[Any, ...]
@@ -163,11 +163,11 @@ class GraphLevel:
         return np.ascontiguousarray(self.bases.transpose(0, 2, 1).reshape(-1, self.bases.shape[1]), np.float32)
 
     def at(self, rows: IntArray, columns: IntArray) -> FloatArray:
-        """Return the tables of some rows at some coarse nodes, dense: (n_rows, n_columns, M)."""
+        """Return dense tables (n_rows, n_columns, M) of fine nodes (`rows`) at coarse nodes (`columns`)."""
         return _dense([table[rows] for table in self.tables], columns)
 
     def reached(self, rows: IntArray) -> IntArray:
-        """Return the coarse nodes that some rows need."""
+        """Return the numbers of the coarse nodes on which some fine nodes (`rows`) depend."""
         return np.unique(self.tables[0][rows].indices).astype(np.int64)
 
 
@@ -187,7 +187,11 @@ class GraphDecoder:
     scale: float
 
     def network_at(self, rows: Any) -> tuple[bytes, int]:
-        """Return the decoder at points as an ONNX file, and its multiply-adds; see `ClosureDecoder.network_at`."""
+        """Return the decoder at points as an ONNX file, and the number of multiply-adds for one member.
+
+        `rows` (n_rows, n_nodes): weights of every point on the nodes. The file maps ``z`` (members, n_latent) to
+        ``moved`` (members, 3 n_rows), mm.
+        """
         last = self.levels[-1]
         at_points = [rows @ table for table in last.tables]
         offset = (rows @ self.mean + self.scale * np.outer(rows.sum(axis=1), last.bias)).ravel()
@@ -290,12 +294,15 @@ class GraphDecoder:
         return np.asarray(mean + self.scale * np.moveaxis(x.astype(np.float64), 2, 0))
 
     def change(self, latents: FloatArray, code: FloatArray, threads: int = 1) -> FloatArray:
-        """Return the fields of latents less that of a code; see `ClosureDecoder.change`. Cost: one member more."""
+        """Return fields (n_members, n_nodes, 3), mm, of latents (n_latent, n_members) less that of one code.
+
+        `code`: (n_latent,).
+        """
         both = self.decode(np.concatenate([code[:, None], latents], axis=1), threads=threads)
         return np.asarray(both[1:] - both[0])
 
     def _first(self, rows: IntArray) -> tuple[FloatArray, FloatArray]:
-        """Return linear layer and first level at some of its nodes as one matrix and one constant."""
+        """Return the linear layer and first level at some of its nodes as one matrix and one constant, of float32."""
         level, n_in = self.levels[0], self.levels[0].bases.shape[1]
         joined = np.concatenate([self.weight, self.bias[:, None]], axis=1).reshape(-1, n_in, self.weight.shape[1] + 1)
         found = sum(
@@ -339,7 +346,7 @@ def _closure(weights: Archive) -> ClosureDecoder:
 
 
 def _table(weights: Archive, name: str, *shape: int) -> FloatArray:
-    """Return a table of the weights, or of the file of its own in which the networks share it."""
+    """Return a table of the given shape from a model's weights, or from the file in which networks share it."""
     shared = Path(weights.path).with_name(f"{name}.npy")
     if name in weights or not shared.exists():
         return weights.floats(name, *shape)
@@ -385,7 +392,7 @@ def _level(weights: Archive, k: int, n_coarse: int, n_fine: int, n_in: int) -> G
 
 
 def _dense(tables: list[Any], columns: IntArray) -> FloatArray:
-    """Return sparse tables, one a basis, at some columns as one dense (n_rows, n_columns, M)."""
+    """Return sparse tables, one for each basis, at some columns, as one dense array (n_rows, n_columns, M)."""
     return np.stack([table[:, columns].toarray() for table in tables], axis=-1)
 
 

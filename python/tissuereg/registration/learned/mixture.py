@@ -49,7 +49,11 @@ class Component:
 
 @dataclass(frozen=True, eq=False)
 class LinearDecoder:
-    """A decoder about a point: ``rows(z) = at + slopes (z - point)``, rows as in `Component.errors`, mm."""
+    """A decoder that is linear about a point: ``rows(z) = at + slopes (z - point)``.
+
+    `point` (n_latent,): dimensionless; `at` (n_rows,): displacement components of markers, then targets, at the point,
+    mm; `slopes` (n_rows, n_latent): mm.
+    """
 
     point: FloatArray
     at: FloatArray
@@ -58,29 +62,31 @@ class LinearDecoder:
 
 @dataclass(frozen=True, eq=False)
 class MixturePosterior:
-    """A mixture over pairs of component and scale; rows as in `Component.errors`.
+    """The posterior under a linear decoder: one Gaussian for each pair of component and scale of the prior.
+
+    Rows are displacement components of markers, then of targets.
 
     Attributes
     ----------
     weights : ndarray of float64, shape (n_pairs,)
-        Sum to one.
+        Probability of each pair; they sum to one.
     component : ndarray of int64, shape (n_pairs,)
-        Number of the component.
+        Number of the pair's component.
     scale : ndarray of float64, shape (n_pairs,)
-        Its scale.
+        Factor on the standard deviations of that component.
     latents : ndarray of float64, shape (n_pairs, n_latent)
-        Means.
+        Means of the latents.
     means : ndarray of float64, shape (n_pairs, n_rows)
-        Means of the displacement of markers and targets, the model's own error included, mm.
+        Means of the displacement, the model's own error included, mm.
     covariances : ndarray of float64, shape (n_pairs, n_rows, n_rows)
-        mm^2.
+        Covariances of the displacement, mm^2.
     pulls : ndarray of float64, shape (n_pairs, n_obs)
         S^-1 v, 1/mm.
     logs : ndarray of float64, shape (n_all,)
-        Logarithm of each pair's probability times the density of the innovation, up to a constant; those of a component
-        after each other. Of pairs that were ruled out about an earlier point, as it was there.
+        Logarithm of each pair's probability times the density of the innovation, up to a constant, for all pairs of the
+        prior, component by component. Pairs that were ruled out about an earlier point have their value there.
     log_evidence : ndarray of float64, shape (n_components,)
-        The same of components, over their scales.
+        Logarithm of the evidence of each component, summed over its scales.
     """
 
     weights: FloatArray
@@ -161,7 +167,7 @@ class Conditioned:
         return np.array([np.logaddexp.reduce(part) for part in np.split(self.logs, ends)])
 
     def posterior(self) -> MixturePosterior:
-        """Return the posterior of markers and targets."""
+        """Return the posterior of the displacement of markers and targets, with the pairs that are not negligible."""
         from scipy.linalg import lapack
 
         n_obs, model, found, kept = self._n_obs, self._model, self._innovations, self._kept
@@ -195,7 +201,11 @@ class Conditioned:
 def condition(
     prior: list[Component], model: LinearDecoder, observed: FloatArray, noise: FloatArray
 ) -> MixturePosterior:
-    """Return the posterior of markers and targets given the markers; see `Conditioned`."""
+    """Return the posterior of markers and targets given the measured markers, under a linear decoder.
+
+    `prior`: components; `model`: decoder at markers and targets; `observed` (n_obs,): measured displacements, mm, the
+    decoder's first rows; `noise` (n_obs, n_obs): covariance of the tracker's noise, mm^2.
+    """
     return Conditioned(prior, model, observed, noise).posterior()
 
 
@@ -252,7 +262,12 @@ def log_noise_odds(prior: list[Component], model: LinearDecoder, observed: Float
 
 
 def log_evidence(prior: list[Component], model: LinearDecoder, observed: FloatArray, noise: FloatArray) -> FloatArray:
-    """Return log N(v; 0, S), (n_components, n_scales), without weights and constant; arguments as for `condition`."""
+    """Return log N(v; 0, S) of every component and scale, (n_components, n_scales), up to a common constant.
+
+    v is the innovation at the markers and S its covariance. `prior`: components; `model`: decoder at markers and
+    targets; `observed` (n_obs,): measured displacements, mm; `noise` (n_obs, n_obs): covariance of the tracker's noise,
+    mm^2.
+    """
     return _innovations(prior, model, observed, noise).logs.reshape(len(prior), -1)
 
 

@@ -98,7 +98,7 @@ class CalibratedPosterior:
         simulation: FloatArray | None,
         variants: Variants | None = None,
     ) -> "CalibratedPosterior":
-        """Return the posterior.
+        """Return the posterior of one moment.
 
         `given`: body, measured markers and seed; `model`: the model of this moment at markers and targets;
         `calibration`: what its answers are worth there; `used` int64 (n_used,): markers that are used; `simulation`
@@ -147,7 +147,7 @@ class CalibratedPosterior:
 
     @cached_property
     def _correction(self) -> FloatArray:
-        """What the markers tell of the model's error at every node (n_nodes, 3)."""
+        """Estimated error of the decoded field at every node, (n_nodes, 3), mm, given the residuals at the markers."""
         told: dict[int, tuple[FieldErrors, FloatArray]] = {}
         factor = 0.0
         for pair in self.found.pairs:
@@ -247,12 +247,12 @@ class CalibratedPosterior:
         return statistics_of(self.at.whole, self.prior, self.screening, self.observed, self.noise, n_own)
 
     def _factor(self, number: int) -> float:
-        """Return the variance of the factor on the simulation in a component."""
+        """Return the variance of the factor on the simulation in the prior's component of this number."""
         forms = self.anchor.forms
         return forms[number][1] if number < len(forms) else 0.0
 
     def _errors(self, number: int) -> list[tuple[RowErrors, FloatArray]]:
-        """Return the errors of a component, and the covariance of the coefficients of each at scale one."""
+        """Return the sources of error of a component, each with the covariance of its coefficients at scale one."""
         forms, change, variants = self.anchor.forms, self.at.change_errors, self.anchor.variants
         if number >= len(forms) or change is None:
             return [(self.at.errors, self.at.errors.whole.covariances[number - len(forms)])]
@@ -306,7 +306,7 @@ class _Source:
 
     @classmethod
     def drawn(cls, errors: RowErrors, covariance: FloatArray, n_obs: int, rng: np.random.Generator) -> "_Source":
-        """Return a draw."""
+        """Return a draw of coefficients (n_patterns,) with their covariance; `n_obs`: number of used components."""
         values, vectors = np.linalg.eigh(covariance)
         roots = vectors * np.sqrt(np.maximum(values, 0.0))
         return cls(errors, covariance, errors.patterns[:, :n_obs], roots @ rng.standard_normal(len(roots)))

@@ -92,7 +92,7 @@ class LatentModel(Protocol):
 
 @runtime_checkable
 class Anchors(Protocol):
-    """A model that can be taken about a simulation: its latents are then those of changes from it."""
+    """A model that can be re-centred on a simulation, so that its latents describe changes from it."""
 
     def around(self, simulation: FloatArray) -> LatentModel:
         """Return the model of changes from a simulation (n_nodes, 3) in mm.
@@ -150,7 +150,7 @@ class ScalesErrors(Protocol):
     """A model whose errors are those of given fields, scaled to the size of the event."""
 
     def error_law(self, latents: FloatArray | None = None) -> tuple[ScaledErrors, FloatArray]:
-        """Return the errors, and the factor (n_fields,) of each at `latents`; see `LatentModel.errors`."""
+        """Return error fields of known size, and the factor (n_fields,) on each at `latents` (n_latent,)."""
         ...
 
 

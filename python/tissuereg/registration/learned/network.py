@@ -100,13 +100,13 @@ class NetworkModel:
         return np.asarray(law.fields * scale[:, None, None])
 
     def error_law(self, latents: FloatArray | None = None) -> tuple[ScaledErrors, FloatArray]:
-        """Return the errors, and the factor (n_fields,) of each at `latents`, as `ScalesErrors` states."""
+        """Return the network's error fields, and the factor (n_fields,) on each at `latents` (n_latent,)."""
         if latents is None:
             return self._errors, self._errors.scale(None)
         return self._errors, self._errors.scale(float(rms_displacement(self.sampled(latents[:, None]))[0]))
 
     def sampled(self, latents: FloatArray) -> FloatArray:
-        """Return displacement fields (n_members, k, 3) at nodes that stand for all, mm."""
+        """Return displacement fields (n_members, k, 3), mm, at k nodes that are representative of the mesh."""
         nodes = sampled_nodes(self.n_nodes)
         return self.decode(latents, nodes) if self.tables is None else self.tables.decode(latents, nodes)
 
@@ -136,7 +136,7 @@ class NetworkModel:
         return np.concatenate([np.empty((0, self.n_latent)), *found])
 
     def decode(self, latents: FloatArray, nodes: IntArray | None = None) -> FloatArray:
-        """Return displacement fields, one per column of `latents`; see `LatentModel.decode`."""
+        """Return displacement fields (n_members, k, 3), mm, of latents (n_latent, n_members), at nodes (k,) or all."""
         if nodes is None and latents.shape[1] <= _FEW and self.tables is not None:
             return self.tables.decode(latents, threads=self._threads)
         return self._by_file(latents, nodes)
@@ -240,7 +240,7 @@ class AnchoredModel:
         return self._network.n_nodes
 
     def decode(self, latents: FloatArray, nodes: IntArray | None = None) -> FloatArray:
-        """Return displacement fields, one per column of `latents`; see `LatentModel.decode`."""
+        """Return displacement fields (n_members, k, 3), mm, of latents (n_latent, n_members), at nodes (k,) or all."""
         if nodes is None:
             return self._simulation + self._network.change(latents, self._prior.mean)
         # Beside the simulation's code in one call: the bits depend on nothing that was decoded before.
@@ -248,12 +248,12 @@ class AnchoredModel:
         return np.asarray(both[1:] + (self._simulation[nodes] - both[0]))
 
     def errors(self, latents: FloatArray | None = None) -> FloatArray:
-        """Return the expected errors of the change; see `LatentModel.errors`. They grow with the change."""
+        """Return the expected errors (n_fields, n_nodes, 3), mm, of the change; they grow with it."""
         law, scale = self.error_law(latents)
         return np.asarray(law.fields * scale[:, None, None])
 
     def error_law(self, latents: FloatArray | None = None) -> tuple[ScaledErrors, FloatArray]:
-        """Return the errors, and the factor (n_fields,) of each at `latents`, as `ScalesErrors` states."""
+        """Return error fields of known size, and the factor (n_fields,) on each at `latents` (n_latent,)."""
         if not len(self._errors.fields):
             return self._network.error_law(latents)
         if latents is None:
@@ -262,12 +262,12 @@ class AnchoredModel:
         return self._errors, self._errors.scale(float(rms_displacement(both[:1] - both[1:])[0]))
 
     def prior(self, simulation: FloatArray | None) -> Gaussian:
-        """Return the prior of the truth; see `NetworkModel.prior`."""
+        """Return the prior of the latents about a simulation's code (n_nodes, 3), mm; of all codes for None."""
         return self._prior if simulation is self._simulation else self._network.prior(simulation)
 
 
 def kept_network(folder: Path, mesh: Mesh, threads: int, source: str | None = None) -> NetworkModel:
-    """Return the model of a folder; the last two are kept with their cut decoders while their files do not change."""
+    """Return the model of a folder for a mesh; the last two are kept while their files do not change."""
     try:
         stats = [(folder / name).stat() for name in ("model.json", *MODEL_FILES)]
     except OSError:

@@ -110,7 +110,7 @@ class PcaModel:
         return np.asarray(centre + flat.reshape(latents.shape[1], *centre.shape))
 
     def errors(self, latents: FloatArray | None = None) -> FloatArray:
-        """Return the expected reconstruction errors; see `LatentModel.errors`.
+        """Return the expected reconstruction errors (n_fields, n_nodes, 3), mm, at latents (n_latent,).
 
         Notes
         -----
@@ -121,7 +121,7 @@ class PcaModel:
         return np.asarray(law.fields * scale[:, None, None])
 
     def error_law(self, latents: FloatArray | None = None) -> tuple[ScaledErrors, FloatArray]:
-        """Return the errors, and the factor (n_fields,) of each at `latents`, as `ScalesErrors` states."""
+        """Return error fields of known size, and the factor (n_fields,) on each at `latents` (n_latent,)."""
         if latents is None:
             return self._law, self._law.scale(None)
         return self._law, self._law.scale(float(rms_displacement(self.decode(latents[:, None]) - self.centre)[0]))

@@ -58,36 +58,35 @@ class PointModel:
         return 0 if self._cut is None else self._cut.multiply_adds
 
     def around(self, simulation: FloatArray | None) -> "PointsAround":
-        """Return the model of one moment.
+        """Return the model of one moment; if it can, its latents then describe changes from the simulation.
 
-        `simulation` (n_nodes, 3) or None: simulated displacement, mm; a network or a fitted prior is then one of
-        changes from it.
+        `simulation` (n_nodes, 3) or None: simulated displacement, mm.
         """
         if simulation is None or not isinstance(self.model, Anchors):
             return PointsAround(self, self.model, simulation)
         return PointsAround(self, self.model.around(simulation), simulation, simulation)
 
     def decode(self, latents: FloatArray) -> FloatArray:
-        """Return displacements (n_members, n_points, 3) of the points, one column of latents a member, mm."""
+        """Return displacements (n_members, n_points, 3), mm, of the points, for latents (n_latent, n_members)."""
         self.n_decoded += latents.shape[1]
         return self._cut(latents) if self._cut is not None else self.at(self.model.decode(latents, self._nodes))
 
     def at(self, fields: FloatArray) -> FloatArray:
-        """Return displacements (..., n_points, 3) of the points of fields at the nodes around them (..., k, 3)."""
+        """Return displacements (..., n_points, 3) of the points in fields (..., k, 3) of the k nodes around them."""
         columns = np.moveaxis(fields, -2, 0)
         moved = self._near @ columns.reshape(len(columns), math.prod(columns.shape[1:]))
         return np.moveaxis(np.asarray(moved).reshape(self._near.shape[0], *columns.shape[1:]), 0, -2)
 
     def at_points(self, fields: FloatArray) -> FloatArray:
-        """Return the same of whole fields (..., n_nodes, 3)."""
+        """Return displacements (..., n_points, 3) of the points in whole fields (..., n_nodes, 3)."""
         return self.at(fields[..., self._nodes, :])
 
     def markers(self, moved: FloatArray) -> FloatArray:
-        """Return displacements (..., n_markers, 3) of markers from those of points."""
+        """Return displacements (..., n_markers, 3) of the markers, given those of all points (..., n_points, 3)."""
         return self._markers.predict_points(moved[..., : self._split, :])
 
     def targets(self, moved: FloatArray) -> FloatArray:
-        """Return displacements (..., n_targets, 3) of targets from those of points."""
+        """Return displacements (..., n_targets, 3) of the targets, given those of all points (..., n_points, 3)."""
         return moved[..., self._split :, :]
 
     def components(self, moved: FloatArray) -> FloatArray:
@@ -97,17 +96,20 @@ class PointModel:
 
     @cached_property
     def calibration(self) -> PointCalibration | None:
-        """What the model's answers are worth at the markers and targets; None if that was not measured."""
+        """The model's calibration at the markers and targets; None if the model has none."""
         whole = getattr(self.model, "calibration", None)
         return None if whole is None else whole.at(lambda fields: self.components(self.at_points(fields)))
 
     @property
     def knows_changes(self) -> bool:
-        """Whether it is measured how truths differ from simulations."""
+        """Whether the model was calibrated with pairs of simulation and truth."""
         return self.calibration is not None and self.calibration.change_errors is not None
 
     def errors(self, law: ScaledErrors, scale: FloatArray) -> ErrorsAt:
-        """Return errors that are scaled by a factor a field; at the points they are found once."""
+        """Return the model's errors at markers and targets, each error field times its factor (n_fields,).
+
+        `law`: error fields; what they are at the points is computed once.
+        """
         if id(law) not in self._errors:
             moved = self.at_points(law.fields)
             self._errors[id(law)] = self.markers(moved), self.targets(moved)
@@ -140,7 +142,8 @@ class PointsAround:
     def first(self, latents: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return displacements of the points at the prior's mean, (n_points, 3), and of members.
 
-        Of a model of changes, the mean is the simulation's own code, which decodes to the simulation.
+        `latents` (n_latent, n_members). The members' displacements are (n_members, n_points, 3), mm. If the latents
+        describe changes from a simulation, the mean decodes to it.
         """
         moved = self._at.decode(np.concatenate([self.prior.mean[:, None], latents], axis=1))
         if self._anchor is not None:
@@ -149,7 +152,7 @@ class PointsAround:
         return moved[0], moved[1:]
 
     def decode(self, latents: FloatArray) -> FloatArray:
-        """Return displacements (n_members, n_points, 3) of the points, one column of latents a member, mm."""
+        """Return displacements (n_members, n_points, 3), mm, of the points, for latents (n_latent, n_members)."""
         if self._anchor is not None and self._shift is None:
             self.first(latents[:, :0])
         moved = self._at.decode(latents)
@@ -157,31 +160,31 @@ class PointsAround:
 
     @property
     def calibration(self) -> PointCalibration | None:
-        """What the model's answers are worth at the markers and targets; None if that was not measured."""
+        """The model's calibration at the markers and targets; None if the model has none."""
         return self._at.calibration
 
     def components(self, moved: FloatArray) -> FloatArray:
-        """Return components of displacements of points; see `PointModel.components`."""
+        """Return displacements (n_fields, n_points, 3) as components (n_fields, 3 (n_markers + n_targets)), mm."""
         return self._at.components(moved)
 
     def at_rows(self, field: FloatArray) -> FloatArray:
-        """Return a field (n_nodes, 3) as components (3 (n_markers + n_targets),)."""
+        """Return the components (3 (n_markers + n_targets),) of one field (n_nodes, 3), mm."""
         return np.asarray(self.all_rows(field[None])[0])
 
     def all_rows(self, fields: FloatArray) -> FloatArray:
-        """Return fields (n_fields, n_nodes, 3) as components (n_fields, 3 (n_markers + n_targets))."""
+        """Return the components (n_fields, 3 (n_markers + n_targets)) of fields (n_fields, n_nodes, 3), mm."""
         return self._at.components(self._at.at_points(fields))
 
     def markers(self, moved: FloatArray) -> FloatArray:
-        """Return displacements (..., n_markers, 3) of markers from those of points."""
+        """Return displacements (..., n_markers, 3) of the markers, given those of all points (..., n_points, 3)."""
         return self._at.markers(moved)
 
     def targets(self, moved: FloatArray) -> FloatArray:
-        """Return displacements (..., n_targets, 3) of targets from those of points."""
+        """Return displacements (..., n_targets, 3) of the targets, given those of all points (..., n_points, 3)."""
         return self._at.targets(moved)
 
     def errors(self, latents: FloatArray | None = None) -> ErrorsAt:
-        """Return the errors expected where `latents` (n_latent,) are; by default typical ones."""
+        """Return the model's expected errors for latents (n_latent,); those of a typical event for None."""
         if isinstance(self.latent, ScalesErrors):
             return self._at.errors(*self.latent.error_law(latents))
         own = self.latent.errors(latents)

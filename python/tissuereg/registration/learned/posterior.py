@@ -76,7 +76,10 @@ class Posterior:
 
 
 def _std(model: PointsAround, ensemble: Assimilation, displacement: FloatArray, own: ErrorsAt) -> FloatArray:
-    """Return the root of the trace of every node's covariance, the model's own error included."""
+    """Return the root (n_nodes,), mm, of the trace of every node's covariance, the model's own error included.
+
+    `displacement` (n_nodes, 3): mean, mm; `own`: the model's own errors.
+    """
     latents = ensemble.latents
     square, total = np.zeros(len(displacement)), np.zeros(displacement.shape)
     for first in range(0, latents.shape[1], _BATCH):

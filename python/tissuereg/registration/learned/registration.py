@@ -154,7 +154,11 @@ def _without_unlikely(
 
 @dataclass(frozen=True, eq=False)
 class _Drawn:
-    """Draws from the prior; predictions (n_members, n_markers, 3) of all markers, and those at the prior's mean, mm."""
+    """Draws from the prior, with their predictions.
+
+    `prior`: of the latents; `first`: the drawn ensemble; `markers` (n_members, n_markers, 3): its predictions of all
+    markers, mm; `centre` (n_markers, 3): predictions at the prior's mean, mm.
+    """
 
     prior: Gaussian
     first: FirstEnsemble
@@ -172,11 +176,14 @@ class _Drawn:
         return cls(model.prior, first, model.markers(moved), model.markers(centre))
 
     def predicted(self, seen: IntArray) -> FloatArray:
-        """Return predictions (n_obs, n_members) of some markers."""
+        """Return the predictions (3 n_seen, n_members) of the markers with numbers `seen`, mm."""
         return _rows(self.markers[:, seen])
 
     def start(self, prior: Gaussian, widening: float, seen: IntArray) -> FirstEnsemble:
-        """Return the members as draws from the prior after its widening."""
+        """Return the draws as draws from a widened prior, with their predictions of some markers if known.
+
+        `widening`: factor on its covariance; `seen`: numbers of the markers.
+        """
         if widening == 1.0:
             return FirstEnsemble(self.first.latents, self.first.exact, self.predicted(seen))
         here, there = (np.linalg.cholesky(one.covariance) for one in (self.prior, prior))
@@ -186,7 +193,12 @@ class _Drawn:
 
 @dataclass(frozen=True, eq=False)
 class _EnsembleFit:
-    """A posterior ensemble with its prior and noise; of a minimum also the predictions there, and their covariance."""
+    """A posterior ensemble with what it rests on.
+
+    `prior`: of the latents, widened by the factor `widening` on its covariance; `noise` (n_obs, n_obs): C_d, mm^2;
+    `ensemble`: posterior members; `predicted` (n_obs,) and `absorbed` (n_obs, n_obs): predictions at the minimum and
+    their posterior covariance, mm and mm^2, empty for an ensemble.
+    """
 
     prior: Gaussian
     widening: float
@@ -216,7 +228,10 @@ def _without_wrong(
 
 
 def _fit(model: PointsAround, drawn: _Drawn, given: RegisterInput, seen: IntArray) -> _EnsembleFit:
-    """Return the posterior ensemble, with the noise at the state that a linear model finds."""
+    """Return the posterior ensemble given the markers with numbers `seen`.
+
+    The model's own errors, part of C_d, are taken at the state that a linear model finds.
+    """
     markers, settings = given.markers, given.settings.smoother
     measured = markers.displacement[seen].ravel()
     latents, predicted = drawn.first.latents, drawn.predicted(seen)
@@ -338,7 +353,11 @@ def _trust(
     min_det_f: float,
     notes: list[str],
 ) -> Trust:
-    """Judge by the noise and the prior as they are stated."""
+    """Return whether the registration can be trusted, judged by noise and prior as they are stated.
+
+    `residual` (n_used, 3): measured minus fitted, mm; `seen` int64 (n_used,): numbers of the used markers; `min_det_f`:
+    smallest volume ratio; `notes`: reasons found earlier.
+    """
     if fit.widening > 9.0:
         times = np.sqrt(fit.widening)
         notes.append(f"simulation: it is farther off than usual; its prior had to be widened {times:.1f}-fold")

@@ -21,7 +21,10 @@ LEAST_VARIANTS = 4
 
 
 def checked_variants(fields: Any, n_nodes: int | None = None) -> FloatArray:
-    """Return displacements (n_variants, n_nodes, 3) checked; see `Variants.of`."""
+    """Return variants of a simulation as float64, (n_variants, n_nodes, 3); raise ShapeError if they are none.
+
+    At least four finite fields, mm, of the given number of nodes.
+    """
     given = float_array("variants", fields, (None, n_nodes, 3))
     if len(given) < LEAST_VARIANTS:
         message = f"`variants` must be {LEAST_VARIANTS} or more simulations of one moment, got {len(given)}"
@@ -35,10 +38,10 @@ def checked_variants(fields: Any, n_nodes: int | None = None) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class Variants:
-    """Variants of one moment.
+    """Mean and covariance of the variants of one moment's simulation.
 
-    `mean` (n_nodes, 3): of their displacements, mm; `spread`: their covariance about it: of one kind, by as many
-    patterns as there are variants.
+    `mean` (n_nodes, 3): mean displacement, mm; `spread`: covariance about it, by as many patterns as there are
+    variants.
     """
 
     mean: FloatArray

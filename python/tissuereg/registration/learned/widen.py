@@ -95,10 +95,10 @@ def widened(
 
 @dataclass(frozen=True, eq=False)
 class Stated:
-    """What is believed of one moment before its latents are found.
+    """Prior and noise of one moment, before its latents are found.
 
-    `prior`: prior of the latents, widened if the markers say so; `factor`: by which it was widened; see `widened`;
-    `noise` (n_obs, n_obs): C_d: the tracker's noise and the model's own errors at the markers, mm^2; `near`
+    `prior`: prior of the latents, widened if the markers require it; `factor`: factor on its covariance by which it was
+    widened; `noise` (n_obs, n_obs): C_d, the tracker's noise and the model's own errors at the markers, mm^2; `near`
     (n_latent,): most probable latents of a linear model, at which these errors are taken.
     """
 
@@ -142,14 +142,17 @@ def stated(
 
 
 def _noise(errors: FloatArray, markers: Markers, seen: IntArray) -> FloatArray:
-    """Return C_d: the tracker's noise and the model's own errors (n_fields, n_seen, 3) at the markers."""
+    """Return C_d (3 n_seen, 3 n_seen), mm^2: the tracker's noise and the covariance of the model's errors.
+
+    `errors` (n_fields, n_seen, 3): the model's errors at the markers with numbers `seen`, mm.
+    """
     tracker = (markers.axis_std[seen] ** 2).ravel()
     return np.asarray(np.diag(tracker) + error_covariance(errors.reshape(len(errors), 3 * len(seen))))
 
 
 @lru_cache
 def _quantile(n_obs: int) -> float:
-    """Return the size beyond which an innovation of so many coordinates is too large."""
+    """Return the 95 % quantile of the chi-square law with n_obs degrees of freedom."""
     from scipy.stats import chi2
 
     return float(chi2.isf(_LEVEL, n_obs))

@@ -52,7 +52,7 @@ def _typical(skin: Skin, points: FloatArray) -> float:
 
 
 def _turned(points: FloatArray) -> list[tuple[str, FloatArray]]:
-    """Return the points with axes permuted and negated, each with its words."""
+    """Return the points (n, 3) with axes exchanged and negated, each with the change in words."""
     found = []
     for order in permutations(range(3)):
         for signs in product((1.0, -1.0), repeat=3):
@@ -66,7 +66,7 @@ def _turned(points: FloatArray) -> list[tuple[str, FloatArray]]:
 
 
 def _size(ratio: float) -> Suspicion:
-    """Return the suspicion that a cloud of another size than the body is in other units."""
+    """Return the suspicion that points are in other units; `ratio`: size of their cloud over that of the body."""
     unit = min(_UNITS, key=lambda name: abs(np.log(ratio * _UNITS[name])))
     text = f"unit: the surface points span {ratio:.3g} times the extent of the body; they may be in {unit}"
     return Suspicion("unit", text)

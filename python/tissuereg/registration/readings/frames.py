@@ -24,7 +24,7 @@ _ALL, _REFERENCE, _MEASURED = "all markers", "the reference places", "the measur
 
 
 def units(given: Given) -> list[Reading]:
-    """Return readings in other units."""
+    """Return one reading (a way to interpret the input) for each other unit of length that may have been meant."""
     x, y = given.reference, given.measured
     readings = []
     for factor, name in UNITS.items():
@@ -43,7 +43,7 @@ def units(given: Given) -> list[Reading]:
 
 
 def frames(given: Given) -> list[Reading]:
-    """Return readings with axes negated or exchanged."""
+    """Return one reading (a way to interpret the input) for each way in which axes may be negated or exchanged."""
     x, y = given.reference, given.measured
     middle, motion = given.skin.middle, given.motion
     readings = []
@@ -65,7 +65,10 @@ def frames(given: Given) -> list[Reading]:
 
 
 def columns(given: Given) -> list[Reading]:
-    """Return readings with the six columns, or the rows of one column, shifted by one; complete markers only."""
+    """Return readings in which columns or rows of the table were shifted by one, as in a spreadsheet.
+
+    Only for markers that were seen with all three coordinates.
+    """
     if not given.complete.all() or len(given.names) < 2:
         return []
     x, y = given.reference, given.measured
@@ -89,7 +92,10 @@ def columns(given: Given) -> list[Reading]:
 
 
 def _signed_permutations() -> list[tuple[FloatArray, float, str]]:
-    """Return the 47 matrices that exchange and negate axes, cost and title of each: true = matrix @ given."""
+    """Return the 47 matrices (3, 3) that exchange and negate axes, each with its prior cost and its words.
+
+    True places are the matrix times the given places.
+    """
     found = []
     for order in itertools.permutations(range(3)):
         for signs in itertools.product((1.0, -1.0), repeat=3):

@@ -69,7 +69,10 @@ def suspect(mesh: Mesh, markers: Markers, observation: MarkerObservation | None 
 
 
 def _repeats(markers: Markers, resting: BoolArray, extent: float) -> tuple[list[Suspicion], BoolArray]:
-    """Return stale and repeated markers, and the remaining markers."""
+    """Return suspicions of stale and repeated markers, and a mask (n_markers,) of the remaining markers.
+
+    `resting` bool (n_markers,): markers on the held part of the surface; `extent`: of the body, mm.
+    """
     found: list[Suspicion] = []
     left = np.ones(len(markers), dtype=bool)
     rows = stale(markers, resting)
@@ -83,7 +86,7 @@ def _repeats(markers: Markers, resting: BoolArray, extent: float) -> tuple[list[
 
 
 def _other_reading(given: Given) -> list[Suspicion]:
-    """Return the reading that beats the input as given, if one does."""
+    """Return the suspicion that another reading of the input is right, if one is far likelier."""
     rows = chosen_rows(given)
     readings = [as_given(given), *units(given), *frames(given), *columns(given)]
     readings += [*measured_moved(given), *orders(given)]
@@ -107,14 +110,20 @@ def _other_reading(given: Given) -> list[Suspicion]:
 
 
 def _lost(markers: Markers, distance: FloatArray, extent: float) -> list[Suspicion]:
-    """Return markers farther from the surface (negative: inside) than any marker is plausibly mounted or placed."""
+    """Return the suspicion that markers lie farther from the surface than any marker is plausibly mounted or placed.
+
+    `distance` (n_markers,): signed distance from the surface, negative inside, mm; `extent`: of the body, mm.
+    """
     outside = 1.5 * standoff(extent) + 0.03 * extent + 4.0 * markers.std
     rows = np.flatnonzero((distance > outside) | (-distance > np.maximum(outside, CHECKS.deepest_share * extent)))
     return [far([markers.names[i] for i in rows], np.abs(distance[rows]).tolist(), extent)] if len(rows) else []
 
 
 def _slipped(markers: Markers, resting: BoolArray, extent: float) -> list[Suspicion]:
-    """Return markers on held surface that move."""
+    """Return the suspicion that markers on the held part of the surface move.
+
+    `resting` bool (n_markers,): markers on that part; `extent`: of the body, mm.
+    """
     seen = np.where(np.isfinite(markers.displacement), markers.displacement, 0.0)
     size = np.linalg.norm(seen, axis=1)
     rows = np.flatnonzero(resting & (size > max(CHECKS.held_mm, CHECKS.held_share * extent) + 4.0 * markers.std))

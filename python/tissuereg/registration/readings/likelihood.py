@@ -56,7 +56,7 @@ def places_likelihood(distance: FloatArray, extent: float) -> FloatArray:
 
 
 def nowhere_likelihood(distance: FloatArray, extent: float) -> float:
-    """Return the log-likelihood of places that are unrelated to the surface."""
+    """Return the log-likelihood of distances (n_markers,), mm, of places that have nothing to do with the surface."""
     wide = 0.2 * extent
     return float(np.maximum(-0.5 * (distance / wide) ** 2, -8.0).sum() - len(distance) * np.log(wide))
 
@@ -104,7 +104,11 @@ def motion_likelihood(
 
 @cache
 def _grid(noise: float, extent: float) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return sizes of the deformation, of the common motion, and noises, all in mm, and log-weights: (h,) each."""
+    """Return the grid over which the likelihood of a motion is averaged, h combinations of three sizes.
+
+    Result, (h,) each: size of the deformation, size of the common motion, standard deviation of the noise, all in mm,
+    and the logarithm of the prior weight.
+    """
     points = [
         (size * extent, max(size, common) * extent, float(np.hypot(noise, extra)), of_size + of_common + of_noise)
         for size, of_size in zip(MOTION.sizes, np.log(MOTION.size_weights), strict=True)
@@ -117,7 +121,7 @@ def _grid(noise: float, extent: float) -> tuple[FloatArray, FloatArray, FloatArr
 
 
 def likeliest(noise: float) -> float:
-    """Return the largest log-likelihood that any motion can have, a coordinate."""
+    """Return the largest log-likelihood of one measured coordinate under any motion; `noise`: its deviation, mm."""
     return -float(np.log(np.sqrt(2 * np.pi) * np.hypot(noise, MOTION.extra_noise_mm[0])))
 
 
@@ -129,7 +133,12 @@ def unrelated_likelihood(motion: FloatArray, extent: float) -> float:
 
 
 def _rigid_columns(arms: FloatArray, freedom: FloatArray, extent: float) -> tuple[list[FloatArray], FloatArray]:
-    """Return translations and rotations (n_markers, 3, 6): of unit size, each fading; then of a whole body's size."""
+    """Return the displacements of n markers by unit rigid motions: three translations and three rotations.
+
+    `arms` (n, 3): places, mm; `freedom` (3, n): how freely the body can move at each place; `extent`: of the body, mm.
+    Result: for each of three lengths of fading towards held nodes (n, 3, 6); and (n, 3, 6) for a body that moves as a
+    whole.
+    """
     centred = arms - arms.mean(axis=0)
     radius = max(float(np.sqrt(np.sum(centred**2, axis=1).mean())), 0.1 * extent)
     columns = np.zeros((len(arms), 3, 6))
@@ -152,9 +161,10 @@ def _diagonal(
     seen: BoolArray,
     lengths: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return eigenvalues (l, n), and displacements (l, n, n_readings) and columns (l, n, c) in the eigenvectors' frame.
+    """Return smooth motions of each length in the frame of their covariance's eigenvectors.
 
-    Of smooth motions of each length, (l,) in mm.
+    `lengths` (l,): lengths over which a motion varies, mm. Result: eigenvalues (l, n), displacements (l, n, n_readings)
+    and columns (l, n, c) in that frame.
     """
     gaps = np.sqrt(3.0) * np.linalg.norm(arms[:, None] - arms[None], axis=2) / lengths[:, None, None]
     covariance = (1.0 + gaps) * np.exp(-gaps) * freedom[:, None] * freedom[None]
@@ -199,6 +209,6 @@ def _gaussian(variance: FloatArray, turned: FloatArray, columns: FloatArray, fac
 
 
 def log_mean_exp(values: FloatArray) -> FloatArray:
-    """Return the logarithm of the mean of the exponentials along the first axis."""
+    """Return the logarithm of the mean of exp(values) along the first axis."""
     top = values.max(axis=0)
     return np.asarray(top + np.log(np.exp(values - top).mean(axis=0)))

@@ -12,7 +12,10 @@ from tissuereg.registration.readings.settings import COSTS, PROPOSALS
 
 
 def orders(given: Given) -> list[Reading]:
-    """Return readings with the measured rows in another order; markers with missing coordinates stay as they are."""
+    """Return readings (ways to interpret the input) in which the measured rows are in another order.
+
+    Markers with missing coordinates stay as they are.
+    """
     rows = np.flatnonzero(given.complete)
     if len(rows) < 2:
         return []
@@ -45,7 +48,10 @@ def _reading(given: Given, rows: IntArray, order: IntArray, cost: float) -> Read
 
 
 def _pairs(x: FloatArray, y: FloatArray) -> list[tuple[IntArray, float]]:
-    """Return exchanges of two rows."""
+    """Return orders in which two rows are exchanged, each with its prior cost.
+
+    `x`, `y` (n, 3): reference and measured places, mm. Result: the row numbers in that order, and minus the log odds.
+    """
     n = len(x)
     tried = np.arange(n) if n <= PROPOSALS.all_pairs else np.sort(np.argsort(oddness(x, y))[-PROPOSALS.all_pairs :])
     cost = COSTS.swap + log(n * (n - 1) / 2)
@@ -58,7 +64,10 @@ def _pairs(x: FloatArray, y: FloatArray) -> list[tuple[IntArray, float]]:
 
 
 def _rolls(x: FloatArray, y: FloatArray, names: list[str]) -> list[tuple[IntArray, float]]:
-    """Return orders that a file may have: shifted by some rows, reversed, sorted by name or by a coordinate."""
+    """Return orders that a table may have by mistake: shifted by some rows, reversed, sorted by name or coordinate.
+
+    `x`, `y` (n, 3): reference and measured places, mm. Result: the row numbers in that order, and minus the log odds.
+    """
     n = len(x)
     found = [np.roll(np.arange(n), step) for step in (1, -1, 2, -2)] + [np.arange(n)[::-1].copy()]
     listed = np.array(sorted(range(n), key=lambda i: names[i]))
@@ -72,7 +81,11 @@ def _rolls(x: FloatArray, y: FloatArray, names: list[str]) -> list[tuple[IntArra
 
 
 def _matches(x: FloatArray, y: FloatArray) -> list[tuple[IntArray, float]]:
-    """Return the orders of least total motion, at rest and after a rigid motion, and their cycles one by one."""
+    """Return the orders with the least total motion, and each of their cycles alone, with their prior costs.
+
+    `x`, `y` (n, 3): reference and measured places, mm. The motion is measured at rest, and after a rigid motion is
+    removed.
+    """
     from scipy.optimize import linear_sum_assignment
 
     n = len(x)
@@ -107,7 +120,10 @@ def _cycles(order: IntArray) -> list[list[int]]:
 
 
 def oddness(x: FloatArray, y: FloatArray) -> FloatArray:
-    """Return the difference of every marker's motion from the median of its neighbours', mm."""
+    """Return how far every marker's motion differs from the median of its neighbours', (n,), mm.
+
+    `x`, `y` (n, 3): reference and measured places, mm.
+    """
     from scipy.spatial import cKDTree
 
     neighbours = np.asarray(cKDTree(x).query(x, k=min(PROPOSALS.neighbours + 1, len(x)))[1])[:, 1:]

@@ -42,7 +42,7 @@ class Given:
 
     @classmethod
     def of(cls, mesh: Mesh, markers: Markers, rows: IntArray) -> "Given":
-        """Return the input of some of the markers."""
+        """Return the input of the markers with numbers `rows`, with the data that readings need."""
         skin = skin_of(mesh)
         return cls(
             skin,
@@ -56,18 +56,18 @@ class Given:
 
     @property
     def complete(self) -> BoolArray:
-        """Which markers were seen with all three coordinates, shape (n_markers,)."""
+        """Mask (n_markers,) of the markers that were seen with all three coordinates."""
         return np.asarray(np.isfinite(self.measured).all(axis=1))
 
 
 @dataclass(frozen=True, eq=False)
 class Reading:
-    """One candidate reading.
+    """One way to interpret the input: a mistake that may have been made, and the places and motion without it.
 
     Attributes
     ----------
     kind : str
-        First word of the sentence.
+        Kind of mistake, the first word of the sentence that reports it.
     words : str
         The change of the input that this reading makes.
     cost : float
@@ -77,13 +77,13 @@ class Reading:
     motion : ndarray of float64, shape (n_markers, 3)
         Displacements under this reading, mm, possibly in a rotated frame; NaN = not seen.
     arms : ndarray of float64, shape (n_markers, 3)
-        The places in that frame.
+        The places in that frame, mm.
     log_scale : float
         Logarithm of the factor on measured coordinates.
     rigid : bool
         Whether the body may move as a whole.
     rows : sequence of int
-        Markers that are read differently; empty = all.
+        Numbers of the markers that are read differently; empty = all.
     """
 
     kind: str
@@ -98,5 +98,5 @@ class Reading:
 
 
 def as_given(given: Given) -> Reading:
-    """Return the reading of the input as given."""
+    """Return the reading that takes the input as it was given."""
     return Reading("", "", 0.0, given.reference, given.motion, given.reference)

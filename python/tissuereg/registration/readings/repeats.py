@@ -50,7 +50,7 @@ def repeated(markers: Markers, extent: float) -> list[tuple[int, int, str]]:
 
 
 def _step(markers: Markers) -> float:
-    """Return the largest of 10, 1, 0.1, ... mm of which all coordinates are multiples, or `CHECKS.finest_mm`."""
+    """Return the coarsest step, 10, 1, 0.1, ... mm, of which all coordinates are multiples; at least `finest_mm`."""
     values: FloatArray = np.concatenate([markers.reference.ravel(), markers.measured.ravel()])
     values = values[np.isfinite(values)]
     step = 10.0

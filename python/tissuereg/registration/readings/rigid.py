@@ -31,12 +31,15 @@ def best_rigid(start: FloatArray, end: FloatArray) -> tuple[FloatArray, FloatArr
 
 
 def moved(points: FloatArray, turn: FloatArray, shift: FloatArray) -> FloatArray:
-    """Return points (..., n, 3) after rotations (..., 3, 3) and shifts (..., 3)."""
+    """Return points (..., n, 3), mm, after rotations (..., 3, 3) and shifts (..., 3), mm."""
     return np.asarray(points @ np.swapaxes(turn, -1, -2) + shift[..., None, :])
 
 
 def measured_moved(given: Given) -> list[Reading]:
-    """Return the reading in which all measured places were moved rigidly; none if the body may move rigidly."""
+    """Return the reading in which a rigid motion was applied to all measured places by mistake.
+
+    It is fitted to the motion; there is none if the body itself may move rigidly.
+    """
     rows = given.complete
     if rows.sum() < PROPOSALS.fewest_moved or not len(given.held_nodes):
         return []
@@ -53,7 +56,10 @@ def measured_moved(given: Given) -> list[Reading]:
 
 
 def places_moved(given: Given) -> list[Reading]:
-    """Return readings in which reference places, alone or with the measured ones, are moved onto the surface."""
+    """Return readings in which a rigid motion must bring the reference places onto the surface.
+
+    It is applied to the reference places alone, or to the measured ones, too.
+    """
     x, y, rows = given.reference, given.measured, given.complete
     starts, alone = [], []
     if rows.sum() >= PROPOSALS.fewest_moved:
@@ -77,7 +83,10 @@ def places_moved(given: Given) -> list[Reading]:
 
 
 def _slid(given: Given, turn: FloatArray, shift: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return motions (s, 3, 3) and (s, 3) that bring the reference places near the surface, point to plane."""
+    """Return s rigid motions that bring the reference places to the surface: (s, 3, 3) and (s, 3), mm.
+
+    `turn`, `shift`: motions to start from; distances are minimised point to plane.
+    """
     extent = given.skin.extent
     size = np.concatenate([np.ones(3), np.full(3, (0.5 * extent) ** 2)])
     for _ in range(PROPOSALS.slide):
@@ -102,7 +111,10 @@ def _rotation(vector: FloatArray) -> FloatArray:
 
 
 def _described(turn: FloatArray, shift: FloatArray, given: Given) -> str:
-    """Return a rigid motion in words: how far it moves the markers' middle, mm, and the angle (3, 3) turns, degrees."""
+    """Return a rigid motion in words: how far it moves the markers' middle, mm, and its angle, degrees.
+
+    `turn` (3, 3): rotation; `shift` (3,): mm.
+    """
     middle = given.reference.mean(axis=0)
     far = float(np.linalg.norm(turn @ middle + shift - middle))
     angle = float(np.degrees(np.arccos(np.clip(0.5 * (np.trace(turn) - 1.0), -1.0, 1.0))))

@@ -74,7 +74,7 @@ class Skin:
         return Closest(values[..., 0], values[..., 1:4], values[..., 4:7], values[..., 7] > 0.0)
 
     def _closest(self, flat: FloatArray) -> FloatArray:
-        """Return distance, foot, normal and whether it is held (1 or 0) for every point, (n, 8)."""
+        """Return for points (n, 3), mm, the columns distance, foot (3), normal (3) and held (1 or 0), as (n, 8)."""
         _, samples = self._samples.query(flat, k=PROPOSALS.closest)
         triangles = np.asarray(samples, np.int64) // 4
         corners = self._corners[triangles]

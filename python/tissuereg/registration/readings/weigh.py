@@ -38,11 +38,11 @@ class Weighed:
 
     @property
     def total(self) -> float:
-        """Log-odds up to a constant."""
+        """Log-odds of the reading, log-likelihoods minus prior cost, up to a constant that readings share."""
         return self.of_layout + self.of_places + self.of_motion - self.reading.cost
 
     def believable(self, extent: float) -> bool:
-        """Return whether places and motion are more likely than ones unrelated to the body."""
+        """Return whether places and motion are likelier than ones unrelated to the body (`extent`, mm)."""
         places = self.of_places > nowhere_likelihood(self.distance, extent)
         n_seen = int(np.isfinite(self.motion).sum())
         motion = self.of_motion - n_seen * self.reading.log_scale
@@ -50,7 +50,7 @@ class Weighed:
 
 
 def chosen_rows(given: Given) -> IntArray:
-    """Return the markers that are used: all, or of many those spread over the body and the unusual ones."""
+    """Return the numbers of the markers used: all; or, of many, those spread over the body and unusual ones."""
     n = len(given.names)
     if n <= PROPOSALS.spread_markers + PROPOSALS.odd_markers:
         return np.arange(n)
@@ -104,9 +104,11 @@ def weigh(given: Given, readings: list[Reading], rows: IntArray) -> list[Weighed
 
 
 def _worth(readings: list[Reading], likely: FloatArray, rows: IntArray) -> tuple[list[int], list[int]]:
-    """Return all readings with the given places and axes, and the most likely of the others without their motion.
+    """Return which readings are evaluated in full: two lists of their numbers.
 
-    Readings with only the measured places in other axes are kept if the motion becomes smaller.
+    `likely` (n_readings,): log-likelihood of each reading's places. The first list has the readings with the given
+    places and axes, the second the likeliest of the others. Readings with only the measured places in other axes are
+    kept if the motion becomes smaller.
     """
     given = readings[0]
     same, turned, elsewhere = [0], [], []
@@ -126,7 +128,8 @@ def _worth(readings: list[Reading], likely: FloatArray, rows: IntArray) -> tuple
 def _hopeless(plain: Weighed, reading: Reading, likely: float, given: Given, rows: IntArray) -> bool:
     """Return whether a reading cannot beat the input as given, however well its motion fits.
 
-    If the motion is unchanged, the places decide; otherwise the bound is the likelihood of no motion at all.
+    `plain`: the input as given, weighed; `likely`: log-likelihood of the reading's places. If the motion is unchanged,
+    the places decide; otherwise the bound is the likelihood of no motion at all.
     """
     if reading.motion is plain.reading.motion:
         return likely - reading.cost < plain.of_layout + plain.of_places + COSTS.margin
@@ -137,14 +140,14 @@ def _hopeless(plain: Weighed, reading: Reading, likely: float, given: Given, row
 
 
 def _sizes(readings: list[Reading], rows: IntArray) -> FloatArray:
-    """Return the median size of a seen coordinate of the motion under each reading, mm."""
+    """Return the median size of a seen coordinate of the motion under each reading, (n_readings,), mm."""
     motion = np.abs([reading.motion[rows] for reading in readings])
     seen = np.isfinite(motion[0])
     return np.median(motion[:, seen], axis=1) if seen.any() else np.zeros(len(readings))
 
 
 def _groups(readings: list[Reading], chosen: list[int]) -> list[list[int]]:
-    """Return readings that share places and frame together."""
+    """Return the numbers of the `chosen` readings in groups that share places and frame."""
     groups: dict[tuple[int, int, bool], list[int]] = {}
     for number in chosen:
         reading = readings[number]
@@ -153,7 +156,11 @@ def _groups(readings: list[Reading], chosen: list[int]) -> list[list[int]]:
 
 
 def _motion(given: Given, readings: Sequence[Reading], rows: IntArray) -> tuple[FloatArray, FloatArray]:
-    """Return motion (n_readings, n_weighed, 3) and its log-likelihood for readings that share places and frame."""
+    """Return motions (n_readings, n_weighed, 3), mm, and their log-likelihoods (n_readings,).
+
+    The readings share places and frame; of a free body the rigid motion is removed. `rows`: numbers of the markers
+    used.
+    """
     arms, freedom = readings[0].arms[rows], given.skin.freedom(readings[0].places[rows])
     motion = np.array([reading.motion[rows] for reading in readings])
     free = not len(given.held_nodes)

@@ -107,7 +107,7 @@ def held(names: Sequence[str], size: float) -> Suspicion:
 
 
 def listed(names: Sequence[str]) -> str:
-    """Return markers by name, the first few of many."""
+    """Return the names of markers as words; of many, the first few and the number of the others."""
     shown = ", ".join(names[:4])
     more = f" and {len(names) - 4} more" if len(names) > 4 else ""
     return f"{'markers' if len(names) > 1 else 'marker'} {shown}{more}"

@@ -1,4 +1,4 @@
-"""A reference model with an error far below the noise: pads cut out of the mesh, ten-node elements."""
+"""A reference model with an error far below the measurement noise: pads cut out of the mesh, ten-node elements."""
 
 from tissuereg.simulation.fine.meshing import FineMeshing, fine_experiment
 from tissuereg.simulation.fine.model import FineModel, rough_element, without_time

@@ -21,12 +21,12 @@ _SIDES = np.array([[0, 1], [1, 2], [2, 0]])
 
 
 class Bisection:
-    """A mesh whose edges can be cut.
+    """A tetrahedral mesh whose edges can be cut in two by new nodes.
 
-    `mesh`: the initial mesh; it is not changed. `nodes` (n_nodes, 3): those of the mesh, then new ones, mm; `tets`
-    int64 (n_tets, 4): with positive orientation, as in the mesh; `surface` int64 (n_triangles, 3): boundary triangles;
-    `parents` int64 (n_nodes, 2): ends of the edge cut by each new node; a node of the initial mesh has itself twice;
-    `on_surface` bool (n_nodes,): whether a node lies on the boundary.
+    `mesh`: the initial mesh; it is not changed. Attributes: `nodes` (n_nodes, 3): those of the mesh, then new ones, mm;
+    `tets` int64 (n_tets, 4): node numbers with positive orientation, as in the mesh; `surface` int64 (n_triangles, 3):
+    boundary triangles; `parents` int64 (n_nodes, 2): ends of the edge cut by each new node; a node of the initial mesh
+    has itself twice; `on_surface` bool (n_nodes,): whether a node lies on the boundary.
     """
 
     def __init__(self, mesh: Mesh) -> None:
@@ -44,10 +44,10 @@ class Bisection:
         return np.unique(np.sort(self.surface[:, _SIDES].reshape(-1, 2), axis=1), axis=0)
 
     def cut(self, edges: IntArray, places: FloatArray) -> IntArray:
-        """Cut edges.
+        """Cut edges in two, in every tetrahedron and boundary triangle that has them; return the new nodes' numbers.
 
         `edges` int64 (n, 2): ends, each edge once; `places` (n, 3): positions of the new nodes, on or near their edges,
-        mm. Result: int64 (n,), the new nodes.
+        mm. Result: int64 (n,), in the order of the edges.
 
         Notes
         -----
@@ -65,10 +65,10 @@ class Bisection:
         return found
 
     def refine(self, size: Callable[[FloatArray], FloatArray]) -> None:
-        """Cut longest edges until no tetrahedron is too large (Rivara 1984).
+        """Cut longest edges until no tetrahedron has an edge longer than allowed (Rivara 1984).
 
-        `size`: from centres of tetrahedra (n, 3) in mm to the largest edge length allowed for each, (n,) in mm. Raises
-        `MeshError` if that takes more than a thousand rounds.
+        `size`: function from centres of tetrahedra (n, 3) in mm to the largest edge length allowed for each, (n,) in
+        mm. Raises `MeshError` if that takes more than a thousand rounds.
 
         Notes
         -----
@@ -104,15 +104,19 @@ class Bisection:
         raise MeshError(message, where="refine")
 
     def mesh(self, node_sets: Mapping[str, IntArray]) -> Mesh:
-        """Return the mesh as it is now.
+        """Return the mesh with all cuts made so far, and its node sets.
 
-        `node_sets`: sets of the initial mesh. A new node belongs to a set if both ends of its edge do, and to a set of
-        surface nodes only if it lies on the surface. Result: with the sets carried over.
+        `node_sets`: node numbers by name, sets of the initial mesh. A new node belongs to a set if both ends of its
+        edge do, and to a set of surface nodes only if it lies on the surface.
         """
         return Mesh(self.nodes, self.tets, {name: self.carried(nodes) for name, nodes in node_sets.items()})
 
     def carried(self, nodes: IntArray) -> IntArray:
-        """Return a node set of the initial mesh, new nodes included, sorted."""
+        """Return a node set of the initial mesh with the new nodes that belong to it: node numbers (n,), sorted.
+
+        A new node belongs to it if both ends of its edge do, and, for a set of surface nodes, if it lies on the
+        surface.
+        """
         member = np.zeros(len(self.nodes), dtype=bool)
         member[nodes] = True
         of_surface = bool(self.on_surface[nodes].all())
@@ -122,7 +126,10 @@ class Bisection:
         return np.flatnonzero(member)
 
     def _longest(self, tets: IntArray) -> tuple[FloatArray, IntArray]:
-        """Return length in mm and key of the longest edge of tets; of equally long ones that with the largest key."""
+        """Return the length (n,), mm, and the key (n,) of the longest edge of each of the given tets (n, 4).
+
+        A key is one integer for both ends of an edge. Of equally long edges the one with the largest key is taken.
+        """
         ends = np.sort(tets[:, _EDGES], axis=2)
         lengths = np.linalg.norm(self.nodes[ends[..., 1]] - self.nodes[ends[..., 0]], axis=2)
         length = lengths.max(axis=1)
@@ -130,7 +137,10 @@ class Bisection:
         return length, np.where(lengths == length[:, None], keys, -1).max(axis=1)
 
     def _independent(self, waiting: IntArray, rank: IntArray) -> "np.ndarray[Any, np.dtype[np.bool_]]":
-        """Return which waiting edges (sorted keys) come first in all tets that have them."""
+        """Return a mask (n,) of the edges that can be cut now: those that come first in every tet that contains them.
+
+        `waiting` (n,): keys of the edges still to be cut, sorted; `rank` (n,): their place in the order of cutting.
+        """
         tet, _, row = _found(self._keys, waiting)
         first = np.full(len(self.tets), len(self.nodes) + len(self.tets))
         np.minimum.at(first, tet, rank[row])
@@ -139,7 +149,7 @@ class Bisection:
         return now
 
     def _cut_apart(self, edges: IntArray, places: FloatArray) -> IntArray:
-        """Cut edges of which no two belong to one tetrahedron; return the new nodes."""
+        """Cut edges (n, 2), no two of one tetrahedron, at places (n, 3), mm; return the new nodes' numbers (n,)."""
         keys = _keys(edges, _PAIR)[:, 0]
         order = np.argsort(keys)
         new = len(self.nodes) + np.arange(len(edges))
@@ -160,13 +170,19 @@ _FACTOR = 2**31
 
 
 def _keys(cells: IntArray, sides: IntArray) -> IntArray:
-    """Return one number for every edge of every cell, the same for both directions, shape (n_cells, n_sides)."""
+    """Return one integer per edge of every cell, (n_cells, n_sides), the same for both directions of an edge.
+
+    `cells` (n_cells, k): node numbers; `sides` (n_sides, 2): corners of a cell that each of its edges joins.
+    """
     a, b = cells[:, sides[:, 0]], cells[:, sides[:, 1]]
     return np.asarray(np.minimum(a, b) * _FACTOR + np.maximum(a, b))
 
 
 def _found(keys: IntArray, few: IntArray) -> tuple[IntArray, IntArray, IntArray]:
-    """Return where keys (n, m) occur among a few, sorted ones: rows, columns, and the index of each in the few."""
+    """Return where values of a table `keys` (n, m) occur in a sorted list `few`: rows, columns, and indices in `few`.
+
+    All three results have the shape (n_found,).
+    """
     place = np.minimum(np.searchsorted(few, keys.ravel()), len(few) - 1)
     flat = np.flatnonzero(few[place] == keys.ravel())
     rows, columns = np.divmod(flat, keys.shape[1])
@@ -176,9 +192,11 @@ def _found(keys: IntArray, few: IntArray) -> tuple[IntArray, IntArray, IntArray]
 def _halved(
     cells: IntArray, of_cells: IntArray, sides: IntArray, keys: IntArray, new: IntArray
 ) -> tuple[IntArray, IntArray, IntArray]:
-    """Return cells, and their edges' keys, with those that have an edge of `keys` (sorted) cut at the nodes `new`.
+    """Return cells, and their edges' keys, after each cell that has an edge in `keys` was cut in two there.
 
-    The third result is a mask of the `keys` that were cut.
+    `cells` (n, k): nodes of tets or triangles; `of_cells` (n, n_sides): integer keys of their edges; `sides` (n_sides,
+    2): corners that each edge joins; `keys` (m,): edges to cut, sorted, at most one per cell; `new` (m,): the nodes at
+    which they are cut. The third result holds the indices in `keys` of the edges that some cell has, sorted.
     """
     cell, side, row = _found(of_cells, keys)
     first, second = cells[cell], cells[cell]
@@ -191,10 +209,10 @@ def _halved(
 
 
 def shape_quality(nodes: FloatArray, tets: IntArray) -> FloatArray:
-    """Return the mean ratio of tetrahedra: 1 where regular, 0 where flat, negative where inverted.
+    """Return the mean ratio of tetrahedra, a shape quality: 1 where regular, 0 where flat, negative where inverted.
 
     `nodes` (n_nodes, 3): mm; `tets` int64 (n_tets, 4): nodes of each. Result: (n_tets,), ``12 (3 V)^(2/3) / sum of
-    squared edges``, with the sign of the volume.
+    squared edges`` with the volume V, and with the sign of V.
     """
     corners = nodes[tets]
     a, b, c = (corners[:, i] - corners[:, 0] for i in (1, 2, 3))

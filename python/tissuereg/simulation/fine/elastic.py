@@ -1,4 +1,4 @@
-"""Frames of an elastic case on a fine mesh: every distinct load is solved once, in order along the ramp."""
+"""Frames of an elastic case (load history) on a fine mesh: every distinct load is solved once, along the ramp."""
 
 from collections.abc import Callable
 from contextlib import suppress
@@ -28,19 +28,20 @@ def solve_states(
     near: FloatArray | None = None,
     progress: Callable[[int], object] | None = None,
 ) -> SolvedCase:
-    """Return the equilibria of a case whose frames depend on their own load alone.
+    """Return the equilibria of a case (load history) whose frames depend on their own load alone.
 
-    `experiment`: on a fine mesh, effects applied; `case`: one of its cases; `element` {"tet4", "tet4-averaged",
-    "tet10"}: elements to use; `tolerance`: norm of the residual over the norm of the load; `threads`: threads to use; 0
-    takes all cores. The result does not depend on it; `near` (n_states, n_element_nodes, 3): fields of a similar model
-    in the `distinct_states` of the case; NaN if unknown; `progress`: called with frames done. Result: frames of equal
-    load have equal rows. Raises `ConvergenceError` if no frame finds equilibrium.
+    `experiment`: experiment on a fine mesh, effects applied; `case`: one of its cases; `element` {"tet4",
+    "tet4-averaged", "tet10"}: elements to use; `tolerance`: norm of the residual over the norm of the load; `threads`:
+    threads to use; 0 takes all cores. The result does not depend on it; `near` (n_states, n_element_nodes, 3):
+    displacement of a similar model in mm, one row per distinct load (state) of the case in the order of first
+    appearance; NaN if unknown; `progress`: called with frames done. Result: displacement in mm and forces on pads in mN
+    per frame; frames of equal load have equal rows. Raises `ConvergenceError` if no frame finds equilibrium.
 
     Notes
     -----
     The initial guess of a state is extrapolated from earlier states with collinear loads, with zero displacement at no
     load. This avoids load steps for a pad's sudden motion in the small elements at its rim. The field of a similar
-    model is a better guess: Poisson's ratio 0.42 started from 0.45 on 8,000 tets takes 4.8 instead of 8.7 s.
+    model is a better guess.
     """
     believed = believed_case(experiment, case, element=element, threads=threads)
     simulator = believed.simulator
@@ -81,11 +82,12 @@ def solve_states(
 
 
 def guess(state: FloatArray, solved: list[tuple[FloatArray, FloatArray]]) -> FloatArray | None:
-    """Return an initial guess for the field of a state from states solved before.
+    """Return an initial guess for the displacement (n_nodes, 3), mm, under a load, from loads that were solved before.
 
-    `state` (n_parts,): loads; `solved`: loads and field (n_nodes, 3) of each. Result: (n_nodes, 3) or None,
-    extrapolated from the three nearest states with collinear loads; the nearest state's field if there are no two
-    collinear ones; None if there are no states.
+    `state` (n_parts,): the load, dimensionless; `solved`: load (n_parts,) and displacement (n_nodes, 3), mm, of each
+    earlier one. The guess is extrapolated from the three nearest loads that are collinear with this one; if there are
+    no two, it is the displacement under the nearest load, unless that is farther away than no load. None without a
+    guess.
     """
     size = float(np.linalg.norm(state))
     if not solved or size == 0.0:
@@ -103,7 +105,11 @@ def guess(state: FloatArray, solved: list[tuple[FloatArray, FloatArray]]) -> Flo
 
 
 def _along(state: FloatArray, solved: list[tuple[FloatArray, FloatArray]]) -> list[tuple[float, FloatArray]]:
-    """Return the solved states on the line from no load to a state: position along it, and fields."""
+    """Return (position, displacement) of each solved load on the line from no load through `state`.
+
+    `state` (n_parts,): a load, dimensionless; `solved`: load (n_parts,) and displacement (n_nodes, 3), mm, of each
+    solved one. The position is the distance from no load along the line, negative on its other side.
+    """
     size = max(float(np.linalg.norm(state)), 1e-300)
     line = state / size
     return [(float(s @ line), u) for s, u in solved if np.linalg.norm(s - (s @ line) * line) <= FINE.along * size]
@@ -118,7 +124,12 @@ def _solve(
     near: FloatArray | None,
     settings: dict[str, Any],
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the field of all nodes and the reactions in a state, started from a similar field if that converges."""
+    """Return the displacement (n_nodes, 3), mm, and the reactions (n_held, 3), mN, under one load of a case.
+
+    `state` (n_parts,): the load as dimensionless numbers, from which initial guesses are extrapolated; `solved`: such
+    loads and displacements solved before; `near` (n_nodes, 3) or None: displacement of a similar model, mm, from which
+    the solution starts if that converges; `settings`: tolerance and threads.
+    """
     if near is not None and np.isfinite(near).all():
         with suppress(ConvergenceError, LoadError):
             found = simulator.solve(load, material, start=near, **settings)
@@ -138,7 +149,10 @@ def _solve(
 
 
 def _shares(state: FloatArray, solved: list[tuple[FloatArray, FloatArray]], steps: int) -> FloatArray:
-    """Return shares of a state in equal steps from the nearest smaller one that was solved along the same line."""
+    """Return the shares (steps,) of a load, in equal steps up to 1, from the largest smaller solved load on its line.
+
+    `state` (n_parts,): the load, dimensionless; `solved`: load and displacement of each solved one.
+    """
     size = max(float(np.linalg.norm(state)), 1e-300)
     along = [place / size for place, _ in _along(state, solved)]
     before = max((share for share in along if 0.0 < share < 1.0), default=0.0)
@@ -146,6 +160,6 @@ def _shares(state: FloatArray, solved: list[tuple[FloatArray, FloatArray]], step
 
 
 def _scaled(load: Load, share: float) -> Load:
-    """Return a share of the motion of pads."""
+    """Return a load with prescribed displacements and tractions multiplied by `share`; a body force is left out."""
     traction = None if load.traction is None else (load.traction[0], share * np.asarray(load.traction[1]))
     return Load(prescribed=share * np.asarray(load.prescribed), traction=traction)

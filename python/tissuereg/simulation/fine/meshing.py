@@ -16,7 +16,7 @@ from tissuereg.simulation.fine.rims import Rim, cut_along, patch_nodes, refine_n
 
 @dataclass(frozen=True)
 class FineMeshing:
-    """Settings of the refinement.
+    """Settings of the mesh refinement around the pads of an experiment, whose rims are the circles that bound them.
 
     Parameters
     ----------
@@ -27,7 +27,8 @@ class FineMeshing:
     edge_share : float
         Longest edge of any element over the cube root of the body's volume.
     cut : bool
-        Whether pads given by a ball are cut out of the surface; otherwise they are the nodes in the ball.
+        Whether pads given by a ball are cut out of the surface along their rims; otherwise they are the nodes in the
+        ball.
     """
 
     rim_edge: float = 0.3
@@ -51,11 +52,11 @@ def fine_experiment(
     Parameters
     ----------
     experiment : Experiment
-        The believed model.
+        The believed model (as the user states it): mesh, supports, actuators (pads), loads.
     meshing : FineMeshing, optional
         Settings of the refinement.
     further : sequence of Rim
-        Further rims along which to cut the surface.
+        Further rims (circles on the surface) along which to cut the surface.
 
     Returns
     -------
@@ -99,7 +100,7 @@ def fine_experiment(
 
 
 def rim_of(actuator: Actuator) -> Rim | None:
-    """Return the rim of an actuator's patch; None if it is not given by a ball."""
+    """Return the rim (bounding circle) of an actuator's patch; None if the patch is not given by a ball."""
     rule: Any = actuator.rule
     if not isinstance(rule, Mapping) or "centre_mm" not in rule:
         return None
@@ -108,25 +109,28 @@ def rim_of(actuator: Actuator) -> Rim | None:
 
 
 def _groups(experiment: Experiment, rims: Mapping[str, Rim]) -> list[Any]:
-    """Return boundaries and actuators that are given by their nodes."""
+    """Return the boundaries of an experiment, and its actuators that are not given by a ball and so not in `rims`."""
     return [*experiment.boundaries, *(pad for pad in experiment.actuators if pad.name not in rims)]
 
 
 def _outline_nodes(cutter: Bisection, nodes: IntArray) -> IntArray:
-    """Return the nodes of a patch that touch the surface outside it."""
+    """Return those of a surface patch's nodes (node numbers) that also belong to boundary triangles outside it."""
     outside = cutter.surface[~np.isin(cutter.surface, nodes).all(axis=1)]
     return np.intersect1d(nodes, outside)
 
 
 def _refine_outline(cutter: Bisection, pad: Actuator, meshing: FineMeshing) -> None:
-    """Refine the elements around a pad that is given by its nodes."""
+    """Refine the elements along the outline of a pad that is given by its nodes and not by a ball."""
     points, radius = _outline_points(cutter, cutter.carried(pad.nodes))
     if len(points):
         refine_near(cutter, points, meshing.rim_edge * radius, meshing.growth)
 
 
 def _outline_points(cutter: Bisection, nodes: IntArray) -> tuple[FloatArray, float]:
-    """Return points along the outline of a patch, and the radius of a disc of its area, mm."""
+    """Return points (n, 3) along the outline of a patch (ends and middles of edges), mm, and the patch's radius, mm.
+
+    `nodes`: numbers of the patch's nodes. The radius is that of a disc of its area.
+    """
     patch = cutter.surface[np.isin(cutter.surface, nodes).all(axis=1)]
     corners = cutter.nodes[patch]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

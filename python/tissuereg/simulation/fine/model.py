@@ -47,16 +47,16 @@ class FineModel:
     Parameters
     ----------
     experiment : Experiment
-        The believed model.
+        The believed model (as the user states it): mesh, material, supports, cases (load histories), effects.
     meshing : FineMeshing, optional
         Settings of the refinement.
 
     Attributes
     ----------
     experiment : Experiment
-        As given.
+        The experiment as given.
     fine : Experiment
-        The same on the fine mesh.
+        The same experiment on the fine mesh.
 
     Raises
     ------
@@ -87,7 +87,7 @@ class FineModel:
 
     @property
     def mesh(self) -> Mesh:
-        """The fine mesh. Its first nodes are those of the given mesh, some of them moved onto a rim."""
+        """The fine mesh. Its first nodes are those of the given mesh, some of them moved onto the rim of a pad."""
         return self.fine.mesh
 
     def simulate(
@@ -100,22 +100,22 @@ class FineModel:
         threads: int = 0,
         progress: Callable[[int, int], None] | None = None,
     ) -> dict[str, CaseSimulation]:
-        """Return the model's predictions for cases.
+        """Return the model's predictions for cases (load histories) of the experiment.
 
         Parameters
         ----------
         effects : sequence of Effect, optional
-            Instead of those of the experiment.
+            Effects (such as another stiffness, relaxation, a sliding support) instead of those of the experiment.
         cases : sequence of str, optional
-            Names; by default all.
+            Names of the cases; by default all.
         through_time : {"corrected", "solved"}
             Treatment of materials with memory. `corrected`: four-node elements on the fine mesh, plus the difference
             between ten-node and four-node elements in the elastic solution, which is cached for the next call.
             `solved`: ten-node elements in every frame; this takes minutes per case on 4,000 nodes.
         warm : bool
             Start from the fields of the last such call on the same mesh, and keep the new ones for the next (24 bytes
-            per node and state). Between similar effects this halves the time, and changes answers within the solver's
-            tolerance. It does not help frames with memory.
+            per node and distinct load). Between similar effects this halves the time, and changes answers within the
+            solver's tolerance. It does not help frames with memory.
         threads : int
             Threads to use; 0 takes all cores. The result does not depend on it.
         progress : callable of (int, int), optional
@@ -124,8 +124,9 @@ class FineModel:
         Returns
         -------
         dict of str to CaseSimulation
-            One per case, in the experiment's order, with its frames, markers and targets. Displacements are those of
-            the nodes of the experiment's mesh, at their places in it.
+            One prediction per case, in the experiment's order, with displacements and places of markers and targets in
+            mm and forces of the pads in mN. Displacements are those of the nodes of the experiment's mesh, at their
+            places in it.
 
         Raises
         ------
@@ -178,10 +179,10 @@ class FineModel:
         threads: int,
         progress: Callable[[int, int], None] | None,
     ) -> dict[str, FineFrames]:
-        """Return the observables of cases with memory, by name.
+        """Return displacements, markers and targets (mm) and forces (mN) of cases with memory, by name.
 
-        If `fully`, ten-node elements solve every frame. Otherwise first-order elements do, and `corrected` adds the
-        difference between the elastic solutions of both kinds of elements.
+        `fully`: if True, ten-node elements solve every frame; otherwise first-order elements do, and the difference
+        between ten-node and first-order elements in the elastic solution is added.
         """
         rough = rough_element(fine)
         element = "tet10" if fully else rough
@@ -202,7 +203,10 @@ class FineModel:
     def _kept(
         self, twin: Experiment, cases: Sequence[Case], element: str, threads: int, report: "FrameCount", part: str
     ) -> dict[str, FineFrames]:
-        """Return the observables of elastic cases by name, from the cache if possible."""
+        """Return displacements and places (mm) and forces (mN) of elastic cases, by name, from the cache if possible.
+
+        `twin`: experiment without memory; `report`: counts frames done; `part`: name of this part of the work there.
+        """
         keys = {case.name: (case.name, element, twin.mesh, twin.gravity is None, twin.effects) for case in cases}
         missing = [case for case in cases if keys[case.name] not in self._elastic]
         for case in cases:
@@ -249,7 +253,7 @@ def _shifted(pad: Actuator, shift: Vector) -> Actuator:
 
 
 def rough_element(experiment: Experiment) -> str:
-    """Return elements of first order for an experiment: four-node ones, averaged where they would lock."""
+    """Return the first-order element for an experiment: "tet4", or "tet4-averaged" where tet4 would lock."""
     locks = float(extended(experiment, "tet4").material.poisson_array.max()) > FINE.locks_above
     return "tet4-averaged" if locks else "tet4"
 
@@ -260,14 +264,14 @@ def without_time(experiment: Experiment, element: str = "tet10") -> Experiment:
     Parameters
     ----------
     experiment : Experiment
-        The believed model.
+        The believed model (as the user states it), with its effects.
     element : {"tet4", "tet4-averaged", "tet10"}
         Elements of the solve.
 
     Returns
     -------
     Experiment
-        Also without weight if the mesh was imaged under gravity.
+        The experiment without those effects, and also without weight if the mesh was imaged under gravity.
     """
     gravity = extended(experiment, element).gravity
     weightless = gravity is not None and gravity.in_reference
@@ -286,7 +290,12 @@ def _elastic(
     part: str,
     near: Fields | None = None,
 ) -> dict[str, FineFrames]:
-    """Return elastic cases, solved in parallel; they start from the fields `near`, if given, and update them."""
+    """Return displacements, markers and targets (mm) and forces (mN) of elastic cases, by name, solved in parallel.
+
+    `fine`: experiment on the fine mesh; `given`: mesh before refinement; `report`, `part`: count of frames done;
+    `near`: by case, displacements (n_states, n_element_nodes, 3), mm, from which solves start, replaced by the new
+    ones.
+    """
     ready = extended(fine, element)
     reader = Reader(fine, given, quadratic=element == "tet10")
     share = max(1, threads // max(len(cases), 1))
@@ -306,7 +315,7 @@ def _elastic(
 
 
 def _with_those_before(worked: Experiment, cases: Sequence[Case]) -> list[Case]:
-    """Return cases and all earlier cases that their state depends on, with effects applied."""
+    """Return the given cases with effects applied, and all earlier ones if softening, set or friction carries over."""
     if not is_carried(worked):
         return [worked.cases[case.name] for case in cases]
     last = max(float(case.times[0]) for case in cases)
@@ -322,10 +331,11 @@ def _by_load(
     near: Fields | None,
     progress: Callable[[int, int], None] | None,
 ) -> dict[str, FineFrames]:
-    """Return cases without memory in ten-node elements; they start from the fields `near`, if given, and update them.
+    """Return displacements and places (mm) and forces (mN) of cases without memory, by name, in ten-node elements.
 
-    `worked` has the effects of `fine` applied. With springs or friction, or if the mesh was imaged under gravity, a
-    body without these is solved first: started from its changes between states, the solve takes a sixth of the time.
+    `worked`: `fine` with its effects applied; `near`: by case, displacements (n_states, n_element_nodes, 3), mm, from
+    which the solves start; replaced by the new ones. With springs or friction, or if the mesh was imaged under gravity,
+    a body without these is solved first: started from its changes between states, the solve is several times faster.
     """
     if not goes_through_time(worked):
         report = FrameCount(progress, sum(len(case.times) for case in cases))
@@ -352,9 +362,10 @@ def _remembering(
     report: "FrameCount",
     near: Fields | None = None,
 ) -> dict[str, SolvedCase]:
-    """Return cases solved frame after frame, independent cases in parallel.
+    """Return displacements (mm) and forces (mN) of cases solved frame after frame, by name; separate ones in parallel.
 
-    `near` contains fields in the distinct states of models without memory.
+    `ready`: experiment with effects applied; `report`: counts frames done; `near`: by case, displacements (n_states,
+    n_element_nodes, 3), mm, of a model without memory under each distinct load, or None.
     """
     settings, similar = FrameSettings(element, threads=threads), None
     if near is not None:
@@ -374,7 +385,10 @@ def _remembering(
 
 
 class FrameCount:
-    """Frames done, summed over cases that run in parallel."""
+    """Counter of frames done, summed over cases that run in parallel.
+
+    `notify`: called with frames done and `in_all`, the number of all frames; None reports nothing.
+    """
 
     def __init__(self, notify: Callable[[int, int], None] | None, in_all: int) -> None:
         self.in_all = in_all
@@ -383,7 +397,7 @@ class FrameCount:
         self._lock = Lock()
 
     def of(self, part: str) -> Callable[[int], None] | None:
-        """Return the callback for one part of the work, which takes its number of frames done."""
+        """Return a callback that takes the frames done in one part of the work; None if nothing is reported."""
         if self._notify is None:
             return None
         notify = self._notify

@@ -1,4 +1,4 @@
-"""Markers, targets and forces of the solved frames of a case, and corrections of forces and of frames with memory."""
+"""Markers, targets and forces in the solved frames of a case, and corrections of forces and of frames with memory."""
 
 from dataclasses import dataclass
 
@@ -13,17 +13,17 @@ from tissuereg.simulation.settings import FINE
 
 
 def force_maps(rough: FloatArray, fine: FloatArray) -> FloatArray:
-    """Return matrices that map forces on a coarse mesh to those on a fine one.
+    """Return one matrix per frame that maps a pad's force on coarse elements to its force on fine ones.
 
-    `rough`, `fine` (n_frames, 3): elastic forces of one pad in one case, mN; NaN in frames without equilibrium. Result:
-    (n_frames, 3, 3), ``map @ rough`` is ``fine`` in loaded frames, unless they differ too much (`FineRules`). A frame
-    without load has the map of the least loaded one; all are the identity if no frame is loaded.
+    `rough`, `fine` (n_frames, 3): elastic forces of one pad in one case, on coarse and fine elements, mN; NaN in frames
+    without equilibrium. Result: (n_frames, 3, 3); ``map @ rough`` is ``fine`` in loaded frames, unless they differ by
+    more than 60 % of the force. A frame without load has the map of the least loaded one; all are the identity if no
+    frame is loaded.
 
     Notes
     -----
-    A coarse mesh is too stiff by a factor that depends on how far the pad has moved. A relaxed force needs the factor
-    of the body's present shape. In a pull-back of the open example with relaxation (38 %) the error of forces corrected
-    this way is 8 mN of 1,784 mN; correction by the frame's elastic difference leaves 20 mN; the noise is 5 mN.
+    Coarse elements are too stiff by a factor that depends on how far the pad has moved. A relaxed force needs the
+    factor of the body's present shape; adding the frame's elastic difference instead leaves a larger error.
     """
     size = np.linalg.norm(rough, axis=1)
     size[~np.isfinite(fine).all(axis=1)] = np.nan
@@ -44,18 +44,19 @@ def force_maps(rough: FloatArray, fine: FloatArray) -> FloatArray:
 
 
 def mapped(forces: FloatArray, maps: FloatArray) -> FloatArray:
-    """Return forces (..., 3) mapped by maps (..., 3, 3)."""
+    """Return forces (..., 3), in mN, each multiplied by its 3 x 3 matrix of `maps` (..., 3, 3)."""
     return np.asarray(np.einsum("...j,...ij->...i", forces, maps))
 
 
 @dataclass(frozen=True, eq=False)
 class FineFrames:
-    """Frames of one case, as observables of the experiment.
+    """Displacements, markers, targets and forces in the frames of one case (load history).
 
-    `displacement` (n_frames, n_nodes, 3): of the given mesh's nodes, mm; NaN in frames without equilibrium; `markers`
-    (n_frames, n_markers, 3): positions of the markers, mm, without errors of their tracker; `targets` (n_frames,
-    n_targets, 3): positions of the targets, mm; `forces` (n_frames, 3): force on the body at every displacement
-    actuator that is present, mN; `failed`: frames without equilibrium, with the reason.
+    `displacement` (n_frames, n_nodes, 3): of the nodes of the mesh before refinement, mm; NaN in frames without
+    equilibrium; `markers` (n_frames, n_markers, 3): places of the markers, mm, without errors of their tracker;
+    `targets` (n_frames, n_targets, 3): places of the targets (inner points), mm; `forces`: by the name of each
+    displacement actuator that is present, its force on the body, (n_frames, 3), mN; `failed`: frames without
+    equilibrium, with the reason.
     """
 
     displacement: FloatArray
@@ -66,10 +67,10 @@ class FineFrames:
 
 
 class Reader:
-    """Evaluates markers and targets of fields on one mesh.
+    """Interpolator of displacement fields of a fine mesh at markers, targets and the nodes of the unrefined mesh.
 
-    `experiment`: with the mesh; `given`: the mesh from which it was refined: its nodes come first, some of them moved
-    onto a rim; `quadratic`: whether fields are those of ten-node elements.
+    `experiment`: experiment on the fine mesh; `given`: the mesh from which it was refined: its nodes come first, some
+    of them moved onto the rim of a pad; `quadratic`: whether fields are those of ten-node elements.
     """
 
     def __init__(self, experiment: Experiment, given: Mesh, *, quadratic: bool) -> None:
@@ -85,7 +86,7 @@ class Reader:
         self._targets = TargetObservation(experiment.mesh, experiment.targets, quadratic=quadratic)
 
     def read(self, solved: SolvedCase) -> FineFrames:
-        """Return the observables of the frames of a case."""
+        """Return displacements, places of markers and targets (mm), and forces (mN) in the frames of a case."""
         field = solved.all_displacement
         displacement = solved.displacement[:, : self._n_given].copy()
         if self._old is not None:
@@ -101,12 +102,12 @@ class Reader:
 
 
 def corrected(rough: FineFrames, rough_elastic: FineFrames, fine_elastic: FineFrames) -> FineFrames:
-    """Return frames with memory, corrected for finer elements.
+    """Return frames of a case with memory by first-order elements, corrected towards ten-node elements.
 
-    `rough`: with memory, by elements of first order; `rough_elastic`: the same case without memory, by the same
-    elements; `fine_elastic`: without memory, by finer elements on the same mesh. Result: places are corrected by the
-    difference of the two elastic solutions, forces by the maps between them (`force_maps`) and the remaining
-    difference.
+    `rough`: with memory, first-order elements; `rough_elastic`: the same case without memory, the same elements;
+    `fine_elastic`: without memory, finer elements on the same mesh. Result: displacements and places, mm, plus the
+    difference of the two elastic solutions; forces, mN: the fine elastic force, plus the rough force's change by memory
+    times the map (`force_maps`) from rough to fine elastic forces.
     """
     forces = {}
     for name, force in rough.forces.items():

@@ -17,11 +17,11 @@ from tissuereg.simulation.settings import FINE
 
 @dataclass(frozen=True, eq=False)
 class Folds:
-    """Edges of a closed surface of triangles.
+    """Edges of a closed triangulated surface, and the angles at which its triangles (facets) meet there.
 
-    `edges` int64 (n_edges, 2): nodes, ascending; `facets` int64 (n_edges, 2): numbers of the triangles at each;
-    `cosines` (n_edges,): of the angles between their normals; `normals` (n_triangles, 3): unit normals of all
-    triangles, as their corners turn; `areas` (n_triangles,): of all triangles, mm^2.
+    `edges` int64 (n_edges, 2): nodes, ascending; `facets` int64 (n_edges, 2): numbers of the two triangles at each
+    edge; `cosines` (n_edges,): cosines of the angles between their normals; `normals` (n_triangles, 3): unit normals of
+    all triangles, by the order of their corners; `areas` (n_triangles,): areas of all triangles, mm^2.
     """
 
     edges: IntArray
@@ -32,12 +32,12 @@ class Folds:
 
     @property
     def is_sharp(self) -> np.ndarray:
-        """Whether each edge is one of the body's own, not one between facets of a smooth face, shape (n_edges,)."""
+        """Mask (n_edges,), True for an edge of the body itself, False between facets of a smooth face."""
         return np.asarray(self.cosines < FINE.sharp)
 
 
 def folds_of(nodes: FloatArray, surface: IntArray) -> Folds:
-    """Return the edges of a closed surface.
+    """Return the edges of a closed triangulated surface, each with its two triangles and the angle between them.
 
     `nodes` (n_nodes, 3): mm; `surface` int64 (n_triangles, 3): triangles, two at every edge. Result: edges in ascending
     order of their nodes.
@@ -55,26 +55,26 @@ def folds_of(nodes: FloatArray, surface: IntArray) -> Folds:
 
 @dataclass(frozen=True)
 class Rim:
-    """The outline of a patch.
+    """The outline of a surface patch (a pad): the curve where the surface meets a sphere.
 
     Parameters
     ----------
     centre : tuple of float
-        mm.
+        Centre of the sphere in mm.
     radius : float
-        mm.
+        Radius of the sphere in mm.
     """
 
     centre: tuple[float, float, float]
     radius: float
 
     def depth(self, points: FloatArray) -> FloatArray:
-        """Return the depth of points (..., 3) in the ball, mm; 0 on the rim, up to rounding."""
+        """Return the depth (...) of points (..., 3) inside the sphere, mm; negative outside, 0 on it up to rounding."""
         depth = self.radius - np.linalg.norm(points - np.asarray(self.centre), axis=-1)
         return np.asarray(np.where(np.abs(depth) <= 1e3 * FINE.inside * self.radius, 0.0, depth))
 
     def crossing(self, outer: FloatArray, inner: FloatArray) -> FloatArray:
-        """Return where segments (n, 3) from outside the ball to inside pass its sphere, shares of the way (n,)."""
+        """Return where segments (n, 3) from outside to inside cross the sphere, as shares of their length (n,)."""
         start, along = outer - np.asarray(self.centre), inner - outer
         a, b = (along**2).sum(axis=1), (start * along).sum(axis=1)
         c = (start**2).sum(axis=1) - (self.radius * (1.0 - FINE.inside)) ** 2
@@ -82,9 +82,9 @@ class Rim:
 
 
 def samples(cutter: Bisection, rim: Rim) -> FloatArray:
-    """Return points of the rim, one on every edge of the surface that crosses it, (n, 3) in mm.
+    """Return points of the rim (outline of a pad), one on every edge of the surface that crosses it, (n, 3) in mm.
 
-    For an edge between outer nodes that enters the ball this is its deepest point. If no edge comes near, the
+    For an edge between nodes outside the sphere that enters it, this is its deepest point. If no edge comes near, the
     surface node next to the rim is used.
     """
     outer, inner = _crossing_edges(cutter, rim)
@@ -100,10 +100,10 @@ def samples(cutter: Bisection, rim: Rim) -> FloatArray:
 
 
 def refine_round(cutter: Bisection, rims: Sequence[Rim], shortest: float, growth: float) -> None:
-    """Make elements small round rims.
+    """Make elements small around rims (outlines of pads) by cutting edges of the mesh.
 
-    `cutter`: changed in place; `rims`: where; `shortest`: longest edge of an element at a rim over the rim's radius;
-    `growth`: increase of the allowed edge length per mm of distance from the rim, mm/mm.
+    `cutter`: mesh, changed in place; `rims`: the rims; `shortest`: longest edge of an element at a rim over the rim's
+    radius; `growth`: increase of the allowed edge length per mm of distance from the rim, mm/mm.
     """
     for rim in rims:
         # The rim of a coarse surface is known by few points, so it is refined in steps.
@@ -114,9 +114,9 @@ def refine_round(cutter: Bisection, rims: Sequence[Rim], shortest: float, growth
 
 
 def refine_near(cutter: Bisection, points: FloatArray, edge: float, growth: float) -> None:
-    """Make elements small near points.
+    """Make elements small near points by cutting edges of the mesh.
 
-    `cutter`: changed in place; `points` (n, 3): mm; `edge`: longest edge of an element at a point, mm; `growth`:
+    `cutter`: mesh, changed in place; `points` (n, 3): mm; `edge`: longest edge of an element at a point, mm; `growth`:
     increase of the allowed edge length per mm of distance from the points, mm/mm.
     """
     from scipy.spatial import KDTree
@@ -130,9 +130,9 @@ def refine_near(cutter: Bisection, points: FloatArray, edge: float, growth: floa
 
 
 def cut_along(cutter: Bisection, rim: Rim, stay: IntArray) -> None:
-    """Cut the surface along a rim.
+    """Cut the surface of the mesh along a rim (outline of a pad), so that no edge crosses it any more.
 
-    `cutter`: changed in place; `rim`: where; `stay` int64 (n,): nodes that must not slide.
+    `cutter`: mesh, changed in place; `rim`: the rim; `stay` int64 (n,): numbers of nodes that must not slide onto it.
     """
     edges, deepest = _dipping_edges(cutter, rim, FINE.dip_share)
     if len(edges):
@@ -148,19 +148,19 @@ def cut_along(cutter: Bisection, rim: Rim, stay: IntArray) -> None:
 
 
 def patch_nodes(cutter: Bisection, rim: Rim) -> IntArray:
-    """Return the surface nodes within a rim and on it, sorted."""
+    """Return the numbers of the surface nodes within a rim (circle that bounds a pad) and on it, sorted."""
     surface = np.flatnonzero(cutter.on_surface)
     return np.asarray(surface[rim.depth(cutter.nodes[surface]) >= 0.0])
 
 
 def rim_nodes(cutter: Bisection, rim: Rim) -> IntArray:
-    """Return the surface nodes on a rim, sorted."""
+    """Return the numbers of the surface nodes on a rim (circle that bounds a pad), sorted."""
     surface = np.flatnonzero(cutter.on_surface)
     return np.asarray(surface[rim.depth(cutter.nodes[surface]) == 0.0])
 
 
 def _crossing_edges(cutter: Bisection, rim: Rim) -> tuple[IntArray, IntArray]:
-    """Return outer and inner ends of the surface's edges that cross a rim."""
+    """Return the ends outside (n,) and inside (n,) of the surface's edges that cross a rim's sphere, node numbers."""
     edges = cutter.surface_edges()
     depth = rim.depth(cutter.nodes[edges])
     crossing = depth[:, 0] * depth[:, 1] < 0.0
@@ -170,7 +170,10 @@ def _crossing_edges(cutter: Bisection, rim: Rim) -> tuple[IntArray, IntArray]:
 
 
 def _dipping_edges(cutter: Bisection, rim: Rim, least_share: float) -> tuple[IntArray, FloatArray]:
-    """Return edges between outer nodes that enter the ball by a share of their length, and their deepest points."""
+    """Return edges (n, 2) between nodes outside the rim's sphere that enter it, and their deepest points (n, 3), mm.
+
+    `least_share`: depth that an edge must reach, as a share of its length.
+    """
     edges = cutter.surface_edges()
     edges = edges[(rim.depth(cutter.nodes[edges]) < 0.0).all(axis=1)]
     start = cutter.nodes[edges[:, 0]]
@@ -183,7 +186,10 @@ def _dipping_edges(cutter: Bisection, rim: Rim, least_share: float) -> tuple[Int
 
 
 def _snap(cutter: Bisection, rim: Rim, stay: IntArray) -> None:
-    """Slide nodes along edges onto a rim nearby, where the tetrahedra around them stay good."""
+    """Slide surface nodes along edges onto a rim that crosses these edges nearby, if the tetrahedra stay good.
+
+    `cutter`: mesh, changed in place; `stay` (n,): numbers of nodes that do not slide, as do none on edges of the body.
+    """
     outer, inner = _crossing_edges(cutter, rim)
     if not len(outer):
         return
@@ -212,7 +218,7 @@ def _snap(cutter: Bisection, rim: Rim, stay: IntArray) -> None:
 
 
 def sharp_nodes(nodes: FloatArray, surface: IntArray) -> IntArray:
-    """Return the nodes on edges of the body, which do not slide.
+    """Return the numbers of the nodes on sharp edges of the body, which must not slide.
 
     `nodes` (n_nodes, 3): mm; `surface` int64 (n_triangles, 3): boundary triangles. Result: int64 (n,), sorted.
     """

@@ -22,12 +22,12 @@ from tissuereg.simulation.settings import FINE
 
 
 def third_meshes(experiment: Experiment, n: int, seed: int, *, meshing: FineMeshing | None = None) -> list[FineModel]:
-    """Return models of one experiment on meshes of their own.
+    """Return fine models of one experiment, each on a randomly changed mesh with other discretisation errors.
 
     Parameters
     ----------
     experiment : Experiment
-        The believed model, on the mesh that its fine model was made from.
+        The believed model (as the user states it), on the mesh that its fine model was made from.
     n : int
         Number of models.
     seed : int
@@ -38,7 +38,7 @@ def third_meshes(experiment: Experiment, n: int, seed: int, *, meshing: FineMesh
     Returns
     -------
     list of FineModel
-        The first `n` are the same for any larger `n`.
+        The models; the first `n` are the same for any larger `n`.
     """
     meshing = meshing or FineMeshing()
     models = []
@@ -50,10 +50,11 @@ def third_meshes(experiment: Experiment, n: int, seed: int, *, meshing: FineMesh
 
 
 def jittered(experiment: Experiment, rng: np.random.Generator) -> Mesh:
-    """Return the mesh of an experiment with its nodes moved.
+    """Return the mesh of an experiment with its nodes moved at random.
 
-    `experiment`: nodes of its boundaries and of pads without a ball stay, as do those on edges of the body; `rng`:
-    source of random numbers. Result: the same tets and sets; every tet keeps half of its quality at least.
+    `experiment`: the experiment; nodes of its boundaries, of pads that are not given by a ball, and on edges of the
+    body stay; `rng`: source of random numbers. Result: the same tets and sets; every tet keeps half of its shape
+    quality (mean ratio) at least.
     """
     mesh = experiment.mesh
     shortest = _shortest_edges(mesh)
@@ -71,7 +72,7 @@ def jittered(experiment: Experiment, rng: np.random.Generator) -> Mesh:
 
 
 def _shortest_edges(mesh: Mesh) -> FloatArray:
-    """Return the length of the shortest edge at every node, mm."""
+    """Return the length of the shortest edge at every node, shape (n_nodes,), in mm."""
     length = np.linalg.norm(mesh.nodes[mesh.edges[:, 0]] - mesh.nodes[mesh.edges[:, 1]], axis=1)
     shortest = np.full(mesh.n_nodes, np.inf)
     for end in (0, 1):
@@ -80,7 +81,10 @@ def _shortest_edges(mesh: Mesh) -> FloatArray:
 
 
 def _slides(mesh: Mesh, shortest: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """Return steps of surface nodes, each into one of its facets."""
+    """Return random steps (n_nodes, 3), mm, of surface nodes, each along one of its facets; zero inside the body.
+
+    `shortest` (n_nodes,): shortest edge at every node, mm; a step is at most a quarter of it.
+    """
     triangles: IntArray = mesh.surface[rng.permutation(len(mesh.surface))]
     step = np.zeros_like(mesh.nodes)
     for corner in range(3):
@@ -92,10 +96,10 @@ def _slides(mesh: Mesh, shortest: FloatArray, rng: np.random.Generator) -> Float
 
 
 def gaps(mesh: Mesh) -> FloatArray:
-    """Return the mean gap between facets and a smooth surface at every node.
+    """Return the mean gap between the flat facets and a smooth surface at every node, as vectors (n_nodes, 3) in mm.
 
-    `mesh`: reference shape. Result: (n_nodes, 3), vectors in mm, outward where the body is convex, inward where it is
-    concave; zero inside, on flat faces, at sharp edges.
+    `mesh`: reference shape. The vectors point outward where the body is convex, inward where it is concave; they are
+    zero inside, on flat faces and at sharp edges.
 
     Notes
     -----

@@ -12,18 +12,18 @@ from tissuereg.experiment.effects import Effect
 
 @dataclass(frozen=True, eq=False)
 class Form:
-    """One form of a cause: an effect with fitted parameters.
+    """One form of a cause: the formula of an effect on the believed model, with n parameters that are fitted.
 
     Attributes
     ----------
     label : str
         Name, for instance ``yeoh``.
     mean, std : ndarray of float64, shape (n,)
-        Gaussian prior of the fitted parameters.
+        Mean and standard deviation of the Gaussian prior of the fitted parameters.
     starts : tuple of tuple of float
-        First guesses.
+        First guesses, each of n parameters.
     effect : callable
-        Returns the effect for parameters; None for the modulus, which every fit has.
+        Returns the effect for parameters (n,); None for Young's modulus, which every fit varies.
     """
 
     label: str
@@ -35,16 +35,16 @@ class Form:
 
 @dataclass(frozen=True)
 class MaterialCause:
-    """One cause that a material test can show.
+    """One cause that a material test can show: an error of the believed law.
 
     Attributes
     ----------
     id : str
-        As in the effect's table.
+        Id of the cause, the same as in the effect's table.
     slot : str
         Part of the model that it replaces; causes with the same slot exclude each other.
     forms : callable
-        Returns the forms that curves of a scope can show; none where the cause cannot be seen.
+        Returns the forms that curves of given ranges can show; none where the cause cannot be observed.
     sentence : callable
         Returns the finding in words, from the effect's table.
     parameters : mapping of str to str
@@ -64,20 +64,20 @@ def form(
     starts: Sequence[tuple[float, ...]],
     effect: Callable[[FloatArray], Effect],
 ) -> Form:
-    """Return a form from the prior means and standard deviations of its parameters.
+    """Return a form of a cause from the prior means and standard deviations of its n parameters.
 
-    `label`: name; `prior`: one for each parameter; `starts`: first guesses; the means where empty; `effect`: returns
-    the effect for parameters. Result: for a fit.
+    `label`: name; `prior`: n pairs of mean and standard deviation; `starts`: first guesses, each of n numbers; the
+    means where empty; `effect`: function that returns the effect for parameters (n,).
     """
     mean, std = np.array([p[0] for p in prior]), np.array([p[1] for p in prior])
     return Form(label, mean, std, tuple(starts) or (tuple(mean.tolist()),), effect)
 
 
 def sigmoid(x: float) -> float:
-    """Return the logistic function, kept within (0, 1) by a margin of 1e-6."""
+    """Return the logistic function 1 / (1 + exp(-x)), kept within (0, 1) by a margin of 1e-6."""
     return float(1e-6 + (1.0 - 2e-6) / (1.0 + np.exp(-np.clip(x, -40.0, 40.0))))
 
 
 def exponential(x: float) -> float:
-    """Return the exponential function of a clipped argument, so that it is finite."""
+    """Return exp(x) with `x` clipped to [-40, 40], so that the result is finite."""
     return float(np.exp(np.clip(x, -40.0, 40.0)))

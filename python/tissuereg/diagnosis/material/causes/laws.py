@@ -29,7 +29,7 @@ def _ogden(kind: type[OtherLaw], x: FloatArray) -> OtherLaw:
 
 
 def _alpha(value: float) -> float:
-    """Return an exponent within bounds and not zero, where Ogden's law is a logarithm."""
+    """Return an exponent of Ogden's law: `value` clipped to [-80, 80], and not zero, where the law is a logarithm."""
     value = min(max(value, -_LARGEST_ALPHA), _LARGEST_ALPHA)
     return value if abs(value) > 1e-3 else 1e-3
 
@@ -50,13 +50,19 @@ def _stiffening_forms(scene: Scene) -> list[Form]:
 
 
 def _by_rate(law: str, invariant: float) -> Form:
-    """Return a law of one positive rate, near one that matters at the largest strain."""
+    """Return the form of a stiffening law with one positive parameter, its rate of stiffening.
+
+    The prior median of the rate is one that matters at the largest `invariant` (I1 - 3).
+    """
     prior = [(math.log(0.5 / invariant), 1.5)]
     return form(law, prior, [], lambda x: Stiffening(law=law, **shape_of(law, exponential(float(x[0])))))
 
 
 def _by_ratios(law: str, invariant: float) -> Form:
-    """Return a law of ratios of its second and third coefficient to its first, of either sign."""
+    """Return the form of a law with the ratios of its second and third coefficient to its first, of either sign.
+
+    The ratios are fitted times the largest `invariant` (I1 - 3), and times its square.
+    """
 
     def effect(x: FloatArray) -> Stiffening:
         return Stiffening(law=law, **shape_of(law, float(x[0]) / invariant, float(x[1]) / invariant**2))

@@ -107,9 +107,10 @@ class Assimilation:
     latents : ndarray of float64, shape (n_latent, n_members)
         Members that survived.
     dropped : list of (int, str)
-        Members that were lost, by their first index, with the reason.
+        Number of each member that was lost, among those of the first ensemble, with the reason.
     exact_draws : bool
-        Whether draws were balanced, see `balanced_draws`; otherwise the spread of a small ensemble is too narrow.
+        Whether the draws had exact sample moments (`balanced_draws`); otherwise the spread of a small ensemble is too
+        narrow.
     alphas : tuple of float
         Inflation coefficients of the steps made; their inverses sum to one.
     """
@@ -160,7 +161,10 @@ class FirstEnsemble:
 
     @classmethod
     def about(cls, prior: Gaussian, draws: FloatArray, exact: bool) -> "FirstEnsemble":
-        """Return the same from standard normal draws (n_latent, n_members) and whether their moments are exact."""
+        """Return the ensemble of a prior from standard normal draws (n_latent, n_members).
+
+        `exact`: whether the sample moments of the draws are exact.
+        """
         return cls(np.asarray(prior.mean[:, None] + _root_of(prior) @ draws), exact)
 
 
@@ -319,7 +323,7 @@ def assimilate(
 
 
 def noise_of(noise: FloatArray | _core.Noise, n_obs: int) -> _core.Noise:
-    """Return a covariance of the noise of `n_obs` observations, factored."""
+    """Return the noise's covariance (n_obs, n_obs), mm^2, factored; raise ShapeError if it has another size."""
     if isinstance(noise, _core.Noise):
         if noise.n_obs != n_obs:
             message = f"`noise` must be that of {n_obs} observations, got {noise.n_obs}"

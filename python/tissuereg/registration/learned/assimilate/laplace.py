@@ -48,7 +48,7 @@ class Laplace(Gaussian):
     one_sided: tuple[int, ...]
 
     def draws(self, rng: np.random.Generator, n_members: int) -> FloatArray:
-        """Return latents (n_latent, n_members) drawn from the posterior; see `ensemble`."""
+        """Return latents (n_latent, n_members) drawn from the posterior, whose sample moments are exact if possible."""
         return self.ensemble(rng, n_members).latents
 
     def ensemble(self, rng: np.random.Generator, n_members: int) -> Assimilation:
