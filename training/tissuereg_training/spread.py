@@ -1,9 +1,9 @@
 r"""The second stage of training: how wide the encoder's distribution is, with everything else left as it is.
 
-One weight of the Kullback-Leibler divergence cannot serve both: small enough for an accurate decoder (1e-4 to 3e-4), it
-makes q(z | x) a few hundredths as wide as the codes of all fields, and an ensemble drawn from q cannot leave x. Here the
-decoder and the encoder's means are fixed, and the head of log-variances alone is fitted anew with a larger weight. Of a
-decoder that is linear at the code the minimum is
+One weight of the Kullback-Leibler divergence cannot serve both: small enough for an accurate decoder (1e-4 to 3e-4),
+it makes q(z | x) a few hundredths as wide as the codes of all fields, and an ensemble drawn from q cannot leave x. Here
+the decoder and the encoder's means are fixed, and the head of log-variances alone is fitted anew with a larger weight.
+Of a decoder that is linear at the code the minimum is
 
     s_k^2 = 1 / (1 + J_k^2 / (w L)),    L^2 = L_0^2 + sum_k s_k^2 J_k^2,
 

@@ -307,8 +307,9 @@ class _Places:
 class _RegisteredEvent:
     """A registered truth: its prior, of which the first `n_own` components are the event's own, and their evidence.
 
-    `shares` (n_own,): probability of each of these among those of its form, whatever the scale; `decode`: the model at the markers and targets of the event; rows of `observed` are those of the markers, of `rows`
-    the true ones of markers and targets, mm; `noise`: covariance of the tracker's noise, mm^2.
+    `shares` (n_own,): probability of each of these among those of its form, whatever the scale; `decode`: the model at
+    the markers and targets of the event; rows of `observed` are those of the markers, of `rows` the true ones of
+    markers and targets, mm; `noise`: covariance of the tracker's noise, mm^2.
     """
 
     made: Calibration
