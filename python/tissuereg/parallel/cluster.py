@@ -58,21 +58,11 @@ SETTINGS: dict[str, Any] = {
 class _Job:
     """A task that has been taken from the list of tasks and has no outcome yet.
 
-    Attributes
-    ----------
-    index : int
-        Position of the task among all tasks, from 0.
-    task : object
-        The argument with which the function is called.
-    starts, hangs : int
-        How often the task has begun in a worker, and how often it has exceeded the time limit.
-    suspected : bool
-        Whether the scheduler gave the task up because workers died that ran it or had it in their queue.
-    started : tuple of (str, float) or None
-        Address of the worker in which it began last, and the time (monotonic clock, s) of that; None if it is not known
-        to run.
-    future : distributed.Future or None
-        Handle of the task in the scheduler; None before it is sent.
+    `index`: position of the task among all tasks, from 0; `task`: the argument with which the function is called;
+    `starts`, `hangs`: how often the task has begun in a worker, and how often it has exceeded the time limit;
+    `suspected`: whether the scheduler gave the task up because workers died that ran it or had it in their queue;
+    `started`: address of the worker in which it began last, and the time (monotonic clock, s) of that; None if it is
+    not known to run; `future`: handle of the task in the scheduler; None before it is sent.
     """
 
     index: int
