@@ -157,8 +157,7 @@ def _equal(*shape: int) -> FloatArray:
 def codes_of(model: Codes, fields: Any, rows: IntArray) -> FloatArray:
     """Return the encoder's means (n_rows, n_latent) for some fields of a data set, which is read in parts.
 
-    `fields` (n_fields, n_nodes, 3), in mm, is an array in memory or on disk; `rows` int64 (n_rows,) are numbers of
-    fields.
+    `fields` (n_fields, n_nodes, 3), in mm, is an array in memory or on disk; `rows` int64 (n_rows,) are their numbers.
     """
     parts = [model.codes(np.asarray(fields[rows[i : i + _BATCH]])) for i in range(0, len(rows), _BATCH)]
     return np.concatenate(parts)

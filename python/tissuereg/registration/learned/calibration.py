@@ -67,8 +67,7 @@ class FieldErrors:
     def at(self, rows_of: RowsOf) -> "RowErrors":
         """Return the covariances of the errors at the markers and targets of one registration.
 
-        `rows_of` maps fields (n_fields, n_nodes, 3) to their components at markers and targets, (n_fields, n_rows), in
-        mm.
+        `rows_of` maps fields (n_fields, n_nodes, 3) to components at markers and targets, (n_fields, n_rows), in mm.
         """
         patterns = rows_of(self.basis)
         rest = rows_of(self.rest[None])[0] ** 2
@@ -100,10 +99,9 @@ class Change:
     The truth is modelled as ``(1 + a)`` times the simulation, because forces or the modulus may be off, plus a
     difference of its latents and of what the decoder cannot represent, both in proportion to the size (root mean square
     displacement, mm) of the simulated event. `factors` (n_factors,) are candidate variances of ``a``, from zero on, of
-    which one holds in an event. `covariances` (n_kinds, n_latent, n_latent) are those of the difference of latents, in
-    1/mm^2, for each kind of change (one way in which truths differ from simulations, such as another stiffness).
-    `errors` are covariances of what the decoder cannot represent, for each kind of change, in mm per mm of the event's
-    size.
+    which one holds. `covariances` (n_kinds, n_latent, n_latent) are those of the difference of latents, in 1/mm^2, for
+    each kind of change (one way in which truths differ from simulations, such as another stiffness). `errors` are
+    covariances of what the decoder cannot represent, for each kind of change, in mm per mm of size.
     """
 
     factors: FloatArray
@@ -120,8 +118,7 @@ class Rehearsal:
     for all components, with one in a row for each kind of change (way in which truths differ from simulations) with
     each variance of the factor on the simulation. `widening` is the factor on posterior covariances with which 90 %
     regions hold 90 % of the targets. `tail` is the degrees of freedom of the t law of the targets about their means,
-    with which 50 % regions hold half of them, None for a Gaussian. `calibration_set` holds the test statistics of the
-    trials.
+    with which 50 % regions hold half of them, None for a Gaussian. `calibration_set` holds the trials' test statistics.
     """
 
     scales: FloatArray
@@ -268,10 +265,9 @@ class PointCalibration:
         (n_rows,) are its displacement components at markers and targets, in mm; `variants` is the covariance of
         variants of the simulation, if it is their mean: truths then differ from it by this covariance and a share of
         that which they have in general, and by no factor. Components about the simulation are ordered by kind of change
-        (way in which truths differ from simulations), and within a kind by the variance of the factor on the whole
-        simulation. The second result holds (kind of change, variance of the factor) for each of these; it is empty
-        where the model was calibrated without pairs of simulation and truth, and the prior is then that of an event
-        without a simulation.
+        (way in which truths differ from simulations), then by variance of the factor on the whole simulation. The
+        second result holds both for each of these; it is empty where the model was calibrated without pairs of
+        simulation and truth, and the prior is then that of an event without a simulation.
         """
         change, law = self.whole.change, self.whole.anchored
         if change is None or law is None or self.change_errors is None:

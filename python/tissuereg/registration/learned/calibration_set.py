@@ -127,8 +127,8 @@ class _Ascending:
         otherwise with all. Above `first`, in the largest tenth (at least five values), the excess over `first` is taken
         as exponential: logarithms of p-values are so if p-values are uniform, or a power of what they should be. Of k
         values with mean excess m, the share beyond an excess x is then (1 + x / (k m))^-k, because the scale is
-        estimated from k values only; one value with an excess of 1 is counted with them, so that the tail is defined
-        even without any.
+        estimated from k values only; one value with an excess of 1 is counted with them, so that a tail is always
+        defined.
         """
         own = 1 if among else 0
         # With the given one, be it among them or not.

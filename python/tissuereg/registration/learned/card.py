@@ -70,8 +70,7 @@ def read_card(folder: Path) -> dict[str, Any]:
 def check_files(folder: Path, card: dict[str, Any]) -> None:
     """Check that the files of the model in a folder are those that its card describes.
 
-    `card` is what `read_card` returns. Raises `ModelError` if a file is missing, or differs from its SHA-256 in the
-    card.
+    `card` is what `read_card` returns. Raises `ModelError` if a file is missing, or differs from its SHA-256 in it.
     """
     shared = [name for name in card["files"] if name.endswith(".npy") and Path(name).name == name]
     for name in (*MODEL_FILES, *shared):

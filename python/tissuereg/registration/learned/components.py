@@ -31,8 +31,7 @@ class Components:
     """A mixture of Gaussians over latents, whose components are called kinds of events.
 
     `weights` (n_kinds,) are the probabilities of the components, which sum to one; `means` (n_kinds, n_latent) their
-    means, dimensionless; `covariances` (n_kinds, n_latent, n_latent) their covariances, symmetric and positive
-    definite.
+    means, dimensionless; `covariances` (n_kinds, n_latent, n_latent) their covariances, positive definite.
     """
 
     weights: FloatArray
@@ -55,9 +54,10 @@ class Components:
 
     @classmethod
     def _of(cls, codes: FloatArray, shares: FloatArray) -> "Components":
-        """Return the mixture of codes (n_codes, n_latent) that belong to components by `shares` (n_codes, n_kinds).
+        """Return the mixture of Gaussians that is fitted to codes with given probabilities of its components.
 
-        Components with too few codes are left out.
+        `codes` has shape (n_codes, n_latent); `shares` (n_codes, n_kinds) is the probability that each code belongs to
+        each component. Components with too few codes are left out.
         """
         n_latent = codes.shape[1]
         counts = shares.sum(axis=0)

@@ -51,8 +51,7 @@ class CutDecoder:
         `rows`, a sparse matrix (n_rows, n_nodes), holds the weights of the mesh nodes in each point; `decoder` is the
         decoder of whole fields, from tables; `decode` runs the model's file: latents (n_latent, n_members) to fields
         (n_members, n_nodes, 3), in mm; `latents` (n_latent, n_members) are the members to compare; `where` names the
-        model in the error message. Raises `ModelError` if displacements differ by more than `TOLERANCE` of the largest
-        one.
+        model in errors. Raises `ModelError` if displacements differ by more than `TOLERANCE` of the largest one.
         """
         whole = decode(latents)
         at_points = np.abs(self(latents) - np.stack([rows @ field for field in whole])).max(initial=0.0)

@@ -72,9 +72,9 @@ class ClosureDecoder:
         return fields if nodes is None else fields[:, nodes]
 
     def change(self, latents: FloatArray, code: FloatArray, threads: int = 1) -> FloatArray:
-        """Return fields (n_members, n_nodes, 3), mm, of latents (n_latent, n_members) minus that of `code`.
+        """Return the fields of `latents` (n_latent, n_members) minus that of `code` (n_latent,), in mm.
 
-        Cost: that of `decode` for the members alone.
+        The result has shape (n_members, n_nodes, 3). Cost: that of `decode` for the members alone.
         """
         x = self._coefficients(np.concatenate([code[:, None], latents], axis=1))
         return np.asarray(self._summed(x[:, 1:] - x[:, :1], threads), np.float64)
@@ -182,8 +182,7 @@ class GraphDecoder:
 
     `weight` (n_coarsest n_channels, n_latent) and `bias` (n_coarsest n_channels,) are those of the linear layer, in
     which the channels (features) of a node follow each other. `levels` are the levels, with an ELU activation after all
-    but the last. The displacement is `mean` (n_nodes, 3), in mm, plus `scale`, in mm, times the output of the last
-    level.
+    but the last. The displacement is `mean` (n_nodes, 3), in mm, plus `scale`, in mm, times the last level's output.
     """
 
     weight: FloatArray
@@ -227,7 +226,7 @@ class GraphDecoder:
         return graph.to_bytes(("z", n_latent), ("moved", len(offset))), work + added
 
     def whole(self) -> bytes:
-        """Return an ONNX file from ``z`` (members, n_latent) to ``displacement`` (members, n_nodes, 3), mm."""
+        """Return an ONNX file: ``z`` (members, n_latent) to ``displacement`` (members, n_nodes, 3), in mm."""
         n_nodes = len(self.mean)
         graph, x = OnnxGraph("graph_network"), "z"
         x = graph.reshape(graph.node("Gemm", ["z", *_linear(graph, self.weight, self.bias)]), 0, -1, self._n_in)
@@ -279,8 +278,7 @@ class GraphDecoder:
     def _expanded(self, at_points: list[Any], columns: IntArray) -> FloatArray:
         """Return the last level at points as one matrix (3 n_points, n_columns n_in): features to displacement, mm.
 
-        `at_points` are sparse tables (n_points, n_coarse), one for each basis; `columns` are the numbers of the coarse
-        nodes in use.
+        `at_points` are sparse tables (n_points, n_coarse), one for each basis; `columns` the numbers of coarse nodes.
         """
         found: FloatArray = np.einsum(
             "rkm,mio->roki", _dense(at_points, columns), self.scale * self.levels[-1].bases, optimize=True
@@ -308,7 +306,7 @@ class GraphDecoder:
         return np.asarray(mean + self.scale * np.moveaxis(x.astype(np.float64), 2, 0))
 
     def change(self, latents: FloatArray, code: FloatArray, threads: int = 1) -> FloatArray:
-        """Return fields (n_members, n_nodes, 3), mm, of latents (n_latent, n_members) minus that of `code`."""
+        """Return fields (n_members, n_nodes, 3), mm: those of latents (n_latent, n_members) minus that of a code."""
         both = self.decode(np.concatenate([code[:, None], latents], axis=1), threads=threads)
         return np.asarray(both[1:] - both[0])
 
@@ -462,9 +460,9 @@ def _block(graph: OnnxGraph, table: FloatArray, near: IntArray | None, given: st
 
 
 def _groups(pattern: Any) -> list[IntArray]:
-    """Divide the rows of a 0/1 matrix (n_rows, n_columns) into groups with few non-zero columns; return row numbers.
+    """Divide the rows of a 0/1 matrix into groups with few non-zero columns; return the row numbers of each group.
 
-    Groups are halved as long as that saves products.
+    `pattern` has shape (n_rows, n_columns). Groups are halved as long as that saves products.
     """
 
     def halved(rows: IntArray) -> list[IntArray]:

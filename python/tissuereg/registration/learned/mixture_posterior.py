@@ -175,8 +175,7 @@ class CalibratedPosterior:
     def displacement(self) -> FloatArray:
         """Displacement (n_nodes, 3) of every node, in mm: the decoded field plus the posterior mean of its error.
 
-        Neither of the two obeys mechanics, so nodes of inverted tetrahedra are moved until none is inverted, if
-        possible.
+        Neither of the two obeys mechanics, so the field is smoothed where tetrahedra are inverted.
         """
         return self._whole[0]
 
@@ -330,7 +329,6 @@ class _Source:
     def given(self, pull: FloatArray) -> FloatArray:
         """Return the error field (n_nodes, 3), in mm, of the draw, conditioned on the markers.
 
-        `pull` (n_obs,), in 1/mm, is S^-1 times measured minus drawn displacements of the markers, with their covariance
-        S.
+        `pull` (n_obs,), in 1/mm, is S^-1 times measured minus drawn marker displacements, with their covariance S.
         """
         return np.tensordot(self.coefficients + self.covariance @ (self.seen @ pull), self.errors.whole.basis, 1)

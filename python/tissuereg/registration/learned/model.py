@@ -48,44 +48,44 @@ class LatentModel(Protocol):
         Parameters
         ----------
         latents : ndarray of float64, shape (n_latent,), optional
-            Latents at which the errors are evaluated; by default a typical value.
+            Latents at which the errors are evaluated; by default the errors of a typical event are returned.
 
         Returns
         -------
         ndarray of float64, shape (n_fields, n_nodes, 3)
-            mm.
+            Errors, mm.
         """
         ...
 
     def decode(self, latents: FloatArray, nodes: IntArray | None = None) -> FloatArray:
-        """Return displacement fields.
+        """Return the displacement fields of latents.
 
         Parameters
         ----------
         latents : ndarray of float64, shape (n_latent, n_members)
-            One column per member.
+            One column per member, dimensionless.
         nodes : ndarray of int64, shape (k,), optional
-            Nodes to decode; by default all.
+            Numbers of the nodes to decode; by default all.
 
         Returns
         -------
         ndarray of float64, shape (n_members, k, 3)
-            mm.
+            Displacements, mm.
         """
         ...
 
     def prior(self, simulation: FloatArray | None) -> Gaussian:
-        """Return the prior of the truth, given a simulation.
+        """Return the prior distribution of the latents of the true field, given a simulation.
 
         Parameters
         ----------
         simulation : ndarray of float64, shape (n_nodes, 3), or None
-            Displacement in mm; None gives the wide prior.
+            Displacement in mm; None gives the distribution of all training fields.
 
         Returns
         -------
         Gaussian
-            Over the latents.
+            Mean and covariance of the latents.
         """
         ...
 
@@ -150,7 +150,10 @@ class ScalesErrors(Protocol):
     """A model whose expected errors are given error fields, scaled to the size of the event."""
 
     def error_law(self, latents: FloatArray | None = None) -> tuple[ScaledErrors, FloatArray]:
-        """Return error fields and factors (n_fields,) that scale them to the field of `latents`; ones for None."""
+        """Return error fields (with the sizes of their events) and the factors (n_fields,) by which to multiply them.
+
+        The factors scale the errors to the field that `latents` (n_latent,) decode to; they are one for None.
+        """
         ...
 
 

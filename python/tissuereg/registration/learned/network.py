@@ -104,7 +104,10 @@ class NetworkModel:
         return np.asarray(law.fields * scale[:, None, None])
 
     def error_law(self, latents: FloatArray | None = None) -> tuple[ScaledErrors, FloatArray]:
-        """Return error fields and factors (n_fields,) that scale them to the field of `latents`; ones for None."""
+        """Return error fields (with the sizes of their events) and the factors (n_fields,) by which to multiply them.
+
+        The factors scale the errors to the field that `latents` (n_latent,) decode to; they are one for None.
+        """
         if latents is None:
             return self._errors, self._errors.scale(None)
         return self._errors, self._errors.scale(float(rms_displacement(self.sampled(latents[:, None]))[0]))
@@ -145,14 +148,14 @@ class NetworkModel:
         return self._by_file(latents, nodes)
 
     def change(self, latents: FloatArray, code: FloatArray) -> FloatArray:
-        """Return fields (n_members, n_nodes, 3), mm, of latents (n_latent, n_members) minus that of `code`."""
+        """Return fields (n_members, n_nodes, 3), mm: those of latents (n_latent, n_members) minus that of a code."""
         if latents.shape[1] <= _FEW and self.tables is not None:
             return self.tables.change(latents, code, self._threads)
         both = self._by_file(np.concatenate([code[:, None], latents], axis=1))
         return np.asarray(both[1:] - both[0])
 
     def _by_file(self, latents: FloatArray, nodes: IntArray | None = None) -> FloatArray:
-        """Return fields (n_members, k, 3), mm, of latents (n_latent, n_members) by ``decoder.onnx``, at nodes (k,)."""
+        """Return fields (n_members, k, 3), mm, of latents (n_latent, n_members) at `nodes` or all, by the ONNX file."""
         has_nodes = "nodes" in {i.name for i in self._decoder.get_overridable_initializers()}
         extra = {} if nodes is None or not has_nodes else {"nodes": np.asarray(nodes, np.int64)}
 
@@ -260,7 +263,10 @@ class AnchoredModel:
         return np.asarray(law.fields * scale[:, None, None])
 
     def error_law(self, latents: FloatArray | None = None) -> tuple[ScaledErrors, FloatArray]:
-        """Return error fields and factors (n_fields,) that scale them to the change by `latents`; ones for None."""
+        """Return error fields (with the sizes of their events) and the factors (n_fields,) by which to multiply them.
+
+        The factors scale the errors to the difference from the simulation that `latents` decode to; one for None.
+        """
         if not len(self._errors.fields):
             return self._network.error_law(latents)
         if latents is None:
@@ -269,7 +275,7 @@ class AnchoredModel:
         return self._errors, self._errors.scale(float(rms_displacement(both[:1] - both[1:])[0]))
 
     def prior(self, simulation: FloatArray | None) -> Gaussian:
-        """Return the prior about the code of a simulation (n_nodes, 3) in mm; for None, that of all training fields."""
+        """Return the prior of latents about the code of a simulation (n_nodes, 3), mm; that of all codes for None."""
         return self._prior if simulation is self._simulation else self._network.prior(simulation)
 
 

@@ -121,7 +121,10 @@ class PcaModel:
         return np.asarray(law.fields * scale[:, None, None])
 
     def error_law(self, latents: FloatArray | None = None) -> tuple[ScaledErrors, FloatArray]:
-        """Return error fields and factors (n_fields,) that scale them to the field of `latents`; ones for None."""
+        """Return error fields (with the sizes of their events) and the factors (n_fields,) by which to multiply them.
+
+        The factors scale the errors to the distance of the field of `latents` from the centre; they are one for None.
+        """
         if latents is None:
             return self._law, self._law.scale(None)
         return self._law, self._law.scale(float(rms_displacement(self.decode(latents[:, None]) - self.centre)[0]))

@@ -85,11 +85,11 @@ class PointModel:
         return self.at(fields[..., self._nodes, :])
 
     def markers(self, moved: FloatArray) -> FloatArray:
-        """Return displacements (..., n_markers, 3) of the markers, given all points' (..., n_points, 3), in mm."""
+        """Return displacements (..., n_markers, 3), mm, of the markers from those of all points (..., n_points, 3)."""
         return self._markers.predict_points(moved[..., : self._split, :])
 
     def targets(self, moved: FloatArray) -> FloatArray:
-        """Return displacements (..., n_targets, 3) of the targets, given all points' (..., n_points, 3), in mm."""
+        """Return displacements (..., n_targets, 3), mm, of the targets from those of all points (..., n_points, 3)."""
         return moved[..., self._split :, :]
 
     def components(self, moved: FloatArray) -> FloatArray:
@@ -182,15 +182,18 @@ class PointsAround:
         return np.asarray(self.all_rows(field[None])[0])
 
     def all_rows(self, fields: FloatArray) -> FloatArray:
-        """Return components (n_fields, 3 (n_markers + n_targets)), in mm, of fields (n_fields, n_nodes, 3)."""
+        """Return the displacement of markers and targets in whole fields, components in a row, in mm.
+
+        `fields` has shape (n_fields, n_nodes, 3), the result (n_fields, 3 (n_markers + n_targets)), markers first.
+        """
         return self._at.components(self._at.at_points(fields))
 
     def markers(self, moved: FloatArray) -> FloatArray:
-        """Return displacements (..., n_markers, 3) of the markers, given all points' (..., n_points, 3), in mm."""
+        """Return displacements (..., n_markers, 3), mm, of the markers from those of all points (..., n_points, 3)."""
         return self._at.markers(moved)
 
     def targets(self, moved: FloatArray) -> FloatArray:
-        """Return displacements (..., n_targets, 3) of the targets, given all points' (..., n_points, 3), in mm."""
+        """Return displacements (..., n_targets, 3), mm, of the targets from those of all points (..., n_points, 3)."""
         return self._at.targets(moved)
 
     def errors(self, latents: FloatArray | None = None) -> ErrorsAt:

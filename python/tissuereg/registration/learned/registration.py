@@ -228,7 +228,7 @@ def _fit(model: PointsAround, drawn: _Drawn, given: RegisterInput, seen: IntArra
 
 @lru_cache(maxsize=4)
 def _normals(seed: int, n_latent: int, n_members: int) -> tuple[FloatArray, bool]:
-    """Return standard normal draws (n_latent, n_members), and whether their sample moments are exact."""
+    """Return standard normal draws (n_latent, n_members) from a seed, and whether their sample moments are exact."""
     draws, exact = balanced_draws(np.random.default_rng([seed, 2]), (n_latent, n_members), np.empty((0, n_members)))
     return frozen(draws), exact
 
@@ -375,7 +375,7 @@ def _against(moved: FloatArray, simulated: FloatArray, std: FloatArray) -> list[
     """Return a list with the sentence that markers moved against their simulation if they surely did, else empty.
 
     They did if the factor on the simulated displacements (n_used, 3) that fits the measured ones `moved` (n_used, 3)
-    best, in mm, is below zero beyond what the tracker's noise `std` (n_used, 3), in mm, explains. In calibration events
+    best is below zero beyond what the tracker's noise `std` (n_used, 3) explains, all in mm. In calibration events
     loads and stiffness are off by a factor, never by its sign.
     """
     weighted = simulated / std**2

@@ -236,7 +236,7 @@ def assimilate(
     Parameters
     ----------
     predict : callable
-        Latents (n_latent, n_members) to predictions (n_obs, n_members) in mm; float32 is converted.
+        Function from latents (n_latent, n_members) to predictions (n_obs, n_members) in mm; float32 is converted.
     observed : ndarray of float64, shape (n_obs,)
         Measured marker displacements in mm.
     noise : ndarray of float64, shape (n_obs, n_obs), or Noise
@@ -246,10 +246,10 @@ def assimilate(
     rng : numpy.random.Generator
         The only source of random numbers.
     settings : AssimilationSettings, optional
-        Ensemble, schedule and steps.
+        Ensemble size, inflation schedule and steps.
     perturbations : callable, optional
-        Step number (from 0) and shape (n_obs, n_members) to standard normal draws of that shape, in place of
-        `balanced_draws`; stochastic form only.
+        Function from step number (from 0) and shape (n_obs, n_members) to standard normal draws of that shape, in place
+        of `balanced_draws`; stochastic form only.
     first : FirstEnsemble, optional
         Draws from the prior, in place of `n_members` made here; with their predictions the first step decodes nothing.
 
@@ -274,8 +274,10 @@ def assimilate(
 
     Notes
     -----
-    ``z += C_zy (C_yy + a C_d)^-1 (d + sqrt(a) C_d^1/2 e - y)``, A. A. Emerick and A. C. Reynolds, "Ensemble smoother
-    with multiple data assimilation", Computers & Geosciences 55, 3-15, 2013, doi:10.1016/j.cageo.2012.03.011.
+    Each step adds ``C_zy (C_yy + a C_d)^-1 (d + sqrt(a) C_d^1/2 e - y)`` to each member's latents z, with its
+    prediction y, ensemble covariances C_zy and C_yy, observations d, inflation coefficient a and normal draws e: A. A.
+    Emerick and A. C. Reynolds, "Ensemble smoother with multiple data assimilation", Computers & Geosciences 55, 3-15,
+    2013, doi:10.1016/j.cageo.2012.03.011.
     """
     observed = float_array("observed", observed, (None,))
     covariance = noise_of(noise, len(observed))

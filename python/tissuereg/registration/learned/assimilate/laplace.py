@@ -118,7 +118,7 @@ def gauss_newton(
     Parameters
     ----------
     predict : callable
-        Latents (n_latent, n_columns) to predictions (n_obs, n_columns) in mm.
+        Function from latents (n_latent, n_columns) to predictions (n_obs, n_columns) in mm.
     observed : ndarray of float64, shape (n_obs,)
         Measured marker displacements in mm.
     noise : ndarray of float64, shape (n_obs, n_obs), or Noise
@@ -126,12 +126,13 @@ def gauss_newton(
     prior : Gaussian
         Prior of the latents.
     jacobian : callable, optional
-        Latents (n_latent,) to the derivatives (n_obs, n_latent) of the predictions, mm. By default central differences
-        along the columns of the prior's Cholesky factor, one call of `predict` with 2 n_latent + 1 columns each time.
+        Function from latents (n_latent,) to the derivatives (n_obs, n_latent) of the predictions, mm. By default
+        central differences along the columns of the prior's Cholesky factor, one call of `predict` with 2 n_latent + 1
+        columns each time.
     start : ndarray of float64, shape (n_latent,), optional
         Where the search begins; by default the prior's mean.
     settings : SearchSettings, optional
-        Where the search ends, and how far the neighbours are.
+        Where the search ends, and how far the neighbours of a point for derivatives are.
 
     Returns
     -------
@@ -148,7 +149,7 @@ def gauss_newton(
     NoiseError
         If `noise` is not positive definite.
     ArgumentError
-        If the prior's covariance is not positive definite, or `settings` are none.
+        If the prior's covariance is not positive definite, or `settings` is not a SearchSettings.
     MarkerError
         If `observed` is not finite.
     ShapeError
@@ -156,11 +157,12 @@ def gauss_newton(
 
     Notes
     -----
-    Minimises ``(d - g(z))' C_d^-1 (d - g(z)) + (z - m)' C^-1 (z - m)`` by the steps of Levenberg and Marquardt in the
-    metric of the prior, undamped where the model is nearly linear; the covariance is ``(C^-1 + G' C_d^-1 G)^-1``. One
-    minimum is found, and its regions are right as far as the model is linear over them. D. S. Oliver, A. C. Reynolds
-    and N. Liu, "Inverse theory for petroleum reservoir characterization and history matching", Cambridge University
-    Press, 2008, chapter 8.
+    Minimises ``(d - g(z))' C_d^-1 (d - g(z)) + (z - m)' C^-1 (z - m)`` over latents z, with observations d, predictions
+    g(z) and the prior's mean m and covariance C, by the steps of Levenberg and Marquardt in the metric of the prior,
+    undamped where the model is nearly linear; the covariance is ``(C^-1 + G' C_d^-1 G)^-1``, with the derivatives G of
+    g. One minimum is found, and its regions are right as far as the model is linear over them. D. S. Oliver, A. C.
+    Reynolds and N. Liu, "Inverse theory for petroleum reservoir characterization and history matching", Cambridge
+    University Press, 2008, chapter 8.
     """
     called("jacobian", jacobian)
     settings = maybe("settings", settings, SearchSettings) or SearchSettings()
