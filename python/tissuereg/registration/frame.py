@@ -30,34 +30,15 @@ def frame_input(
 
     An effect is a property that the basic elastic model lacks. Effects on body, supports and actuators, such as a
     sliding support, are included in the model; those of the measuring chain, such as latency, are removed from the
-    markers.
-
-    Parameters
-    ----------
-    experiment : Experiment
-        Assumed model (mesh, material, supports, actuators, effects) and measurements.
-    case : str
-        Name of the case (one load history of the experiment).
-    time : float
-        Time in s on the experiment's clock.
-    element : {"tet4", "tet4-averaged", "tet10"}
-        Finite elements of the package's own simulations: four-node tets, four-node tets with volume ratios averaged at
-        the nodes, or ten-node tets.
-    threads : int
-        Threads to use; 0 takes all cores.
-
-    Returns
-    -------
-    dict
-        ``mesh`` (a `Body` of the experiment's material and these elements), ``markers`` (reference and measured places,
-        mm), ``targets`` (inner points by name, mm), ``load`` (gravity and actuators). With a material whose response
-        depends on the past, sliding supports, or a mesh that was imaged under gravity also ``simulation``, the
-        displacement (n_nodes, 3) in mm; the prior around it is elastic with held supports.
-
-    Raises
-    ------
-    ExperimentError
-        If there is no such case, or no frame near that time.
+    markers. `experiment`: assumed model (mesh, material, supports, actuators, effects) and measurements; `case`: name
+    of the case (one load history of the experiment); `time`: time in s on the experiment's clock; `element` {"tet4",
+    "tet4-averaged", "tet10"}: finite elements of the package's own simulations: four-node tets, four-node tets with
+    volume ratios averaged at the nodes, or ten-node tets; `threads`: threads to use; 0 takes all cores. Result:
+    ``mesh`` (a `Body` of the experiment's material and these elements), ``markers`` (reference and measured places,
+    mm), ``targets`` (inner points by name, mm), ``load`` (gravity and actuators). With a material whose response
+    depends on the past, sliding supports, or a mesh that was imaged under gravity also ``simulation``, the displacement
+    (n_nodes, 3) in mm; the prior around it is elastic with held supports. Raises `ExperimentError` if there is no such
+    case, or no frame near that time.
     """
     of_kind("experiment", experiment, Experiment)
     check_choice("element", element, ELEMENTS, ArgumentError)

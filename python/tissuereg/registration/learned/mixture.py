@@ -65,35 +65,18 @@ class MixturePosterior:
     """The posterior under a linear decoder: one Gaussian for each pair of component and scale of the prior.
 
     A scale is a factor on a component's standard deviations. Rows are displacement components of markers, then of
-    targets. Pairs of negligible probability are left out.
-
-    Attributes
-    ----------
-    weights : ndarray of float64, shape (n_pairs,)
-        Posterior probability of each pair; they sum to one.
-    component : ndarray of int64, shape (n_pairs,)
-        Number of the pair's component in the prior.
-    scale : ndarray of float64, shape (n_pairs,)
-        Factor on the standard deviations of that component.
-    latents : ndarray of float64, shape (n_pairs, n_latent)
-        Posterior means of the latents, dimensionless.
-    means : ndarray of float64, shape (n_pairs, n_rows)
-        Posterior means of the displacement, the model's own error included, mm.
-    covariances : ndarray of float64, shape (n_pairs, n_rows, n_rows)
-        Posterior covariances of the displacement, mm^2.
-    pulls : ndarray of float64, shape (n_pairs, n_obs)
-        S^-1 v, 1/mm, with the innovation v (measured minus predicted displacement of the markers) and its covariance S.
-    factors : ndarray of float64, shape (n_pairs, n_obs, n_obs)
-        Lower Cholesky factors of S, mm.
-    p_value : float
-        Probability of an innovation at least as large in the metric of S^-1, averaged over the pairs by their
-        probability.
-    logs : ndarray of float64, shape (n_all,)
-        Logarithm of each pair's prior probability times the density of the innovation, up to a constant, for all pairs
-        of the prior, component by component. Pairs that were ruled out about an earlier point have their value there.
-    log_evidence : ndarray of float64, shape (n_components,)
-        Logarithm of each component's prior probability times its evidence, summed over its scales, up to the same
-        constant.
+    targets. Pairs of negligible probability are left out. `weights` (n_pairs,): posterior probability of each pair;
+    they sum to one; `component` int64 (n_pairs,): number of the pair's component in the prior; `scale` (n_pairs,):
+    factor on the standard deviations of that component; `latents` (n_pairs, n_latent): posterior means of the latents,
+    dimensionless; `means` (n_pairs, n_rows): posterior means of the displacement, the model's own error included, mm;
+    `covariances` (n_pairs, n_rows, n_rows): posterior covariances of the displacement, mm^2; `pulls` (n_pairs, n_obs):
+    S^-1 v, 1/mm, with the innovation v (measured minus predicted displacement of the markers) and its covariance S;
+    `factors` (n_pairs, n_obs, n_obs): lower Cholesky factors of S, mm; `p_value`: probability of an innovation at least
+    as large in the metric of S^-1, averaged over the pairs by their probability; `logs` (n_all,): logarithm of each
+    pair's prior probability times the density of the innovation, up to a constant, for all pairs of the prior,
+    component by component. Pairs that were ruled out about an earlier point have their value there; `log_evidence`
+    (n_components,): logarithm of each component's prior probability times its evidence, summed over its scales, up to
+    the same constant.
     """
 
     weights: FloatArray

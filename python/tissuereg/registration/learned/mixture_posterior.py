@@ -54,32 +54,14 @@ class CalibratedPosterior:
 
     Its properties `displacement`, `ratios`, `marker_mean`, `marker_covariance`, `marker_error`, `target_mean`,
     `target_covariance` and `std` have the same meaning as those of
-    `tissuereg.registration.learned.posterior.Posterior`.
-
-    Attributes
-    ----------
-    mesh : Mesh
-        Undeformed body.
-    model : PointsAround
-        The latent model at markers and targets.
-    at : PointCalibration
-        Covariances of the model's errors there; the displacement components (rows) of the used markers come first.
-    order : ndarray of int64, shape (n_markers,)
-        Numbers of the markers in the order of the rows.
-    prior : list of Component
-        Components of the prior mixture.
-    linear : LinearDecoder
-        The decoder as it was linearised last.
-    found : MixturePosterior
-        The posterior mixture at markers and targets.
-    observed, noise : ndarray of float64, shape (3 n_used,) and (3 n_used, 3 n_used)
-        Measured displacements, mm, and the covariance of the tracker's noise, mm^2.
-    seed : int
-        Seed of the random fields from which `std` is computed.
-    anchor : _Anchor
-        The simulation about which the prior lies, and its components in the prior.
-    rehearsal : Rehearsal
-        Outcome of the trial registrations with which this registration is compared.
+    `tissuereg.registration.learned.posterior.Posterior`. `mesh`: undeformed body; `model`: the latent model at markers
+    and targets; `at`: covariances of the model's errors there; the displacement components (rows) of the used markers
+    come first; `order` int64 (n_markers,): numbers of the markers in the order of the rows; `prior`: components of the
+    prior mixture; `linear`: the decoder as it was linearised last; `found`: the posterior mixture at markers and
+    targets; `observed`, `noise` (3 n_used,) and (3 n_used, 3 n_used): measured displacements, mm, and the covariance of
+    the tracker's noise, mm^2; `seed`: seed of the random fields from which `std` is computed; `anchor`: the simulation
+    about which the prior lies, and its components in the prior; `rehearsal`: outcome of the trial registrations with
+    which this registration is compared.
     """
 
     mesh: Mesh

@@ -20,25 +20,14 @@ _BATCH = 50
 class Posterior:
     """Moments of the posterior ensemble; lengths in mm.
 
-    Attributes
-    ----------
-    displacement : ndarray of float64, shape (n_nodes, 3)
-        Displacement decoded from the mean of the latents; inverted tetrahedra are mended
-        (`tissuereg.registration.learned.repair`).
-    ratios : ndarray of float64, shape (n_tets,)
-        Volume ratio of every tetrahedron, deformed over undeformed.
-    marker_mean : ndarray of float64, shape (n_markers, 3)
-        Mean displacement of every marker, seen or not.
-    marker_covariance : ndarray of float64, shape (3 n_markers, 3 n_markers)
-        Covariance of the markers' displacement in the ensemble alone, mm^2.
-    marker_error : ndarray of float64, shape (n_markers, 3, 3)
-        Covariance of the model's own error at every marker, mm^2.
-    target_mean : ndarray of float64, shape (n_targets, 3)
-        Mean displacement of every target.
-    target_covariance : ndarray of float64, shape (n_targets, 3, 3)
-        Covariance of every target's displacement: that in the ensemble plus that of the model's own error, mm^2.
-    std : callable
-        Returns the root of the trace of every node's covariance, (n_nodes,), in mm. Cost: one full decode per member.
+    `displacement` (n_nodes, 3): displacement decoded from the mean of the latents; inverted tetrahedra are mended
+    (`tissuereg.registration.learned.repair`); `ratios` (n_tets,): volume ratio of every tetrahedron, deformed over
+    undeformed; `marker_mean` (n_markers, 3): mean displacement of every marker, seen or not; `marker_covariance` (3
+    n_markers, 3 n_markers): covariance of the markers' displacement in the ensemble alone, mm^2; `marker_error`
+    (n_markers, 3, 3): covariance of the model's own error at every marker, mm^2; `target_mean` (n_targets, 3): mean
+    displacement of every target; `target_covariance` (n_targets, 3, 3): covariance of every target's displacement: that
+    in the ensemble plus that of the model's own error, mm^2; `std`: returns the root of the trace of every node's
+    covariance, (n_nodes,), in mm. Cost: one full decode per member.
     """
 
     displacement: FloatArray

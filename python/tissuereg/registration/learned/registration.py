@@ -62,36 +62,17 @@ def register_by_model(
 ) -> LearnedRegistration:
     """Register one moment (one set of marker measurements) with a trained model.
 
-    Parameters
-    ----------
-    given : RegisterInput
-        Checked input.
-    points : PointModel
-        The model at the markers and targets of that input.
-    simulation : ndarray of float64, shape (n_nodes, 3), or None
-        Displacement of the moment by a simulation, mm.
-    clock : Clock
-        Records the times of the stages: ``encode``, ``assimilate``, ``decode``, ``judge``.
-    variants : Variants, optional
-        Variants of the simulation, on whose mean the prior is then centred. The answer is compared with the simulation,
-        or with that mean if there is no simulation.
-
-    Returns
-    -------
-    LearnedRegistration
-        The result. Cost: with ``update="esmda"`` the ensemble is decoded at markers and targets once for each step and
-        once at the end. With a calibrated model, whose answer is found about the ensemble's mean, it is decoded before
-        the first and the last step alone, and then 2 n_latent + 1 members are decoded two or three times. Once more
-        where the prior had to be widened. Two whole fields are decoded.
-
-    Raises
-    ------
-    EnsembleError
-        If too few ensemble members survive, or the decoder fails where the search for the most probable latents begins.
-    ArgumentError
-        If variants are given and the model was not calibrated with pairs of simulation and truth.
-    ConvergenceError
-        If the search for the most probable latents finds no minimum.
+    `given`: checked input; `points`: the model at the markers and targets of that input; `simulation` (n_nodes, 3) or
+    None: displacement of the moment by a simulation, mm; `clock`: records the times of the stages: ``encode``,
+    ``assimilate``, ``decode``, ``judge``; `variants`: variants of the simulation, on whose mean the prior is then
+    centred. The answer is compared with the simulation, or with that mean if there is no simulation. Result: the
+    result. Cost: with ``update="esmda"`` the ensemble is decoded at markers and targets once for each step and once at
+    the end. With a calibrated model, whose answer is found about the ensemble's mean, it is decoded before the first
+    and the last step alone, and then 2 n_latent + 1 members are decoded two or three times. Once more where the prior
+    had to be widened. Two whole fields are decoded. Raises `EnsembleError` if too few ensemble members survive, or the
+    decoder fails where the search for the most probable latents begins; `ArgumentError` if variants are given and the
+    model was not calibrated with pairs of simulation and truth; `ConvergenceError` if the search for the most probable
+    latents finds no minimum.
     """
     if variants is not None and not points.knows_changes:
         message = "`variants` must be left out: the model was not calibrated with pairs of simulation and truth"

@@ -16,20 +16,10 @@ from tissuereg.registration.readings.skin import Skin, skin_of
 class Given:
     """The markers as they were given, with derived data that readings (interpretations of the input) need.
 
-    Attributes
-    ----------
-    skin : Skin
-        Surface of the undeformed body, for distances of points from it.
-    held_nodes : ndarray of float64, shape (n_held, 3)
-        Places of the held nodes, mm.
-    names : tuple of str
-        Names of the markers.
-    reference, measured : ndarray of float64, shape (n_markers, 3)
-        Reference and measured places as given, mm; NaN = not seen.
-    motion : ndarray of float64, shape (n_markers, 3)
-        Measured minus reference, mm.
-    noise : float
-        Median standard deviation of a measured coordinate, mm.
+    `skin`: surface of the undeformed body, for distances of points from it; `held_nodes` (n_held, 3): places of the
+    held nodes, mm; `names`: names of the markers; `reference`, `measured` (n_markers, 3): reference and measured places
+    as given, mm; NaN = not seen; `motion` (n_markers, 3): measured minus reference, mm; `noise`: median standard
+    deviation of a measured coordinate, mm.
     """
 
     skin: Skin
@@ -64,26 +54,13 @@ class Given:
 class Reading:
     """One way to interpret the input: a mistake that may have been made, and the places and motion without it.
 
-    Attributes
-    ----------
-    kind : str
-        Kind of mistake, the first word of the sentence that reports it.
-    words : str
-        The change of the input that this reading makes, in words.
-    cost : float
-        Minus the logarithm of the prior odds of such a mistake.
-    places : ndarray of float64, shape (n_markers, 3)
-        Reference places under this reading, mm.
-    motion : ndarray of float64, shape (n_markers, 3)
-        Displacements under this reading, mm, possibly in a rotated frame; NaN = not seen.
-    arms : ndarray of float64, shape (n_markers, 3)
-        The reference places in the frame of the displacements, mm.
-    log_scale : float
-        Logarithm of the factor by which this reading multiplies measured coordinates; 0 unless it changes units.
-    rigid : bool
-        Whether the body may move rigidly as a whole.
-    rows : sequence of int
-        Numbers of the markers that this reading changes; empty = all.
+    `kind`: kind of mistake, the first word of the sentence that reports it; `words`: the change of the input that this
+    reading makes, in words; `cost`: minus the logarithm of the prior odds of such a mistake; `places` (n_markers, 3):
+    reference places under this reading, mm; `motion` (n_markers, 3): displacements under this reading, mm, possibly in
+    a rotated frame; NaN = not seen; `arms` (n_markers, 3): the reference places in the frame of the displacements, mm;
+    `log_scale`: logarithm of the factor by which this reading multiplies measured coordinates; 0 unless it changes
+    units; `rigid`: whether the body may move rigidly as a whole; `rows`: numbers of the markers that this reading
+    changes; empty = all.
     """
 
     kind: str
