@@ -73,11 +73,11 @@ class LoadError(TissueRegError, ValueError):
 
 
 class MarkerError(TissueRegError, ValueError):
-    """Markers or targets (inner points of interest) cannot be used: too few, not finite, or badly named."""
+    """Markers or targets (inner points of interest) cannot be used, for example because one is not finite."""
 
 
 class SurfaceError(TissueRegError, ValueError):
-    """Measured points of a surface cannot be used: not finite, too few, or with a noise that is not positive."""
+    """Measured points of a surface cannot be used, for example because they are too few or not finite."""
 
 
 class FormatError(TissueRegError, ValueError):
@@ -89,7 +89,7 @@ class ExperimentError(FormatError):
 
 
 class ModelError(TissueRegError, ValueError):
-    """A trained model cannot be used: it is of another mesh, or its file is missing or corrupt."""
+    """A trained model cannot be used: it is of another mesh, a file is missing or corrupt, or an argument bars it."""
 
 
 class ScheduleError(TissueRegError, ValueError):
@@ -119,9 +119,9 @@ class ConvergenceError(TissueRegError, RuntimeError):
         Facts about the failure by name; empty where the raising function states none. A solve gives its last
         equilibrium as `load_fraction` (share of the load, 0 to 1) and `displacement` (n_nodes, 3), mm; the state where
         it ended as `tried_fraction` (share of the load), `residual_mN` and `tolerance_mN` (norm of the unbalanced
-        forces, found and required), `min_det_f` (smallest volume ratio det F), `worst_tets` (pairs of a tet's index and
-        its det F) and `reason` (text); and its work as `iterations` and `factorisations`. A search by Gauss-Newton
-        gives `evaluations`, `last_step` and `tolerance`.
+        forces, found and required), `min_det_f` (smallest determinant of a tet's deformation gradient F), `worst_tets`
+        (pairs of a tet's index and its det F) and `reason` (text); and its work as the counts `iterations` and
+        `factorisations`. A search by Gauss-Newton gives `evaluations`, `last_step` and `tolerance`.
     """
 
     exit_code = 3

@@ -50,7 +50,7 @@ _short.maxstring = _short.maxother = _short.maxlong = _SHOWN
 
 
 def found(value: object) -> str:
-    """Return a short text for a value in messages: the value itself if it is a number, text or None, else its type."""
+    """Return a short text for a value in messages: numbers, texts and None as such, cut if long, else the type name."""
     if value is None or isinstance(value, bool | int | float | str | bytes):
         return _short.repr(value)[:_SHOWN]
     return type(value).__name__
@@ -72,11 +72,7 @@ def is_number(value: Any) -> bool:
 
 
 def whole(name: str, value: Any, *, least: int = 0, most: int = MOST_COUNTED, error: _Error = ArgumentError) -> int:
-    """Return a whole number as int after checking that it lies from `least` to `most`.
-
-    `name`: name of the argument, for the message. Integers of numpy are accepted; booleans and floats are not. Raises
-    an error of the class `error`.
-    """
+    """Return the argument `name` as int after checking that it is a whole number, no bool, from `least` to `most`."""
     try:
         number = None if isinstance(value, bool) else operator.index(value)
     except TypeError:
@@ -114,7 +110,7 @@ def real(
     unit: str = "",
     error: _Error = ArgumentError,
 ) -> float:
-    """Return a finite number as float after checking its range; texts, booleans and arrays are refused.
+    """Return a number as float after checking that it is finite and in a range; texts, bools and arrays are refused.
 
     `name`: name of the argument, for the message; `above`, `below`: bounds that the number must not reach; `least`,
     `most`: bounds that it may reach; `unit`: unit to state in the message. Raises an error of the class `error`.
@@ -207,11 +203,7 @@ def maybe(name: str, value: Any, kind: type[_T] | tuple[type[_T], ...], *, error
 def each(
     name: str, value: Any, kind: type[_T] | tuple[type[_T], ...], *, error: _Error = ArgumentError
 ) -> tuple[_T, ...]:
-    """Return the items of an iterable as a tuple after checking that each is an instance of the class `kind`.
-
-    `kind` may be several classes, of which each item must be one. A text or bytes is refused. Raises an error of the
-    class `error`.
-    """
+    """Return an iterable as a tuple after checking that each item is an instance of `kind`, or of a class in `kind`."""
     listed = isinstance(value, Iterable) and not isinstance(value, str | bytes)
     items = tuple(value) if listed else ()
     wrong = [item for item in items if not isinstance(item, kind)]
@@ -243,10 +235,7 @@ def named(name: str, value: Any, *, error: _Error = ArgumentError) -> Mapping[st
 
 
 def place(name: str, value: Any, *, error: _Error = ArgumentError) -> Path:
-    """Return a text or path-like object as a `Path` to a file or folder, which need not exist.
-
-    Raises an error of the class `error` if it is empty, too long for a file system, or neither a text nor path-like.
-    """
+    """Return a text or path-like object as `Path` after checking that it can name a file, which need not exist."""
     given = os.fspath(value) if isinstance(value, os.PathLike) else value
     too_long = isinstance(given, str) and any(len(part) > _LONGEST_PART for part in Path(given).parts)
     if not isinstance(given, str) or not given or "\0" in given or too_long or len(given) > _LONGEST_PATH:
@@ -256,9 +245,6 @@ def place(name: str, value: Any, *, error: _Error = ArgumentError) -> Path:
 
 
 def check_running(*, seed: Any = 0, threads: Any = 0) -> None:
-    """Raise `ArgumentError` unless `seed` and `threads` are whole numbers in their ranges.
-
-    A seed may lie from 0 to 2^64 - 1, a number of threads from 0 (all cores) to 1024.
-    """
+    """Raise `ArgumentError` unless `seed` lies from 0 to 2^64 - 1 and `threads` from 0 to 1024, both whole numbers."""
     whole("seed", seed, most=2**64 - 1)
     whole("threads", threads, most=MOST_THREADS)

@@ -89,19 +89,12 @@ def index_array(name: str, value: Any, shape: tuple[int | None, ...]) -> IntArra
 
 
 def optional_array(name: str, value: Any, shape: tuple[int | None, ...]) -> FloatArray | None:
-    """Return None for None, and any other value as a C-ordered float64 array of the given shape.
-
-    `name`: name of the argument, for the message; in `shape`, None stands for any length. Raises `ShapeError` if the
-    value is not numeric or has another shape.
-    """
+    """Return None for None, else `value` as C-ordered float64 array of `shape`, where None stands for any length."""
     return None if value is None else float_array(name, value, shape)
 
 
 def stacked(rows: Sequence[FloatArray | None]) -> FloatArray | None:
-    """Stack n arrays of one shape (k, ...) into one array (n, k, ...), with zeros in place of each row that is None.
-
-    Result: None if all rows are None.
-    """
+    """Stack n arrays (k, ...) into one (n, k, ...), with zeros for each row that is None; None if all rows are None."""
     some = next((row for row in rows if row is not None), None)
     if some is None:
         return None

@@ -81,11 +81,7 @@ class Check:
 
 @dataclass(frozen=True)
 class DeclaredField:
-    """One declared field of a record, as `CheckedRecord.declared` lists it.
-
-    `name`: name of the field; `check`: its check and description; `default`: its default value, or
-    `dataclasses.MISSING` if it has none.
-    """
+    """A declared field of a record: its name, its check and description, and its default (`MISSING` if it has none)."""
 
     name: str
     check: Check
@@ -122,10 +118,7 @@ class CheckedRecord:
         """Raise an error if fields contradict each other; subclasses define this, and it does nothing by default."""
 
     def refuse(self, rule: str, value: object = None) -> NoReturn:
-        """Raise an error of the class `error` that states what must hold and what was found.
-
-        `rule`: what must hold, in words; `value`: the value that was found, left out of the message if it is None.
-        """
+        """Raise an error of the class `error` that states the rule to keep and, unless it is None, the value found."""
         message = rule if value is None else f"{rule}, got {value!r}"
         raise self.error(message)
 
@@ -171,11 +164,7 @@ def number(
 def whole(
     meaning: str = "", *, least: int = 0, most: int = MOST_COUNTED, default: Any = MISSING, unit: str = "", **more: Any
 ) -> Any:
-    """Declare a dataclass field that holds a whole number from `least` to `most`.
-
-    `meaning`: its meaning in one sentence; `default`: its default, none if it is left out; `unit`: its unit, empty for
-    a count; `more`: further attributes of `Check`.
-    """
+    """Declare a dataclass field that holds a whole number from `least` to `most`; `meaning` says what it is."""
     take = partial(arguments.whole, least=least, most=most)
     return checked(take, f"whole number at least {least}", meaning, default=default, unit=unit, read=int, **more)
 
@@ -257,7 +246,7 @@ def belief(meaning: str = "", *, default: Any = MISSING, **more: Any) -> Any:
 
 
 def text(meaning: str = "", *, longest: int | None = None, default: Any = MISSING, **more: Any) -> Any:
-    """Declare a dataclass field that holds a text that is not blank, of at most `longest` characters unless None."""
+    """Declare a dataclass field that holds a text that is not blank, of at most `longest` characters (None: any)."""
     return checked(partial(arguments.text, longest=longest), "text", meaning, default=default, **more)
 
 
@@ -267,11 +256,7 @@ def texts(meaning: str = "", *, length: int, default: Any = MISSING) -> Any:
 
 
 def choice(among: Sequence[str], meaning: str = "", *, default: Any = MISSING, **more: Any) -> Any:
-    """Declare a dataclass field that holds one of the texts in `among`.
-
-    `meaning`: its meaning in one sentence; `default`: its default, none if it is left out; `more`: further attributes
-    of `Check`.
-    """
+    """Declare a dataclass field that holds one of the texts in `among`; `meaning` says in one sentence what it is."""
 
     def take(name: str, value: Any, error: _Error = ArgumentError) -> str:
         check_choice(name, value, among, error)

@@ -39,7 +39,7 @@ def available_bytes() -> int | None:
     """Return the memory in bytes that this process may still take; None if it is unknown or without limit.
 
     If the environment variable ``TISSUEREG_MEMORY_GB`` is set, it is the total that the process may take, and the
-    result is that total less what the process holds. Otherwise the result is the smaller of the memory that the system
+    result is that total less what the process holds. Otherwise the result is the smallest of the memory that the system
     has without swapping (``MemAvailable``) and of what each control group of the process leaves of its limit. Raises
     `ArgumentError` if the variable is not a positive number of GB (1e9 bytes); ``inf`` means no limit.
     """

@@ -22,14 +22,8 @@ from tissuereg.io.experiment_keys import CsvTable
 class History:
     """Rows of one marker, actuator or target in one load case, in the order of time.
 
-    Attributes
-    ----------
-    rows : list of Row
-        The lines of the table, for messages.
-    times : list of float
-        Time of each row in s, strictly increasing.
-    values : list of tuple of float
-        Three numbers per row, along x, y and z, in the table's unit (mm or mN); NaN where the cell is empty.
+    `rows`: lines of the table, for messages; `times`: time of each row in s, strictly increasing; `values`: three
+    numbers per row, along x, y and z, in the table's unit (mm or mN); NaN where the cell is empty.
     """
 
     rows: list[Row] = field(default_factory=list)
@@ -139,8 +133,8 @@ def _stacked(histories: Mapping[str, History], names: Sequence[str], frames: Flo
 def _on_frames(history: History, frames: FloatArray) -> FloatArray:
     """Return the values of one marker, actuator or target at the frames, shape (n_frames, 3); NaN where it has no row.
 
-    `frames`: times of the frames (n_frames,), s; values keep the unit of the table. Raises `ExperimentError` if a row
-    falls on no frame.
+    `frames`: times of the frames (n_frames,), s; values keep the unit of the table (mm or mN). Raises `ExperimentError`
+    if a row falls on no frame.
     """
     times = np.asarray(history.times)
     nearest = np.argmin(np.abs(frames[:, None] - times), axis=0)
@@ -162,7 +156,7 @@ def _interpolated(history: History, frames: FloatArray, who: str, case: str) -> 
     """Return the prescribed values of an actuator at the frames, shape (n_frames, 3), interpolated linearly in time.
 
     `frames`: times of the frames (n_frames,), s; values keep the unit of the table (mm or mN); `who`, `case`: names of
-    the actuator and the load case, for the message. Raises `ExperimentError` if the rows do not cover the frames.
+    the actuator and the load case, for the message if the rows do not cover the frames (`ExperimentError`).
     """
     values = np.asarray(history.values)
     whole = np.isfinite(values).all(axis=1)

@@ -97,11 +97,7 @@ def read_chunk(store: Store, number: int, n_nodes: int, mark: str, content: byte
 
 
 def check_chunk(file: Any, where: str, number: int, mark: str) -> None:
-    """Raise `FormatError` unless an open HDF5 file is the chunk of the given number of the data set.
-
-    `file`: the open file; `where`: its name, for messages; `mark`: fingerprint (SHA-256) of the data set that it must
-    state.
-    """
+    """Raise `FormatError` unless an open HDF5 file is chunk `number` of the data set with the fingerprint `mark`."""
     found = {name: file.attrs.get(name) for name in ("schema", "number", "recipe_sha256")}
     if found["schema"] != CHUNK_SCHEMA or found["number"] != number or found["recipe_sha256"] != mark:
         message = (

@@ -120,26 +120,21 @@ class Dataset:
 
     @property
     def parameters(self) -> "Parameters":
-        """Parameters of material and load of the members: ``data.parameters[i]`` is those of member i by name.
-
-        Each parameter is a number or an array; its name ends in its unit.
-        """
+        """Material and load of members: ``data.parameters[i]`` is a dict of numbers and arrays; keys state units."""
         return Parameters(self._chunks)
 
     @property
     def index(self) -> IntArray:
-        """Number of each member in the recipe, int64 (n_members,), ascending.
-
-        It differs from the member's row after a simulation that failed, which has a number but no row.
-        """
+        """Number of each member in the recipe, int64 (n_members,); it differs from the row after a failed member."""
         lost = {index for index, _ in self.failed}
         return np.array([i for i in range(len(self) + len(lost)) if i not in lost], dtype=np.int64)
 
     @property
     def split(self) -> dict[str, IntArray]:
-        """Rows of the members for training, validation and test, by ``train``, ``valid`` and ``test``; int64, ascending.
+        """Rows of the members for training, validation and test, by the names ``train``, ``valid`` and ``test``.
 
-        They were drawn by the seed and are 80, 10 and 10 % of the members.
+        Each is an ascending int64 array; they hold 80, 10 and 10 % of the members, drawn at random by the data set's
+        seed.
         """
         return {name: np.array(self.card["split"][name], dtype=np.int64) for name in ("train", "valid", "test")}
 
@@ -201,7 +196,7 @@ class Displacements:
     def __getitem__(self, rows: Any) -> Fields:
         """Return the displacement of one member, (n_nodes, 3) float32 in mm, or of k members, (k, n_nodes, 3).
 
-        `rows`: row of a member, counted from the end if it is negative; or a slice or list of rows.
+        `rows`: row of a member, counted from the end if it is negative; or a slice or list of k rows.
         """
         if isinstance(rows, slice | list) or (isinstance(rows, np.ndarray) and rows.ndim):
             many = range(len(self))[rows] if isinstance(rows, slice) else _rows(rows, len(self))
@@ -215,11 +210,7 @@ class Displacements:
 
 
 class Parameters(Sequence[dict[str, Any]]):
-    """Parameters of material and load of a data set's members, read when they are asked for.
-
-    Indexed by a member's row, it gives a dict of numbers and arrays by name, which ends in the unit; by a slice, a list
-    of them.
-    """
+    """Parameters of material and load by member: each is a dict of numbers and arrays, whose names state the units."""
 
     def __init__(self, chunks: "_Chunks") -> None:
         self._chunks = chunks
@@ -232,20 +223,14 @@ class Parameters(Sequence[dict[str, Any]]):
     @overload
     def __getitem__(self, rows: slice) -> list[dict[str, Any]]: ...
     def __getitem__(self, rows: int | slice) -> dict[str, Any] | list[dict[str, Any]]:
-        """Return the parameters of one member, a dict of numbers and arrays by name, or of several, a list of dicts.
-
-        `rows`: row of a member, counted from the end if it is negative, or a slice.
-        """
+        """Return a member's parameters, a dict of numbers and arrays by name; for a slice of rows, a list of dicts."""
         if isinstance(rows, slice):
             return [self._chunks.parameters(row) for row in range(len(self))[rows]]
         return self._chunks.parameters(_row(rows, len(self)))
 
 
 class _Chunks:
-    """The chunk files of a data set, each with some of its members; opened when they are needed, and the last few kept open.
-
-    `store`: place of the data set; `card`: content of ``dataset.json``.
-    """
+    """The chunk files of a data set, each with some of its members; opened when needed, the last few are kept open."""
 
     def __init__(self, store: Store, card: Mapping[str, Any]) -> None:
         self._store = store
@@ -281,7 +266,7 @@ class _Chunks:
         return number, row - int(self._ends[number]) + self._counts[number]
 
     def _file(self, number: int) -> Any:
-        """Return the open and checked HDF5 file of the chunk of this number; each forked process opens files of its own."""
+        """Return the open, checked HDF5 file of the chunk of this number; each forked process opens its own files."""
         key = (os.getpid(), number)
         if key in self._open:
             self._open.move_to_end(key)
@@ -388,10 +373,7 @@ def _failures(failed: object) -> bool:
 
 
 def _row(row: Any, n_members: int) -> int:
-    """Return a member's row as an int from 0 on; a negative one is counted from the end of the `n_members` rows.
-
-    Raises `ArgumentError` if it is no whole number, `IndexError` if there is no such row.
-    """
+    """Return a member's row as an int from 0 on; a negative one counts from the end, one out of range is refused."""
     whole: Any = None if isinstance(row, bool) else row  # a mask would be taken for rows 0 and 1
     try:
         number = operator.index(whole)

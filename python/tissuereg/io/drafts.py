@@ -129,10 +129,9 @@ def _opened(made: Path) -> int:
 
 
 def _take(lock: int) -> bool | None:
-    """Lock an open file for this process, without waiting.
+    """Lock an open file, given by its descriptor, for this process, without waiting.
 
-    `lock`: descriptor of the file. Result: True if this process now holds the lock, False if another process does, None
-    if the system or file system has no locks.
+    Return True if this process now holds the lock, False if another one does, None if the system has no locks.
     """
     if sys.platform == "win32":
         return None

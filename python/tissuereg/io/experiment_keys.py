@@ -239,7 +239,7 @@ class CsvTable:
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """Names of the columns in their order: case, time_s, the column named by `who`, and three numbers for x, y and z."""
+        """Names of the columns: ``case``, ``time_s``, that in `who`, and x, y and z with the unit, such as ``x_mm``."""
         return ("case", "time_s", self.who, *(f"{axis}_{self.unit}" for axis in "xyz"))
 
 
@@ -316,7 +316,7 @@ def read_material(top: Table) -> tuple[Material, float | None, float | None]:
 
 
 def material_table(material: Material, young_std: float | None, poisson_std: float | None) -> dict[str, Any]:
-    """Return the table ``[material]`` of an experiment file for a material, values by key, which `read_material` reads back.
+    """Return the table ``[material]`` of an experiment file, values by key, which `read_material` reads back.
 
     `material`: a material that is the same in the whole body; `young_std`, `poisson_std`: standard deviations of
     Young's modulus in kPa and of Poisson's ratio; None if not stated. Raises `ExperimentError` if one of the two varies

@@ -89,7 +89,7 @@ def _of_test(experiment: MaterialExperiment, folder: Path) -> dict[str, Any]:
 
 
 def _tables(experiment: Experiment | MaterialExperiment, folder: Path) -> dict[str, str]:
-    """Return the entry ``tables`` of an experiment file, the folder of the comma-separated tables.
+    """Return the entry ``tables`` of an experiment file: the folder of its comma-separated tables, as a relative path.
 
     `folder`: folder in which the file is to be read. Result: an empty dict if the tables lie in this folder.
     """
@@ -147,10 +147,7 @@ def _same(one: Path, other: Path) -> bool:
 
 
 def path_from(folder: Path, place: Path) -> str:
-    """Return a path relative to a folder as text, with links resolved and forward slashes.
-
-    Result: the absolute path if the two lie on different drives.
-    """
+    """Return a path relative to a folder, links resolved, with forward slashes; the absolute one on another drive."""
     try:
         return Path(os.path.relpath(os.path.realpath(place), os.path.realpath(folder))).as_posix()
     except ValueError:
@@ -167,7 +164,7 @@ _Histories = dict[str, tuple[FloatArray, dict[str, FloatArray]]]
 def write_simulated(
     out: Path, experiment: Experiment, answers: "Mapping[str, CaseSimulation]", model: Simulated
 ) -> None:
-    """Write the folder of a simulated experiment, whole or not at all: experiment file, tables, and displacement fields.
+    """Write the folder of a simulated experiment, whole or not at all: experiment file, tables and displacements.
 
     `out`: folder to write; `experiment`: the experiment that was simulated; its mesh stays where it is; `answers`: the
     simulation of each case by the case's name, whose displacement (n_frames, n_nodes, 3) in mm goes into an .npz file
@@ -188,7 +185,7 @@ def write_simulated(
 def simulated_tables(
     experiment: Experiment, answers: "Mapping[str, CaseSimulation]"
 ) -> list[tuple[CsvTable, _Histories]]:
-    """Return the comma-separated tables of an experiment folder with simulated values; tables without a row are left out.
+    """Return the comma-separated tables of an experiment folder with simulated values, without empty tables.
 
     `experiment`: the experiment that was simulated; `answers`: the simulation of each case, by the case's name. Result:
     pairs of a table's declaration and its content: by case, the times (n_frames,) in s and, by marker, actuator or

@@ -199,11 +199,7 @@ def _actuator(table: Table, mesh: Mesh) -> Actuator:
 
 
 def _selected_nodes(table: Table, rule: Any, mesh: Mesh) -> IntArray:
-    """Return the indices of the nodes that a rule chooses, int64 (n,): a node set, or nodes near a plane or in a ball.
-
-    `table`: table that holds the rule; a rule that chooses no node is refused by an `ExperimentError` that names this
-    table.
-    """
+    """Return sorted indices (n,) of the nodes that a rule chooses: a node set, or nodes near a plane or in a ball."""
     try:
         return nodes_by_rule(mesh, rule, "nodes")
     except MeshError as error:
@@ -222,10 +218,7 @@ def _targets(top: Table) -> dict[str, FloatArray]:
 
 
 def _with_patches(top: Table, mesh: Mesh, boundaries: Sequence[Boundary], actuators: Sequence[Actuator]) -> Mesh:
-    """Return the mesh with a node set for each boundary and actuator, and all held nodes as the node set ``fixed``.
-
-    Raises `ExperimentError` that names the file of `top` if two patches have one name, or no node is held.
-    """
+    """Return the mesh with a node set for each boundary and actuator, and with all held nodes as the set ``fixed``."""
     patches: list[Boundary | Actuator] = [*boundaries, *actuators]
     names = [patch.name for patch in patches]
     repeated = sorted({name for name in names if names.count(name) > 1})
@@ -248,10 +241,7 @@ def _refuse_held_pads(top: Table, mesh: Mesh, actuators: Sequence[Actuator]) -> 
 
 
 def _refuse_two_motions(top: Table, actuators: Sequence[Actuator], cases: Mapping[str, Case]) -> None:
-    """Raise `ExperimentError` if another actuator moves all nodes of a displacement actuator in the same load case.
-
-    `top`: content of the experiment file, for the message.
-    """
+    """Raise `ExperimentError` if another actuator moves all nodes of a displacement actuator in the same load case."""
     for case in cases.values():
         moving = [pad for pad in actuators if pad.name in case.displacements]
         for one in moving:
@@ -266,10 +256,10 @@ def _refuse_two_motions(top: Table, actuators: Sequence[Actuator], cases: Mappin
 def _tabled(
     top: Table, folder: Path, actuators: Sequence[Actuator], targets: dict[str, FloatArray], measured: bool
 ) -> _Tabled:
-    """Return the markers and load cases of an experiment, read from the tables in `folder`.
+    """Return the markers (names, reference places, noise) and the load cases of an experiment, read from its tables.
 
-    `top`: content of ``experiment.toml``; `targets`: inner points by name, places (3,) in mm; `measured`: whether the
-    experiment has been measured; if not, the tables of markers and forces may be absent.
+    `top`: content of ``experiment.toml``; `folder`: folder of the tables; `targets`: inner points by name, places (3,)
+    in mm; `measured`: whether the experiment has been measured; if not, the tables of markers and forces may be absent.
     """
     table = MarkersKeys.found(top)
     assert table is not None  # it is needed

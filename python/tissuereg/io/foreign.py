@@ -1,4 +1,4 @@
-"""Reading of meshes and surfaces by other packages, without their printed output and with `FormatError` for failures."""
+"""Reading of meshes and surfaces by other packages, without their printed output; failures become `FormatError`."""
 
 import contextlib
 import io

@@ -45,7 +45,7 @@ def packed(arrays: Mapping[str, npt.NDArray[Any]], attributes: Mapping[str, Any]
 
 
 def _utf8(texts: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Return an array of texts as an array of UTF-8 bytes of one length, with the dtype that h5py uses for such text."""
+    """Return an array of texts as UTF-8 bytes of one length, with the dtype that h5py uses for such text."""
     import h5py
 
     encoded = np.char.encode(texts, "utf-8")
@@ -95,10 +95,7 @@ class OpenFile:
 
 @contextmanager
 def spoilt_is_said(store: Store, name: str) -> Iterator[None]:
-    """Turn the errors that h5py raises in the block on a spoilt file into a `FormatError` that names the file.
-
-    `store`: place of the file; `name`: its name there.
-    """
+    """Turn the errors that h5py raises in the block on a spoilt file of this name into a `FormatError`."""
     try:
         yield
     except FormatError:

@@ -41,8 +41,8 @@ def known_of(given: RegisterInput, fit: ContactFit, spread: Spread) -> Known:
     """Return the registered displacement of all targets and markers in mm, with the uncertainty of the unmeasured ones.
 
     `given`: checked input; `fit`: contacts and equilibrium that were found; `spread`: uncertainty of the fit. A marker
-    is used if a coordinate of it was measured and its probability to be wrong is below the reported limit. Cost: three
-    right-hand sides for each target and each marker that is not used.
+    is used if a coordinate of it was measured and it is wrong with less than the probability in the settings. Cost:
+    three right-hand sides for each target and each marker that is not used.
     """
     state, observed, inner = fit.state, given.observed, given.targets
     n_targets = len(inner.names)
@@ -63,24 +63,12 @@ def known_of(given: RegisterInput, fit: ContactFit, spread: Spread) -> Known:
 class Answer:
     """All parts from which the result of a registration by contacts is assembled.
 
-    Attributes
-    ----------
-    given : RegisterInput
-        Checked input: body, markers, targets and settings.
-    fit : ContactFit
-        The contacts that were found, and the equilibrium under them.
-    start : BodyState
-        The body under the believed load alone (at rest without one), from which the search started.
-    knows : bool
-        Whether a load is believed, so that the targets have a predicted place.
-    known : Known
-        Registered displacement of targets and markers, with its uncertainty.
-    nodes : NodesOfContacts
-        Function without arguments that returns the covariance of every node, (n_nodes, 3, 3), mm^2.
-    draw : Draws
-        Function of a number of draws that returns displacement fields from the posterior, mm.
-    surface : SurfaceFit or None
-        Fit of the measured points of the surface; None if no points were given.
+    `given`: checked input: body, markers, targets and settings; `fit`: the contacts that were found, and the
+    equilibrium under them; `start`: the body under the believed load alone (at rest without one), from which the search
+    started; `knows`: whether a load is believed, so that the targets have a predicted place; `known`: registered
+    displacement of targets and markers, with its uncertainty; `nodes`: function without arguments that returns the
+    covariance of every node, (n_nodes, 3, 3), mm^2; `draw`: function of a number of draws that returns displacement
+    fields from the posterior, mm; `surface`: fit of the measured points of the surface; None if no points were given.
     """
 
     given: RegisterInput
@@ -194,10 +182,10 @@ class Answer:
         ]
 
     def _residual_variance(self, moved: FloatArray) -> FloatArray:
-        """Return the variance of the markers' residuals, (n_markers, 3) in mm^2: that of the tracker and of the model.
+        """Return the variance of the markers' residuals, (n_markers, 3), mm^2: tracker's noise plus model's error.
 
-        At the rim of a contact the motion varies strongly across an element and the mesh cannot resolve it: the model's
-        part grows there, in this test alone. `moved` is the length of each marker's motion, mm.
+        At the rim of a contact the motion varies strongly across an element and the mesh cannot resolve it; the model's
+        error is therefore enlarged there, in this test alone. `moved` (n_markers,): length of each marker's motion, mm.
         """
         settings, observed = self.given.settings.contacts, self.given.observed
         local = observed.variation(self.fit.state.displacement[observed.nodes])

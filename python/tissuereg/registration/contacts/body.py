@@ -23,24 +23,13 @@ _lock = threading.Lock()
 class ContactBody:
     """A mesh with all that a search for contacts needs and that depends on mesh and supports alone.
 
-    Attributes
-    ----------
-    mesh : Mesh
-        Undeformed body.
-    supports : Supports
-        Nodes that are held for sure, and nodes that are perhaps held.
-    simulator : Simulator
-        Finite-element solver whose matrices have been analysed for this mesh.
-    patches : Patches
-        Overlapping round parts of the free surface on which contacts may act.
-    base : Patches or None
-        Parts of the doubtful supports (nodes that are perhaps held) on which unknown tractions may act; None if no
-        support is doubtful.
-    springs : list of (ndarray of int64 (n, 3), ndarray of float64 (2,))
-        Surface triangles of each set of springs, with the factors, in 1/mm, by which Young's modulus in kPa is
-        multiplied to get a unit of normal and of tangential stiffness in kPa/mm.
-    blobs : ndarray of float64, shape (n_blobs, n_tets)
-        Smooth dimensionless fields along which the stiffness may vary; their squares add up to one in every tet.
+    `mesh`: undeformed body; `supports`: nodes that are surely held, and doubtful ones that are perhaps held;
+    `simulator`: finite-element solver whose matrices have been analysed for this mesh; `patches`: overlapping round
+    parts of the free surface on which contacts may act; `base`: parts of the doubtful supports on which unknown
+    tractions may act; None if no support is doubtful; `springs`: for each set of springs its surface triangles, int64
+    (n, 3), and the factors (2,), 1/mm, by which Young's modulus in kPa is multiplied to get a unit of normal and of
+    tangential stiffness in kPa/mm; `blobs` (n_blobs, n_tets): smooth dimensionless fields along which the stiffness may
+    vary; their squares add up to one in every tet.
     """
 
     mesh: Mesh
@@ -53,7 +42,7 @@ class ContactBody:
 
     @cached_property
     def node_volumes(self) -> FloatArray:
-        """Volume that belongs to each node of the elements, shape (n_element_nodes,), mm^3."""
+        """Integral of each node's shape function over the body, shape (n_element_nodes,), in mm^3."""
         body = self.simulator.body
         shares = np.zeros(body.n_nodes)
         if body.element == "tet10":

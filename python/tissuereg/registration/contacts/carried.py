@@ -21,26 +21,14 @@ from tissuereg.simulation.sensitivity import Cause
 class Carried:
     """The end of the registration of one moment of measurement, from which the registration of the next moment starts.
 
-    Attributes
-    ----------
-    columns : Columns
-        Possible causes of motion, with the stiffness of doubtful supports that was found.
-    state : BodyState
-        The equilibrium under the posterior mean of the load.
-    samples : tuple of three ndarray of int64
-        Samples of the posterior: patch and size of each contact, (n_samples, n_slots, 2), -1 for none; candidate size
-        of each family of causes, (n_samples, n_families); whether each marker that is seen at the next moment is wrong,
-        (n_samples, n_seen), 0 or 1.
-    tangent : Tangent
-        The linearised equilibrium near that state.
-    material : Material
-        Material of the body, with the graded stiffness if one was estimated.
-    further : list of (Cause, float)
-        Further uncertain parameters of the model, each with its standard deviation in the parameter's unit.
-    residual : float
-        Root mean square residual that was left, in standard deviations.
-    moments : int
-        Number of moments through which the samples have been carried on.
+    `columns`: possible causes of motion, with the stiffness of doubtful supports that was found; `state`: the
+    equilibrium under the posterior mean of the load; `samples`: samples of the posterior as three int64 arrays: patch
+    and size of each contact, (n_samples, n_slots, 2), -1 for none; candidate size of each family of causes, (n_samples,
+    n_families); whether each marker that is seen at the next moment is wrong, (n_samples, n_seen), 0 or 1; `tangent`:
+    the linearised equilibrium near that state; `material`: material of the body, with the graded stiffness if one was
+    estimated; `further`: further uncertain parameters of the model, each with its standard deviation in the parameter's
+    unit; `residual`: root mean square residual that was left, in standard deviations; `moments`: number of moments
+    through which the samples have been carried on.
     """
 
     columns: Columns

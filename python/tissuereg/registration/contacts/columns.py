@@ -1,8 +1,9 @@
-"""All causes of a registration as columns: their loads, their priors, and the response of observations to them.
+"""All causes that may have moved the body, one column each: their loads, priors, and responses of observations to them.
 
-Columns come in blocks. The first holds three directions per patch; slots choose among these. Then follow a body force,
-the error of a believed load, the tractions of doubtful supports, and a rigid motion. The background is the family of
-the first block; every other block has one family of its own.
+A cause acts in proportion to an unknown coefficient. Columns come in blocks. The first holds a force along each of
+three axes for each patch of the surface; a contact is a choice among these patches. Then follow a body force, the error
+of a believed load, the tractions of doubtful supports, and a rigid motion. The causes of a block share one unknown size
+(they are a family); that of the first block describes weak tractions on all patches at once, the background.
 """
 
 from collections.abc import Sequence
@@ -138,7 +139,7 @@ class Columns:
         return self.body.patches.n_patches
 
     def made_of(self, material: Material) -> "Columns":
-        """Return the columns of the same body made of another material."""
+        """Return the same causes on a body of another material, whose Young's modulus scales the patches' forces."""
         return replace(self, young=_patch_young(self.body, material))
 
     def on_springs(self, stiffness: Sequence[float]) -> "Columns":
@@ -315,7 +316,7 @@ def _spread(patches: Patches, units: FloatArray) -> FloatArray:
 
 
 def _in_mm(size: tuple[float, float], extent: float) -> tuple[float, float]:
-    """Return (median, standard deviation of the logarithm) of a size given over the extent, with the median in mm."""
+    """Return (median in mm, standard deviation of the logarithm), given the median as a share of `extent` (mm)."""
     return (size[0] * extent, size[1])
 
 
