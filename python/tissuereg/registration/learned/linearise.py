@@ -1,4 +1,4 @@
-"""Conditioning on the markers with a decoder that is not linear: linearised, conditioned, linearised again."""
+"""Conditioning on the markers with a non-linear decoder, which is linearised repeatedly about the posterior mean."""
 
 from collections.abc import Callable
 
@@ -23,14 +23,19 @@ Decode = Callable[[FloatArray], FloatArray]
 
 
 def spread_of(kinds: Components) -> FloatArray:
-    """Return the standard deviation (n_latent,) of the codes of all kinds."""
+    """Return the standard deviations (n_latent,), dimensionless, of latents drawn from the Gaussian mixture `kinds`."""
     centre = kinds.weights @ kinds.means
     variance = np.diagonal(kinds.covariances, axis1=1, axis2=2) + (kinds.means - centre) ** 2
     return np.asarray(np.sqrt(kinds.weights @ variance))
 
 
 def linearised(decode: Decode, point: FloatArray, spread: FloatArray) -> LinearDecoder:
-    """Return the decoder about a point by central differences. Cost: one decode of 2 n_latent + 1 columns."""
+    """Return the decoder, linearised by central differences about a point in latent space.
+
+    `decode` maps latents (n_latent, n_columns) to displacement components (n_columns, n_rows), in mm; `point`
+    (n_latent,) is the point; `spread` (n_latent,) are standard deviations of the latents, of which a fixed share is the
+    step. Cost: one decode of 2 n_latent + 1 columns.
+    """
     steps = _STEP * np.diag(spread)
     columns = np.concatenate([point[:, None], point[:, None] + steps, point[:, None] - steps], axis=1)
     rows = decode(columns)
@@ -47,13 +52,14 @@ def conditioned(
     spread: FloatArray,
     passes: int,
 ) -> tuple[MixturePosterior, LinearDecoder]:
-    """Return the posterior of markers and targets, and the linear decoder that it rests on.
+    """Return the posterior displacement of markers and targets, and the linearised decoder from which it was computed.
 
-    `decode`: latents (n_latent, n_columns) to displacements at markers and targets (n_columns, n_rows), mm; `prior`:
-    the mixture; `observed` (n_obs,): measured displacements, mm; the first n_obs rows; `noise` (n_obs, n_obs):
-    covariance of the tracker's noise, mm^2; `start` (n_latent,): where the decoder is linearised first; `spread`
-    (n_latent,): standard deviations of the training set's codes; `passes`: linearisations at most. Cost: a
-    decode of 2 n_latent + 1 columns a pass.
+    `decode` maps latents (n_latent, n_columns) to displacement components at markers, then targets, (n_columns,
+    n_rows), in mm; `prior` holds the components of a Gaussian mixture; `observed` (n_obs,) are the measured
+    displacements, in mm, of the first n_obs rows; `noise` (n_obs, n_obs) is the covariance of the tracker's noise, in
+    mm^2; `start` (n_latent,) is where the decoder is linearised first; `spread` (n_latent,) are standard deviations of
+    the training set's latents; `passes` is the largest number of linearisations. Cost: one decode of 2 n_latent + 1
+    columns for each linearisation.
     """
     point, logs = start, None
     for left in reversed(range(passes)):

@@ -14,11 +14,13 @@ _LEAST = 1e-300
 
 @dataclass(frozen=True, eq=False)
 class Statistics:
-    """Test statistics of one registration.
+    """Test statistics of one registration with a calibrated model, dimensionless.
 
-    `row` (4,): as `tissuereg.registration.learned.calibration_set.STATISTICS`; `marker_rows` (n_markers,): the
-    statistic of each marker: the second of `row` is the largest of them; `marker_misfits` (n_markers,): squared misfit
-    of each marker to the prediction from the others, in its own standard deviations.
+    `row` (4,) holds minus the logarithm of the p-value of the innovation, the largest of `marker_rows`, the Mahalanobis
+    distance of the latents from the training set, and the log-odds that the simulation is of another event (at least
+    0). `marker_rows` (n_markers,) is minus the logarithm of the number of markers times the p-value of each marker
+    given the others. `marker_misfits` (n_markers,) is the squared Mahalanobis distance of each marker from its
+    prediction by the others.
     """
 
     row: FloatArray
@@ -33,9 +35,9 @@ def statistics_of(
 ) -> Statistics:
     """Return the test statistics of a registration.
 
-    `calibration`: knows how far a code lies from the training set; `found`: the posterior; `n_own`: number of
-    components of the simulated event, which come first; the others are those of an event that was not simulated. Cost:
-    an inverse of a factor of size n_obs for every pair of component and scale that was kept.
+    `calibration` holds the distribution of the training set's latents; `found` is the posterior; `n_own` is the number
+    of prior components of the registered event, which come first, before those of an event unrelated to the simulation.
+    Cost: an inverse of a factor of size n_obs for every pair of component and scale that was kept.
     """
     misfits, chances = left_out(found)
     markers = -np.log(np.maximum(len(chances) * chances, _LEAST))

@@ -1,4 +1,4 @@
-"""Predictions that cost little between those that cost much: the ensemble's own regression carries them on."""
+"""Predictions of an ensemble that are computed at a few steps only, and extrapolated by regression in between."""
 
 from collections.abc import Callable
 from typing import Any
@@ -9,24 +9,24 @@ from tissuereg._base.arrays import FloatArray, float_array
 
 
 class Between:
-    """Predictions of an ensemble that are computed at a few calls, and follow its latents linearly at the others.
+    """Predictions of an ensemble that are computed at some calls, and extrapolated linearly in latents at the others.
 
-    The slope is the regression of the last computed predictions on their latents: what a step of the smoother uses,
-    too. It misses how the model bends between two computations.
+    The slope is the regression of the last computed predictions on their latents, which a step of the smoother uses,
+    too. It neglects the curvature of the model between two computations.
 
     Parameters
     ----------
     predict : callable
-        Latents (n_latent, n_members) to predictions (n_obs, n_members), mm.
+        Function from latents (n_latent, n_members) to predictions (n_obs, n_members), mm.
     computed : set of int
-        Numbers of the calls, from 1, that `predict` answers.
+        Numbers of the calls, counted from 1, in which `predict` is called.
     latents, predicted : ndarray of float64, shape (n_latent, n_members) and (n_obs, n_members)
-        Members whose predictions are known.
+        Members whose predictions are known, and these predictions, mm.
 
     Attributes
     ----------
     n_calls, n_computed : int
-        Calls so far, and those that `predict` answered.
+        Number of calls so far, and of those in which `predict` was called.
     """
 
     def __init__(
@@ -42,7 +42,10 @@ class Between:
         self.n_calls, self.n_computed = 0, 0
 
     def __call__(self, latents: Any) -> FloatArray:
-        """Return predictions (n_obs, n_members) of latents (n_latent, n_members); computed, too, where members left."""
+        """Return predictions (n_obs, n_members), in mm, of latents (n_latent, n_members).
+
+        They are computed also where the number of members has changed since the last call.
+        """
         latents = float_array("latents", latents, (len(self._latents), None))
         self.n_calls += 1
         if self.n_calls in self._computed or latents.shape != self._latents.shape:
