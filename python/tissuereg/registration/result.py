@@ -186,7 +186,6 @@ class Registration:
         standard deviations, (n_nodes,), mm, with one; see `std`.
     targets : dict of str to Target
         Inner points after registration, by name.
-        Inner points.
     unseen : dict of str to Target
         Predicted measurements, by name, of the markers that were not seen or are wrong; the covariance includes tracker
         noise.

@@ -256,9 +256,9 @@ class GraphDecoder:
 
         `at_points` are the sparse products P T_m (n_points, n_coarse) of the points' weights with the tables of the
         last level, `columns` the numbers of the coarse nodes in use, `x` the name of their features in the graph, and
-        `offset` (3 n_points,) the constant part of the displacement, in mm. The sum over m of (P T_m) x B_m has
-        constant coefficients. For few points these are multiplied into one matrix; for many, as around markers off the
-        surface, x is multiplied by the B_m first.
+        `offset` (3 n_points,) the constant part of the displacement, in mm. The sum of (P T_m) x B_m over the bases
+        m, with B_m (n_in, 3), has constant coefficients. For few points these are multiplied into one matrix; for many,
+        as around markers off the surface, x is multiplied by the B_m first.
         """
         bases = self.scale * self.levels[-1].bases
         table = _dense(at_points, columns)
