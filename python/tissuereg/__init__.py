@@ -1,4 +1,4 @@
-"""Register a deformed soft organ to a few tracked markers, with honest uncertainty.
+"""Register a deformed soft organ to a few tracked markers, with an uncertainty for every registered point.
 
 >>> import tissuereg as tr
 >>> mesh = tr.phantom.phantom_mesh()

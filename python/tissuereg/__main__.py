@@ -1,4 +1,4 @@
-"""``python -m tissuereg``: the same as the command ``tissuereg``."""
+"""Run the command line of tissuereg: ``python -m tissuereg`` does the same as the command ``tissuereg``."""
 
 import sys
 

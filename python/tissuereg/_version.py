@@ -1,4 +1,4 @@
-"""The version, read from the compiled core, so that it is defined in one place."""
+"""The version of tissuereg, read from the compiled core, so that it is defined in one place."""
 
 from tissuereg._core import __version__
 

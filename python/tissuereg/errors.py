@@ -1,7 +1,7 @@
 """Every exception that tissuereg raises on purpose, and its named warnings.
 
-Message form: what must hold, what was found, where. The command line turns an error into one
-paragraph and the exit code its class states; nothing here imports anything.
+Every message says what must hold, what was found, and where. The command line prints an error as one paragraph and ends
+with the exit code that the error's class states in `exit_code`. This module imports nothing.
 """
 
 
@@ -11,11 +11,12 @@ class TissueRegError(Exception):
     Parameters
     ----------
     message : str
-        What must hold, what was found, where.
+        Text that says what must hold, what was found, and where.
     where : str, optional
-        The place alone (file, argument, member), for programs.
+        The place alone, for programs that handle the error: a file, an argument, or a member of an ensemble. It becomes
+        the attribute `where`, None if no place is known.
     **details
-        Values for programs (indices, fractions); they become attributes.
+        Further values for programs that handle the error (indices, fractions); each becomes an attribute of its name.
     """
 
     exit_code = 2
@@ -40,12 +41,14 @@ class MeshError(TissueRegError, ValueError):
 
 
 class LargeBodyError(MeshError):
-    """What a mesh needs would not fit into the memory that the process may take.
+    """The memory that a mesh needs exceeds the memory that the process may still take.
 
     Attributes
     ----------
-    needed_bytes, available_bytes : int
-        Further memory that is estimated, and what there is.
+    needed_bytes : int
+        Estimate of the further memory that the work needs, in bytes.
+    available_bytes : int
+        Memory that the process may still take, in bytes.
     """
 
     exit_code = 3
@@ -54,11 +57,11 @@ class LargeBodyError(MeshError):
 
 
 class UnitError(MeshError):
-    """Lengths cannot be millimetres."""
+    """The lengths of a mesh or surface cannot be in mm: as such, its extent is too small or too large for a body."""
 
 
 class SupportError(MeshError):
-    """The body, or a loose part of it, can move without deforming."""
+    """The body, or a loose part of it, can move as a rigid body, or held nodes or springs do not fit the mesh."""
 
 
 class MaterialError(TissueRegError, ValueError):
@@ -66,15 +69,15 @@ class MaterialError(TissueRegError, ValueError):
 
 
 class LoadError(TissueRegError, ValueError):
-    """A load is not finite or does not fit the body."""
+    """A load is not finite or does not fit the body: its shape, place, number or order in time is wrong."""
 
 
 class MarkerError(TissueRegError, ValueError):
-    """Markers or targets cannot be used."""
+    """Markers or targets (inner points of interest) cannot be used, for example because one is not finite."""
 
 
 class SurfaceError(TissueRegError, ValueError):
-    """Points of a surface cannot be used."""
+    """Measured points of a surface cannot be used, for example because they are too few or not finite."""
 
 
 class FormatError(TissueRegError, ValueError):
@@ -86,11 +89,11 @@ class ExperimentError(FormatError):
 
 
 class ModelError(TissueRegError, ValueError):
-    """A trained model cannot be used: another mesh, a missing or corrupt file."""
+    """A trained model cannot be used: it is of another mesh, a file is missing or corrupt, or an argument bars it."""
 
 
 class ScheduleError(TissueRegError, ValueError):
-    """Inflation coefficients of an ES-MDA are not admissible."""
+    """Inflation coefficients of an ES-MDA are not admissible, for example since their reciprocals do not sum to 1."""
 
 
 class NoiseError(TissueRegError, ValueError):
@@ -102,7 +105,7 @@ class MissingPackageError(TissueRegError, ImportError):
 
 
 class ClusterError(TissueRegError, RuntimeError):
-    """Workers for tasks cannot be had, or are lost; running the same command again resumes."""
+    """Worker processes for tasks cannot be had, or are lost; running the same command again resumes the work."""
 
     exit_code = 3
 
@@ -113,9 +116,12 @@ class ConvergenceError(TissueRegError, RuntimeError):
     Attributes
     ----------
     report : dict
-        The last equilibrium found: `load_fraction` and `displacement` (n_nodes, 3), mm. Where the search ended:
-        `tried_fraction`, `residual_mN`, `tolerance_mN`, `min_det_f`, `worst_tets`, `reason`. Work done: `iterations`,
-        `factorisations`. Of a search by Gauss-Newton: `evaluations`, `last_step` and `tolerance`.
+        Facts about the failure by name; empty where the raising function states none. A solve gives its last
+        equilibrium as `load_fraction` (share of the load, 0 to 1) and `displacement` (n_nodes, 3), mm; the state where
+        it ended as `tried_fraction` (share of the load), `residual_mN` and `tolerance_mN` (norm of the unbalanced
+        forces, found and required), `min_det_f` (smallest determinant of a tet's deformation gradient F), `worst_tets`
+        (pairs of a tet's index and its det F) and `reason` (text); and its work as the counts `iterations` and
+        `factorisations`. A search by Gauss-Newton gives `evaluations`, `last_step` and `tolerance`.
     """
 
     exit_code = 3
@@ -123,12 +129,12 @@ class ConvergenceError(TissueRegError, RuntimeError):
 
 
 class EnsembleError(TissueRegError, RuntimeError):
-    """Too few ensemble members survive.
+    """Too few members of an ensemble survive.
 
     Attributes
     ----------
     dropped : list of (int, str)
-        Members that were lost, each with its reason.
+        The index of each member that was lost, and the reason why; empty where the raising function lists none.
     """
 
     exit_code = 3
@@ -142,7 +148,7 @@ class MeshingError(TissueRegError, RuntimeError):
 
 
 class ParityError(TissueRegError, RuntimeError):
-    """An exported network and its source disagree."""
+    """A network exported to ONNX and the network from which it was exported give different outputs."""
 
     exit_code = 3
 
@@ -152,7 +158,7 @@ class UnitWarning(UserWarning):
 
 
 class LargeBodyWarning(UserWarning):
-    """What a mesh needs would take more than half of the memory that the process may take."""
+    """The memory that a mesh needs is more than half of the memory that the process may still take."""
 
 
 class LockingWarning(UserWarning):

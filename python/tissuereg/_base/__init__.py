@@ -1,1 +1,1 @@
-"""What every room may use: checks of arguments and arrays, clocks, locks, the machine; knows nothing of bodies."""
+"""Helpers that every other package may import: checks of arguments and arrays, clocks, warnings, the machine."""

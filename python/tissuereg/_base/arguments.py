@@ -1,7 +1,7 @@
 """Checks of all arguments other than arrays: numbers, flags, texts, types, paths.
 
-Every check takes the argument's name and value, returns the value to use, and raises a typed error that names the
-argument, what must hold and what was found. Arrays are checked in `arrays`.
+Every check takes the argument's name and value, returns the value to use, and raises an error of the given class that
+names the argument, what must hold and what was found. Arrays are checked in `tissuereg._base.arrays`.
 """
 
 import math
@@ -18,10 +18,10 @@ from tissuereg.errors import ArgumentError, TissueRegError
 
 
 def check_choice(name: str, value: Any, choices: Collection[str], error: type[TissueRegError]) -> None:
-    """Raise an error unless a value is one of the choices; the message names all of them.
+    """Raise an error unless a value is one of the allowed texts; the message names all of them.
 
-    `name`: the argument; `value`: the given value; `choices`: the allowed values; `error`: raised where the value is
-    none of these.
+    `name`: name of the argument, for the message; `value`: the given value; `choices`: the allowed texts; `error`:
+    class of the error.
     """
     if not isinstance(value, str) or value not in choices:
         message = f"`{name}` must be one of {', '.join(choices)}, got {found(value)}"
@@ -50,19 +50,19 @@ _short.maxstring = _short.maxother = _short.maxlong = _SHOWN
 
 
 def found(value: object) -> str:
-    """Return a short text for a value in messages: the value if it is short and plain, otherwise its type."""
+    """Return a short text for a value in messages: numbers, texts and None as such, cut if long, else the type name."""
     if value is None or isinstance(value, bool | int | float | str | bytes):
         return _short.repr(value)[:_SHOWN]
     return type(value).__name__
 
 
 def _listed(value: object) -> str:
-    """Return a short text for a value that should be a list."""
+    """Return a short text, for messages, of a value that should be a list: a list is shown cut, all else by `found`."""
     return _short.repr(value) if isinstance(value, list | tuple) else found(value)
 
 
 def is_number(value: Any) -> bool:
-    """Return whether a value is a finite number that fits a float; booleans are none."""
+    """Return whether a value is a finite real number that fits a float; true and false do not count as numbers."""
     if not isinstance(value, int | float | np.integer | np.floating) or isinstance(value, bool):
         return False
     try:
@@ -72,7 +72,7 @@ def is_number(value: Any) -> bool:
 
 
 def whole(name: str, value: Any, *, least: int = 0, most: int = MOST_COUNTED, error: _Error = ArgumentError) -> int:
-    """Return a whole number in a range; numpy integers are accepted, booleans and floats are not."""
+    """Return the argument `name` as int after checking that it is a whole number, no bool, from `least` to `most`."""
     try:
         number = None if isinstance(value, bool) else operator.index(value)
     except TypeError:
@@ -85,7 +85,11 @@ def whole(name: str, value: Any, *, least: int = 0, most: int = MOST_COUNTED, er
 
 
 def bounds(above: float, least: float, below: float, most: float) -> str:
-    """Return a range in words, with a space before them; empty where there is none."""
+    """Return the range of a number in words that follow a noun, such as " greater than 0 and at most 1".
+
+    `above`, `below`: bounds that the number must not reach; `least`, `most`: bounds that it may reach. An infinite
+    bound is left out; if all are infinite, the text is empty.
+    """
     stated = [
         f"greater than {above:g}" if above > -math.inf else "",
         f"at least {least:g}" if least > -math.inf else "",
@@ -106,7 +110,11 @@ def real(
     unit: str = "",
     error: _Error = ArgumentError,
 ) -> float:
-    """Return a finite number in a range; texts, booleans and arrays are refused."""
+    """Return a number as float after checking that it is finite and in a range; texts, bools and arrays are refused.
+
+    `name`: name of the argument, for the message; `above`, `below`: bounds that the number must not reach; `least`,
+    `most`: bounds that it may reach; `unit`: unit to state in the message. Raises an error of the class `error`.
+    """
     is_other = isinstance(value, bool | str | bytes) or bool(getattr(value, "shape", ()))
     try:
         number = math.nan if is_other else float(value)
@@ -130,7 +138,12 @@ def reals(
     directed: bool = False,
     error: _Error = ArgumentError,
 ) -> tuple[float, ...]:
-    """Return a list of finite numbers in a range; `directed`: not all of them zero. Without a length, one or more."""
+    """Return a list or array of finite numbers as a tuple of floats, after checking their number and range.
+
+    `name`: name of the argument, for the message; `length`: how many numbers there must be, at least one if it is None;
+    `above`, `below`: bounds that each must not reach; `least`: bound that each may reach; `directed`: whether the
+    numbers are a direction, so that at least one must differ from 0. Raises an error of the class `error`.
+    """
     values = value.tolist() if isinstance(value, np.ndarray) else value
     listed = isinstance(values, list | tuple) and len(values) == (length or max(1, len(values)))
     if not (listed and all(is_number(x) and above < x < below and x >= least for x in values)):
@@ -145,7 +158,7 @@ def reals(
 
 
 def flag(name: str, value: Any, *, error: _Error = ArgumentError) -> bool:
-    """Return true or false; anything else is refused."""
+    """Return a truth value, Python's or numpy's, as bool; raise an error of the class `error` for anything else."""
     if type(value).__name__ not in ("bool", "bool_"):
         message = f"`{name}` must be true or false, got {found(value)}"
         raise error(message, where=name)
@@ -153,7 +166,7 @@ def flag(name: str, value: Any, *, error: _Error = ArgumentError) -> bool:
 
 
 def text(name: str, value: Any, *, longest: int | None = LONGEST_NAME, error: _Error = ArgumentError) -> str:
-    """Return a text that is neither empty nor too long."""
+    """Return a text after checking that it is not blank and has at most `longest` characters, any number for None."""
     if not isinstance(value, str) or not value.strip() or len(value) > (longest or len(value)):
         limit = "" if longest is None else f" of at most {longest} characters"
         message = f"`{name}` must be a text{limit}, got {found(value)}"
@@ -162,7 +175,7 @@ def text(name: str, value: Any, *, longest: int | None = LONGEST_NAME, error: _E
 
 
 def texts(name: str, value: Any, *, length: int, error: _Error = ArgumentError) -> tuple[str, ...]:
-    """Return a list of so many different texts."""
+    """Return a list of texts as a tuple after checking that it holds `length` texts, none blank and all different."""
     listed = isinstance(value, list | tuple) and all(isinstance(x, str) and x.strip() for x in value)
     if not (listed and len(value) == length == len(set(value))):
         message = f"`{name}` must be a list of {length} different texts, got {_listed(value)}"
@@ -175,7 +188,7 @@ def _kinds(kind: type[Any] | tuple[type[Any], ...]) -> str:
 
 
 def of_kind(name: str, value: Any, kind: type[_T] | tuple[type[_T], ...], *, error: _Error = ArgumentError) -> _T:
-    """Return an object of a kind, or of one of several."""
+    """Return a value after checking that it is an instance of the class `kind`, or of one of several classes."""
     if not isinstance(value, kind):
         message = f"`{name}` must be of the kind {_kinds(kind)}, got {found(value)}"
         raise error(message, where=name)
@@ -183,14 +196,14 @@ def of_kind(name: str, value: Any, kind: type[_T] | tuple[type[_T], ...], *, err
 
 
 def maybe(name: str, value: Any, kind: type[_T] | tuple[type[_T], ...], *, error: _Error = ArgumentError) -> _T | None:
-    """Return an object of a kind, or None."""
+    """Return None, or a value after checking that it is an instance of the class, or of one of the classes, `kind`."""
     return None if value is None else of_kind(name, value, kind, error=error)
 
 
 def each(
     name: str, value: Any, kind: type[_T] | tuple[type[_T], ...], *, error: _Error = ArgumentError
 ) -> tuple[_T, ...]:
-    """Return a list of objects of one kind as a tuple; a text is no list."""
+    """Return an iterable as a tuple after checking that each item is an instance of `kind`, or of a class in `kind`."""
     listed = isinstance(value, Iterable) and not isinstance(value, str | bytes)
     items = tuple(value) if listed else ()
     wrong = [item for item in items if not isinstance(item, kind)]
@@ -202,14 +215,14 @@ def each(
 
 
 def called(name: str, value: Any) -> None:
-    """Refuse anything but a callable or None."""
+    """Raise `ArgumentError` unless the argument called `name` is None or can be called like a function."""
     if value is not None and not callable(value):
         message = f"`{name}` must be a function or None, got {found(value)}"
         raise ArgumentError(message, where=name)
 
 
 def named(name: str, value: Any, *, error: _Error = ArgumentError) -> Mapping[str, Any]:
-    """Return a mapping whose keys are texts; None gives an empty one."""
+    """Return a mapping after checking that all its keys are texts; return an empty mapping for None."""
     if value is None:
         return {}
     if not isinstance(value, Mapping) or not all(isinstance(key, str) for key in value):
@@ -222,7 +235,7 @@ def named(name: str, value: Any, *, error: _Error = ArgumentError) -> Mapping[st
 
 
 def place(name: str, value: Any, *, error: _Error = ArgumentError) -> Path:
-    """Return a path to a file or folder, which need not exist."""
+    """Return a text or path-like object as `Path` after checking that it can name a file, which need not exist."""
     given = os.fspath(value) if isinstance(value, os.PathLike) else value
     too_long = isinstance(given, str) and any(len(part) > _LONGEST_PART for part in Path(given).parts)
     if not isinstance(given, str) or not given or "\0" in given or too_long or len(given) > _LONGEST_PATH:
@@ -232,6 +245,6 @@ def place(name: str, value: Any, *, error: _Error = ArgumentError) -> Path:
 
 
 def check_running(*, seed: Any = 0, threads: Any = 0) -> None:
-    """Refuse a seed or a number of threads that cannot be one."""
+    """Raise `ArgumentError` unless `seed` lies from 0 to 2^64 - 1 and `threads` from 0 to 1024, both whole numbers."""
     whole("seed", seed, most=2**64 - 1)
     whole("threads", threads, most=MOST_THREADS)

@@ -1,4 +1,4 @@
-"""Checks and conversions of a user's arrays."""
+"""Checks and conversions of arrays that a user passes."""
 
 from collections.abc import Sequence
 from typing import Any, NoReturn, TypeVar
@@ -34,9 +34,9 @@ def _refuse_kind(value: Any) -> NoReturn:
 def float_array(name: str, value: Any, shape: tuple[int | None, ...]) -> FloatArray:
     """Return `value` as a C-ordered float64 array of the wanted shape.
 
-    `name`: name of the argument, for the message; `value`: anything numpy can turn into numbers; `shape`: wanted shape;
-    None means any length. Result: the same memory where it already fits, otherwise a copy. Raises `ShapeError` if
-    `value` is not numeric or has another shape.
+    `name`: name of the argument, for the message; `value`: anything that numpy can turn into real numbers; `shape`:
+    wanted shape, in which None stands for any length. Result: the same memory where it already fits, otherwise a copy.
+    NaN and infinities are accepted. Raises `ShapeError` if `value` is not numeric or has another shape.
     """
     try:
         given = np.asarray(value)
@@ -55,7 +55,7 @@ def float_array(name: str, value: Any, shape: tuple[int | None, ...]) -> FloatAr
 
 
 def depth(name: str, value: Any) -> int:
-    """Return the number of axes of a value that is to become an array; refuse lists of unequal lengths."""
+    """Return the number of axes that a value has as a numpy array; raise `ShapeError` for lists of unequal lengths."""
     try:
         return np.ndim(value)
     except ValueError as error:
@@ -66,9 +66,9 @@ def depth(name: str, value: Any) -> int:
 def index_array(name: str, value: Any, shape: tuple[int | None, ...]) -> IntArray:
     """Return `value` as a C-ordered int64 array of the wanted shape.
 
-    `name`: name of the argument, for the message; `value`: whole numbers; a float array is refused, not rounded;
-    `shape`: wanted shape; None means any length. Result: the same memory where it already fits, otherwise a copy.
-    Raises `ShapeError` if `value` is not of an integer type or has another shape.
+    `name`: name of the argument, for the message; `value`: whole numbers; an array of floats is refused, not rounded,
+    unless it is empty; `shape`: wanted shape, in which None stands for any length. Result: the same memory where it
+    already fits, otherwise a copy. Raises `ShapeError` if `value` is not of an integer type or has another shape.
     """
     try:
         array = np.asarray(value)
@@ -89,12 +89,12 @@ def index_array(name: str, value: Any, shape: tuple[int | None, ...]) -> IntArra
 
 
 def optional_array(name: str, value: Any, shape: tuple[int | None, ...]) -> FloatArray | None:
-    """Return a value as a finite float64 array of the given shape; None if the value is None."""
+    """Return None for None, else `value` as C-ordered float64 array of `shape`, where None stands for any length."""
     return None if value is None else float_array(name, value, shape)
 
 
 def stacked(rows: Sequence[FloatArray | None]) -> FloatArray | None:
-    """Return rows of one shape (k, ...) as an array (n, k, ...), zero where a row is None; None if all rows are."""
+    """Stack n arrays (k, ...) into one (n, k, ...), with zeros for each row that is None; None if all rows are None."""
     some = next((row for row in rows if row is not None), None)
     if some is None:
         return None
@@ -102,7 +102,7 @@ def stacked(rows: Sequence[FloatArray | None]) -> FloatArray | None:
 
 
 def frozen(array: _Array) -> _Array:
-    """Return a read-only view, so that plain data cannot change under its owner."""
+    """Return a read-only view of an array, so that a record's array cannot be changed through its attribute."""
     view: _Array = array.view()
     view.flags.writeable = False
     return view

@@ -1,4 +1,4 @@
-"""Wall time per stage, and what a long call says while it runs."""
+"""Wall time per stage of a long call, and messages about its progress."""
 
 import time
 from collections.abc import Callable, Iterator
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Progress:
-    """A message of a long call about its progress.
+    """A message that a long call passes to the user's function while it runs.
 
     Attributes
     ----------
@@ -18,7 +18,7 @@ class Progress:
     words : str
         Name of the stage, on large bodies followed by the share that is done; or the text of the remark.
     done, most : int
-        Of a ``"pass"``: passes finished and passes at most; 0 otherwise.
+        For a ``"pass"``, the number of iterations finished and the largest number of iterations; 0 for other kinds.
     """
 
     kind: str
@@ -34,8 +34,9 @@ Listener = Callable[[Progress], None]
 class Clock:
     """Adds up the seconds spent in named stages, and notifies a listener when one begins.
 
-    `listener`: called when a stage begins, when a pass is finished, and with every message that is passed to the method
-    `tell`. `seconds`: wall time per stage, in the order in which the stages ended.
+    `listener`: function of one `Progress`, called when a stage begins, when an iteration of a registration is finished,
+    and with every message that is passed to the method `tell`; None for no messages. The attribute `seconds` holds the
+    wall time in s of each stage by name, in the order in which the stages first ended.
     """
 
     def __init__(self, listener: Listener | None = None) -> None:
@@ -43,18 +44,18 @@ class Clock:
         self._listener = listener
 
     def tell(self, kind: str, words: str) -> None:
-        """Pass a message to the listener, if there is one."""
+        """Pass a message of the given kind (see `Progress.kind`) and text to the listener, if there is one."""
         if self._listener is not None:
             self._listener(Progress(kind, words))
 
     def passed(self, done: int, most: int) -> None:
-        """Notify the listener of passes finished and passes at most."""
+        """Notify the listener that `done` of at most `most` iterations of a registration are finished."""
         if self._listener is not None:
             self._listener(Progress("pass", f"{done} of at most {most}", done, most))
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Time a block, also when it raises."""
+        """Notify the listener of a stage, time the block, and add its wall time to `seconds`, even if it raises."""
         self.tell("stage", name)
         start = time.perf_counter()
         try:

@@ -1,4 +1,4 @@
-"""Checked fields: each declared once, for arguments, tables of files, options of the command line and their pages.
+"""Checked fields of dataclasses, each declared once for arguments, file tables, command-line options and their docs.
 
 A field states what it must hold, its unit, its meaning and its default:
 
@@ -41,32 +41,32 @@ UNITS = {
 
 
 def unit_of(name: str) -> str:
-    """Return the unit that the ending of a name states, empty for a number without one."""
+    """Return the unit that the ending of a field's name states, such as ``mm`` for ``std_mm``; empty if none."""
     return next((unit for ending, unit in UNITS.items() if name.endswith(ending)), "")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Check:
-    """What a field must hold.
+    """The check and the description of one field of a record.
 
     Attributes
     ----------
     take : callable
-        ``take(name, value, error=...)`` returns the value to use, or raises the error.
+        Function that is called as ``take(name, value, error=...)``, and returns the value to use or raises the error.
     words : str
-        What it must hold, in words for pages.
+        What the field must hold, in words, for the documentation.
     meaning : str
-        One sentence; empty where the record's docstring has it.
+        Meaning of the field in one sentence; empty where the record's docstring describes the field.
     unit : str or None
-        Of its numbers; None: the one that the field's name ends in.
+        Unit of the field's numbers; None if the field's name ends in the unit.
     otherwise : str
-        What applies where it is absent, in words, where the default does not show it.
+        What applies where the field is absent, in words; empty where the default shows it.
     example : object
-        A value for files to begin with, where the default is none.
+        Value to show in example files for a field that has no default; None if there is no example.
     choices : sequence of str
-        Words of which it must be one; empty where anything else is meant.
+        Texts of which the field must hold one; empty for a field that is not such a choice.
     read : callable
-        Makes the value of a word of the command line; raises ValueError where it cannot.
+        Function that makes the field's value from a word of the command line, and raises ValueError if it cannot.
     """
 
     take: Callable[..., Any]
@@ -81,7 +81,7 @@ class Check:
 
 @dataclass(frozen=True)
 class DeclaredField:
-    """A declared field of a record: its name, its check, and its default, `dataclasses.MISSING` where it has none."""
+    """A declared field of a record: its name, its check and description, and its default (`MISSING` if it has none)."""
 
     name: str
     check: Check
@@ -89,7 +89,7 @@ class DeclaredField:
 
     @property
     def unit(self) -> str:
-        """Unit of its numbers; empty where they have none."""
+        """Unit of the field's numbers, such as ``mm``; empty where they have none."""
         return unit_of(self.name) if self.check.unit is None else self.check.unit
 
 
@@ -97,12 +97,12 @@ class DeclaredField:
 class CheckedRecord:
     """A frozen dataclass whose fields are declared by the functions of this module, and checked when it is made.
 
-    A field whose default is None may be None; fields declared in another way are taken as they are.
+    A field whose default is None may be None. Fields declared in another way are taken as they are.
 
     Raises
     ------
     TissueRegError
-        Of the kind `error`, if a field does not hold what it must.
+        Of the class that the class attribute `error` names, if a field does not hold what it must.
     """
 
     error: ClassVar[_Error] = ArgumentError
@@ -115,24 +115,25 @@ class CheckedRecord:
         self.check()
 
     def check(self) -> None:
-        """Refuse fields that contradict each other."""
+        """Raise an error if fields contradict each other; subclasses define this, and it does nothing by default."""
 
     def refuse(self, rule: str, value: object = None) -> NoReturn:
-        """Raise an error of the record's kind that states what must hold and what was found."""
+        """Raise an error of the class `error` that states the rule to keep and, unless it is None, the value found."""
         message = rule if value is None else f"{rule}, got {value!r}"
         raise self.error(message)
 
     @classmethod
     def declared(cls) -> tuple[DeclaredField, ...]:
-        """Return its declared fields, in their order."""
+        """Return the fields of the class that functions of this module declare, in their order."""
         return tuple(DeclaredField(one.name, one.metadata["check"], one.default) for one in fields(cls) if one.metadata)
 
 
 def checked(take: Callable[..., Any], words: str, meaning: str = "", *, default: Any = MISSING, **more: Any) -> Any:
-    """Declare a field by a check of its own, ``take(name, value, error=...)``, and words for pages.
+    """Declare a dataclass field by a check of its own, called as ``take(name, value, error=...)``, and by words.
 
-    The functions below do so for the usual kinds. `meaning` is one sentence, for pages and help; a default of None lets
-    the field be None; `more` are further attributes of `Check`.
+    The functions below declare the usual sorts of field. `words`: what the field must hold, for the documentation;
+    `meaning`: its meaning in one sentence, for documentation and help; `default`: its default; if it is None, the field
+    may be None; `more`: further attributes of `Check`.
     """
     return field(default=default, metadata={"check": Check(take=take, words=words, meaning=meaning, **more)})
 
@@ -148,9 +149,11 @@ def number(
     default: Any = MISSING,
     **more: Any,
 ) -> Any:
-    """Declare a field that holds a finite number: greater than `above`, at least `least`, less than `below`, and so on.
+    """Declare a dataclass field that holds a finite number in a range.
 
-    `unit` is stated where the field's name does not end in it.
+    `meaning`: its meaning in one sentence; `unit`: its unit where the field's name does not end in it; `above`,
+    `below`: bounds that the number must not reach; `least`, `most`: bounds that it may reach; `default`: its default,
+    none if it is left out; `more`: further attributes of `Check`.
     """
     take = partial(arguments.real, unit=unit or "", above=above, least=least, below=below, most=most)
     return checked(
@@ -161,7 +164,7 @@ def number(
 def whole(
     meaning: str = "", *, least: int = 0, most: int = MOST_COUNTED, default: Any = MISSING, unit: str = "", **more: Any
 ) -> Any:
-    """Declare a field that holds a whole number from `least` to `most`."""
+    """Declare a dataclass field that holds a whole number from `least` to `most`; `meaning` says what it is."""
     take = partial(arguments.whole, least=least, most=most)
     return checked(take, f"whole number at least {least}", meaning, default=default, unit=unit, read=int, **more)
 
@@ -177,9 +180,11 @@ def numbers(
     default: Any = MISSING,
     **more: Any,
 ) -> Any:
-    """Declare a field that holds a list of numbers in a range, one or more without a `length`.
+    """Declare a dataclass field that holds a tuple of `length` finite numbers in a range, of one or more for None.
 
-    `directed`: it is a direction, so not all of them may be zero.
+    `meaning`: its meaning in one sentence; `above`, `below`: bounds that each number must not reach; `least`: bound
+    that each may reach; `directed`: whether the numbers are a direction, so that at least one must differ from 0;
+    `default`: its default, none if it is left out; `more`: further attributes of `Check`.
     """
     take = partial(arguments.reals, length=length, above=above, least=least, below=below, directed=directed)
     words = "[x, y, z]" if length == 3 else f"list of {'one or more' if length is None else length} numbers"
@@ -196,7 +201,11 @@ def span(
     default: Any = MISSING,
     **more: Any,
 ) -> Any:
-    """Declare a field that holds a range, [low, high], of numbers, or of whole ones from `counted` on."""
+    """Declare a dataclass field that holds a range [low, high] of numbers between `above` and `below`.
+
+    `meaning`: its meaning in one sentence; `counted`: where it is given, both ends are whole numbers of at least this
+    value instead; `default`: its default, none if it is left out; `more`: further attributes of `Check`.
+    """
     one: Callable[..., Any] = partial(arguments.real, above=above, below=below)
     if counted is not None:
         one = partial(arguments.whole, least=counted)
@@ -215,7 +224,12 @@ def span(
 
 
 def belief(meaning: str = "", *, default: Any = MISSING, **more: Any) -> Any:
-    """Declare a field that holds a number, or a list of mean and standard deviation; taken as a pair."""
+    """Declare a dataclass field that holds an uncertain number: the number alone, or [mean, standard deviation].
+
+    The field's value is the pair (mean, standard deviation), with None for a standard deviation that is not given.
+    `meaning`: its meaning in one sentence; `default`: its default, none if it is left out; `more`: further attributes
+    of `Check`.
+    """
 
     def take(name: str, value: Any, error: _Error = ArgumentError) -> tuple[float, float | None]:
         if is_number(value):
@@ -232,17 +246,17 @@ def belief(meaning: str = "", *, default: Any = MISSING, **more: Any) -> Any:
 
 
 def text(meaning: str = "", *, longest: int | None = None, default: Any = MISSING, **more: Any) -> Any:
-    """Declare a field that holds a text that is not empty."""
+    """Declare a dataclass field that holds a text that is not blank, of at most `longest` characters (None: any)."""
     return checked(partial(arguments.text, longest=longest), "text", meaning, default=default, **more)
 
 
 def texts(meaning: str = "", *, length: int, default: Any = MISSING) -> Any:
-    """Declare a field that holds a list of so many different texts."""
+    """Declare a dataclass field that holds a tuple of `length` different texts, none of them blank."""
     return checked(partial(arguments.texts, length=length), f"list of {length} texts", meaning, default=default)
 
 
 def choice(among: Sequence[str], meaning: str = "", *, default: Any = MISSING, **more: Any) -> Any:
-    """Declare a field that holds one of some words."""
+    """Declare a dataclass field that holds one of the texts in `among`; `meaning` says in one sentence what it is."""
 
     def take(name: str, value: Any, error: _Error = ArgumentError) -> str:
         check_choice(name, value, among, error)
@@ -254,17 +268,17 @@ def choice(among: Sequence[str], meaning: str = "", *, default: Any = MISSING, *
 
 
 def flag(meaning: str = "", *, default: Any = MISSING, **more: Any) -> Any:
-    """Declare a field that holds true or false."""
+    """Declare a dataclass field that holds true or false."""
     return checked(arguments.flag, "`true` or `false`", meaning, default=default, **more)
 
 
 def path(meaning: str = "", *, default: Any = MISSING, **more: Any) -> Any:
-    """Declare a field that holds a path to a file or folder, which need not exist."""
+    """Declare a dataclass field that holds a path to a file or folder, which need not exist."""
     return checked(arguments.place, "path", meaning, default=default, **more)
 
 
 def table(meaning: str = "", *, words: str = "table", default: Any = MISSING, **more: Any) -> Any:
-    """Declare a field that holds a table, a mapping from texts."""
+    """Declare a dataclass field that holds a mapping whose keys are texts; `words` says what the mapping holds."""
 
     def take(name: str, value: Any, error: _Error = ArgumentError) -> Mapping[str, Any]:
         if not isinstance(value, Mapping):
@@ -276,7 +290,7 @@ def table(meaning: str = "", *, words: str = "table", default: Any = MISSING, **
 
 
 def nested(kind: type[Any], meaning: str = "") -> Any:
-    """Declare a field that holds another record of settings; its defaults where it is left out."""
+    """Declare a dataclass field that holds a record of the class `kind`; by default, that record with its defaults."""
     check = Check(take=partial(_of_kind, kind=kind), words=kind.__name__, meaning=meaning)
     return field(default_factory=kind, metadata={"check": check})
 

@@ -1,4 +1,4 @@
-"""The warning that linear tets lock, issued at the line that uses them."""
+"""The warning that linear tets lock (are too stiff near incompressibility), issued at the line that uses them."""
 
 import sys
 import warnings
@@ -8,10 +8,10 @@ from tissuereg.errors import LockingWarning
 
 
 def warn_of_locking(poisson: float) -> None:
-    """Warn at the first line outside this package.
+    """Issue `LockingWarning`, located at the innermost calling line that lies outside this package.
 
-    The core calls it wherever a body of four-node tets meets a material of `Material::locks_linear_tets`. `poisson`:
-    largest Poisson's ratio.
+    The core calls it where a body of four-node tets has a material whose Poisson's ratio is so high that such tets lock
+    (`Material::locks_linear_tets`). `poisson`: largest Poisson's ratio of the body.
     """
     level = 1
     frame: FrameType | None = sys._getframe()

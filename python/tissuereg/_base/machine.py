@@ -1,4 +1,4 @@
-"""Description of the machine and versions, recorded with every measurement."""
+"""Description of the machine, its free memory and the versions of packages, recorded with every measurement."""
 
 import contextlib
 import math
@@ -19,7 +19,7 @@ LIMIT = "TISSUEREG_MEMORY_GB"
 
 
 def peak_mib() -> float | None:
-    """Return the peak memory of this process in MiB; None if it is unknown."""
+    """Return the peak memory of this process so far, in MiB (2^20 bytes); None if it is unknown."""
     try:
         import resource
     except ImportError:
@@ -29,18 +29,19 @@ def peak_mib() -> float | None:
 
 
 def resident_bytes() -> int | None:
-    """Return the memory that this process holds now, in bytes; None if unknown."""
+    """Return the physical memory that this process holds now, in bytes; None if it is unknown."""
     with contextlib.suppress(OSError, ValueError, IndexError):
         return int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1]) * os.sysconf("SC_PAGE_SIZE")
     return None
 
 
 def available_bytes() -> int | None:
-    """Return the memory that this process may still take; None if it is unknown or without limit.
+    """Return the memory in bytes that this process may still take; None if it is unknown or without limit.
 
-    What `LIMIT` leaves, where that is set. Otherwise the least of what the system has without swapping
-    (``MemAvailable``), and of what the control groups of the process leave of their limits. Raises `ArgumentError` if
-    `LIMIT` is set to anything but a positive number; ``inf`` is no limit.
+    If the environment variable ``TISSUEREG_MEMORY_GB`` is set, it is the total that the process may take, and the
+    result is that total less what the process holds. Otherwise the result is the smallest of the memory that the system
+    has without swapping (``MemAvailable``) and of what each control group of the process leaves of its limit. Raises
+    `ArgumentError` if the variable is not a positive number of GB (1e9 bytes); ``inf`` means no limit.
     """
     stated = os.environ.get(LIMIT)
     if stated is not None:
@@ -68,9 +69,10 @@ def _system_left() -> int | None:
 
 
 def _groups_left(root: Path = Path("/sys/fs/cgroup"), own: Path = Path("/proc/self/cgroup")) -> list[int]:
-    """Return how many bytes every control group that contains this process has left of its limit (versions 1 and 2).
+    """Return the bytes that each control group around this process has left of its limit, for versions 1 and 2.
 
-    Cached pages of files that are not in use count as free: the kernel drops them before it refuses memory.
+    `root`: folder where the control groups are mounted; `own`: file that lists the groups of this process. Pages of
+    files that the kernel caches but that are not in use count as free: the kernel drops them before it refuses memory.
     """
     found = []
     with contextlib.suppress(OSError):
@@ -107,7 +109,7 @@ def n_cores() -> int:
 
 
 def machine() -> dict[str, Any]:
-    """Return the machine: ``system``, ``processor``, ``cores``."""
+    """Return a description of the machine: ``system`` and ``processor`` as text, and ``cores``, the number usable."""
     return {"system": platform.platform(), "processor": _processor(), "cores": n_cores()}
 
 
@@ -120,7 +122,7 @@ def _processor() -> str:
 
 
 def versions() -> dict[str, str]:
-    """Return the versions of Python, tissuereg, numpy and whatever else has been imported so far."""
+    """Return the versions of Python, tissuereg, numpy, and of each optional package that was imported, by name."""
     used = [name for name in _PACKAGES if name in sys.modules]
     versions = {"python": platform.python_version()}
     for name in ("tissuereg", "numpy", *used):

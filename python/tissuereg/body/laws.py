@@ -1,5 +1,4 @@
-"""The solver's hyperelastic laws: their names, their shape parameters, and the values at which a fit of these begins.
-"""
+"""The solver's hyperelastic laws: their names, their shape parameters, and the starting values of fits of these."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -12,14 +11,8 @@ from tissuereg import _core
 class ShapeKey:
     """One dimensionless shape parameter of a hyperelastic law: a number that sets the form of the stress-strain curve.
 
-    Attributes
-    ----------
-    name : str
-        Its key in `Material.shape`.
-    series : bool
-        Whether the parameter is a list with one number per term of the law, as Ogden's exponents are.
-    least, largest : float
-        Bounds between which a fit seeks the parameter; infinite where there is no bound.
+    `name`: its key in `Material.shape`; `series`: whether it is a list with one number per term of the law, as Ogden's
+    exponents are; `least`, `largest`: bounds between which a fit seeks it, infinite where there is no bound.
     """
 
     name: str
@@ -32,15 +25,9 @@ class ShapeKey:
 class Declaration:
     """A hyperelastic law of the solver, as the compiled core declares it.
 
-    Attributes
-    ----------
-    name : str
-        Its name, as in `Material.law`.
-    shape : tuple of ShapeKey
-        Its shape parameters, in order.
-    starts : tuple of tuple of float
-        Starting points of a fit, each with one value per shape parameter. Empty for a law with series of terms, whose
-        starting points depend on the number of terms.
+    `name`: its name, as in `Material.law`; `shape`: its shape parameters, in order; `starts`: starting points of a fit,
+    each with one value per shape parameter, and empty for a law whose shape parameters are lists with one number per
+    term.
     """
 
     name: str
@@ -68,7 +55,8 @@ DECLARED: Mapping[str, Declaration] = _declared()
 def shape_of(law: str, *values: float) -> dict[str, Any]:
     """Return the shape parameters of a law by name: the given values for its first parameters, 0 for all others.
 
-    `law`: name of a law that has no series of terms; `*values`: values of its first parameters, in the order in which the law declares them. Result: a table of dimensionless numbers by name, for the argument `shape` of `Material`.
+    `law`: name of a law without series of terms; `*values`: values of its first parameters, in the order of the law's
+    declaration. Result: dimensionless numbers by name, for the argument `shape` of `Material`.
 
     Examples
     --------

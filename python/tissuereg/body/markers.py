@@ -104,7 +104,7 @@ class Markers:
 
 
 def _kept(keep: Any, n_markers: int) -> IntArray:
-    """Return the numbers of the markers that a boolean mask (n_markers,) or a list of indices chooses."""
+    """Return the indices (n_kept,) of the markers that a mask (n_markers,) or indices select, or raise MarkerError."""
     try:
         rows = np.arange(n_markers)[keep]
         reason = ""
@@ -117,10 +117,7 @@ def _kept(keep: Any, n_markers: int) -> IntArray:
 
 
 def _spread(std: Any, n_markers: int) -> FloatArray:
-    """Return standard deviations per marker and axis, shape (n_markers, 3), in mm.
-
-    `std`: one number for all markers, one per marker (n_markers,), or one per marker and axis (n_markers, 3), in mm.
-    """
+    """Return `std` in mm, one for all, per marker (n_markers,) or per axis (n_markers, 3), as shape (n_markers, 3)."""
     if depth("std", std) == 2:
         return float_array("std", std, (n_markers, 3))
     by_marker = (
@@ -132,10 +129,7 @@ def _spread(std: Any, n_markers: int) -> FloatArray:
 
 
 def _as_given(spread: FloatArray) -> FloatArray:
-    """Return standard deviations (n_markers, 3) in mm as (n_markers,) if each marker has the same one along all axes.
-
-    Otherwise return them as they are. NaN counts as equal to NaN.
-    """
+    """Return standard deviations (n_markers, 3), mm, as (n_markers,) if all markers have the same along all axes."""
     return spread[:, 0] if len(spread) and np.array_equal(spread, spread[:, [0, 0, 0]], equal_nan=True) else spread
 
 

@@ -159,13 +159,12 @@ class Material:
 
     @property
     def young_array(self) -> FloatArray:
-        """Young's modulus in kPa, shape (1,), (n_tets,) or (n_tets, n_points)."""
+        """Young's modulus in kPa, shape (1,), (n_tets,) or (n_tets, n_points), the last per quadrature point."""
         return _field("young", self.young)
 
     @property
     def poisson_array(self) -> FloatArray:
-        """Poisson's ratio as an array, shape (1,), (n_tets,) or (n_tets, n_points) with one value per quadrature point.
-        """
+        """Poisson's ratio, shape (1,), (n_tets,) or (n_tets, n_points), the last per quadrature point."""
         return _field("poisson", self.poisson)
 
     def core_law(self) -> _core.Law:
@@ -294,11 +293,7 @@ def _positive(name: str, value: Any, unit: str) -> None:
 
 
 def _check_unit(young: FloatArray) -> None:
-    """Check Young's moduli in kPa, of any shape, for a wrong unit.
-
-    Raise MaterialError if one is outside the range of all solids. Warn by a UnitWarning, which names the unit that they
-    may be in, if their median is outside the range of soft solids.
-    """
+    """Refuse Young's moduli (kPa, any shape) that no solid has; warn of a likely unit if their median is not soft."""
     lowest, highest = SOLID_YOUNG_KPA
     _within("young", young, (young >= lowest) & (young <= highest), f"in kPa, from {lowest:g} to {highest:g} kPa")
     typical = float(np.median(young)) if young.size else 1.0

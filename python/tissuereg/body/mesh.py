@@ -176,7 +176,9 @@ class Mesh:
         Parameters
         ----------
         centre : array_like of float, shape (3,)
-            Centre of the ball in mm. radius : float mm.
+            Centre of the ball in mm.
+        radius : float
+            Radius of the ball in mm.
 
         Returns
         -------
@@ -226,10 +228,7 @@ def node_normals(mesh: Mesh, areas: FloatArray) -> FloatArray:
 
 
 def free_surface(mesh: Mesh) -> tuple[IntArray, FloatArray]:
-    """Return the surface triangles of which not all three corners are held, and the share of each in their total area.
-
-    Result: node indices (k, 3), and dimensionless shares (k,), which add up to 1.
-    """
+    """Return the surface triangles (k, 3) not held at all three corners, and each one's share (k,) in their area."""
     held = np.zeros(mesh.n_nodes, dtype=bool)
     held[mesh.fixed_nodes] = True
     free = mesh.surface[~held[mesh.surface].all(axis=1)]

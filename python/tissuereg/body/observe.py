@@ -44,8 +44,9 @@ class MarkerObservation:
     Parameters
     ----------
     mesh : Mesh
-        Mesh in the reference shape. reference : array_like of float, shape (n_markers, 3) Places of the markers on or
-        near the undeformed body, mm.
+        Mesh in the reference shape.
+    reference : array_like of float, shape (n_markers, 3)
+        Places of the markers on or near the undeformed body, mm.
     names : sequence of str
         Names of the markers, used in error messages.
     quadratic : bool
@@ -104,7 +105,7 @@ class MarkerObservation:
 
     @classmethod
     def of(cls, mesh: Mesh, markers: Markers) -> "MarkerObservation":
-        """Return the observation of a set of markers."""
+        """Return the observation operator of `markers` on `mesh`, for displacement fields of four-node elements."""
         return cls(mesh, markers.reference, markers.names)
 
     @property
@@ -123,7 +124,8 @@ class MarkerObservation:
         Returns
         -------
         ndarray of float64, shape (..., n_markers, 3)
-            Displacement of every marker in mm. """
+            Displacement of every marker in mm.
+        """
         moved = np.einsum("mc,...mcx->...mx", self._weights, displacement[..., self._foot_nodes, :])
         if len(self._turned):
             patches = displacement[..., self._members, :]
@@ -159,10 +161,7 @@ class MarkerObservation:
         return sparse.csr_array(found)
 
     def predict_points(self, moved: FloatArray) -> FloatArray:
-        """Return the displacement of every marker, (..., n_markers, 3), in mm.
-
-        `moved` (..., n_points, 3): product of the matrix of `points` with a displacement field, in mm.
-        """
+        """Return the markers' displacement (..., n_markers, 3) from the matrix of `points` times a field, mm."""
         feet: FloatArray = moved[..., : self.n_markers, :].copy()
         if len(self._turned):
             across = moved[..., self.n_markers :, :].reshape(*moved.shape[:-2], len(self._turned), 3, 3)
@@ -171,16 +170,13 @@ class MarkerObservation:
 
     @cached_property
     def _levers(self) -> FloatArray:
-        """Arms of patches (m, p, 3), scaled so that their products with displacements are lengths."""
+        """Lever arms (m, p, 3) of nodes about the centroid of each patch, divided by a length: no unit."""
         squares = np.einsum("mpx,mpx->m", self._arms, self._arms)
         return np.asarray(self._arms / np.sqrt(squares * self._arms.shape[1])[:, None, None])
 
     @cached_property
     def _at_rest(self) -> FloatArray:
-        """Correlation matrices (m, 3, 3) in mm, at rest, of the lever arms of each patch with the scaled ones.
-
-        Under a displacement, its products with the scaled lever arms are added before the rotation is fitted.
-        """
+        """Sums (m, 3, 3), in mm, over each patch of surface of lever arm times scaled lever arm, at rest."""
         return np.asarray(np.einsum("mpx,mpy->mxy", self._arms, self._levers))
 
     def _add_rotation(self, moved: FloatArray, across: FloatArray) -> None:
@@ -211,7 +207,7 @@ class MarkerObservation:
         return np.asarray((1.0 + self._height) * differences)
 
     def jacobian(self, displacement: FloatArray) -> FloatArray:
-        """Return the derivative of the displacement of every marker with respect to the displacement of the nodes `nodes`.
+        """Return the derivative of the displacement of every marker with respect to that of the nodes.
 
         Parameters
         ----------
@@ -231,7 +227,7 @@ class MarkerObservation:
         return slopes
 
     def rows(self, displacement: FloatArray) -> list[tuple[IntArray, FloatArray]]:
-        """Return the derivative of each coordinate of each marker's displacement, with only the nodes on which it depends.
+        """Return the derivative of each coordinate of each marker's displacement as a sparse row over nodes.
 
         Parameters
         ----------
@@ -274,13 +270,14 @@ class MarkerObservation:
 
 
 class TargetObservation:
-    """Observation operator of targets: their displacement, interpolated between the nodes of the tets that contain them.
+    """Observation operator of targets: their displacement, interpolated between the nodes of the tets around them.
 
     Parameters
     ----------
     mesh : Mesh
-        Mesh in the reference shape. targets : mapping of str to array_like of float, shape (3,) Places in the
-        undeformed body, mm, by name.
+        Mesh in the reference shape.
+    targets : mapping of str to array_like of float, shape (3,)
+        Places in the undeformed body, mm, by name.
     quadratic : bool
         Whether displacement fields are those of ten-node elements: the mid-edge nodes, in the order of `mesh.edges`,
         follow the nodes of the mesh.
@@ -288,8 +285,13 @@ class TargetObservation:
     Raises
     ------
     MarkerError
-        If a target lies outside the body by more than a tenth of its extent, or is not finite.  Attributes ----------
-        nodes : ndarray of int64, shape (k,) Indices of the nodes whose displacement `predict` needs. """
+        If a target lies outside the body by more than a tenth of its extent, or is not finite.
+
+    Attributes
+    ----------
+    nodes : ndarray of int64, shape (k,)
+        Indices of the nodes whose displacement `predict` needs.
+    """
 
     def __init__(self, mesh: Mesh, targets: Mapping[str, Any], *, quadratic: bool = False) -> None:
         self.names = tuple(targets)
@@ -305,19 +307,11 @@ class TargetObservation:
         self._corners = np.searchsorted(self.nodes, nodes)
 
     def predict(self, displacement: FloatArray) -> FloatArray:
-        """Return the displacement of every target in mm, (..., n_targets, 3).
-
-        `displacement` (..., k, 3): displacement in mm of the nodes listed in the attribute `nodes`; leading axes are
-        kept.
-        """
+        """Return the targets' displacement (..., n_targets, 3) from that of the nodes `nodes` (..., k, 3), mm."""
         return np.asarray(np.einsum("tc,...tcx->...tx", self._weights, displacement[..., self._corners, :]))
 
     def points(self, n_nodes: int) -> Any:
-        """Return the interpolation matrix, a scipy.sparse.csr_array of dimensionless weights, (n_targets, n_nodes).
-
-        `n_nodes` is the number of nodes of a displacement field; the matrix times that field gives the targets'
-        displacement.
-        """
+        """Return the sparse matrix (n_targets, n_nodes) of weights that interpolates fields at the targets."""
         from scipy import sparse
 
         rows = np.repeat(np.arange(len(self.names)), self._corners.shape[1])
@@ -325,7 +319,11 @@ class TargetObservation:
         return sparse.csr_array((self._weights.ravel(), (rows, columns)), (len(self.names), n_nodes))
 
     def rows(self) -> list[tuple[IntArray, FloatArray]]:
-        """Return nodes of the mesh and their weights; ``3 n_targets`` rows, as those of `MarkerObservation.rows`."""
+        """Return the derivative of each coordinate of each target's displacement as a sparse row over nodes.
+
+        The list has one entry for x, y and z of each target in turn, ``3 n_targets`` in all: indices of nodes (k,), and
+        dimensionless derivatives with respect to their displacements (k, 3).
+        """
         return [
             (self.nodes[corners], np.outer(weights, np.eye(3)[axis]))
             for corners, weights in zip(self._corners, self._weights, strict=True)
@@ -375,7 +373,11 @@ def _closest_triangles(mesh: Mesh, places: FloatArray) -> tuple[IntArray, FloatA
 
 
 def _free_corners(corners: FloatArray, places: FloatArray, weights: FloatArray) -> BoolArray:
-    """Return which corners (n, 3) span the plane of each foot, or the edge beyond which its place lies."""
+    """Return a mask (n, 3) of the corners that span the face, edge or corner of its triangle on which each foot lies.
+
+    `corners` (n, 3, 3), `places` (n, 3): corners of the closest triangle of each place, and places, mm; `weights` (n,
+    3): barycentric weights of the foot, the closest point. All corners are marked unless the place lies beyond an edge.
+    """
     beyond = (_barycentric(corners, places) < -_BEYOND).any(axis=1, keepdims=True)
     return np.logical_or(~beyond, weights > 0.0)
 
@@ -398,10 +400,7 @@ def _feet_in(corners: FloatArray, places: FloatArray, free: BoolArray) -> tuple[
 
 
 def _barycentric(corners: FloatArray, places: FloatArray) -> FloatArray:
-    """Return the barycentric weights (n, 3) of places (n, 3) projected onto the planes of triangles.
-
-    `corners` (n, 3, 3): corners of the triangle of each place, mm.
-    """
+    """Return barycentric weights (n, 3) of places (n, 3) projected onto planes of triangles (n, 3, 3), all in mm."""
     if not len(places):
         return np.empty((0, 3))
     import trimesh
@@ -411,10 +410,7 @@ def _barycentric(corners: FloatArray, places: FloatArray) -> FloatArray:
 
 
 def _patches(mesh: Mesh, triangles: IntArray) -> list[IntArray]:
-    """Return the patch of surface around each of the surface triangles with numbers `triangles` (n,).
-
-    A patch is the sorted node indices of all surface triangles that share a node with that triangle.
-    """
+    """Return for each surface triangle, given by number, the indices of the nodes of all triangles that touch it."""
     patches = []
     for triangle in triangles:
         touching = np.isin(mesh.surface, mesh.surface[triangle]).any(axis=1)
@@ -423,7 +419,11 @@ def _patches(mesh: Mesh, triangles: IntArray) -> list[IntArray]:
 
 
 def _padded(patches: list[IntArray], places: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Return members (m, p) and arms from their middle (m, p, 3) of patches; short ones repeat a node with no arm."""
+    """Return the nodes (m, p) of m patches of surface, and lever arms (m, p, 3), mm, to them from the patch's centroid.
+
+    `patches`: indices into `places` (n, 3), mm, for each patch; p is the size of the largest patch. Shorter patches
+    repeat nodes, with lever arms of zero.
+    """
     longest = max((len(patch) for patch in patches), default=0)
     members = np.zeros((len(patches), longest), np.int64)
     arms = np.zeros((len(patches), longest, 3))
@@ -501,10 +501,7 @@ def _check_distance(distance: FloatArray, names: tuple[str, ...], extent: float)
 
 
 class _Locator:
-    """Search structure for the tet of a mesh that contains a point.
-
-    It holds the bounding boxes of all tets, sorted along x, and the inverse matrices that give barycentric weights.
-    """
+    """Search structure for the tet that contains a point: boxes of all tets sorted along x, inverses for weights."""
 
     def __init__(self, mesh: Mesh) -> None:
         self._corners = mesh.nodes[mesh.tets]
@@ -517,7 +514,7 @@ class _Locator:
         self._inverse = np.linalg.inv(np.moveaxis(self._corners[:, 1:] - self._corners[:, :1], 1, 2))
 
     def locate(self, name: str, point: FloatArray) -> tuple[int, FloatArray]:
-        """Return the number of the tet that contains a point (3,), or is closest to it, and its weights (4,)."""
+        """Return the index of the tet around or closest to a point (3,), mm, and barycentric weights (4,)."""
         if not np.isfinite(point).all():
             message = f"target '{name}' must be finite, got {point.tolist()}"
             raise MarkerError(message, where=name)

@@ -75,10 +75,7 @@ class SurfacePoints:
 
 
 def _positive(std: Any) -> float:
-    """Return the standard deviation `std` in mm as a float; raise SurfaceError if it is not positive and below 1e9 mm.
-
-    A larger one would overflow when it is squared.
-    """
+    """Return `std` in mm as a float; raise SurfaceError unless it is above 0 and below 1e9 (its square is finite)."""
     try:
         return real("std", std, above=0.0, below=1e9, error=SurfaceError)
     except SurfaceError:

@@ -82,10 +82,6 @@ def triangle_areas(corners: FloatArray) -> FloatArray:
 
 
 def signed_volumes(corners: FloatArray) -> FloatArray:
-    """Return the signed volumes (...) in mm^3 of the tets between the origin and each triangle.
-
-    `corners` (..., 3, 3): coordinates of the triangles' corners in mm. A volume is positive where the triangle's normal
-    points away from the origin.
-    """
+    """Return the signed volumes (...), mm^3, of tets from the origin to triangles with corners (..., 3, 3), mm."""
     across = np.cross(corners[..., 0, :], corners[..., 1, :])
     return np.asarray(np.einsum("...i,...i->...", across, corners[..., 2, :]) / 6.0)

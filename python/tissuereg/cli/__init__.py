@@ -1,7 +1,7 @@
 """The command ``tissuereg``: one module per command, with common output, errors and exit codes.
 
-Exit codes: 0 done; 2 bad usage or bad input; 3 it could not be done; 4 answered and written, but not to be trusted;
-130 interrupted; 1 is a bug.
+Exit codes: 0 done; 2 bad usage or bad input; 3 it could not be done; 4 answered and written, but not to be trusted; 130
+interrupted; 1 is a bug.
 """
 
 import contextlib
@@ -44,35 +44,38 @@ COMMANDS = {
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command.
+    """Run one ``tissuereg`` command and return its exit code.
 
     Parameters
     ----------
     argv : sequence of str, optional
-        Words after the program's name; those of the process where absent.
+        Words of the command line after the program's name; by default those with which the process was started.
 
     Returns
     -------
     int
-        Exit code.
+        Exit code: 0 done, 2 bad usage or input, 3 it could not be done, 4 written but not to be trusted, 130
+        interrupted, 1 a bug.
     """
     return run_program(build_parser, argv)
 
 
 def run_program(parser_of: Callable[[Sequence[str]], Parser], argv: Sequence[str] | None = None) -> int:
-    """Run a program: its parser's default ``run`` does the work; output, errors and exit codes are those of all.
+    """Parse a command line, run the command that it names, print or write its result, and turn errors into exit codes.
 
     Parameters
     ----------
     parser_of : callable of sequence of str -> Parser
-        Takes the command line.
+        Function that returns the parser for the given command line. The parser's default ``run`` is the function that
+        does the work.
     argv : sequence of str, optional
-        Words after the program's name; those of the process where absent.
+        Words of the command line after the program's name; by default those with which the process was started.
 
     Returns
     -------
     int
-        Exit code.
+        Exit code: 0 done, 2 bad usage or input, 3 it could not be done, 4 written but not to be trusted, 130
+        interrupted, 1 a bug.
     """
     words = list(sys.argv[1:] if argv is None else argv)
     target, debug = json_target(words), "--debug" in words
@@ -95,13 +98,13 @@ def build_parser(words: Sequence[str] | None = None) -> Parser:
     Parameters
     ----------
     words : sequence of str, optional
-        The command line: only the command that it names is loaded, the others have their lines in the help. All are
-        loaded where it is absent.
+        Words of the command line. Only the module of the command that they name is loaded; all others appear in the
+        help alone. By default all modules are loaded.
 
     Returns
     -------
     Parser
-        With one sub-parser per command.
+        Parser with one sub-parser per command.
     """
     from tissuereg._version import __version__
 
@@ -153,7 +156,7 @@ def _write(target: str, content: dict[str, Any]) -> None:
 
 
 def _fail(error: BaseException, target: str | None, *, debug: bool) -> int:
-    """Print the error, write it as JSON if requested, and return the exit code."""
+    """Print the error, write it as JSON to `target` unless that is None, and return the exit code."""
     code, message = _verdict(error)
     if isinstance(error, OSError) and not isinstance(error, TissueRegError) and code == 2:
         _mute_stdout()
@@ -191,7 +194,7 @@ def _verdict(error: BaseException) -> tuple[int, str]:
 
 @contextlib.contextmanager
 def _ended_like_an_interrupt() -> Iterator[None]:
-    """Treat SIGTERM and SIGHUP like Ctrl-C, so that drafts are removed; signals ignored or handled already stay so."""
+    """Treat SIGTERM and SIGHUP, unless ignored or handled, like Ctrl-C in the block: temporary files are removed."""
     before = {}
     if threading.current_thread() is threading.main_thread():
         for name in ("SIGTERM", "SIGHUP"):
@@ -206,7 +209,7 @@ def _ended_like_an_interrupt() -> Iterator[None]:
 
 
 def _mute_stdout() -> None:
-    """Discard the remaining buffered output; otherwise Python fails again when it flushes it at exit."""
+    """Discard the buffered standard output; otherwise Python would fail again when it flushes it at exit."""
     with contextlib.suppress(OSError, ValueError):
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 

@@ -1,4 +1,4 @@
-"""``tissuereg advise``: where the next markers should go."""
+"""The command ``tissuereg advise``: proposes where the next markers should be placed."""
 
 import argparse
 from pathlib import Path
@@ -32,7 +32,7 @@ _LARGEST_MM = 5.0
 
 
 def options(parser: Parser) -> None:
-    """Add the command's arguments."""
+    """Add the arguments of ``tissuereg advise`` to its parser."""
     parser.add_argument("what", metavar="markers", choices=["markers"], help="what is asked: markers")
     text = "mesh file; with --data left out, with --model the phantom's by default"
     parser.add_argument("path", metavar="MESH", nargs="?", help=text)
@@ -59,7 +59,7 @@ def options(parser: Parser) -> None:
 
 
 def run(args: argparse.Namespace) -> Outcome:
-    """Choose and write, schema ``tissuereg.advise/1``."""
+    """Run ``tissuereg advise``: choose marker places and write them; JSON schema ``tissuereg.advise/1``."""
     from tissuereg.io.atomic import check_folder_target
     from tissuereg.io.tables import read_surface, read_targets
     from tissuereg.registration.advise import advise_markers
@@ -104,7 +104,7 @@ def run(args: argparse.Namespace) -> Outcome:
 
 
 def _check(args: argparse.Namespace) -> None:
-    """Refuse options that do not go together."""
+    """Raise UsageError for options that contradict each other."""
     if args.data is not None and args.path is not None:
         refuse("MESH must be left out with --data, which has its own", "MESH")
     if args.data is None and args.model is None and args.path is None:

@@ -1,4 +1,4 @@
-"""``tissuereg bench``: times by stage."""
+"""The command ``tissuereg bench``: measures computing times by stage."""
 
 import argparse
 from typing import Any
@@ -18,7 +18,7 @@ HELP = Help(
 
 
 def options(parser: Parser) -> None:
-    """Add the command's arguments."""
+    """Add the arguments of ``tissuereg bench`` to its parser."""
     choices = ["solve", "ensemble", "esmda", "register"]
     parser.add_argument("what", metavar="WHAT", nargs="*", help=f"one or more of {', '.join(choices)} (default: all)")
     how = parser.add_argument_group("timing")
@@ -36,7 +36,7 @@ def options(parser: Parser) -> None:
 
 
 def run(args: argparse.Namespace) -> Outcome:
-    """Time the requested parts, schema ``tissuereg.bench/1``."""
+    """Run ``tissuereg bench``: measure the times of the requested parts; JSON schema ``tissuereg.bench/1``."""
     from tissuereg.cli.benchmark.stages import BENCHES, BenchSettings
 
     unknown = [name for name in args.what if name not in args.choices]
@@ -73,7 +73,7 @@ def _table(content: dict[str, Any]) -> str:
 
 
 def _floor_line(row: dict[str, Any], width: int) -> str:
-    """Return how far a step is from the time of its multiply-adds."""
+    """Return a line of text that compares a step's time with that of its multiply-adds at the machine's rate."""
     work, rate, floor = row["multiply_adds"], row["sgemm_multiply_adds_per_s"], row["floor_s"]
     return (
         f"{'':<{width}}  its decodes have {work / 1e9:.3g} G multiply-adds, {1e3 * floor:.3g} ms at the "

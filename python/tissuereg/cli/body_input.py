@@ -1,4 +1,4 @@
-"""What every command that registers a body takes: its mesh, frames, targets and beliefs, and how to register."""
+"""Options of every command that registers a body: mesh, frames, targets, beliefs and method; and their evaluation."""
 
 import argparse
 from collections.abc import Sequence
@@ -24,7 +24,7 @@ _LEAST_GRAVITY = 20.0
 
 
 def add_body_options(more: Any, tables: str) -> None:
-    """Add the options for frames, targets, held nodes and noise; `tables` names what ``--tables-frame`` is of."""
+    """Add options for frames, targets, held nodes and noise; `tables` names the tables of ``--tables-frame``."""
     text = (
         "LPS or RAS: frame of MESH, of tables and of the answer; points of 3D Slicer in the other one are converted "
         "(default: numbers as they are, and the frame of the first such file)"
@@ -44,7 +44,7 @@ def add_body_options(more: Any, tables: str) -> None:
 
 
 def add_belief_options(what: Any) -> None:
-    """Add the options for what is believed of the body and its load."""
+    """Add the options for what the user believes of the body and its load to an argparse group."""
     text = "whether the node set 'fixed' is held for sure, perhaps, or not at all"
     add_option(what, "--held", choice(("sure", "perhaps", "free"), text, default=None, otherwise="sure"))
     text = "whether the tracker kept its place relative to the supports, or may have drifted"
@@ -64,7 +64,7 @@ def add_belief_options(what: Any) -> None:
 
 
 def add_method_options(how: Any) -> None:
-    """Add the options for the model and the method."""
+    """Add the options for trained model, elements and ensemble to an argparse group."""
     text = "folder of a trained model, or 'phantom' for the one that is shipped (default: unknown contacts)"
     how.add_argument("--model", metavar="DIR", help=text)
     usual = "auto, those that suit the mesh"
@@ -79,7 +79,7 @@ def add_method_options(how: Any) -> None:
 
 
 def method_of(args: argparse.Namespace) -> dict[str, Any]:
-    """Return ``model``, ``seed`` and ``settings``: the arguments of `register`, and of `Registrar`, that say how."""
+    """Return the arguments ``model``, ``seed`` and ``settings`` of `register` and `Registrar` from parsed options."""
     return {"model": args.model, "seed": args.seed or 0, "settings": _settings(args)}
 
 
@@ -92,21 +92,22 @@ def _settings(args: argparse.Namespace) -> "RegisterSettings":
 
 
 def only_given(**options: Any) -> dict[str, Any]:
-    """Return the options that were given."""
+    """Return the keyword arguments that are not None."""
     return {name: value for name, value in options.items() if value is not None}
 
 
 def believed_body(args: argparse.Namespace, mesh: "Mesh", material: "Material | None") -> "Body":
-    """Return what is believed of a body: its mesh, its material, and the elements and supports of the options."""
+    """Return the body as the user believes it: mesh and material, with the elements and supports that options state."""
     from tissuereg.registration.body import Body
 
     return Body(mesh, material, args.element, **only_given(held=args.held, stiffness=args.stiffness))
 
 
 def frames_of(args: argparse.Namespace, files: Sequence[str | Path | None]) -> dict[str, str | None]:
-    """Return ``frame`` of the answer and ``table_frame``, as readers take them; raises UsageError where options clash.
+    """Return the patient frames of the answer (``frame``) and of tables (``table_frame``): LPS, RAS, None if unknown.
 
-    Without ``--frame`` it is that of the first of `files` that holds points of 3D Slicer, which is noted.
+    Without ``--frame`` it is that of the first of `files` that holds points of 3D Slicer, which a note on standard
+    error states. Raises UsageError where options clash.
     """
     from tissuereg.io.point_files import frame_of_files
 
@@ -122,7 +123,7 @@ def frames_of(args: argparse.Namespace, files: Sequence[str | Path | None]) -> d
 
 
 def read_body(args: argparse.Namespace, path: str) -> "Mesh":
-    """Return the body in its file's frame; MeshError if nothing is held though something must be."""
+    """Return the mesh of a file; raise MeshError if no node is held though the options need held nodes."""
     from tissuereg.io.meshes import read_mesh
 
     mesh = read_mesh(path, fixed=args.fixed)
@@ -137,10 +138,10 @@ def read_body(args: argparse.Namespace, path: str) -> "Mesh":
 
 
 def beliefs_of(args: argparse.Namespace, simulation: str) -> "tuple[Material | None, Load | None]":
-    """Return the believed material and load, None where they are not given; raises UsageError where options clash.
+    """Return the believed material and the believed load from the options; each is None if the options do not state it.
 
-    `simulation` is the option for a simulation, which gravity must not come with. Raises MaterialError if a modulus or
-    a density is out of its range.
+    `simulation` is the name of the option for a simulation, which gravity must not come with. Raises UsageError where
+    options clash, MaterialError if a modulus or a density is out of its range.
     """
     from tissuereg.body.load import Load
     from tissuereg.body.material import Material

@@ -1,4 +1,4 @@
-"""``tissuereg calibrate``: measure what a trained model's answers are worth."""
+"""The command ``tissuereg calibrate``: measures how accurate and how certain a trained model's answers are."""
 
 import argparse
 from pathlib import Path
@@ -20,7 +20,7 @@ HELP = Help(
 
 
 def options(parser: Parser) -> None:
-    """Add the command's arguments."""
+    """Add the arguments of ``tissuereg calibrate`` to its parser."""
     parser.add_argument("model", metavar="MODEL", help="folder of a trained model")
     parser.add_argument("--data", required=True, metavar="DATA", help="data set that it was trained on")
     text = "folder of further pairs of simulation and truth; may be given several times, once for each kind of change"
@@ -28,7 +28,7 @@ def options(parser: Parser) -> None:
 
 
 def run(args: argparse.Namespace) -> Outcome:
-    """Calibrate and write, schema ``tissuereg.calibrate/1``."""
+    """Run ``tissuereg calibrate``: calibrate a model and write the result; JSON schema ``tissuereg.calibrate/1``."""
     import numpy as np
 
     from tissuereg.io.datasets import open_dataset

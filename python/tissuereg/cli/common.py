@@ -1,4 +1,4 @@
-"""Shared by all commands: the result, the JSON envelope, warnings and notes on standard error, the clock."""
+"""Parts shared by all commands: result, common JSON entries, warnings and notes on standard error, clock."""
 
 import contextlib
 import logging
@@ -18,18 +18,18 @@ UNTRUSTED = 4
 
 @dataclass(frozen=True)
 class Outcome:
-    """The result that a command prints.
+    """The result of a command, which is printed and, on request, written as JSON.
 
     Attributes
     ----------
     content : dict
-        JSON content with ``schema`` and ``seconds``; `envelope` is added to it.
+        Content of the JSON file, with ``schema`` and ``seconds``; the entries that all commands have are added later.
     summary : str
-        The same as text, a few lines.
+        Text of a few lines with the main content, for standard output.
     threads : int
-        Requested threads; 0 is all cores.
+        Requested number of threads; 0 stands for all cores.
     code : int
-        Exit code: 0, or `UNTRUSTED`.
+        Exit code: 0, or 4 if the answer is written but not to be trusted.
     """
 
     content: dict[str, Any]
@@ -44,15 +44,15 @@ def envelope(threads: int) -> dict[str, Any]:
 
 
 def paragraph(text: str) -> str:
-    """Return a text as one wrapped paragraph: lines of at most 100 characters; long names are kept whole."""
+    """Return a text as one paragraph, wrapped to lines of at most 100 characters; longer words are kept whole."""
     return textwrap.fill(" ".join(text.split()), 100, break_long_words=False, break_on_hyphens=False)
 
 
 @contextlib.contextmanager
 def warnings_as_lines(*, debug: bool) -> Iterator[list[str]]:
-    """Show warnings to users as plain lines on standard error; yield a list that fills with what was shown.
+    """Print warnings inside the block as plain lines on standard error; yield a list that collects their texts.
 
-    `debug` shows those for programmers (deprecations) as well.
+    With `debug`, warnings for programmers (such as deprecations) are printed as well.
     """
     notes: list[str] = []
 
@@ -83,20 +83,20 @@ def note(text: str) -> None:
 
 
 def seconds_line(seconds: dict[str, float]) -> str:
-    """Return the times of all stages in one line, the total last."""
+    """Return the times of all stages, by name in s, as one line of text, the total last."""
     stages = [f"{name} {value:.3g} s" for name, value in seconds.items() if name != "total"]
     return ", ".join([*stages, f"total {seconds['total']:.3g} s"])
 
 
 class Stopwatch:
-    """Splits the time of a command into stages that add up to its total."""
+    """Clock that divides the time of a command into named stages, which add up to the total."""
 
     def __init__(self) -> None:
         self._start = self._last = time.perf_counter()
         self._stages: dict[str, float] = {}
 
     def lap(self, stage: str) -> float:
-        """Give the time since the last lap to a stage, and return it in s."""
+        """Add the time since the last call (or the start) to the named stage, and return that time in s."""
         now = time.perf_counter()
         spent, self._last = now - self._last, now
         self._stages[stage] = self._stages.get(stage, 0.0) + spent

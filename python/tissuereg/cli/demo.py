@@ -1,4 +1,4 @@
-"""``tissuereg demo``: the main job on the embedded phantom."""
+"""The command ``tissuereg demo``: a registration of the embedded phantom, or sample files."""
 
 import argparse
 from typing import Any
@@ -18,14 +18,14 @@ HELP = Help(
 
 
 def options(parser: Parser) -> None:
-    """Add the command's arguments."""
+    """Add the arguments of ``tissuereg demo`` to its parser."""
     text = "folder for the files that 'register' writes, and for its input (default: demo)"
     parser.add_argument("--out", metavar="DIR", help=text)
     parser.add_argument("--files", metavar="DIR", help="write sample files to try the other commands on, and stop")
 
 
 def run(args: argparse.Namespace) -> Outcome:
-    """Run the demo, schema ``tissuereg.registration/1`` with ``truth``; or write files, ``tissuereg.samples/1``."""
+    """Run ``tissuereg demo``; schema ``tissuereg.registration/1`` with ``truth``, or ``tissuereg.samples/1``."""
     if args.files is not None:
         return _write_files(args)
     from tissuereg.io.atomic import check_folder_target

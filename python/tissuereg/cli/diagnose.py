@@ -1,4 +1,4 @@
-"""``tissuereg diagnose``: what the simulation of an experiment gets wrong, and why."""
+"""The command ``tissuereg diagnose``: finds out what the simulation of an experiment gets wrong, and why."""
 
 import argparse
 import sys
@@ -22,7 +22,7 @@ _WRITTEN = ("diagnosis.json", "experiment.extended.toml", "report.html")
 
 
 def options(parser: Parser) -> None:
-    """Add the command's arguments."""
+    """Add the arguments of ``tissuereg diagnose`` to its parser."""
     parser.add_argument("experiment", metavar="EXPERIMENT", help="experiment folder or file")
     parser.add_argument("--out", metavar="OUT", help="folder for the results; without it nothing is written")
     elements = choice(ELEMENTS, "elements of the believed model of a body", default=None, otherwise="tet4")
@@ -31,7 +31,7 @@ def options(parser: Parser) -> None:
 
 
 def run(args: argparse.Namespace) -> Outcome:
-    """Diagnose and write, schema ``tissuereg.diagnosis/1``."""
+    """Run ``tissuereg diagnose``: diagnose an experiment, write the answer; JSON schema ``tissuereg.diagnosis/1``."""
     from tissuereg.diagnosis import diagnose
     from tissuereg.io.atomic import check_folder_target
     from tissuereg.io.experiments import is_material_test, read_experiment

@@ -1,4 +1,4 @@
-"""``tissuereg mesh``: a surface becomes a body of tetrahedra."""
+"""The command ``tissuereg mesh``: fills a surface with tetrahedra."""
 
 import argparse
 from pathlib import Path
@@ -27,7 +27,7 @@ _SHORT = 0.75
 
 
 def options(parser: Parser) -> None:
-    """Add the command's arguments."""
+    """Add the arguments of ``tissuereg mesh`` to its parser."""
     parser.add_argument("surface", metavar="SURFACE", help="surface of the body, with any defects")
     text = "target edge length in mm; three or more across the thinnest part that bends is a good start"
     add_option(parser, "--size", number(text, unit="mm", above=0.0), "MM")
@@ -46,7 +46,7 @@ def options(parser: Parser) -> None:
 
 
 def run(args: argparse.Namespace) -> Outcome:
-    """Fill and write, schema ``tissuereg.mesh/1``."""
+    """Run ``tissuereg mesh``: fill a surface, write the mesh; JSON schema ``tissuereg.mesh/1``."""
     from tissuereg.io.atomic import check_file_target
     from tissuereg.io.meshes import write_vtu
     from tissuereg.meshing import tetrahedralize
@@ -92,7 +92,7 @@ def _sets(given: list[list[str]]) -> dict[str, list[str]]:
 
 
 def _of_deviation(mesh: "FilledMesh") -> list[str]:
-    """Return a line where edges are much shorter than the size because the surface is followed so closely."""
+    """Return a line of advice if edges are much shorter than asked for because faces follow the surface so closely."""
     size, deviation = float(mesh.settings["size_mm"]), float(mesh.settings["deviation_mm"])
     if mesh.quality["median_edge_mm"] > _SHORT * size:
         return []

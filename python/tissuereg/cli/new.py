@@ -1,4 +1,4 @@
-"""``tissuereg new``: the folder of an experiment to begin with."""
+"""The command ``tissuereg new``: writes the folder of an experiment to begin with."""
 
 import argparse
 
@@ -16,7 +16,7 @@ HELP = Help(
 
 
 def options(parser: Parser) -> None:
-    """Add the command's arguments."""
+    """Add the arguments of ``tissuereg new`` to its parser."""
     parser.add_argument("out", metavar="DIR", help="folder to write: new or empty")
     text = "tetrahedra in mm (.vtu, .vtk, .msh, .npz); stays where it is"
     parser.add_argument("--mesh", required=True, metavar="BODY.vtu", help=text)
@@ -28,7 +28,7 @@ def options(parser: Parser) -> None:
 
 
 def run(args: argparse.Namespace) -> Outcome:
-    """Write the folder, schema ``tissuereg.new/1``."""
+    """Run ``tissuereg new``: write an experiment folder; JSON schema ``tissuereg.new/1``."""
     from tissuereg.cli.skeleton import new_experiment
 
     with progress_bar("frames", quiet=args.quiet) as progress:

@@ -1,4 +1,4 @@
-"""Parsers of the command line: common options, types of values, errors."""
+"""Parsers of the command line: options that all commands have, types of values, usage errors."""
 
 import argparse
 import contextlib
@@ -14,23 +14,23 @@ from tissuereg.errors import ArgumentError, TissueRegError
 
 
 class UsageError(TissueRegError, ValueError):
-    """The command line is invalid."""
+    """Error that is raised for an invalid command line."""
 
 
 def refuse(message: str, where: str) -> NoReturn:
-    """Raise a `UsageError`."""
+    """Raise a `UsageError` with a message and the name of the argument that it is about."""
     raise UsageError(message, where=where)
 
 
 class Parser(argparse.ArgumentParser):
-    """argparse that raises instead of leaving the process, and takes no shortened options."""
+    """Argument parser that raises UsageError instead of leaving the process, and takes no abbreviated options."""
 
     def __init__(self, **settings: Any) -> None:
         settings.setdefault("formatter_class", _HelpFormatter)
         super().__init__(allow_abbrev=False, **settings)
 
     def error(self, message: str) -> NoReturn:
-        """Raise argparse's message as a `UsageError`."""
+        """Raise the message of argparse as a `UsageError`."""
         text = f"{message}; '{self.prog} --help' explains the command"
         raise UsageError(text, where=self.prog)
 
@@ -49,10 +49,10 @@ _THREADS = "threads to use (default: all cores); the result does not depend on i
 
 @dataclass(frozen=True)
 class Help:
-    """What ``tissuereg COMMAND --help`` says besides the command's arguments.
+    """Texts of ``tissuereg COMMAND --help`` besides those of the command's own arguments.
 
-    `details`: what the command does; `example`: a command line; `seed`, `threads`: help of these options; `seed` None
-    leaves the option out.
+    `details`: paragraph on what the command does; `example`: command lines that work; `seed`, `threads`: help of
+    ``--seed`` and ``--threads``; if `seed` is None, the command has no such option.
     """
 
     details: str  # a paragraph below the purpose
@@ -61,13 +61,13 @@ class Help:
     threads: str = _THREADS  # help of ``--threads``
 
     def parser(self, commands: Any, name: str, purpose: str, options: Callable[[Parser], None]) -> Parser:
-        """Add a command's parser, its purpose in one line: with its own options, and those that every command has."""
+        """Add and return a command's parser; `purpose`: a line of help; `options`: adds the command's arguments."""
         parser: Parser = commands.add_parser(name, help=purpose, **self.words(purpose))
         self.fill(parser, options)
         return parser
 
     def words(self, purpose: str) -> dict[str, str]:
-        """Return the description and the example as arguments of a parser's constructor."""
+        """Return description and example as keyword arguments of a parser; `purpose` is a line on the command."""
         details = textwrap.fill(self.details, 98, break_on_hyphens=False)
         return {
             "description": f"{purpose[0].upper()}{purpose[1:]}.\n\n{details}",
@@ -75,7 +75,7 @@ class Help:
         }
 
     def fill(self, parser: Parser, options: Callable[[Parser], None]) -> None:
-        """Add a command's own options to its parser, and those that every command has."""
+        """Add a command's own options, by the function `options`, and those that all commands have to its parser."""
         options(parser)
         group = parser.add_argument_group("running")
         if self.seed is not None:
@@ -87,7 +87,7 @@ class Help:
 
 
 def option_type(check: Check) -> Callable[[str], Any]:
-    """Return the argparse type of a field's check: it makes a checked value of a word, or raises ArgumentTypeError."""
+    """Return an argparse type: a function that makes a checked value of a word or raises ArgumentTypeError."""
 
     def value(word: str) -> Any:
         try:
@@ -103,11 +103,11 @@ def option_type(check: Check) -> Callable[[str], Any]:
 
 
 def add_option(to: Any, name: str, declared: Any, metavar: str | None = None) -> None:
-    """Add an option `name`, with its dashes, whose type, range, help and default are those of a field.
+    """Add an option to a parser or group; type, range, help and default are those of a declared field.
 
-    The field is `declared` by a function of `tissuereg._base.fields`, or is a record's:
-    ``Settings.__dataclass_fields__["std_mm"]``. The option is required where it has no default. `metavar` names the
-    value in the help; a choice needs none.
+    `name`: option with its dashes; `declared`: field that a function of `tissuereg._base.fields` declares, or that of a
+    record, such as ``Settings.__dataclass_fields__["std_mm"]``. The option is required if the field has no default.
+    `metavar` names the value in the help; a choice needs none.
     """
     check: Check = declared.metadata["check"]
     text = check.meaning
@@ -143,7 +143,7 @@ def parse(parser: Parser, words: Sequence[str]) -> argparse.Namespace:
 
 
 def refuse_overwriting(written: Iterable[Path], inputs: Iterable[str | Path | None]) -> None:
-    """Raise a `UsageError` for outputs that would replace the command's own input; an input may be None."""
+    """Raise UsageError if a file of `written` is one of `inputs`, the files that a command reads (None is ignored)."""
     read = {Path(file).resolve() for file in inputs if file is not None}
     for file in written:
         if file.resolve() in read:
@@ -152,7 +152,7 @@ def refuse_overwriting(written: Iterable[Path], inputs: Iterable[str | Path | No
 
 
 def json_target(words: Sequence[str]) -> str | None:
-    """Return the FILE of ``--json``, also from a line that is otherwise wrong; None where there is none."""
+    """Return the file name that follows ``--json``, even if the rest of the line is wrong; None without the option."""
     scanner = Parser(add_help=False)
     scanner.add_argument("--json")
     with contextlib.suppress(UsageError):

@@ -1,4 +1,4 @@
-"""Progress of long commands on standard error: what is counted, and the stages of a registration."""
+"""Progress of long commands on standard error: counted tasks, and the stages of a registration."""
 
 import contextlib
 import sys
@@ -37,9 +37,10 @@ _SILENT = 2.0
 
 @contextlib.contextmanager
 def progress_bar(what: str, *, quiet: bool) -> Iterator[Report | None]:
-    """Give a function that shows progress and the time left on standard error: a bar, or in a file a line at times.
+    """Yield a function that shows progress and the remaining time on standard error; None if `quiet`.
 
-    It takes the number done and the number in all of `what`; if `quiet`, None is given.
+    The function takes the number of tasks done and the number of all; `what` names the tasks. On a terminal it draws a
+    bar, otherwise it prints a line from time to time.
     """
     if quiet:
         yield None
@@ -58,7 +59,7 @@ def progress_bar(what: str, *, quiet: bool) -> Iterator[Report | None]:
 
 
 class _Lines:
-    """Progress as plain lines: a log file needs one now and then, no animation."""
+    """Progress as plain lines, printed from time to time: for log files, in which a bar cannot be drawn."""
 
     def __init__(self, what: str) -> None:
         self._what = what
@@ -66,7 +67,7 @@ class _Lines:
         self._next = 0.0
 
     def report(self, done: int, in_all: int) -> None:
-        """Print a line if it is time for one."""
+        """Print a line with the tasks done, the number of all and the time left, if enough time has passed."""
         now = time.monotonic()
         if self._start is None:  # what is done by then was there before
             self._start, self._next = (now, done), now + _FIRST_LINE
@@ -80,14 +81,14 @@ class _Lines:
 
 
 def duration(seconds: float) -> str:
-    """Return a time in the unit that suits it: ``40 s``, ``12 min``, ``3.5 h``."""
+    """Return a time in s as text in a suitable unit: ``40 s``, ``12 min``, ``3.5 h``."""
     if seconds < 100:
         return f"{seconds:.0f} s"
     return f"{seconds / 60:.0f} min" if seconds < 6000 else f"{seconds / 3600:.1f} h"
 
 
 class Stages:
-    """Shows stages and passes: in a tqdm bar on a terminal, in lines where there is none, not at all if `quiet`."""
+    """Shows stages and iterations of a registration on standard error, in a tqdm bar or else lines (not if `quiet`)."""
 
     def __init__(self, bar: Any, *, quiet: bool) -> None:
         self._bar, self._quiet = bar, quiet
@@ -95,7 +96,7 @@ class Stages:
         self._pass = ""
 
     def __call__(self, said: "Progress") -> None:
-        """Show what a registration says; for use as the argument `progress` of `tissuereg.register`."""
+        """Show one message of a registration about its progress: an iteration, a stage, a warning or a remark."""
         if said.kind == "pass":
             self._passed(said.done, said.most)
         elif said.kind == "stage" and not self._quiet:
@@ -108,7 +109,7 @@ class Stages:
                 note(said.words)
 
     def _passed(self, done: int, in_all: int) -> None:
-        """Show passes finished and passes at most."""
+        """Show the number of iterations of the registration that are done, and the largest number allowed."""
         if in_all > done:
             self._pass = f"pass {done + 1} of at most {in_all}: "
         if self._bar is not None:
@@ -116,7 +117,7 @@ class Stages:
             self._bar.update(done - self._bar.n)
 
     def _began(self, words: str) -> None:
-        """Show the stage that begins."""
+        """Show the stage that begins; `words` is its name, on large bodies followed by the share that is done."""
         name, _, share = words.partition(" ")
         if name not in _WORDS:
             return
@@ -137,9 +138,9 @@ class Stages:
 
 @contextlib.contextmanager
 def stage_lines(*, quiet: bool) -> Iterator[Stages]:
-    """Give an object that shows the stages of a registration on standard error, unless `quiet`.
+    """Yield an object that shows the stages of a registration on standard error, and nothing if `quiet`.
 
-    It is a bar on a terminal, else lines; both only in runs of more than a few seconds.
+    On a terminal it draws a bar, otherwise it prints lines; both only in runs of more than a few seconds.
     """
     if quiet or not sys.stderr.isatty():
         yield Stages(None, quiet=quiet)

@@ -1,4 +1,4 @@
-"""``tissuereg register``: one state of a body, from mesh and markers or from an experiment."""
+"""The command ``tissuereg register``: one state of a body, from mesh and markers or from an experiment."""
 
 import argparse
 import math
@@ -50,7 +50,7 @@ HELP = Help(
 
 
 def options(parser: Parser) -> None:
-    """Add the command's arguments."""
+    """Add the arguments of ``tissuereg register`` to its parser."""
     parser.add_argument("path", metavar="MESH|EXPERIMENT", help="mesh file, or experiment folder or file")
     parser.add_argument("markers", metavar="MARKERS", nargs="*", help="table or points of markers; with a mesh only")
     parser.add_argument("--out", required=True, metavar="DIR", help="folder for the results")
@@ -62,7 +62,7 @@ def options(parser: Parser) -> None:
 
 
 def run(args: argparse.Namespace) -> Outcome:
-    """Register and write, schema ``tissuereg.registration/1``; exit code 4 where it is not to be trusted."""
+    """Run ``tissuereg register``; schema ``tissuereg.registration/1``; exit code 4 if it is not to be trusted."""
     from tissuereg.io.atomic import check_folder_target
     from tissuereg.registration.register import register
     from tissuereg.report.files import DEFORMED, WRITTEN
@@ -87,7 +87,7 @@ def run(args: argparse.Namespace) -> Outcome:
 
 
 def _write(result: "Registration", args: argparse.Namespace, extra: dict[str, Any], shown: Stages) -> None:
-    """Write all files or none."""
+    """Write all files of a registration, or none; add `extra` to the JSON; show the stages by `shown`."""
     from tissuereg._base.clock import Progress
     from tissuereg.io.atomic import atomic_folder
 
@@ -104,7 +104,7 @@ def _total(clock: Stopwatch) -> dict[str, float]:
 
 
 def _add_input_options(parser: Parser) -> None:
-    """Add the options for data and beliefs about the state."""
+    """Add the options for further input, the frame of an experiment, and the user's beliefs."""
     frame = parser.add_argument_group("frame of an experiment")
     frame.add_argument("--case", metavar="C", help="name of the case")
     add_option(frame, "--time", number("time in s on the experiment's clock", unit="s", default=None), "T")
@@ -113,7 +113,7 @@ def _add_input_options(parser: Parser) -> None:
 
 
 def _input(args: argparse.Namespace) -> dict[str, Any]:
-    """Return the arguments of `register` that are read from files; raises UsageError where options clash."""
+    """Return the arguments of `register` that are read from files; raise UsageError where options clash."""
     from tissuereg.body.surface import SurfacePoints
     from tissuereg.io.experiments import is_experiment
     from tissuereg.io.problems import read_simulation, read_variants
@@ -240,7 +240,7 @@ def _contact_line(contact: dict[str, Any]) -> str:
 
 
 def _verdict_lines(targets: dict[str, Any], trust: dict[str, Any]) -> list[str]:
-    """Return flags and the verdict; if not trusted, the reasons come before it and it names their kinds."""
+    """Return lines with the flags of targets, the reasons for distrust, and the verdict, which names their types."""
     flagged = [name for name, target in targets.items() if target["flag"]]
     kinds = dict.fromkeys(reason.partition(":")[0] for reason in trust["reasons"])
     last = verdict(trust["ok"])

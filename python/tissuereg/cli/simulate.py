@@ -1,4 +1,4 @@
-"""``tissuereg simulate``: all cases of an experiment, or a data set for training."""
+"""The command ``tissuereg simulate``: simulates all load cases of an experiment, or a data set for training."""
 
 import argparse
 import contextlib
@@ -30,7 +30,7 @@ HELP = Help(
 
 
 def options(parser: Parser) -> None:
-    """Add the command's arguments."""
+    """Add the arguments of ``tissuereg simulate`` to its parser."""
     parser.add_argument("path", metavar="PATH", help="experiment folder or file, or data-set recipe")
     parser.add_argument(
         "--out", required=True, metavar="OUT", help="folder for the results; of a recipe also a URL that fsspec knows"
@@ -51,7 +51,7 @@ def options(parser: Parser) -> None:
 
 
 def run(args: argparse.Namespace) -> Outcome:
-    """Simulate and write, schema ``tissuereg.simulate/1``."""
+    """Run ``tissuereg simulate`` and write the result; JSON schema ``tissuereg.simulate/1``."""
     from tissuereg.io.atomic import check_folder_target
     from tissuereg.io.experiments import is_experiment
 
@@ -124,7 +124,7 @@ def _run_experiment(args: argparse.Namespace) -> Outcome:
 
 
 def _inputs(path: str, experiment: "Experiment") -> list[Path]:
-    """Return the files that an experiment is read from, except the mesh."""
+    """Return the paths of the files from which an experiment is read, except that of the mesh."""
     from tissuereg.io.experiment_out import TABLES
 
     file = Path(path) / "experiment.toml" if Path(path).is_dir() else Path(path)
@@ -132,7 +132,7 @@ def _inputs(path: str, experiment: "Experiment") -> list[Path]:
 
 
 def _failed(answers: "Mapping[str, CaseSimulation]") -> list[list[Any]]:
-    """Return frames without equilibrium, counted through all cases, each with its reason."""
+    """Return the frames without equilibrium: pairs of their number, counted through all load cases, and the reason."""
     failed, before = [], 0
     for name, answer in answers.items():
         failed += [[before + index, f"case '{name}': {reason}"] for index, reason in answer.failed]
@@ -159,7 +159,7 @@ def _outcome(content: dict[str, Any], args: argparse.Namespace) -> Outcome:
 
 
 def _motion_line(motion: dict[str, Any], n_bytes: int) -> str:
-    """Return in one line how far the members of a data set move, and its size."""
+    """Return a line of text on how far deformations of a data set move the body, in mm, and on its size in bytes."""
     mean = motion["mean_node_mm"]
     line = (
         f"{n_bytes / 1e6:.{1 if n_bytes < 1e7 else 0}f} MB; a mean node moves {mean['mean']:.2f} mm (90 % of members "

@@ -1,4 +1,4 @@
-"""``tissuereg solve``: one static problem."""
+"""The command ``tissuereg solve``: solves one static problem."""
 
 import argparse
 from pathlib import Path
@@ -18,7 +18,7 @@ HELP = Help(
 
 
 def options(parser: Parser) -> None:
-    """Add the command's arguments."""
+    """Add the arguments of ``tissuereg solve`` to its parser."""
     parser.add_argument("problem", metavar="PROBLEM.npz", help="mesh, supports, forces, moduli")
     parser.add_argument("--out", required=True, metavar="U.npz", help="file for the displacements")
     how = parser.add_argument_group("solving")
@@ -28,7 +28,7 @@ def options(parser: Parser) -> None:
 
 
 def run(args: argparse.Namespace) -> Outcome:
-    """Solve and write, schema ``tissuereg.solve/1``."""
+    """Run ``tissuereg solve``: solve a problem, write the displacement; JSON schema ``tissuereg.solve/1``."""
     import numpy as np
 
     from tissuereg.io.atomic import check_file_target

@@ -1,4 +1,4 @@
-"""``tissuereg track``: a body frame after frame, from mesh and a recording of its markers."""
+"""The command ``tissuereg track``: registers a body frame after frame, from mesh and a recording of its markers."""
 
 import argparse
 from collections.abc import Callable, Iterator
@@ -48,7 +48,7 @@ _TARGETS, _ANSWER, _FIELDS = "targets.csv", "track.json", "fields.npz"
 
 
 def options(parser: Parser) -> None:
-    """Add the command's arguments."""
+    """Add the arguments of ``tissuereg track`` to its parser."""
     parser.add_argument("path", metavar="MESH", help="mesh file")
     parser.add_argument("recording", metavar="MARKERS.csv", help="table of the markers, frame after frame")
     parser.add_argument(
@@ -67,9 +67,10 @@ def options(parser: Parser) -> None:
 
 
 def run(args: argparse.Namespace) -> Outcome:
-    """Track and write, schema ``tissuereg.track/1``; exit code 4 where a frame is not trusted or not registered.
+    """Run ``tissuereg track`` and write the result; JSON schema ``tissuereg.track/1``.
 
-    If no frame can be registered, the error of the first one is raised.
+    The exit code is 4 if a frame is not trusted or not registered. If no frame can be registered, the error of the
+    first one is raised.
     """
     from tissuereg.io.atomic import check_folder_target
 
@@ -145,13 +146,13 @@ def _simulations(args: argparse.Namespace, n_nodes: int, recording: "Recording")
 def _recorded(
     recording: "Recording", simulations: "TablePhysics | None"
 ) -> "Iterator[tuple[float, FloatArray, float | None]]":
-    """Return the frames of a recording; the state of a table's actuator is the time."""
+    """Yield time, s, marker places (n_markers, 3), mm, and actuator state (the time; None without simulations)."""
     for time_s, measured in recording:
         yield time_s, measured, None if simulations is None else time_s
 
 
 def _warm_up(tracker: "Tracker", recording: "Recording", simulations: "TablePhysics | None") -> None:
-    """Register one frame and forget it: what a first frame makes for all is not part of a replay."""
+    """Register one frame and reset the tracker, so that one-time preparations do not delay a replay."""
     from tissuereg.tracking.tracker import CANNOT_BE_REGISTERED
 
     time_s, measured, actuator = next(_recorded(recording, simulations))
@@ -180,7 +181,11 @@ def _answers(
 
 @dataclass
 class _Tracked:
-    """What was found, as it is written."""
+    """Results of all frames in the form in which they are written: answers, failures, errors, displacement fields.
+
+    `frames`, `failures`: JSON content per registered and per failed frame; `errors`: exceptions of failed frames;
+    `fields`: displacement (n_nodes, 3) in mm per registered frame, only if `keeps_fields`.
+    """
 
     keeps_fields: bool
     frames: list[dict[str, Any]] = field(default_factory=list)
@@ -215,7 +220,7 @@ class _Tracked:
 
 
 def _write(out: Path, content: dict[str, Any], tracked: _Tracked) -> None:
-    """Write all files or none."""
+    """Write the files ``track.json`` and ``targets.csv``, on request ``fields.npz``, into a folder, all or none."""
     from tissuereg.io.atomic import atomic_folder
     from tissuereg.io.json import write_json
     from tissuereg.io.problems import write_simulations
@@ -229,7 +234,7 @@ def _write(out: Path, content: dict[str, Any], tracked: _Tracked) -> None:
 
 
 def _summary(content: dict[str, Any], out: str) -> str:
-    """Return the content of ``track.json`` as text; the last line says whether any frame is not to be trusted."""
+    """Return the content of ``track.json`` as text; the last line states whether a frame is not to be trusted."""
     import numpy as np
 
     frames, failed = content["frames"], content["failed"]

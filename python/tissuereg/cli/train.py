@@ -1,4 +1,4 @@
-"""``tissuereg train``: a network from a data set, by the separate package tissuereg-training."""
+"""The command ``tissuereg train``: trains a network on a data set, by the separate package tissuereg-training."""
 
 import argparse
 import importlib
@@ -19,7 +19,7 @@ HELP = Help(
 
 
 def options(parser: Parser) -> None:
-    """Add the command's arguments."""
+    """Add the arguments of ``tissuereg train`` to its parser."""
     parser.add_argument("recipe", metavar="RECIPE.toml", help="table [train]; the recipe that made the data")
     text = "folder of the data set; given again: more members to train on, made with another seed"
     parser.add_argument("--data", required=True, action="append", metavar="DATA", help=text)
@@ -32,7 +32,7 @@ def options(parser: Parser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Hand over to the training package, which writes its own JSON and summary; MissingPackageError without it."""
+    """Run the training package and return its exit code; raise MissingPackageError if it is not installed."""
     from tissuereg.io.atomic import check_folder_target
 
     if importlib.util.find_spec("tissuereg_training") is None:
@@ -47,7 +47,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _words(args: argparse.Namespace) -> list[str]:
-    """Return the command line for the training package's parser."""
+    """Return the words of the command line for the parser of the training package."""
     flags = [f"--{name}" for name in ("resume", "fresh", "quiet", "debug") if getattr(args, name)]
     data = [f"--data={folder}" for folder in args.data]
     options = {"out": args.out, "threads": args.threads, "seed": args.seed, "json": args.json}

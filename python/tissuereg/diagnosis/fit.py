@@ -74,29 +74,15 @@ class FittedCause:
 class Fit:
     """A fitted model.
 
-    Attributes
-    ----------
-    parts : tuple of FittedCause
-        The causes in the model; empty for the believed model.
-    x : ndarray of float64, shape (k,)
-        Logarithm of the factor on the modulus, then the free parameters of all causes.
-    mean, deviation : ndarray of float64, shape (k,)
-        Prior mean and standard deviation of x.
-    prediction : ndarray of float64, shape (size,)
-        Prediction of all measured numbers, corrected for the discretisation error, mm and mN.
-    jacobian : ndarray of float64, shape (k, size)
-        Derivative of the corrected prediction by x, mm and mN.
-    residual : ndarray of float64, shape (size,)
-        Measured minus predicted, whitened by the noise alone; 0 where nothing was measured.
-    objective : float
-        Minimum of half the squared residual (whitened by noise and nuisances) plus half the squared distance of x from
-        its prior mean in prior deviations, nats.
-    log_evidence : float
-        Logarithm of the evidence in nats, up to a constant that is the same for all fits to the same data.
-    covariance : ndarray of float64, shape (k, k)
-        Posterior covariance of x (Laplace).
-    choices : int
-        Number of discrete hypotheses among which these causes were chosen.
+    `parts`: the causes in the model; empty for the believed model; `x` (k,): logarithm of the factor on the modulus,
+    then the free parameters of all causes; `mean`, `deviation` (k,): prior mean and standard deviation of x;
+    `prediction` (size,): prediction of all measured numbers, corrected for the discretisation error, mm and mN;
+    `jacobian` (k, size): derivative of the corrected prediction by x, mm and mN; `residual` (size,): measured minus
+    predicted, whitened by the noise alone; 0 where nothing was measured; `objective`: minimum of half the squared
+    residual (whitened by noise and nuisances) plus half the squared distance of x from its prior mean in prior
+    deviations, nats; `log_evidence`: logarithm of the evidence in nats, up to a constant that is the same for all fits
+    to the same data; `covariance` (k, k): posterior covariance of x (Laplace); `choices`: number of discrete hypotheses
+    among which these causes were chosen.
     """
 
     parts: tuple[FittedCause, ...]

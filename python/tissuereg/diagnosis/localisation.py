@@ -95,7 +95,11 @@ def next_check(bench: Bench, residual: FloatArray, nearest: str = UNKNOWN) -> di
 
 
 def components_of(bench: Bench) -> Iterator[RigComponent]:
-    """Yield every marker, pad, support and case, and the body, each with its proximity to all measured numbers."""
+    """Yield every marker, pad, support and case, and the body, as components that can be checked.
+
+    The proximity of each, (size,), weighs every measured number from 0 (far) to 1 (at it); the body's is that of its
+    motion.
+    """
     layout, experiment = bench.layout, bench.experiment
     for i, name in enumerate(layout.marker_names):
         yield RigComponent("marker", name, _near_markers(layout, np.eye(len(layout.marker_names))[i]))

@@ -29,20 +29,11 @@ LEAST_FRAMES, LEAST_HOLD = 6, 4
 class Noise:
     """The noise of markers and forces.
 
-    Attributes
-    ----------
-    marker_std : ndarray of float64, shape (n_markers,)
-        Standard deviation of every marker's own noise, per coordinate, mm.
-    common_std : float
-        Standard deviation of the motion common to all markers, per coordinate, mm.
-    memory, common_memory : float
-        Correlation, between frames that are `step_s` apart, of the markers' own noise and of the common motion.
-    step_s : float
-        Median time between frames, s.
-    force_std : float
-        Standard deviation of a force component, mN.
-    from_rest : bool
-        Whether there were enough rest frames for an estimate.
+    `marker_std` (n_markers,): standard deviation of every marker's own noise, per coordinate, mm; `common_std`:
+    standard deviation of the motion common to all markers, per coordinate, mm; `memory`, `common_memory`: correlation,
+    between frames that are `step_s` apart, of the markers' own noise and of the common motion; `step_s`: median time
+    between frames, s; `force_std`: standard deviation of a force component, mN; `from_rest`: whether there were enough
+    rest frames for an estimate.
     """
 
     marker_std: FloatArray

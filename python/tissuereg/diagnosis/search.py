@@ -52,23 +52,13 @@ MOST_RIVALS, RIVALS_WITHIN = 2, 40.0
 class Step:
     """One round of the search.
 
-    Attributes
-    ----------
-    screened : dict of str to Screened
-        Linear evidence of all causes by id.
-    candidates : list of Candidate
-        The causes that were fitted, likeliest first.
-    found : Candidate or None
-        The candidate that was accepted; None where none was.
-    proof : HeldOut or None
-        Predictions of held-out blocks with the accepted candidate, else with the likeliest; None where none passed its
-        threshold. Rows are models: before the cause, with it, with the generic rival instead, the believed one.
-    figures : HeldOut or None
-        Errors of the accepted candidate on the held-out blocks for which errors are reported (`figure_blocks`); rows as
-        in the proof. None where none was accepted.
-    rivals : float
-        Log predictive density, in nats, of the best rival on the held-out blocks of the proof: the generic rival, or a
-        candidate that the data distinguish from the accepted one.
+    `screened`: linear evidence of all causes by id; `candidates`: the causes that were fitted, likeliest first;
+    `found`: the candidate that was accepted; None where none was; `proof`: predictions of held-out blocks with the
+    accepted candidate, else with the likeliest; None where none passed its threshold. Rows are models: before the
+    cause, with it, with the generic rival instead, the believed one; `figures`: errors of the accepted candidate on the
+    held-out blocks for which errors are reported (`figure_blocks`); rows as in the proof. None where none was accepted;
+    `rivals`: log predictive density, in nats, of the best rival on the held-out blocks of the proof: the generic rival,
+    or a candidate that the data distinguish from the accepted one.
     """
 
     screened: dict[str, Screened]

@@ -1,1 +1,1 @@
-"""A rig, what was measured on it, and the effects that may have occurred."""
+"""An experiment (a rig, loads and measurements), material tests, and the physical effects that may have occurred."""

@@ -1,7 +1,7 @@
 """An experiment: the believed model of a rig, and everything that was measured on it.
 
-Plain data; `tissuereg.read_experiment` makes it from a folder. Times in s on one clock through all cases,
-lengths in mm, forces in mN, stresses in kPa.
+The classes are plain data, which `tissuereg.read_experiment` reads from a folder. Times are in s on one clock through
+all load cases, lengths in mm, forces in mN, stresses in kPa.
 """
 
 from collections.abc import Mapping
@@ -24,14 +24,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Simulated:
-    """The model by which this package simulated the data of an experiment.
+    """The model by which this package simulated the data of an experiment, where they are not measured.
 
     Attributes
     ----------
     model : {"fine", "plain"}
-        The fine model (`tissuereg.FineModel`), or the mesh as it is.
+        The fine model (`tissuereg.FineModel`, which refines the mesh at the pads), or the mesh as it is.
     element : {"tet4", "tet4-averaged", "tet10"}
-        Of the plain model; the fine one has ten-node elements.
+        Finite elements of the plain model; the fine one always has ten-node elements.
     """
 
     model: str
@@ -40,16 +40,16 @@ class Simulated:
 
 @dataclass(frozen=True, eq=False)
 class BodyWeight:
-    """The body's own weight.
+    """Gravity that acts on the body.
 
     Attributes
     ----------
     direction : ndarray of float64, shape (3,)
-        Direction; any length but zero.
+        Direction of gravity; a vector of any length but zero.
     g_mm_per_s2 : float
-        Acceleration in mm/s^2.
+        Acceleration of gravity in mm/s^2.
     in_reference : bool
-        Whether the mesh was imaged under it.
+        Whether the body had the shape of the mesh under this gravity, so that the mesh hangs in it already.
     """
 
     direction: FloatArray
@@ -59,20 +59,20 @@ class BodyWeight:
 
 @dataclass(frozen=True, eq=False)
 class Boundary:
-    """A patch that is held.
+    """A patch of surface nodes that is held: its nodes do not move.
 
     Attributes
     ----------
     name : str
-        Also the name of its node set.
+        Name of the boundary, and of its node set in the mesh.
     nodes : ndarray of int64, shape (n,)
-        Sorted.
+        Sorted node indices.
     kind : str
-        ``"fixed"``.
+        Always ``"fixed"``.
     rule : str or mapping, optional
         Rule by which the experiment file selects the nodes; None if they were given directly.
     edge_std : float, optional
-        Standard deviation of the position of its edge, mm; None if it is not stated.
+        Standard deviation of the position of the patch's edge, mm; None if it is not stated.
     """
 
     name: str
@@ -84,22 +84,22 @@ class Boundary:
 
 @dataclass(frozen=True, eq=False)
 class Actuator:
-    """A patch that is moved or pulled.
+    """A patch of surface nodes that is moved, or on which a force acts.
 
     Attributes
     ----------
     name : str
-        Also the name of its node set.
+        Name of the actuator, and of its node set in the mesh.
     nodes : ndarray of int64, shape (n,)
-        Sorted.
+        Sorted node indices.
     kind : {"displacement", "force"}
-        Quantity that is prescribed.
+        Quantity that is prescribed: the displacement of the patch or the total force on it.
     contact : str
-        ``"bonded"``.
+        Always ``"bonded"``: the patch sticks to the body.
     rule : str or mapping, optional
         Rule by which the experiment file selects the nodes; None if they were given directly.
     edge_std : float, optional
-        Standard deviation of the position of its edge, mm; None if it is not stated.
+        Standard deviation of the position of the patch's edge, mm; None if it is not stated.
     """
 
     name: str
@@ -112,25 +112,26 @@ class Actuator:
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """One load history from rest.
+    """One load case: a history of loads, which begins with the unloaded body at rest, and what was measured during it.
 
     Attributes
     ----------
     name : str
-        As in the tables.
+        Name of the case in the tables of the experiment.
     times : ndarray of float64, shape (n_frames,)
-        Frames in s, increasing.
+        Times of the frames in s, increasing.
     markers : ndarray of float64, shape (n_frames, n_markers, 3)
-        Measured places in mm, NaN = not seen, in the experiment's order of markers.
+        Measured places of the markers in mm, in the experiment's order of markers; NaN where the tracker did not see
+        one.
     displacements : mapping of str to ndarray of float64, shape (n_frames, 3)
-        Command of each displacement actuator that is present, in mm relative to the shape of the body at the start of
-        the case.
+        Commanded displacement of each displacement actuator that is present, by its name, in mm relative to the shape
+        of the body at the start of the case.
     applied_forces : mapping of str to ndarray of float64, shape (n_frames, 3)
-        Command of each force actuator that is present, in mN.
+        Commanded force of each force actuator that is present, by its name, in mN.
     forces : mapping of str to ndarray of float64, shape (n_frames, 3)
-        Measured force on the body at an actuator in mN, NaN = not measured.
+        Measured force on the body at an actuator, by the actuator's name, in mN; NaN where not measured.
     targets : mapping of str to ndarray of float64, shape (n_frames, 3)
-        Measured inner points in mm, NaN = not measured.
+        Measured places of inner points, by name, in mm; NaN where not measured.
     """
 
     name: str
@@ -147,17 +148,17 @@ class Case:
         return float(np.median(np.diff(self.times))) if len(self.times) > 1 else 0.0
 
     def index(self, time: float) -> int:
-        """Return the frame nearest to a time.
+        """Return the number of the frame nearest to a time.
 
         Parameters
         ----------
         time : float
-            In s, on the experiment's clock.
+            Time in s, on the experiment's clock.
 
         Returns
         -------
         int
-            Row of `times`.
+            Index into `times`.
 
         Raises
         ------
@@ -178,7 +179,7 @@ class Case:
 
 @dataclass(frozen=True, eq=False)
 class ExperimentFrame:
-    """One moment of one case.
+    """Commands and measurements at one moment (frame) of one load case.
 
     Attributes
     ----------
@@ -187,15 +188,15 @@ class ExperimentFrame:
     time : float
         Time of the frame in s.
     index : int
-        Row of the case.
+        Index of the frame in its case.
     markers : Markers
-        Reference and measured places, mm.
+        Markers with reference and measured places, mm.
     displacements : dict of str to ndarray of float64, shape (3,)
-        Commands of the displacement actuators, mm.
+        Commanded displacement of each displacement actuator, mm.
     applied_forces : dict of str to ndarray of float64, shape (3,)
-        Commands of the force actuators, mN.
+        Commanded force of each force actuator, mN.
     targets : dict of str to ndarray of float64, shape (3,)
-        Measured inner points in mm, NaN = not measured.
+        Measured places of inner points in mm; NaN where not measured.
     """
 
     case: str
@@ -209,54 +210,57 @@ class ExperimentFrame:
 
 @dataclass(frozen=True, eq=False)
 class Experiment:
-    """The believed model of a rig, and its measured cases.
+    """The believed model of a rig (body, supports, actuators), and the load cases measured on it.
 
     Attributes
     ----------
     name : str
-        Title.
+        Title of the experiment.
     folder : Path
         Folder of its tables.
     mesh_file : Path
         File of its mesh.
     mesh : Mesh
-        Node set ``fixed`` is all fixed boundaries together; each boundary and actuator has a set of its name.
+        Mesh in the reference shape. Its node set ``fixed`` has the nodes of all boundaries; each boundary and each
+        actuator has a node set of its name.
     material : Material
-        Prior mean of the material.
+        Believed material: the mean of its prior distribution.
     young_std : float or None
-        Prior standard deviation of Young's modulus in kPa, if stated.
+        Prior standard deviation of Young's modulus in kPa; None if it is not stated.
     poisson_std : float or None
-        Prior standard deviation of Poisson's ratio, if stated.
+        Prior standard deviation of Poisson's ratio; None if it is not stated.
     gravity : BodyWeight or None
-        None if the file has no such table.
+        Gravity on the body; None if the file has no table ``[gravity]``, and then no weight acts.
     boundaries : tuple of Boundary
-        Held patches.
+        Held patches of the surface.
     actuators : tuple of Actuator
-        Moved or pulled patches; absent from a case in which they have no rows.
+        Moved or pulled patches of the surface. An actuator that a load case does not mention is absent from it.
     marker_names : tuple of str
-        Order of all marker arrays.
+        Names of the markers, in the order of all marker arrays.
     marker_reference : ndarray of float64, shape (n_markers, 3)
-        Places on the body in the reference shape, mm.
+        Places of the markers on the body in the reference shape, mm.
     marker_std : float
         Standard deviation of a measured coordinate, mm.
     targets : dict of str to ndarray of float64, shape (3,)
-        Inner points in the reference shape, mm.
+        Places of inner points in the reference shape, by name, mm.
     cases : dict of str to Case
-        In file order.
+        Load cases by name, in the order of the file.
     force_std : float or None
-        Standard deviation of a measured force component in mN; None without measured forces.
+        Standard deviation of a measured force component in mN; None if no forces are measured.
     rest_case : str or None
-        Case without load, for the noise model.
+        Name of a case without load, from which the noise is estimated; None if there is none.
     effects : tuple of Effect
-        ``[[effect]]`` tables in file order (`tissuereg.experiment.effects`): further parts of the believed model.
+        Effects (deviations such as an inclusion or relaxation) that the user believes in, in the order of the
+        ``[[effect]]`` tables of the file.
     trial_share : float
-        Standard deviation of the difference between two trials of one case, smooth over the markers, over their motion.
+        Standard deviation of the difference between two trials (repetitions) of the same load case, as a share of the
+        markers' motion; the difference is taken to be smooth over the markers.
     surface_std : float
-        Standard deviation of the distance between the body's surface and the mesh's, along its normal, mm.
+        Standard deviation of the distance between the surface of the body and that of the mesh, along the normal, mm.
     surface_length : float or None
         Correlation length of that distance, mm; None if it is not stated.
     simulated : Simulated or None
-        Model by which this package simulated the data; None if they were measured, or made by others.
+        Model by which this package simulated the data; None if they were measured, or simulated otherwise.
     """
 
     name: str
@@ -315,17 +319,17 @@ class Experiment:
         )
 
     def case(self, name: str) -> Case:
-        """Return a case by name.
+        """Return a load case by its name.
 
         Parameters
         ----------
         name : str
-            As in the tables.
+            Name of the case in the tables of the experiment.
 
         Returns
         -------
         Case
-            Its history.
+            The load case: loads and measurements over time.
 
         Raises
         ------
@@ -338,17 +342,17 @@ class Experiment:
         return self.cases[name]
 
     def actuator(self, name: str) -> Actuator:
-        """Return an actuator by name.
+        """Return an actuator by its name.
 
         Parameters
         ----------
         name : str
-            As in the experiment file.
+            Name of the actuator in the experiment file.
 
         Returns
         -------
         Actuator
-            Its patch and kind.
+            The actuator: its patch of nodes and the quantity that it prescribes.
 
         Raises
         ------
@@ -364,14 +368,14 @@ class Experiment:
         raise ExperimentError(message, where=name)
 
     def frame(self, case: str, time: float) -> ExperimentFrame:
-        """Return one moment of one case.
+        """Return the commands and measurements at one moment of one load case.
 
         Parameters
         ----------
         case : str
             Name of the case.
         time : float
-            In s; the nearest frame within half a frame step is taken.
+            Time in s; the nearest frame is taken, which must lie within half a frame step.
 
         Returns
         -------

@@ -1,7 +1,7 @@
-"""A material-test experiment: the believed material, and the measured curves.
+"""A material-test experiment: the believed material of a specimen, and the measured stress-strain curves.
 
-Plain data; `tissuereg.io.material_experiments.read_material_experiment` makes it from a folder. Stresses in kPa, times
-in s.
+The classes are plain data, which `tissuereg.io.material_experiments.read_material_experiment` reads from a folder.
+Stresses are in kPa, times in s.
 """
 
 from dataclasses import dataclass
@@ -26,28 +26,28 @@ HELD_OUT = ("mode", "rate", "specimen")
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """One load history of one specimen, from rest.
+    """One measured stress-strain curve: a load history of one specimen, which begins at rest.
 
     Parameters
     ----------
     specimen : str
-        Name.
+        Name of the specimen.
     mode : str
-        One of `TEST_MODES`.
+        Kind of loading: ``tension``, ``compression`` or ``simple-shear``.
     rate : float
-        Nominal strain rate in 1/s; NaN = not known.
+        Nominal strain rate in 1/s; NaN where not known.
     times : ndarray of float64, shape (n,)
-        In s, never decreasing; NaN throughout = not known.
+        Time of each row in s, never decreasing; NaN throughout where not known.
     amounts : ndarray of float64, shape (n,)
-        Stretch, or amount of shear.
+        Stretch (length over undeformed length), or amount of shear; dimensionless.
     stress : ndarray of float64, shape (n,)
-        Nominal stress in kPa, compression negative; NaN = not measured.
+        Nominal stress in kPa, compression negative; NaN where not measured.
 
     Raises
     ------
     ExperimentError
-        If the mode is unknown, columns differ in length, a stretch is not positive, times are given in part or fall, no
-        stress is measured, or its sign is against the motion.
+        If the mode is unknown, columns differ in length, a stretch is not positive, times are given in part or
+        decrease, fewer than three stresses are measured, or stress and strain have opposite signs on the whole.
     """
 
     specimen: str
@@ -83,23 +83,23 @@ class Curve:
 
     @property
     def name(self) -> str:
-        """Specimen, mode and rate."""
+        """Title of the curve: specimen, mode and, where it is known, rate."""
         rate = "" if np.isnan(self.rate) else f" at {self.rate:.4g}/s"
         return f"{self.specimen} {self.mode}{rate}"
 
     @property
     def strains(self) -> FloatArray:
-        """Stretch minus 1, or amount of shear."""
+        """Strain of each row, shape (n,), dimensionless: stretch minus 1, or amount of shear."""
         return self.amounts if self.mode == "simple-shear" else self.amounts - 1.0
 
     @property
     def timed(self) -> bool:
-        """Whether it is known when each row was measured, from its times or from its rate."""
+        """Whether the time of each row is known, from `times` or from `rate`."""
         return bool(np.isfinite(self.times).all()) or not np.isnan(self.rate)
 
     @property
     def clock(self) -> FloatArray:
-        """Times in s, from the rate where none are given; NaN where neither is known."""
+        """Time of each row in s, shape (n,), computed from the rate where none is given; NaN where neither is known."""
         if np.isfinite(self.times).all() or np.isnan(self.rate):
             return self.times
         moved = np.abs(np.diff(self.strains, prepend=0.0))
@@ -112,26 +112,27 @@ class Curve:
 
 @dataclass(frozen=True, eq=False)
 class MaterialExperiment:
-    """A believed material and the curves measured on it.
+    """A material that the user believes in, and the stress-strain curves measured on specimens of it.
 
     Attributes
     ----------
     name : str
-        Title.
+        Title of the experiment.
     folder : Path
-        Folder of its ``test.csv``.
+        Folder that contains the file ``test.csv`` with the curves.
     material : Material
         Believed material, the same everywhere.
     young_std, poisson_std : float, optional
-        Prior standard deviations, kPa and dimensionless.
+        Prior standard deviations of Young's modulus in kPa and of Poisson's ratio; None if not stated.
     curves : tuple of Curve
-        At least one.
+        Measured curves, at least one.
     effects : tuple of Effect
-        Effects that are part of the believed material.
+        Effects (such as relaxation or softening) that are part of the believed material.
     hold_out : str, optional
-        One of `HELD_OUT`; None = chosen by the data.
+        Which curves a fit leaves out to test its prediction: those of one ``mode``, ``rate`` or ``specimen``; None if
+        this is to be chosen from the data.
     stress_std : float, optional
-        Standard deviation of one measured stress in kPa; None = estimated from the curves.
+        Standard deviation of one measured stress in kPa; None if it is to be estimated from the curves.
     """
 
     name: str
@@ -145,17 +146,17 @@ class MaterialExperiment:
     stress_std: float | None = None
 
     def values(self, unit: str) -> list[str | float]:
-        """Return the different modes, rates or specimens, in the order of the curves.
+        """Return the different modes, rates or specimens of the curves, in the order of the curves.
 
         Parameters
         ----------
         unit : str
-            One of `HELD_OUT`.
+            ``mode``, ``rate`` or ``specimen``.
 
         Returns
         -------
         list
-            Curves without a rate have none.
+            Names of modes or specimens, or rates in 1/s. Unknown rates (NaN) are left out.
         """
         found = [getattr(curve, unit) for curve in self.curves]
         return list(dict.fromkeys(v for v in found if v == v))

@@ -1,4 +1,4 @@
-"""Material tests: homogeneous deformation without a mesh, and laws fitted to measured curves."""
+"""Material tests: stresses under homogeneous deformation without a mesh, and laws fitted to measured curves."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -25,12 +25,12 @@ NEARLY_INCOMPRESSIBLE = 0.495
 
 
 def uniaxial_stress(material: Material, stretch: Any, *, incompressible: bool = False) -> FloatArray:
-    """Return the nominal stress of a bar with free sides.
+    """Return the nominal stress of a bar with free sides that is stretched along its axis.
 
-    `material`: the same everywhere; `stretch` (n,): length over undeformed length; tension above 1; `incompressible`:
-    keep the volume for any Poisson's ratio, with the same shear modulus. Result: (n,), first Piola-Kirchhoff stress in
-    kPa, compression negative; NaN where the law has none. Raises `MaterialError` if the material varies over a body, or
-    has no incompressible limit (st-venant-kirchhoff, hooke).
+    `material`: homogeneous material; `stretch` (n,): length over undeformed length, above 1 in tension;
+    `incompressible`: keep the volume whatever Poisson's ratio is, with the same shear modulus. Result: (n,), first
+    Piola-Kirchhoff stress in kPa, compression negative; NaN where the law has no finite stress. Raises `MaterialError`
+    if the material varies over a body, or has no incompressible limit (st-venant-kirchhoff, hooke).
 
     Examples
     --------
@@ -43,10 +43,12 @@ def uniaxial_stress(material: Material, stretch: Any, *, incompressible: bool = 
 
 
 def equibiaxial_stress(material: Material, stretch: Any, *, incompressible: bool = False) -> FloatArray:
-    """Return the nominal stress of a sheet that is stretched equally along two axes.
+    """Return the nominal stress of a thin sheet that is stretched equally along two axes.
 
-    `material`: the same everywhere; `stretch` (n,): along both axes; `incompressible`: as in `uniaxial_stress`. Result:
-    (n,), along either axis, kPa; NaN where the law has none. Raises `MaterialError` as in `uniaxial_stress`.
+    `material`: homogeneous material; `stretch` (n,): length over undeformed length along both axes; `incompressible`:
+    keep the volume whatever Poisson's ratio is, with the same shear modulus. Result: (n,), first Piola-Kirchhoff stress
+    along either axis, kPa; NaN where the law has no finite stress. Raises `MaterialError` if the material varies over a
+    body, or has no incompressible limit (st-venant-kirchhoff, hooke).
     """
     return _stress(material, "equibiaxial", stretch, incompressible)
 
@@ -54,8 +56,8 @@ def equibiaxial_stress(material: Material, stretch: Any, *, incompressible: bool
 def shear_stress(material: Material, shear: Any) -> FloatArray:
     """Return the nominal shear stress of simple shear, which keeps the volume.
 
-    `material`: the same everywhere; `shear` (n,): amount of shear, displacement over height. Result: (n,), in kPa; NaN
-    where the law has none. Raises `MaterialError` if the material varies over a body.
+    `material`: homogeneous material; `shear` (n,): amount of shear, displacement over height. Result: (n,), in kPa; NaN
+    where the law has no finite stress. Raises `MaterialError` if the material varies over a body.
     """
     return _stress(material, "simple-shear", shear, False)
 
@@ -75,11 +77,11 @@ def _stress(material: Material, mode: str, amount: Any, incompressible: bool) ->
 
 @dataclass(frozen=True, eq=False)
 class MaterialTest:
-    """One measured curve.
+    """One measured stress-strain curve of a material, without times.
 
-    `mode`: ``tension``, ``compression``, ``equibiaxial`` or ``simple-shear``; `amount` (n,): stretches, or amounts of
-    shear; `stress` (n,): nominal stress in kPa, compression negative; `name`: title. Raises `MaterialError` if the mode
-    is unknown, or the columns differ in length, are empty or not finite.
+    `mode`: ``tension``, ``compression``, ``equibiaxial`` or ``simple-shear``; `amount` (n,): stretches (length over
+    undeformed length), or amounts of shear; `stress` (n,): nominal stress in kPa, compression negative; `name`: title.
+    Raises `MaterialError` if the mode is unknown, or the columns differ in length, are empty or not finite.
     """
 
     mode: str
@@ -98,17 +100,18 @@ class MaterialTest:
             raise MaterialError(message, where="stress")
 
     def predicted(self, material: Material, *, incompressible: bool = True) -> FloatArray:
-        """Return the stress that a material predicts for this test.
+        """Return the stress that a material would have at the deformations of this test.
 
-        `material`: the same everywhere; `incompressible`: as in `uniaxial_stress`. Result: (n,), nominal stress in kPa.
+        `material`: homogeneous material; `incompressible`: keep the volume whatever Poisson's ratio is. Result: (n,),
+        nominal stress in kPa.
         """
         return _stress(material, MODES[self.mode], self.amount, incompressible)
 
     def r_squared(self, material: Material, *, incompressible: bool = True) -> float:
-        """Return the share of the variance of the stress that a material explains.
+        """Return the share of the variance of the measured stress that a material explains (R squared).
 
-        `material`: the same everywhere; `incompressible`: as in `uniaxial_stress`. Result: 1 for a perfect prediction,
-        below 0 for one worse than the mean stress.
+        `material`: homogeneous material; `incompressible`: keep the volume whatever Poisson's ratio is. Result: 1 for a
+        perfect prediction, below 0 for one that is worse than the mean stress.
         """
         misfit = self.stress - self.predicted(material, incompressible=incompressible)
         return float(1 - np.sum(misfit**2) / np.sum((self.stress - self.stress.mean()) ** 2))
@@ -116,11 +119,12 @@ class MaterialTest:
 
 @dataclass(frozen=True)
 class LawFit:
-    """A law fitted to tests.
+    """Result of a fit of a hyperelastic law to material tests.
 
     `material`: the law with its parameters; `incompressible`: whether it was fitted in its incompressible limit;
-    `cost`: sum of squared weighted residuals; `n_parameters`: number of fitted parameters, including Young's modulus;
-    `standard_error`: root of the sum of squared residuals over (points - parameters), kPa, without weights.
+    `cost`: sum of squared weighted residuals, dimensionless for the weighting ``mode`` and in kPa^2 for ``plain``;
+    `n_parameters`: number of fitted parameters, including Young's modulus; `standard_error`: root of the sum of squared
+    residuals over (points - parameters), kPa, without weights.
     """
 
     material: Material
@@ -149,15 +153,16 @@ def fit_law(
     poisson: float = NEARLY_INCOMPRESSIBLE,
     volumetric: str = "log",
 ) -> LawFit:
-    """Fit a law to material tests by least squares.
+    """Fit Young's modulus and the shape parameters of a hyperelastic law to material tests by least squares.
 
-    Stress is linear in Young's modulus, which is solved for at every shape; the shape is found by scipy's trust-region
-    method from a few fixed starts, so the result is the same at each call. `tests`: fitted together; `law`: one of the
-    laws of `Material`; `terms`: terms of an Ogden law, 1 to 3; `weighting`: ``"mode"``: residuals of a test over (its
-    largest stress x root of its number of points), so that all tests have equal weight; ``"plain"``: residuals in kPa;
-    `incompressible`: fit in the incompressible limit; st-venant-kirchhoff and hooke need False; `poisson`: Poisson's
-    ratio of the fitted material; `volumetric`: as in `Material`. Result: the material and how well it fits. Raises
-    `MaterialError` if the law is unknown, there are no tests, or no start leads to finite stresses.
+    Stress is linear in Young's modulus, which is solved for at every set of shape parameters; these are found by
+    scipy's trust-region method from a few fixed starting points, so the result is the same at each call. `tests`: tests
+    that are fitted together; `law`: name of a law of `Material`; `terms`: number of terms of an Ogden law, 1 to 3;
+    `weighting`: ``"mode"``: residuals of a test over (its largest stress x root of its number of points), so that all
+    tests have equal weight; ``"plain"``: residuals in kPa; `incompressible`: fit in the incompressible limit;
+    st-venant-kirchhoff and hooke need False; `poisson`: Poisson's ratio of the fitted material; `volumetric`: name of
+    its volumetric energy in `Material`. Result: the material and how well it fits. Raises `MaterialError` if the law is
+    unknown, there are no tests, or no start leads to finite stresses.
 
     Examples
     --------
@@ -224,10 +229,11 @@ def _starts(law: str, terms: int) -> list[tuple[tuple[float, ...], tuple[Any, An
 
 @dataclass(frozen=True, eq=False)
 class _ShapeProblem:
-    """Residuals of material tests as a function of the shape parameters of a law; the modulus is fitted for each shape.
+    """Least-squares problem of material tests in the shape parameters of a law; Young's modulus is fitted along.
 
-    `tests`: curves; `law`: name of the law; `weights` (n_rows,): weight of each row, 1/kPa; `unit`: believed material
-    of modulus 1 kPa; `volumetric`: form of the volumetric energy; `incompressible`: whether the volume is preserved.
+    `tests`: curves; `law`: name of the law; `weights` (n_rows,): weight of each row, 1/kPa; `unit`: material with
+    Young's modulus 1 kPa and the wanted Poisson's ratio; `volumetric`: name of the volumetric energy; `incompressible`:
+    whether the volume is preserved.
     """
 
     tests: Sequence[MaterialTest]
@@ -238,7 +244,7 @@ class _ShapeProblem:
     incompressible: bool
 
     def material(self, x: FloatArray) -> Material:
-        """Return the law with shape parameters x and a Young's modulus of 1 kPa."""
+        """Return the law with shape parameters x and Young's modulus 1 kPa; Ogden: exponents, then weight ratios."""
         values = [float(v) for v in x]
         shape: dict[str, Any] = {}
         if DECLARED[self.law].has_terms:
@@ -250,20 +256,20 @@ class _ShapeProblem:
         return replace(self.unit, law=self.law, shape=shape, volumetric=self.volumetric)
 
     def unit_stress(self, x: FloatArray) -> FloatArray:
-        """Return the stress (n_rows,) of all tests for shape parameters x and a modulus of 1 kPa."""
+        """Return the stress (n_rows,), kPa, of all tests in turn, for shape parameters x and a modulus of 1 kPa."""
         material = self.material(x)
         return np.concatenate([t.predicted(material, incompressible=self.incompressible) for t in self.tests])
 
     def young(self, x: FloatArray) -> float:
-        """Return the Young's modulus, kPa, that fits best with shape parameters x; NaN where the law has no stress."""
+        """Return the Young's modulus, kPa, that fits best with shape parameters x; NaN without a finite stress."""
         measured = np.concatenate([test.stress for test in self.tests])
         unit = self.unit_stress(x) * self.weights
         return float(np.sum(unit * measured * self.weights) / np.sum(unit * unit))
 
     def residuals(self, x: FloatArray) -> FloatArray:
-        """Return the weighted residuals (n_rows,) at the best modulus for shape parameters x.
+        """Return the weighted residuals (n_rows,) for shape parameters x and the Young's modulus that fits best.
 
-        Where the law has no stress, they are those of no stress at all.
+        If that modulus is not positive, or the law has no finite stress, the model's stress is taken to be zero.
         """
         measured = np.concatenate([test.stress for test in self.tests])
         young = self.young(x)

@@ -1,5 +1,5 @@
-"""Files in and out: each format one module, units converted here and nowhere else.
+"""Reading and writing of files: one module for each format; units are converted in these modules and nowhere else.
 
-Readers import their libraries on first use only, so that importing tissuereg stays quick. Writers leave a whole file or
-none.
+Readers import the libraries that they need on first use only, so that importing tissuereg stays quick. Writers write a
+whole file or none.
 """

@@ -1,8 +1,8 @@
 """Write files and folders whole or not at all.
 
-A writer works in a draft (`tissuereg.io.drafts`). Only when it has finished is the draft made durable and renamed to
-the name that the user gave. An error before that leaves the old content untouched; the draft of a killed process is
-removed by the next writer to the same folder.
+A writer works in a draft, a temporary folder (`tissuereg.io.drafts`). Only when it has finished is the draft's content
+flushed to disk and renamed to the name that the user gave. An error before that leaves the old content untouched; the
+draft of a killed process is removed by the next writer to the same folder.
 """
 
 import contextlib
@@ -22,10 +22,11 @@ class OutputError(TissueRegError, OSError):
 
 @contextlib.contextmanager
 def atomic_file(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """Give a temporary file to write; it becomes `path` when the block ends well.
+    """Yield the path of a temporary file to write; it is renamed to `path` if the block ends without an error.
 
-    `path`: where the file shall stand; missing folders are made, an older file is replaced. Gives: the temporary file,
-    same suffix. Raises `OutputError` if the operating system refuses: a folder of that name, no permission, no space.
+    `path`: the final name; missing folders are made, an older file is replaced. Yields the path of an empty temporary
+    file with the same name in another folder. Raises `OutputError` if the operating system refuses: a folder of that
+    name exists, permission is denied, or space is lacking.
 
     Examples
     --------
@@ -50,11 +51,11 @@ def atomic_file(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def atomic_folder(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """Give a temporary folder to fill; its content moves to `path` when the block ends well.
+    """Yield the path of a temporary folder to fill; its content is moved to `path` if the block ends without an error.
 
-    A new folder appears in one step. In a folder that stands already each file is replaced whole, and files of other
-    names stay. `path`: where the folder shall stand; missing parents are made. Gives: the temporary folder. Raises
-    `OutputError` if `path` is a file, or the operating system refuses.
+    A new folder appears in one step. In a folder that exists already each file is replaced whole, and files of other
+    names stay. `path`: the final name of the folder; missing parents are made. Raises `OutputError` if `path` is a
+    file, or the operating system refuses.
     """
     target = place("path", path, error=OutputError)
     check_folder_target(target)
@@ -69,7 +70,7 @@ def atomic_folder(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 
 def check_file_target(path: str | os.PathLike[str]) -> None:
-    """Refuse early a file name that could not be written at the end of a long run.
+    """Check, before a long run, that a file of this name can be written at its end.
 
     Raises `OutputError` if it is a folder, or lies where nothing may be written.
     """
@@ -81,7 +82,7 @@ def check_file_target(path: str | os.PathLike[str]) -> None:
 
 
 def check_folder_target(path: str | os.PathLike[str]) -> None:
-    """Refuse early a folder name that could not be written at the end of a long run; what it holds does not matter.
+    """Check, before a long run, that a folder of this name can be written at its end; what it holds does not matter.
 
     Raises `OutputError` if it is a file, or lies where nothing may be written.
     """
@@ -104,13 +105,13 @@ def _check_writable(target: Path) -> None:
 
 
 def _standing_folder(target: Path) -> Path:
-    """Return the nearest ancestor that exists, so that a rename stays on one file system."""
+    """Return the nearest existing ancestor of a path: a draft made there can be renamed on one file system."""
     return next(folder for folder in target.absolute().parents if folder.exists())
 
 
 @contextlib.contextmanager
 def _draft_in(folder: Path) -> Iterator[Path]:
-    """Give an empty folder below `folder`, which is made where absent and removed again if it stays empty."""
+    """Yield an empty temporary folder below `folder`, which is made if absent and removed again if it stays empty."""
     absent = [folder, *folder.parents]
     absent = [one for one in absent if not one.exists()]
     folder.mkdir(parents=True, exist_ok=True)

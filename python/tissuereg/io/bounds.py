@@ -1,7 +1,7 @@
-"""Checks of a file before it is read: it exists, is no larger than its kind may be, and begins as its kind does.
+"""Checks of a file before it is read: it exists, is not too large for its format, and begins as its format requires.
 
-The sizes bound memory and time; ``docs/files.md`` lists them. While it is read, a table takes up to forty times its
-size in memory, a mesh up to ten times. What a compressed .vtu, .vtk or .vtp unpacks to is not bounded.
+The largest sizes bound memory and time; ``docs/files.md`` lists them. While it is read, a table takes up to forty times
+its size in memory, a mesh up to ten times. The size to which a compressed .vtu, .vtk or .vtp unpacks is not bounded.
 """
 
 import io
@@ -16,40 +16,39 @@ from tissuereg.errors import FormatError
 
 @dataclass(frozen=True)
 class FileLimits:
-    """How large files may be, and when numbers of two files are the same. MB are 1e6 bytes.
+    """Largest sizes of files, tolerances of comparisons between files, and defaults of the readers; MB are 1e6 bytes.
 
     Attributes
     ----------
     table_mb : int
-        Largest table, MB,
+        Largest size of a comma-separated table, MB.
     text_mb : int
-        list of points, TOML or model card,
+        Largest size of a list of points, a TOML file or a model's description, MB.
     mesh_mb : int
-        and mesh, surface or archive.
+        Largest size of a mesh, a surface or a numpy archive, MB.
     head_bytes : int
-        Bytes by which the kind of a file is recognised.
+        Number of bytes at a file's beginning by which its format is recognised.
     table_points : int
-        Markers or targets of one state that a table may hold; a cloud of points is a surface.
+        Largest number of markers or targets of one state that a table may hold; more points must be given as a surface.
     std_mm : float
-        Standard deviation of a measured coordinate, mm, where none is given: an optical tracker's.
+        Standard deviation of a measured coordinate where none is given, mm: that of an optical tracker.
     same_time : float
-        A row belongs to a frame if it is this close, share of the frame step.
+        Largest difference between a row's time and a frame's for the row to belong to it, as a share of the frame step.
     same_place : float
-        Points of a file are those of the mesh if they lie within this share of its extent.
+        Largest distance between a file's point and the mesh's node that it must be, as a share of the mesh's extent.
     held_out_share : float
         Share of a data set's members in the test split, and in the validation split.
     open_chunks : int
-        Chunks of a data set that are kept open.
+        Number of chunk files of a data set that are kept open.
     stale_draft_s : float
-        A draft of another machine is removed when it is older than this, s: writing takes seconds.
+        Age in s above which the draft (temporary folder) of another machine is removed: writing takes seconds.
     draft_tries : int
-        Names of a draft that are tried: another writer may remove a new draft before it is locked.
-    least_extent_mm : float
-        Smallest extent of a surface that may be a body, mm,
-    most_extent_mm : float
-        and largest: beyond, the unit is wrong.
+        Number of names that are tried for a draft: another writer may remove a new draft before it is locked.
+    least_extent_mm, most_extent_mm : float
+        Smallest and largest extent of a surface that may be a body, mm; outside, the unit must be wrong.
     typical_extent_mm : float
-        Where both cm and m are possible, the likelier one brings the extent closer to this, mm, by ratio.
+        Typical extent of a body, mm. Where both cm and m are possible units, the likelier one brings the extent closer
+        to this, by ratio.
     """
 
     table_mb: int = 64
@@ -85,9 +84,10 @@ _BINARY_STL_HEAD, _BINARY_STL_ROW = 84, 50
 
 
 def existing_file(path: str | os.PathLike[str], most_mb: int | None = None) -> Path:
-    """Return `path` if it is a file that can be read.
+    """Return `path` as a `Path` after checking that it is a file that can be read.
 
-    `most_mb`: largest size, MB. Raises `FormatError` if it does not exist, is a folder, may not be read or is larger.
+    `most_mb`: largest size, MB; None for no limit. Raises `FormatError` if it does not exist, is a folder, may not be
+    read or is larger.
     """
     file = place("path", path, error=FormatError)
     if file.is_dir():
@@ -105,10 +105,10 @@ def existing_file(path: str | os.PathLike[str], most_mb: int | None = None) -> P
 
 
 def mesh_file(path: str | os.PathLike[str], what: str) -> Path:
-    """Return `path` if it is a mesh or surface of at most `FILES.mesh_mb` that begins as files of its suffix do.
+    """Return `path` after checking that it is a mesh or surface file that begins as its suffix requires.
 
-    `what`: what it is read as, for messages: ``"mesh"`` or ``"surface"``. Raises `FormatError` if it is no file, too
-    large, or begins otherwise. Only the head of the file is read.
+    `what`: word for its content in messages, ``"mesh"`` or ``"surface"``. Raises `FormatError` if it is no file, has
+    more than `FILES.mesh_mb` MB, or begins otherwise. Only the head of the file is read.
     """
     file = existing_file(path, FILES.mesh_mb)
     suffix = file.suffix.lower()
@@ -131,24 +131,27 @@ def mesh_file(path: str | os.PathLike[str], what: str) -> Path:
 def bounded_stream(file: Path, most_mb: int) -> BinaryIO:
     """Open a file whose size cannot be known beforehand, such as a pipe, for reading up to a bound.
 
-    `file`: from `existing_file`; `most_mb`: largest size, MB. Result: raises `FormatError` when it is read beyond the
-    bound.
+    `file`: path of a file that exists; `most_mb`: largest size, MB. Result: a binary stream that raises `FormatError`
+    when more than this is read.
     """
     return io.BufferedReader(_Bounded(file, most_mb))
 
 
 def read_text(file: Path, most_mb: int = FILES.text_mb) -> str:
-    """Return the whole text of a file.
+    """Return the whole text of a file in UTF-8, with its line ends unchanged.
 
-    `file`: UTF-8, with or without byte order mark; `most_mb`: largest size, MB. Result: line ends as they stand. Raises
-    `FormatError` if it is larger; `UnicodeDecodeError` or `OSError` if it is no such text, or cannot be read.
+    `file`: path of a file in UTF-8, with or without byte order mark; `most_mb`: largest size, MB. Raises `FormatError`
+    if it is larger; `UnicodeDecodeError` or `OSError` if it is no such text, or cannot be read.
     """
     with bounded_stream(file, most_mb) as stream:
         return stream.read().decode("utf-8-sig")
 
 
 def too_large(file: Path | str, most_mb: int, found: str) -> FormatError:
-    """Return the error for a file that is larger than its kind may be."""
+    """Return the error for a file that is larger than files of its format may be.
+
+    `most_mb`: largest size, MB; `found`: clause that states the size found, such as ``it has 300 MB``.
+    """
     message = f"{file} must have at most {most_mb} MB, {found}; docs/files.md states the sizes"
     return FormatError(message, where=str(file))
 
@@ -175,7 +178,11 @@ class _Bounded(io.RawIOBase):
 
 
 def _rule_of_binary_stl(head: bytes, size: int) -> str | None:
-    """Return the rule that a binary .stl breaks, or None: its length must follow from its number of triangles."""
+    """Return the rule that a binary .stl file breaks, in words, or None if it breaks none.
+
+    The file's length must follow from its number of triangles. `head`: first bytes of the file; `size`: its size in
+    bytes.
+    """
     n_triangles = int.from_bytes(head[_BINARY_STL_HEAD - 4 : _BINARY_STL_HEAD], "little")
     whole = _BINARY_STL_HEAD + _BINARY_STL_ROW * n_triangles
     if len(head) >= _BINARY_STL_HEAD and size == whole:

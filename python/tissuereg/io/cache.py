@@ -1,8 +1,8 @@
-"""A cache on disk: results that only save time, kept between runs under names made from all that they depend on.
+"""A cache on disk of results that only save time, each under a name made from all that the result depends on.
 
 Entries lie in ``$TISSUEREG_CACHE``, or the user's cache folder; deleting them costs time only. Each begins with the
-SHA-256 of its name and content, so that a damaged, truncated or renamed entry counts as absent and is made anew. If
-the folder cannot be written, a warning is given and nothing is kept; results are the same.
+SHA-256 of its name and content, so that a damaged, truncated or renamed entry counts as absent and is made anew. If the
+folder cannot be written, a warning is given and nothing is kept; results are the same.
 """
 
 import hashlib
@@ -22,7 +22,7 @@ _WARNED: set[Path | None] = set()
 
 
 def cache_folder() -> Path:
-    """Return the folder of cached entries; it may not exist yet.
+    """Return the path of the folder that holds the cached results of this user; it may not exist yet.
 
     Raises `RuntimeError` if neither ``$TISSUEREG_CACHE`` nor ``$XDG_CACHE_HOME`` is set and the user has no home.
     """
@@ -33,9 +33,9 @@ def cache_folder() -> Path:
 
 
 def read_entry(name: str) -> bytes | None:
-    """Return the content of the entry of a name.
+    """Return the bytes that the cache on disk holds under a name; None if there is no such entry or it is damaged.
 
-    `name`: as it was given to `keep_entry`. Result: None if there is no entry, or a damaged one.
+    `name`: name under which `keep_entry` stored the entry.
     """
     try:
         whole = (cache_folder() / f"{name}{_SUFFIX}").read_bytes()
@@ -47,10 +47,11 @@ def read_entry(name: str) -> bytes | None:
 
 
 def keep_entry(name: str, content: bytes, most: int) -> None:
-    """Keep an entry, and delete the oldest of its kind; where that cannot be done, warn, once per process.
+    """Store bytes in the cache on disk under a name, and delete the oldest entries of the same sort beyond `most`.
 
-    `name`: the part before the first underscore is the entry's kind; `content`: the content that `read_entry` is to
-    return; `most`: number of entries of this kind that are kept.
+    `name`: name of the entry; entries are of the same sort if their names agree up to the first underscore; `content`:
+    bytes to store; `most`: number of entries of this sort that are kept. If the folder cannot be written, a warning is
+    issued once per process and nothing is stored.
     """
     folder = None
     try:

@@ -1,4 +1,4 @@
-"""The tables of an experiment folder: ``case,time_s,<who>,x,y,z``, grouped into load histories.
+"""The tables of an experiment folder, ``case,time_s,<name>,x,y,z``, grouped into load cases (histories of loads).
 
 The frames of a case are the times of its rows in markers.csv, or of its actuators' rows if it has no markers. Measured
 forces and targets must fall on frames; prescribed motions and forces of actuators are interpolated linearly.
@@ -20,10 +20,10 @@ from tissuereg.io.experiment_keys import CsvTable
 
 @dataclass
 class History:
-    """Rows of one marker, actuator or target in one case.
+    """Rows of one marker, actuator or target in one load case, in the order of time.
 
-    `rows`: where each was read; `times`: s, strictly increasing; `values`: three numbers each, NaN where the cell is
-    empty.
+    `rows`: lines of the table, for messages; `times`: time of each row in s, strictly increasing; `values`: three
+    numbers per row, along x, y and z, in the table's unit (mm or mN); NaN where the cell is empty.
     """
 
     rows: list[Row] = field(default_factory=list)
@@ -36,11 +36,11 @@ Histories = dict[str, dict[str, History]]
 
 
 def read_histories(path: Path, table: CsvTable, known: Iterable[str] | None) -> Histories:
-    """Read a table of an experiment folder.
+    """Read one comma-separated table of an experiment folder, grouped by load case and by marker, actuator or target.
 
-    `known`: names that may stand in the third column; None allows any. Result: by case, then by name, in file order.
-    Raises `ExperimentError` if a name is unknown, a row is repeated or time runs backwards; the message names the line;
-    `FormatError` if the table cannot be read.
+    `path`: the file; `table`: the table's columns; `known`: names that may stand in the third column; None allows any.
+    Result: a `History` by case and then by name, in file order. Raises `ExperimentError` if a name is unknown, a row is
+    repeated or time runs backwards; the message names the line; `FormatError` if the table cannot be read.
     """
     who, components = table.who, table.columns[3:]
     names = None if known is None else tuple(known)
@@ -77,12 +77,14 @@ def assemble_cases(
     forces: Histories,
     targets: Histories,
 ) -> dict[str, Case]:
-    """Put all tables onto the frames of each case.
+    """Return the load cases of an experiment by name, made from its tables, with all values at the frames of each case.
 
-    `marker_names`: order of the marker arrays; `actuators`: declared actuators; `controls`: prescribed values of
-    actuators by kind: ``displacement`` in mm, ``force`` in mN. Result: cases with marker rows in file order, then those
-    that appear only in actuator tables. Raises `ExperimentError` if a measured row falls on no frame, an actuator's
-    rows do not cover the frames, or a case is unknown.
+    `markers`, `forces`, `targets`: rows of the tables of measured marker places (mm), forces (mN) and places of inner
+    points (mm), by case, then by name; `marker_names`: order of the marker arrays; `actuators`: declared actuators;
+    `controls`: rows of the tables of prescribed values by the actuators' kind: ``displacement`` in mm, ``force`` in mN.
+    Result: cases with marker rows in file order, then those that appear only in actuator tables. Raises
+    `ExperimentError` if a measured row falls on no frame, an actuator's rows do not cover the frames, or a case is
+    unknown.
     """
     kinds = {actuator.name: actuator.kind for actuator in actuators}
     names = list(dict.fromkeys([*markers, *(case for table in controls.values() for case in table)]))
@@ -129,7 +131,11 @@ def _stacked(histories: Mapping[str, History], names: Sequence[str], frames: Flo
 
 
 def _on_frames(history: History, frames: FloatArray) -> FloatArray:
-    """Return measured values at the frames, NaN where there is no row, shape (n_frames, 3)."""
+    """Return the values of one marker, actuator or target at the frames, shape (n_frames, 3); NaN where it has no row.
+
+    `frames`: times of the frames (n_frames,), s; values keep the unit of the table (mm or mN). Raises `ExperimentError`
+    if a row falls on no frame.
+    """
     times = np.asarray(history.times)
     nearest = np.argmin(np.abs(frames[:, None] - times), axis=0)
     step = float(np.median(np.diff(frames))) if len(frames) > 1 else 0.0
@@ -147,7 +153,11 @@ def _on_frames(history: History, frames: FloatArray) -> FloatArray:
 
 
 def _interpolated(history: History, frames: FloatArray, who: str, case: str) -> FloatArray:
-    """Return the prescribed values of an actuator at the frames, shape (n_frames, 3)."""
+    """Return the prescribed values of an actuator at the frames, shape (n_frames, 3), interpolated linearly in time.
+
+    `frames`: times of the frames (n_frames,), s; values keep the unit of the table (mm or mN); `who`, `case`: names of
+    the actuator and the load case, for the message if the rows do not cover the frames (`ExperimentError`).
+    """
     values = np.asarray(history.values)
     whole = np.isfinite(values).all(axis=1)
     times = np.asarray(history.times)[whole]
@@ -165,9 +175,10 @@ def _interpolated(history: History, frames: FloatArray, who: str, case: str) -> 
 def write_histories(
     path: Path, table: CsvTable, histories: Mapping[str, tuple[FloatArray, Mapping[str, FloatArray]]]
 ) -> None:
-    """Write a table of an experiment folder, whole or not at all.
+    """Write one comma-separated table of an experiment folder, whole or not at all.
 
-    `histories`: by case: times in s, then values by name; NaN becomes an empty cell.
+    `table`: the table's columns; `histories`: for each load case by name, its times (n_frames,) in s, and by marker,
+    actuator or target the values (n_frames, 3) in the table's unit; NaN becomes an empty cell.
     """
     rows = (
         (case, float(time), name, *map(float, values[frame]))

@@ -1,4 +1,4 @@
-"""A chunk of a data set as an HDF5 file: members with displacement and parameters, and members that failed.
+"""A chunk of a simulated data set as an HDF5 file: members (simulated deformations) and the members that failed.
 
 `docs/files.md` describes the layout.
 """
@@ -22,11 +22,21 @@ Fields = npt.NDArray[np.float32]
 
 @dataclass(frozen=True, eq=False)
 class Chunk:
-    """Members made together.
+    """Members (simulated deformations of one mesh) of a data set that were made together and lie in one file.
 
-    `number`: of the chunk, from 0 on; `index` int64 (k,): number of each member in the recipe, ascending;
-    `displacement` float32 (k, n_nodes, 3): in mm; `parameters` (k, ...): columns; NaN where a member has none;
-    `failed`: members without equilibrium, each with its reason.
+    Attributes
+    ----------
+    number : int
+        Number of the chunk in the data set, from 0 on.
+    index : ndarray of int64, shape (k,)
+        Number of each member in the recipe, ascending.
+    displacement : ndarray of float32, shape (k, n_nodes, 3)
+        Displacement of the nodes in each member, mm.
+    parameters : dict of str to ndarray, shape (k, ...)
+        Parameters of material and load, one row per member, by name, which ends in the unit; NaN where a member has
+        none.
+    failed : list of (int, str)
+        Number in the recipe of each member without equilibrium, and the reason.
     """
 
     number: int
@@ -37,15 +47,15 @@ class Chunk:
 
 
 def chunk_name(number: int) -> str:
-    """Return the name of a chunk's file."""
+    """Return the name of the file that holds the chunk of this number, such as ``chunk_0003.h5``."""
     return f"chunk_{number:04d}.h5"
 
 
 def pack_chunk(chunk: Chunk, mark: str, version: str) -> bytes:
-    """Return the file of a chunk.
+    """Return the bytes of the HDF5 file of a chunk; they are the same for the same content.
 
-    `chunk`: what it holds; `mark`: fingerprint of recipe, seed, mesh and version; `version`: of tissuereg. Result: the
-    same bytes for the same content.
+    `chunk`: content of the file; `mark`: fingerprint (SHA-256) of the data set's recipe, seed, mesh and version;
+    `version`: version of tissuereg.
     """
     reasons = [reason for _, reason in chunk.failed]
     arrays: dict[str, npt.NDArray[Any]] = {
@@ -60,11 +70,12 @@ def pack_chunk(chunk: Chunk, mark: str, version: str) -> bytes:
 
 
 def read_chunk(store: Store, number: int, n_nodes: int, mark: str, content: bytes | None = None) -> Chunk:
-    """Read a chunk as a whole; its checksums are compared.
+    """Read a whole chunk of a data set from its HDF5 file, comparing its checksums.
 
-    `n_nodes`: nodes of the mesh; `mark`: fingerprint that it must have; `content`: the file's content, where it has
-    been read already. Result: every number of the displacements finite. Raises `FormatError` if the file is missing,
-    spoilt, or of another data set.
+    `store`: place of the data set; `number`: number of the chunk; `n_nodes`: number of nodes of the mesh; `mark`:
+    fingerprint (SHA-256) of the data set that the file must state; `content`: the file's bytes, if they have been read
+    already. In the result all displacements are finite. Raises `FormatError` if the file is missing, spoilt, or of
+    another data set.
     """
     name = chunk_name(number)
     where = store.where(name)
@@ -86,7 +97,7 @@ def read_chunk(store: Store, number: int, n_nodes: int, mark: str, content: byte
 
 
 def check_chunk(file: Any, where: str, number: int, mark: str) -> None:
-    """Refuse an open file that is not the chunk of that number of the data set with that fingerprint."""
+    """Raise `FormatError` unless an open HDF5 file is chunk `number` of the data set with the fingerprint `mark`."""
     found = {name: file.attrs.get(name) for name in ("schema", "number", "recipe_sha256")}
     if found["schema"] != CHUNK_SCHEMA or found["number"] != number or found["recipe_sha256"] != mark:
         message = (
@@ -99,7 +110,11 @@ def check_chunk(file: Any, where: str, number: int, mark: str) -> None:
 
 
 def read_parameters(file: Any, where: str, n_members: int) -> dict[str, npt.NDArray[Any]]:
-    """Return the columns of parameters of an open chunk."""
+    """Return the parameters of the members in an open chunk file by name, arrays of shape (n_members, ...).
+
+    `where`: the file's name, for messages. Raises `FormatError` if they are missing, not numbers, or have another
+    number of rows.
+    """
     group = file.get("parameters")
     if group is None or not hasattr(group, "keys"):
         message = f"{where} must hold a group 'parameters'"

@@ -1,4 +1,4 @@
-"""Checked reading of comma-separated tables: header, number of cells, numbers, each fault by line."""
+"""Checked reading and writing of comma-separated tables; an error names the line of the fault."""
 
 import csv
 import io
@@ -16,7 +16,11 @@ from tissuereg.io.bounds import FILES, bounded_stream, existing_file
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One line of a table. `line`: line number, the header is 1; `cells`: stripped text by column."""
+    """One line of a comma-separated table below its header.
+
+    `file`: path of the table; `line`: number of the line, where the header has 1; `cells`: text of each cell by column,
+    without white space around it.
+    """
 
     file: Path
     line: int
@@ -24,21 +28,21 @@ class Row:
 
     @property
     def where(self) -> str:
-        """File and line, for messages."""
+        """File and number of the line, as ``file:line``, for messages."""
         return f"{self.file}:{self.line}"
 
     def text(self, column: str) -> str:
-        """Return the text of a cell that must not be empty. Result: stripped. Raises `FormatError` if it is empty."""
+        """Return the text in this column, without white space around it; raise `FormatError` if the cell is empty."""
         if not self.cells[column]:
             message = f"column '{column}' must not be empty, at {self.file} line {self.line}"
             raise FormatError(message, where=self.where)
         return self.cells[column]
 
     def number(self, column: str, *, may_miss: bool = False) -> float:
-        """Return a cell as a finite number.
+        """Return the number in this column; it must be finite.
 
-        `may_miss`: whether an empty cell, or the word ``nan``, is allowed and gives NaN. Result: finite, or NaN where
-        missing. Raises `FormatError` if it is no number, not finite, or empty where it must not be.
+        `may_miss`: whether an empty cell, or the word ``nan``, is allowed and gives NaN. Raises `FormatError` if the
+        cell holds no number, one that is not finite, or nothing where that is not allowed.
         """
         text = self.cells[column]
         if may_miss and text.lower() in ("", "nan"):
@@ -54,9 +58,10 @@ class Row:
         return value
 
     def numbers(self, columns: Iterable[str], *, may_miss: bool = False) -> tuple[float, ...]:
-        """Return several cells as numbers.
+        """Return the numbers in several columns, in their order; each must be finite.
 
-        `columns`: names of the columns; `may_miss`: as in `number`. Result: in that order.
+        `columns`: names of the columns; `may_miss`: whether an empty cell, or the word ``nan``, is allowed and gives
+        NaN. Raises `FormatError` as `number` does.
         """
         return tuple(self.number(column, may_miss=may_miss) for column in columns)
 
@@ -64,12 +69,12 @@ class Row:
 def read_table(
     path: str | os.PathLike[str], columns: Sequence[str], optional: Sequence[str] = (), *, most_rows: int | None = None
 ) -> list[Row]:
-    """Read a table with a header line.
+    """Return the rows of a comma-separated table with a header line, in file order; there is at least one.
 
     `path`: UTF-8 text; empty lines are skipped; `columns`: columns that must be there, in any order; `optional`:
-    columns that may be there; `most_rows`: rows that there may be; no further ones are read. Result: at least one.
-    Raises `FormatError` if the file is missing, too large or too long, no text, has another header, a line of another
-    length, or no line at all.
+    columns that may be there; `most_rows`: largest number of rows; reading stops with an error at the next; None for
+    any number. Raises `FormatError` if the file is missing, too large or too long, no text, has another header, a line
+    of another length, or no row at all.
     """
     file = existing_file(path, FILES.table_mb)
     try:
@@ -81,7 +86,11 @@ def read_table(
 
 
 def _rows(file: Path, reader: Any, columns: Sequence[str], optional: Sequence[str], most_rows: int | None) -> list[Row]:
-    """Return the rows; reading ends with an error at the first invalid one."""
+    """Return the rows of a table from `reader`, which yields a list of cells per line; stop with an error at a fault.
+
+    `file`: the table, for messages; `columns`, `optional`: columns that must and that may be there; `most_rows`:
+    largest number of rows; None for any number. Raises `FormatError` at the first invalid line, or if there is no row.
+    """
     header: list[str] | None = None
     rows: list[Row] = []
     for line in reader:
@@ -105,9 +114,10 @@ def _rows(file: Path, reader: Any, columns: Sequence[str], optional: Sequence[st
 
 
 def write_table(path: str | os.PathLike[str], header: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
-    """Write a table, whole or not at all.
+    """Write a comma-separated table with a header line, whole or not at all.
 
-    `header`: column names; `rows`: one value per column; None and NaN become empty cells, floats keep nine digits.
+    `header`: names of the columns; `rows`: rows with one value per column; None, NaN and infinities become empty cells,
+    floats keep nine significant digits.
     """
     with atomic_file(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as handle:
         writer = csv.writer(handle, lineterminator="\n")

@@ -1,6 +1,6 @@
-"""Data sets, opened lazily: only the members that are asked for are read.
+"""Simulated data sets, opened lazily: only the members (simulated deformations) that are asked for are read.
 
-`docs/files.md` describes the folder.
+`docs/files.md` describes the folder of a data set.
 """
 
 import hashlib
@@ -34,22 +34,22 @@ _OLD_SCHEMA = "tissuereg.dataset/1"
 
 
 def open_dataset(path: str | os.PathLike[str]) -> "Dataset":
-    """Open a data set that ``tissuereg simulate RECIPE.toml`` has made.
+    """Open a data set that ``tissuereg simulate RECIPE.toml`` has made: many simulated deformations of one mesh.
 
     Parameters
     ----------
     path : path-like
-        Its folder, or a URL of fsspec.
+        Folder of the data set, or its URL if it lies in a file system of the package fsspec.
 
     Returns
     -------
     Dataset
-        Nothing but ``dataset.json`` has been read.
+        The data set, of which nothing but ``dataset.json`` has been read; other files are read when they are asked for.
 
     Raises
     ------
     FormatError
-        If it holds no finished data set of this form.
+        If the folder holds no finished data set in the format that this version reads.
     MissingPackageError
         If it is a URL and fsspec is not installed.
 
@@ -64,21 +64,24 @@ def open_dataset(path: str | os.PathLike[str]) -> "Dataset":
 
 
 class Dataset:
-    """A finished data set; made by `open_dataset`.
+    """A finished data set of simulated deformations of one mesh (its members); made by `open_dataset`.
+
+    Members have rows from 0 on; ``len`` gives their number.
 
     Parameters
     ----------
     store : Store
-        Where it lies.
+        Place of the data set: a folder or a URL.
 
     Attributes
     ----------
     recipe : dict
-        Content of the recipe's file.
+        Content of the recipe, the TOML file from which the data set was made.
     failed : list of (int, str)
-        Members without equilibrium, by their number in the recipe, each with its reason.
+        Simulations of the recipe that found no equilibrium and are no members: their number in the recipe and the
+        reason.
     card : dict
-        All of ``dataset.json``.
+        Whole content of ``dataset.json``.
     """
 
     def __init__(self, store: Store) -> None:
@@ -99,7 +102,7 @@ class Dataset:
 
     @cached_property
     def mesh(self) -> Mesh:
-        """The mesh, undeformed, mm."""
+        """The undeformed mesh of which all members are deformations, coordinates in mm."""
         mesh = read_data_mesh(self._store)
         if mesh.digest() != self.card["mesh"]["digest"]:
             where = self._store.where(MESH_NAME)
@@ -109,28 +112,39 @@ class Dataset:
 
     @property
     def displacement(self) -> "Displacements":
-        """The members' displacements: ``data.displacement[i]`` is (n_nodes, 3) float32 in mm, read when asked for."""
+        """Displacements of the members: ``data.displacement[i]`` is the array of member i, (n_nodes, 3) float32 in mm.
+
+        A member is read from its file when it is asked for.
+        """
         return Displacements(self._chunks)
 
     @property
     def parameters(self) -> "Parameters":
-        """The members' parameters: ``data.parameters[i]`` is a dict of numbers and arrays."""
+        """Material and load of members: ``data.parameters[i]`` is a dict of numbers and arrays; keys state units."""
         return Parameters(self._chunks)
 
     @property
     def index(self) -> IntArray:
-        """Number of each member in the recipe, (n_members,); differs from the row after a failed member."""
+        """Number of each member in the recipe, int64 (n_members,); it differs from the row after a failed member."""
         lost = {index for index, _ in self.failed}
         return np.array([i for i in range(len(self) + len(lost)) if i not in lost], dtype=np.int64)
 
     @property
     def split(self) -> dict[str, IntArray]:
-        """Rows of ``train``, ``valid`` and ``test``, ascending: 80, 10 and 10 % by the seed."""
+        """Rows of the members for training, validation and test, by the names ``train``, ``valid`` and ``test``.
+
+        Each is an ascending int64 array; they hold 80, 10 and 10 % of the members, drawn at random by the data set's
+        seed.
+        """
         return {name: np.array(self.card["split"][name], dtype=np.int64) for name in ("train", "valid", "test")}
 
     @property
     def pairs(self) -> tuple[Fields, Fields] | None:
-        """Simulations and truths of the same events, each (n_pairs, n_nodes, 3) float32 in mm; None if it has none."""
+        """Displacements by the believed model and by another model, the truth, of the same loading events.
+
+        Two arrays (n_pairs, n_nodes, 3), float32 in mm: the believed model's and the truth's; None if the data set has
+        none.
+        """
         entry = self.card.get("pairs")
         if not entry:
             return None
@@ -142,12 +156,12 @@ class Dataset:
         return np.asarray(simulations, np.float32), np.asarray(truths, np.float32)
 
     def verify(self) -> None:
-        """Compare the SHA-256 of every file with that in ``dataset.json``; everything is read.
+        """Compare the SHA-256 of every file with that in ``dataset.json``; all files are read whole.
 
         Raises
         ------
         FormatError
-            Names the first file that is missing or has changed.
+            If a file is missing or has changed; the message names the first one.
         """
         entries = [self.card["mesh"], *self.card["chunks"], *([self.card["pairs"]] if self.card["pairs"] else [])]
         for entry in entries:
@@ -159,9 +173,10 @@ class Dataset:
 
 
 class Displacements:
-    """Displacements of a data set, read member by member.
+    """Displacements of the members of a data set, read from the files member by member.
 
-    Indexed by a row, it gives (n_nodes, 3) float32 in mm; by a slice or a list of rows, (k, n_nodes, 3).
+    Indexed by a member's row, it gives the displacement of the nodes, (n_nodes, 3) float32 in mm; by a slice or a list
+    of k rows, (k, n_nodes, 3).
     """
 
     def __init__(self, chunks: "_Chunks") -> None:
@@ -169,7 +184,7 @@ class Displacements:
 
     @property
     def shape(self) -> tuple[int, int, int]:
-        """Members, nodes, 3."""
+        """Numbers of members, nodes and coordinates: (n_members, n_nodes, 3)."""
         return self._chunks.n_members, self._chunks.n_nodes, 3
 
     def __len__(self) -> int:
@@ -179,7 +194,10 @@ class Displacements:
         return (self[row] for row in range(len(self)))
 
     def __getitem__(self, rows: Any) -> Fields:
-        """Return the displacement of a member, or of several."""
+        """Return the displacement of one member, (n_nodes, 3) float32 in mm, or of k members, (k, n_nodes, 3).
+
+        `rows`: row of a member, counted from the end if it is negative; or a slice or list of k rows.
+        """
         if isinstance(rows, slice | list) or (isinstance(rows, np.ndarray) and rows.ndim):
             many = range(len(self))[rows] if isinstance(rows, slice) else _rows(rows, len(self))
             taken = np.empty((len(many), *self.shape[1:]), np.float32)
@@ -192,7 +210,7 @@ class Displacements:
 
 
 class Parameters(Sequence[dict[str, Any]]):
-    """Parameters of a data set's members, each a dict of numbers and arrays."""
+    """Parameters of material and load by member: each is a dict of numbers and arrays, whose names state the units."""
 
     def __init__(self, chunks: "_Chunks") -> None:
         self._chunks = chunks
@@ -205,14 +223,14 @@ class Parameters(Sequence[dict[str, Any]]):
     @overload
     def __getitem__(self, rows: slice) -> list[dict[str, Any]]: ...
     def __getitem__(self, rows: int | slice) -> dict[str, Any] | list[dict[str, Any]]:
-        """Return the parameters of a member, or of several."""
+        """Return a member's parameters, a dict of numbers and arrays by name; for a slice of rows, a list of dicts."""
         if isinstance(rows, slice):
             return [self._chunks.parameters(row) for row in range(len(self))[rows]]
         return self._chunks.parameters(_row(rows, len(self)))
 
 
 class _Chunks:
-    """The chunks of a data set, opened when they are needed; the last few stay open."""
+    """The chunk files of a data set, each with some of its members; opened when needed, the last few are kept open."""
 
     def __init__(self, store: Store, card: Mapping[str, Any]) -> None:
         self._store = store
@@ -243,12 +261,12 @@ class _Chunks:
         return {name: (c[within].item() if c.ndim == 1 else c[within].copy()) for name, c in columns.items()}
 
     def _place(self, row: int) -> tuple[int, int]:
-        """Return a member's chunk and its row there."""
+        """Return, for the member of a row of the data set, the number of its chunk file and its row in that file."""
         number = int(np.searchsorted(self._ends, row, side="right"))
         return number, row - int(self._ends[number]) + self._counts[number]
 
     def _file(self, number: int) -> Any:
-        """Return an open chunk, checked; a forked process opens its own."""
+        """Return the open, checked HDF5 file of the chunk of this number; each forked process opens its own files."""
         key = (os.getpid(), number)
         if key in self._open:
             self._open.move_to_end(key)
@@ -268,9 +286,10 @@ class _Chunks:
 
 
 def split_of(n_members: int, seed: int) -> dict[str, IntArray]:
-    """Return the rows of the three splits: 80, 10 and 10 % of the members.
+    """Return the rows of the members for training, validation and test, drawn at random: 80, 10 and 10 % of them.
 
-    `n_members`: members with equilibrium. Result: ``train``, ``valid``, ``test``, each ascending.
+    `n_members`: number of members (simulations with equilibrium); `seed`: seed of the draw. Result: int64 arrays
+    ``train``, ``valid`` and ``test``, each ascending.
     """
     n_held_out = int(n_members * FILES.held_out_share)
     n_train = n_members - 2 * n_held_out
@@ -280,10 +299,11 @@ def split_of(n_members: int, seed: int) -> dict[str, IntArray]:
 
 
 def read_card(store: Store) -> dict[str, Any]:
-    """Return the content of ``dataset.json``, checked.
+    """Return the checked content of ``dataset.json``, the description of a finished data set.
 
-    `store`: where the data set lies. Result: as `docs/files.md` states. Raises `FormatError` if it is missing, of the
-    older form, or not as it must be.
+    `store`: place of the data set. Result: a dict with the keys that `docs/files.md` lists, such as ``chunks``,
+    ``mesh``, ``recipe``, ``failed`` and ``split``. Raises `FormatError` if the file is missing, of an older format, or
+    faulty.
     """
     where = store.where(CARD_NAME)
     if not store.exists(CARD_NAME):
@@ -314,7 +334,7 @@ def read_card(store: Store) -> dict[str, Any]:
 
 
 def _fault(card: Mapping[str, Any]) -> str | None:
-    """Return what is wrong with a card, None if nothing is."""
+    """Return in words the first fault in the content of ``dataset.json``; None if it has none."""
     files = [card.get("mesh"), *(card["chunks"] if isinstance(card.get("chunks"), list) else [None])]
     files += [card["pairs"]] if card.get("pairs") is not None else []
     if not all(isinstance(one, dict) and _plain_name(one.get("file")) for one in files):
@@ -353,7 +373,7 @@ def _failures(failed: object) -> bool:
 
 
 def _row(row: Any, n_members: int) -> int:
-    """Return a row, counted from the end if negative."""
+    """Return a member's row as an int from 0 on; a negative one counts from the end, one out of range is refused."""
     whole: Any = None if isinstance(row, bool) else row  # a mask would be taken for rows 0 and 1
     try:
         number = operator.index(whole)
@@ -374,14 +394,14 @@ MESH_NAME = "mesh.npz"
 
 
 def pack_mesh(mesh: Mesh) -> bytes:
-    """Return the file of a mesh: the same bytes for the same mesh."""
+    """Return a mesh as the bytes of an .npz file, with nodes in mm; they are the same for the same mesh."""
     whole = io.BytesIO()
     np.savez(whole, nodes_mm=mesh.nodes, tets=mesh.tets, fixed_nodes=mesh.fixed_nodes)
     return whole.getvalue()
 
 
 def read_data_mesh(store: Store) -> Mesh:
-    """Return the mesh of a data set from its place.
+    """Read the mesh of a data set, with nodes in mm, from the place where the data set lies.
 
     Raises `FormatError`, `MeshError` or `ShapeError` if it is missing, spoilt or unusable.
     """

@@ -35,11 +35,10 @@ _LOCK, _CONTENT = "lock", "content"
 
 @contextlib.contextmanager
 def draft(folder: Path) -> Iterator[Path]:
-    """Give an empty folder to write in, and remove drafts in `folder` that killed processes left.
+    """Yield an empty temporary folder to write in, and remove temporary folders that killed processes left.
 
-    `folder`: where the draft stands: the folder of the output, so that a rename stays on one file system. Gives: an
-    empty folder within the draft; whatever is still in it at the end is removed. Raises `OSError` if the draft cannot
-    be made.
+    `folder`: folder in which to make it: that of the output, so that a later rename stays on one file system. Whatever
+    is still in the temporary folder when the block ends is removed. Raises `OSError` if it cannot be made.
     """
     remove_stale_drafts(folder)
     made, lock = _make(folder)
@@ -53,7 +52,10 @@ def draft(folder: Path) -> Iterator[Path]:
 
 
 def remove_stale_drafts(folder: Path) -> None:
-    """Remove drafts whose writer has ended; those that cannot be removed stay. `folder`: where outputs are written."""
+    """Remove the drafts (temporary folders of writers) in a folder whose writers have ended.
+
+    `folder`: folder in which outputs are written. Drafts that cannot be removed stay, without an error.
+    """
     with contextlib.suppress(OSError):
         for entry in sorted(os.scandir(folder), key=lambda entry: entry.name):
             if _NAME.fullmatch(entry.name) and entry.is_dir(follow_symlinks=False):
@@ -61,7 +63,10 @@ def remove_stale_drafts(folder: Path) -> None:
 
 
 def _make(folder: Path) -> tuple[Path, int]:
-    """Return a new draft and its lock, held."""
+    """Make a new draft (temporary folder of a writer) in a folder; return its path and the descriptor of its lock file.
+
+    The process holds the lock until it closes the descriptor. Raises `OSError` if no draft can be made.
+    """
     for _ in range(FILES.draft_tries):
         made = folder / f"{DRAFT_PREFIX}{_machine()}-{secrets.token_hex(4)}"
         try:
@@ -99,7 +104,7 @@ def _remove_if_stale(found: Path) -> None:
 
 @cache
 def _machine() -> str:
-    """Return a word for this machine, another one for every other machine and container."""
+    """Return a word of 12 hexadecimal digits for this machine or container; others have other words."""
     known = socket.gethostname()
     for file in ("/etc/machine-id", "/proc/sys/kernel/random/boot_id"):
         with contextlib.suppress(OSError):
@@ -109,7 +114,7 @@ def _machine() -> str:
 
 
 def _changed(found: Path) -> float:
-    """Return when anything in a draft was last changed, s since the epoch."""
+    """Return the time in s since the epoch at which anything in a folder was last changed."""
     times = [found.stat().st_mtime]
     for folder, folders, files in os.walk(found):
         for name in (*folders, *files):
@@ -124,7 +129,10 @@ def _opened(made: Path) -> int:
 
 
 def _take(lock: int) -> bool | None:
-    """Lock; return whether it is held now, None where this system or file system has no locks."""
+    """Lock an open file, given by its descriptor, for this process, without waiting.
+
+    Return True if this process now holds the lock, False if another one does, None if the system has no locks.
+    """
     if sys.platform == "win32":
         return None
     try:

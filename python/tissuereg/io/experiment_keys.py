@@ -1,7 +1,7 @@
 """The experiment format as declarations: tables and keys of ``experiment.toml``, columns of its comma-separated tables.
 
-`tissuereg.io.experiments` and `tissuereg.io.material_experiments` read files by them; ``docs/experiment.md`` lists
-them.
+`tissuereg.io.experiments` and `tissuereg.io.material_experiments` read files by these declarations;
+``docs/experiment.md`` lists them.
 """
 
 from collections.abc import Mapping
@@ -215,10 +215,20 @@ NODE_FORMS = (
 
 @dataclass(frozen=True)
 class CsvTable:
-    """One comma-separated table of an experiment folder.
+    """Columns and meaning of one comma-separated table in the folder of an experiment.
 
-    `who`: name of the third column: marker, actuator or target; `unit`: unit of the three numbers; `meaning`: what a
-    row holds; `presence`: when the file must be there.
+    Attributes
+    ----------
+    file : str
+        Name of the file.
+    who : str
+        Name of the third column: ``marker``, ``actuator`` or ``target``.
+    unit : str
+        Unit of the three numbers in a row, ``mm`` or ``mN``.
+    meaning : str
+        Meaning of a row, in words.
+    presence : str
+        When the file must be there, in words.
     """
 
     file: str
@@ -229,7 +239,7 @@ class CsvTable:
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """Names of the columns."""
+        """Names of the columns: ``case``, ``time_s``, that in `who`, and x, y and z with the unit, such as ``x_mm``."""
         return ("case", "time_s", self.who, *(f"{axis}_{self.unit}" for axis in "xyz"))
 
 
@@ -275,9 +285,9 @@ CONTROL_TABLES = {"displacement": ACTUATORS_CSV, "force": APPLIED_CSV}
 
 
 def folder_and_name(top: Table) -> tuple[Path, str]:
-    """Take the keys above the first table of an experiment file.
+    """Return the folder of an experiment's comma-separated tables, and the experiment's title.
 
-    `top`: of a rig or a material test. Result: `folder`: of the comma-separated tables; `name`: title; that of the
+    `top`: content of ``experiment.toml``, whose keys above the first table are taken. The title is the name of the
     file's folder where none is given. Raises `ExperimentError` if a key does not hold what it must.
     """
     given = Top.of(top)
@@ -286,10 +296,11 @@ def folder_and_name(top: Table) -> tuple[Path, str]:
 
 
 def read_material(top: Table) -> tuple[Material, float | None, float | None]:
-    """Return the believed material, and standard deviations of Young's modulus and Poisson's ratio where stated.
+    """Return the believed material, and the standard deviations of Young's modulus (kPa) and of Poisson's ratio.
 
-    `top`: of a rig or a material test. Result: `material`: means; `young_std`, `poisson_std`: kPa; dimensionless.
-    Raises `ExperimentError` if the table is absent, a key is missing or unknown, or a value out of its range.
+    `top`: content of ``experiment.toml``, whose table ``[material]`` is taken. The material holds the mean values. A
+    standard deviation that is not stated is None. Raises `ExperimentError` if the table is absent, a key is missing or
+    unknown, or a value out of its range.
     """
     table = MaterialKeys.found(top)
     assert table is not None  # it is needed
@@ -305,10 +316,11 @@ def read_material(top: Table) -> tuple[Material, float | None, float | None]:
 
 
 def material_table(material: Material, young_std: float | None, poisson_std: float | None) -> dict[str, Any]:
-    """Return ``[material]`` as `read_material` reads it.
+    """Return the table ``[material]`` of an experiment file, values by key, which `read_material` reads back.
 
-    `material`: one for the whole body; `young_std`, `poisson_std`: kPa; dimensionless. Result: by key. Raises
-    `ExperimentError` if a modulus or Poisson's ratio varies over the body.
+    `material`: a material that is the same in the whole body; `young_std`, `poisson_std`: standard deviations of
+    Young's modulus in kPa and of Poisson's ratio; None if not stated. Raises `ExperimentError` if one of the two varies
+    over the body.
     """
     return {
         "law": material.law,

@@ -1,4 +1,4 @@
-"""Experiments out: a file that points to the mesh and the tables of another folder; the folder of a simulated one."""
+"""Writing of experiments: a file that refers to the mesh and tables of another folder, or a whole simulated folder."""
 
 import os
 from collections.abc import Mapping
@@ -38,16 +38,18 @@ def write_experiment(
 ) -> None:
     """Write an experiment file that `read_experiment` or `read_material_experiment` reads back, effects included.
 
-    Mesh and tables stay where they are; the file refers to them from its own place.
+    Mesh and comma-separated tables stay where they are; the file refers to them by paths relative to itself.
 
     Parameters
     ----------
     experiment : Experiment or MaterialExperiment
-        Read from files; beliefs and effects may have been changed since, cases and patches not.
+        An experiment read from files. Its material, noise and effects may have been changed since, its cases and
+        patches of nodes not.
     path : path-like
         The file, for example ``experiment.extended.toml``; an older one is replaced as a whole.
     seen_from : path-like, optional
-        Folder in which the file will be read, where it is written elsewhere first; need not exist.
+        Folder in which the file will be read, if it is written elsewhere first; need not exist. By default that of
+        `path`.
 
     Raises
     ------
@@ -62,10 +64,10 @@ def write_experiment(
 
 
 def experiment_text(experiment: Experiment | MaterialExperiment, folder: str | os.PathLike[str]) -> str:
-    """Return what `write_experiment` writes for a folder.
+    """Return the TOML text of an experiment file, the same that `write_experiment` writes.
 
-    `folder`: in which the file is to be read; need not exist. Result: TOML. Raises `ExperimentError` if a belief cannot
-    be written to an experiment file.
+    `folder`: folder in which the file is to be read, to which its paths refer; need not exist. Raises `ExperimentError`
+    if a value of the experiment cannot stand in an experiment file.
     """
     return toml_text(_content(experiment, Path(folder)))
 
@@ -87,7 +89,10 @@ def _of_test(experiment: MaterialExperiment, folder: Path) -> dict[str, Any]:
 
 
 def _tables(experiment: Experiment | MaterialExperiment, folder: Path) -> dict[str, str]:
-    """Return the key for the folder of the tables, where it is another one than that of the file."""
+    """Return the entry ``tables`` of an experiment file: the folder of its comma-separated tables, as a relative path.
+
+    `folder`: folder in which the file is to be read. Result: an empty dict if the tables lie in this folder.
+    """
     return {} if _same(folder, experiment.folder) else {"tables": path_from(folder, experiment.folder)}
 
 
@@ -142,7 +147,7 @@ def _same(one: Path, other: Path) -> bool:
 
 
 def path_from(folder: Path, place: Path) -> str:
-    """Return a path as seen from a folder, links resolved, with forward slashes; the whole path on another drive."""
+    """Return a path relative to a folder, links resolved, with forward slashes; the absolute one on another drive."""
     try:
         return Path(os.path.relpath(os.path.realpath(place), os.path.realpath(folder))).as_posix()
     except ValueError:
@@ -159,11 +164,12 @@ _Histories = dict[str, tuple[FloatArray, dict[str, FloatArray]]]
 def write_simulated(
     out: Path, experiment: Experiment, answers: "Mapping[str, CaseSimulation]", model: Simulated
 ) -> None:
-    """Write a simulated experiment, all or nothing.
+    """Write the folder of a simulated experiment, whole or not at all: experiment file, tables and displacements.
 
-    `out`: folder to write; `experiment`: what was simulated; its mesh stays where it is; `answers`: all cases; `model`:
-    the model that was used; the experiment file states it. Raises `ExperimentError` if a belief cannot be written to an
-    experiment file; `OutputError` if the folder cannot be written.
+    `out`: folder to write; `experiment`: the experiment that was simulated; its mesh stays where it is; `answers`: the
+    simulation of each case by the case's name, whose displacement (n_frames, n_nodes, 3) in mm goes into an .npz file
+    per case; `model`: the model that was used; the experiment file states it. Raises `ExperimentError` if a value of
+    the experiment cannot stand in an experiment file; `OutputError` if the folder cannot be written.
     """
     with atomic_folder(out) as folder:
         # Paths are those seen from where the folder will be.
@@ -179,10 +185,11 @@ def write_simulated(
 def simulated_tables(
     experiment: Experiment, answers: "Mapping[str, CaseSimulation]"
 ) -> list[tuple[CsvTable, _Histories]]:
-    """Return the tables of an experiment folder with simulated values; tables without a row are left out.
+    """Return the comma-separated tables of an experiment folder with simulated values, without empty tables.
 
-    `experiment`: what was simulated; `answers`: all cases. Result: each table with its rows by case and name, for
-    `write_histories`.
+    `experiment`: the experiment that was simulated; `answers`: the simulation of each case, by the case's name. Result:
+    pairs of a table's declaration and its content: by case, the times (n_frames,) in s and, by marker, actuator or
+    target, the values (n_frames, 3) in mm or mN.
     """
     names = experiment.marker_names
     cases = experiment.cases

@@ -1,4 +1,4 @@
-"""Experiment folders: ``experiment.toml``, a mesh and the tables of what was measured."""
+"""Reading of experiment folders: ``experiment.toml``, a mesh and the comma-separated tables of measurements."""
 
 import os
 from collections.abc import Mapping, Sequence
@@ -38,20 +38,20 @@ from tissuereg.io.toml import Table, experiment_file, read_toml
 
 
 def read_experiment(path: str | os.PathLike[str], *, measured: bool = True) -> Experiment:
-    """Read an experiment folder.
+    """Read the folder of an experiment on a body with supports, actuators and tracked markers (a rig).
 
     Parameters
     ----------
     path : path-like
         The folder, or the experiment file in it (``experiment.toml`` unless named).
     measured : bool
-        Whether the rig has been measured. If not, ``markers.csv`` and ``forces.csv`` may be missing: the cases are then
-        those in which an actuator has rows.
+        Whether the experiment has been measured. If not, ``markers.csv`` and ``forces.csv`` may be missing: the cases
+        are then those in which an actuator has rows.
 
     Returns
     -------
     Experiment
-        Beliefs, mesh with its node sets, and all cases.
+        The believed material, supports and noise, the mesh with its node sets, and all load cases with measurements.
 
     Raises
     ------
@@ -112,9 +112,10 @@ def read_experiment(path: str | os.PathLike[str], *, measured: bool = True) -> E
 
 
 def is_experiment(path: str | os.PathLike[str]) -> bool:
-    """Return whether a path is that of an experiment: a folder, or a TOML file of a rig or a material test.
+    """Return whether a path can be that of an experiment: any folder, or a TOML file with the keys of an experiment.
 
-    `path`: folder or file. Result: False for data-set recipes and everything else.
+    Result: False for the recipe of a data set and everything else. Raises `FormatError` or `ExperimentError` if a path
+    that ends in .toml cannot be read.
     """
     place = Path(path)
     if place.is_dir() or place.suffix.lower() != ".toml":
@@ -124,9 +125,9 @@ def is_experiment(path: str | os.PathLike[str]) -> bool:
 
 
 def is_material_test(path: str | os.PathLike[str]) -> bool:
-    """Return whether a path is that of a material test: a folder or file with ``kind = "material-test"``.
+    """Return whether a path is that of a material test: its experiment file states ``kind = "material-test"``.
 
-    `path`: folder or file. Result: False also where there is no such file; reading it then raises the error.
+    `path`: the folder or the file. Result: False also where there is no such file; reading it then raises the error.
     """
     place = Path(path)
     file = place / "experiment.toml" if place.is_dir() else place
@@ -160,7 +161,11 @@ def _effect(table: Table) -> Effect:
 
 
 def _mesh(top: Table) -> tuple[Path, Mesh, float, float | None]:
-    """Return file, mesh, standard deviation of its surface in mm, and the length over which that is correlated."""
+    """Return the mesh of an experiment: its file, the mesh itself, and the accuracy of its surface.
+
+    `top`: content of ``experiment.toml``. The last two values are the standard deviation of the surface's place along
+    the normal and the length over which this error is correlated (None if not stated), both in mm.
+    """
     given = MeshKeys.alone(top)
     assert given is not None  # it is needed
     file = top.file.parent / given.file
@@ -194,7 +199,7 @@ def _actuator(table: Table, mesh: Mesh) -> Actuator:
 
 
 def _selected_nodes(table: Table, rule: Any, mesh: Mesh) -> IntArray:
-    """Return the numbers of the nodes of a set, near a plane, or on the surface within a ball, by a rule."""
+    """Return sorted indices (n,) of the nodes that a rule chooses: a node set, or nodes near a plane or in a ball."""
     try:
         return nodes_by_rule(mesh, rule, "nodes")
     except MeshError as error:
@@ -213,7 +218,7 @@ def _targets(top: Table) -> dict[str, FloatArray]:
 
 
 def _with_patches(top: Table, mesh: Mesh, boundaries: Sequence[Boundary], actuators: Sequence[Actuator]) -> Mesh:
-    """Return the mesh with the patches as node sets, and all held nodes as ``fixed``."""
+    """Return the mesh with a node set for each boundary and actuator, and with all held nodes as the set ``fixed``."""
     patches: list[Boundary | Actuator] = [*boundaries, *actuators]
     names = [patch.name for patch in patches]
     repeated = sorted({name for name in names if names.count(name) > 1})
@@ -236,7 +241,7 @@ def _refuse_held_pads(top: Table, mesh: Mesh, actuators: Sequence[Actuator]) -> 
 
 
 def _refuse_two_motions(top: Table, actuators: Sequence[Actuator], cases: Mapping[str, Case]) -> None:
-    """Refuse a displacement actuator all of whose nodes another one moves in the same case."""
+    """Raise `ExperimentError` if another actuator moves all nodes of a displacement actuator in the same load case."""
     for case in cases.values():
         moving = [pad for pad in actuators if pad.name in case.displacements]
         for one in moving:
@@ -251,7 +256,11 @@ def _refuse_two_motions(top: Table, actuators: Sequence[Actuator], cases: Mappin
 def _tabled(
     top: Table, folder: Path, actuators: Sequence[Actuator], targets: dict[str, FloatArray], measured: bool
 ) -> _Tabled:
-    """Return the content of a folder's tables; markers and forces may be absent for a rig that is not `measured`."""
+    """Return the markers (names, reference places, noise) and the load cases of an experiment, read from its tables.
+
+    `top`: content of ``experiment.toml``; `folder`: folder of the tables; `targets`: inner points by name, places (3,)
+    in mm; `measured`: whether the experiment has been measured; if not, the tables of markers and forces may be absent.
+    """
     table = MarkersKeys.found(top)
     assert table is not None  # it is needed
     given = MarkersKeys.of(table)
@@ -280,7 +289,11 @@ def _tabled(
 
 
 def _marker_reference(table: Table, given: MarkersKeys) -> tuple[dict[str, FloatArray] | None, float]:
-    """Return the markers' places by name, or None and the time of the frame that has them."""
+    """Return the reference places of the markers by name, (3,) in mm, and 0; or None and a time in s.
+
+    The time is that of the frame in which the markers were measured on the undeformed body. `table`, `given`: the table
+    ``[markers]`` of the experiment file and its checked keys.
+    """
     places = table.table("reference")
     if places is not None and "reference_time_s" not in places:
         names = list(places.rest())
@@ -296,7 +309,11 @@ def _marker_reference(table: Table, given: MarkersKeys) -> tuple[dict[str, Float
 
 
 def _first_places(table: Table, markers: Histories, time: float) -> dict[str, FloatArray]:
-    """Return where each marker was seen at the reference time (s): its place (3,), mm, by name."""
+    """Return the measured place of each marker at the given time in s, by name, shape (3,), in mm.
+
+    `table`: the table ``[markers]`` of the experiment file, for the message; `markers`: rows of markers.csv by case and
+    name. Raises `ExperimentError` if a marker has no place at this time.
+    """
     places: dict[str, FloatArray] = {}
     for histories in markers.values():
         for name, history in histories.items():

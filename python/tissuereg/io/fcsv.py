@@ -22,12 +22,12 @@ _SETTING = re.compile(r"#\s*(CoordinateSystem|columns)\s*=\s*(.*)$")
 
 
 def read_fcsv(path: str | os.PathLike[str]) -> NamedPoints:
-    """Read the points of a file of fiducials.
+    """Read the named points in a file of fiducials of 3D Slicer, with their places in mm in the file's frame.
 
-    `path`: with the line ``# CoordinateSystem = LPS`` (or RAS, or 1 and 0 for the two). Result: in the file's frame, in
-    mm. A point whose coordinates are empty is not defined, nor is one that has the number of another status behind the
-    named columns (0 undefined, 1 preview, 3 missing), where Slicer 5 puts it. Raises `FormatError` if the file is
-    missing, does not state its frame, or a line is not a point; the message names the line.
+    `path`: a text file with the line ``# CoordinateSystem = LPS`` (or RAS, or 1 and 0 for the two). A point whose
+    coordinates are empty is not defined and gets NaN as its place, as does one that has the number of another status
+    behind the named columns (0 undefined, 1 preview, 3 missing), where Slicer 5 puts it. Raises `FormatError` if the
+    file is missing, does not state its frame, or a line is not a point; the message names the line.
     """
     file = existing_file(path, FILES.text_mb)
     try:
@@ -45,7 +45,7 @@ def read_fcsv(path: str | os.PathLike[str]) -> NamedPoints:
 
 
 def _head(file: Path, lines: list[str]) -> tuple[str, list[str]]:
-    """Return the frame and the names of the columns."""
+    """Return the frame of the file, ``LPS`` or ``RAS``, and the names of its columns, from its comment lines."""
     frame, columns = None, _COLUMNS.split(",")
     for number, line in enumerate(lines, 1):
         found = _SETTING.match(line)

@@ -1,6 +1,6 @@
 """Displacement fields: in numpy archives, and as point data of the meshes of other solvers.
 
-Archives are checked: no pickles, and every fault is named by file and array.
+Arrays of an archive are checked when they are read: pickled objects are refused, and an error names file and array.
 """
 
 import contextlib
@@ -33,7 +33,8 @@ _SPOILT = (
 class Archive:
     """An open .npz file whose arrays are checked as they are read.
 
-    `path`: where it came from, for messages; `arrays`: numpy's lazy archive.
+    `path`: name of the file, for messages; `arrays`: mapping of names to arrays, such as numpy's archive, which reads
+    an array on access.
     """
 
     def __init__(self, path: Path | str, arrays: Mapping[str, Any]) -> None:
@@ -45,15 +46,15 @@ class Archive:
 
     @property
     def names(self) -> list[str]:
-        """Names of the arrays, in file order."""
+        """Names of the arrays in the file, in file order."""
         return list(self._arrays)
 
     def floats(self, name: str, *shape: int | None, finite: bool = True) -> FloatArray:
-        """Return an array of numbers.
+        """Return an array of real numbers as float64.
 
-        `name`: name in the archive; `*shape`: wanted shape; None means any length; `finite`: whether NaN and infinities
-        are refused. Result: of that shape. Raises `FormatError` if it is missing, spoilt, not numeric, of another shape
-        or not finite.
+        `name`: name in the archive; `*shape`: wanted shape, in which None stands for any length; `finite`: whether NaN
+        and infinities are refused. Raises `FormatError` if it is missing, spoilt, not numeric, of another shape, or not
+        finite.
         """
         array = self._checked(name, float_array, shape)
         if finite and not np.isfinite(array).all():
@@ -63,17 +64,17 @@ class Archive:
         return array
 
     def indices(self, name: str, *shape: int | None) -> IntArray:
-        """Return an array of whole numbers, int64, from the archive.
+        """Return an array of whole numbers as int64.
 
-        `name`: name in the archive; `*shape`: wanted shape; None means any length along that axis.
+        `name`: name in the archive; `*shape`: wanted shape, in which None stands for any length. Raises `FormatError`
+        if it is missing, spoilt, not of whole numbers, or of another shape.
         """
         return self._checked(name, index_array, shape)
 
     def raw(self, name: str) -> npt.NDArray[Any]:
-        """Return an array as it stands.
+        """Return an array with the shape and dtype that it has in the archive.
 
-        `name`: name in the archive. Result: any dtype but object. Raises `FormatError` if it is missing, holds pickled
-        objects or is spoilt.
+        `name`: name in the archive. Raises `FormatError` if it is missing, holds pickled objects or is spoilt.
         """
         where = f"{self.path}:{name}"
         if name not in self._arrays:
@@ -103,10 +104,10 @@ class Archive:
 
 @contextlib.contextmanager
 def open_npz(path: str | os.PathLike[str]) -> Iterator[Archive]:
-    """Open an .npz file for checked reading.
+    """Open an .npz file and yield its arrays as an `Archive`, which checks each one when it is read.
 
-    Gives: its arrays. Raises `FormatError` if there is no such file, if it is no archive of numpy arrays, or if it is
-    too large, packed or unpacked.
+    Raises `FormatError` if there is no such file, if it is no archive of numpy arrays, or if it is too large, packed or
+    unpacked.
     """
     file = existing_file(path, FILES.mesh_mb)
     with file.open("rb") as handle, _unpacked(file, handle) as archive:
@@ -115,10 +116,10 @@ def open_npz(path: str | os.PathLike[str]) -> Iterator[Archive]:
 
 @contextlib.contextmanager
 def npz_of_bytes(where: str, content: bytes) -> Iterator[Archive]:
-    """Open the content of an .npz file for checked reading.
+    """Open the bytes of an .npz file and yield its arrays as an `Archive`, which checks each one when it is read.
 
-    `where`: where it was read, for messages; `content`: the whole file. Gives: its arrays. Raises `FormatError` if it
-    is no archive of numpy arrays, or is too large, unpacked.
+    `where`: name of the file, for messages; `content`: the whole file. Raises `FormatError` if it is no archive of
+    numpy arrays, or is too large, unpacked.
     """
     with _unpacked(where, io.BytesIO(content)) as archive:
         yield archive
@@ -149,9 +150,10 @@ def _loaded(file: Path | str, handle: BinaryIO) -> "np.lib.npyio.NpzFile":
 
 
 def write_npz(path: str | os.PathLike[str], arrays: Mapping[str, Any]) -> None:
-    """Write named arrays as an .npz file, whole or not at all.
+    """Write arrays as an .npz file, whole or not at all.
 
-    `path`: where to; the name is kept as given; `arrays`: what to write.
+    `path`: the file, whose name is kept as given; `arrays`: the arrays, or values that numpy can turn into arrays, by
+    name.
     """
     with atomic_file(path) as temporary, temporary.open("wb") as handle:
         content: dict[str, Any] = {name: np.asarray(array) for name, array in arrays.items()}
@@ -163,10 +165,10 @@ PAIRS_SCHEMA = "tissuereg.pairs/1"
 
 
 def check_pairs(file: Any, where: str, mark: str) -> None:
-    """Check that an open file holds the pairs of a data set.
+    """Raise `FormatError` unless an open HDF5 file holds the pairs of a data set: fields of two models for one load.
 
-    `file`: the open file; `where`: its name, for messages; `mark`: SHA-256 of the data set's recipe. Raises
-    `FormatError` if it holds something else.
+    `file`: the open file; `where`: its name, for messages; `mark`: fingerprint (SHA-256) of the data set that it must
+    state.
     """
     if (file.attrs.get("schema"), file.attrs.get("recipe_sha256")) != (PAIRS_SCHEMA, mark):
         message = f"{where} must hold the pairs of this data set ({PAIRS_SCHEMA}); it holds something else"
@@ -174,11 +176,12 @@ def check_pairs(file: Any, where: str, mark: str) -> None:
 
 
 def read_pairs(folder: str | os.PathLike[str], n_nodes: int) -> tuple[FloatArray, FloatArray]:
-    """Return simulations and truths of the same events.
+    """Return displacement fields of the same loading events by the believed model and by another model, the truth.
 
-    `folder`: holds ``pairs_*.npz`` with ``simulation_mm`` and ``truth_mm``, each (n, n_nodes, 3); they are joined in
-    the order of their names; `n_nodes`: nodes of the mesh. Result: `simulations`, `truths` (n_pairs, n_nodes, 3): in
-    mm. Raises `FormatError` if there is no such file, or an array is missing or of another shape.
+    `folder`: folder with files ``pairs_*.npz``, each with ``simulation_mm`` and ``truth_mm`` of shape (n, n_nodes, 3);
+    they are joined in the order of their names; `n_nodes`: number of nodes of the mesh. Result: two arrays (n_pairs,
+    n_nodes, 3), mm: the believed model's and the truth's. Raises `FormatError` if there is no such file, or an array is
+    missing or of another shape.
     """
     files = sorted(Path(folder).glob("pairs_*.npz"))
     if not files:
@@ -193,13 +196,13 @@ def read_pairs(folder: str | os.PathLike[str], n_nodes: int) -> tuple[FloatArray
 
 
 def read_displacement(path: str | os.PathLike[str], mesh: Mesh, name: str = "displacement") -> FloatArray:
-    """Read the displacement that another solver found at the nodes of a mesh.
+    """Read the displacement (n_nodes, 3), in mm, that another solver found at the nodes of a mesh.
 
     `path`: a .vtu, .vtk or .msh file with the undeformed mesh and vectors at its points; or an .npz with the array
-    ``displacement_mm``. Lengths in mm; `mesh`: whose nodes the file has, in the same order. Further points after them,
-    such as middles of edges, are left out; `name`: of the point data; not of an .npz. Result: (n_nodes, 3), mm. Raises
-    `FormatError` if the file cannot be read, has no such data, is of another mesh or of the deformed one, or holds
-    numbers that are not finite.
+    ``displacement_mm``. Lengths in mm; `mesh`: the mesh whose nodes the file has, in the same order. Further points
+    after them, such as middles of edges, are left out; `name`: name of the vectors in the point data; not used for an
+    .npz. Raises `FormatError` if the file cannot be read, has no such data, is of another mesh or of the deformed one,
+    or holds numbers that are not finite.
     """
     text("name", name)
     file = mesh_file(path, "mesh")

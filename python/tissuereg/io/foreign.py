@@ -1,4 +1,4 @@
-"""Meshes and surfaces by the readers of other packages, without their output and with typed errors for failures."""
+"""Reading of meshes and surfaces by other packages, without their printed output; failures become `FormatError`."""
 
 import contextlib
 import io
@@ -15,7 +15,7 @@ MESHIO_MODULES: dict[str, str] = {".vtu": "vtu", ".vtk": "vtk", ".msh": "gmsh"}
 
 @contextlib.contextmanager
 def hushed() -> Iterator[None]:
-    """Silence prints and warnings of other packages."""
+    """Silence what other packages print to standard output and error, and their warnings, during the block."""
     silence = io.StringIO()
     with warnings.catch_warnings(), contextlib.redirect_stdout(silence), contextlib.redirect_stderr(silence):
         warnings.simplefilter("ignore")
@@ -24,10 +24,10 @@ def hushed() -> Iterator[None]:
 
 @contextlib.contextmanager
 def reading(file: Path, what: str) -> Iterator[None]:
-    """Run a reader of another package silently; any error of it counts as an invalid file.
+    """Run a block that reads a file by another package silently, and turn any error in it into `FormatError`.
 
-    `file`: the file that is read; `what`: what it must be: "a mesh", "a surface". Raises `FormatError` if the block
-    raises anything but an error of this package.
+    `file`: the file that is read; `what`: what it must be, for the message: "a mesh", "a surface". Errors of this
+    package pass unchanged.
     """
     try:
         with hushed():
@@ -41,10 +41,10 @@ def reading(file: Path, what: str) -> Iterator[None]:
 
 
 def meshio_content(file: Path, what: str) -> Any:
-    """Return a file as meshio reads it.
+    """Return the content of a mesh file as the object `meshio.Mesh`.
 
-    `file`: with an ending of `MESHIO_MODULES`; `what`: as `reading` takes it. Result: as it stands. Raises
-    `FormatError` if meshio cannot read it.
+    `file`: a file whose ending `MESHIO_MODULES` lists; `what`: what it must be, for messages: "a mesh", "a surface".
+    Raises `FormatError` if meshio cannot read it.
     """
     import meshio
 

@@ -20,11 +20,11 @@ _SPOILT = (OSError, RuntimeError, ValueError, TypeError, KeyError, MemoryError, 
 
 
 def packed(arrays: Mapping[str, npt.NDArray[Any]], attributes: Mapping[str, Any], by_row: frozenset[str]) -> bytes:
-    """Return an HDF5 file of arrays.
+    """Return the bytes of an HDF5 file with the given arrays; they are the same for the same content.
 
-    `arrays`: by name; a slash makes a group. Text is written as UTF-8; `attributes`: attributes of the whole file;
-    `by_row`: names of arrays that are chunked by rows, so that one row can be read alone; the others are one chunk.
-    Result: the same bytes for the same content.
+    `arrays`: arrays by name, in which a slash makes a group; text is written as UTF-8; `attributes`: attributes of the
+    whole file, by name; `by_row`: names of arrays that are stored row by row, so that one row can be read alone; each
+    other array is stored as one piece.
     """
     import h5py
 
@@ -45,7 +45,7 @@ def packed(arrays: Mapping[str, npt.NDArray[Any]], attributes: Mapping[str, Any]
 
 
 def _utf8(texts: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Return texts as bytes of one length, marked as UTF-8."""
+    """Return an array of texts as UTF-8 bytes of one length, with the dtype that h5py uses for such text."""
     import h5py
 
     encoded = np.char.encode(texts, "utf-8")
@@ -54,10 +54,10 @@ def _utf8(texts: npt.NDArray[Any]) -> npt.NDArray[Any]:
 
 @contextmanager
 def opened(store: Store, name: str, content: bytes | None = None) -> Iterator[Any]:
-    """Open an HDF5 file for reading; errors of h5py become a `FormatError` that names the file.
+    """Open an HDF5 file for reading and yield the open file; errors of h5py become a `FormatError` that names the file.
 
-    `name`: its name there; `content`: the file's content, where it has been read already. Gives: the open file. Raises
-    `FormatError` if it is missing or spoilt, also if that shows only while it is read.
+    `store`: place of the file; `name`: its name there; `content`: its bytes, if they have been read already. Raises
+    `FormatError` if it is missing or spoilt, also if that shows only while it is read in the block.
     """
     with spoilt_is_said(store, name):
         whole = OpenFile(store, name, content)
@@ -68,9 +68,10 @@ def opened(store: Store, name: str, content: bytes | None = None) -> Iterator[An
 
 
 class OpenFile:
-    """An open HDF5 file, to be closed by its owner; without the messages of `opened`.
+    """An open HDF5 file that its owner must close; errors of h5py pass unchanged.
 
-    `store`, `name`, `content`: as `opened`.
+    `store`: place of the file; `name`: its name there; `content`: its bytes, if they have been read already. The
+    attribute `file` is the open h5py file.
     """
 
     def __init__(self, store: Store, name: str, content: bytes | None = None) -> None:
@@ -87,14 +88,14 @@ class OpenFile:
         weakref.finalize(self, self._source.close)  # for owners that go away without a word
 
     def close(self) -> None:
-        """Close the file, and the one under it."""
+        """Close the HDF5 file, and the file or the bytes from which it is read."""
         self.file.close()
         self._source.close()
 
 
 @contextmanager
 def spoilt_is_said(store: Store, name: str) -> Iterator[None]:
-    """Turn what h5py raises on spoilt files into `FormatError`."""
+    """Turn the errors that h5py raises in the block on a spoilt file of this name into a `FormatError`."""
     try:
         yield
     except FormatError:
@@ -108,11 +109,11 @@ def spoilt_is_said(store: Store, name: str) -> Iterator[None]:
 
 
 def array_of(file: Any, where: str, name: str, kinds: str, shape: tuple[int | None, ...]) -> npt.NDArray[Any]:
-    """Return an array of an open file, checked.
+    """Return an array of an open HDF5 file, as stored, after checking its dtype and shape.
 
-    `file`: the open file; `where`: its name, for messages; `name`: the array's; `kinds`: kinds of dtype that it may
-    have; `shape`: its shape; None means any length. Result: as stored. Raises `FormatError` if it is missing, or of
-    another kind or shape.
+    `file`: the open file; `where`: its name, for messages; `name`: name of the array; `kinds`: letters of the numpy
+    kinds of dtype that it may have, such as "iu"; `shape`: wanted shape, in which None stands for any length. Raises
+    `FormatError` if it is missing, or of another dtype or shape.
     """
     data = checked(file, where, name, kinds, shape)
     content: npt.NDArray[Any] = data[()]
@@ -120,7 +121,12 @@ def array_of(file: Any, where: str, name: str, kinds: str, shape: tuple[int | No
 
 
 def checked(file: Any, where: str, name: str, kinds: str, shape: tuple[int | None, ...]) -> Any:
-    """Return a data set of an open file, unread, whose kind and shape were checked as by `array_of`."""
+    """Return an array of an open HDF5 file as an h5py data set, not read yet, after checking its dtype and shape.
+
+    `file`: the open file; `where`: its name, for messages; `name`: name of the array; `kinds`: letters of the numpy
+    kinds of dtype that it may have, such as "iu"; `shape`: wanted shape, in which None stands for any length. Raises
+    `FormatError` if it is missing, or of another dtype or shape.
+    """
     import h5py
 
     data = file.get(name)

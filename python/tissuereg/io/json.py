@@ -14,10 +14,10 @@ from tissuereg.io.atomic import atomic_file
 
 
 def plain(value: Any) -> Any:
-    """Return `value` made of dicts, lists, strings, bools, finite numbers and None only.
+    """Return `value` as a structure of dicts, lists, strings, bools, finite numbers and None only, as JSON can hold it.
 
-    `value`: mappings, sequences, sets, numpy arrays and scalars, paths, nested at will. Result: NaN and infinities
-    become None, arrays become lists. Raises `FormatError` if something else is found.
+    `value`: mappings, sequences, sets, numpy arrays and scalars, paths, nested in any way. NaN and infinities become
+    None, arrays become lists. Raises `FormatError` if something else is found.
 
     Examples
     --------
@@ -44,13 +44,18 @@ def plain(value: Any) -> Any:
 def dumps(value: Any) -> str:
     """Return `value` as JSON text, indented by two, one newline at the end.
 
-    `value`: what `plain` takes. Result: strict JSON: no NaN, no Infinity.
+    `value`: mappings, sequences, sets, numpy arrays and scalars, paths, nested in any way. Result: strict JSON, in
+    which NaN and infinities are null. Raises `FormatError` if something else is found.
     """
     return json.dumps(plain(value), indent=2, allow_nan=False, ensure_ascii=False) + "\n"
 
 
 def write_json(path: str | os.PathLike[str], value: Any) -> None:
-    """Write `value` as a JSON file, whole or not at all. `value`: what `plain` takes."""
+    """Write `value` as a JSON file, whole or not at all.
+
+    `value`: mappings, sequences, sets, numpy arrays and scalars, paths, nested in any way; NaN and infinities become
+    null.
+    """
     text = dumps(value)
     with atomic_file(path) as temporary:
         temporary.write_text(text, encoding="utf-8")

@@ -1,4 +1,4 @@
-"""Material-test experiments: ``experiment.toml`` with ``kind = "material-test"``, and ``test.csv``."""
+"""Reading of material tests: ``experiment.toml`` with ``kind = "material-test"``, and the curves in ``test.csv``."""
 
 import math
 import os
@@ -29,12 +29,13 @@ _COLUMNS = tuple(TEST_COLUMNS)
 
 
 def read_material_experiment(path: str | os.PathLike[str]) -> MaterialExperiment:
-    """Read a material-test experiment.
+    """Read the stress-strain curves of a material test and the believed material.
 
-    ``[material]`` is read as in a rig's file. Two tables may be left out: ``[test]`` with ``hold_out`` (``mode``,
-    ``rate`` or ``specimen``: what the proof of a finding leaves out) and ``std_kpa`` (noise of one stress), and
-    ``[[effect]]``. Rows of one specimen, mode and rate are one load history from rest; where time falls, another one
-    begins. Empty cells: rate and time where they are not known, a stress that was not measured.
+    ``[material]`` is read as in the file of an experiment on a body. Two tables may be left out: ``[test]`` with
+    ``hold_out`` (``mode``, ``rate`` or ``specimen``: the curves of one of these are left out of a fit, to test its
+    prediction) and ``std_kpa`` (standard deviation of one stress), and ``[[effect]]``. Rows of one specimen, mode and
+    rate are one load history from rest; where time falls, another one begins. Empty cells: rate and time where they are
+    not known, a stress that was not measured.
 
     Parameters
     ----------
@@ -44,13 +45,13 @@ def read_material_experiment(path: str | os.PathLike[str]) -> MaterialExperiment
     Returns
     -------
     MaterialExperiment
-        Beliefs and curves.
+        The believed material and effects, and the measured curves (strains dimensionless, stresses in kPa).
 
     Raises
     ------
     ExperimentError
-        If the file is of another kind, a key or mode is unknown, a stretch is not positive, times are given in part, a
-        stress has the wrong sign, or an effect cannot be seen in a material test; the place is named.
+        If the file states another ``kind``, a key or mode is unknown, a stretch is not positive, times are given in
+        part, a stress has the wrong sign, or an effect cannot be seen in a material test; the place is named.
     FormatError
         If a file is missing or cannot be read.
     """
@@ -69,7 +70,10 @@ def read_material_experiment(path: str | os.PathLike[str]) -> MaterialExperiment
 
 
 def write_test_table(path: str | os.PathLike[str], curves: Iterable[Curve]) -> None:
-    """Write curves as a ``test.csv``, whole or not at all. `curves`: what is not known becomes an empty cell."""
+    """Write measured stress-strain curves as the table ``test.csv`` of a material test, whole or not at all.
+
+    A rate, time or stress that is not known (NaN) becomes an empty cell.
+    """
     rows = [
         (curve.specimen, curve.mode, curve.rate, float(time), float(amount), float(stress))
         for curve in curves

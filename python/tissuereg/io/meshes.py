@@ -1,7 +1,7 @@
-"""Tetrahedral meshes: .vtu, .vtk and .msh through meshio, .npz directly.
+"""Reading and writing of tetrahedral meshes: .vtu, .vtk and .msh through meshio, .npz directly.
 
-Node sets come from 0/1 point data of any name, from named sets or physical groups of cells, and in an .npz
-from integer arrays ``<name>_nodes``.
+Node sets come from 0/1 point data of any name, from named sets or physical groups of cells, and in an .npz from integer
+arrays ``<name>_nodes``.
 """
 
 import os
@@ -36,16 +36,17 @@ def read_mesh(path: str | os.PathLike[str], fixed: NodeRule | None = None, *, fr
         A .vtu, .vtk or .msh file, or an .npz with ``nodes_mm (n, 3)``, ``tets (m, 4)`` and integer arrays
         ``fixed_nodes``, ``<name>_nodes``. Lengths in mm.
     fixed : str or sequence of float, optional
-        What is held: ``"plane nx ny nz d [tol]"`` or those numbers (the nodes within `tol` mm of the plane
-        ``n . x = d``, n normalised, d in mm), ``"ball x y z r"`` (the surface nodes within r mm of the point), or the
-        name of another node set of the file. Where absent, the file's set ``fixed``.
+        Rule that chooses the held nodes: ``"plane nx ny nz d [tol]"`` or those numbers (the nodes within `tol` mm of
+        the plane ``n . x = d``, where n is the normal (nx, ny, nz) brought to length 1 and d its distance from the
+        origin in mm), ``"ball x y z r"`` (the surface nodes within r mm of the point x, y, z), or the name of another
+        node set of the file. By default the nodes of the file's set ``fixed`` are held.
     frame : {"LPS", "RAS"}, optional
-        Frame of a patient that the coordinates are declared to be in; they are taken as they are.
+        Patient frame of the coordinates, which the mesh then states; the coordinates themselves are not changed.
 
     Returns
     -------
     Mesh
-        Corner nodes only; of ten-node tets the mid-edge nodes are dropped, with a warning.
+        The mesh in mm with corner nodes only; of ten-node tets the mid-edge nodes are dropped, with a warning.
 
     Raises
     ------
@@ -65,9 +66,10 @@ def read_mesh(path: str | os.PathLike[str], fixed: NodeRule | None = None, *, fr
 
 
 def mesh_from_archive(archive: Archive) -> Mesh:
-    """Return the mesh that an open .npz holds.
+    """Return the mesh that an open .npz file holds, with nodes in mm and its node sets.
 
-    `archive`: with ``nodes_mm``, ``tets`` and any ``<name>_nodes``. Result: its node sets are named without ``_nodes``.
+    `archive`: the file, with ``nodes_mm`` (n, 3), ``tets`` (m, 4) and integer arrays ``<name>_nodes``; each of these
+    becomes a node set with the name before ``_nodes``.
     """
     nodes = archive.floats("nodes_mm", None, 3, finite=False)  # `Mesh` names the node that is not
     tets = archive.indices("tets", None, 4)
@@ -87,13 +89,13 @@ def write_vtu(
     says: str = "",
     places: Any = None,
 ) -> None:
-    """Write a mesh with values at its nodes as .vtu, whole or not at all.
+    """Write a mesh with values at its nodes as a .vtu file, whole or not at all.
 
-    `path`: where to; should end in .vtu; `mesh`: nodes in mm; its node sets are written as 0/1 point data, so that
-    `read_mesh` finds them; `point_data` (n_nodes,) or (n_nodes, 3): values at the nodes, named with their unit; `says`:
-    a note for viewers about the whole file, in words joined by underscores: the name of an array of field data;
-    `places` (n_nodes, 3): where the nodes are drawn, mm, in place of the mesh's own; tets may be inside out there.
-    Raises `ShapeError` if an array does not have one row per node.
+    `path`: the file; its name should end in .vtu; `mesh`: nodes in mm; its node sets are written as 0/1 point data, so
+    that `read_mesh` finds them; `point_data`: values at the nodes by name, which should end in the unit, each
+    (n_nodes,) or (n_nodes, 3); `says`: a note for viewers about the whole file, in words joined by underscores, written
+    as the name of an array of field data; `places` (n_nodes, 3): coordinates in mm to write in place of the mesh's own,
+    for which tets may be inside out. Raises `ShapeError` if an array does not have one row per node.
     """
     import meshio
 
@@ -118,7 +120,10 @@ def write_vtu(
 
 
 def _add_field_data(file: Path, name: str) -> None:
-    """Put an array of field data with one 1 into a .vtu; meshio writes none, and reads none that holds text."""
+    """Add an array of field data called `name`, with a single 1, to a .vtu file.
+
+    It is added as text, since meshio writes no such array, and cannot read a file with one that holds text.
+    """
     array = (
         f'<FieldData><DataArray type="Int8" Name="{name}" NumberOfTuples="1" format="ascii">1</DataArray></FieldData>'
     )
@@ -181,7 +186,10 @@ def _node_sets(file: Path, content: Any, n_nodes: int) -> dict[str, IntArray]:
 
 
 def _sets_of_cells(content: Any) -> dict[str, IntArray]:
-    """Return the numbers of the nodes of every named set, or Gmsh physical group, of cells, by name."""
+    """Return the node indices, sorted int64 (n,), of each named set of cells or Gmsh physical group, by its name.
+
+    `content`: the file as a `meshio.Mesh`.
+    """
     found: dict[str, list[npt.NDArray[Any]]] = {}
     for name, rows in content.cell_sets.items():
         if not str(name).startswith("gmsh:"):
@@ -211,7 +219,7 @@ def _warn_of_dropped(file: Path, n_dropped: int, second_order: bool) -> None:
 
 
 def _placed(file: Path | str, nodes: Any, tets: Any, sets: Mapping[str, Any]) -> Mesh:
-    """Return the mesh; errors about it name the file."""
+    """Return the mesh of nodes (n, 3) in mm, tets (m, 4) and node sets by name; errors name the file that held them."""
     try:
         return Mesh(nodes, tets, sets)
     except (MeshError, ShapeError) as error:

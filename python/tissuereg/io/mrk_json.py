@@ -1,4 +1,4 @@
-"""Markups of 3D Slicer as JSON (``.mrk.json``, schema 1.x): lists of points in, lists of points out."""
+"""Markups of 3D Slicer as JSON (``.mrk.json``, schema 1.x): reading and writing of lists of points."""
 
 import json
 import math
@@ -27,11 +27,11 @@ _UNKNOWN = (math.nan, math.nan, math.nan)
 
 
 def read_mrk_json(path: str | os.PathLike[str]) -> NamedPoints:
-    """Read the list of points in a file of markups.
+    """Read the named points in a markups file of 3D Slicer, with their places in mm in the file's frame.
 
-    `path`: one list of points. Where the file does not state them, the frame is LPS and the unit mm, as in Slicer.
-    Result: in the file's frame, in mm; a point whose ``positionStatus`` is not ``defined`` has no place. Raises
-    `FormatError` if the file is missing or no such list; the message names the place in it.
+    `path`: a file with one list of points. Where the file does not state them, the frame is LPS and the unit mm, as in
+    Slicer. A point whose ``positionStatus`` is not ``defined`` gets NaN as its place. Raises `FormatError` if the file
+    is missing or no such list; the message names the place in it.
     """
     file = existing_file(path, FILES.text_mb)
     markup = _only_list(file, _content(file))
@@ -48,10 +48,11 @@ def read_mrk_json(path: str | os.PathLike[str]) -> NamedPoints:
 def write_mrk_json(
     path: str | os.PathLike[str], points: Mapping[str, tuple[Sequence[float], str]], frame: str | None = None
 ) -> None:
-    """Write a list of points for Slicer, whole or not at all.
+    """Write a list of points as a markups file that 3D Slicer opens, whole or not at all.
 
-    `path`: where to; should end in ``.mrk.json``; `points`: place in mm and description by label; `frame`: ``"LPS"`` or
-    ``"RAS"``, the frame of the places; LPS where absent, which is what Slicer takes for granted.
+    `path`: the file; its name should end in ``.mrk.json``; `points`: for each point by its label, its place (3,) in mm
+    and its description; `frame`: ``"LPS"`` or ``"RAS"``, the frame of the places; for None the file states LPS, which
+    Slicer assumes.
     """
     name = path_of("path", path, error=OutputError).name.removesuffix(".json").removesuffix(".mrk")
     markup = {
@@ -107,7 +108,7 @@ def _only_list(file: Path, content: dict[str, Any]) -> dict[str, Any]:
 
 
 def _mm_per_unit(file: Path, unit: object) -> float:
-    """Return the millimetres in the file's unit, which is a UCUM code, or [code, "UCUM", meaning]."""
+    """Return the number of mm in a unit of length, given as its UCUM code or as [code, "UCUM", meaning]."""
     code = unit
     if isinstance(unit, list):
         code = unit[0] if len(unit) == 3 and unit[1] == "UCUM" else None

@@ -1,4 +1,7 @@
-"""Rules that choose nodes: a plane, a ball or the name of a node set, in one notation for files, commands, Python."""
+"""Rules that choose nodes of a mesh: a plane, a ball or the name of a node set.
+
+Experiment files, the command line and Python use the same notation.
+"""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -25,14 +28,15 @@ _PLANE_KEYS, _BALL_KEYS = ("plane", "tolerance_mm"), ("centre_mm", "radius_mm")
 
 
 def nodes_by_rule(mesh: Mesh, rule: NodeRule, name: str = "fixed") -> IntArray:
-    """Return the nodes that a rule chooses.
+    """Return the indices of the nodes that a rule chooses: a node set, the nodes near a plane, or those in a ball.
 
-    `mesh`: the body, mm; `rule`: the name of a node set. Or all nodes near a plane: ``"plane nx ny nz d [tol]"``, those
-    four or five numbers, or ``{"plane": [nx, ny, nz, d], "tolerance_mm": tol}``; `tol` is 0.1 mm where it is absent. Or
-    the surface nodes in a ball: ``"ball x y z r"`` or ``{"centre_mm": [x, y, z], "radius_mm": r}``. A table may be
-    given as TOML text; `name`: name of the argument or key, for the message. Result: int64 (n,), sorted indices, at
-    least one. Raises `FormatError` if the rule cannot be read; `MeshError` if there is no such node set, or the plane
-    or ball catches no node.
+    `mesh`: the body, mm; `rule`: the name of a node set. Or all nodes near a plane: ``"plane nx ny nz d [tol]"``
+    (normal n, distance d from the origin along n brought to length 1, tolerance, both in mm), those four or five
+    numbers, or ``{"plane": [nx, ny, nz, d], "tolerance_mm": tol}``; `tol` is 0.1 mm where it is absent. Or the surface
+    nodes in a ball of centre x, y, z and radius r in mm: ``"ball x y z r"`` or ``{"centre_mm": [x, y, z], "radius_mm":
+    r}``. A table may be given as TOML text; `name`: name of the argument or key, for the message. Result: int64 (n,),
+    sorted indices, at least one. Raises `FormatError` if the rule cannot be read; `MeshError` if there is no such node
+    set, or the plane or ball catches no node.
     """
     kind, numbers = parsed_rule(rule, name)
     if kind == "plane":
@@ -43,11 +47,12 @@ def nodes_by_rule(mesh: Mesh, rule: NodeRule, name: str = "fixed") -> IntArray:
 
 
 def parsed_rule(rule: NodeRule, name: str = "fixed") -> tuple[str, list[float]]:
-    """Return the kind and the numbers of a rule, so that a wrong one is refused before long work.
+    """Return the kind and the numbers of a rule that chooses nodes, so that a wrong rule is refused before long work.
 
-    `rule`: as `nodes_by_rule` takes it; `name`: name of the argument or key, for the message. Result: `kind`:
-    ``plane``, ``ball``, or the name of a node set; `numbers`: ``nx, ny, nz, d, tol`` or ``x, y, z, r``, lengths in mm;
-    none for a node set. Raises `FormatError` if a plane or a ball is not given by such numbers.
+    `rule`: the name of a node set; or a plane or ball as text, numbers or table in a form that `nodes_by_rule` accepts;
+    `name`: name of the argument or key, for the message. Result: ``plane`` with [nx, ny, nz, d, tol], ``ball`` with [x,
+    y, z, r], lengths in mm, or the name of a node set with an empty list. Raises `FormatError` if a plane or a ball is
+    not given by such numbers.
     """
     kind, given = _kind_and_words(rule, name)
     if kind not in ("plane", "ball"):
@@ -66,11 +71,12 @@ def parsed_rule(rule: NodeRule, name: str = "fixed") -> tuple[str, list[float]]:
 
 
 def rule_for_file(rule: NodeRule, name: str = "nodes") -> str | dict[str, Any]:
-    """Return a rule as experiment files hold it: the name of a node set, or a table.
+    """Return a rule that chooses nodes as an experiment file holds it: the name of a node set, or a table.
 
-    `rule`: as `nodes_by_rule` takes it; `name`: name of the argument or key, for the message. Result: ``{"plane": [nx,
-    ny, nz, d], "tolerance_mm": tol}`` or ``{"centre_mm": [x, y, z], "radius_mm": r}``. Raises `FormatError` if the rule
-    cannot be read.
+    `rule`: the name of a node set; or a plane or ball as text, numbers or table in a form that `nodes_by_rule` accepts;
+    `name`: name of the argument or key, for the message. Result: the name, or ``{"plane": [nx, ny, nz, d],
+    "tolerance_mm": tol}``, or ``{"centre_mm": [x, y, z], "radius_mm": r}``. Raises `FormatError` if the rule cannot be
+    read.
     """
     kind, numbers = parsed_rule(rule, name)
     if kind == "plane":
@@ -81,7 +87,11 @@ def rule_for_file(rule: NodeRule, name: str = "nodes") -> str | dict[str, Any]:
 
 
 def _kind_and_words(rule: Any, name: str) -> tuple[str, list[Any]]:
-    """Return ``plane`` or ``ball`` with its numbers as given; for a node set its name without numbers."""
+    """Split a rule that chooses nodes: return ``plane`` or ``ball`` and its numbers, not converted yet.
+
+    For the name of a node set, return its words: the first, and the list of the others. `name`: name of the argument,
+    for the message.
+    """
     if isinstance(rule, str):
         if rule.lstrip().startswith("{"):
             return _of_table(_table_from_text(rule, name), name)
@@ -95,14 +105,14 @@ def _kind_and_words(rule: Any, name: str) -> tuple[str, list[Any]]:
 
 
 def _as_given(number: Any) -> Any:
-    """Return a number as Python's own, None for anything else: texts are numbers only as words of a rule."""
+    """Return a number of Python or numpy as Python's; return None for a value of another type, texts included."""
     if isinstance(number, np.integer | np.floating):
         return number.item()
     return number if isinstance(number, int | float) else None
 
 
 def _numbers(given: Sequence[Any]) -> list[float]:
-    """Return words or numbers as floats; none at all if one of them is neither."""
+    """Return texts or numbers as floats, NaN for true and false; return an empty list if one of them is no number."""
     try:
         return [math.nan if isinstance(one, bool) else float(one) for one in given]
     except (TypeError, ValueError, OverflowError):
@@ -141,11 +151,11 @@ def _refuse(name: str, rules: str, rule: Any) -> NoReturn:
 
 
 def nodes_near_plane(mesh: Mesh, normal: Sequence[float], offset: float, tolerance: float) -> IntArray:
-    """Return the nodes with ``|n . x - offset| <= tolerance``, n normalised.
+    """Return the indices of the nodes near a plane, ``|n . x - offset| <= tolerance`` with the unit normal n.
 
-    `mesh`: the body, mm; `normal`: normal of the plane, of any length but zero; `offset`: distance of the plane from
-    the origin along the unit normal, mm; `tolerance`: how far a node may lie from the plane, mm. Result: int64 (n,),
-    sorted indices, at least one. Raises `MeshError` if no node is that close.
+    `mesh`: the body with node places x, mm; `normal`: normal of the plane, of any length but zero; `offset`: distance
+    of the plane from the origin along the unit normal, mm; `tolerance`: how far a node may lie from the plane, mm.
+    Result: int64 (n,), sorted indices, at least one. Raises `MeshError` if no node is that close.
     """
     unit = np.asarray(normal, dtype=np.float64)
     unit = unit / np.abs(unit).max()  # the squares of very long or short normals are no numbers
@@ -162,10 +172,10 @@ def nodes_near_plane(mesh: Mesh, normal: Sequence[float], offset: float, toleran
 
 
 def surface_nodes_in_ball(mesh: Mesh, centre: Sequence[float] | FloatArray, radius: float) -> IntArray:
-    """Return the nodes of the surface within a distance of a point.
+    """Return the indices of the nodes of the body's surface within a distance of a point.
 
-    `mesh`: the body, mm; `centre`: mm; `radius`: mm. Result: int64 (n,), sorted indices, at least one. Raises
-    `MeshError` if no node of the surface is that close.
+    `mesh`: the body, mm; `centre`: the point (3,), mm; `radius`: the distance, mm. Result: int64 (n,), sorted indices,
+    at least one. Raises `MeshError` if no node of the surface is that close.
     """
     middle = np.asarray(centre, dtype=np.float64)
     nodes = mesh.surface_nodes_within(middle, radius)
@@ -180,7 +190,11 @@ def surface_nodes_in_ball(mesh: Mesh, centre: Sequence[float] | FloatArray, radi
 
 
 def node_rule(meaning: str, **more: Any) -> Any:
-    """Declare a field that holds such a rule, as `rule_for_file` returns it."""
+    """Declare a dataclass field that holds a rule which chooses nodes: the name of a node set, or a table.
+
+    The table describes a plane or a ball, in the form that `rule_for_file` returns. `meaning`: the field's meaning in
+    one sentence; `more`: its default and further attributes of `Check`.
+    """
 
     def take(name: str, value: Any, error: type[TissueRegError] = FormatError) -> str | dict[str, Any]:
         try:

@@ -1,4 +1,4 @@
-"""Files of points with labels, such as 3D Slicer's: a reader for each ending of the name; markers and targets."""
+"""Markers and targets (inner points) from files of points with labels, such as those of 3D Slicer."""
 
 import os
 import warnings
@@ -23,14 +23,14 @@ POINT_READERS: dict[str, Callable[[str | os.PathLike[str]], NamedPoints]] = {
 
 
 def is_point_file(path: str | os.PathLike[str]) -> bool:
-    """Return whether a file's name has an ending of `POINT_READERS`: ``.mrk.json``, ``.json``, ``.fcsv``."""
+    """Return whether a file's name ends as files of labelled points do: in ``.mrk.json``, ``.json`` or ``.fcsv``."""
     return _ending(path) is not None
 
 
 def read_points(path: str | os.PathLike[str]) -> NamedPoints:
-    """Read the points of a file.
+    """Read the named points in a file of 3D Slicer, with their places in mm in the file's frame.
 
-    `path`: a file that `is_point_file` takes. Result: in the file's frame, in mm. Raises `FormatError` if the file is
+    `path`: a file whose name ends in ``.mrk.json``, ``.json`` or ``.fcsv``. Raises `FormatError` if the file is
     missing, spoilt or of another kind; the message names the place in it.
     """
     ending = _ending(path)
@@ -45,10 +45,10 @@ def _ending(path: str | os.PathLike[str]) -> str | None:
 
 
 def targets_of(path: str | os.PathLike[str], frame: str | None) -> dict[str, FloatArray]:
-    """Read inner points.
+    """Read the targets (inner points of a body) in a file of points: the place (3,) of each in mm, by its label.
 
-    `path`: a file of points; `frame`: ``"LPS"`` or ``"RAS"`` that they are wanted in; None: the file's. Result: (3,),
-    place in mm by label, in file order. Raises `FormatError` if the file cannot be read, or a target has no place.
+    `path`: a file of 3D Slicer; `frame`: ``"LPS"`` or ``"RAS"``, the frame of the result; None for that of the file.
+    Result: in file order. Raises `FormatError` if the file cannot be read, or a target has no place.
     """
     points = read_points(path)
     if not points.defined.all():
@@ -61,14 +61,14 @@ def targets_of(path: str | os.PathLike[str], frame: str | None) -> dict[str, Flo
 def markers_of(
     reference: str | os.PathLike[str], measured: str | os.PathLike[str] | None, std: float, frame: str | None
 ) -> Markers:
-    """Read markers from where they sit and where they were seen.
+    """Read markers from two files of points: their places on the undeformed body, and their measured places.
 
-    `reference`, `measured`: files of points; those of the same label belong together. They may have frames and units of
-    their own; `std`: standard deviation of a measured coordinate, mm; `frame`: ``"LPS"`` or ``"RAS"`` that the markers
-    are wanted in; None: that of `reference`. Result: in the order of `reference`. A marker that `measured` lacks, or
-    does not define, was not seen; one that `reference` does not define is left out, with a warning. Raises
-    `FormatError` if there are not two such files, one cannot be read, or `measured` has a label that `reference` lacks;
-    `MarkerError` if `std` is not positive.
+    `reference`, `measured`: files of points of the two, in which points of the same label belong together. They may
+    have frames and units of their own; `std`: standard deviation of a measured coordinate, mm; `frame`: ``"LPS"`` or
+    ``"RAS"``, the frame of the result; None for that of `reference`. Result: in the order of `reference`. A marker that
+    `measured` lacks, or does not define, counts as not measured; one that `reference` does not define is left out, with
+    a warning. Raises `FormatError` if there are not two such files, one cannot be read, or `measured` has a label that
+    `reference` lacks; `MarkerError` if `std` is not positive.
     """
     files = {"reference": reference, "measured": measured}
     for role, path in files.items():
@@ -86,19 +86,21 @@ def markers_of(
 
 
 def reference_of(path: str | os.PathLike[str], std: float, frame: str | None) -> Markers:
-    """Read markers from where they sit alone.
+    """Read markers, none of them measured yet, from a file of points with their places on the undeformed body.
 
-    `path`: a file of points; `std`, `frame`: as in `markers_of`. Result: None of them seen; one without a place is left
-    out, with a warning. Raises `FormatError` if the file cannot be read; `MarkerError` if `std` is not positive.
+    `path`: a file of points; `std`: standard deviation of a coordinate that will be measured, mm; `frame`: ``"LPS"`` or
+    ``"RAS"``, the frame of the result; None for that of the file. A marker without a place is left out, with a warning.
+    Raises `FormatError` if the file cannot be read; `MarkerError` if `std` is not positive.
     """
     sit = read_points(path)
     return _markers(sit, {}, std, frame or sit.frame)
 
 
 def _markers(sit: NamedPoints, seen: dict[str, FloatArray], std: float, frame: str) -> Markers:
-    """Return the markers of which a reference place is known, with the places where they were seen.
+    """Return the markers whose place on the undeformed body is known, with their measured places.
 
-    `sit`: reference places by label; `seen`: measured places (3,), mm, by label; `std`: noise, mm; `frame`: LPS or RAS.
+    `sit`: places on the undeformed body by label, mm; `seen`: measured places (3,), mm, by label; `std`: standard
+    deviation of a measured coordinate, mm; `frame`: LPS or RAS, the frame of `seen` and of the result.
     """
     names = [name for name, known in zip(sit.names, sit.defined, strict=True) if known]
     if len(names) < len(sit.names):
@@ -113,13 +115,19 @@ def _markers(sit: NamedPoints, seen: dict[str, FloatArray], std: float, frame: s
 
 
 def frame_of_files(paths: list[str | Path]) -> tuple[str, str] | None:
-    """Return the frame of the first file of points among `paths`, and the name of that file; None without one."""
+    """Return the frame (``LPS`` or ``RAS``) and the name of the first file of labelled points among `paths`.
+
+    Result: None if none of the files is one of labelled points.
+    """
     first = next((path for path in paths if is_point_file(path)), None)
     return None if first is None else (read_points(first).frame, str(first))
 
 
 def _refuse_strangers(sit: NamedPoints, seen: NamedPoints) -> None:
-    """Refuse a measured label that no marker has: a misspelt label would silently lose a marker."""
+    """Raise `FormatError` if a measured point has a label that no marker has: a misspelt label would lose a marker.
+
+    `sit`: the markers' places on the undeformed body; `seen`: the measured points.
+    """
     strangers = [name for name in seen.names if name not in sit.names]
     if strangers:
         message = (

@@ -1,4 +1,4 @@
-"""Points with names, as read from a file: in the file's frame, or converted to a given one."""
+"""Named points read from a file, in the file's patient frame (LPS or RAS) or converted to the other one."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,10 +15,18 @@ MM_PER_UNIT = {"nm": 1e-6, "um": 1e-3, "mm": 1.0, "cm": 10.0, "m": 1e3}
 
 @dataclass(frozen=True, eq=False)
 class NamedPoints:
-    """Points of one file.
+    """Named points of one file.
 
-    `file`: where they were read; `frame`: ``"LPS"`` or ``"RAS"``, that of the file; `names`: one per point, no repeats;
-    `places` (n_points, 3): mm, in `frame`; NaN where a point is not defined in the file.
+    Attributes
+    ----------
+    file : Path
+        The file from which they were read.
+    frame : {"LPS", "RAS"}
+        Patient frame of the file.
+    names : tuple of str
+        Name of each point, without repeats.
+    places : ndarray of float64, shape (n_points, 3)
+        Place of each point in mm, in `frame`; NaN where the file does not define it.
     """
 
     file: Path
@@ -28,11 +36,11 @@ class NamedPoints:
 
     @classmethod
     def of(cls, file: Path, frame: str, points: Sequence[tuple[str, str, tuple[float, float, float]]]) -> "NamedPoints":
-        """Gather points and check their names.
+        """Make the named points of a file from a list, after checking their names.
 
-        `file`: where they were read; `frame`: ``"LPS"`` or ``"RAS"``; `points`: where each stands in the file in words
-        ("line 4"), its name, and its place in mm; NaN = not defined. Result: in file order. Raises `FormatError` if
-        there is none, or a name is empty or stands twice.
+        `file`: the file from which they were read; `frame`: ``"LPS"`` or ``"RAS"``; `points`: for each point, where it
+        stands in the file in words ("line 4"), its name, and its place in mm, which is NaN if it is not defined. The
+        order is kept. Raises `FormatError` if there is none, or a name is empty or stands twice.
         """
         if not points:
             message = f"{file} must hold at least one point; its list is empty"
@@ -50,22 +58,22 @@ class NamedPoints:
 
     @property
     def defined(self) -> "np.ndarray[tuple[int, ...], np.dtype[np.bool_]]":
-        """Which points have a place, shape (n_points,)."""
+        """Whether the file defines the place of each point, boolean (n_points,)."""
         return np.asarray(np.isfinite(self.places).all(axis=1))
 
     def places_in(self, frame: str | None) -> FloatArray:
-        """Return the places in another frame.
+        """Return the places of the points in a patient frame, (n_points, 3), in mm.
 
-        `frame`: ``"LPS"`` or ``"RAS"``; None leaves them as they are. Result: (n_points, 3), mm.
+        `frame`: ``"LPS"`` or ``"RAS"``; None for the frame of the file.
         """
         return turned(self.places, self.frame, frame)
 
 
 def turned(points: FloatArray, source: str | None, target: str | None) -> FloatArray:
-    """Return points of one frame in another: LPS and RAS differ by half a turn about z.
+    """Convert points or directions between the patient frames LPS and RAS, which differ by half a turn about z.
 
-    `points` (..., 3): places or directions in `source`; `source`, `target`: ``"LPS"`` or ``"RAS"``; None: the same as
-    the other one, nothing is converted. Result: (..., 3), in `target`.
+    `points` (..., 3): coordinates in the frame `source`, in any unit; `source`, `target`: ``"LPS"`` or ``"RAS"``; if
+    one of them is None, nothing is converted. Result: (..., 3), coordinates in the frame `target`, in the same unit.
 
     Examples
     --------

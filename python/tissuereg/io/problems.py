@@ -1,4 +1,4 @@
-"""One static problem in one .npz file, and its solution."""
+"""Static problems (a body with material and load) and displacement fields in .npz files: reading and writing."""
 
 import os
 from dataclasses import dataclass
@@ -17,11 +17,11 @@ from tissuereg.io.meshes import mesh_from_archive
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """A body with its material and load.
+    """A static problem: a body with its material and load, and perhaps another solver's answer to compare with.
 
-    `mesh`: reference shape; node set ``fixed`` is held; `material`: neo-Hookean, Young's modulus in kPa; `load`: nodal
-    forces in mN; also body force and prescribed displacement where the file has them; `reference` (n_nodes, 3) or None:
-    another solver's displacement in mm, where the file has one.
+    `mesh`: reference shape, mm, whose node set ``fixed`` is held; `material`: neo-Hookean, Young's modulus in kPa;
+    `load`: nodal forces in mN, and body force and prescribed displacement if the file has them; `reference` (n_nodes,
+    3): another solver's displacement in mm; None if the file has none.
     """
 
     mesh: Mesh
@@ -31,13 +31,14 @@ class Problem:
 
 
 def read_problem(path: str | os.PathLike[str]) -> Problem:
-    """Read a static problem.
+    """Read a static problem, a body with its material and load, from one file.
 
     `path`: an .npz with ``nodes_mm (n, 3)``, ``tets (m, 4)``, ``fixed_nodes (f,)``, ``forces_mN (n, 3)``, ``young_kPa``
     and ``poisson`` (one for all, or one per tet); optional are ``body_force_mN_per_mm3 (3,)``, ``prescribed_mm (f, 3)``
-    (in the order of ``fixed_nodes``) and ``displacement_mm (n, 3)`` to compare with. Other arrays are ignored. Result:
-    ready to solve. Raises `FormatError` if the file is no such archive; the message names the array; `MeshError` or
-    `MaterialError` if mesh or moduli are out of their range.
+    (displacements in the order of ``fixed_nodes``) and ``displacement_mm (n, 3)`` (a solution to compare with). The
+    forces may be absent if one of the two other loads is there. Other arrays are ignored. Raises `FormatError` if the
+    file is no such archive; the message names the array; `MeshError` or `MaterialError` if mesh or moduli are out of
+    their range.
     """
     with open_npz(path) as archive:
         mesh = mesh_from_archive(archive)
@@ -54,11 +55,11 @@ def read_problem(path: str | os.PathLike[str]) -> Problem:
 
 
 def write_solution(path: str | os.PathLike[str], problem: Problem, displacement: Any, reactions: Any) -> None:
-    """Write the solution of a problem, whole or not at all.
+    """Write the solution of a static problem as an .npz file, whole or not at all.
 
-    `path`: the .npz; `read_simulation` and ``tissuereg register --simulation`` take it; `problem`: the problem that was
-    solved; `displacement` (n_nodes, 3): mm; `reactions` (n_fixed, 3): force on the body at every held node in mN, in
-    the order of ``fixed_nodes``.
+    `path`: the file, which `read_simulation` and ``tissuereg register --simulation`` read; `problem`: the problem that
+    was solved; `displacement` (n_nodes, 3): displacement of the nodes, mm; `reactions` (n_fixed, 3): force on the body
+    at every held node in mN, in the order of ``fixed_nodes`` of the problem's mesh.
     """
     write_npz(
         path,
@@ -71,31 +72,31 @@ def write_solution(path: str | os.PathLike[str], problem: Problem, displacement:
 
 
 def read_simulation(path: str | os.PathLike[str], n_nodes: int | None = None) -> FloatArray:
-    """Read a simulation's displacement field.
+    """Read the displacement (n_nodes, 3), in mm, that a simulation gave the nodes of a mesh.
 
-    `path`: an .npz with ``displacement_mm (n, 3)``; `n_nodes`: how many nodes it must have. Result: (n_nodes, 3), mm.
-    Raises `FormatError` if there is no such array, or it has another shape or a value that is not finite.
+    `path`: an .npz with ``displacement_mm (n, 3)``; `n_nodes`: number of nodes that it must have; None for any. Raises
+    `FormatError` if there is no such array, or it has another shape or a value that is not finite.
     """
     with open_npz(path) as archive:
         return archive.floats("displacement_mm", n_nodes, 3)
 
 
 def read_variants(path: str | os.PathLike[str], n_nodes: int | None = None) -> FloatArray:
-    """Read displacement fields of one moment, simulated with several values of what is uncertain.
+    """Read k displacement fields of one moment, (k, n_nodes, 3) in mm, simulated with different uncertain parameters.
 
-    `path`: an .npz with ``displacement_mm (k, n, 3)``; `n_nodes`: how many nodes they must have. Result: (k, n_nodes,
-    3), mm. Raises `FormatError` if there is no such array, or it has another shape or a value that is not finite.
+    `path`: an .npz with ``displacement_mm (k, n, 3)``; `n_nodes`: number of nodes that it must have; None for any.
+    Raises `FormatError` if there is no such array, or it has another shape or a value that is not finite.
     """
     with open_npz(path) as archive:
         return archive.floats("displacement_mm", None, n_nodes, 3)
 
 
 def read_simulations(path: str | os.PathLike[str], n_nodes: int | None = None) -> tuple[FloatArray, FloatArray]:
-    """Read a simulation's displacement fields at several moments.
+    """Read a simulation's displacement fields at k moments: their times (k,) in s and the fields (k, n_nodes, 3) in mm.
 
-    `path`: an .npz with ``times_s (k,)``, ascending, and ``displacement_mm (k, n, 3)``; `n_nodes`: how many nodes it
-    must have. Result: `times` (k,): s; `fields` (k, n_nodes, 3): mm. Raises `FormatError` if an array is missing, has
-    another shape or a value that is not finite, or there are not two ascending times.
+    `path`: an .npz with ``times_s (k,)``, ascending, and ``displacement_mm (k, n, 3)``; `n_nodes`: number of nodes that
+    it must have; None for any. Raises `FormatError` if an array is missing, has another shape or a value that is not
+    finite, or there are not two ascending times.
     """
     with open_npz(path) as archive:
         times = archive.floats("times_s", None)
@@ -107,9 +108,9 @@ def read_simulations(path: str | os.PathLike[str], n_nodes: int | None = None) -
 
 
 def write_simulations(path: str | os.PathLike[str], times: Any, fields: Any) -> None:
-    """Write displacement fields at several moments as `read_simulations` reads them, whole or not at all.
+    """Write displacement fields at several moments as an .npz file that `read_simulations` reads, whole or not at all.
 
-    `path`: the .npz; `times` (k,): s; `fields` (k, n_nodes, 3): mm.
+    `path`: the file; `times` (k,): time of each moment, s; `fields` (k, n_nodes, 3): displacement of the nodes, mm.
     """
     write_npz(path, {"times_s": np.asarray(times, np.float64), "displacement_mm": np.asarray(fields, np.float64)})
 
@@ -119,7 +120,10 @@ def _floats_if_there(archive: Archive, name: str, *shape: int) -> FloatArray | N
 
 
 def _prescribed(archive: Archive) -> FloatArray | None:
-    """Return the prescribed displacements (n_fixed, 3), mm, in the order of the mesh's sorted fixed nodes; or None."""
+    """Return the prescribed displacements (n_fixed, 3), mm, of the fixed nodes in ascending order, or None.
+
+    None means that the file has none. Raises `FormatError` if it has them but repeats a fixed node.
+    """
     if "prescribed_mm" not in archive:
         return None
     given = archive.indices("fixed_nodes", None)

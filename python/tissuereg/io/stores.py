@@ -1,7 +1,7 @@
-"""Where the files of a data set lie: a folder of this machine, or a place that fsspec knows by its URL.
+"""Places where the files of a data set lie: a folder of this machine, or a place that fsspec knows by its URL.
 
 A file is written whole or not at all: in a folder by `tissuereg.io.atomic`; elsewhere under another name that is then
-renamed, or, where a store puts whole objects only (S3, Google Cloud Storage, Azure), by one put.
+renamed, or, where a store can only put whole objects (S3, Google Cloud Storage, Azure), by one put.
 """
 
 import os
@@ -21,44 +21,44 @@ _WHOLE_OBJECTS = {"s3", "s3a", "gs", "gcs", "abfs", "abfss", "az", "adl", "oss",
 
 
 class Store(Protocol):
-    """A flat place for files, by plain names.
+    """A place for files without subfolders, in which each file has a plain name.
 
-    `url`: the place as it was given, for messages; `address`: the place for other processes, which may run in another
-    folder.
+    `url`: the place as it was given, for messages; `address`: text that names the place for other processes, which may
+    run in another working folder.
     """
 
     url: str
     address: str
 
     def check(self) -> None:
-        """Refuse early what could not be written at the end of a long run, and remove what killed writers left."""
+        """Refuse, before a long run, a place where nothing can be written; remove drafts that killed writers left."""
 
     def names(self) -> set[str]:
-        """Return the names that are there; none if the place does not exist."""
+        """Return the names of the files that are there; an empty set if the place does not exist."""
 
     def exists(self, name: str) -> bool:
-        """Return whether a file is there."""
+        """Return whether a file of this name is there."""
 
     def write(self, name: str, content: bytes) -> None:
-        """Write a file, whole or not at all; an older one is replaced."""
+        """Write the bytes of a file, whole or not at all; an older file of this name is replaced."""
 
     def read(self, name: str) -> bytes:
-        """Return the content of a file."""
+        """Return the bytes of the file of this name; raise `FormatError` if there is none or it cannot be read."""
 
     def source(self, name: str) -> BinaryIO:
-        """Return an open file with random access, for h5py; its reader closes it."""
+        """Return the file of this name, opened for reading with random access, for h5py; the caller closes it."""
 
     def where(self, name: str) -> str:
-        """Return the full name of a file, for messages."""
+        """Return the full name of a file, a path or a URL, for messages."""
 
 
 def store_of(given: str | os.PathLike[str] | Store, *, error: type[TissueRegError] = ArgumentError) -> Store:
-    """Return the store of a folder or a URL.
+    """Return the place for files, a `Store`, that a folder or a URL names; nothing is read or written yet.
 
-    `given`: a folder of this machine, or a URL of fsspec such as ``s3://bucket/data``; what the file system needs
-    (keys, ports) comes from fsspec's own configuration; `error`: class of the error where it is neither. Result:
-    nothing is touched yet. Raises `TissueRegError` of that class, if it is no path or fsspec does not know the
-    protocol; `MissingPackageError` if fsspec, or the package behind the protocol, is not installed.
+    `given`: a folder of this machine, or a URL of fsspec such as ``s3://bucket/data``; fsspec takes keys and ports from
+    its own configuration; a `Store` is returned as it is; `error`: class of the error where it is none of these. Raises
+    `TissueRegError` of that class, if it is no path or fsspec does not know the protocol; `MissingPackageError` if
+    fsspec, or the package behind the protocol, is not installed.
     """
     if isinstance(given, LocalStore | RemoteStore):
         return given
@@ -69,7 +69,7 @@ def store_of(given: str | os.PathLike[str] | Store, *, error: type[TissueRegErro
 
 
 class LocalStore:
-    """A folder of this machine, or one that several machines share. `folder`: made when the first file is written."""
+    """A place for files in a folder of this machine or of several; `folder` is made when the first file is written."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -77,12 +77,12 @@ class LocalStore:
         self.address = str(folder.absolute())
 
     def check(self) -> None:
-        """Refuse a folder in which nothing can be written, and remove drafts of killed writers."""
+        """Raise `OutputError` if nothing can be written in the folder, and remove drafts that killed writers left."""
         check_folder_target(self.folder)
         remove_stale_drafts(self.folder)
 
     def names(self) -> set[str]:
-        """Return the names that are there."""
+        """Return the names of the files in the folder, drafts left out; an empty set if it does not exist."""
         try:
             return {entry.name for entry in os.scandir(self.folder) if not entry.name.startswith(DRAFT_PREFIX)}
         except FileNotFoundError:
@@ -92,31 +92,34 @@ class LocalStore:
             raise FormatError(message, where=self.url) from error
 
     def exists(self, name: str) -> bool:
-        """Return whether a file is there."""
+        """Return whether a file of this name is in the folder."""
         return (self.folder / name).is_file()
 
     def write(self, name: str, content: bytes) -> None:
-        """Write a file, whole or not at all."""
+        """Write the bytes of a file in the folder, whole or not at all; an older file of this name is replaced."""
         with atomic_file(self.folder / name) as temporary:
             temporary.write_bytes(content)
 
     def read(self, name: str) -> bytes:
-        """Return the content of a file."""
+        """Return the bytes of the file of this name; raise `FormatError` if there is none or it cannot be read."""
         with _as_format_error(self.where(name)):
             return (self.folder / name).read_bytes()
 
     def source(self, name: str) -> BinaryIO:
-        """Return an open file."""
+        """Return the file of this name, opened for reading without a buffer; the caller closes it."""
         with _as_format_error(self.where(name)):
             return (self.folder / name).open("rb", buffering=0)
 
     def where(self, name: str) -> str:
-        """Return the path of a file as text."""
+        """Return the path of a file of this name as text, for messages."""
         return str(self.folder / name)
 
 
 class RemoteStore:
-    """A folder of a file system of fsspec. `files`: the file system; `folder`: its name for the folder."""
+    """A place for files in a folder of a file system of fsspec.
+
+    `url`: the place as it was given; `files`: the file system, an object of fsspec; `folder`: its name for the folder.
+    """
 
     def __init__(self, url: str, files: Any, folder: str) -> None:
         self.url = self.address = url.rstrip("/")
@@ -124,12 +127,12 @@ class RemoteStore:
         self._folder = folder.rstrip("/")
 
     def check(self) -> None:
-        """Make the folder, where the file system has any."""
+        """Make the folder, if the file system has folders; raise `OutputError` if it cannot be made."""
         with _as_output_error(self.url):
             self._files.makedirs(self._folder, exist_ok=True)
 
     def names(self) -> set[str]:
-        """Return the names that are there."""
+        """Return the names of the files in the folder, drafts left out; an empty set if it does not exist."""
         with _as_format_error(self.url):
             try:
                 self._files.invalidate_cache(self._folder)
@@ -140,13 +143,13 @@ class RemoteStore:
         return {name for name in names if not name.startswith(DRAFT_PREFIX)}
 
     def exists(self, name: str) -> bool:
-        """Return whether a file is there."""
+        """Return whether a file of this name is in the folder."""
         with _as_format_error(self.where(name)):
             self._files.invalidate_cache(self._folder)
             return bool(self._files.exists(f"{self._folder}/{name}"))
 
     def write(self, name: str, content: bytes) -> None:
-        """Write a file, whole or not at all."""
+        """Write the bytes of a file in the folder, whole or not at all; an older file of this name is replaced."""
         final = f"{self._folder}/{name}"
         with _as_output_error(self.where(name)):
             if not self._renames():
@@ -162,22 +165,22 @@ class RemoteStore:
                 raise
 
     def read(self, name: str) -> bytes:
-        """Return the content of a file."""
+        """Return the bytes of the file of this name; raise `FormatError` if there is none or it cannot be read."""
         with _as_format_error(self.where(name)):
             return bytes(self._files.cat_file(f"{self._folder}/{name}"))
 
     def source(self, name: str) -> BinaryIO:
-        """Return an open file."""
+        """Return the file of this name, opened for reading with random access; the caller closes it."""
         with _as_format_error(self.where(name)):
             opened: BinaryIO = self._files.open(f"{self._folder}/{name}", "rb")
             return opened
 
     def where(self, name: str) -> str:
-        """Return the URL of a file."""
+        """Return the URL of a file of this name, for messages."""
         return f"{self.url}/{name}"
 
     def _renames(self) -> bool:
-        """Whether the file system moves a file in one step; fsspec's own `mv` copies and deletes."""
+        """Return whether the file system moves a file in one step; fsspec's own `mv` copies and deletes."""
         from fsspec import AbstractFileSystem
 
         protocol = self._files.protocol

@@ -1,8 +1,8 @@
-"""Surfaces of triangles: .stl, .ply, .obj and .off by trimesh, .vtp by pyvista, .vtu, .vtk and .msh by meshio.
+"""Reading of surfaces of triangles: .stl, .ply, .obj, .off by trimesh, .vtp by pyvista, .vtu, .vtk, .msh by meshio.
 
 The unit is given, or stated in the head of the file (``unit: mm`` or ``UNITS=mm`` in the header of an .stl or in a
-comment of a .ply, .obj or .off), or else mm. A body's largest extent must lie between 5 and 2,000 mm: anything
-else is refused, with the unit that would make it a body.
+comment of a .ply, .obj or .off), or else mm. A body's largest extent must lie between 5 and 2,000 mm: anything else is
+refused, with the unit that would make it a body.
 """
 
 import os
@@ -38,15 +38,15 @@ _UNIT_NOTE = re.compile(r"\bunits?\b\s*[:= ]\s*(milli|centi)?(mm|cm|m|met(?:er|r
 
 
 def read_triangles(surface: SurfaceInput, unit: str | None = None) -> Triangles:
-    """Read a surface, in mm.
+    """Read a surface of triangles and return it in mm.
 
     `surface`: a .stl, .ply, .obj, .off, .vtp, .vtu, .vtk or .msh file; or vertices (n, 3) and triangles (m, 3); `unit`
-    {"mm", "cm", "m"}: unit of the coordinates. Where absent, that stated in the file's head, or else mm. Result: as
-    given, in mm; four-cornered faces are cut in two. The corners of an .stl, which repeats them for every triangle, are
-    joined where they are equal to the last bit. Raises `FormatError` if the file is missing, spoilt, of another kind,
-    or holds no faces; or if `unit` is no such unit; `MeshError` or `ShapeError` if coordinates are not finite, or
-    indices out of range; `UnitError` if the largest extent is not that of an organ, 5 to 2,000 mm;
-    `MissingPackageError` if a .vtp is given and pyvista is not installed.
+    {"mm", "cm", "m"}: unit of the coordinates. If it is None, the unit is that stated in the file's head, or else mm.
+    Four-cornered faces are cut in two. The corners of an .stl, which repeats them for every triangle, are joined where
+    they are equal to the last bit. Raises `FormatError` if the file is missing, spoilt, of another kind, or holds no
+    faces; or if `unit` is no such unit; `MeshError` or `ShapeError` if coordinates are not finite, or indices out of
+    range; `UnitError` if the largest extent is not that of an organ, 5 to 2,000 mm; `MissingPackageError` if a .vtp is
+    given and pyvista is not installed.
 
     Examples
     --------
@@ -132,12 +132,12 @@ def _by_meshio(file: Path) -> tuple[FloatArray, IntArray]:
 
 
 def _cut(faces: IntArray) -> IntArray:
-    """Return faces (n, 3) or (n, 4) as triangles."""
+    """Return faces, node indices (n, 3) or (n, 4), as triangles (m, 3); four-cornered faces are cut in two."""
     return faces if faces.shape[1] == 3 else np.concatenate([faces[:, [0, 1, 2]], faces[:, [0, 2, 3]]])
 
 
 def _joined(vertices: FloatArray, triangles: IntArray) -> tuple[FloatArray, IntArray]:
-    """Return vertices (n, 3) and triangles (m, 3) with equal vertices merged, in the order of first occurrence."""
+    """Merge equal vertices; return the vertices (k, 3), ordered by first occurrence, and the triangles (m, 3)."""
     _, first, of_vertex = np.unique(vertices, axis=0, return_index=True, return_inverse=True)
     order = np.argsort(first)
     rank = np.empty(len(order), np.int64)
@@ -154,7 +154,7 @@ def _unit_of(file: Path, given: str | None) -> str:
 
 
 def _noted_unit(file: Path) -> str | None:
-    """Return the unit that is stated in the head of a file, if any."""
+    """Return the unit, ``mm``, ``cm`` or ``m``, that is stated in the head of a surface file; None if none is."""
     suffix = file.suffix.lower()
     if suffix not in _TRIMESH_SUFFIXES:
         return None

@@ -1,4 +1,4 @@
-"""Markers and targets as comma-separated tables, lengths in mm; readers take the files of 3D Slicer as well."""
+"""Markers, targets and surface points as comma-separated tables in mm; readers also take point files of 3D Slicer."""
 
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -30,30 +30,31 @@ def read_markers(
     frame: str | None = None,
     table_frame: str | None = None,
 ) -> Markers:
-    """Read the markers of one moment.
+    """Read the markers of one moment: their places on the undeformed body and their measured places.
 
     Parameters
     ----------
     path : path-like
-        Table ``marker,x_mm,y_mm,z_mm,moved_x_mm,moved_y_mm,moved_z_mm[,std_mm]``: the marker's place on or
-        off the undeformed surface, then where it was measured; empty (or ``nan``) = not seen. Columns
-        ``std_x_mm,std_y_mm,std_z_mm`` may follow where axes differ; an empty cell takes the marker's own or `std`.
-        Or points of 3D Slicer (``.mrk.json``, ``.fcsv``): where the markers sit.
+        Table ``marker,x_mm,y_mm,z_mm,moved_x_mm,moved_y_mm,moved_z_mm[,std_mm]``: the name of a marker, its place on or
+        off the undeformed surface, then the place where it was measured; empty (or ``nan``) if it was not measured.
+        Columns ``std_x_mm,std_y_mm,std_z_mm`` may follow where the noise differs between axes; an empty cell takes the
+        value of the marker's ``std_mm``, or of `std`. Or a point file of 3D Slicer (``.mrk.json``, ``.fcsv``) with the
+        places on the undeformed body.
     std : float, optional
-        Standard deviation in mm of a measured coordinate, for markers without their own; 0.1 where absent.
+        Standard deviation in mm of a measured coordinate, for markers that state none themselves; 0.1 by default.
     measured : path-like, optional
-        With points of 3D Slicer: points where the markers were seen, with the same labels. One that is missing, or
-        whose status is not ``defined``, was not seen.
+        Only if `path` is a point file of 3D Slicer: point file with the measured places, under the same labels. A
+        marker that is missing in it, or whose status is not ``defined``, counts as not measured.
     frame : {"LPS", "RAS"}, optional
-        Frame of the mesh, in which the markers are wanted. Where absent, that of the file `path`, or a table's numbers
-        as they are.
+        Patient frame of the mesh, into which the markers are converted. By default, markers of point files are in the
+        frame of the file `path`, and a table's numbers are not converted.
     table_frame : {"LPS", "RAS"}, optional
-        Frame of the numbers in a table, where it is not `frame`.
+        Patient frame of the numbers in a table, if it is not `frame`.
 
     Returns
     -------
     Markers
-        In file order, markers that were not seen included.
+        The markers in file order, in mm, including those that were not measured.
 
     Raises
     ------
@@ -91,14 +92,15 @@ def read_reference(
     frame: str | None = None,
     table_frame: str | None = None,
 ) -> Markers:
-    """Read where markers sit on the undeformed body, without a moment at which they were seen.
+    """Read markers with their places on the undeformed body only; none of them counts as measured.
 
-    `path`: table ``marker,x_mm,y_mm,z_mm[,std_mm]``, or that of `read_markers`, whose measured places are left aside.
-    Or points of 3D Slicer (``.mrk.json``, ``.fcsv``); `std`: standard deviation in mm of a measured coordinate, for
-    markers without their own; 0.1 where absent; `frame`, `table_frame` {"LPS", "RAS"}: as in `read_markers`. Result: in
-    file order, none of them seen. Raises `FormatError` if the file cannot be read, or a marker stands in it twice; the
-    message names the line; `MarkerError` if a standard deviation is not positive, a frame none of the two, or
-    `table_frame` given without `frame`.
+    `path`: table ``marker,x_mm,y_mm,z_mm[,std_mm]``; columns with measured places may be there and are ignored. Or a
+    point file of 3D Slicer (``.mrk.json``, ``.fcsv``); `std`: standard deviation in mm of a coordinate to be measured,
+    for markers that state none themselves; 0.1 for None; `frame` {"LPS", "RAS"}: patient frame of the mesh, into which
+    the places are converted; None for no conversion; `table_frame` {"LPS", "RAS"}: frame of the numbers in a table, if
+    it is not `frame`. Result: in file order. Raises `FormatError` if the file cannot be read, or a marker stands in it
+    twice; the message names the line; `MarkerError` if a standard deviation is not positive, a frame none of the two,
+    or `table_frame` given without `frame`.
     """
     _check_frames(frame, table_frame)
     usual = FILES.std_mm if std is None else std
@@ -117,29 +119,29 @@ def read_reference(
 def read_targets(
     path: str | os.PathLike[str], *, frame: str | None = None, table_frame: str | None = None
 ) -> dict[str, FloatArray]:
-    """Read inner points of the undeformed body.
+    """Read targets: inner points of the undeformed body whose places are of interest.
 
     Parameters
     ----------
     path : path-like
-        Table ``target,x_mm,y_mm,z_mm``, or points of 3D Slicer (``.mrk.json``, ``.fcsv``).
+        Table ``target,x_mm,y_mm,z_mm`` with one target a row, or a point file of 3D Slicer (``.mrk.json``, ``.fcsv``).
     frame : {"LPS", "RAS"}, optional
-        Frame of the mesh, in which they are wanted. Where absent, Slicer's points stay in the file's frame and a
-        table's numbers as they are.
+        Patient frame of the mesh, into which the places are converted. By default, Slicer's points stay in the frame of
+        their file, and a table's numbers are not converted.
     table_frame : {"LPS", "RAS"}, optional
-        Frame of the numbers in a table, where it is not `frame`.
+        Patient frame of the numbers in a table, if it is not `frame`.
 
     Returns
     -------
     dict of str to ndarray of float64, shape (3,)
-        Place in mm by name, in file order.
+        Place of each target in mm by its name, in file order.
 
     Raises
     ------
     FormatError
         If the file cannot be read, a target stands in it twice or is not defined; the message names the place.
     MarkerError
-        If a frame is none of the two.
+        If a frame is none of the two, or `table_frame` is given without `frame`.
     """
     _check_frames(frame, table_frame)
     if is_point_file(path):
@@ -153,37 +155,37 @@ def read_targets(
 def read_surface(
     path: str | os.PathLike[str], *, frame: str | None = None, table_frame: str | None = None
 ) -> FloatArray:
-    """Read points of a deformed surface, without labels.
+    """Read measured points of a deformed surface, without labels.
 
     Parameters
     ----------
     path : path-like
-        Table ``x_mm,y_mm,z_mm``.
+        Table ``x_mm,y_mm,z_mm`` with one point per row.
     frame : {"LPS", "RAS"}, optional
-        Frame of the mesh, in which they are wanted; where absent, the numbers are taken as they are.
+        Patient frame of the mesh, into which the points are converted. By default nothing is converted.
     table_frame : {"LPS", "RAS"}, optional
-        Frame of the numbers in the table, where it is not `frame`.
+        Patient frame of the numbers in the table, if it is not `frame`.
 
     Returns
     -------
     ndarray of float64, shape (n, 3)
-        mm, in file order.
+        Coordinates of the points in mm, in file order.
 
     Raises
     ------
     FormatError
         If the table cannot be read; the message names the line.
     MarkerError
-        If a frame is none of the two.
+        If a frame is none of the two, or `table_frame` is given without `frame`.
     """
     _check_frames(frame, table_frame)
     return turned(np.array([row.numbers(_PLACE) for row in read_table(path, _PLACE)]), table_frame, frame)
 
 
 def write_markers(path: str | os.PathLike[str], markers: Markers) -> None:
-    """Write markers as `read_markers` reads them, whole or not at all.
+    """Write markers as a comma-separated table in mm that `read_markers` reads, whole or not at all.
 
-    `markers`: those that were not seen get empty cells.
+    Cells of measured places are empty for markers that were not measured.
     """
     same = np.array_equal(markers.axis_std, markers.axis_std[:, [0, 0, 0]])
     spread = markers.axis_std[:, :1] if same else markers.axis_std
@@ -193,18 +195,16 @@ def write_markers(path: str | os.PathLike[str], markers: Markers) -> None:
 
 
 def write_points(path: str | os.PathLike[str], points: Mapping[str, Any]) -> None:
-    """Write inner points of the undeformed body as `read_targets` reads them, whole or not at all.
-
-    `points` (3,): mm.
-    """
+    """Write targets (inner points), places (3,) in mm by name, as a table for `read_targets`, whole or not at all."""
     write_table(path, ("target", *_PLACE), [(name, *map(float, place)) for name, place in points.items()])
 
 
 def write_targets(path: str | os.PathLike[str], targets: Mapping[str, Mapping[str, Any]]) -> None:
-    """Write registered targets as a table, whole or not at all.
+    """Write the registered places of targets (inner points of the body) as one table, whole or not at all.
 
-    `targets`: each with ``reference_mm (3,)``, ``mean_mm (3,)``, ``covariance_mm2 (3, 3)``, ``region90_radii_mm (3,)``
-    and ``simulation_mm (3,)`` or None, as in ``registration.json``.
+    `targets`: for each target by name, as in ``registration.json``: its place on the undeformed body ``reference_mm
+    (3,)``, its registered place ``mean_mm (3,)`` with ``covariance_mm2 (3, 3)``, the semi-axes ``region90_radii_mm
+    (3,)`` of its 90 % region, and the place by the simulation ``simulation_mm (3,)`` or None.
     """
     header = ("target", *_PLACE, *_MOVED, *_COVARIANCE, *_RADII, *_SIMULATED)
     write_table(path, header, [(name, *_target_cells(values)) for name, values in targets.items()])
@@ -213,10 +213,11 @@ def write_targets(path: str | os.PathLike[str], targets: Mapping[str, Mapping[st
 def write_tracked_targets(
     path: str | os.PathLike[str], moments: Iterable[tuple[float, Mapping[str, Mapping[str, Any]]]]
 ) -> None:
-    """Write registered targets of many moments as one table, whole or not at all.
+    """Write the registered places of targets (inner points) at many moments as one table, whole or not at all.
 
-    `path`: where to. The columns are ``time_s`` and those of `write_targets`; `moments`: time in s, and the targets as
-    `write_targets` takes them.
+    `path`: the file. Its columns are ``time_s`` and those that `write_targets` writes; `moments`: for each moment its
+    time in s and the targets by name, each with ``reference_mm (3,)``, ``mean_mm (3,)``, ``covariance_mm2 (3, 3)``,
+    ``region90_radii_mm (3,)`` and ``simulation_mm (3,)`` or None.
     """
     rows = ((float(time_s), name, *_target_cells(one)) for time_s, all_of in moments for name, one in all_of.items())
     write_table(path, ("time_s", "target", *_PLACE, *_MOVED, *_COVARIANCE, *_RADII, *_SIMULATED), rows)
@@ -235,7 +236,7 @@ def _target_cells(values: Mapping[str, Any]) -> list[float | None]:
 
 
 def _check_frames(frame: str | None, table_frame: str | None) -> None:
-    """Refuse an unknown frame, and a table's frame without a frame to convert to."""
+    """Raise `MarkerError` if a frame is neither LPS nor RAS, or a table's frame is given without one to convert to."""
     for name, value in (("frame", frame), ("table_frame", table_frame)):
         if value is not None:
             check_choice(name, value, PATIENT_FRAMES, MarkerError)
@@ -263,9 +264,10 @@ def _unique_names(rows: list[Row], column: str) -> list[str]:
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """Where markers were seen, frame after frame; iterating gives ``(time_s, measured_mm)``, as `Tracker.run` takes.
+    """Measured places of markers over many frames of a tracker; iterating gives pairs ``(time_s, measured_mm)``.
 
-    `times` (n_frames,): s, ascending; `measured` (n_frames, n_markers, 3): mm; NaN = not seen.
+    `times` (n_frames,): time of each frame, s, ascending; `measured` (n_frames, n_markers, 3): places in mm; NaN where
+    a marker was not measured. `Tracker.run` takes a recording as its frames.
     """
 
     times: FloatArray
@@ -285,13 +287,14 @@ def read_recording(
     frame: str | None = None,
     table_frame: str | None = None,
 ) -> Recording:
-    """Read a recording of markers.
+    """Read the measured places of markers at many times, one frame for each time in the table.
 
-    `path`: table ``time_s,marker,x_mm,y_mm,z_mm``, a row for each marker that was seen, in the order of time. A marker
-    without a row at some time, or with empty cells, was not seen then; `names`: the markers, in the order in which they
-    are wanted; `frame`, `table_frame` {"LPS", "RAS"}: frame of the mesh, and that of the table where it is another one.
-    Result: one frame for each time in the table. Raises `FormatError` if the table cannot be read, has a marker that is
-    not among `names` or twice at one time, or if time goes back; the message names the line.
+    `path`: table ``time_s,marker,x_mm,y_mm,z_mm``, with a row for each marker that was measured, in the order of time.
+    A marker without a row at some time, or with empty cells, counts as not measured then; `names`: the markers, in the
+    order of the result; `frame` {"LPS", "RAS"}: patient frame of the mesh, into which the places are converted; None
+    for no conversion; `table_frame` {"LPS", "RAS"}: frame of the table, if it is not `frame`. Raises `FormatError` if
+    the table cannot be read, has a marker that is not among `names` or twice at one time, or if time goes back; the
+    message names the line.
     """
     index = {name: i for i, name in enumerate(names)}
     times: list[float] = []

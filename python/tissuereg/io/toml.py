@@ -1,4 +1,4 @@
-"""Checked reading of TOML tables: every key is read, and an unread one is refused."""
+"""Checked reading of TOML tables: the reader takes each key that it knows, and a key that was not taken is refused."""
 
 import os
 import tomllib
@@ -17,16 +17,16 @@ _Keys = TypeVar("_Keys", bound="Keys")
 
 
 class Table:
-    """A TOML table whose keys are taken one by one.
+    """A TOML table of a file whose keys are taken one by one, so that unknown ones can be refused at the end.
 
     Parameters
     ----------
     file : Path
-        Where it stands, for messages.
+        The file that holds the table, for messages.
     place : str
-        Name of the table, such as ``[mesh]``; empty at the top.
+        Name of the table in the file, such as ``[mesh]``; empty for the top of the file.
     content : dict
-        What was read.
+        Values of the table by key, as read by `tomllib`.
     """
 
     def __init__(self, file: Path, place: str, content: dict[str, Any]) -> None:
@@ -44,9 +44,9 @@ class Table:
         Parameters
         ----------
         rule : str
-            What must hold.
+            What must hold, in words.
         found : object, optional
-            What was found.
+            The value that was found; not stated if it is None.
 
         Raises
         ------
@@ -59,25 +59,25 @@ class Table:
         raise ExperimentError(message, where=f"{self.file}:{self.place}" if self.place else str(self.file))
 
     def get(self, key: str, default: Any = None) -> Any:
-        """Take a value as it stands.
+        """Take a value as it stands, or the default if the key is absent; the key counts as known from now on.
 
         Parameters
         ----------
         key : str
             Name of the value.
         default : object, optional
-            Where it is absent.
+            Value to return if the key is absent.
 
         Returns
         -------
         object
-            Of any TOML type.
+            The value, of any TOML type.
         """
         self._taken.add(key)
         return self._content.get(key, default)
 
     def need(self, key: str) -> Any:
-        """Take a value that must be there.
+        """Take a value that must be there; the key counts as known from now on.
 
         Parameters
         ----------
@@ -87,12 +87,12 @@ class Table:
         Returns
         -------
         object
-            Of any TOML type.
+            The value, of any TOML type.
 
         Raises
         ------
         ExperimentError
-            If it is absent.
+            If the key is absent.
         """
         if key not in self._content:
             there = ", ".join(self._content) or "nothing"
@@ -100,24 +100,25 @@ class Table:
         return self.get(key)
 
     def take(self, key: str, check: Callable[..., _Value]) -> _Value:
-        """Take a value that must be there, by a check of `tissuereg._base.arguments`.
+        """Take a value that must be there, and check it by a function of `tissuereg._base.arguments`.
 
         Parameters
         ----------
         key : str
             Name of the value.
         check : callable
-            ``check(key, value, error=...)`` returns the value to use.
+            Function that is called as ``check(key, value, error=...)`` and returns the value to use, or raises the
+            error.
 
         Returns
         -------
         object
-            As checked.
+            The value that `check` returns.
 
         Raises
         ------
         ExperimentError
-            If it is absent, or does not hold what it must.
+            If the key is absent, or the value does not hold what it must.
         """
         try:
             return check(key, self.need(key), error=ExperimentError)
@@ -125,7 +126,7 @@ class Table:
             self.refuse(str(error))
 
     def table(self, key: str) -> "Table | None":
-        """Take a table.
+        """Take a table that is the value of a key in this table.
 
         Parameters
         ----------
@@ -135,12 +136,12 @@ class Table:
         Returns
         -------
         Table or None
-            None where it is absent.
+            The table; None where it is absent.
 
         Raises
         ------
         ExperimentError
-            If there is something else of that name.
+            If the value of this name is not a table.
         """
         value = self.get(key)
         if value is None:
@@ -152,7 +153,7 @@ class Table:
         return Table(self.file, f"[{self.place[1:-1]}.{key}]" if self.place else f"[{key}]", value)
 
     def tables(self, key: str) -> list["Table"]:
-        """Take a list of tables, ``[[key]]``.
+        """Take a list of tables, written ``[[key]]`` in the file.
 
         Parameters
         ----------
@@ -162,12 +163,12 @@ class Table:
         Returns
         -------
         list of Table
-            Empty where it is absent.
+            The tables in file order; empty where the key is absent.
 
         Raises
         ------
         ExperimentError
-            If there is something else of that name.
+            If the value of this name is not a list of tables.
         """
         value = self.get(key, [])
         if not (isinstance(value, list) and all(isinstance(item, dict) for item in value)):
@@ -175,23 +176,23 @@ class Table:
         return [Table(self.file, f"[[{key}]] number {i + 1}", item) for i, item in enumerate(value)]
 
     def know(self, keys: Iterable[str]) -> None:
-        """Count keys as read, so that `finish` does not refuse them and names them among the known ones."""
+        """Count keys as taken, so that `finish` does not refuse them and names them among the known ones."""
         self._taken.update(keys)
 
     def rest(self) -> dict[str, Any]:
-        """Take all values that have not been read yet.
+        """Take all values that have not been taken yet.
 
         Returns
         -------
         dict
-            By name, as read.
+            The values by key, of any TOML type.
         """
         left = {key: value for key, value in self._content.items() if key not in self._taken}
         self._taken.update(left)
         return left
 
     def finish(self) -> None:
-        """Refuse keys that have not been read.
+        """Refuse the keys of the table that have not been taken.
 
         Raises
         ------
@@ -206,7 +207,10 @@ class Table:
 
 @dataclass(frozen=True, kw_only=True)
 class Keys(CheckedRecord):
-    """The keys of one table, declared as fields; the docstring says what the table holds.
+    """Base of the declarations of TOML tables: each field of a subclass is one key of the table.
+
+    The docstring of a subclass says what the table holds, and appears in files and documentation. An instance holds the
+    checked values of one table.
 
     Raises
     ------
@@ -227,12 +231,12 @@ class Keys(CheckedRecord):
         Parameters
         ----------
         table : Table
-            As read.
+            The table as it was read from a file.
 
         Returns
         -------
         Keys
-            With defaults where keys are absent.
+            An instance of this class with the checked values of the table, and defaults where keys are absent.
 
         Raises
         ------
@@ -249,7 +253,7 @@ class Keys(CheckedRecord):
 
     @classmethod
     def found(cls, top: Table) -> Table | None:
-        """Return this table of a file, None where it is absent and may be.
+        """Return the table that this class declares from the top of a file; None if it is absent and need not be there.
 
         Raises
         ------
@@ -263,12 +267,14 @@ class Keys(CheckedRecord):
 
     @classmethod
     def alone(cls: type[_Keys], top: Table) -> _Keys | None:
-        """Read this table of a file and refuse keys that are not declared; None where it is absent and may be.
+        """Return the checked values of this class's table of a file; None if the table is absent and need not be there.
+
+        Keys that are not declared are refused. `top`: the top of the file.
 
         Raises
         ------
         ExperimentError
-            As `of` and `found`, and if a key is unknown.
+            If the table must be there and is not, a key is missing, unknown, or does not hold what it must.
         """
         table = cls.found(top)
         if table is None:
@@ -279,9 +285,9 @@ class Keys(CheckedRecord):
 
 
 def experiment_file(path: str | os.PathLike[str]) -> Path:
-    """Return the file of an experiment: the path itself, or ``experiment.toml`` in that folder.
+    """Return the path of an experiment's file: the given file, or ``experiment.toml`` in the given folder.
 
-    `path`: folder or file. Result: a file that exists. Raises `FormatError` if there is none.
+    Raises `FormatError` if there is no such file.
     """
     given = place("path", path, error=FormatError)
     file = given / "experiment.toml" if given.is_dir() else given
@@ -292,7 +298,7 @@ def experiment_file(path: str | os.PathLike[str]) -> Path:
 
 
 def parsed_toml(text: str) -> dict[str, Any]:
-    """Return the content of a TOML text.
+    """Return the content of a TOML text as a dict of Python values by key.
 
     Raises `ValueError` if it is no TOML, or holds a number of thousands of digits.
     """
@@ -301,10 +307,10 @@ def parsed_toml(text: str) -> dict[str, Any]:
 
 
 def read_toml(path: str | os.PathLike[str]) -> Table:
-    """Read a TOML file.
+    """Read a TOML file and return its top as a `Table`, whose method `rest` gives all values as a dict.
 
-    Result: its top; `Table.rest` gives it as a plain dict. Raises `ExperimentError` if it is no TOML; the message has
-    the line; `FormatError` if there is no such file, or it is too large.
+    Raises `ExperimentError` if it is no TOML; the message has the line; `FormatError` if there is no such file, or it
+    is too large.
     """
     file = existing_file(path, FILES.text_mb)
     try:

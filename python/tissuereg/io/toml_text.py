@@ -1,4 +1,4 @@
-"""TOML out: plain tables, and experiment files with a comment for every key, made from the declared keys."""
+"""Writing of TOML: plain tables, and experiment files with a comment for every key, made from the declared keys."""
 
 import json
 import os
@@ -17,11 +17,11 @@ _BARE = re.compile(r"[A-Za-z0-9_-]+")
 
 
 def toml_text(content: Mapping[str, Any]) -> str:
-    """Return a mapping as TOML.
+    """Return a mapping as TOML text.
 
-    `content`: texts, numbers, truth values, lists of them, mappings (tables), lists of mappings (lists of tables).
-    Result: floats in the shortest form that reads back to the same bits. Raises `ExperimentError` if a value is of no
-    TOML type.
+    `content`: texts, numbers, truth values, lists of these, mappings (tables) and lists of mappings (lists of tables),
+    by key. Floats are written in the shortest form that reads back to the same bits. Raises `ExperimentError` if a
+    value is of no TOML type.
 
     Examples
     --------
@@ -44,8 +44,8 @@ def toml_text(content: Mapping[str, Any]) -> str:
 def write_toml(path: str | os.PathLike[str], content: Mapping[str, Any]) -> None:
     """Write a mapping as a TOML file, whole or not at all.
 
-    `content`: as for `toml_text`. Raises `ExperimentError` if a value is of no TOML type; `OutputError` if it cannot be
-    written there.
+    `content`: texts, numbers, truth values, lists of these, mappings (tables) and lists of mappings (lists of tables),
+    by key. Raises `ExperimentError` if a value is of no TOML type; `OutputError` if the file cannot be written there.
     """
     text = toml_text(content)
     with atomic_file(path) as temporary:
@@ -73,14 +73,15 @@ def _is_list_of_tables(value: Any) -> bool:
 
 
 def toml_key(key: str) -> str:
-    """Return a key as TOML, in quotes where they are needed."""
+    """Return a key as TOML writes it, in quotes where they are needed."""
     return key if _BARE.fullmatch(key) else _text(key)
 
 
 def toml_value(value: Any) -> str:
-    """Return one value as TOML; a mapping becomes an inline table.
+    """Return one value as TOML text on one line; a mapping becomes an inline table.
 
-    `value`: as `toml_text` takes them. Result: on one line. Raises `ExperimentError` if it is of no TOML type.
+    `value`: a text, number, truth value, or a list or mapping of these. Raises `ExperimentError` if it is of no TOML
+    type.
     """
     if isinstance(value, bool):
         return "true" if value else "false"
@@ -102,12 +103,12 @@ def _text(text: str) -> str:
 
 
 def commented_toml(head: Sequence[str], tables: Sequence[tuple[type[Keys], Mapping[str, Any] | None]]) -> str:
-    """Return an experiment file in which every declared key stands, with its meaning above it.
+    """Return the text of an experiment file in which every declared key stands, with its meaning in a comment above it.
 
-    `head`: lines of the comment at the top; `tables`: declared keys, and values by key, in the order of the file; a
-    list of tables has one pair per table. None: the table is left out, and shown behind ``#``. A mapping as a value
-    becomes a table of its own. Result: TOML. Keys without a value stand behind ``#``, without a space; all other
-    comments have one.
+    `head`: lines of the comment at the top; `tables`: pairs of a table's declaration and its values by key, in the
+    order of the file; a list of tables has one pair per table. For None in place of the values the table is left out,
+    and shown as a comment behind ``#``. A mapping as a value becomes a table of its own. Keys without a value stand
+    behind ``#`` without a space after it; all other comments have a space.
     """
     lines = [f"# {line}" for line in head]
     for declaration, values in tables:

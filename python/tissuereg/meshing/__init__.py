@@ -1,4 +1,4 @@
-"""From a surface to a body: read, repaired, filled with tetrahedra, measured.
+"""From a surface to a body: the surface is read, repaired and filled with tetrahedra, and the mesh is measured.
 
     file or arrays --io/surfaces--> triangles, mm --repair--> closed, outward --fill--> tets --quality--> FilledMesh
 

@@ -1,4 +1,4 @@
-"""`tetrahedralize`: a surface becomes a mesh that can be simulated, and its quality is measured."""
+"""`tetrahedralize` fills a surface with a tetrahedral mesh for simulations and measures the quality of this mesh."""
 
 import math
 import warnings
@@ -30,22 +30,24 @@ NodeRules = NodeRule | Sequence[NodeRule]
 
 
 class FilledMesh(Mesh):
-    """A mesh with a record of how it was made.
+    """A tetrahedral mesh that fills a surface, with a record of how it was made.
 
     Attributes
     ----------
     repaired : list of str
-        Repairs of the surface and defects found, one sentence each; empty if there were none.
+        Sentences that each state one repair of the surface, or one defect that is left; empty if there were none.
     quality : dict
-        ``min_quality``, ``median_quality`` (mean ratio, 1 where regular), ``shortest_edge_mm``, ``median_edge_mm``,
-        ``surface_distance_mm`` (largest distance of the tets' boundary from the surface, at its nodes and the middles
-        of its triangles), ``missed_mm`` (the same from the surface to the tets' boundary: thin parts that were lost,
-        and inner shells), ``volume_mm3``, ``volume_change_percent`` (against what the surface encloses), ``parts``
-        (that share no node).
+        Measures of the mesh: ``min_quality`` and ``median_quality`` of its tets (mean ratio, 1 for a regular tet),
+        ``shortest_edge_mm``, ``median_edge_mm``, ``surface_distance_mm`` (largest distance of the mesh's boundary from
+        the surface, measured at nodes and centres of its triangles), ``missed_mm`` (largest distance of the surface
+        from the mesh's boundary, which is large where thin parts were lost or an inner shell was filled),
+        ``volume_mm3``, ``volume_change_percent`` (against the volume that the surface encloses), ``parts`` (number of
+        parts that share no node).
     settings : dict
-        Target ``size_mm`` and ``deviation_mm``, and ``mesher``, its name and version.
+        Target edge length ``size_mm``, largest deviation from the surface ``deviation_mm``, and ``mesher``, the
+        mesher's name and version.
     seconds : dict of str to float
-        ``read``, ``repair``, ``fill``, ``measure``.
+        Wall time in s of the stages ``read``, ``repair``, ``fill``, ``measure``.
     """
 
     repaired: list[str]
@@ -69,28 +71,32 @@ def tetrahedralize(
     Parameters
     ----------
     surface : path-like, pair of arrays, or Triangles
-        A .stl, .ply, .obj, .off, .vtp, .vtu, .vtk or .msh file; or vertices (n, 3) and triangles (m, 3).
+        A .stl, .ply, .obj, .off, .vtp, .vtu, .vtk or .msh file; or vertices (n, 3) in `unit` and triangles (m, 3) as
+        vertex indices.
     size_mm : float
-        Target edge length in mm, for any `unit`; at most half of the largest extent. Three or more elements across the
-        thinnest part that bends is a good start. Details of the surface get shorter edges, and above a twelfth of the
-        body's diagonal the mesher makes edges shorter than the target.
+        Target edge length in mm, whatever `unit` is; at most half of the largest extent. Three or more elements across
+        the thinnest part that bends is a good start. Details of the surface get shorter edges, and above a twelfth of
+        the body's diagonal the mesher makes edges shorter than the target.
     unit : {"mm", "cm", "m"}, optional
         Unit of the surface's coordinates. By default the unit stated in the file's header, or else mm.
     fixed : str, sequence of float, or list of them, optional
-        Held nodes: ``"plane nx ny nz d [tol]"``, ``"ball x y z r"`` or the name of one of `node_sets`, in mm; several
-        are combined. `tol` should be at least `deviation_mm`.
-    node_sets : mapping of str to the same, optional
-        More named sets of nodes; a name may be used by later ones.
+        Rule that selects the held nodes, or a list of rules whose nodes are united: ``"plane nx ny nz d [tol]"`` (nodes
+        within `tol` of a plane), ``"ball x y z r"`` (surface nodes in a ball) or the name of one of `node_sets`;
+        lengths in mm. `tol` should be at least `deviation_mm`.
+    node_sets : mapping of str to rules, optional
+        Rules, as in `fixed`, that select the nodes of further sets, by name; a rule may name a set that stands before
+        it.
     deviation_mm : float, optional
         Largest distance of the faces of the tetrahedra from the surface, mm. By default the smaller of 5 % of the size
         and 0.1 % of the diagonal of the bounding box.
     threads : int
-        For the mesher; 0: all cores. Its output differs from run to run for any number.
+        Number of threads of the mesher; 0 stands for all cores. The mesh differs from run to run for any number.
 
     Returns
     -------
     FilledMesh
-        A `Mesh` with the node sets, and `repaired`, `quality`, `settings`, `seconds`.
+        A `Mesh` in mm with the node sets ``fixed`` and `node_sets`, and the attributes `repaired`, `quality`,
+        `settings` and `seconds`.
 
     Raises
     ------
@@ -139,7 +145,7 @@ def tetrahedralize(
 
 
 def _listed(rules: NodeRules, name: str) -> Sequence[NodeRule]:
-    """Return several rules, at least one; a single one is a text, a table or numbers."""
+    """Return one rule for nodes, or several, as a list that is not empty; a FormatError names the argument `name`."""
     if isinstance(rules, str | Mapping):
         return [rules]
     if not isinstance(rules, Sequence | np.ndarray) or not len(rules):
@@ -151,7 +157,7 @@ def _listed(rules: NodeRules, name: str) -> Sequence[NodeRule]:
 
 
 def _check_rules(rules: Mapping[str, NodeRules]) -> None:
-    """Refuse invalid rules, and names of sets that are not defined earlier, before the long work of the mesher."""
+    """Refuse, before the long work of the mesher, invalid rules for nodes and names of node sets not made before."""
     made: list[str] = []
     for name, several in rules.items():
         for rule in _listed(several, name):
@@ -205,9 +211,9 @@ def _check_number(body: Triangles, size_mm: float) -> None:
 
 
 def _quality(mesh: Mesh, surface: Triangles) -> dict[str, Any]:
-    """Return the quality of a mesh that fills a closed surface, normals outward; keys as in `FilledMesh`.
+    """Return measures of a mesh that fills a closed surface with outward normals; keys as in `FilledMesh.quality`.
 
-    Cost: one search for the closest triangle per point, at most `MESHING.points` each way.
+    Cost: one search for the closest triangle per point, at most `MESHING.points` points each way.
     """
     shape = shape_quality(mesh.nodes, mesh.tets)
     length = np.linalg.norm(mesh.nodes[mesh.edges[:, 0]] - mesh.nodes[mesh.edges[:, 1]], axis=1)
@@ -227,7 +233,7 @@ def _quality(mesh: Mesh, surface: Triangles) -> dict[str, Any]:
 
 
 def largest_distance(measured: Triangles, to: Triangles) -> float:
-    """Return the largest distance of corners and middles of triangles from another surface, mm.
+    """Return the largest distance in mm of vertices and centres of the triangles `measured` from the surface `to`.
 
     >>> flat = Triangles([[0, 0, 0], [9, 0, 0], [0, 9, 0]], [[0, 1, 2]])
     >>> largest_distance(Triangles([[0, 0, 2], [9, 0, 0], [0, 9, 0]], [[0, 1, 2]]), flat)

@@ -10,11 +10,12 @@ from tissuereg.meshing.settings import MESHING
 
 
 def crossing_pairs(surface: Triangles) -> IntArray | None:
-    """Return the pairs of triangles (n_pairs, 2) of which an edge of one passes through the inside of the other.
+    """Return the pairs of triangles, as indices (n_pairs, 2), that intersect: an edge of one passes through the other.
 
-    Vertices are merged; triangles that touch, or lie in one plane, do not cross. None where there are more than
-    `MESHING.most_pairs` candidates. Cost: bounding boxes are shared out to strips along one axis and sorted along
-    another; those that overlap are tested. 300,000 triangles of like size take about ten seconds.
+    The surface's vertices must have been merged; triangles that touch, or lie in one plane, do not count. Return None
+    if more than `MESHING.most_pairs` pairs would have to be tested. Method: bounding boxes are assigned to strips along
+    one axis and sorted along another; those that overlap are tested. 300,000 triangles of like size take about ten
+    seconds.
     """
     corners = surface.corners
     low, high = corners.min(axis=1), corners.max(axis=1)
@@ -41,9 +42,9 @@ def crossing_pairs(surface: Triangles) -> IntArray | None:
 
 
 def _in_strips(low: FloatArray, high: FloatArray) -> tuple[IntArray, IntArray]:
-    """Return all pairs of a triangle and a strip of space that it reaches into, as two arrays of numbers.
+    """Return all pairs of a triangle and a strip of space that it reaches into, as two index arrays (n_pairs,).
 
-    `low`, `high` (m,): extent of each triangle along the axis that the strips divide, mm.
+    `low`, `high` (m,): extent of each triangle, in mm, along the axis that the strips divide.
     """
     span = float(high.max() - low.min())
     width = max(MESHING.strip * float((high - low).mean()), span / MESHING.most_strips)
@@ -54,9 +55,9 @@ def _in_strips(low: FloatArray, high: FloatArray) -> tuple[IntArray, IntArray]:
 
 
 def _blocks(after: IntArray) -> Iterator[tuple[IntArray, IntArray]]:
-    """Yield all pairs of a row and one of the rows that follow it, in blocks of two arrays of numbers.
+    """Yield all pairs of a row and one of the rows that follow it, in blocks of two equally long index arrays.
 
-    `after` (m,): how many of the following rows each row is paired with.
+    `after` (m,): number of the rows directly after it with which each row is paired.
     """
     ends = np.cumsum(after)
     start = 0
@@ -71,7 +72,7 @@ def _blocks(after: IntArray) -> Iterator[tuple[IntArray, IntArray]]:
 
 
 def _cross(one: FloatArray, other: FloatArray) -> BoolArray:
-    """Return a mask (n,) of the pairs of triangles, corners (n, 3, 3) each, that cross."""
+    """Return a mask (n,) of the pairs of triangles that intersect; `one`, `other` (n, 3, 3): their corners, mm."""
     size = np.maximum(np.ptp(one, axis=1).max(axis=1), np.ptp(other, axis=1).max(axis=1))
     nought = MESHING.nought * size**3
     crossing = np.zeros(len(one), bool)
@@ -82,9 +83,10 @@ def _cross(one: FloatArray, other: FloatArray) -> BoolArray:
 
 
 def _passes(start: FloatArray, end: FloatArray, through: FloatArray, nought: FloatArray) -> BoolArray:
-    """Return a mask (n,) of the segments that pass through the inside of their triangle, (n, 3, 3).
+    """Return a mask (n,) of the segments that pass through the inside of a triangle each.
 
-    `start`, `end` (n, 3): ends, mm; `nought` (n,): volume below which a tet counts as flat, mm^3.
+    `start`, `end` (n, 3): ends of the segments, mm; `through` (n, 3, 3): corners of the triangle that belongs to each
+    segment, mm; `nought` (n,): six times the volume in mm^3 below which a tetrahedron counts as flat.
     """
     a, b, c = (through[:, i] for i in range(3))
     before, behind = _volume(start, a, b, c), _volume(end, a, b, c)

@@ -22,7 +22,7 @@ _RUN = "import runpy, sys; sys.argv = sys.argv[1:]; runpy.run_path(sys.argv[0], 
 
 
 def check_mesher() -> None:
-    """Refuse early, by a `MissingPackageError`, if pytetwild is not installed."""
+    """Raise MissingPackageError if the mesher pytetwild is not installed."""
     if importlib.util.find_spec(_MESHER) is None:
         raise _missing(_MESHER)
 
@@ -30,12 +30,12 @@ def check_mesher() -> None:
 def filled(
     surface: Triangles, size_mm: float, deviation_mm: float, threads: int = 0
 ) -> tuple[FloatArray, IntArray, str]:
-    """Return nodes (n, 3) in mm and tets (m, 4) of positive volume that fill a surface, and the mesher and its version.
+    """Fill a surface with tets; return nodes (n, 3), mm, tets (m, 4) as node indices, and the mesher and its version.
 
-    The surface's normals point outward, edges are about `size_mm` long, faces lie within `deviation_mm` of the surface;
-    no thread number means all cores. Raises MissingPackageError if pytetwild, or one of its dependencies, is not
-    installed, MeshingError if the mesher fails or makes an element without volume, MemoryError if memory is spent. The
-    mesher draws random numbers from the system: two runs give two similar meshes.
+    All tets have positive volume. The surface's normals point outwards, edges become about `size_mm` long, faces lie
+    within `deviation_mm` of the surface; 0 threads stand for all cores. Raises MissingPackageError if pytetwild, or one
+    of its dependencies, is not installed, MeshingError if the mesher fails or makes an element without volume,
+    MemoryError if memory is spent. The mesher draws random numbers from the system: two runs give two similar meshes.
     """
     diagonal = float(np.linalg.norm(np.ptp(surface.vertices, axis=0)))
     with draft(Path(tempfile.gettempdir())) as scratch:
@@ -59,7 +59,7 @@ def filled(
 
 
 def _in_order(nodes: FloatArray, tets: IntArray) -> tuple[FloatArray, IntArray]:
-    """Return the nodes (n, 3) that tets use, and the tets (m, 4) turned to positive volume."""
+    """Return the nodes (n, 3), mm, that tets use, and the tets (m, 4) as node indices, ordered for positive volume."""
     if not len(tets):
         message = "the mesher must find an inside; it made no tetrahedron: repair the defects listed in `repaired`"
         raise MeshingError(message, where="surface")

@@ -1,4 +1,4 @@
-"""Closes the holes of a surface.
+"""Closing the holes of a surface.
 
 The rim of a hole is the chain of edges that belong to one triangle only. It is closed with the triangles of least total
 area that have no further corners [1]_: with ``W[i, j]`` the least area between corners i and j of a rim,
@@ -23,9 +23,10 @@ from tissuereg.meshing.words import place, several, were
 
 
 def closed(surface: Triangles) -> tuple[Triangles, list[str]]:
-    """Return the surface, whose neighbours agree in their winding, with its holes closed, and the repair in a sentence.
+    """Return the surface with its holes closed, and sentences that state the repairs.
 
-    Caps come after the existing triangles, centres of fans after the existing vertices.
+    Neighbouring triangles must agree in their winding. The triangles that close holes come after the existing ones. A
+    large hole gets a fan of triangles about its centre, and these centres come after the existing vertices.
 
     >>> cap = closed(Triangles([[0, 0, 0], [9, 0, 0], [0, 9, 0], [0, 0, 9]], [[0, 2, 1], [0, 1, 3], [0, 3, 2]]))
     >>> cap[0].triangles[3].tolist(), round(cap[0].volume, 1)
@@ -62,12 +63,13 @@ def closed(surface: Triangles) -> tuple[Triangles, list[str]]:
 
 
 def least_area_cap(corners: FloatArray, barred: BoolArray | None = None) -> IntArray:
-    """Return the triangles (n - 2, 3) of least total area that close a rim of `corners` (n, 3), going round as it does.
+    """Return the n - 2 triangles of least total area that close a polygon in space, in its sense of rotation.
 
-    `barred` (n, n) marks the pairs of corners that an edge of the surface joins already: the cap gets another edge
-    between such a pair only if no cap does without.
+    `corners` (n, 3): vertices of the polygon in order, mm; the triangles (n - 2, 3) are indices into them. `barred` (n,
+    n) marks the pairs of corners that an edge of the surface joins already: the cap gets another edge between such a
+    pair only if no cap does without.
 
-    A square with one corner pulled in: the common edge of the two triangles ends at that corner.
+    Example: in a square with one corner pulled in, the common edge of the two triangles ends at that corner.
 
     >>> least_area_cap(np.array([[0.0, 0, 0], [9, 0, 0], [3, 3, 0], [0, 9, 0]])).tolist()
     [[0, 2, 3], [0, 1, 2]]
@@ -98,7 +100,7 @@ def least_area_cap(corners: FloatArray, barred: BoolArray | None = None) -> IntA
 
 
 def _without_loose(surface: Triangles) -> tuple[Triangles, list[str]]:
-    """Return the surface without triangles that share no edge with another."""
+    """Return the surface without triangles that share no edge with another, and sentences that state the removal."""
     edges = Edges.of(surface.triangles)
     loose = (edges.count[edges.group].reshape(-1, 3) == 1).all(axis=1)
     n = int(loose.sum())
@@ -109,7 +111,7 @@ def _without_loose(surface: Triangles) -> tuple[Triangles, list[str]]:
 
 
 def _rims(triangles: IntArray) -> list[IntArray]:
-    """Return the rim of every hole as node numbers, oriented as its cap; open chains are ignored."""
+    """Return each hole's rim as vertex indices, in its cap's sense of rotation; open chains of edges are ignored."""
     edges = Edges.of(triangles)
     onward: dict[int, list[int]] = {}
     for start, end in edges.ends[edges.count[edges.group] == 1].tolist():

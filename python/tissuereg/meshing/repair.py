@@ -1,4 +1,4 @@
-"""Repairs a segmented surface so that it encloses a body, and reports every repair."""
+"""Repair of a segmented surface so that it encloses a body, with a report of every repair."""
 
 import numpy as np
 
@@ -14,14 +14,14 @@ from tissuereg.meshing.words import place, several, were
 
 
 def repaired(surface: Triangles, least_volume: float) -> tuple[Triangles, list[str]]:
-    """Return a repaired surface, normals outward, with its repairs and remaining defects, one sentence each.
+    """Return the repaired surface, its normals outwards, and one sentence for each repair and each remaining defect.
 
     In this order: vertices at one place are merged, triangles without an area and duplicates are removed, neighbours
     are made to agree in their winding, holes are closed, normals are turned outwards, closed shells of less than
     `least_volume` mm^3 are removed, except the largest; then crossing triangles are counted. Raises MeshError if no
     triangle has an area, a shell has one side only, or nothing is enclosed.
 
-    A tetrahedron without one of its faces, its normals inwards:
+    Example: a tetrahedron that lacks one of its faces and whose normals point inwards.
 
     >>> open_ = Triangles([[0, 0, 0], [9, 0, 0], [0, 9, 0], [0, 0, 9]], [[0, 1, 2], [0, 3, 1], [0, 2, 3]])
     >>> body, repairs = repaired(open_, 1.0)
@@ -44,9 +44,9 @@ def repaired(surface: Triangles, least_volume: float) -> tuple[Triangles, list[s
 
 
 def _joined(surface: Triangles) -> tuple[Triangles, list[str]]:
-    """Return the surface with every vertex and triangle once, in the given order, and the repairs, one sentence each.
+    """Return the surface without duplicate vertices and triangles, in the given order, and a sentence for each repair.
 
-    Raises MeshError if no triangle is left.
+    Triangles without an area are removed as well. Raises MeshError if no triangle is left.
 
     >>> _joined(Triangles([[0, 0, 0], [9, 0, 0], [0, 9, 0], [0, 9, 0]], [[0, 1, 2], [0, 1, 3]]))
     (Triangles(3 vertices, 1 triangles), ['1 vertex that stood at the place of another was merged with it',
@@ -80,7 +80,7 @@ def _joined(surface: Triangles) -> tuple[Triangles, list[str]]:
 
 
 def _first_of_place(surface: Triangles, used: IntArray) -> IntArray:
-    """Return for every vertex the lowest number of a used vertex at the same place, (n_vertices,)."""
+    """Return for each vertex the lowest index of a vertex of `used` (indices) at the same place, (n_vertices,)."""
     from scipy.spatial import KDTree
 
     places = surface.vertices[used]
@@ -93,7 +93,7 @@ def _first_of_place(surface: Triangles, used: IntArray) -> IntArray:
 
 
 def _left(surface: Triangles) -> list[str]:
-    """Return sentences on the remaining defects."""
+    """Return sentences on the defects that repair has left: edges of several walls, open rims, crossing triangles."""
     defects = []
     edges = Edges.of(surface.triangles)
     walls, rim = int(np.count_nonzero(edges.count > 2)), int(np.count_nonzero(edges.count == 1))

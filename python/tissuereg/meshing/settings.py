@@ -5,7 +5,15 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class MeshingRules:
-    """When a surface is one body, what is repaired, and how much work that may be."""
+    """Constants of meshing: limits of the work, tolerances of the repair, and when a surface encloses a body.
+
+    `deviation_of_size`, `deviation_of_diagonal`: default deviation of the mesh from the surface, as the smaller of
+    these shares; `same_place`: distance of vertices that are merged, over the extent; `least_filled`: share of its
+    bounding box that a shell must fill; `nought`: relative volume taken as zero; `most_tets`, `most_pairs`,
+    `most_strips`, `longest_table`, `points`, `probes`: largest numbers of tets, pairs, strips, corners of a rim, points
+    where a distance is measured, test points of a shell; `strip`, `block`: width of strips in mean boxes, and pairs
+    tested at a time.
+    """
 
     most_tets: int = 3_000_000  # more than this are refused before they are made
     deviation_of_size: float = 0.05  # the default deviation from the surface is the smaller of this share of the size

@@ -1,4 +1,4 @@
-"""Orients every shell, finds cavities, and removes shells that are too small to be filled."""
+"""Orientation of the shells (connected parts) of a surface, search for cavities, and removal of too small shells."""
 
 import numpy as np
 
@@ -11,12 +11,13 @@ from tissuereg.meshing.words import place, several, were
 
 
 def outward(surface: Triangles, shell: IntArray, least_volume: float) -> tuple[Triangles, list[str]]:
-    """Return the surface with normals outwards, without loose vertices and small shells, and findings in sentences.
+    """Return the surface with normals outwards and without small shells, and sentences that state what was found.
 
-    `shell` has the shell of every triangle, from 0; neighbours agree in their winding. A shell inside no other is
-    turned so that its normals point outwards, together with all shells within it. A shell within another whose normals
-    then point inwards is the wall of a cavity; otherwise it lies in solid material. Closed shells of less than
-    `least_volume` mm^3 are removed, except the largest. Raises MeshError if nothing is enclosed.
+    A shell is a connected part of the surface. `shell` (n_triangles,) has the number of each triangle's shell, from 0,
+    and neighbours agree in their winding. A shell inside no other is turned so that its normals point outwards,
+    together with all shells within it. A shell within another whose normals then point inwards is the wall of a cavity;
+    otherwise it lies in solid material. Closed shells of less than `least_volume` mm^3 are removed, except the largest,
+    and so are vertices that no triangle uses. Raises MeshError if nothing is enclosed.
     """
     volumes = shell_volumes(surface, shell)
     largest = int(np.argmax(np.abs(volumes)))
@@ -40,11 +41,11 @@ def outward(surface: Triangles, shell: IntArray, least_volume: float) -> tuple[T
 
 
 def winding_number(point: FloatArray, corners: FloatArray) -> float:
-    """Return the winding number of triangles (n, 3, 3) about a point: closed and oriented outwards 1 inside, 0 outside.
+    """Return the winding number of triangles about a point: 1 inside a closed surface with outward normals, 0 outside.
 
-    The sum of the solid angles of the triangles over 4 pi, by the formula of A. Van Oosterom and J. Strackee, "The
-    solid angle of a plane triangle", IEEE Transactions on Biomedical Engineering 30, 125-126, 1983.
-    doi:10.1109/TBME.1983.325207
+    `point` (3,), `corners` (n, 3, 3): place, and corners of the triangles, mm. The number is the sum of the solid
+    angles of the triangles over 4 pi, by the formula of A. Van Oosterom and J. Strackee, "The solid angle of a plane
+    triangle", IEEE Transactions on Biomedical Engineering 30, 125-126, 1983. doi:10.1109/TBME.1983.325207
     """
     a, b, c = (corners[:, i] - point for i in range(3))
     la, lb, lc = (np.linalg.norm(side, axis=1) for side in (a, b, c))
@@ -68,9 +69,10 @@ def _check_encloses(surface: Triangles, largest: BoolArray, volume: float) -> No
 
 
 def _closed_shells(triangles: IntArray, shell: IntArray) -> BoolArray:
-    """Return a mask (n_shells,) of the shells that are closed: every edge has two of their own triangles.
+    """Return a mask (n_shells,) of the closed shells, in which every edge belongs to two triangles of the same shell.
 
-    `shell` (m,): number of the shell of each triangle. Other shells may touch them there.
+    `triangles` (m, 3): vertex indices; `shell` (m,): number of the shell (connected part) of each triangle. At an edge
+    other shells may touch.
     """
     edges = Edges.of(triangles)
     key, count = np.unique(edges.group * (shell.max() + 1) + shell[edges.owner], return_counts=True)
@@ -79,9 +81,9 @@ def _closed_shells(triangles: IntArray, shell: IntArray) -> BoolArray:
 
 
 def _containers(surface: Triangles, shell: IntArray, among: IntArray) -> dict[int, list[int]]:
-    """Return for every shell of `among` the numbers of the shells that contain it.
+    """Return for every shell whose number is in `among` the numbers of the shells, also in `among`, that contain it.
 
-    `shell` (m,): number of the shell of each triangle.
+    `shell` (m,): number of the shell (connected part) of each triangle of the surface.
     """
     corners = {int(number): surface.corners[shell == number] for number in among}
     boxes = {number: (c.min(axis=(0, 1)), c.max(axis=(0, 1))) for number, c in corners.items()}

@@ -11,11 +11,11 @@ from tissuereg.errors import MeshError
 
 @dataclass(frozen=True)
 class Edges:
-    """The edges of m triangles, three for each: from its first to its second corner, and so on.
+    """The edges of m triangles, three for each: from its first to its second corner, to its third, and back.
 
-    `ends` int64 (3 m, 2): corners, in the direction of the triangle; `owner` int64 (3 m,): number of the triangle;
-    `group` int64 (3 m,): the same number for all edges between the same two vertices; `count` int64 (n_groups,): edges
-    in each group.
+    `ends` int64 (3 m, 2): vertex indices of start and end, in the triangle's sense; `owner` int64 (3 m,): index of the
+    triangle; `group` int64 (3 m,): a number that all edges between the same two vertices share; `count` int64
+    (n_groups,): number of edges in each group.
     """
 
     ends: IntArray  # from, to, in the orientation of the triangle, (3 m, 2)
@@ -25,24 +25,25 @@ class Edges:
 
     @classmethod
     def of(cls, triangles: IntArray) -> "Edges":
-        """Return the edges of triangles (m, 3); cost: one sort."""
+        """Return the edges of triangles (m, 3), given as vertex indices; cost: one sort."""
         ends = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
         _, group, count = np.unique(np.sort(ends, axis=1), axis=0, return_inverse=True, return_counts=True)
         return cls(ends, np.repeat(np.arange(len(triangles)), 3), group.reshape(-1), count)
 
     def pairs(self) -> tuple[IntArray, BoolArray]:
-        """Return the two triangles (k, 2) at every edge that has two, and whether both traverse it in one direction."""
+        """Return pairs of triangles (k, 2) at edges of two, and whether (k,) both traverse theirs in one direction."""
         order = np.argsort(self.group, kind="stable")
         rows = order[self.count[self.group[order]] == 2].reshape(-1, 2)
         return self.owner[rows], np.asarray(self.ends[rows[:, 0], 0] == self.ends[rows[:, 1], 0])
 
 
 def agreed_winding(surface: Triangles) -> tuple[IntArray, IntArray]:
-    """Return the triangles to turn so that all neighbours agree, (n_turned,), and each one's shell, (n_triangles,).
+    """Return which triangles to turn so that all neighbours agree in winding, (n_turned,), and shells (n_triangles,).
 
-    Shells are numbered from 0, the largest area first. Every triangle is two vertices of a graph, as given and turned;
-    neighbours are joined where they agree. An orientable shell consists of two halves of the graph, of which the one
-    that turns less area is chosen. Raises MeshError if a shell is not orientable, like a Moebius strip.
+    The first array holds triangle indices, the second the number of each triangle's shell (connected part), from 0, the
+    largest area first. Method: every triangle is two vertices of a graph, as given and turned; neighbours are joined
+    where they agree. An orientable shell consists of two halves of the graph, of which the one that turns less area is
+    chosen. Raises MeshError if a shell is not orientable, like a Moebius strip.
     """
     n, areas = len(surface.triangles), surface.areas
     neighbours, same = Edges.of(surface.triangles).pairs()
@@ -63,7 +64,7 @@ def agreed_winding(surface: Triangles) -> tuple[IntArray, IntArray]:
 
 
 def _largest_first(label: IntArray, areas: FloatArray) -> IntArray:
-    """Return labels (n,) renumbered by decreasing area, the largest total first; `areas` (n,): mm^2."""
+    """Return labels (n,) of triangles renumbered from 0 by decreasing total area; `areas` (n,): of each, in mm^2."""
     size = np.bincount(label, areas)
     rank = np.empty(len(size), np.int64)
     rank[np.argsort(-size, kind="stable")] = np.arange(len(size))
@@ -71,14 +72,17 @@ def _largest_first(label: IntArray, areas: FloatArray) -> IntArray:
 
 
 def turned_round(triangles: IntArray, which: IntArray | BoolArray) -> IntArray:
-    """Return triangles (m, 3) of which those in `which`, numbers or a mask, have their orientation reversed."""
+    """Return triangles (m, 3) with the winding of those in `which`, indices or a mask (m,), reversed."""
     changed: IntArray = triangles.copy()
     changed[which] = changed[which][:, [0, 2, 1]]
     return changed
 
 
 def shell_volumes(surface: Triangles, shell: IntArray) -> FloatArray:
-    """Return the volume in each closed shell (n_shells,), mm^3, positive if outward; `shell`: of each triangle."""
+    """Return the volume that each closed shell encloses, (n_shells,), in mm^3; positive if its normals point outwards.
+
+    `shell` (n_triangles,): number of the shell (connected part) of each triangle.
+    """
     corners = surface.corners
     share = np.bincount(shell)
     middle = np.stack([np.bincount(shell, corners[:, :, x].mean(axis=1)) / share for x in range(3)], axis=1)
@@ -86,7 +90,7 @@ def shell_volumes(surface: Triangles, shell: IntArray) -> FloatArray:
 
 
 def components(first: IntArray, second: IntArray, n: int) -> IntArray:
-    """Return the connected part of each of `n` vertices of a graph, (n,), from the two ends of its edges."""
+    """Return the number of the connected part of each of `n` graph vertices, (n,); edges join `first` and `second`."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 

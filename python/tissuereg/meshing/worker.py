@@ -20,8 +20,9 @@ NO_MESHER, NO_MEMORY, REFUSED = 65, 66, 67
 def main(given: str, made: str) -> int:
     """Fill the surface of the .npz `given`, write the .npz `made`, and return the exit code.
 
-    `given` has ``vertices (n, 3)``, ``triangles (m, 3)``, ``edge_share`` and ``deviation_share`` (of the diagonal of
-    the bounding box), ``threads``; `made` gets ``nodes``, ``tets`` and ``mesher``.
+    `given` has ``vertices (n, 3)`` in mm, ``triangles (m, 3)``, ``edge_share`` and ``deviation_share`` (target edge
+    length and largest deviation as shares of the diagonal of the bounding box), ``threads``; `made` gets ``nodes`` in
+    mm, ``tets`` and ``mesher``, its name and version.
     """
     try:
         import pytetwild

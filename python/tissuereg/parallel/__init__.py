@@ -1,6 +1,6 @@
-"""Many independent tasks: in this process, in processes of this machine, or on a Dask cluster.
+"""Runs of many independent tasks: in this process, in processes of this machine, or on a Dask cluster.
 
-The one place that makes processes and knows of Dask. The rest of the package takes an `Executor`.
+Processes are made, and Dask is used, in this package alone. The rest of `tissuereg` takes an `Executor`.
 """
 
 import re
@@ -31,13 +31,13 @@ TASK_LIMIT = 900.0
 
 
 def open_executor(address: str, *, task_limit: float = TASK_LIMIT, patience: float = 60.0) -> "Cluster":
-    """Open a Dask cluster by its address; use it in a ``with`` block.
+    """Open a Dask cluster by its address and return an executor of tasks on it, to be used in a ``with`` block.
 
     Parameters
     ----------
     address : str
         ``tcp://HOST:PORT`` (or ``tls://``) of a scheduler that runs already; ``local:N`` for N processes of this
-        machine, one thread each; or a ``.yaml`` file that says which jobs to submit to a batch system
+        machine, one thread each; or the path of a ``.yaml`` file that states which jobs to submit to a batch system
         (``docs/cluster.md``). A script that opens ``local:N`` needs ``if __name__ == "__main__":``.
     task_limit : float
         Time in s after which a task counts as hung: its worker is restarted and the task runs again.
@@ -47,14 +47,14 @@ def open_executor(address: str, *, task_limit: float = TASK_LIMIT, patience: flo
     Returns
     -------
     Cluster
-        An `Executor`.
+        An open `Executor`: its method `run` calls a function on many tasks.
 
     Raises
     ------
     ArgumentError
         If the address has none of these forms, or a number is out of its range.
     FormatError
-        If the file cannot be used.
+        If the ``.yaml`` file cannot be read, or an entry is unknown or wrong.
     MissingPackageError
         If dask.distributed, or dask-jobqueue for a file, is not installed.
     ClusterError

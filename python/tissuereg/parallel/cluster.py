@@ -1,7 +1,8 @@
-"""Dask: the executor over a scheduler and its workers.
+"""The executor that runs tasks on the workers of a Dask scheduler.
 
-Dask already runs a task again whose worker died. Added here: only a few tasks are in the scheduler at a time; a task
-that hangs is stopped; a task is blamed for the death of a worker only if it ran there; a lost scheduler is tried again.
+Dask already runs a task again whose worker died. This module adds four rules: only a few tasks are in the scheduler at
+a time; a task that hangs is stopped; a worker's death counts against a task only if the task ran there; the connection
+to a lost scheduler is tried again.
 """
 
 import time
@@ -55,22 +56,13 @@ SETTINGS: dict[str, Any] = {
 
 @dataclass
 class _Job:
-    """A task on its way.
+    """A task that has been taken from the list of tasks and has no outcome yet.
 
-    Attributes
-    ----------
-    index : int
-        Its place.
-    task : object
-        The task.
-    starts, hangs : int
-        How often it began, and took too long.
-    suspected : bool
-        Whether the scheduler gave it up because workers died that had it, running or waiting.
-    started : tuple of (str, float) or None
-        Address of its worker, and when it was last seen to begin there.
-    future : distributed.Future or None
-        Its place in the scheduler.
+    `index`: position of the task among all tasks, from 0; `task`: the argument with which the function is called;
+    `starts`, `hangs`: how often the task has begun in a worker, and how often it has exceeded the time limit;
+    `suspected`: whether the scheduler gave the task up because workers died that ran it or had it in their queue;
+    `started`: address of the worker in which it began last, and the time (monotonic clock, s) of that; None if it is
+    not known to run; `future`: handle of the task in the scheduler; None before it is sent.
     """
 
     index: int
@@ -83,25 +75,25 @@ class _Job:
 
 
 class Cluster(AbstractContextManager["Cluster"]):
-    """Runs tasks on a Dask cluster; `tissuereg.parallel.open_executor` makes one.
+    """An executor that runs tasks on a Dask cluster; `tissuereg.parallel.open_executor` makes one.
 
     Parameters
     ----------
     where : object
-        What `distributed.Client` takes: an address, or a cluster object, which is closed at the end.
+        Address of a scheduler, or a cluster object of `distributed`, which is closed with the executor.
     name : str
-        Its name in messages.
+        Name of the cluster in messages.
     task_limit : float
-        Time in s after which a task counts as hung.
+        Time in s after which a task counts as hung: its worker is restarted and the task runs again.
     patience : float
         Time in s for which a scheduler that does not answer is tried again.
     n_kept : int
-        Workers to which a cluster object is brought back when some are lost; 0 leaves their number to it.
+        Number of workers that a cluster object is told to have again when some are lost; with 0 nothing is done.
 
     Raises
     ------
     ClusterError
-        If nothing answers.
+        If no scheduler answers.
     """
 
     def __init__(self, where: Any, name: str, *, task_limit: float, patience: float, n_kept: int = 0) -> None:
@@ -114,7 +106,7 @@ class Cluster(AbstractContextManager["Cluster"]):
         self._client = self._connected(min(10.0, patience))
 
     def __exit__(self, *_: object) -> None:
-        """Leave the cluster; one that was started here ends."""
+        """Disconnect from the scheduler; close the cluster if it is a cluster object rather than an address."""
         with suppress(Exception):
             self._client.close(timeout=5)
         if not isinstance(self._where, str):
@@ -123,21 +115,21 @@ class Cluster(AbstractContextManager["Cluster"]):
 
     @property
     def n_workers(self) -> int:
-        """Threads of all workers there are now."""
+        """Number of threads of all workers that are connected now."""
         return sum(self._client.nthreads().values())
 
     @property
     def worker_seconds(self) -> float:
-        """Time that threads of workers were there for the tasks of all runs so far, in s."""
+        """Time in s, summed over the threads of all workers, during which they were available to the runs so far."""
         return self._spent
 
     def run(self, function: Callable[[Any], Any], tasks: Iterable[Any]) -> Iterator[Finished | Failed]:
-        """Yield outcomes as they come; see `Executor.run`.
+        """Call `function` on every task on the cluster; yield one outcome per task in the order in which they finish.
 
         Raises
         ------
         ClusterError
-            If the scheduler is lost, and is not back within the time that was given.
+            If the scheduler is lost and does not answer again within the time `patience`.
         """
         source, waiting = enumerate(tasks), deque[_Job]()
         prefix = f"{getattr(function, '__name__', 'task')}-{uuid.uuid4().hex[:8]}"
@@ -177,7 +169,7 @@ class Cluster(AbstractContextManager["Cluster"]):
         )
 
     def _collected(self, done: list[str], waiting: "deque[_Job]") -> Iterator[Finished | Failed]:
-        """Take finished tasks out of the scheduler; those that are to be run again wait."""
+        """Yield the outcomes of the tasks with the keys `done`; append tasks that must run again to `waiting`."""
         finished = {key: self._jobs[key].future for key in done if _status(self._jobs[key]) == "finished"}
         results: dict[str, Any] = {}
         if finished:
@@ -204,7 +196,10 @@ class Cluster(AbstractContextManager["Cluster"]):
                 waiting.append(self._jobs.pop(key))
 
     def _stopped(self, waiting: "deque[_Job]") -> Iterator[Failed]:
-        """Stop what hangs, and give up what hangs or kills its worker again and again."""
+        """Restart the workers of tasks that hang; yield a failure for tasks that hang or kill their worker repeatedly.
+
+        Other tasks that hang are appended to `waiting`, to run again.
+        """
         now = time.monotonic()
         if now - self._looked < _LOOKING:
             return
@@ -241,9 +236,10 @@ class Cluster(AbstractContextManager["Cluster"]):
                 )
 
     def _late(self, now: float) -> dict[str, str]:
-        """Return the tasks that run for too long, and their workers, which are there.
+        """Return the tasks that exceed the time limit on a connected worker: the worker's address by the task's key.
 
-        A task whose worker has died waits for the next one, which may take long to start.
+        `now`: monotonic time in s. A task whose worker has died is no longer marked as running: it waits for another
+        worker, which may take long to start.
         """
         begun = {key: job.started for key, job in self._jobs.items() if job.started is not None}
         late = {key: worker for key, (worker, since) in begun.items() if now - since > self._task_limit}
@@ -270,7 +266,7 @@ class Cluster(AbstractContextManager["Cluster"]):
         return Failed(job.index, ClusterError(message, where=f"task {job.index}"))
 
     def _recovered(self) -> list[_Job]:
-        """Connect again, and return the jobs that the scheduler had."""
+        """Connect to the scheduler again, and return the tasks it had without an outcome, or raise ClusterError."""
         jobs, self._jobs = list(self._jobs.values()), {}
         with suppress(Exception):
             self._client.close(timeout=2)
@@ -303,14 +299,14 @@ class Cluster(AbstractContextManager["Cluster"]):
         return client
 
     def _note(self, event: tuple[float, dict[str, str]]) -> None:
-        """Note that a worker has begun a task; called in the client's own thread."""
+        """Record that a worker has begun a task; `event` is Dask's (time, message); runs in the client's thread."""
         job = self._jobs.get(event[1]["key"])
         if job is not None:
             job.started = (event[1]["worker"], time.monotonic())
             job.starts += 1
 
     def _count(self, *, last: bool = False) -> None:
-        """Add the time since the last count for the workers of then or of now, whichever are more."""
+        """Add the time since the last call, times the workers, to the worker seconds; restart lost workers."""
         now = time.monotonic()
         if last or now - self._counted > _COUNTING:
             before = self._workers
@@ -325,21 +321,22 @@ class Cluster(AbstractContextManager["Cluster"]):
 
 
 def reach(address: str, *, task_limit: float, patience: float) -> Cluster:
-    """Return the executor over a scheduler that runs already.
+    """Return the executor over a Dask scheduler that runs already.
 
-    `address`: ``tcp://HOST:PORT``; `task_limit`, `patience`: as in `Cluster`. Result: open. Raises
-    `MissingPackageError` if dask.distributed is not installed; `ClusterError` if nothing answers.
+    `address`: ``tcp://HOST:PORT``; `task_limit`: time in s after which a task counts as hung; `patience`: time in s for
+    which a scheduler that does not answer is tried again. Raises `MissingPackageError` if dask.distributed is not
+    installed; `ClusterError` if nothing answers.
     """
     need_dask()
     return Cluster(address, address, task_limit=task_limit, patience=patience)
 
 
 def local(n: int, *, task_limit: float, patience: float) -> Cluster:
-    """Return the executor over worker processes of this machine, one thread each.
+    """Start `n` worker processes on this machine, one thread each, and return the executor over them.
 
-    `n`: how many; `task_limit`, `patience`: as in `Cluster`. Result: open; its processes end with it, and with this
-    process. Raises `MissingPackageError` if dask.distributed is not installed; `ClusterError` if the processes do not
-    start.
+    `task_limit`: time in s after which a task counts as hung; `patience`: time in s for which a scheduler that does not
+    answer is tried again. The processes end with the executor, and with this process. Raises `MissingPackageError` if
+    dask.distributed is not installed; `ClusterError` if the processes do not start.
     """
     need_dask()
     import logging
@@ -376,7 +373,11 @@ def need_dask() -> None:
 
 
 def _work(function: Callable[[Any], Any], task: Any, topic: str, key: str, suspected: bool) -> tuple[bool, Any]:
-    """Run a task in a worker: an error of ours is an answer, any other one lets Dask try again."""
+    """Run a task in a Dask worker; return (True, result), or (False, error) for an error of this package.
+
+    Any other error is raised, so that Dask tries again. The start is logged under `topic` with the task's `key`; a task
+    that is `suspected` of killing workers waits a little after that.
+    """
     from distributed import get_worker
 
     worker = get_worker()

@@ -19,14 +19,14 @@ from tissuereg.errors import ClusterError
 
 @dataclass(frozen=True)
 class Finished:
-    """A task that has returned.
+    """Outcome of a task whose function has returned.
 
     Attributes
     ----------
     index : int
-        Its place among the tasks, from 0.
+        Position of the task among all tasks, from 0.
     result : object
-        What the function returned.
+        The value that the function returned.
     """
 
     index: int
@@ -35,14 +35,15 @@ class Finished:
 
 @dataclass(frozen=True)
 class Failed:
-    """A task without a result; the others go on.
+    """Outcome of a task without a result; other tasks are not affected.
 
     Attributes
     ----------
     index : int
-        Its place among the tasks, from 0.
+        Position of the task among all tasks, from 0.
     error : Exception
-        What the function raised, or a `ClusterError` if it took too long or its worker died again and again.
+        The exception that the function raised, or a `ClusterError` if the task took too long or its worker died
+        repeatedly.
     """
 
     index: int
@@ -51,63 +52,64 @@ class Failed:
 
 @runtime_checkable
 class Executor(Protocol):
-    """Runs a function on many tasks."""
+    """Protocol of objects that call one function on many tasks, in this process or in others."""
 
     @property
     def n_workers(self) -> int:
-        """Tasks that run side by side now."""
+        """Number of tasks that can run at the same time now."""
         ...
 
     @property
     def worker_seconds(self) -> float:
-        """Time that workers were there for the tasks of all runs so far, summed over workers, in s."""
+        """Time in s, summed over workers, during which they were available to the tasks of all runs so far."""
         ...
 
     def run(self, function: Callable[[Any], Any], tasks: Iterable[Any]) -> Iterator[Finished | Failed]:
-        """Yield the outcome of every task once, in the order in which they finish.
+        """Call a function on every task, and yield one outcome per task in the order in which they finish.
 
         Parameters
         ----------
         function : callable
-            Of one task; defined at the top of a module. It may be called more than once for a task (a worker died),
-            so a second call must do no harm.
+            Function of one task, defined at the top level of a module. It may be called again for the same task if a
+            worker died, so a second call must do no harm.
         tasks : iterable
-            Small values that can be pickled. They are taken as workers become free, never all at once.
+            Arguments of the function, one per call: small values that can be pickled. They are taken from the iterable
+            as workers become free, never all at once.
 
         Yields
         ------
         Finished or Failed
-            One for each task.
+            One outcome for each task, with the position of the task.
 
         Raises
         ------
         ClusterError
-            If the cluster is lost for good.
+            If the workers, or the connection to them, are lost for good.
         """
         ...
 
 
 class InProcess(AbstractContextManager["InProcess"]):
-    """Runs tasks one after another in this process."""
+    """Executor that runs tasks one after another in this process."""
 
     def __init__(self) -> None:
         self._spent = 0.0
 
     def __exit__(self, *_: object) -> None:
-        """Nothing to close."""
+        """Do nothing: there is nothing to close."""
 
     @property
     def n_workers(self) -> int:
-        """Always 1."""
+        """Number of tasks that run at the same time: always 1."""
         return 1
 
     @property
     def worker_seconds(self) -> float:
-        """Wall time of all runs so far in s."""
+        """Time in s, by the clock, that tasks of all runs so far have taken."""
         return self._spent
 
     def run(self, function: Callable[[Any], Any], tasks: Iterable[Any]) -> Iterator[Finished | Failed]:
-        """Yield the outcomes in the order of the tasks; see `Executor.run`."""
+        """Call `function` on each task in turn in this process, and yield one outcome per task, in their order."""
         for index, task in enumerate(tasks):
             start = time.perf_counter()
             outcome = outcome_of(function, index, task)
@@ -116,10 +118,9 @@ class InProcess(AbstractContextManager["InProcess"]):
 
 
 def outcome_of(function: Callable[[Any], Any], index: int, task: Any) -> Finished | Failed:
-    """Return what became of a task that is run here and now.
+    """Call `function` on `task` here and now, and return the outcome, which carries the position `index` of the task.
 
-    `function`: of one task; `index`: place of the task; `task`: the task. Result: failed for any exception but an
-    interrupt.
+    The outcome is `Finished` with the result, or `Failed` for any exception but an interrupt.
     """
     try:
         return Finished(index, function(task))
@@ -130,19 +131,19 @@ def outcome_of(function: Callable[[Any], Any], index: int, task: Any) -> Finishe
 def in_order(
     outcomes: Iterable[Finished | Failed], progress: Callable[[int], None] | None = None
 ) -> Iterator[Finished | Failed]:
-    """Yield outcomes in the order of their tasks.
+    """Yield the outcomes of a run in the order of their tasks, not in that in which they finish.
 
     Parameters
     ----------
     outcomes : iterable of Finished or Failed
-        As they come.
+        Outcomes in the order in which the tasks finish.
     progress : callable of int, optional
-        Called with the number of outcomes that have come.
+        Function that is called with the number of outcomes so far, each time one comes.
 
     Yields
     ------
     Finished or Failed
-        Each as soon as it and all before it are there.
+        Each outcome as soon as it and those of all earlier tasks have come.
     """
     waiting: dict[int, Finished | Failed] = {}
     following = 0
@@ -156,26 +157,26 @@ def in_order(
 
 
 def one_result(executor: Executor, function: Callable[[Any], Any], task: Any) -> Any:
-    """Return the result of a single task.
+    """Run a single task on an executor and return its result.
 
     Parameters
     ----------
     executor : Executor
-        Where it runs.
+        Executor on which it runs.
     function : callable
-        Of one task.
+        Function of one task.
     task : object
-        The task.
+        Argument of the function.
 
     Returns
     -------
     object
-        What the function returned.
+        The value that the function returned.
 
     Raises
     ------
     Exception
-        What the function raised.
+        The exception that the function raised.
     """
     (outcome,) = executor.run(function, [task])
     if isinstance(outcome, Failed):
@@ -188,19 +189,20 @@ _MOST = 9999
 
 
 class Processes(AbstractContextManager["Processes"]):
-    """Runs tasks in processes of this machine, started afresh; they end with the process that made them.
+    """Executor that runs tasks in newly started processes of this machine, which end with the process that made them.
 
-    A process that dies ends the run, as nobody knows which task it was; where that must not be, use ``local:N``.
+    If one of the processes dies the run ends, because it is not known which task killed it. The executor of
+    ``open_executor("local:N")`` goes on in that case.
 
     Parameters
     ----------
     n : int
-        How many.
+        Number of processes.
 
     Raises
     ------
     ArgumentError
-        If `n` is no whole number from 1 to 9999.
+        If `n` is not a whole number from 1 to 9999.
     """
 
     def __init__(self, n: int) -> None:
@@ -211,7 +213,7 @@ class Processes(AbstractContextManager["Processes"]):
         self._pool = ProcessPoolExecutor(n, multiprocessing.get_context("spawn"), initializer=_follow_parent)
 
     def __exit__(self, *_: object) -> None:
-        """Stop the processes; tasks that wait are dropped."""
+        """Stop the processes; tasks that have not begun are dropped."""
         self._pool.shutdown(cancel_futures=True)
 
     @property
@@ -221,11 +223,11 @@ class Processes(AbstractContextManager["Processes"]):
 
     @property
     def worker_seconds(self) -> float:
-        """Wall time of all runs so far times processes, in s."""
+        """Time in s of all runs so far by the clock, times the number of processes."""
         return self._spent
 
     def run(self, function: Callable[[Any], Any], tasks: Iterable[Any]) -> Iterator[Finished | Failed]:
-        """Yield outcomes as they come; see `Executor.run`.
+        """Call `function` on every task in the processes; yield one outcome per task in the order in which they finish.
 
         Raises
         ------
@@ -253,7 +255,7 @@ class Processes(AbstractContextManager["Processes"]):
 
 
 def _follow_parent() -> None:
-    """Let this process end with Ctrl-C, and with the process that made it, however that ends."""
+    """Make this process end on Ctrl-C, and when the process that made it ends for whatever reason."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     parent = multiprocessing.parent_process()
     if parent is not None:

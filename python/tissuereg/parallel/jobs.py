@@ -1,4 +1,4 @@
-"""Workers as jobs of a batch system, by dask-jobqueue: the file that says which."""
+"""Dask workers as jobs of a batch system, by dask-jobqueue, as a YAML file describes them."""
 
 from pathlib import Path
 from typing import Any
@@ -19,10 +19,11 @@ KINDS = {
 
 
 def submitted(path: str, *, task_limit: float, patience: float) -> Cluster:
-    """Return the executor over workers that a batch system starts.
+    """Return the executor over Dask workers that a batch system starts as jobs, as a YAML file describes them.
 
-    `path`: YAML file with ``kind`` (default ``slurm``), ``workers`` (``minimum``, ``maximum``) and ``job``, the
-    arguments of dask-jobqueue's class; `task_limit`, `patience`: as in `Cluster`. Result: open; its jobs end with it.
+    `path`: file with ``kind`` (the batch system, default ``slurm``), ``workers`` (``minimum`` and ``maximum`` number)
+    and ``job``, the arguments of dask-jobqueue's class; `task_limit`: time in s after which a task counts as hung;
+    `patience`: time in s for which a scheduler that does not answer is tried again. The jobs end with the executor.
     Raises `FormatError` if the file cannot be read, or an entry is unknown or wrong; `MissingPackageError` if
     dask.distributed or dask-jobqueue is not installed; `ClusterError` if the scheduler does not start.
     """
@@ -51,11 +52,12 @@ def submitted(path: str, *, task_limit: float, patience: float) -> Cluster:
 
 
 def read_jobs(path: str) -> tuple[str, dict[str, Any], int, int]:
-    """Read the file.
+    """Read the YAML file that describes the jobs in which a batch system starts Dask workers.
 
-    `path`: as in `submitted`. Result: `kind`: one of `KINDS`; `job`: arguments of the class. Where there is a walltime
-    and no lifetime, workers leave before the walltime is over; `minimum`, `maximum`: numbers of workers. Raises
-    `FormatError` if the file cannot be read, or an entry is unknown or wrong.
+    `path`: file with ``kind``, ``workers`` and ``job``. Result: ``kind``, the batch system, one of `KINDS`; ``job``,
+    the arguments of dask-jobqueue's class; least and largest number of workers. If ``job`` has a walltime and no
+    lifetime, a lifetime is added by which workers leave before the walltime is over. Raises `FormatError` if the file
+    cannot be read, or an entry is unknown or wrong.
     """
     import yaml
 
@@ -85,7 +87,7 @@ def read_jobs(path: str) -> tuple[str, dict[str, Any], int, int]:
 
 
 def _with_lifetime(path: str, job: dict[str, Any]) -> dict[str, Any]:
-    """Let workers leave of themselves before the batch system kills them, not all at the same time."""
+    """Return a job's arguments with a lifetime of its workers of 90 % of the walltime, unless one is stated already."""
     extra = list(job.get("worker_extra_args", []))
     if "walltime" not in job or any(str(word).startswith("--lifetime") for word in extra):
         return job

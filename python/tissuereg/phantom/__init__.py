@@ -1,9 +1,9 @@
-"""The breast phantom: embedded meshes, others of any number of nodes, a trained model, and a synthetic measurement.
+"""The breast phantom: embedded meshes, meshes of any number of nodes, a trained model, and a synthetic measurement.
 
 The body has two sizes: ``full``, as many nodes as the paper's, which the shipped model was trained on; and ``small``,
-for quick examples. The measurement's truth is known. It comes from another model than the one that users simulate
-with: another stiffness, a stiff lesion, ten-node elements, a finer mesh that shares no inner node, markers between
-nodes.
+for quick examples. The true deformation behind the measurement is known. It was simulated with another model than the
+one that users simulate with: another stiffness, a stiff lesion, ten-node elements, a finer mesh that shares no inner
+node, and markers between nodes.
 """
 
 from importlib.resources import files
@@ -35,65 +35,67 @@ _FOLDER = Path(str(files("tissuereg.phantom")))
 
 
 def phantom_mesh(size: str = "full") -> Mesh:
-    """Return the mesh to simulate and register on; its node set ``fixed`` is the chest wall.
+    """Return the breast phantom's mesh for simulation and registration; its node set ``fixed`` is the chest wall.
 
     Parameters
     ----------
     size : str
-        ``full``: 4,258 nodes, ``breast_mesh(4223)``, which the shipped model was trained on. ``small``: 1,213 nodes.
+        ``full``: the mesh of 4,258 nodes on which the shipped model was trained, equal to ``breast_mesh(4223)``.
+        ``small``: a mesh of 1,213 nodes.
 
     Returns
     -------
     Mesh
-        Read from the package, so that it has the same digest on every machine.
+        Mesh in mm, read from the package, so that its fingerprint is the same on every machine.
 
     Raises
     ------
     ArgumentError
-        If there is no such size.
+        If `size` is neither of the two.
     """
     return _mesh(size, "body")
 
 
 def truth_mesh(size: str = "full") -> Mesh:
-    """Return the finer mesh on which the measurement is made.
+    """Return the finer mesh of the breast phantom, on which the synthetic measurement is simulated.
 
     Parameters
     ----------
     size : str
-        Of the body that it belongs to. ``full``: 5,009 corner nodes, ``small``: 1,844; with ten-node elements 36,521
-        and 12,542 nodes.
+        Size of the body whose measurement it serves. ``full``: 5,009 corner nodes, ``small``: 1,844; with ten-node
+        elements these meshes have 36,521 and 12,542 nodes.
 
     Returns
     -------
     Mesh
-        Another program filled the same skin with it (``tools/phantom_meshes.py``).
+        Mesh in mm. Another program filled the same skin with it (``tools/phantom_meshes.py``).
 
     Raises
     ------
     ArgumentError
-        If there is no such size.
+        If `size` is neither of the two.
     """
     return _mesh(size, "truth")
 
 
 def true_fields(size: str = "full") -> tuple[FloatArray, FloatArray]:
-    """Return the true displacement of the phantom's event, as `tissuereg.phantom.event.solve_truth` gave it.
+    """Return the true displacement of the phantom's synthetic deformation, which `event.solve_truth` computed once.
 
     Parameters
     ----------
     size : str
-        Of the body.
+        Size of the body: ``full`` or ``small``.
 
     Returns
     -------
     on_truth_mesh, on_body : ndarray of float64, shape (n_nodes, 3)
-        At the nodes of ``truth_mesh(size)`` and of ``phantom_mesh(size)``, mm, rounded to single precision.
+        Displacement at the nodes of ``truth_mesh(size)`` and at those of ``phantom_mesh(size)``, in mm, rounded to
+        single precision.
 
     Raises
     ------
     ArgumentError
-        If there is no such size.
+        If `size` is neither of the two.
     """
     with _kept(size, "truth") as kept:
         on_truth_mesh, on_body = (kept[name].astype(np.float64) for name in ("displacement_mm", "on_body_mm"))

@@ -1,4 +1,4 @@
-"""The breast phantom's body as a formula, and meshes of any number of nodes inside it."""
+"""The breast phantom's body as an implicit function, and meshes of any number of nodes inside it."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -14,7 +14,14 @@ from tissuereg.phantom.stuffing import stuffed
 
 @dataclass(frozen=True)
 class BreastShape:
-    """The phantom's body, and how closely a mesh meets a number of nodes."""
+    """Dimensions of the breast phantom, and rules of the search for a mesh with a wanted number of nodes.
+
+    The body stands on the chest wall z = 0. `radius_mm`, `height_mm`: radius at the chest wall, and height above it;
+    `droop_mm`: how far the apex hangs down; `fuller`: how much fuller the lower half is, as a share of the radius;
+    `share`, `share_coarse`: allowed relative deviation from the number of nodes, above and below `coarse` nodes;
+    `tries`, `near`: lattice constants tried on the way to that number, and on each side of the last one; `least`,
+    `most`: bounds of the number of nodes.
+    """
 
     radius_mm: float = 60.0  # at the chest wall
     height_mm: float = 52.0  # above the chest wall
@@ -33,9 +40,10 @@ BREAST = BreastShape()
 
 
 def inside_breast(points: FloatArray) -> FloatArray:
-    """Return how deep points (n, 3) in mm lie inside the body, in its horizontal sections; z is the height.
+    """Return the depth (n,) in mm of points (n, 3) in mm below the skin, measured in their horizontal section.
 
-    That is the radius of the skin in the point's direction less the point's own, (n,) in mm; negative outside.
+    That is the radius of the skin in the point's direction minus the point's own radius; it is negative outside. The
+    height above the chest wall is z.
     """
     x, y, z = points.T
     height = z / BREAST.height_mm
@@ -50,25 +58,25 @@ def inside_breast(points: FloatArray) -> FloatArray:
 
 
 def breast_mesh(n_nodes: int) -> Mesh:
-    """Return a mesh of the phantom's body with about so many nodes; the node set ``fixed`` is the chest wall.
+    """Return a mesh of the phantom's body with about `n_nodes` nodes; its node set ``fixed`` is the chest wall.
 
     Parameters
     ----------
     n_nodes : int
-        Wanted number, from 100 to 200,000; it is met within 2 %, below 1,000 within 4 %.
+        Wanted number of nodes, from 100 to 200,000. It is met within 2 %, or 4 % if it is below 1,000.
 
     Returns
     -------
     Mesh
-        The same at every call. Not the meshes of `phantom_mesh` and `truth_mesh`, which another program made inside
-        the same skin.
+        Mesh in mm, the same at every call. The meshes of `phantom_mesh` and `truth_mesh` are other ones inside the same
+        skin, made by another program.
 
     Raises
     ------
     ArgumentError
         If the number is out of range.
     MeshError
-        If no lattice gives a number so near.
+        If no lattice constant gives a number of nodes so close to the wanted one.
     """
     return _breast_mesh(whole("n_nodes", n_nodes, least=BREAST.least, most=BREAST.most))
 

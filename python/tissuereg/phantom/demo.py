@@ -1,4 +1,4 @@
-"""A registration of the embedded phantom, end to end, with the errors against its simulated truth."""
+"""A registration of the embedded phantom, end to end, with its errors against the simulated truth."""
 
 import os
 from pathlib import Path
@@ -19,13 +19,14 @@ from tissuereg.simulation.solve import simulate
 
 
 def run_demo(out: str | os.PathLike[str], *, seed: int = 0, threads: int = 0) -> dict[str, Any]:
-    """Register the phantom and write the result into the folder `out`; return its JSON with ``truth``.
+    """Register the breast phantom, write the result into the folder `out`, and return the result as JSON data.
 
     Written are ``registered.vtu``, ``targets.csv``, ``targets.mrk.json``, ``registration.json``, ``registered.png``,
     ``report.html``, and ``input/`` with the mesh, markers, targets and simulation that the command ``register`` takes.
-    ``truth`` has the errors in mm (mean Euclidean) before and after, at the markers, at the lesion and over the body,
-    and whether the lesion's 90 % region contains the truth. `seed` is that of markers, noise and ensemble; the result
-    does not depend on `threads` (0: all cores).
+    The data have an entry ``truth`` with the mean Euclidean errors in mm before and after registration, at the markers,
+    at the lesion and over the body, and with whether the lesion's 90 % region contains its true place. `seed`
+    determines the markers' places, their noise and the ensemble; the result does not depend on `threads` (0: all
+    cores).
     """
     clock = Clock()
     with clock.stage("measure"):
@@ -52,7 +53,7 @@ def run_demo(out: str | os.PathLike[str], *, seed: int = 0, threads: int = 0) ->
 
 
 def _write_input(folder: Path, event: PhantomEvent, simulation: FloatArray) -> None:
-    """Write the input of `register` as files that the command `register` takes."""
+    """Write mesh, markers, target and simulation (n_nodes, 3), mm, into `folder` as input files of ``register``."""
     folder.mkdir()
     held = np.zeros(event.mesh.n_nodes, dtype=np.int8)
     held[event.mesh.fixed_nodes] = 1
@@ -63,9 +64,9 @@ def _write_input(folder: Path, event: PhantomEvent, simulation: FloatArray) -> N
 
 
 def _errors(event: PhantomEvent, simulation: FloatArray, result: Registration) -> dict[str, Any]:
-    """Return the mean Euclidean errors before and after registration, mm, at markers, lesion and over the body.
+    """Return the mean Euclidean errors in mm before and after registration, at markers, at the lesion, over the body.
 
-    `simulation` (n_nodes, 3): displacement by the believed model, mm.
+    `simulation` (n_nodes, 3): displacement that the believed model predicts, mm; this is the state before registration.
     """
     lesion = result.target("lesion")
     registered = event.markers.measured - np.array([result.markers.residual_mm[n] for n in event.markers.names])

@@ -1,4 +1,4 @@
-"""Events of the phantom: that of the demo with its load, believed model and truth, and those of the shipped model."""
+"""Deformations of the phantom: the demo's load, its believed model and its truth, and the shipped model's recipe."""
 
 from dataclasses import dataclass
 from importlib.resources import files
@@ -19,7 +19,14 @@ from tissuereg.simulation.solve import Simulator
 
 @dataclass(frozen=True)
 class PushedPhantom:
-    """The event of the demo: the truth, and what is believed of it."""
+    """Constants of the demo's synthetic deformation: the true model and load, and those that the user believes.
+
+    `lesion_...`: centre, radius and modulus ratio of a stiff lesion; `pad_origin_mm`, `pushers`, `pad_radius_mm`: two
+    pads on the skin, each with its direction from the origin and its push in mN; `believed_young`, `true_young`: moduli
+    in kPa; `poisson`, `true_poisson`: Poisson's ratios, believed and true; `true_push_factor`, `true_tilt_deg`: size
+    and rotation about z of the true pushes relative to the believed ones; `n_markers`, `marker_std_mm`: markers on the
+    skin and their noise.
+    """
 
     lesion_mm: tuple[float, float, float] = (2.0, 16.0, 24.0)  # centre of the stiff lesion
     lesion_radius_mm: float = 9.0
@@ -50,16 +57,16 @@ LESION_MM = PHANTOM.lesion_mm
 
 @dataclass(frozen=True, eq=False)
 class PhantomEvent:
-    """An event of the phantom, with its truth.
+    """One synthetic deformation of the phantom: the user's model and measurement, and the truth.
 
     Attributes
     ----------
     mesh : Mesh
-        Mesh of the user.
+        Mesh that the user simulates and registers on.
     load, material : Load, Material
-        The believed model.
+        Load and material that the user believes, which differ from the true ones.
     markers : Markers
-        Measured, with noise.
+        Markers with their measured places, noise included.
     true_markers : ndarray of float64, shape (n_markers, 3)
         True displacement of the markers, mm.
     true_displacement : ndarray of float64, shape (n_nodes, 3)
@@ -78,24 +85,25 @@ class PhantomEvent:
 
 
 def make_event(*, seed: int = 0, size: str = "full") -> PhantomEvent:
-    """Return the phantom's event, its measurement taken from the finer, stiffer, second-order model.
+    """Return the phantom's synthetic deformation, with markers measured on a finer, stiffer, second-order model.
 
     Parameters
     ----------
     seed : int
-        Of the markers' places and noise.
+        Seed of the markers' places and noise.
     size : str
-        Of the body: ``full`` for the mesh of the shipped model, ``small`` for quick examples; see `phantom_mesh`.
+        Size of the body: ``full`` for the mesh of the shipped model, ``small`` for quick examples.
 
     Returns
     -------
     PhantomEvent
-        Cost: a tenth of a second; the truth comes with the package, as `solve_truth` gives it.
+        The user's mesh, load, material and markers, and the true displacements. Cost: a tenth of a second, because the
+        true fields come with the package.
 
     Raises
     ------
     ArgumentError
-        If there is no such size.
+        If `size` is neither of the two.
     """
     fine, body = truth_mesh(size), phantom_mesh(size)
     rng = np.random.default_rng([seed, 5])
@@ -118,10 +126,11 @@ def make_event(*, seed: int = 0, size: str = "full") -> PhantomEvent:
 
 
 def solve_truth(size: str, *, threads: int = 0) -> tuple[FloatArray, FloatArray]:
-    """Solve for the truth of the event: ten-node elements, stiffer tissue and lesion, pushes larger and rotated.
+    """Solve for the true displacement: ten-node elements, stiffer tissue, a stiff lesion, and larger, rotated pushes.
 
-    Returns the displacement at the nodes of ``truth_mesh(size)`` and of ``phantom_mesh(size)``, (n_nodes, 3) each in
-    mm. Cost: a solve of 36,500 nodes (``full``: seconds) or 12,500.
+    `size`: ``full`` or ``small``; `threads`: number of threads, 0 for all cores. Returns the displacement at the nodes
+    of ``truth_mesh(size)``, mid-edge nodes included, and of ``phantom_mesh(size)``, (n_nodes, 3) each in mm. Cost: a
+    solve of 36,500 nodes (``full``: seconds) or 12,500.
     """
     fine = truth_mesh(size)
     stiffness = np.where(_in_lesion(fine), PHANTOM.lesion_contrast, 1.0) * PHANTOM.true_young
@@ -138,8 +147,8 @@ def shipped_recipe() -> Recipe:
     Returns
     -------
     Recipe
-        That of ``training/recipes/breast.toml``: its mesh is ``phantom_mesh()``; its ``data`` and ``material`` are
-        what `EventSampler` draws deformations of that body from.
+        The content of ``training/recipes/breast.toml``. Its mesh is ``phantom_mesh()``; its tables ``data`` and
+        ``material`` are the distributions from which `EventSampler` draws deformations of that body.
     """
     return read_recipe(Path(str(files("tissuereg.phantom"))) / "data" / "breast.toml")
 
@@ -150,7 +159,7 @@ def _in_lesion(mesh: Mesh) -> BoolArray:
 
 
 def _pushes(mesh: Mesh, factor: float, tilt_deg: float) -> Load:
-    """Return both pushes as a dead traction on the pads."""
+    """Return the pushes of both pads as a dead traction, times `factor`, rotated by `tilt_deg` degrees about z."""
     angle = np.deg2rad(tilt_deg)
     turn = np.array([[np.cos(angle), -np.sin(angle), 0.0], [np.sin(angle), np.cos(angle), 0.0], [0.0, 0.0, 1.0]])
     triangles, tractions = [], []
@@ -162,7 +171,7 @@ def _pushes(mesh: Mesh, factor: float, tilt_deg: float) -> Load:
 
 
 def _pad(mesh: Mesh, direction: FloatArray) -> tuple[IntArray, float]:
-    """Return the surface triangles (n, 3) of the pad in a direction from the body's middle, and their area, mm^2."""
+    """Return the surface triangles (n, 3) of the pad in a direction (3,) from the body, and their area, mm^2."""
     corners = mesh.nodes[mesh.surface]
     centres = corners.mean(axis=1)
     arms = centres - PHANTOM.pad_origin_mm
@@ -175,7 +184,7 @@ def _pad(mesh: Mesh, direction: FloatArray) -> tuple[IntArray, float]:
 
 
 def _marker_places(mesh: Mesh, rng: np.random.Generator) -> FloatArray:
-    """Return places (n_markers, 3), mm, spread over the skin: of random candidates, the farthest each time."""
+    """Return places (n_markers, 3), mm, spread over the skin: farthest-point sampling of random candidates."""
     corners = mesh.nodes[mesh.surface]
     skin = np.flatnonzero(corners[:, :, 2].mean(axis=1) > 6.0)
     candidates = []

@@ -1,8 +1,9 @@
-"""Tetrahedra inside an implicit surface above the plane z = 0: a lattice, warped to the surface and cut by it.
+"""Tetrahedra inside an implicit surface above the plane z = 0: a lattice is warped to the surface and cut by it.
 
 After Labelle and Shewchuk, "Isosurface stuffing", SIGGRAPH 2007: nodes of a body-centred cubic lattice that lie close
-to the surface are moved onto it, so that what the surface leaves of the other tetrahedra has good angles. Cut faces
-are divided from their first node on, so that neighbours agree. Nothing is random.
+to the surface are moved onto it, so that the parts that the surface cuts off the other tetrahedra have good angles.
+Faces that are cut are divided from their node of lowest number on, so that neighbouring tetrahedra agree. Nothing is
+random.
 """
 
 from collections.abc import Callable
@@ -18,9 +19,11 @@ Inside = Callable[[FloatArray], FloatArray]
 
 @dataclass(frozen=True)
 class StuffingRules:
-    """How the surface is found, and which nodes move to it: those nearer to a cut of one of their edges than a share.
+    """Constants of the warp of lattice nodes to the surface and of the search for the surface.
 
-    The shares are of the length of an edge of the lattice's cubes, and of one from a corner to a centre.
+    A node moves if it is closer to the crossing of one of its edges with the surface than a share of the edge's length:
+    `warp_long` for edges of the lattice's cubes, `warp_short` for edges from a corner to a centre. `bisections`: number
+    of bisection steps that find a crossing.
     """
 
     warp_long: float = 0.25
@@ -32,11 +35,11 @@ STUFFING = StuffingRules()
 
 
 def stuffed(inside: Inside, low: FloatArray, high: FloatArray, size: float) -> tuple[FloatArray, IntArray]:
-    """Return nodes (n_nodes, 3) in mm and tetrahedra (n_tets, 4) of positive volume of the body above z = 0.
+    """Return nodes (n_nodes, 3) in mm and tets (n_tets, 4) of positive volume that fill a body above the plane z = 0.
 
-    `inside` is positive inside the body, negative outside, continuous; its surface should stand upright on z = 0. `low`
-    and `high` (3,) are a box around the body in mm, ``low[2]`` is 0; `size` is the edge of the lattice's cubes in mm.
-    Nodes on the plane have z = 0 exactly.
+    `inside` takes points (n, 3) in mm and gives numbers (n,), positive inside the body, negative outside, continuous;
+    the body's surface should stand upright on z = 0. `low` and `high` (3,) are opposite corners of a box around the
+    body in mm, ``low[2]`` is 0; `size` is the edge of the lattice's cubes in mm. Nodes on the plane have z = 0 exactly.
     """
     nodes, tets = _lattice(low, high, size)
     sign = np.sign(inside(nodes))
@@ -60,7 +63,8 @@ _EDGES = np.array([(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)])
 def _lattice(low: FloatArray, high: FloatArray, size: float) -> tuple[FloatArray, IntArray]:
     """Return nodes (n, 3), mm, and tets (m, 4) of a body-centred cubic lattice on z >= 0.
 
-    `low`, `high` (3,): box to fill, mm; `size`: edge of a cube, mm. The plane halves the lowest tets.
+    `low`, `high` (3,): opposite corners of the box to fill, mm; `size`: edge of a cube, mm. The plane z = 0 halves the
+    lowest tets.
     """
     nx, ny, nz = (int(one) for one in np.ceil((high - low) / size) + 1)
     start = np.array([*(0.5 * (low + high - size * np.array([nx, ny, nz])))[:2], 0.0])
@@ -79,9 +83,10 @@ def _lattice(low: FloatArray, high: FloatArray, size: float) -> tuple[FloatArray
 
 
 def _around(layers: IntArray, one: IntArray, other: IntArray) -> list[IntArray]:
-    """Return four arrays of tets (k, 4) around k squares of nodes: each has a side of the square and both its points.
+    """Return the four tets around each of k lattice squares as four arrays (k, 4) of node indices.
 
-    `layers` (l, m, n): node numbers of square grids; `one`, `other` (k,): points on the two sides of each square.
+    Each tet has one side of the square and the two points next to the square. `layers` (l, m, n): node indices of
+    square grids; `one`, `other` (k,): node indices of the points on the two sides of each square.
     """
     ring = [layers[:, :-1, :-1], layers[:, 1:, :-1], layers[:, 1:, 1:], layers[:, :-1, 1:]]
     flat = [part.ravel() for part in ring]
@@ -89,9 +94,10 @@ def _around(layers: IntArray, one: IntArray, other: IntArray) -> list[IntArray]:
 
 
 def _cuts(inside: Inside, nodes: FloatArray, crossing: IntArray, sign: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return where edges cross the surface: places (k, 3), mm, and the share (k,) of the edge up to there.
+    """Return where edges cross the surface: places (k, 3), mm, and the share (k,) of the edge's length up to there.
 
-    `crossing` int64 (k, 2): edges with ends on different sides; `sign` (n,): side of every node.
+    `inside`: function of points (n, 3) that is positive inside; `nodes` (n, 3): mm; `crossing` int64 (k, 2): edges
+    whose ends lie on different sides; `sign` (n,): 1 for nodes inside, -1 outside.
     """
     first, second = nodes[crossing[:, 0]], nodes[crossing[:, 1]]
     low, high = np.zeros(len(crossing)), np.ones(len(crossing))
@@ -106,10 +112,11 @@ def _cuts(inside: Inside, nodes: FloatArray, crossing: IntArray, sign: FloatArra
 def _warped(
     nodes: FloatArray, sign: FloatArray, crossing: IntArray, cuts: FloatArray, share: FloatArray, size: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return nodes (n, 3) and signs (n,) after nodes near the surface were moved onto it.
+    """Return nodes (n, 3), mm, and signs (n,) after nodes near the surface were moved onto it.
 
-    `crossing` int64 (k, 2): edges that cross the surface; `cuts` (k, 3): where; `share` (k,): of the edge up to there;
-    `size`: edge of a cube, mm. Nodes on the plane z = 0 stay on it.
+    Signs are 1 inside, -1 outside, 0 on the surface. `crossing` int64 (k, 2): edges that cross the surface; `cuts` (k,
+    3): where, mm; `share` (k,): share of the edge's length up to there; `size`: edge of a cube, mm. Nodes on the plane
+    z = 0 stay on it.
     """
     nodes, sign = nodes.copy(), sign.copy()
     length = np.linalg.norm(nodes[crossing[:, 1]] - nodes[crossing[:, 0]], axis=1)
@@ -127,9 +134,10 @@ def _warped(
 
 
 def _part(tet: list[int], sign: FloatArray, cut_of: dict[tuple[int, int], int]) -> list[list[int]]:
-    """Return the tets, as lists of node numbers, of the part of one tet that lies inside the surface.
+    """Return the tets, as lists of node indices, that make up the part of one tet inside the surface.
 
-    `sign` (n,): side of every node; `cut_of`: number of the node at which an edge is cut.
+    `tet`: four node indices; `sign` (n,): 1 for nodes inside, -1 outside, 0 on the surface; `cut_of`: index of the node
+    at which an edge (lower, higher node index) is cut.
     """
     inner = sorted(v for v in tet if sign[v] > 0)
     on = [v for v in tet if sign[v] == 0]
@@ -152,7 +160,7 @@ def _part(tet: list[int], sign: FloatArray, cut_of: dict[tuple[int, int], int]) 
 
 
 def _prism(one: list[int], other: list[int]) -> list[list[int]]:
-    """Divide a prism with edges one[k]-other[k]; every quadrilateral is divided from its first node on."""
+    """Divide the prism with edges one[k]-other[k] into three tets; faces are divided from their lowest node on."""
     if min(other) < min(one):
         one, other = other, one
     k = one.index(min(one))
@@ -164,7 +172,7 @@ def _prism(one: list[int], other: list[int]) -> list[list[int]]:
 
 
 def _compact(nodes: FloatArray, tets: IntArray) -> tuple[FloatArray, IntArray]:
-    """Return the nodes (n, 3) that tets use, and the tets (m, 4), all turned to positive volume."""
+    """Return the nodes (n, 3), mm, that tets use, and the tets (m, 4) of node indices, ordered for positive volume."""
     used, flat = np.unique(tets, return_inverse=True)
     tets, nodes = flat.reshape(tets.shape).astype(np.int64), nodes[used]
     a, b, c, d = (nodes[tets[:, k]] for k in range(4))

@@ -1,13 +1,14 @@
-r"""Where the next markers should go: the surface points that tell most about inner targets.
+r"""Choice of places for further markers: the surface points whose measurement tells most about inner targets.
 
-An ensemble of displacement fields stands for what may happen. With the anomalies of targets and candidates, X and Y
-(field minus mean over the square root of members less one), and noise of variance s^2 in each coordinate, measuring a
-set of candidates leaves the targets the covariance
+An ensemble of displacement fields represents the prior. With the anomalies X of the targets and Y of the candidate
+places (displacement minus the mean of the ensemble, over the square root of the number of members less one), and noise
+of variance s^2 in each measured coordinate, measuring a set of candidates leaves the targets the posterior covariance
 
-    X X' - X Y' (Y Y' + s^2 I)^-1 Y X'
+    X X' - X Y' (Y Y' + s^2 I)^-1 Y X',
 
-whatever is measured, as far as fields are Gaussian. The greedy choice takes, one after another, the candidate that
-lowers its trace most; the chosen marker's three coordinates are then conditioned on, each by a rank-one downdate.
+which does not depend on the measured values, as far as the fields are Gaussian. The greedy choice takes, one after
+another, the candidate that lowers the trace of this covariance most; the chosen marker's three coordinates are then
+conditioned on, each by a rank-one downdate.
 """
 
 from collections.abc import Mapping
@@ -31,19 +32,19 @@ _MOST_STD_MM = 1e9
 
 @dataclass(frozen=True, eq=False)
 class MarkerAdvice:
-    """Places for markers, the most telling first.
+    """Recommended places for markers, in the order of choice: the first one reduces the error at the targets most.
 
     Attributes
     ----------
     chosen : ndarray of int64, shape (n,)
-        Rows of the candidates, in the order of choice.
+        Row numbers of the chosen places in the array of candidates, in the order of choice.
     places_mm : ndarray of float64, shape (n, 3)
-        Their places on or near the undeformed surface.
+        The chosen places on or near the undeformed surface, in mm.
     targets : tuple of str
-        Names of the targets.
+        Names of the targets (inner points of the body), in the order of the columns of `expected_mm`.
     expected_mm : ndarray of float64, shape (n + 1, n_targets)
-        Expected error of every target after so many markers: root of the trace of its covariance, mm. The first row
-        is before any is chosen, with those that are placed already.
+        Expected error of every target in mm, the root of the trace of its covariance. Row k is after the first k chosen
+        markers were measured; row 0 takes only the markers that were placed already.
     """
 
     chosen: IntArray
@@ -52,7 +53,11 @@ class MarkerAdvice:
     expected_mm: FloatArray
 
     def to_json(self) -> dict[str, Any]:
-        """Return it as plain data."""
+        """Return the advice as a dict of plain numbers, strings and lists, for JSON; lengths are in mm.
+
+        The keys are ``chosen``, ``places`` (coordinates of each place, and the root mean square over the targets of the
+        expected errors after it) and ``expected_mm`` (expected errors by target).
+        """
         rows = zip(self.targets, self.expected_mm.T, strict=True)
         left = np.sqrt((self.expected_mm[1:] ** 2).mean(axis=1))
         return {
@@ -83,16 +88,16 @@ def advise_markers(
     mesh : Mesh
         Undeformed body.
     fields_mm : array_like of float, shape (n_members, n_nodes, 3)
-        Displacement fields that stand for what may happen, mm: members of a data set, draws of a model.
+        Displacement fields in mm that represent the prior: members of a data set, draws of a model.
     targets : mapping of str to array_like of float, shape (3,)
-        Inner points of the undeformed body, mm; their variances are summed.
+        Inner points of the undeformed body, mm, by name; the sum of their variances is minimised.
     n : int
         Number of markers to choose.
     candidates_mm : array_like of float, shape (n_candidates, 3), optional
-        Where a marker may sit, on or near the undeformed surface; by default every surface node outside the node set
-        ``fixed``.
+        Places where a marker may sit, on or near the undeformed surface, mm; by default every surface node outside the
+        node set ``fixed``.
     placed_mm : array_like of float, shape (n_placed, 3), optional
-        Markers that sit there already.
+        Places of markers that are attached already, mm; they are taken as measured.
     std : float
         Standard deviation of a measured coordinate, mm.
     apart_mm : float
@@ -101,15 +106,16 @@ def advise_markers(
     Returns
     -------
     MarkerAdvice
-        Cost: a pick takes a multiply-add for each coordinate of a candidate, each member and each of three rank-one
-        downdates; memory is that of the candidates' displacements.
+        The chosen places, and the expected error of every target after each of them. Cost: a pick takes a multiply-add
+        for each coordinate of a candidate, each member and each of three rank-one downdates; memory is that of the
+        candidates' displacements.
 
     Raises
     ------
     ShapeError
         If an array has another shape, or a field is not finite.
     EnsembleError
-        If there are not more members than coordinates to be measured: any target would then seem to be known.
+        If the fields are not more than the coordinates to be measured plus one: any target would then seem to be known.
     MarkerError
         If there is no target, a place lies far from the body, or fewer than `n` candidates lie far enough apart.
     ArgumentError, MeshError
@@ -173,10 +179,11 @@ def advise_markers(
 
 
 class _ConditionedTargets:
-    """Covariances of targets and candidates, conditioned on one measured marker after another.
+    """Covariances of targets and candidate places, conditioned on one measured marker after another.
 
-    `seen` (n_members, n_places, 3): anomalies of the places; `wanted` (n_members, n_targets, 3): those of the targets;
-    `variance`: of the noise in each measured coordinate, mm^2.
+    `seen` (n_members, n_places, 3): anomalies of the displacement of the places, mm (deviation from the mean of the
+    ensemble, over the square root of the number of members less one); `wanted` (n_members, n_targets, 3): those of the
+    targets, mm; `variance`: of the noise in each measured coordinate, mm^2.
     """
 
     def __init__(self, seen: FloatArray, wanted: FloatArray, variance: float) -> None:
@@ -193,17 +200,17 @@ class _ConditionedTargets:
 
     @property
     def expected_mm(self) -> FloatArray:
-        """Root of the trace of every target's covariance (n_targets,), mm."""
+        """Expected error of each target, (n_targets,), in mm: root of the trace of its present covariance."""
         return np.asarray(np.sqrt(np.maximum(self._wanted, 0.0).reshape(-1, 3).sum(axis=1)))
 
     def gains(self) -> FloatArray:
-        """Return by how much each place would lower the targets' summed variance (n_places,), mm^2."""
+        """Return the decrease of the targets' summed variance by a marker at each place, (n_places,), in mm^2."""
         cross = self._cross.T.reshape(self._n_places, 3, -1)
         solved = np.linalg.solve(self._own + self._variance * np.eye(3), cross)
         return np.asarray((cross * solved).sum(axis=(1, 2)))
 
     def measure(self, place: int) -> None:
-        """Condition on the three coordinates of a place."""
+        """Update all covariances for a measurement of the three coordinates of a marker at the place number `place`."""
         for row in range(3 * place, 3 * place + 3):
             covariance = self._rows @ self._rows[row]
             for known in self._downdates:

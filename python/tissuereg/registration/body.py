@@ -1,4 +1,4 @@
-"""What is believed of a body: its shape, its material, and how surely it is held."""
+"""The class `Body`: what is assumed of a body before a registration: its mesh, its material, its supports."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -23,34 +23,38 @@ _FIELDS = ("mesh", "material", "element", "held", "stiffness", "held_nodes")
 
 @dataclass(frozen=True, eq=False, init=False)
 class Body:
-    """What is believed of a body; taken wherever a mesh is taken to register.
+    """Prior assumptions about a body: mesh, material, elements, supports; a registration takes one in place of a mesh.
 
     Parameters
     ----------
     mesh : Mesh or (nodes, tets, fixed_nodes)
-        Undeformed body in mm; its node set ``fixed`` is held, its node set ``perhaps_fixed`` may or may not be. A mesh
-        without either, or one whose sets are empty, is free: a rigid motion is then unknown as well.
+        Undeformed body in mm. The nodes of its set ``fixed`` are held in place; those of its set ``perhaps_fixed`` may
+        or may not be held. A mesh without either set, or with empty ones, can move freely: a rigid motion is then
+        unknown as well.
     material : Material, optional
-        The believed material, by default ``Material()``. Without a load its stiffness affects the forces alone.
+        The assumed material, by default ``Material()``. Without a load its stiffness affects only the estimated forces,
+        not the shape.
     element : {"auto", "tet4", "tet4-averaged", "tet10"}
-        Elements of the package's own solves. ``"auto"`` without a model: averaged ones on coarse meshes and near
+        Finite elements of the package's own solves: four-node tets, four-node tets with volume ratios averaged at the
+        nodes, or ten-node tets. ``"auto"`` without a trained model: averaged ones on coarse meshes and near
         incompressibility, where plain four-node tets are too stiff; otherwise ``"tet4"``.
     held : {"sure", "perhaps", "free"}
-        Without a model: whether the node set ``fixed`` is surely held, may be held, or is free.
+        Without a trained model: whether the nodes of the set ``fixed`` are surely held in place, may be held, or are
+        free to move.
     stiffness : {"believed", "graded"}
-        Without a model: whether the stiffness is distributed as in `material`, or its logarithm has in addition an
-        unknown slope along each principal axis of the body, which is estimated from the markers.
+        Without a trained model: whether the stiffness is distributed as in `material`, or its logarithm has in addition
+        an unknown slope along each principal axis of the body, which is estimated from the markers.
     held_nodes : array_like of int, optional
-        Nodes that the load prescribes, if they differ from the set ``fixed``.
+        Numbers of the nodes whose displacement the load prescribes, if they differ from the set ``fixed``.
 
     Raises
     ------
     ShapeError, MeshError
-        If `mesh` is none, or `held_nodes` are no whole numbers.
+        If `mesh` is not a mesh, or `held_nodes` are not whole numbers.
     SupportError
-        If `held` is none of these, or `held_nodes` are no nodes of the mesh.
+        If `held` is not one of these words, or `held_nodes` are no nodes of the mesh.
     MaterialError, ArgumentError
-        If `stiffness` or `element` is none of these, or `material` is no material.
+        If `stiffness` or `element` is not one of these words, or `material` is not a material.
 
     Examples
     --------
@@ -87,16 +91,16 @@ class Body:
 
     @classmethod
     def of(cls, given: Any) -> "Body":
-        """Return a body, made from a mesh if necessary."""
+        """Return `given` if it is a `Body`, otherwise the body of this mesh, or of (nodes, tets, fixed_nodes) in mm."""
         return given if isinstance(given, Body) else cls(given)
 
     @cached_property
     def fitting_element(self) -> str:
-        """The elements of a registration without a model: `element`, or those that suit the mesh."""
+        """Name of the elements without a trained model: `element`, or for "auto" those that suit mesh and material."""
         return fitting_element(self.mesh, self.material) if self.element == "auto" else self.element
 
     def to_json(self) -> dict[str, Any]:
-        """Return what is believed beside the mesh, as plain numbers and strings; None where a modulus varies."""
+        """Return all assumptions but the mesh as a dict of plain numbers and strings; None where a modulus varies."""
         law = self.material
         return {
             "element": self.element,
@@ -113,7 +117,7 @@ class Body:
 
 
 def as_mesh(mesh: Any) -> Mesh:
-    """Return a mesh, made from (nodes, tets, fixed_nodes) if necessary."""
+    """Return the mesh given, or the one of (nodes in mm, tets, numbers of fixed nodes); else raise `ShapeError`."""
     if isinstance(mesh, Mesh):
         return mesh
     if not isinstance(mesh, tuple) or len(mesh) != 3:
@@ -123,6 +127,6 @@ def as_mesh(mesh: Any) -> Mesh:
 
 
 def fitting_element(mesh: Mesh, material: Material) -> str:
-    """Return the elements that suit a mesh: averaged ones where plain four-node tets would be much too stiff."""
+    """Return "tet4-averaged" where plain four-node tets would be much too stiff for mesh and material, else "tet4"."""
     coarse = mesh.n_nodes <= COARSE_NODES
     return "tet4-averaged" if coarse or float(np.max(material.poisson_array)) > STIFF_POISSON else "tet4"

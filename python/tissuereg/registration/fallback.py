@@ -1,9 +1,9 @@
-"""Where a body is by linear elasticity alone: the answer that is left where a registration is not to be trusted.
+"""Linear elastic estimate of the shape of a body, for the case that a registration cannot be trusted.
 
-It is the simulation, or the body at rest, and the change of the linearised body that explains the markers best: forces
-on the surface of least strain energy, or smooth tractions, whichever is more probable
-(`tissuereg.registration.contacts.elastic`).
-A change that no marker asks for is not made, so that the answer stays close to the simulation. It has no regions.
+The estimate is the simulated displacement, or the body at rest, plus the change of the linearised body that explains
+the markers best. The change is caused by surface forces of least strain energy, or by smooth tractions, whichever is
+more probable (`tissuereg.registration.contacts.elastic`). No change is made that the markers do not require, so that
+the estimate stays close to the simulation. It has no confidence regions.
 """
 
 from dataclasses import dataclass
@@ -27,7 +27,10 @@ LARGEST = 50_000
 
 @dataclass(frozen=True, eq=False)
 class ElasticFallback:
-    """A body with markers and targets, linearised at rest. `body`: with the markers; `targets`: inner points."""
+    """Linear elastic estimator of the shape of one body at any moment; the body is linearised once, at rest.
+
+    `body`: the linearised body with its markers; `targets`: inner points whose places are estimated.
+    """
 
     body: ElasticBody
     targets: TargetObservation
@@ -36,9 +39,11 @@ class ElasticFallback:
     def of(
         cls, mesh: Mesh, material: Material, places: Markers, targets: TargetObservation, threads: int
     ) -> "ElasticFallback":
-        """Return the fallback of a body.
+        """Return the linear elastic estimator of a body, linearised at rest.
 
-        Raises `SupportError` if the body can move freely.
+        `mesh`: undeformed body; `material`: its material; `places`: markers, of which reference places and noise in mm
+        are used; `targets`: inner points; `threads`: threads to use; 0 takes all cores. Raises `SupportError` if the
+        body can move freely.
 
         Notes
         -----
@@ -52,10 +57,11 @@ class ElasticFallback:
         return self.body.priors()
 
     def about(self, markers: Markers, used: tuple[str, ...], simulation: FloatArray | None) -> Fallback | None:
-        """Return where the body is at one moment.
+        """Return the estimated displacement of the body and places of the targets at one moment, in mm.
 
-        `used`: those that a registration found fit to be used; of them whole places count; `simulation` (n_nodes, 3) or
-        None: displacement by a simulation, mm. Result: None if no marker is left.
+        `markers`: reference and measured places, mm; `used`: names of the markers that a registration accepted; of
+        these, only markers measured in all three coordinates count; `simulation` (n_nodes, 3) or None: simulated
+        displacement to which the estimate is added, mm; None for the body at rest. Result: None if no marker is left.
         """
         whole = np.isfinite(markers.measured).all(axis=1) & np.isin(markers.names, used)
         seen = np.flatnonzero(whole)

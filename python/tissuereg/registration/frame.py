@@ -1,4 +1,4 @@
-"""Registration of one frame of an experiment: the believed rig becomes the prior."""
+"""Registration of one frame (one measured moment) of an experiment, with its supports and actuators as the prior."""
 
 from dataclasses import replace
 from typing import Any
@@ -26,34 +26,19 @@ _OPTIONS = ("model", "simulation", "seed", "progress", "targets")
 def frame_input(
     experiment: Experiment, case: str, time: float, *, element: str = "tet4", threads: int = 0
 ) -> dict[str, Any]:
-    """Return the arguments of `register` for a frame of an experiment.
+    """Return the arguments of `register` for one frame (one measured moment) of an experiment.
 
-    Body, supports and actuators include their effects; effects of the measuring chain on the markers are undone.
-
-    Parameters
-    ----------
-    experiment : Experiment
-        Believed model and measurements.
-    case : str
-        Name of the case.
-    time : float
-        Time in s on the experiment's clock.
-    element : {"tet4", "tet4-averaged", "tet10"}
-        Elements of the package's own simulations.
-    threads : int
-        Threads to use; 0 takes all cores.
-
-    Returns
-    -------
-    dict
-        ``mesh`` (a `Body` of the experiment's material and these elements), ``markers``, ``targets``, ``load`` (gravity
-        and actuators). With memory, sliding supports, or a mesh that was imaged under gravity also ``simulation``; the
-        prior around it is elastic with held supports.
-
-    Raises
-    ------
-    ExperimentError
-        If there is no such case, or no frame near that time.
+    An effect is a property that the basic elastic model lacks. Effects on body, supports and actuators, such as a
+    sliding support, are included in the model; those of the measuring chain, such as latency, are removed from the
+    markers. `experiment`: assumed model (mesh, material, supports, actuators, effects) and measurements; `case`: name
+    of the case (one load history of the experiment); `time`: time in s on the experiment's clock; `element` {"tet4",
+    "tet4-averaged", "tet10"}: finite elements of the package's own simulations: four-node tets, four-node tets with
+    volume ratios averaged at the nodes, or ten-node tets; `threads`: threads to use; 0 takes all cores. Result:
+    ``mesh`` (a `Body` of the experiment's material and these elements), ``markers`` (reference and measured places,
+    mm), ``targets`` (inner points by name, mm), ``load`` (gravity and actuators). With a material whose response
+    depends on the past, sliding supports, or a mesh that was imaged under gravity also ``simulation``, the displacement
+    (n_nodes, 3) in mm; the prior around it is elastic with held supports. Raises `ExperimentError` if there is no such
+    case, or no frame near that time.
     """
     of_kind("experiment", experiment, Experiment)
     check_choice("element", element, ELEMENTS, ArgumentError)
@@ -85,34 +70,37 @@ def register_frame(
     settings: RegisterSettings | None = None,
     **options: Any,
 ) -> Registration:
-    """Register one frame of an experiment, its gravity and actuators in simulation and prior.
+    """Register one frame (one measured moment) of an experiment; its gravity and actuators enter simulation and prior.
 
     Parameters
     ----------
     experiment : Experiment
-        As `read_experiment` gives it.
+        Assumed model and measurements, as returned by `read_experiment`.
     case : str
-        Name of the case.
+        Name of the case (one load history of the experiment).
     time : float
         Time in s on the experiment's clock.
     element : {"tet4", "tet4-averaged", "tet10"}
-        Elements of the package's own simulations.
+        Finite elements of the package's own simulations: four-node tets, four-node tets with volume ratios averaged at
+        the nodes, or ten-node tets.
     settings : RegisterSettings, optional
-        As in `register`; its threads also solve the frame.
+        Settings of the registration, by default ``RegisterSettings()``; its threads also solve the frame.
     **options
-        As in `register`: ``model``, ``simulation``, ``seed``, ``progress``.
+        Further arguments of `register`: ``model``, ``simulation``, ``seed``, ``progress``, and ``targets`` in place of
+        the experiment's.
 
     Returns
     -------
     Registration
-        With the experiment's targets.
+        The registered body, with the experiment's targets (inner points).
 
     Raises
     ------
     ExperimentError
         If there is no such case, or no frame near that time.
     MarkerError, ModelError, ConvergenceError, EnsembleError
-        As in `register`.
+        If the markers or the model cannot be used, no equilibrium is found, or too few ensemble members survive; as in
+        `register`.
     """
     for name in options:
         check_choice("option", name, _OPTIONS, ArgumentError)
@@ -122,7 +110,12 @@ def register_frame(
 
 
 def _through_time(experiment: Experiment, case: Case, frame: int, element: str, threads: int) -> FloatArray:
-    """Return the displacement (n_nodes, 3), mm, of one frame, by solving its case, or all cases, from the start."""
+    """Return the displacement (n_nodes, 3), in mm, of one frame by solving the load history `case` from its start.
+
+    `frame`: number of the frame in the case; `element`: finite elements; `threads`: threads to use; 0 takes all cores.
+    If a case depends on earlier cases, such as by softening, those are solved first. Raises `ConvergenceError` if the
+    frame has no equilibrium.
+    """
     carried = is_carried(experiment)
     before = [other for other in experiment.cases.values() if carried and other.times[0] < case.times[0]]
     settings = FrameSettings(element, threads=threads)

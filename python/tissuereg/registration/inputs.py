@@ -1,4 +1,4 @@
-"""Input of a registration, checked once."""
+"""Input of a registration, checked once: body, markers, surface points, targets, simulation and settings."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -27,23 +27,23 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False, init=False)
 class SimulationVariants:
-    """One moment simulated with other values of what is uncertain: moduli, supports, loads, poses of tools.
+    """Simulations of one moment with different values of uncertain parameters: moduli, supports, loads, poses of tools.
 
-    Taken in place of a simulation by a registration with a model that was calibrated with pairs. Two dozen or more say
-    how this body may differ from its simulation, where a model knows how bodies in general do. Registration starts from
-    their mean.
+    A registration takes an instance in place of a single simulation if it uses a trained model that was calibrated with
+    pairs of simulation and true displacement. Two dozen fields or more describe how this body may differ from its
+    simulation, whereas the model describes how bodies in general do. Registration starts from the mean of the fields.
 
     Parameters
     ----------
     fields : array_like of float, shape (n_variants, n_nodes, 3)
-        Displacements, mm; four or more.
+        Displacement of each node in each simulation, mm; four simulations or more.
     simulation : array_like of float, shape (n_nodes, 3), optional
-        The simulation that the answer is compared with, mm; by default their mean.
+        Displacement by the simulation with which the result is compared, mm; by default the mean of `fields`.
 
     Raises
     ------
     ShapeError
-        If an array has another shape, a field is not finite, or there are fewer than four.
+        If an array has another shape, a field is not finite, or there are fewer than four fields.
 
     Examples
     --------
@@ -66,11 +66,13 @@ class SimulationVariants:
 
 @dataclass(frozen=True, eq=False)
 class MomentInput:
-    """What is known of one moment.
+    """Measurements and simulation of one moment, as they enter a registration.
 
-    `markers`: measured, with the reference places that the registrar was made for; `surface`: points of the surface;
-    without a model only; `simulation` (n_nodes, 3) or None: displacement of the moment, mm; `after`: of a moment
-    shortly before; without a model only.
+    `markers`: markers measured at this moment, mm, with the reference places that the registrar was made for;
+    `surface`: points measured on the surface, mm, or None, without a trained model only; `simulation`: displacement of
+    the nodes at this moment by a simulation, (n_nodes, 3), mm, or `SimulationVariants`, or None; `after`: registration
+    of a moment shortly before, whose contacts are the start of this one's search, or None, without a trained model
+    only.
     """
 
     markers: Markers
@@ -81,26 +83,26 @@ class MomentInput:
 
 @dataclass(frozen=True, eq=False)
 class RegisterInput:
-    """Checked input of a registration.
+    """Checked input of the registration of one moment.
 
     Attributes
     ----------
     body : Body
-        What is believed of the undeformed body.
+        Prior assumptions about the undeformed body: mesh, material, elements, supports.
     markers : Markers
-        Checked markers.
+        Reference and measured places of the markers, mm.
     observed : MarkerObservation
-        Attachment of the markers to the mesh.
+        Map from the displacement of nodes to that of the markers.
     targets : TargetObservation
-        Inner points.
+        Inner points whose places are estimated, with the map from the displacement of nodes to theirs.
     settings : RegisterSettings
         Settings of the registration.
     seed : int
         Seed of all random numbers.
     suspicions : tuple of str
-        Why the input may be misread, in sentences.
+        Sentences that say why the input may be misread, such as in other units or axes; empty if it is plausible.
     surface : SurfacePoints or None
-        Points of the surface.
+        Points measured on the deformed surface, mm; None if there are none.
     """
 
     body: Body
@@ -114,29 +116,29 @@ class RegisterInput:
 
     @property
     def mesh(self) -> Mesh:
-        """The undeformed body."""
+        """Mesh of the undeformed body."""
         return self.body.mesh
 
     @property
     def threads(self) -> int:
-        """Threads to use; 0 takes all cores."""
+        """Number of threads to use; 0 takes all cores."""
         return self.settings.threads
 
 
 @dataclass(frozen=True, eq=False)
 class Attachment:
-    """What a registration's input is before anything was measured, checked; made once for a body and its points.
+    """Checked input of registrations as far as it does not depend on measurements; made once for a body and its points.
 
     Attributes
     ----------
     body : Body
-        What is believed of the undeformed body.
+        Prior assumptions about the undeformed body: mesh, material, elements, supports.
     places : Markers
-        Reference places, noise and names of the markers.
+        Markers of which reference places (mm), noise (mm) and names are used.
     observed : MarkerObservation
-        Their attachment to the mesh.
+        Map from the displacement of nodes to that of the markers.
     targets : TargetObservation
-        Inner points.
+        Inner points whose places are estimated, with the map from the displacement of nodes to theirs.
     settings : RegisterSettings
         Settings of the registration.
     seed : int
@@ -152,19 +154,22 @@ class Attachment:
 
     @property
     def mesh(self) -> Mesh:
-        """The undeformed body."""
+        """Mesh of the undeformed body."""
         return self.body.mesh
 
     @classmethod
     def of(
         cls, body: Body, places: Markers, targets: Mapping[str, Any] | None, settings: RegisterSettings, seed: int
     ) -> "Attachment":
-        """Check what was given, and attach markers and targets to the mesh.
+        """Check the input, locate markers and targets in the mesh, and return the result.
+
+        `body`: prior assumptions about the body; `places`: markers with reference places, mm; `targets`: inner points
+        by name, each (3,), mm, or None; `settings`, `seed`: of the registration.
 
         Raises
         ------
         ShapeError, MarkerError
-            If something does not fit.
+            If an array has another shape, or a marker or target lies far from the body.
         """
         try:
             observed = MarkerObservation.of(body.mesh, places)
@@ -178,7 +183,11 @@ class Attachment:
         return cls(body, places, observed, inner, settings, seed)
 
     def suspicions(self, markers: Markers) -> tuple[str, ...]:
-        """Return reasons why markers may be misread; see `tissuereg.registration.readings.suspect` for the cost."""
+        """Return sentences that say why the input may be misread, such as in other units or axes; empty if plausible.
+
+        `markers`: reference and measured places, mm. A motion of markers on held surface counts only if the body is
+        surely held. See `tissuereg.registration.readings.suspect` for the cost.
+        """
         if not len(markers):
             return ()
         found = suspect(self.mesh, markers, self.observed)
@@ -186,22 +195,26 @@ class Attachment:
 
     @cached_property
     def astray(self) -> tuple[str, ...]:
-        """Reason why the reference places may be those of another body, if there is one; found once."""
+        """Sentence that the reference places may be those of another body, as a tuple of one; empty if they fit."""
         near = skin_of(self.mesh).closest(self.places.reference)
         distance = np.copysign(self.observed.distance, near.distance)
         return tuple(one.sentence for one in scattered(distance, self.mesh.extent))
 
     def holds(self, markers: Markers) -> bool:
-        """Whether markers have the reference places and names of these, so that the attachment is theirs as well."""
+        """Whether `markers` have the names and reference places of the attached ones, so that it is valid for them."""
         return self.places.names == markers.names and np.array_equal(self.places.reference, markers.reference)
 
     def measured(self, markers: Markers, surface: SurfacePoints | None = None, suspects: bool = True) -> RegisterInput:
-        """Return the input of one moment; with `suspects`, also suspicions that the markers are misread.
+        """Return the checked input of the registration of one moment.
+
+        `markers`: reference and measured places, mm; `surface`: points measured on the surface, mm, or None;
+        `suspects`: whether to examine the markers for misreadings, such as other units or axes.
 
         Raises
         ------
         MarkerError, SurfaceError
-            If nothing was seen, or points of the surface lie far from the body.
+            If no coordinate of a marker was seen and there are no points of the surface, or such points are in another
+            unit or lie far from the body.
         """
         suspicions = self.suspicions(markers) if suspects else ()
         if surface is None and not np.isfinite(markers.measured).any():
@@ -222,7 +235,11 @@ class Attachment:
 
 
 def _points_suspected(mesh: Mesh, surface: SurfacePoints, held: str) -> tuple[str, ...]:
-    """Return reasons why points of the surface may be misread; refuse points far from the body."""
+    """Return sentences that say why points of the surface may be misread; raise `SurfaceError` if they lie far away.
+
+    `mesh`: undeformed body; `surface`: measured points, mm; `held`: how surely the node set ``fixed`` is held, "sure",
+    "perhaps" or "free". Points in another unit raise the error as well.
+    """
     free = held == "free" or not any(len(mesh.node_sets.get(name, ())) for name in ("fixed", "perhaps_fixed"))
     found = suspect_points(mesh, surface.places, free=free)
     if found and found[0].kind in ("unit", "far from the surface"):
@@ -231,7 +248,7 @@ def _points_suspected(mesh: Mesh, surface: SurfacePoints, held: str) -> tuple[st
 
 
 def as_markers(markers: Any) -> Markers:
-    """Return markers, made from (reference, measured) if necessary; None gives an empty set."""
+    """Return `Markers`, made from a pair (reference, measured) in mm if necessary; None gives an empty set."""
     if markers is None:
         return Markers(np.empty((0, 3)), np.empty((0, 3)))
     if isinstance(markers, Markers):
@@ -243,7 +260,7 @@ def as_markers(markers: Any) -> Markers:
 
 
 def finite_field(simulation: Any, mesh: Mesh) -> FloatArray:
-    """Return a displacement field (n_nodes, 3) checked."""
+    """Return a simulated displacement (n_nodes, 3), in mm, as an array; raise `ShapeError` if it is not finite."""
     return _finite_field(simulation, mesh.n_nodes)
 
 
@@ -257,7 +274,7 @@ def _finite_field(simulation: Any, n_nodes: int) -> FloatArray:
 
 
 def rms_length(vectors: FloatArray) -> float:
-    """Return the root mean square length of vectors (n, 3); components that are NaN are ignored."""
+    """Return the root mean square length of the vectors (n, 3), in their unit; components that are NaN are ignored."""
     squares = np.where(np.isfinite(vectors), vectors, 0.0) ** 2
     seen = np.isfinite(vectors).any(axis=1)
     return float(np.sqrt(squares.sum() / max(1, int(seen.sum()))))

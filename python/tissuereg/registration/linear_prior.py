@@ -1,7 +1,8 @@
-r"""Displacement fields with a Gaussian prior, observed linearly at markers: the answer without a solve.
+r"""Gaussian posterior of a displacement field observed linearly at markers, in closed form, without a solve.
 
-A field ``u ~ N(0, s P)`` is known by the covariance of what the markers see, ``W = C P C'``, and by that of the nodes
-with it, ``U = P C'``. Given displacements d with noise R of independent coordinates,
+A field ``u ~ N(0, s P)`` is known by the prior covariance of the displacements of the markers, ``W = C P C'`` with the
+observation matrix C, and by that of the nodes with them, ``U = P C'``. Given displacements d with independent noise of
+diagonal covariance R, the most probable field is
 
     u = s U (s W + R)^-1 d,
 
@@ -31,10 +32,11 @@ _KEPT = 64
 
 @dataclass(frozen=True, eq=False)
 class LinearAnswer:
-    """The most probable field given the markers.
+    """The most probable displacement field given the markers, with the scale and the evidence of its prior.
 
-    `displacement_mm` (n_nodes, 3): the field; `scale`: factor s on the prior's covariance; `log_evidence`: logarithm of
-    the density of the whitened displacements at this scale; comparable among priors.
+    `displacement_mm` (n_nodes, 3): the field, mm; `scale`: factor s on the prior's covariance, dimensionless;
+    `log_evidence`: logarithm of the density of the whitened displacements of the markers at this scale; it is
+    comparable among priors.
     """
 
     displacement_mm: FloatArray
@@ -44,10 +46,11 @@ class LinearAnswer:
 
 @dataclass(frozen=True, eq=False)
 class _Directions:
-    """Eigenvectors of a prior's covariance over the noise, for one set of seen markers.
+    """Eigenvectors of the prior covariance of the displacements of one set of markers, whitened by the noise.
 
-    `rows` int64 (n_obs,): components seen; `values` (n_obs,): eigenvalues; `vectors` (n_obs, n_obs): eigenvectors over
-    the noise, 1/mm.
+    `rows` int64 (n_obs,): numbers of the measured coordinates, 3 m + i for axis i of marker m; `values` (n_obs,):
+    eigenvalues, dimensionless; `vectors` (n_obs, n_obs): one eigenvector a column, each row divided by the standard
+    deviation of the noise, 1/mm.
     """
 
     rows: IntArray
@@ -60,12 +63,18 @@ class _Directions:
 
     @cached_property
     def _tried(self) -> tuple[FloatArray, FloatArray]:
-        """Of the cost of the scales tried, ``sum_k log(1 + s l_k)``, and the squares' factors ``1 / (1 + s l_k)``."""
+        """Terms of the evidence at each trial scale s: ``sum_k log(1 + s l_k)``, and ``1 / (1 + s l_k)`` for each k.
+
+        The l_k are the eigenvalues `values`; the shapes are (n_scales,) and (n_scales, n_obs).
+        """
         grown = 1.0 + 10.0 ** _POWERS[:, None] * (self.values / self._largest)
         return np.log(grown).sum(axis=1), np.asarray(1.0 / grown)
 
     def best_scale(self, squares: FloatArray) -> float:
-        """Return the scale of the highest evidence for squared coordinates (n_obs,); 0 if nothing can move."""
+        """Return the factor on the prior covariance with the highest evidence; 0 if the prior has no variance.
+
+        `squares` (n_obs,): squared coordinates of the whitened displacements in the eigenvectors, dimensionless.
+        """
         if self._largest <= 0.0:
             return 0.0
         logs, shares = self._tried
@@ -80,11 +89,11 @@ class _Directions:
 
 
 class LinearPrior:
-    """A Gaussian prior of displacement fields at markers.
+    """A Gaussian prior of the displacement of nodes, given by its covariances with the displacement of markers.
 
     `at_markers` (3 n_markers, 3 n_markers): covariance W of the markers' displacements at scale one, mm^2; `to_nodes`
     (n_nodes, 3, 3 n_markers): covariance U of the nodes' displacements with them, mm^2; `std_mm` (n_markers,): standard
-    deviation of a measured coordinate. Raises `ShapeError` if an array has another shape.
+    deviation of a measured coordinate, mm. Raises `ShapeError` if an array has another shape.
     """
 
     def __init__(self, at_markers: FloatArray, to_nodes: FloatArray, std_mm: FloatArray) -> None:
@@ -99,10 +108,12 @@ class LinearPrior:
         self._known: dict[bytes, _Directions] = {}
 
     def plus(self, fields: FloatArray, seen: FloatArray, share: float) -> "LinearPrior":
-        """Return this prior with random multiples of further fields added, independent of it and equally likely.
+        """Return the prior of the sum of a field of this prior and independent random multiples of further fields.
 
-        `fields` (n_fields, n_nodes, 3); `seen` (n_fields, 3 n_markers): the same at the markers; `share`: their
-        variance at the markers over that of this prior, both as means over the markers.
+        The multiples are Gaussian with one common variance. `fields` (n_fields, n_nodes, 3): displacement of the nodes
+        in each further field, in a common unit; `seen` (n_fields, 3 n_markers): displacement of the markers in them, in
+        the same unit; `share`: variance at the markers that the further fields add, over that of this prior, both as
+        means over the markers.
         """
         variance = share * np.trace(self._at_markers) / float(np.sum(seen * seen))
         to_nodes = self._to_nodes + variance * fields.reshape(len(fields), -1).T @ seen
@@ -116,12 +127,14 @@ class LinearPrior:
         scale: float | None = None,
         std_mm: FloatArray | None = None,
     ) -> tuple[float, float, FloatArray]:
-        """Return scale, log evidence, and the weights (3 n_markers,) of the most probable field on the columns of U.
+        """Return the scale of the prior covariance, the log evidence, and the weights of the most probable field.
 
-        `displacement_mm` (n_seen, 3): displacements of the markers that were seen; `seen` int64 (n_seen,): which these
-        are; `scale`: scale to use; by default that of the highest evidence; `std_mm` (n_seen,): standard deviation of
-        each coordinate at this moment; by default that of the prior. Cost: two products with a matrix of (3
-        n_seen, 3 n_seen), and its eigenvalues where `std_mm` is given or the markers were never seen together before.
+        The weights (3 n_markers,), in 1/mm, are factors on the columns of U, the covariance of the nodes with the
+        markers. `displacement_mm` (n_seen, 3): measured displacements of the markers that were seen, mm; `seen` int64
+        (n_seen,): numbers of these markers; `scale`: factor on the prior covariance, by default that of the highest
+        evidence; `std_mm` (n_seen,): standard deviation of each coordinate at this moment, mm; by default that of the
+        prior. Cost: two products with a matrix of (3 n_seen, 3 n_seen), and its eigenvalues where `std_mm` is given or
+        the markers were never seen together before.
         """
         here = self._kept_directions(seen) if std_mm is None else self._directions(seen, np.repeat(std_mm, 3))
         observed = float_array("displacement_mm", displacement_mm, (len(seen), 3)).ravel()
@@ -135,14 +148,15 @@ class LinearPrior:
         return scale, evidence, weights
 
     def field(self, weights: FloatArray) -> FloatArray:
-        """Return the field (n_nodes, 3) with these weights (3 n_markers,) on the columns of U, mm."""
+        """Return the field U w (n_nodes, 3), mm; U: covariance with the markers, w: `weights` (3 n_markers,), 1/mm."""
         return _product(self._to_nodes, weights).reshape(self._n_nodes, 3)
 
     def answer(self, displacement_mm: FloatArray, seen: IntArray, scale: float | None = None) -> LinearAnswer:
-        """Return the most probable field given displacements of markers.
+        """Return the most probable displacement field given measured displacements of markers.
 
-        `displacement_mm` (n_seen, 3): measured; `seen` int64 (n_seen,): numbers of the markers; `scale`: factor on the
-        prior's covariance, by default that of the highest evidence. Cost: that of `scaled`, and a product with U.
+        `displacement_mm` (n_seen, 3): measured displacements, mm; `seen` int64 (n_seen,): numbers of the markers;
+        `scale`: factor on the prior's covariance, by default that of the highest evidence. Cost: that of `scaled`, and
+        a product with the covariance U of the nodes with the markers.
         """
         scale, evidence, weights = self.scaled(displacement_mm, seen, scale)
         return LinearAnswer(self.field(weights), scale, evidence)
@@ -164,10 +178,11 @@ class LinearPrior:
 def most_probable(
     priors: "dict[str, LinearPrior]", displacement_mm: FloatArray, seen: IntArray, std_mm: FloatArray | None = None
 ) -> tuple[str, LinearAnswer]:
-    """Return the name of the prior with the highest evidence, and its most probable field.
+    """Return the name of the prior with the highest evidence, and the most probable displacement field under it.
 
-    `priors`: by name; `displacement_mm` (n_seen, 3): measured; `seen` int64 (n_seen,): numbers of the markers; `std_mm`
-    (n_seen,): standard deviations of their coordinates, by default those of the priors.
+    `priors`: the priors to compare, by name; `displacement_mm` (n_seen, 3): measured displacements of markers, mm;
+    `seen` int64 (n_seen,): numbers of these markers; `std_mm` (n_seen,): standard deviations of their coordinates, mm,
+    by default those of the priors.
     """
     found = {name: prior.scaled(displacement_mm, seen, std_mm=std_mm) for name, prior in priors.items()}
     best = max(found, key=lambda name: found[name][1])
@@ -176,5 +191,5 @@ def most_probable(
 
 
 def _product(matrix: FloatArray, vector: FloatArray) -> FloatArray:
-    """Return ``matrix @ vector`` by one thread: on busy cores, waking another takes far longer."""
+    """Return ``matrix @ vector``, (m,), by one thread: on busy cores, waking another takes far longer."""
     return np.asarray(np.einsum("ij,j->i", matrix, vector))

@@ -1,6 +1,7 @@
-"""Many registrations of one body: moments of a recording, each on its own, in this process or in many.
+"""Registration of one body at many moments of a recording, each on its own, in this process or in several.
 
-What depends on the body and the places of its markers is made once in every process: a `Registrar`.
+All that depends only on the body and the reference places of its markers is computed once in every process, in a
+`Registrar`.
 """
 
 import hashlib
@@ -44,38 +45,41 @@ def register_many(
     progress: Callable[[int], None] | None = None,
     **options: Any,
 ) -> Iterator[Registration | Failed]:
-    """Register one body at many moments, each on its own; every result is that of `register`, bit for bit.
+    """Register one body at many moments, each on its own; every result equals that of `register`, bit for bit.
 
     Parameters
     ----------
     mesh : Mesh, Body or (nodes, tets, fixed_nodes)
-        Undeformed body in mm.
+        Undeformed body in mm; a `Body` is a mesh with its assumed material, elements and supports.
     markers : iterable of Markers or (reference, measured); or Markers or (reference, measured) alone
-        The markers of every moment, taken as they are needed. With `measured`, the markers of one moment, whose
-        measured places are exchanged.
+        The markers of each moment, mm; the iterable is read as moments are needed. With `measured`, a single set of
+        markers, whose measured places are replaced by those of each moment.
     measured : array_like of float, shape (n_moments, n_markers, 3), optional
         Measured places of every moment in mm; NaN = not seen.
     executor : tissuereg.parallel.Executor, optional
-        Where registrations are made. By default in this process, one after another.
+        Computes the registrations, in other processes or on other machines; by default in this process, one after
+        another.
     progress : callable of int, optional
-        Called with the number of moments that are done.
+        Called with the number of moments that are registered.
     **options
-        Of `register`: ``model``, ``simulation``, ``targets``, ``load``, ``seed``, ``settings``; the same for every
-        moment. Where there is an `executor`, registrations on all cores (``threads`` 0) take one thread each. Other
-        processes take a ``model`` by its folder.
+        Further arguments of `register`: ``model``, ``simulation``, ``targets``, ``load``, ``seed``, ``settings``; the
+        same for every moment. Where there is an `executor`, registrations on all cores (``threads`` 0) take one thread
+        each, and a ``model`` must be given by its folder.
 
     Yields
     ------
     Registration or Failed
-        One for each moment, in their order; `Failed` has the error of a moment that could not be registered. The
-        spread of nodes is computed with each; `Registration.draws` registers that moment again, in this process.
+        One for each moment, in the order of the moments; a `Failed` holds the error of a moment that could not be
+        registered. The standard deviations of the nodes are computed with each; `Registration.draws` registers that
+        moment again, in this process.
 
     Raises
     ------
     ArgumentError
-        If an argument has the wrong type or is out of its range, or an option is unknown or cannot be sent.
+        If an argument has the wrong type or is out of its range, or an option is unknown or cannot be sent to another
+        process.
     MeshError, MarkerError, ShapeError
-        If mesh or markers are none, or do not fit each other.
+        If `mesh` is not a mesh, `markers` are not markers, or they do not fit each other.
     ClusterError
         If the executor loses its workers.
 
@@ -108,10 +112,10 @@ def register_many(
 
 @dataclass(frozen=True)
 class _Task:
-    """The registration of one moment, as it is sent to another process.
+    """The registration of one moment as a task that is sent to another process.
 
-    `mark`: fingerprint of body and options; `packed`: these as bytes, for a process that has not kept them; `markers`:
-    of the moment.
+    `mark`: fingerprint (SHA-256, hexadecimal) of body and options; `packed`: body and options as bytes, for a process
+    that has not kept them; `markers`: reference and measured places at this moment, mm.
     """
 
     mark: str
@@ -120,9 +124,10 @@ class _Task:
 
 
 class _Moments:
-    """Registers moments of one body; what it gives can be sent to another process.
+    """Function that registers one body at any moment; its results can be sent to another process.
 
-    `body`: what is believed of the undeformed body; `options`: of `register`, settings among them.
+    `body`: prior assumptions about the undeformed body; `options`: further arguments of `register` by name, among them
+    ``settings``.
     """
 
     def __init__(self, body: Body, options: dict[str, Any]) -> None:
@@ -130,7 +135,7 @@ class _Moments:
         self._registrar: Registrar | None = None
 
     def packed(self) -> bytes:
-        """Return it as bytes."""
+        """Return body and options as bytes (pickle); raise `ArgumentError` if an option cannot be sent to a process."""
         try:
             return pickle.dumps((self.body, self.options), protocol=pickle.HIGHEST_PROTOCOL)
         except (pickle.PicklingError, TypeError, AttributeError) as error:
@@ -138,14 +143,14 @@ class _Moments:
             raise ArgumentError(message, where="options") from error
 
     def with_model(self) -> "_Moments":
-        """Return the same with the model's files read, if there is a model."""
+        """Return the same function with the files of the trained model read into memory; or itself without a model."""
         if self.options.get("model") is None:
             return self
         model = as_model(self.options["model"], self.body.mesh, self.options["settings"].threads)
         return _Moments(self.body, {**self.options, "model": model})
 
     def register(self, markers: Markers) -> Registration:
-        """Return the registration of one moment, by a registrar that is kept while the markers' places are the same."""
+        """Return the registration of `markers` at one moment; the registrar is kept while reference places stay."""
         if self._registrar is None:
             options = {name: value for name, value in self.options.items() if name != "simulation"}
             self._registrar = Registrar(self.body, markers, **options)
@@ -153,7 +158,11 @@ class _Moments:
         return self._registrar.register(markers, self.options.get("simulation"))
 
     def __call__(self, markers: Markers) -> Registration:
-        """Return a registration without its body, and without what only this process can hold."""
+        """Return the registration of the moment of `markers`, without the parts that cannot or need not be sent.
+
+        The body and the function that draws posterior fields are left out; spread of the nodes and linear elastic
+        estimate are computed.
+        """
         result = self.register(markers)
         parts: dict[str, Any] = {"body": None, "nodes": _Computed(result.nodes()), "linear": _Computed(result.fallback)}
         if isinstance(result, ContactRegistration):
@@ -161,7 +170,7 @@ class _Moments:
         return replace(result, **parts)
 
     def completed(self, result: Registration, markers: Markers) -> Registration:
-        """Return a registration with its body, and with draws where it has a load to draw."""
+        """Return `result` with its body, and, without a trained model, with a function that draws posterior fields."""
         if isinstance(result, ContactRegistration):
             return replace(result, body=self.body, draw=_Again(self, markers))
         return replace(result, body=self.body)
@@ -169,7 +178,7 @@ class _Moments:
 
 @dataclass(frozen=True)
 class _Computed:
-    """A value that results compute when it is read, computed already."""
+    """Function without arguments that returns `values`, in place of one that would compute them when it is called."""
 
     values: Any
 
@@ -179,9 +188,9 @@ class _Computed:
 
 @dataclass(frozen=True, eq=False)
 class _Again:
-    """Draws posterior fields of a moment by registering it again in this process.
+    """Function that draws posterior displacement fields, (count, n_nodes, 3), mm, by registering a moment again.
 
-    `moments`: registers moments of the body; `markers`: of this moment.
+    `moments`: registers the body in this process; `markers`: reference and measured places at the moment, mm.
     """
 
     moments: _Moments
@@ -192,7 +201,12 @@ class _Again:
 
 
 def _moments(markers: Any, measured: Any) -> Iterator[Markers]:
-    """Return the markers of every moment; what is wrong with single ones shows as they are taken."""
+    """Return an iterator over the markers of each moment; an error of a single moment is raised when it is reached.
+
+    `markers`: iterable of `Markers` or pairs (reference, measured), mm; or, if `measured` (n_moments, n_markers, 3), in
+    mm, is given, the markers whose measured places it replaces. Raises `ArgumentError` if they do not give many
+    moments.
+    """
     if measured is not None:
         base = as_markers(of_kind("markers", markers, (Markers, tuple)))
         places = float_array("measured", measured, (None, len(base), 3))
@@ -226,7 +240,7 @@ def _registered(
 
 
 def _without_slips(outcomes: Iterator[Finished | Failed]) -> Iterator[Finished | Failed]:
-    """Pass outcomes on; a wrong argument is the caller's, and no single moment's."""
+    """Yield the outcomes of registrations unchanged, but raise an `ArgumentError`, which concerns all moments."""
     for outcome in outcomes:
         if isinstance(outcome, Failed) and isinstance(outcome.error, ArgumentError):
             raise outcome.error
@@ -234,7 +248,7 @@ def _without_slips(outcomes: Iterator[Finished | Failed]) -> Iterator[Finished |
 
 
 def _register_moment(task: _Task) -> Registration:
-    """Register one moment in a worker, with the registrar that this process has kept."""
+    """Return the registration of one moment, computed in a worker process with the registrar that it has kept."""
     with _KEEPING:
         kept = _KEPT.get(task.mark)
         if kept is None:

@@ -1,9 +1,9 @@
-"""The main path: from a mesh and a few measured markers to the registered body with its uncertainty.
+"""The main function `register`: from a mesh and a few measured markers to the deformed body with its uncertainty.
 
-Without a trained model the load is unknown: the prior is a few contacts on the free surface, and the answer is an
-equilibrium under the contacts that explain the markers (`tissuereg.registration.contacts.registration`). With a
-model it is the
-paper's Algorithm 1 (`tissuereg.registration.learned.registration`). Either is one registration of a `Registrar`.
+Without a trained model the load is unknown: the prior is a few contacts on the free surface, and the result is an
+equilibrium under the contacts that explain the markers (`tissuereg.registration.contacts.registration`). With a model
+it is found by the paper's Algorithm 1 (`tissuereg.registration.learned.registration`). Either is one registration of a
+`Registrar`.
 """
 
 import os
@@ -49,22 +49,24 @@ def register(
     Parameters
     ----------
     mesh : Mesh, Body or (nodes, tets, fixed_nodes)
-        Undeformed body in mm; its node set ``fixed`` is held, its node set ``perhaps_fixed`` may or may not be. A mesh
-        without either, or one whose sets are empty, is free: a rigid motion is then unknown as well. A `Body` is a mesh
-        with all else that is believed of it: material, elements, how surely it is held.
+        Undeformed body in mm. The nodes of its set ``fixed`` are held in place; those of its set ``perhaps_fixed`` may
+        or may not be held. A mesh without either set, or with empty ones, can move freely: a rigid motion is then
+        unknown as well. A `Body` is a mesh with all further assumptions about it: material, elements, how surely it is
+        held.
     markers : Markers or (reference, measured), optional
-        Reference and measured positions of the markers, mm; NaN = not seen, also in single components.
+        Reference and measured places of the markers, mm. NaN = not seen, also in single components.
     surface : SurfacePoints or array_like of float, shape (n, 3), optional
         Unlabelled points on all or part of the deformed surface, mm; without a model only. Only their distance from the
-        surface along the normal is used; matches are made anew in every pass. More than 500 are thinned evenly.
+        surface along the normal is used; each is matched to the surface anew in every iteration. More than 500 points
+        are thinned evenly.
     targets : mapping of str to array_like of float, shape (3,), optional
-        Inner points of the undeformed body, mm.
+        Inner points of the undeformed body by name, mm, whose deformed places are wanted.
     load : Load, optional
-        The believed load; its direction, size and place stay uncertain. With a model it is simulated.
+        The assumed load; its direction, size and place stay uncertain. With a model the body is simulated under it.
     simulation : array_like of float, shape (n_nodes, 3), or SimulationVariants, optional
-        Displacement of this moment by any simulator, mm; it holds what acts, so that `load` is not used. Without a
-        model, the nodal forces that hold it in equilibrium are the believed load. With one, also variants: the moment
-        simulated with other values of what is uncertain.
+        Displacement of each node at this moment by any simulator, mm. It includes the effect of the loads, so that
+        `load` is not used. Without a model, the nodal forces that hold it in equilibrium are the assumed load. With
+        one, it may also be variants: simulations of the moment with other values of uncertain parameters.
     model : path-like or LatentModel, optional
         Folder of a trained model for this mesh, or ``"phantom"`` for the one that is shipped. Without it the answer is
         an equilibrium under unknown contacts.
@@ -74,15 +76,16 @@ def register(
         All other settings: threads, whether the tracker drifts, the prior of contacts; ensemble size and steps with a
         model.
     progress : callable of Progress, optional
-        Called when a stage begins, by its name in `Registration.seconds`, and when a pass is finished; on large bodies
-        also with how much of a stage is done. Without a model also with one line of size, time and memory as soon as
-        the mesh is analysed, and with a warning where it takes longer than a minute.
+        Called when a stage begins, with its name in `Registration.seconds`, and when an iteration (a pass) is finished;
+        on large bodies also with the part of a stage that is done. Without a model also with one line of size, time and
+        memory as soon as the mesh is analysed, and with a warning where it takes longer than a minute.
 
     Returns
     -------
     Registration
-        Displacement, spread, targets with regions, markers, trust, times. Without a model, or polished, it is a
-        `ContactRegistration`, which has contacts, forces and draws as well; otherwise a `LearnedRegistration`.
+        Displacement and standard deviation of each node in mm, targets with confidence regions, fit of the markers,
+        trust, times. Without a model, or where the setting ``polish`` is on, it is a `ContactRegistration`, which has
+        contacts, forces and posterior draws as well; otherwise it is a `LearnedRegistration`.
 
     Raises
     ------
@@ -91,12 +94,12 @@ def register(
     SurfaceError
         If points of the surface are in other units or lie far from the body.
     ModelError
-        If the model was trained for another mesh, or a file of it is corrupt, or something is given that means nothing
-        with a model: points of a surface, or what is believed of the body or set for contacts alone.
+        If the model was trained for another mesh, or a file of it is corrupt, or something is given that has no meaning
+        with a model: points of a surface, assumptions about the body, or settings for contacts alone.
     ShapeError
         If an array does not fit the mesh.
     ArgumentError
-        If something is given that means nothing without a model, or another argument has the wrong type or is out of
+        If something is given that has no meaning without a model, or another argument has the wrong type or is out of
         its range; the message names it.
     LargeBodyError
         If the body would not fit into memory (``docs/large-bodies.md``); nothing has been factored then.
@@ -107,10 +110,10 @@ def register(
 
     Notes
     -----
-    A result is returned even if it cannot be trusted: read ``result.trust`` and the targets' ``flag`` first.
-    Cost without a model: two or three passes, each with one factorisation, one right-hand side per marker component and
-    a few solves; about six passes with points of the surface. Everything that depends on the mesh alone is cached for
-    the next call in the same process.
+    A result is returned even if it cannot be trusted: read ``result.trust`` and the targets' ``flag`` first. Cost
+    without a model: two or three iterations (passes), each with one factorisation, one right-hand side per marker
+    component and a few solves; about six iterations with points of the surface. Everything that depends on the mesh
+    alone is cached for the next call in the same process.
 
     Examples
     --------

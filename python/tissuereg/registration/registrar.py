@@ -1,4 +1,4 @@
-"""One body, its markers and its targets, registered moment after moment: what does not change is made once."""
+"""Repeated registration of one body with the same markers and targets; what does not change is computed once."""
 
 import os
 from collections.abc import Mapping
@@ -40,27 +40,27 @@ _WHERE = {
 class Registrar:
     """Registers one body to the same markers again and again; `tissuereg.register` makes one and calls it once.
 
-    Everything that depends on the body, the model and the places of markers and targets is made here: their attachment
-    to the mesh, the model, its decoder cut down to these places, its errors there. The method `register` then takes the
-    measured places of one moment (n_markers, 3), mm, and returns a `Registration`.
+    Everything that depends on the body, the model and the places of markers and targets is made here: the map from
+    nodes to these places, the model, its decoder restricted to them, its reconstruction errors there. The method
+    `register` then takes the measured places of one moment (n_markers, 3), mm, and returns a `Registration`.
 
     Parameters
     ----------
     mesh : Mesh, Body or (nodes, tets, fixed_nodes)
-        Undeformed body in mm; a `Body` also states its material, elements and how surely it is held.
+        Undeformed body in mm; a `Body` also states the assumed material, elements and how surely it is held.
     reference_mm : array_like of float, shape (n_markers, 3), or Markers
-        Places of the markers on or near the undeformed body; of `Markers` their noise and names are taken as well.
+        Places of the markers on or near the undeformed body, mm; of `Markers` their noise and names are taken as well.
     model : path-like or LatentModel, optional
         Folder of a trained model for this mesh, or ``"phantom"`` for the one that is shipped. Without it the load is
         unknown, and the answer is the equilibrium under the load that fits the markers.
     targets : mapping of str to array_like of float, shape (3,), optional
-        Inner points of the undeformed body, mm.
+        Inner points of the undeformed body by name, mm, whose deformed places are wanted.
     load : Load, optional
-        The believed load, the same for every call of `register`.
+        The assumed load, the same for every call of `register`.
     seed : int
         Seed of all random numbers.
     settings : RegisterSettings, optional
-        All other settings.
+        All other settings, by default ``RegisterSettings()``.
 
     Raises
     ------
@@ -72,7 +72,7 @@ class Registrar:
     ArgumentError
         If `settings` state something that has no meaning without a model, or an argument has the wrong type.
     ShapeError, MeshError
-        As in `register`.
+        If an array has another shape, or the mesh is not valid, as in `register`.
 
     Notes
     -----
@@ -122,32 +122,32 @@ class Registrar:
 
     @property
     def mesh(self) -> Mesh:
-        """The undeformed body."""
+        """Mesh of the undeformed body."""
         return self._attached.mesh
 
     @property
     def attached(self) -> Attachment:
-        """Markers and targets on the body."""
+        """Input that is the same for every registration: body, settings, markers and targets located in the mesh."""
         return self._attached
 
     @property
     def markers(self) -> Markers:
-        """The markers: reference places, noise, names."""
+        """The markers: reference places (n_markers, 3) in mm, noise in mm, names."""
         return self._attached.places
 
     @property
     def by_contacts(self) -> bool:
-        """Whether there is no model, so that the load is unknown and contacts are searched."""
+        """Whether there is no trained model, so that the load is unknown and contacts on the surface are estimated."""
         return self._model is None
 
     @property
     def n_decoded(self) -> int:
-        """Members decoded at markers and targets so far."""
+        """Number of latent vectors that the model has decoded at markers and targets so far; 0 without a model."""
         return 0 if self._points is None else self._points.n_decoded
 
     @property
     def multiply_adds(self) -> int:
-        """Multiply-adds of the decoder at markers and targets, one member; 0 without one that could be cut."""
+        """Multiply-adds of the decoder for one latent vector, at markers and targets; 0 without such a decoder."""
         return 0 if self._points is None else self._points.multiply_adds
 
     def register(
@@ -158,27 +158,29 @@ class Registrar:
         after: Registration | None = None,
         progress: Listener | None = None,
     ) -> Registration:
-        """Register one moment.
+        """Register the body at one moment to the measured places of its markers.
 
         Parameters
         ----------
         measured_mm : array_like of float, shape (n_markers, 3), or Markers
-            Measured places, in the order of the reference places; NaN = not seen. Of `Markers` the noise is taken as
-            well; they must have the same names and reference places.
+            Measured places in mm, in the order of the reference places; NaN = not seen. Of `Markers` the noise is taken
+            as well; they must have the same names and reference places.
         simulation : array_like of float, shape (n_nodes, 3), or SimulationVariants, optional
-            Displacement of this moment by any simulator, mm; with a model also variants of it. See `register`.
+            Displacement of each node at this moment by any simulator, mm; with a model also variants, simulations with
+            other values of uncertain parameters. It takes the place of the assumed load.
         after : Registration, optional
-            Of a moment shortly before, by this registrar; without a model only. Its contacts are where the search
-            begins, and the stiffness of doubtful supports and of a graded body is kept: what was fitted once is not
+            Registration of a moment shortly before, by this registrar; without a model only. The search for contacts
+            begins with its contacts, and the fitted stiffness of doubtful supports and of a graded body is kept and not
             fitted again.
         progress : callable of Progress, optional
-            As in `register`.
+            Called when a stage begins and when an iteration is finished, as in `register`.
 
         Returns
         -------
         Registration
-            The one that `register` gives, if it is not `after` another; see `RegisterSettings.readings` for the reasons
-            in its trust.
+            The displaced body with its uncertainty, the same as that of `register` unless `after` is given.
+            `RegisterSettings.readings` says when the markers are examined for misreadings, which may add reasons to its
+            trust.
 
         Raises
         ------
@@ -207,7 +209,7 @@ class Registrar:
             return self.registered(MomentInput(measured_mm, None, simulation, before), clock)
 
     def made_for(self, markers: Markers) -> "Registrar":
-        """Return a registrar for other markers of the same body; this one if they are its own."""
+        """Return a registrar for `markers` on the same body; itself if names and reference places are its own."""
         own = self._attached
         if own.holds(markers):
             return self
@@ -221,19 +223,19 @@ class Registrar:
         return PointModel(model, self._attached.observed, self._attached.targets)
 
     def registered(self, moment: MomentInput, clock: Clock) -> Registration:
-        """Register one moment whose markers are those of this registrar; see `register`.
+        """Return the registration of one moment whose markers are those of this registrar.
 
         Parameters
         ----------
         moment : MomentInput
-            What was measured and simulated.
+            Measured markers and surface points, simulated displacement, and an earlier registration to start from.
         clock : Clock
             Records the times of the stages; its listener is told how far the registration is.
 
         Returns
         -------
         Registration
-            The result.
+            The displaced body with its uncertainty, as `register` returns it.
         """
         field, varied = self._simulated(moment)
         with self._blas.limit(limits=1):
@@ -250,9 +252,10 @@ class Registrar:
         return replace(result, linear=lambda: self._linear(markers, used, start))
 
     def _simulated(self, moment: MomentInput) -> tuple[FloatArray | None, Variants | None]:
-        """Return the simulation (n_nodes, 3), mm, of a moment and its variants, checked; each may be None.
+        """Return the simulated displacement (n_nodes, 3) of a moment, mm, and its variants, checked; each may be None.
 
-        Refuse what does not go with the method.
+        Variants are simulations with other values of uncertain parameters. Raises `ModelError` if an earlier
+        registration is given with a trained model, and `ArgumentError` if variants are given without one.
         """
         if self._points is not None and moment.after is not None:
             message = "`after` must be left out with a trained model, which registers every moment on its own"
@@ -268,7 +271,11 @@ class Registrar:
     def _registered(
         self, moment: MomentInput, field: FloatArray | None, varied: Variants | None, clock: Clock
     ) -> Registration:
-        """Return the registration of a moment; `field` (n_nodes, 3) or None: simulated displacement, mm."""
+        """Return the registration of one moment, by contacts or by the trained model.
+
+        `moment`: measurements; `field` (n_nodes, 3) or None: simulated displacement, mm; `varied`: variants of the
+        simulation, or None; `clock`: records the times of stages.
+        """
         with clock.stage("attach"):
             always = self._examines and (moment.after is None or self._points is not None)
             examined = always or not self._plausible
@@ -291,10 +298,12 @@ class Registrar:
         *,
         examined: bool,
     ) -> Registration:
-        """Return the registration of a moment with a trained model.
+        """Return the registration of one moment with a trained model.
 
-        `points`: the model at markers and targets; `given`: checked input; `field` (n_nodes, 3) or None: simulated
-        displacement, mm; `varied`: its variants; `examined`: whether the input was examined for misreadings.
+        `points`: the model restricted to markers and targets; `given`: checked input; `field` (n_nodes, 3) or None:
+        simulated displacement, mm; `varied`: variants of the simulation, or None; `clock`: records the times of stages;
+        `examined`: whether the markers were examined for misreadings, such as other units. If they were not, they are
+        now if the result is not trusted.
         """
         result: Registration = register_by_model(given, points, field, clock, varied)
         if not examined:
@@ -305,7 +314,7 @@ class Registrar:
         return replace(polished, model={**result.model, "polished": True})
 
     def _judged(self, result: Registration, markers: Markers, clock: Clock) -> Registration:
-        """Return a result; if it is not trusted, suspicions that `markers` are misread precede its reasons."""
+        """Return `result`; if it is not trusted, suspicions that `markers` are misread precede its reasons."""
         if result.trust.ok:
             return result
         with clock.stage("judge"):
@@ -313,7 +322,12 @@ class Registrar:
             return replace(result, trust=replace(result.trust, reasons=reasons))
 
     def _linear(self, markers: Markers, used: tuple[str, ...], start: FloatArray | None) -> Fallback | None:
-        """Return where linear elasticity alone has the body; None where it can move freely or is too large."""
+        """Return the linear elastic estimate of displacement and target places, in mm, at one moment.
+
+        `markers`: reference and measured places, mm; `used`: names of the markers to use; `start` (n_nodes, 3) or None:
+        simulated displacement to which the estimate is added, mm. Result: None if the body can move freely or is too
+        large, or no marker is left.
+        """
         with self._blas.limit(limits=1):
             return None if self._elastic is None else self._elastic.about(markers, used, start)
 
@@ -330,7 +344,7 @@ class Registrar:
 
 @dataclass(frozen=True, eq=False)
 class _LoadSolver:
-    """The finite-element solver for a believed load beside a model, made when it is first used."""
+    """Solver of the equilibrium of `body` under an assumed load, beside a trained model; made when it is first used."""
 
     body: Body
 
@@ -341,14 +355,14 @@ class _LoadSolver:
 
 
 def _refuse_of_models(how: RegisterSettings) -> None:
-    """Refuse settings that mean nothing without a trained model."""
+    """Raise `ArgumentError` if a setting that has no meaning without a trained model is not at its default."""
     for name, value in how.changed(*_OF_MODELS).items():
         message = f"`{name}` must be left out without a trained model, for which alone it means something; got "
         raise ArgumentError(message + _in_short(value), where=name)
 
 
 def _refuse_with_model(body: Body, load: Load | None, how: RegisterSettings) -> None:
-    """Refuse what means nothing with a trained model."""
+    """Raise `ModelError` if an assumption or setting that has no meaning with a trained model is not at its default."""
     given: dict[str, Any] = {} if body.stiffness == "believed" else {"stiffness": body.stiffness}
     if not how.polish:
         given |= how.changed(*_OF_CONTACTS)

@@ -1,6 +1,6 @@
-"""The result of a registration: the displaced body, its spread, targets with regions, and whether to trust it.
+"""The result of a registration: the displaced body, its uncertainty, targets with regions, and whether to trust it.
 
-What one method alone gives is in `tissuereg.registration.contacts.result` and `tissuereg.registration.learned.result`.
+Results of one method alone are in `tissuereg.registration.contacts.result` and `tissuereg.registration.learned.result`.
 """
 
 import os
@@ -28,18 +28,19 @@ NO_MARKER = "no marker tells"
 
 @dataclass(frozen=True, eq=False)
 class Region:
-    """The ellipsoid that contains a point with a given probability.
+    """Ellipsoid that contains a point with a given probability.
 
     Attributes
     ----------
     centre : ndarray of float64, shape (3,)
+        Centre of the ellipsoid, mm.
         mm.
     axes : ndarray of float64, shape (3, 3)
         Unit half-axes, one per row, in the order of `radii`.
     radii : ndarray of float64, shape (3,)
         Half-axes in mm, largest last.
     share : float
-        Probability inside.
+        Probability that the point lies inside, 0 to 1.
     """
 
     centre: FloatArray
@@ -48,7 +49,7 @@ class Region:
     share: float
 
     def contains(self, point: Any) -> bool:
-        """Return whether a point (3,) in mm lies inside or on the border."""
+        """Return whether a point (3,), in mm, lies inside the ellipsoid or on its border."""
         along = self.axes @ (float_array("point", point, (3,)) - self.centre)
         return bool(np.sum((along / np.maximum(self.radii, 1e-300)) ** 2) <= 1.0)
 
@@ -64,16 +65,17 @@ class Target:
     mean : ndarray of float64, shape (3,)
         Registered place, mm.
     covariance : ndarray of float64, shape (3, 3)
-        mm^2: posterior ensemble and the model's own error. Where there is a `tail`, that of the Gaussian that has the
-        same 90 % region.
+        Covariance of the place, mm^2, from the posterior and the model's own error. Where `tail` is not None, it is
+        that of the Gaussian that has the same 90 % region as the t law.
     simulation : ndarray of float64, shape (3,), or None
-        Place by the simulation alone, mm.
+        Place by the simulation alone, mm; None if there was no simulation.
     constrained : float or None
-        Share of its variance under unseen contacts that the markers remove, 0 to 1. With a calibrated model the share
-        of the expected squared error of the simulation (or of the undeformed body) that is gone; None with another
-        one.
+        Share of the point's variance under unknown contacts that the markers remove, 0 to 1. With a calibrated model
+        the share of the expected squared error of the simulation (or of the undeformed body) that is removed; None with
+        a model that is not calibrated.
     flag : str or None
-        ``"no marker tells"`` if that share is too small to rely on the region, or on the answer being the better one.
+        ``"no marker tells"`` if that share is too small to rely on the region, or on the registered place being better
+        than the simulated one; otherwise None.
     tail : float or None
         Degrees of freedom of the t law of the true place about the mean, of a calibrated model; None for a Gaussian.
     """
@@ -92,12 +94,12 @@ class Target:
         Parameters
         ----------
         share : float
-            Probability inside, in (0, 1).
+            Probability that the true place lies inside, in (0, 1).
 
         Returns
         -------
         Region
-            Half-axes largest last.
+            The ellipsoid, with its centre and half-axes in mm, the largest last.
         """
         if not 0.0 < real("share", share, error=MarkerError) < 1.0:
             message = f"`share` must lie in (0, 1), got {share}"
@@ -107,7 +109,7 @@ class Target:
         return Region(self.mean, vectors.T, radii, share)
 
     def to_json(self) -> dict[str, Any]:
-        """Return its entry in ``registration.json``: plain numbers, lists and strings."""
+        """Return the target's entry in ``registration.json``: plain numbers, lists and strings; mm, mm^2."""
         return {
             "reference_mm": self.reference.tolist(),
             "mean_mm": self.mean.tolist(),
@@ -122,18 +124,19 @@ class Target:
 
 @dataclass(frozen=True, eq=False)
 class MarkerFit:
-    """Fit of the markers.
+    """Agreement of a registration with the measured markers.
 
     Attributes
     ----------
     used : tuple of str
-        Markers that entered the fit.
+        Names of the markers that entered the fit.
     dropped : tuple of (str, str)
-        Markers that did not, each with the reason.
+        Names of the markers that did not enter the fit, each with the reason, ``"wrong"`` or ``"not seen"``.
     before_rms_mm, after_rms_mm : float
-        Root mean square over markers of the Euclidean distance to the measurement: simulation (or rest), registration.
+        Root mean square over the used markers of the distance from the measured place to the place by the simulation
+        (or at rest), and to the registered place, mm.
     residual_mm : dict of str to ndarray of float64, shape (3,)
-        Measured minus registered.
+        Measured minus registered place of each used marker, by name, mm; NaN = not seen.
     """
 
     used: tuple[str, ...]
@@ -145,64 +148,70 @@ class MarkerFit:
 
 @dataclass(frozen=True, eq=False)
 class Fallback:
-    """Where the body is by linear elasticity alone, of which nothing more is claimed.
+    """Estimate of the deformed body by linear elasticity alone; it has no uncertainty.
 
     Attributes
     ----------
     displacement : ndarray of float64, shape (n_nodes, 3)
+        Displacement of each node, mm.
         mm.
     targets : dict of str to ndarray of float64, shape (3,)
-        Places of the inner points, mm.
+        Estimated place of each inner point in the deformed body, by name, mm.
     """
 
     displacement: FloatArray
     targets: dict[str, FloatArray]
 
     def to_json(self) -> dict[str, Any]:
-        """Return its entry in ``registration.json``."""
+        """Return the entry ``fallback`` of ``registration.json``: a dict of method and target places in mm."""
         return {"method": "linear elastic", "targets_mm": {name: at.tolist() for name, at in self.targets.items()}}
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Registration:
-    """The registered body; what both methods give. `ContactRegistration` and `LearnedRegistration` say more.
+    """Result of a registration: the displaced body, its uncertainty, and whether it can be trusted.
+
+    Both methods fill these fields; `ContactRegistration` (without a trained model) and `LearnedRegistration` (with one)
+    have more.
 
     Attributes
     ----------
     body : Body
-        What was believed of the undeformed body.
+        Assumptions about the undeformed body: mesh, material, elements, supports.
     displacement : ndarray of float64, shape (n_nodes, 3)
-        Without a model that of the equilibrium under the mean of the posterior load; with one decoded from the mean of
-        the posterior latents. mm.
+        Displacement of each node in mm. Without a model it is that of the equilibrium under the mean of the posterior
+        load, with one that decoded from the mean of the posterior latents.
     nodes : callable
-        Returns the covariance of every node, or their standard deviations: see `std`.
+        Takes no argument and returns the covariances of the nodes, (n_nodes, 3, 3), mm^2, without a model, and their
+        standard deviations, (n_nodes,), mm, with one; see `std`.
     targets : dict of str to Target
-        Inner points.
+        Inner points after registration, by name.
     unseen : dict of str to Target
-        Predicted measurements of the markers that were not seen or are wrong; the covariance includes tracker noise.
+        Predicted measurements, by name, of the markers that were not seen or are wrong; the covariance includes tracker
+        noise.
     markers : MarkerFit
-        Residuals, used and dropped markers.
+        Residuals in mm, and names of used and dropped markers.
     all_markers : Markers
-        The markers as given.
+        All markers as given, with reference and measured places.
     start_markers : ndarray of float64, shape (n_markers, 3)
-        Places of the markers by the simulation, or at rest, mm.
+        Places of the markers before registration: by the simulation, or at rest, mm.
     min_det_f : float
-        Smallest volume ratio of a tet.
+        Smallest volume ratio of a tet, the determinant of its deformation gradient F.
     inverted_tets : int
-        Tets with det F <= 0.
+        Number of tets with det F <= 0.
     trust : Trust
         Whether the result can be trusted, and the reasons if not.
     model : dict
-        Kind and source of the model; of a trained one also members and test errors, and ``variants``, how many were
-        given, if any.
+        Kind and source of the model; for a trained one also numbers of members and test errors, and, if variants of the
+        simulation were given, their number as ``variants``.
     settings : RegisterSettings
         All settings of the registration.
     seconds : dict of str to float
-        Wall time per stage.
+        Wall time per stage, by name, s.
     seed : int
         Seed of all random numbers.
     linear : callable, optional
-        Returns where linear elasticity alone has the body; see `fallback`.
+        Takes no argument and returns the estimate of the body by linear elasticity alone, or None; see `fallback`.
     """
 
     body: Body
@@ -224,27 +233,29 @@ class Registration:
 
     @property
     def mesh(self) -> Mesh:
-        """The undeformed body's mesh."""
+        """Mesh of the undeformed body."""
         return self.body.mesh
 
     @cached_property
     def fallback(self) -> Fallback | None:
-        """Where linear elasticity alone has the body, about the simulation or about rest; it has no regions.
+        """Linear elastic estimate of the body, about the simulation or the body at rest; it has no confidence regions.
 
-        None where the answer can be trusted, where no marker was used, where the body can move freely, and where it
-        has more than 50,000 nodes.
+        It is None where the registration can be trusted, where no marker was used, where the body can move freely, and
+        where it has more than 50,000 nodes.
 
-        Cost: computed when it is first read; the body is linearised for the first such answer of a registrar.
+        Cost: computed when it is first read; the body is linearised for the first such estimate of a registrar.
         """
         return None if self.trust.ok or self.linear is None else self.linear()
 
     @cached_property
     def std(self) -> FloatArray:
-        """Root of the trace of every node's covariance, ndarray of float64, shape (n_nodes,), mm."""
+        """Root of the trace of the covariance of each node, ndarray of float64, shape (n_nodes,), in mm."""
         return self.nodes()
 
     def draws(self, count: int) -> FloatArray:
-        """Return displacement fields drawn from the posterior, each in equilibrium; see `ContactRegistration.draws`.
+        """Return `count` displacement fields drawn from the posterior, each in equilibrium, (count, n_nodes, 3), mm.
+
+        Only a registration without a trained model has them, by `ContactRegistration.draws`.
 
         Raises
         ------
@@ -263,16 +274,16 @@ class Registration:
 
     @property
     def starts_simulated(self) -> bool:
-        """Whether distances `before` are those of a believed simulation, and not of the body at rest."""
+        """Whether the markers' places before registration are those of a simulation, and not of the body at rest."""
         return not np.allclose(self.start_markers, self.all_markers.reference, rtol=0.0, atol=1e-6)
 
     def target(self, name: str) -> Target:
-        """Return a target by name.
+        """Return the registered inner point (target) of this name.
 
         Raises
         ------
         MarkerError
-            If there is none of that name.
+            If there is no target of that name.
         """
         if text("name", name, error=MarkerError) not in self.targets:
             message = f"no target named '{name}' was registered; there are: {', '.join(self.targets) or 'none'}"
@@ -280,11 +291,11 @@ class Registration:
         return self.targets[name]
 
     def _found_words(self) -> str:
-        """Return what a method found beside the fit, for `repr`."""
+        """Return a phrase for `repr` on results of one method alone, such as the number of contacts; empty here."""
         return ""
 
     def _found_json(self) -> dict[str, Any]:
-        """Return the entries of a method's own; the other's are empty."""
+        """Return the entries of ``registration.json`` that one method alone fills in, each empty here."""
         return {"surface": None, "contacts": [], "work": {}, "dropped_members": []}
 
     def to_json(self) -> dict[str, Any]:
@@ -331,20 +342,20 @@ class Registration:
     def save(
         self, folder: str | os.PathLike[str], extra: dict[str, Any] | None = None, *, deformed: bool = False
     ) -> Path:
-        """Write the result, all files or none.
+        """Write the result as files into a folder, all of them or none.
 
-        ``registered.vtu``, ``targets.csv``, ``targets.mrk.json`` (registered places for 3D Slicer, in the frame of the
-        mesh; LPS, Slicer's default, if the mesh declares none), ``registration.json`` and
+        The files are ``registered.vtu``, ``targets.csv``, ``targets.mrk.json`` (registered places for 3D Slicer, in the
+        frame of the mesh; LPS, Slicer's default, if the mesh declares none), ``registration.json`` and
         ``registered.png``.
 
         Parameters
         ----------
         folder : path-like
-            Created if absent.
+            Folder to write into, created if absent.
         extra : dict, optional
             Entries added to the JSON; they override its own.
         deformed : bool
-            Write ``registered_deformed.vtu`` too: the body with displaced nodes and the same point data.
+            Whether to write ``registered_deformed.vtu`` too: the body with displaced nodes and the same point data.
 
         Returns
         -------
@@ -363,7 +374,7 @@ class Registration:
         return save_registration(self, target, added, deformed=flag("deformed", deformed))
 
     def plot(self) -> Any:
-        """Return a matplotlib figure of the body before and after, with the markers and the spread."""
+        """Return a matplotlib figure of the body before and after, with markers, targets and the nodes' deviations."""
         from tissuereg.report.picture import registration_figure
 
         return registration_figure(self)
@@ -388,5 +399,5 @@ class Registration:
 
 
 def _row_json(row: FloatArray) -> list[float | None]:
-    """Return a row (3,) as a list with None for components that were not seen."""
+    """Return the three numbers of `row` (3,) as a list, with None in place of NaN (a component that was not seen)."""
     return [float(value) if np.isfinite(value) else None for value in row]

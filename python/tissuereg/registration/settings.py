@@ -1,4 +1,4 @@
-"""Settings of a registration: every number and word that may change an answer, beside what is believed of the body."""
+"""Settings of a registration: every number and word that may change a result, beside the assumptions on the body."""
 
 from dataclasses import asdict, dataclass, field
 from typing import Any
@@ -18,20 +18,22 @@ READINGS = ("doubtful", "always")
 
 @dataclass(frozen=True)
 class SmootherSettings:
-    """How the latents of a trained model are found.
+    """Settings of the estimation of a trained model's latents from the markers.
 
     Parameters
     ----------
     update : {"esmda", "gauss-newton"}
-        By an ensemble, or as the most probable ones with the Gaussian about them, which needs fewer decodes.
+        How the latents are found: by an ensemble smoother with multiple data assimilation, or as the most probable
+        latents with the Gaussian about them, which needs fewer decodes.
     n_members, n_steps : int
-        Ensemble size N_e and number of assimilations N_a. With ``update="gauss-newton"`` so many draws from the
-        Gaussian stand for the posterior, and there are no steps.
+        Ensemble size N_e and number of assimilations N_a. With ``update="gauss-newton"`` `n_members` draws from the
+        Gaussian represent the posterior, and there are no steps.
     decrease : float
-        Ratio of successive inflation coefficients.
+        Ratio of successive inflation coefficients, the factors on the noise covariance in each assimilation.
     decode_all : bool
-        Decode the ensemble before every update. By default a calibrated model, whose answer is found about the
-        ensemble's mean, decodes before the first and the last; between them predictions follow their regression.
+        Whether the ensemble is decoded before every update. By default a calibrated model, whose result is found about
+        the ensemble's mean, decodes before the first and the last update only; between them predictions follow their
+        linear regression on the latents.
 
     Raises
     ------
@@ -59,7 +61,7 @@ class SmootherSettings:
 
 @dataclass(frozen=True)
 class RegisterSettings:
-    """Settings of a registration; those of the other method must be left as they are.
+    """Settings of a registration; those that belong to the method not used must be left at their defaults.
 
     Parameters
     ----------
@@ -71,18 +73,19 @@ class RegisterSettings:
     contacts : ContactSettings
         Without a model: prior and sampling of unknown contacts.
     ensemble : int
-        Without a model: the number of posterior loads to solve for the covariance of every node, instead of linear
-        draws; for large motions, where the posterior is not Gaussian.
+        Without a model: the number of posterior loads whose equilibria are solved for the covariance of every node; 0
+        takes linearised draws instead. It serves large motions, where the posterior is not Gaussian.
     smoother : SmootherSettings
-        With a model: how its latents are found.
+        With a model: how its latents are estimated.
     polish : bool
-        With a model: use its answer as the simulation of a registration by contacts, so that the body is in equilibrium
-        and meets the markers. What belongs to a registration without a model then means something as well.
+        With a model: whether its result is used as the simulation of a registration by contacts, so that the body is in
+        equilibrium and meets the markers. The settings of a registration without a model then have a meaning as well.
     readings : {"doubtful", "always"}
-        With a model: when a registrar examines markers for other units, axes, motions and orders
-        (`tissuereg.registration.readings`), which takes as long as several registrations. "doubtful": until a first
-        moment is free of suspicion, and where the answer cannot be trusted for another reason. Without a model always;
-        `Registrar.register` with `after` then as "doubtful".
+        With a model: when a registrar examines whether the markers may be in other units, axes, motions and orders
+        (`tissuereg.registration.readings`), which takes as long as several registrations. "always": at every moment.
+        "doubtful": until a first moment is free of suspicion, and where the result cannot be trusted for another
+        reason. Without a model they are always examined, except by `Registrar.register` with `after`, which acts as
+        with "doubtful".
 
     Raises
     ------
@@ -113,7 +116,7 @@ class RegisterSettings:
         check_choice("readings", self.readings, READINGS, ArgumentError)
 
     def changed(self, *names: str) -> dict[str, Any]:
-        """Return those of some settings that differ from their defaults, by name."""
+        """Return, by name, the values of those of the settings `names` that differ from their defaults."""
         usual = RegisterSettings()
         return {name: getattr(self, name) for name in names if getattr(self, name) != getattr(usual, name)}
 
@@ -123,7 +126,7 @@ class RegisterSettings:
 
 
 def _plain(value: Any) -> Any:
-    """Return a setting as JSON has it."""
+    """Return a setting in the types of JSON: the entries of a dict are converted, and a tuple becomes a list."""
     if isinstance(value, dict):
         return {name: _plain(one) for name, one in value.items()}
     return list(value) if isinstance(value, tuple) else value

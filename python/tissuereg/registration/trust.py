@@ -4,9 +4,11 @@ The misfit of a registration is
 
     J = (z - z0)' P^-1 (z - z0)  +  r' C_d^-1 r,
 
-prior and data terms at the posterior mean. If prior and noise are as stated and the model is linear, J equals the
-chi-square of the innovation and follows a chi-square law with one degree of freedom per measured coordinate.
-Each marker is tested separately by its fitted residual (`tissuereg.registration.wrong_markers`).
+the prior term and the data term at the posterior mean z of the unknowns (latents, or coefficients of the load), with
+their prior mean z0 and prior covariance P, the residual r of the markers and the noise covariance C_d. If prior and
+noise are as stated and the model is linear, J equals the chi-square of the innovation and follows a chi-square law with
+one degree of freedom per measured coordinate. Each marker is tested separately by its fitted residual
+(`tissuereg.registration.wrong_markers`).
 """
 
 from dataclasses import dataclass, field
@@ -23,25 +25,26 @@ LEVEL = 0.01
 
 @dataclass(frozen=True)
 class Trust:
-    """Whether a registration can be trusted, and why not.
+    """Whether a registration can be trusted, the reasons if not, and the test statistics.
 
     Attributes
     ----------
     ok : bool
-        True if there is no reason against it.
+        True if no test failed, so that `reasons` is empty.
     p_value : float
         Probability of a misfit at least this large if prior and noise are as stated; with a calibrated model the share
-        of calibration events that look at least as bad.
+        of calibration events (trial registrations) that look at least as bad.
     reasons : list of str
         Reasons not to trust the result, in sentences that start with their kind: ``misfit``, ``few markers``, ``wrong
         marker``, ``inverted tets``, ``simulation``, ``unfamiliar``, ``noise``, or a kind of
         `tissuereg.registration.readings.Suspicion`.
     chi_square : float
-        J above.
+        Misfit J: squared residuals over the noise, plus the squared distance from the prior mean over the prior
+        covariance; with a calibrated model the first alone.
     residual_chi_square : float
-        Data term of J alone.
+        Data term of J alone: squared residuals over the noise.
     n_obs : int
-        Number of measured coordinates.
+        Number of measured coordinates of markers, plus that of points of the surface.
     """
 
     ok: bool
@@ -62,13 +65,15 @@ def judge(
     notes: list[str],
     points: tuple[float, int] = (0.0, 0),
 ) -> Trust:
-    """Return whether a registration can be trusted, and why not.
+    """Return whether a registration can be trusted, and why not, by chi-square tests of misfit and markers.
 
-    `names`: markers that were used; `residual` (n_markers, 3): measured minus fitted, mm; NaN = not seen, ignored;
-    `noise` (3 n_markers, 3 n_markers): covariance C_d, mm^2; `posterior_spread` (3 n_markers, 3 n_markers): posterior
-    covariance H P+ H' of the markers' predictions, mm^2; `prior_misfit`: prior term of J; `min_det_f`: smallest volume
-    ratio of the registered body; `notes`: reasons found earlier in the registration; `points`: data term of the points
-    of the surface, and their number. Result: with one reason per failed test.
+    `names`: markers that were used; `residual` (n_markers, 3): measured minus fitted places, mm; NaN = not seen,
+    ignored; `noise` (3 n_markers, 3 n_markers): covariance C_d of the noise, mm^2; `posterior_spread` (3 n_markers, 3
+    n_markers): posterior covariance of the markers' predictions, H P+ H' with the observation matrix H, mm^2;
+    `prior_misfit`: prior term of the misfit J, the squared distance of the unknowns from their prior mean in units of
+    the prior covariance; `min_det_f`: smallest volume ratio of a tet of the registered body; `notes`: reasons found
+    earlier in the registration; `points`: data term of the points of the surface, and their number. Result: `Trust`
+    with one reason per failed test, after those of `notes`.
     """
     from scipy.stats import chi2
 
@@ -99,7 +104,7 @@ def judge(
 
 
 class Shown(Protocol):
-    """Test statistics of a registration; see `tissuereg.registration.learned.statistics.Statistics`."""
+    """Test statistics of one registration, larger where it looks worse; `learned.statistics.Statistics` has them."""
 
     @property
     def row(self) -> FloatArray:
@@ -108,17 +113,17 @@ class Shown(Protocol):
 
     @property
     def marker_rows(self) -> FloatArray:
-        """The second of them, of each marker, (n_markers,)."""
+        """The statistic "wrong marker" of each marker, (n_markers,), of which `row` has the largest."""
         ...
 
     @property
     def marker_misfits(self) -> FloatArray:
-        """Squared misfit of each marker to the others in its own standard deviations, (n_markers,)."""
+        """Squared misfit of each marker to the prediction from the others, over its variance, (n_markers,)."""
         ...
 
 
 class Compared(Protocol):
-    """Calibration events; see `tissuereg.registration.learned.calibration_set.CalibrationSet`."""
+    """Set of calibration events: trial registrations with right measurements, with which one is compared."""
 
     def p_value(self, statistics: FloatArray) -> float:
         """Return the share of calibration events whose rarest statistic is as rare as that of statistics (5,)."""
@@ -138,14 +143,15 @@ def judge_by_rehearsal(
     min_det_f: float,
     notes: list[str],
 ) -> Trust:
-    """Return whether a registration with a calibrated model can be trusted, and why not.
+    """Return whether a registration with a calibrated model can be trusted, and why not, by comparison with trials.
 
-    Its test statistics are judged together: a calibration event raises an alarm by any of them at a rate of one
-    percent. `names`: markers that were used; `residual` (n_markers, 3): measured minus fitted, mm; `noise` (3
-    n_markers, 3 n_markers): covariance of the tracker's noise, mm^2; `calibration_set`: calibration events; `shown`:
-    test statistics of the registration; `min_det_f`: smallest volume ratio of the registered body; `notes`: reasons
-    found earlier in the registration. Result: with a reason for each statistic that is rare enough to be one, and at
-    least for the rarest.
+    Its test statistics are judged together against those of calibration events (trial registrations with right
+    measurements), of which one percent would not be trusted, by any statistic. `names`: markers that were used;
+    `residual` (n_markers, 3): measured minus fitted places, mm; `noise` (3 n_markers, 3 n_markers): covariance of the
+    tracker's noise, mm^2; `calibration_set`: the calibration events; `shown`: test statistics of the registration;
+    `min_det_f`: smallest volume ratio of a tet of the registered body; `notes`: reasons found earlier in the
+    registration. Result: `Trust`, with a reason for each statistic that is rare enough to be one, and at least for the
+    rarest.
     """
     flat = residual.ravel()
     data = float(flat @ np.linalg.solve(noise, flat))
@@ -183,7 +189,7 @@ def judge_by_rehearsal(
 
 
 def _too_few(names: tuple[str, ...]) -> list[str]:
-    """Return the reason against an answer from one marker or none."""
+    """Return the reason not to trust a result from one marker or none, in a list; empty if `names` has more markers."""
     if len(names) > 1:
         return []
     used = f"{names[0]} alone was used, and nothing else could contradict it" if names else "none was used"
@@ -195,5 +201,5 @@ def _in_words(p_value: float) -> str:
 
 
 def _data(n_markers: int, n_points: int) -> str:
-    """Return what was measured, in words."""
+    """Return in words which data were used, such as "markers and surface points", given the number of each."""
     return " and ".join(word for word, count in (("markers", n_markers), ("surface points", n_points)) if count)

@@ -1,8 +1,9 @@
-"""Markers that do not fit the others: a chi-square each on the fitted residual, and the worst dropped one by one.
+"""Detection of wrong markers by a chi-square test of each fitted residual; the worst is dropped, one after another.
 
-The residual of a fit is smaller than the noise, because the fit follows its own data. Of a fit that minimises prior and
-data terms its covariance is C_d - H P H', with H P H' the posterior covariance of the predictions, and the score of a
-marker is its misfit to the prediction from all others; derived in `tissuereg-esmda`, module `outliers`.
+The residual of a fit is smaller than the noise, because the fit follows its own data. For a fit that minimises prior
+and data terms, the covariance of the residual is C_d - H P H', with the noise covariance C_d and the posterior
+covariance H P H' of the predictions. The score of a marker is its misfit to the prediction from all others; the formula
+is derived in `tissuereg-esmda`, module `outliers`.
 """
 
 from collections.abc import Callable
@@ -20,34 +21,19 @@ _Fit = TypeVar("_Fit")
 
 
 def score_markers(residual: FloatArray, noise: FloatArray, absorbed: FloatArray) -> _core.GroupScores:
-    """Return how far markers lie from a fit.
+    """Return a test of every marker: how far it lies from the fit to the others, and how probable that is.
 
-    Parameters
-    ----------
-    residual : ndarray of float64, shape (n_markers, 3)
-        Measured minus fitted, mm; NaN = not seen, ignored.
-    noise : ndarray of float64, shape (3 n_markers, 3 n_markers)
-        Covariance C_d, mm^2.
-    absorbed : ndarray of float64, shape (3 n_markers, 3 n_markers)
-        Posterior covariance H P H' of the markers' predictions, mm^2. Where errors of different markers are correlated,
-        take that of the linearised model (`Laplace.absorbed`): one estimated from an ensemble is not exact enough. A
-        marker keeps at least a twentieth of its noise.
-
-    Returns
-    -------
-    _core.GroupScores
-        Arrays with one entry a marker. ``chi_square``: squared misfit to the others in its own standard deviations.
-        ``n_obs``: components seen, its degrees of freedom. ``p_value``: the chance of a chi-square at least this large
-        if the marker is good; 1 for one that was not seen. ``leverage``: the share of its noise that the fit has
-        absorbed. ``wrong(level)``: markers beyond the level, shared out evenly among those that were seen (Bonferroni),
-        the worst first; `level` is the rate at which any of a set of good markers is among them, at most.
-
-    Raises
-    ------
-    NoiseError
-        If the noise of a marker is not positive definite.
-    ShapeError
-        If the arrays do not fit each other.
+    `residual` (n_markers, 3): measured minus fitted places, mm; NaN = not seen, ignored; `noise` (3 n_markers, 3
+    n_markers): covariance C_d of the measurement noise and model errors, mm^2; `absorbed` (3 n_markers, 3 n_markers):
+    posterior covariance H P H' of the markers' predictions, mm^2. Where errors of different markers are correlated, use
+    the covariance of the linearised model (`Laplace.absorbed`): a covariance estimated from an ensemble is not exact
+    enough. A marker keeps at least a twentieth of its noise. Result: arrays with one entry a marker. ``chi_square``:
+    squared misfit to the others in its own standard deviations. ``n_obs``: number of components seen, its degrees of
+    freedom. ``p_value``: the chance of a chi-square at least this large if the marker is good; 1 for a marker that was
+    not seen. ``leverage``: the share of the marker's noise that the fit has absorbed. ``wrong(level)``: numbers of the
+    markers whose p-value is below the level divided by the number of markers seen (Bonferroni), the worst first; in a
+    set of good markers, any is found at most at the rate `level`. Raises `NoiseError` if the noise of a marker is not
+    positive definite; `ShapeError` if the arrays do not fit each other.
     """
     residual = float_array("residual", residual, (None, 3))
     n_markers, rows = len(residual), residual.ravel()
@@ -75,14 +61,15 @@ def drop_wrong(
     level: float = LEVEL,
     max_dropped: int | None = None,
 ) -> tuple[_Fit, list[tuple[int, float]]]:
-    """Return a fit without the markers that do not fit the others.
+    """Return a fit without the markers that do not fit the others, and the markers that were dropped.
 
-    The worst marker is dropped if it is beyond the level, the rest is fitted again, and so on: a wrong marker spoils
-    the residuals of good ones, so only one may go at a time. `fit`: markers to use, int64 (n_kept,), ascending, to a
-    fit and its scores, in that order; `n_markers`: number of markers; `level`: rate at which a good marker is dropped
-    from a set without wrong ones, at most; `max_dropped`: no more are dropped; by default fewer than half, since wrong
-    ones in the majority cannot be told. Result: `fit`: the last fit; `dropped`: markers that were dropped, in this
-    order, each with the p-value that it had.
+    The worst marker is dropped if its p-value is beyond the level, the others are fitted again, and so on: a wrong
+    marker spoils the residuals of good ones, so only one may go at a time. `fit`: function of the numbers of the
+    markers to use, int64 (n_kept,), ascending, that returns a fit and the scores of these markers in the same order;
+    `n_markers`: number of all markers; `level`: largest rate at which a good marker is dropped from a set without wrong
+    ones; `max_dropped`: largest number of markers to drop; by default fewer than half, since wrong ones in the majority
+    cannot be told. Result: the last fit, and a list of the dropped markers in the order of dropping, each with its
+    number and the p-value that it had.
     """
     most = most_wrong(n_markers) if max_dropped is None else max_dropped
     kept = np.arange(n_markers)

@@ -1,1 +1,1 @@
-"""Output of a registration for people: picture, page and files."""
+"""Output of a registration for people: a picture, an HTML page and files."""

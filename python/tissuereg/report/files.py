@@ -1,4 +1,4 @@
-"""The files of a registration; all are written or none."""
+"""The files of a registration, of which either all are written or none."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,10 +23,11 @@ DEFORMED = "registered_deformed.vtu"
 
 
 def save_registration(result: "Registration", folder: Path, extra: dict[str, Any], *, deformed: bool = False) -> Path:
-    """Write the files in `WRITTEN`, with `deformed` also `DEFORMED`, into a folder; return the folder.
+    """Write a registration's mesh, tables, JSON and picture into a folder, all or none; return the folder.
 
-    Entries of `extra` are added to the JSON and replace its own of the same name. Raises OutputError if the folder
-    cannot be written; nothing is changed then.
+    The files are those in `WRITTEN`, with `deformed` also a mesh whose nodes are displaced. Entries of `extra` are
+    added to the JSON and replace its own of the same name. Raises OutputError if the folder cannot be written; nothing
+    is changed then.
     """
     mesh = result.mesh
     fields = {"displacement_mm": result.displacement, "std_mm": result.std}
@@ -50,7 +51,7 @@ def save_registration(result: "Registration", folder: Path, extra: dict[str, Any
 
 
 def _labelled(content: dict[str, Any]) -> dict[str, tuple[list[float], str]]:
-    """Return registered places by label, each with a description for viewers: trust, flag, size of the region."""
+    """Return registered places in mm by target name, each with a text for viewers: trust, flag, size of the region."""
     trusted = [] if content["trust"]["ok"] else ["do not trust this registration"]
     points = {}
     for name, target in content["targets"].items():

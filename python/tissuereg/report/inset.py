@@ -1,4 +1,4 @@
-"""Targets enlarged: the 90 % region of each to scale, with the place of the target before."""
+"""Enlarged pictures of targets: the 90 % region of each to scale, and the target's place before registration."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -16,9 +16,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class _Panel:
-    """One target as its panel shows it: places across the line of sight, relative to the registered place.
+    """One target in its enlarged picture, in coordinates across the line of sight with the registered place as origin.
 
-    `ellipse` (n, 2): outline of the region, mm; `before` (2,): place before registration, mm.
+    `ellipse` (n, 2): outline of the 90 % region, mm; `before` (2,): place before registration, mm.
     """
 
     ellipse: FloatArray  # outline of the region, (n, 2)
@@ -26,9 +26,10 @@ class _Panel:
 
 
 def draw_panels(figure: Any, result: "Registration", towards: FloatArray, frame: tuple[float, ...]) -> None:
-    """Draw one panel per target, as seen along the unit vector `towards` from the body to the viewer.
+    """Draw an enlarged picture (panel) of each target, seen along the unit vector `towards` from body to viewer.
 
-    `frame` is left, bottom, width and height of the room for all panels, in parts of the figure.
+    `frame` has left, bottom, width and height of the room for all panels, as shares of the figure. At most the first
+    `STYLE.panels` targets are drawn.
     """
     chosen = list(result.targets.items())[: STYLE.panels]
     left, bottom, width, height = frame
@@ -46,7 +47,7 @@ def draw_panels(figure: Any, result: "Registration", towards: FloatArray, frame:
 
 
 def _words(figure: Any, result: "Registration", one: "tuple[str, Target]", place: tuple[float, float, float]) -> None:
-    """Write name, size of the region and motion above a panel."""
+    """Write name, region size (mm) and motion of the target `one` above a panel; `place`: in shares of the figure."""
     name, target = one
     left, low, width = place
     colour = scene.TARGET if target.flag is None else scene.FLAGGED
@@ -65,7 +66,7 @@ def _before(target: "Target") -> FloatArray:
 
 
 def _across(target: "Target", towards: FloatArray) -> _Panel:
-    """Return a target as seen along a line of sight: its ellipsoid is projected to an ellipse."""
+    """Return a target as seen along the line of sight `towards` (3,): its ellipsoid is projected to an ellipse."""
     right = np.cross([0.0, 0.0, 1.0], towards)
     right /= np.linalg.norm(right)
     across = np.stack([right, np.cross(towards, right)])
@@ -79,7 +80,7 @@ def _across(target: "Target", towards: FloatArray) -> _Panel:
 
 
 def _draw(axes: Any, panel: _Panel, extent: float, *, flagged: bool) -> None:
-    """Draw a panel: region, registered place, arrow from the place before, scale bar."""
+    """Draw one panel: 90 % region, registered place, arrow from the place before, scale bar; `extent`: body's, mm."""
     from matplotlib.patches import Polygon
 
     colour = scene.FLAGGED if flagged else scene.TARGET
@@ -103,9 +104,10 @@ def _draw(axes: Any, panel: _Panel, extent: float, *, flagged: bool) -> None:
 
 
 def _window(axes: Any, panel: _Panel, extent: float) -> tuple[FloatArray, FloatArray]:
-    """Return middle (2,) and half sides (2,) of a panel's window, mm.
+    """Return centre (2,) and half side lengths (2,) of the part of the plane that a panel shows, mm.
 
-    It shows the region, and the former place if that is near enough; `extent`: of the body, mm.
+    It contains the region, and the target's place before registration if that is near enough; `extent`: largest extent
+    of the body, mm.
     """
     box = axes.get_position()
     sides = np.array([box.width * axes.figure.get_figwidth(), box.height * axes.figure.get_figheight()])
@@ -121,9 +123,9 @@ def _window(axes: Any, panel: _Panel, extent: float) -> tuple[FloatArray, FloatA
 
 
 def _inside(before: FloatArray, middle: FloatArray, half: FloatArray) -> float:
-    """Return the share of the line from the registered place to the former one that lies in the window.
+    """Return the share of the line from the registered place to the place before that lies in a panel's window.
 
-    `before`, `middle`, `half` (2,): former place, middle and half sides of the window, mm.
+    `before`, `middle`, `half` (2,): place before registration, centre and half side lengths of the window, mm.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         reach = np.where(before > 0.0, (middle + half) / before, (middle - half) / before)
@@ -131,7 +133,7 @@ def _inside(before: FloatArray, middle: FloatArray, half: FloatArray) -> float:
 
 
 def _scale_bar(axes: Any, half: FloatArray, middle: FloatArray, *, to_the_right: bool) -> None:
-    """Draw a round length in the lower corner away from the target's former place."""
+    """Draw a bar of round length in a lower corner; `half`, `middle` (2,): half sides and centre of the window, mm."""
     length = round_length(0.45 * float(half[0]))
     inch = 2.0 * half[1] / (axes.get_position().height * axes.figure.get_figheight())
     side = 1.0 if to_the_right else -1.0

@@ -12,9 +12,9 @@ from tissuereg.report.style import STYLE
 
 
 def place_labels(figure: Any, views: Sequence[View], body: FloatArray) -> int:
-    """Write the labels of views, each with a line to its place; return how many are left out, having no free place.
+    """Write the labels of views, each with a line to its place; return how many are left out for lack of room.
 
-    The axes of `figure` have their final places; `body` has places (n, 3) of its surface in mm.
+    The axes of `figure` have their final places; `body` (n, 3) has places on the surface of the body, in mm.
     """
     left_out = 0
     for view in views:
@@ -37,7 +37,7 @@ def place_labels(figure: Any, views: Sequence[View], body: FloatArray) -> int:
 
 
 def on_page(figure: Any, view: View, places: FloatArray) -> FloatArray:
-    """Return where places (n, 3) lie on the page (n, 2), in heights of the figure."""
+    """Return the position on the page (n, 2), in figure heights, of places (n, 3), mm, in a 3D view."""
     from mpl_toolkits.mplot3d import proj3d
 
     view.axes.apply_aspect()
@@ -47,7 +47,7 @@ def on_page(figure: Any, view: View, places: FloatArray) -> FloatArray:
 
 
 def shortened(figure: Any, text: str, width: float, **style: Any) -> str:
-    """Return a text of one line, cut where it is wider than `width` (parts of the figure) in a style of matplotlib."""
+    """Return a line of text, cut with an ellipsis if it is wider than `width`, a share of the figure's width."""
     if _size(figure, text, **style)[0] <= width * ratio(figure):
         return text
     low, high = 0, len(text)
@@ -59,7 +59,7 @@ def shortened(figure: Any, text: str, width: float, **style: Any) -> str:
 
 
 def _fitted(figure: Any, text: str, frame: FloatArray) -> str:
-    """Return a text whose lines are shortened to most of the width of a frame (2, 2), its low and high corner."""
+    """Return a text with its lines cut to most of the width of a frame: low and high corner (2, 2), figure heights."""
     width = STYLE.widest_label * float(np.ptp(frame[:, 0])) / ratio(figure)
     return "\n".join(shortened(figure, line, width, fontsize=STYLE.font) for line in text.split("\n"))
 
@@ -70,14 +70,14 @@ def ratio(figure: Any) -> float:
 
 
 def _frame(figure: Any, view: View) -> FloatArray:
-    """Return the part of the page (low, high) that the labels of a view may take, in heights of the figure."""
+    """Return the part of the page that the labels of a view may take: low and high corner (2, 2), figure heights."""
     box = view.axes.get_position(original=True)
     scale = np.array([ratio(figure), 1.0])
     return np.asarray([[box.x0, box.y0], [box.x1, box.y1]] * scale)
 
 
 def _size(figure: Any, text: str, **style: Any) -> FloatArray:
-    """Return width and height (2,) of a text, in heights of the figure."""
+    """Return width and height (2,) of a text on the page, in figure heights; `style`: keywords of matplotlib's text."""
     probe = figure.text(0.0, 0.0, text, **{"fontsize": STYLE.font, **style})
     box = probe.get_window_extent(figure.canvas.get_renderer())
     probe.remove()
@@ -96,10 +96,11 @@ def _free_place(
     taken: list[FloatArray],
     drawn: tuple[FloatArray, FloatArray],
 ) -> FloatArray | None:
-    """Return the middle (2,) of the cheapest free box for a label inside a frame; None if there is none.
+    """Return the centre (2,) of the best free box for a label inside a frame, or None if there is none.
 
-    `anchor` (2,): what the label names; `size` (2,): of the box; `taken`: boxes it must not overlap; `drawn`: points
-    and weights of the picture beneath.
+    All lengths are in figure heights. `anchor` (2,): point that the label names; `size` (2,): width and height of the
+    box; `frame` (2, 2): low and high corner; `taken`: boxes (2, 2) that it must not overlap; `drawn`: points (n, 2)
+    that should stay clear, and points (m, 2) of the body.
     """
     best, least = None, np.inf
     for reach, middle in _candidates(anchor, size, frame):
@@ -117,9 +118,10 @@ def _free_place(
 
 
 def _candidates(anchor: FloatArray, size: FloatArray, frame: FloatArray) -> Iterator[tuple[float, FloatArray]]:
-    """Yield middles (2,) of boxes for a label with their distance from its anchor, which is their cost.
+    """Yield cost and centre (2,) of boxes that may take a label; the cost is their distance from the anchor.
 
-    First around the anchor, then anywhere in the frame, which costs more.
+    They lie first around the anchor (2,), then anywhere in the frame (2, 2), which costs 1 more. Lengths are in figure
+    heights; `size` (2,): width and height of the label.
     """
     for reach in STYLE.reaches:
         for angle in 2.0 * np.pi * np.arange(STYLE.directions) / STYLE.directions:
@@ -132,7 +134,7 @@ def _candidates(anchor: FloatArray, size: FloatArray, frame: FloatArray) -> Iter
 
 
 def _leader(anchor: FloatArray, box: FloatArray) -> FloatArray:
-    """Return places (30, 2) along the line from an anchor to its box."""
+    """Return 30 points (30, 2) on the line from an anchor (2,) to the nearest point of a box (2, 2)."""
     return np.linspace(anchor, np.clip(anchor, *box), 30)
 
 

@@ -1,4 +1,4 @@
-"""HTML shared by all reports: style, tables, escaped text."""
+"""HTML shared by all reports: style sheet, tables, escaped text, whole pages."""
 
 import html
 from collections.abc import Sequence
@@ -22,7 +22,7 @@ def escape(text: object) -> str:
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Return a table as HTML; its cells are HTML already.
+    """Return an HTML table with a head and rows of cells, all of which must be HTML already.
 
     >>> table(["a"], [["1"]])
     '<table><tr><th>a</th></tr><tr><td>1</td></tr></table>'
@@ -33,7 +33,7 @@ def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def document(title: str, parts: Sequence[str], style: str = "") -> str:
-    """Return a whole page as HTML: a title in plain text, the body's parts in HTML, CSS in addition to `STYLE`."""
+    """Return a whole HTML page; `title` is plain text, `parts` are HTML, `style` is CSS in addition to `STYLE`."""
     return (
         f"<!doctype html>\n<html lang='en'><head><meta charset='utf-8'><title>{escape(title)}</title>"
         f"<style>{STYLE}{style}</style></head><body>\n" + "\n".join(parts) + "\n</body></html>\n"

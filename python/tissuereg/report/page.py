@@ -1,4 +1,4 @@
-"""One self-contained HTML page of a registration."""
+"""A self-contained HTML page that reports one registration."""
 
 import base64
 import io
@@ -23,7 +23,7 @@ _STYLE = """
 
 
 def write_page(result: "Registration", path: Path) -> Path:
-    """Write the page of a result, whole or not at all; return its path. Raises OutputError if it cannot be written."""
+    """Write the HTML page of a registration, whole or not at all; return its path, or raise OutputError."""
     parts = [
         _summary(result),
         _picture(result),
@@ -59,7 +59,7 @@ def _summary(result: "Registration") -> str:
 
 
 def _met(result: "Registration") -> str:
-    """Return how far the data lie from the registered body, in sentences."""
+    """Return sentences on the distance of markers and surface points from the registered body, in mm (rms)."""
     fit, surface, words = result.markers, surface_of(result), []
     if fit.used:
         words.append(
@@ -186,7 +186,7 @@ def _times(result: "Registration") -> str:
 
 
 def _section(title: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Return a table below its title; nothing where it has no rows."""
+    """Return an HTML table below a heading, or an empty text if it has no rows."""
     return f"<h2>{title}</h2>{table(head, rows)}" if rows else ""
 
 

@@ -1,4 +1,4 @@
-"""The picture of a registration by matplotlib: two views, verdict and reasons above, legend below."""
+"""The picture of a registration by matplotlib: two views of the body, verdict and reasons above, legend below."""
 
 import math
 import textwrap
@@ -18,9 +18,10 @@ if TYPE_CHECKING:
 
 
 def registration_figure(result: "Registration") -> Any:
-    """Return a figure: the registered body from two sides, its markers, contacts and targets, each target enlarged.
+    """Return a matplotlib figure of a registration: the body from two sides, markers, contacts, targets, also enlarged.
 
-    It is bound to no window. Labels do not overlap; the number of those without room is written below the views.
+    The figure belongs to no window. Labels do not overlap; the number of labels without room is written below the
+    views.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -54,10 +55,10 @@ def registration_figure(result: "Registration") -> Any:
 
 
 def _views(figure: Any, result: "Registration", body: FloatArray, ends: tuple[float, float]) -> list[scene.View]:
-    """Return two empty views side by side, zoomed alike, so that the body fills them but for a border for labels.
+    """Return two empty 3D views side by side, of equal scale, which the body fills but for a border for labels.
 
-    `body` (n, 3): places that must be visible, mm; `ends`: right and top end of the part of the page for views, shares
-    of it.
+    `body` (n, 3): places that must be visible, mm; `ends`: right and top end of the room for views, as shares of the
+    figure.
     """
     right, top = ends
     wide = 0.5 * (right - STYLE.left)
@@ -77,7 +78,7 @@ def _views(figure: Any, result: "Registration", body: FloatArray, ends: tuple[fl
 
 
 def _view(figure: Any, frame: tuple[float, ...], azimuth: float, body: FloatArray) -> scene.View:
-    """Return one empty view of a body (n, 3), mm, with equal scales along all axes; `azimuth`: degrees."""
+    """Return an empty 3D view of a body (n, 3), mm, in `frame` (shares of the figure); `azimuth` is in degrees."""
     axes: Any = figure.add_axes(frame, projection="3d", proj_type="ortho")
     axes.set_axis_off()
     axes.computed_zorder = False  # markers and regions stay readable through the body
@@ -90,7 +91,7 @@ def _view(figure: Any, frame: tuple[float, ...], azimuth: float, body: FloatArra
 
 
 def _panels(figure: Any, result: "Registration", view: scene.View, top: float) -> None:
-    """Draw the targets enlarged right of the views."""
+    """Draw the enlarged pictures of the targets right of the views, below the height `top`, a share of the figure."""
     words = "90 % regions, seen as on the left"
     more = len(result.targets) - STYLE.panels
     if more > 0:
@@ -100,7 +101,7 @@ def _panels(figure: Any, result: "Registration", view: scene.View, top: float) -
 
 
 def _triad(figure: Any, view: scene.View) -> None:
-    """Draw the directions of the axes in the lower left corner of a view, and keep labels off it."""
+    """Draw the directions of x, y and z in the lower left corner of a view, and keep labels away from there."""
     from matplotlib.lines import Line2D
 
     frame = view.axes.get_position(original=True)
@@ -117,7 +118,7 @@ def _triad(figure: Any, view: scene.View) -> None:
 
 
 def _scale_bar(figure: Any, view: scene.View, extent: float) -> None:
-    """Draw a round length; an orthographic view has one scale."""
+    """Draw a bar of round length, in mm, for all views, whose scale is the same everywhere; `extent`: body's, mm."""
     from matplotlib.lines import Line2D
 
     across = np.cross([0.0, 0.0, 1.0], view.towards)
@@ -129,7 +130,7 @@ def _scale_bar(figure: Any, view: scene.View, extent: float) -> None:
 
 
 def _colour_bar(figure: Any, colours: Any, right: float) -> None:
-    """Explain the colours of the surface, below the views."""
+    """Draw the colour bar of the surface's standard deviation, in mm, below the views, which end at `right`."""
     bar = figure.add_axes((right - 0.27, 0.118, 0.25, 0.016))
     figure.colorbar(colours, cax=bar, extend="max", orientation="horizontal")
     bar.tick_params(labelsize=9)
@@ -137,7 +138,7 @@ def _colour_bar(figure: Any, colours: Any, right: float) -> None:
 
 
 def _azimuths(result: "Registration") -> tuple[float, float]:
-    """Return azimuths that show the most probable contact from both views."""
+    """Return the azimuths of the two views, degrees, from which the most probable contact is visible."""
     contacts = scene.contacts_of(result)
     if not contacts:
         return STYLE.azimuths
@@ -161,7 +162,7 @@ def _colours(result: "Registration") -> Any:
 
 
 def write_heading(figure: Any, result: "Registration") -> float:
-    """Write the verdict, large, with its reasons; return the text's lower end over the figure's height."""
+    """Write the verdict, large, and its reasons; return this text's lower end as a share of the figure's height."""
     trust = result.trust
     good = "#176f2c" if trust.ok else "#a3180d"
     figure.text(0.02, 0.972, verdict(trust.ok), fontsize=19, weight="bold", va="top", color=good)
@@ -182,14 +183,14 @@ def write_heading(figure: Any, result: "Registration") -> float:
 
 
 def _wrapped(text: str, first: str = "", later: str = "") -> list[str]:
-    """Return the wrapped lines of a text; a text that is too long ends in dots."""
+    """Return the wrapped lines of a text, cut with an ellipsis if too long; `first`, `later`: indents of the lines."""
     return textwrap.wrap(
         text, STYLE.letters, max_lines=STYLE.lines, placeholder=" …", initial_indent=first, subsequent_indent=later
     )
 
 
 def _met(result: "Registration") -> list[str]:
-    """Return how far the data lay from the body before and after."""
+    """Return texts on the distance of markers and surface points from the body, in mm (rms), before and after."""
     fit, surface, words, start = result.markers, scene.surface_of(result), [], start_word(result.starts_simulated)
     if fit.used:
         words.append(
@@ -205,7 +206,7 @@ def _met(result: "Registration") -> list[str]:
 
 
 def write_legend(figure: Any, result: "Registration") -> None:
-    """Write a legend below the views, with the signs that are drawn and no others."""
+    """Write a legend below the views that explains the symbols drawn in them, and no others."""
     signs = [_sign(*sign[:2], **sign[2]) for sign in _signs(result)]
     figure.legend(handles=signs, loc="lower left", bbox_to_anchor=(0.012, 0.0), ncols=STYLE.columns, fontsize=10,
                   frameon=False, columnspacing=1.6, handletextpad=0.5, labelspacing=0.35)  # fmt: skip
@@ -218,7 +219,7 @@ def _sign(label: str, colour: str, **style: Any) -> Any:
 
 
 def _signs(result: "Registration") -> list[tuple[str, str, dict[str, Any]]]:
-    """Return label, colour and style of every sign that the picture uses."""
+    """Return label, colour and line style of every symbol that the picture of this registration contains."""
     signs: list[tuple[str, str, dict[str, Any]]] = []
     if len(result.all_markers):
         signs += [

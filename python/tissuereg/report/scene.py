@@ -1,4 +1,4 @@
-"""Contents of one view of a registration: body, markers, contacts, targets, each with its label."""
+"""Contents of one view of a registration: body, markers, contacts and targets, each with its label."""
 
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
@@ -22,7 +22,7 @@ CONTACT, TARGET, FLAGGED, REGION = "#a01c10", "black", "#6a1fb0", "#8fb3d9"
 
 @dataclass(frozen=True, eq=False)
 class Label:
-    """Text of one or two lines about a place."""
+    """Text of one or two lines that names a place: `place` (3,) in mm; `colour` is that of text and leader line."""
 
     place: FloatArray  # (3,), mm
     text: str
@@ -31,7 +31,11 @@ class Label:
 
 @dataclass(eq=False)
 class View:
-    """One axes object of matplotlib with its direction of view and its labels."""
+    """One 3D axes object of matplotlib with its direction of view and what labels must respect.
+
+    `towards` (3,): unit vector from body to viewer; `labels`: labels to be written; `keep_clear`: places (3,), mm, that
+    labels should not cover; `taken`: boxes (2, 2), low and high corner in figure heights, that they must not cover.
+    """
 
     axes: Any
     towards: FloatArray  # unit vector (3,) from the body to the viewer
@@ -44,7 +48,11 @@ class View:
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """The registered surface."""
+    """The surface of the registered body.
+
+    `places` (n_nodes, 3): registered places of all nodes, mm; `normals` (n_nodes, 3): outward unit normals, zero at
+    inner nodes; `nodes` (n,): indices of the surface nodes.
+    """
 
     places: FloatArray  # of all nodes, (n_nodes, 3), mm
     normals: FloatArray  # outward unit normals of its nodes, zero inside
@@ -52,34 +60,34 @@ class Surface:
 
     @classmethod
     def of(cls, result: "Registration") -> "Surface":
-        """Return the surface of a result."""
+        """Return the registered surface of a registration; if tets are inverted, normals are of the undeformed body."""
         moved = Mesh(result.mesh.nodes + result.displacement, result.mesh.tets) if result.inverted_tets == 0 else None
         normals = surface_of_nodes(moved or result.mesh)[1]
         return cls(result.mesh.nodes + result.displacement, normals, result.mesh.surface_nodes)
 
     def nearest(self, place: FloatArray, where: FloatArray) -> int:
-        """Return the node of the surface whose entry in `where` (n_nodes, 3) is closest to a place."""
+        """Return the index of the surface node whose row in `where` (n_nodes, 3), mm, is closest to `place` (3,)."""
         return int(self.nodes[np.argmin(np.linalg.norm(where[self.nodes] - place, axis=1))])
 
 
 def contacts_of(result: "Registration") -> "tuple[FoundContact, ...]":
-    """Return the contacts of a registration; a trained model finds none."""
+    """Return the contacts that a registration found: an empty tuple for a trained model, which finds none."""
     return getattr(result, "contacts", ())
 
 
 def surface_of(result: "Registration") -> "SurfaceFit | None":
-    """Return the fit of the points of the surface, if any were given; a trained model takes none."""
+    """Return the fit to unlabelled surface points; None if there are none, as always for a trained model."""
     return getattr(result, "surface", None)
 
 
 def contact_verb(contact: "FoundContact", normal: FloatArray) -> str:
-    """Return "pull", "push" or "sideways" by the angle between the force and the outward normal."""
+    """Return "pull", "push" or "sideways" by the angle between a contact's force and the outward normal (3,)."""
     along = float(contact.direction @ normal)
     return "pull" if along > 0.5 else "push" if along < -0.5 else "sideways"
 
 
 def draw_body(view: View, result: "Registration", surface: Surface, colours: Any) -> None:
-    """Draw the side of the registered body that faces the viewer, and the outline of the undeformed one."""
+    """Draw the faces turned to the viewer, coloured by standard deviation in mm, and faint undeformed edges."""
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
     mesh = result.mesh
@@ -100,14 +108,14 @@ def draw_body(view: View, result: "Registration", surface: Surface, colours: Any
 
 
 def draw_surface_points(view: View, result: "Registration") -> None:
-    """Draw the measured points of the deformed surface."""
+    """Draw the measured points of the deformed surface into a view, if the registration used such points."""
     surface = surface_of(result)
     if surface is not None:
         view.axes.scatter(*surface.places.T, s=4, c=MEASURED, depthshade=False, zorder=6)
 
 
 def draw_markers(view: View, result: "Registration", surface: Surface) -> None:
-    """Draw used markers: before, registered, measured; and dropped ones, each with its name and reason."""
+    """Draw each used marker before registration, registered and measured, and unused ones with name and reason."""
     fit, every = result.markers, result.all_markers
     if not len(every):
         return
@@ -139,7 +147,7 @@ def draw_markers(view: View, result: "Registration", surface: Surface) -> None:
 
 
 def _draw_dropped(view: View, result: "Registration", index: Any, reason: str, faint: float) -> None:
-    """Draw a dropped marker at its measured place, or if it was not seen at its predicted place."""
+    """Draw the unused marker number `index` at its measured place, or at its predicted one if it was not seen."""
     name = result.all_markers.names[index]
     measured, expected = result.all_markers.measured[index], result.unseen[name].mean
     seen = bool(np.isfinite(measured).all())
@@ -153,7 +161,7 @@ def _draw_dropped(view: View, result: "Registration", index: Any, reason: str, f
 
 
 def draw_contacts(view: View, result: "Registration", surface: Surface) -> None:
-    """Draw every contact: the border of its patch, an arrow along the force on the body, its figures."""
+    """Draw every contact: the border of its patch, an arrow along the force on the body, a label with its numbers."""
     largest = max((contact.force_mN for contact in contacts_of(result)), default=0.0)
     for contact in contacts_of(result):
         node = surface.nearest(contact.centre_mm, result.mesh.nodes)
@@ -175,7 +183,7 @@ def draw_contacts(view: View, result: "Registration", surface: Surface) -> None:
 
 
 def _draw_rim(view: View, mesh: Mesh, surface: Surface, node: int, radius: float) -> None:
-    """Draw the border of a patch on the deformed surface: where the undeformed distance to its centre is its radius."""
+    """Draw the border of a contact patch, of `radius` mm on the undeformed body, on the deformed surface."""
     from mpl_toolkits.mplot3d.art3d import Line3DCollection
 
     corners = mesh.surface[(surface.normals[mesh.surface] @ surface.normals[node] > 0.0).all(axis=1)]
@@ -199,7 +207,7 @@ def _draw_rim(view: View, mesh: Mesh, surface: Surface, node: int, radius: float
 
 
 def draw_targets(view: View, result: "Registration") -> None:
-    """Draw every target with the ellipsoid of its 90 % region, dashed if the markers do not constrain it."""
+    """Draw every target with the ellipsoid of its 90 % region, dashed if the markers do not constrain the target."""
     many = len(result.targets) > STYLE.labels
     for name, target in result.targets.items():
         region, flagged = target.region(0.90), target.flag is not None
@@ -212,7 +220,7 @@ def draw_targets(view: View, result: "Registration") -> None:
 
 
 def _draw_region(view: View, region: "Region", colour: str, style: str) -> None:
-    """Draw an ellipsoid by its three ellipses through the half-axes."""
+    """Draw an ellipsoid by the three ellipses that contain two of its half-axes; `style`: line style of matplotlib."""
     angles = np.linspace(0.0, 2.0 * np.pi, 41)[:, None]
     along = region.radii[:, None] * region.axes
     for a, b in ((0, 1), (0, 2), (1, 2)):

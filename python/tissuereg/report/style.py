@@ -1,11 +1,11 @@
-"""How a page looks: one record of its sizes."""
+"""Sizes and other constants of the picture of a registration, in one record."""
 
 from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
 class PageStyle:
-    """Sizes of a page's picture. Lengths are in heights of the figure unless another unit is named."""
+    """Constants of the picture of a registration; lengths are in figure heights unless a comment names another unit."""
 
     reasons: int = 3  # reasons that are written out
     lines: int = 2  # of each reason

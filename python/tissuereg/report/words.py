@@ -1,4 +1,4 @@
-"""Sentences that picture, page and command line share."""
+"""Sentences that the picture, the HTML page and the command line share."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
@@ -14,7 +14,7 @@ def verdict(ok: bool) -> str:
 
 
 def counted(number: int, thing: str) -> str:
-    """Return a number of things.
+    """Return a number and a noun as text, the noun in the plural unless the number is 1.
 
     >>> counted(1, "marker"), counted(3, "marker")
     ('1 marker', '3 markers')
@@ -23,7 +23,7 @@ def counted(number: int, thing: str) -> str:
 
 
 def start_word(simulated: bool) -> str:
-    """Return what distances are compared with: the believed simulation, or the body at rest."""
+    """Return the words for the state that distances are compared with: the simulation, or the body before."""
     return "in the simulation" if simulated else "before"
 
 
@@ -38,7 +38,7 @@ def silent(names: Sequence[str]) -> str:
 
 
 def fallback_lines(places: Mapping[str, Iterable[float]]) -> list[str]:
-    """Return where linear elasticity alone has the targets of an answer that is not to be trusted, in mm.
+    """Return sentences with target places (3,), mm, by linear elasticity, for an answer that is not to be trusted.
 
     >>> fallback_lines({"lesion": (1.0, 2.5, -3.0)})
     ['By linear elasticity alone, without a region: lesion at (1.00, 2.50, -3.00) mm.']
@@ -50,7 +50,7 @@ def fallback_lines(places: Mapping[str, Iterable[float]]) -> list[str]:
 
 
 def target_line(name: str, target: dict[str, Any], when: str = "") -> str:
-    """Return where a target is, from its entry of the JSON, with its region; `when` follows its name."""
+    """Return a line with a target's place and half-axes, mm, out of its JSON entry; `when` follows its name."""
     place = ", ".join(f"{x:.2f}" for x in target["mean_mm"])
     axes = " x ".join(f"{x:.2f}" for x in target["region90_radii_mm"])
     return f"target {name}{when}: at ({place}) mm, 90 % region with half-axes {axes} mm"

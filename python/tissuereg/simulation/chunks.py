@@ -45,20 +45,10 @@ _MAKING = threading.Lock()
 class ChunkTask:
     """Input of a worker that makes one chunk (the simulations of one file) of a data set.
 
-    Attributes
-    ----------
-    recipe : dict
-        Content of the recipe's file.
-    mark : str
-        Fingerprint (SHA-256, hexadecimal) of recipe, seed, mesh and version.
-    seed : int
-        Seed of the data set.
-    number : int
-        Number of the chunk, from 0 on.
-    destination : str
-        Folder (absolute) or URL of the data set, which holds its mesh already.
-    threads : int
-        Threads to use; 0 takes all cores. The chunk does not depend on it.
+    `recipe`: content of the recipe's file; `mark`: fingerprint (SHA-256, hexadecimal) of recipe, seed, mesh and
+    version; `seed`: seed of the data set; `number`: number of the chunk, from 0 on; `destination`: folder (absolute) or
+    URL of the data set, which holds its mesh already; `threads`: threads to use; 0 takes all cores. The chunk does not
+    depend on it.
     """
 
     recipe: dict[str, Any]
@@ -73,24 +63,10 @@ class ChunkTask:
 class ChunkReport:
     """Summary of a chunk (the simulations, or members, of one file) that has been written.
 
-    Attributes
-    ----------
-    number : int
-        Number of the chunk, from 0 on.
-    members : int
-        Number of members that found equilibrium.
-    failed : list of (int, str)
-        Index of every other member in the data set, with the reason.
-    seconds : float
-        Wall time of the task in s.
-    n_bytes : int
-        Size of its file in bytes.
-    sha256 : str
-        SHA-256 of its file, hexadecimal.
-    made : bool
-        Whether it was made now; False if an intact file was there already.
-    motion : Motion
-        Displacement statistics of its members.
+    `number`: number of the chunk, from 0 on; `members`: number of members that found equilibrium; `failed`: index of
+    every other member in the data set, with the reason; `seconds`: wall time of the task in s; `n_bytes`: size of its
+    file in bytes; `sha256`: SHA-256 of its file, hexadecimal; `made`: whether it was made now; False if an intact file
+    was there already; `motion`: displacement statistics of its members.
     """
 
     number: int

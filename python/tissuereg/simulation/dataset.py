@@ -43,42 +43,19 @@ def make_dataset(
 ) -> dict[str, Any]:
     """Make a data set of simulations (members) under random loads, or resume an unfinished one.
 
-    Parameters
-    ----------
-    recipe : Recipe
-        Recipe of the data set: mesh, material, random loads, pairs.
-    out : path-like
-        Folder, or a URL of fsspec; chunks (files of members) already there are kept.
-    seed : int, optional
-        Seed of all random numbers; by default the recipe's.
-    threads : int
-        Threads of a chunk; 0 takes all cores. The data do not depend on it.
-    progress : callable of (int, int), optional
-        Called with the number of simulations done and the number of all simulations, pairs included.
-    executor : tissuereg.parallel.Executor, optional
-        Where chunks are made, each as a separate task that writes its file itself. By default in this process.
-
-    Returns
-    -------
-    dict
-        ``members`` (number with equilibrium), ``failed`` (list of [index, reason]), ``members_per_s`` (None if all were
-        there), ``motion`` (statistics of the displacements in mm, see `tissuereg.simulation.motion.motion_summary`),
-        ``bytes``, ``seconds`` (dict of wall times by stage), ``seed``, and ``overhead``, the share of the workers' time
-        that made no chunk (None without an executor, or where none of its workers was counted).
-
-    Raises
-    ------
-    ExperimentError
-        If the folder holds other files, or another recipe's data.
-    FormatError
-        If a chunk, or the pairs, that are there already are spoilt, or no longer those of a card (``dataset.json``)
-        that is there.
-    EnsembleError
-        If more than half of a chunk of at least eight members fails, or of the whole.
-    OutputError
-        If nothing can be written there.
-    ClusterError
-        If the workers are lost, or some chunks could not be made on them; the others are kept.
+    `recipe`: recipe of the data set: mesh, material, random loads, pairs; `out`: folder, or a URL of fsspec; chunks
+    (files of members) already there are kept; `seed`: seed of all random numbers; by default the recipe's; `threads`:
+    threads of a chunk; 0 takes all cores. The data do not depend on it; `progress`: called with the number of
+    simulations done and the number of all simulations, pairs included; `executor`: where chunks are made, each as a
+    separate task that writes its file itself. By default in this process. Result: ``members`` (number with
+    equilibrium), ``failed`` (list of [index, reason]), ``members_per_s`` (None if all were there), ``motion``
+    (statistics of the displacements in mm, see `tissuereg.simulation.motion.motion_summary`), ``bytes``, ``seconds``
+    (dict of wall times by stage), ``seed``, and ``overhead``, the share of the workers' time that made no chunk (None
+    without an executor, or where none of its workers was counted). Raises `ExperimentError` if the folder holds other
+    files, or another recipe's data; `FormatError` if a chunk, or the pairs, that are there already are spoilt, or no
+    longer those of a card (``dataset.json``) that is there; `EnsembleError` if more than half of a chunk of at least
+    eight members fails, or of the whole; `OutputError` if nothing can be written there; `ClusterError` if the workers
+    are lost, or some chunks could not be made on them; the others are kept.
     """
     of_kind("recipe", recipe, Recipe)
     check_running(seed=0 if seed is None else seed, threads=threads)

@@ -35,29 +35,15 @@ class Pad:
 class Frames:
     """Equilibria of a body in all time frames; frames without equilibrium are rows of NaN.
 
-    Attributes
-    ----------
-    times : ndarray of float64, shape (n_frames,)
-        Time of every frame in s.
-    displacement : ndarray of float64, shape (n_frames, n_nodes, 3)
-        Displacement of the mesh's nodes from the mesh as given, mm.
-    reactions : ndarray of float64, shape (n_frames, n_held, 3)
-        Force on the body at every held node, mN.
-    pad_forces : dict of str to ndarray of float64, shape (n_frames, 3)
-        Force of every pad on the body by its name, mN; NaN where it is absent.
-    pad_moments : dict of str to ndarray of float64, shape (n_frames, 3)
-        Moment of every pad on the body about the mean place of its nodes, mN mm; NaN where it is absent.
-    spring_forces : ndarray of float64, shape (n_frames, n_springs, 3)
-        Force of every set of springs on the body, mN.
-    all_displacement : ndarray of float64, shape (n_frames, n_element_nodes, 3)
-        Displacement of all nodes, mm: those of the mesh, then the mid-edge nodes of ten-node elements.
-    rest_nodes : ndarray of float64, shape (n_nodes, 3)
-        Places of the nodes of the unloaded body, mm: those of the mesh unless it was given in its shape under its
-        weight.
-    failed : list of (int, str)
-        Frames without equilibrium, with the reason; the history continues from the previous frame.
-    reports : list of dict
-        Record of the work, one per frame; empty for a frame that failed.
+    `times` (n_frames,): time of every frame in s; `displacement` (n_frames, n_nodes, 3): displacement of the mesh's
+    nodes from the mesh as given, mm; `reactions` (n_frames, n_held, 3): force on the body at every held node, mN;
+    `pad_forces` (n_frames, 3): force of every pad on the body by its name, mN; NaN where it is absent; `pad_moments`
+    (n_frames, 3): moment of every pad on the body about the mean place of its nodes, mN mm; NaN where it is absent;
+    `spring_forces` (n_frames, n_springs, 3): force of every set of springs on the body, mN; `all_displacement`
+    (n_frames, n_element_nodes, 3): displacement of all nodes, mm: those of the mesh, then the mid-edge nodes of
+    ten-node elements; `rest_nodes` (n_nodes, 3): places of the nodes of the unloaded body, mm: those of the mesh unless
+    it was given in its shape under its weight; `failed`: frames without equilibrium, with the reason; the history
+    continues from the previous frame; `reports`: record of the work, one per frame; empty for a frame that failed.
     """
 
     times: FloatArray

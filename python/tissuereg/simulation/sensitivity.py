@@ -132,22 +132,12 @@ class Adjoints:
     """Derivatives of each observation by all inputs (adjoint solutions).
 
     An observation is a scalar: a weighted sum of displacements and reactions. Its unit precedes each "per" below.
-
-    Attributes
-    ----------
-    young : ndarray of float64, shape (n_obs, n_tets, n_points)
-        Derivative by Young's modulus at every quadrature point, per kPa. The derivative by a field of moduli is the sum
-        over points, weighted by the field.
-    poisson : ndarray of float64, shape (n_obs, n_tets, n_points)
-        Derivative by Poisson's ratio at every quadrature point.
-    forces : ndarray of float64, shape (n_obs, n_element_nodes, 3)
-        Derivative by the force at every node, per mN.
-    body_force : ndarray of float64, shape (n_obs, 3)
-        Derivative by the body force, per mN/mm^3.
-    prescribed : ndarray of float64, shape (n_obs, n_held, 3)
-        Derivative by the prescribed displacement of every held node, per mm.
-    springs : ndarray of float64, shape (n_obs, n_sets, 2)
-        Derivative by the stiffness of every set of springs along the normal and in the plane, per kPa/mm.
+    `young` (n_obs, n_tets, n_points): derivative by Young's modulus at every quadrature point, per kPa. The derivative
+    by a field of moduli is the sum over points, weighted by the field; `poisson` (n_obs, n_tets, n_points): derivative
+    by Poisson's ratio at every quadrature point; `forces` (n_obs, n_element_nodes, 3): derivative by the force at every
+    node, per mN; `body_force` (n_obs, 3): derivative by the body force, per mN/mm^3; `prescribed` (n_obs, n_held, 3):
+    derivative by the prescribed displacement of every held node, per mm; `springs` (n_obs, n_sets, 2): derivative by
+    the stiffness of every set of springs along the normal and in the plane, per kPa/mm.
     """
 
     young: FloatArray

@@ -52,27 +52,13 @@ class BodySize:
 class Work:
     """The number of operations and stored arrays that a computation on a body needs.
 
-    A factor is the Cholesky factor of the body's stiffness matrix.
-
-    Attributes
-    ----------
-    factorisations : int
-        Expected number of numeric factorisations.
-    factors_held : int
-        Number of factors that are held in memory at the same time.
-    entry_bytes : int
-        Bytes per entry of a factor.
-    right_hand_sides : int
-        Expected number of solutions with a factor.
-    fields : int
-        Number of nodal vector fields (three float64 numbers per node) held at the same time.
-    tet_fields : int
-        Number of float64 numbers per tet held at the same time.
-    later_bytes : int
-        Bytes of modules imported and pictures drawn later. They are not part of the rule by which a body is refused,
-        since they do not depend on the body.
-    tet_flops : float
-        All other work per tet, as floating-point operations at the speed of matrix products.
+    A factor is the Cholesky factor of the body's stiffness matrix. `factorisations`: expected number of numeric
+    factorisations; `factors_held`: number of factors that are held in memory at the same time; `entry_bytes`: bytes per
+    entry of a factor; `right_hand_sides`: expected number of solutions with a factor; `fields`: number of nodal vector
+    fields (three float64 numbers per node) held at the same time; `tet_fields`: number of float64 numbers per tet held
+    at the same time; `later_bytes`: bytes of modules imported and pictures drawn later. They are not part of the rule
+    by which a body is refused, since they do not depend on the body; `tet_flops`: all other work per tet, as
+    floating-point operations at the speed of matrix products.
     """
 
     factorisations: int
@@ -93,20 +79,10 @@ SOLVE = Work(1, 1, 2, 60, 60, 60)
 class Estimate:
     """Estimated time and memory of a computation on a body.
 
-    Attributes
-    ----------
-    size : BodySize
-        Size of the body.
-    work : Work
-        Operations and arrays of the computation.
-    seconds : float
-        Wall time in s, while nothing else runs on the machine.
-    added_bytes : int
-        Memory that the body takes in addition to what the process holds now.
-    peak_bytes : int
-        Largest memory of the whole process.
-    available_bytes : int or None
-        Memory that the process may still take; None if unknown.
+    `size`: size of the body; `work`: operations and arrays of the computation; `seconds`: wall time in s, while nothing
+    else runs on the machine; `added_bytes`: memory that the body takes in addition to what the process holds now;
+    `peak_bytes`: largest memory of the whole process; `available_bytes`: memory that the process may still take; None
+    if unknown.
     """
 
     size: BodySize

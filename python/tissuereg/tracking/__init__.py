@@ -1,4 +1,4 @@
-"""Frame after frame: the registered state restarts the simulation, and the last frames tell about this one."""
+"""Tracking: each frame (measured moment) is registered from the state of the last one, and filtered in time."""
 
 from tissuereg.tracking.fitted import FittedPrior, fitted_prior
 from tissuereg.tracking.frame import TrackedFrame

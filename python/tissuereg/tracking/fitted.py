@@ -1,8 +1,9 @@
-"""A prior that is fitted to a body in place, once: principal components of random events about any simulation.
+"""A prior of displacement fields that is fitted to a body on the spot: principal components of random deformations.
 
 Without a trained network, the changes that a body may undergo beside what is simulated are drawn here: pushes and pulls
-at random places of its surface, with random body forces. Their principal components are the latents. They are changes
-from a simulation, whichever it is, so that they need not be found again when markers or actuators move.
+at random places of its surface, with random body forces. The coefficients of their principal components are the
+latents. They are changes from a simulation, whichever it is, so that they need not be found again when markers or
+actuators move.
 """
 
 from dataclasses import dataclass
@@ -21,7 +22,7 @@ from tissuereg.simulation.sampling import random_changes
 
 @dataclass(frozen=True)
 class FittingRules:
-    """How a prior is fitted."""
+    """Settings of the fit of a prior; `held_out`: share of the random deformations that measures its error."""
 
     held_out: float = 0.2  # share of the events that measures the reconstruction error
 
@@ -31,7 +32,10 @@ FITTING = FittingRules()
 
 @dataclass(frozen=True, eq=False)
 class _Changes:
-    """The part of a latent model that depends on its prior of changes alone."""
+    """The part of a latent model of displacement fields that does not depend on the simulation.
+
+    `changes`: principal components of the changes of displacement from any simulation.
+    """
 
     changes: PcaModel
 
@@ -47,44 +51,47 @@ class _Changes:
 
     @property
     def card(self) -> dict[str, Any]:
-        """Entry `model` of a result."""
+        """Description of the model for the entry ``model`` of a result: its kind, source and number of fields."""
         return self.changes.card
 
     def errors(self, latents: FloatArray | None = None) -> FloatArray:
-        """Return the expected errors (n_fields, n_nodes, 3), mm, of a change with latents (n_latent,)."""
+        """Return the expected reconstruction errors (n_fields, n_nodes, 3), mm, of a change at latents (n_latent,)."""
         return self.changes.errors(latents)
 
     def error_law(self, latents: FloatArray | None = None) -> tuple[ScaledErrors, FloatArray]:
-        """Return error fields of known size, and the factor (n_fields,) on each at latents (n_latent,)."""
+        """Return error fields of known size, in mm, and the factor (n_fields,) on each at latents (n_latent,)."""
         return self.changes.error_law(latents)
 
     def prior(self, simulation: FloatArray | None) -> Gaussian:
-        """Return the unit Gaussian, whatever the simulation."""
+        """Return the prior of the latents, the unit Gaussian; it does not depend on `simulation` (n_nodes, 3), mm."""
         return self.changes.prior(simulation)
 
 
 @dataclass(frozen=True, eq=False)
 class FittedPrior(_Changes):
-    """Changes from a simulation as a latent model; made by `fitted_prior`.
+    """Latent model of changes of displacement from a simulation, whichever it is; `fitted_prior` makes it.
 
     Attributes
     ----------
     changes : PcaModel
-        Principal components of the changes.
+        Principal components of the changes; their coefficients are the latents.
     """
 
     def around(self, simulation: FloatArray) -> "ChangedSimulation":
-        """Return the latent model of changes from a simulation (n_nodes, 3) in mm."""
+        """Return the latent model of displacement fields about a simulated displacement (n_nodes, 3), mm."""
         return ChangedSimulation(self.changes, simulation)
 
     def decode(self, latents: FloatArray, nodes: IntArray | None = None) -> FloatArray:
-        """Return changes (n_members, k, 3), mm, of latents (n_latent, n_members) at nodes (k,), or at all."""
+        """Return displacement changes (n_members, k, 3), mm, of latents (n_latent, n_members), at nodes (k,) or all."""
         return self.changes.decode(latents, nodes)
 
 
 @dataclass(frozen=True, eq=False)
 class ChangedSimulation(_Changes):
-    """``field = simulation + change(z)``, with a simulation (n_nodes, 3) in mm; see `FittedPrior`."""
+    """Latent model of displacement fields, ``field = simulation + change(z)`` with latents z.
+
+    `changes`: principal components of the changes; `simulation` (n_nodes, 3): simulated displacement, mm.
+    """
 
     simulation: FloatArray
 
@@ -105,23 +112,24 @@ def fitted_prior(
     seed: int = 0,
     threads: int = 0,
 ) -> FittedPrior:
-    """Fit a prior of changes to a body, for `Registrar` and `Tracker` in place of a trained model.
+    """Fit a prior of changes from a simulation to a body, for `Registrar` and `Tracker` in place of a trained model.
 
     Parameters
     ----------
     mesh : Mesh
         Undeformed body.
     material : Material, optional
-        Believed material.
+        Assumed material, by default ``Material()``.
     largest_mm : float
         Largest node displacement of a usual change, mm: how far a simulation may be off.
     n_events : int
-        Random events; a fifth of them measures the reconstruction error.
+        Number of random deformations that are drawn; a fifth of them measures the reconstruction error.
     n_latent : int
-        Number of latents.
+        Number of latents, the coefficients of principal components.
     held_nodes : array_like of int, optional
-        Nodes that are held; by default the node set ``fixed``.
+        Numbers of the nodes that are held; by default the node set ``fixed``.
     seed : int
+        Seed of the random deformations.
         Of the events.
     threads : int
         Threads to use; 0 takes all cores.
@@ -129,18 +137,18 @@ def fitted_prior(
     Returns
     -------
     FittedPrior
-        Cost: one nearly linear solve an event, a few back-substitutions each.
+        The prior. Cost: one nearly linear solve for each random deformation, a few back-substitutions each.
 
     Raises
     ------
     ArgumentError, MeshError, SupportError
         If an argument is out of its range, nothing of the surface is free, or the body can move freely.
     EnsembleError
-        If too few events find an equilibrium.
+        If too few random loads find an equilibrium.
 
     Notes
     -----
-    Events are linear about the undeformed body; their size is log-normal about `largest_mm`.
+    Random deformations are linear about the undeformed body; their size is log-normal about `largest_mm`.
 
     Examples
     --------

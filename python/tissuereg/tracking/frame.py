@@ -1,4 +1,4 @@
-"""One frame: as it was measured and waits, and as it is tracked, after the temporal prior."""
+"""One frame (one measurement in time): as it was measured and waits, and as it is tracked, after the filter in time."""
 
 import threading
 from dataclasses import dataclass, replace
@@ -14,10 +14,10 @@ from tissuereg.registration.result import MarkerFit, Registration, Target
 
 @dataclass(frozen=True, eq=False)
 class MeasuredFrame:
-    """A frame before it is registered.
+    """The measurement of one moment (a frame) before it is registered.
 
-    `measured_mm` (n_markers, 3): places of the markers; `time_s`: time of the measurement; `actuator`: what the
-    actuators did, in the simulation's own terms; `since`: clock reading from which it has waited, s.
+    `measured_mm` (n_markers, 3): places of the markers, mm; `time_s`: time of the measurement, s; `actuator`: state of
+    the actuators, as the simulation takes it; `since`: clock reading from which the frame has waited, s.
     """
 
     measured_mm: Any
@@ -27,7 +27,7 @@ class MeasuredFrame:
 
 
 class Inbox:
-    """A place for one frame between a camera and a tracker: a newer frame takes the place of one that waits."""
+    """Buffer of one frame between camera and tracker: a newer frame replaces one that waits; `dropped` counts these."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -36,7 +36,7 @@ class Inbox:
         self.dropped = 0
 
     def push(self, frame: MeasuredFrame) -> None:
-        """Put a frame in; a frame that is still waiting to be registered is dropped and counted."""
+        """Store a frame; one that still waits to be registered is dropped and counted."""
         with self._lock:
             if self._frame is not None:
                 self.dropped += 1
@@ -44,7 +44,7 @@ class Inbox:
             self._frame = frame
 
     def take(self) -> tuple[MeasuredFrame, int] | None:
-        """Return the frame that waits, and how many were dropped since the last one; None if none waits."""
+        """Take out the waiting frame, and the number of frames dropped since the last one; None if none waits."""
         with self._lock:
             if self._frame is None:
                 return None
@@ -55,26 +55,27 @@ class Inbox:
 
 @dataclass(frozen=True, eq=False)
 class TrackedFrame:
-    """A tracked frame.
+    """A frame (the measurement of one moment) after it was registered and filtered in time.
 
     Attributes
     ----------
     time_s : float
-        When it was measured.
+        Time of its measurement, s.
     registration : Registration
-        The answer, after the temporal prior.
+        The result after the filter that combines it with earlier frames.
     alone : Registration
-        The answer of this frame's own measurement.
+        The result of this frame's own measurement alone.
     simulation : ndarray of float64, shape (n_nodes, 3), or None
-        Displacement from which it was registered, mm.
+        Simulated displacement from which it was registered, mm; None without a simulation.
     gain : float
-        Share of this frame's own answer, 0 to 1; 1 = no other frame counts.
+        Weight of this frame's own result in the filtered one, 0 to 1; 1 = no other frame counts.
     widening : float
-        Factor on the frame's own covariances: the errors of the registered states that were carried on.
+        Factor on the frame's own covariances, at least 1: it adds the errors of the earlier registered states from
+        which the simulation was started.
     skipped : int
-        Frames that were dropped just before this one, because a newer one was there.
+        Number of frames that were dropped just before this one, because a newer one was there.
     latency_s : float
-        From when it was handed over, in a replay from when it was measured, to its answer.
+        Time in s from when the frame was handed over, in a replay from when it was measured, to its result.
     """
 
     time_s: float
@@ -89,17 +90,17 @@ class TrackedFrame:
 
 @dataclass(frozen=True)
 class Layout:
-    """Where the parts of a registration lie in the array that the temporal prior filters.
+    """Positions of the parts of a registration in the flat array that the filter in time takes.
 
-    First the markers, whose innovations tell the rate of motion, then the targets, then the nodes; three components
-    each.
+    The displacements of the markers, whose innovations tell the rate of motion, come first, then those of the targets,
+    then those of the nodes, three components each. `attached`: markers and targets located in the mesh.
     """
 
     attached: Attachment  # markers and targets on the body
 
     @property
     def markers(self) -> slice:
-        """The markers' components."""
+        """Slice of the markers' components in the flat array of all values."""
         return slice(0, 3 * len(self.attached.places))
 
     @property
@@ -107,29 +108,30 @@ class Layout:
         return slice(self.markers.stop, self.markers.stop + 3 * len(self.attached.targets.names))
 
     def values(self, result: Registration) -> FloatArray:
-        """Return the registered displacement of markers, targets and nodes, (n_values,), mm."""
+        """Return the registered displacements of markers, targets and nodes as one flat array (n_values,), mm."""
         field = result.displacement
         targets = [result.targets[name].mean - result.targets[name].reference for name in self.attached.targets.names]
         return np.concatenate([self._of_markers(field).ravel(), np.ravel(targets), field.ravel()])
 
     def change(self, field: FloatArray) -> FloatArray:
-        """Return a displacement (n_nodes, 3), mm, in the filter's layout: of markers, targets, nodes; flat."""
+        """Return a field (n_nodes, 3), mm, as the displacement of markers, targets and nodes, flat (n_values,), mm."""
         inner = self.attached.targets
         return np.concatenate(
             [self._of_markers(field).ravel(), inner.predict(field[inner.nodes]).ravel(), field.ravel()]
         )
 
     def variance(self, result: Registration) -> float:
-        """Return the mean variance of a target's coordinate that a registration states, mm^2; 1 without targets."""
+        """Return the mean posterior variance of a coordinate of the targets, mm^2; 1 without targets."""
         stated = [np.trace(one.covariance) / 3.0 for one in result.targets.values()]
         return float(np.mean(stated)) if stated else 1.0
 
     def filtered(self, result: Registration, values: FloatArray, alone: FloatArray) -> Registration:
-        """Return the registration of a frame alone with its places moved by `values` - `alone`, (n_values,) each, mm.
+        """Return the registration `result` of a frame with its places moved by `values` - `alone`.
 
+        `values`, `alone` (n_values,): displacements of markers, targets and nodes after the filter and before, mm.
         Displacement, targets, unseen markers, residuals and volume ratios are those of the filtered places. Covariances
-        stay those of the frame: errors of consecutive frames are correlated, and what the filter removes of them is not
-        more than the frame states.
+        stay those of the frame: errors of consecutive frames are correlated, and the share of them that the filter
+        removes is not larger than what the frame states.
         """
         moved = values - alone
         of_markers = moved[self.markers].reshape(-1, 3)
@@ -159,7 +161,7 @@ class Layout:
 
     @staticmethod
     def widened(result: Registration, factor: float) -> Registration:
-        """Return a registration with all covariances times a factor."""
+        """Return a registration with the covariances of nodes, targets and unseen markers times `factor`."""
         if factor == 1.0:
             return result
         nodes = result.nodes

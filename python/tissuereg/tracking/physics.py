@@ -1,4 +1,4 @@
-"""The physics simulation of a tracked body, which can be exchanged: what moves the body, and where its nodes are then.
+"""The simulation of a tracked body, which can be exchanged: from the state of the actuators to the displacement.
 
 Anything with the method `field` is a `Physics`. One that can also hold a registered shape by nodal forces has the
 methods of `HoldingPhysics`; the package's own solver does (`FemPhysics`).
@@ -20,22 +20,22 @@ from tissuereg.simulation.solve import Simulator
 
 @runtime_checkable
 class Physics(Protocol):
-    """A physics simulation: known actuators in, the displacement of the body out."""
+    """A simulation that returns the displacement of the body, (n_nodes, 3), mm, for a known state of the actuators."""
 
     def field(self, actuator: Any, *, start: FloatArray | None = None) -> FloatArray:
-        """Return the displacement under known actuators.
+        """Return the displacement of the body for a known state of the actuators.
 
         Parameters
         ----------
         actuator : object
-            What the actuators do, in the simulation's own terms: a number, several, or a `Load`.
+            State of the actuators, as this simulation takes it: a number, several numbers, or a `Load`.
         start : ndarray of float64, shape (n_nodes, 3), optional
             A displacement near the wanted one, mm: a first guess, which may be ignored.
 
         Returns
         -------
         ndarray of float64, shape (n_nodes, 3)
-            mm, on the nodes of the tracked body.
+            Displacement of the nodes of the tracked body, mm.
         """
         ...
 
@@ -52,36 +52,36 @@ class HoldingPhysics(Physics, Protocol):
         displacement : ndarray of float64, shape (n_nodes, 3)
             A registered displacement, mm.
         actuator : object
-            What the actuators do at that moment.
+            State of the actuators at that moment.
 
         Returns
         -------
         ndarray of float64, shape (n_nodes, 3)
-            mN; zero at held nodes.
+            Nodal forces, mN; zero at held nodes.
 
         Raises
         ------
         LoadError
-            If the displacement turns a tetrahedron inside out: nothing holds it.
+            If the displacement turns a tetrahedron inside out: no forces hold it then.
         """
         ...
 
     def held_field(self, actuator: Any, forces: FloatArray, start: FloatArray) -> FloatArray:
-        """Return the displacement under known actuators and dead loads.
+        """Return the displacement for a known state of the actuators under further dead loads.
 
         Parameters
         ----------
         actuator : object
-            What the actuators do now.
+            State of the actuators now.
         forces : ndarray of float64, shape (n_nodes, 3)
-            Dead loads of `holding`, mN.
+            Nodal dead loads that `holding` returned, mN.
         start : ndarray of float64, shape (n_nodes, 3)
-            The shape that they held, mm.
+            Displacement of the shape that these loads held, mm: a first guess.
 
         Returns
         -------
         ndarray of float64, shape (n_nodes, 3)
-            mm.
+            Displacement of each node, mm.
 
         Raises
         ------
@@ -92,22 +92,24 @@ class HoldingPhysics(Physics, Protocol):
 
 
 class FemPhysics:
-    """The package's own solver with four-node elements, analysed once for all frames.
+    """The package's own finite-element solver with four-node elements as a simulation; the mesh is analysed once.
 
     Parameters
     ----------
     mesh : Mesh
         Undeformed body.
     material : Material
-        Believed material.
+        Assumed material, by default ``Material()``.
     load_of : callable of actuator -> Load, optional
-        The load of an actuator's state; by default the actuator is a `Load` itself, or None for no load.
+        Returns the load for a state of the actuators; by default this state is a `Load` itself, or None for no load.
     element : {"tet4", "tet4-averaged"}
+        Finite elements: plain four-node tets, or those with volume ratios averaged at the nodes.
         Elements.
     held_nodes : array_like of int, optional
-        Nodes whose displacement is given; by default the node set ``fixed``.
+        Numbers of the nodes whose displacement is given; by default the node set ``fixed``.
     tolerance : float
-        Norm of the residual over the norm of the load. The displacement is off by a share of itself of that order.
+        Norm of the residual over the norm of the load at which a solve ends; the relative error of the displacement is
+        of that order.
     threads : int
         Threads to use; 0 takes all cores.
 
@@ -144,7 +146,7 @@ class FemPhysics:
         self._kept: dict[str, tuple[Load, FloatArray]] = {}
 
     def field(self, actuator: Any, *, start: FloatArray | None = None) -> FloatArray:
-        """Return the displacement (n_nodes, 3), mm, under the load that belongs to what the actuators do.
+        """Return the displacement (n_nodes, 3), mm, under the load that belongs to the state of the actuators.
 
         `start` (n_nodes, 3): a first guess, mm.
         """
@@ -152,7 +154,7 @@ class FemPhysics:
         return self._solved("known", Load(self._simulator.forces(known), known.body_force, known.prescribed), start)
 
     def holding(self, displacement: FloatArray, actuator: Any) -> FloatArray:
-        """Return the nodal forces (n_nodes, 3), mN, that hold a displacement (n_nodes, 3), mm, beside the load."""
+        """Return the nodal forces (n_nodes, 3), mN, that hold a displacement (n_nodes, 3), mm, beside known loads."""
         simulator = self._simulator
         forces = simulator.internal_forces(displacement, self._material)
         known = self._load(actuator)
@@ -167,7 +169,7 @@ class FemPhysics:
     def held_field(self, actuator: Any, forces: FloatArray, start: FloatArray) -> FloatArray:
         """Return the displacement (n_nodes, 3), mm, under the known load and further nodal forces (n_nodes, 3), mN.
 
-        `start` (n_nodes, 3): a first guess, mm.
+        `actuator`: state of the actuators that gives the known load; `start` (n_nodes, 3): a first guess, mm.
         """
         known = self._load(actuator)
         given = self._simulator.forces(known)
@@ -179,7 +181,7 @@ class FemPhysics:
         return Load() if load is None else of_kind("actuator", load, Load, error=LoadError)
 
     def _solved(self, which: str, load: Load, start: FloatArray | None) -> FloatArray:
-        """Return the equilibrium (n_nodes, 3), mm, under a load; the one kept under this name if the load is equal."""
+        """Return the equilibrium (n_nodes, 3), mm, under a load; the one kept as `which` if its load is equal."""
         if which in self._kept and start is not None and _same(self._kept[which][0], load):
             return np.array(self._kept[which][1])
         settings: dict[str, Any] = {"tolerance": self._tolerance, "threads": self._threads}
@@ -207,7 +209,7 @@ def _same(one: Load, other: Load) -> bool:
 
 
 class CalledPhysics:
-    """A function of the actuators' state as a physics simulation: another solver, a formula, a reader of files.
+    """A simulation made of a function of the actuators' state: another solver, a formula, a reader of files.
 
     Parameters
     ----------
@@ -217,7 +219,7 @@ class CalledPhysics:
     Raises
     ------
     ArgumentError
-        If it cannot be called.
+        If `function` cannot be called.
     """
 
     def __init__(self, function: Callable[[Any], Any]) -> None:
@@ -227,12 +229,12 @@ class CalledPhysics:
         self._function = function
 
     def field(self, actuator: Any, *, start: FloatArray | None = None) -> FloatArray:
-        """Return the displacement (n_nodes, 3), mm, that the given function returns for what the actuators do."""
+        """Return the displacement (n_nodes, 3), mm, that the given function returns for the state of the actuators."""
         return float_array("simulation", self._function(actuator), (None, 3))
 
 
 def as_physics(given: Any, name: str) -> Physics:
-    """Return the argument `name` as a simulation, a function wrapped; raises `ArgumentError` if it is neither."""
+    """Return the argument `name` as a simulation, with a function wrapped; raise `ArgumentError` if it is neither."""
     if isinstance(given, Physics) and not isinstance(given, type):
         return given
     if callable(given) and not isinstance(given, type):

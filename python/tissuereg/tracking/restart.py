@@ -1,7 +1,8 @@
-"""What the next simulation starts from: how a registered state is carried to the next frame, and for how long.
+"""The start of the next simulation: how a registered state is carried on to the next frame, and for how long.
 
-A quasi-static body has no memory: from any first guess it finds the same equilibrium. What the markers showed of the
-last frame is therefore carried on by a change of the problem, or not at all:
+A frame is the measurement of one moment. A quasi-static body has no memory: from any first guess it finds the same
+equilibrium. The correction that the markers of the last frame required is therefore carried on by a change of the
+problem, or not at all:
 
 ``forces``
     The nodal forces that hold the registered shape, beside the known loads, stay as dead loads while the actuators
@@ -30,11 +31,11 @@ RESTARTS = ("forces", "displacement", "guess", "reference")
 
 @dataclass(frozen=True, eq=False)
 class SimulatedFrame:
-    """The simulation of a frame; displacements (n_nodes, 3) in mm.
+    """The simulation of one frame (the measurement of one moment); displacements (n_nodes, 3) in mm.
 
-    `field`: the simulation, started from the registered state before if that is carried on; `change`: how it differs
-    from that of the frame before; `plain`: the simulation with nothing carried on; `carried`: whether a registered
-    state was carried on.
+    `field`: the simulation, started from an earlier registered state if that is carried on; `change`: how it differs
+    from that of the frame before, because the actuators moved; `plain`: the simulation with nothing carried on;
+    `carried`: whether a registered state was carried on.
     """
 
     field: FloatArray  # from which the frame is registered
@@ -47,9 +48,9 @@ class SimulatedFrame:
 class _CarriedState:
     """The registered state from which the next frame is simulated.
 
-    `displacement` (n_nodes, 3): registered, mm; `actuator`: what the actuators did; `plain` (n_nodes, 3): its
-    simulation with nothing carried on, mm; `forces` (n_nodes, 3) or None: nodal forces that hold it beside the known
-    load, mN.
+    `displacement` (n_nodes, 3): registered, mm; `actuator`: state of the actuators in that frame; `plain` (n_nodes, 3):
+    simulation of that frame with nothing carried on, mm; `forces` (n_nodes, 3): nodal forces, mN, that hold the
+    registered shape beside the known load, or None before they are computed.
     """
 
     displacement: FloatArray
@@ -59,16 +60,20 @@ class _CarriedState:
 
 
 class Restart:
-    """Simulates each frame from a registered state, carried on in one of the ways in `RESTARTS`.
+    """Simulator of one frame after another, each from an earlier registered state.
 
-    ``forces`` is ``displacement`` where the simulation cannot hold a shape by forces. Another state is carried on once
-    the simulation has moved farther than the tracker's noise (`noise_mm`, against the root mean square over nodes) from
-    the one before. `fallbacks` counts the frames in which the body lost its equilibrium under dead loads, so that the
-    displacement was carried on.
+    `physics`: the simulation; `how`: way in which a registered state is carried on, "forces" (as the nodal loads that
+    hold it), "displacement" (added to the next simulation), "guess" (as a first guess) or "reference" (not at all);
+    `noise_mm`: standard deviation of the tracker's noise, mm.
+
+    ``forces`` is ``displacement`` where the simulation cannot hold a shape by forces. A newer state is carried on once
+    the simulation has moved farther than the noise, by its root mean square over nodes, from the one before.
+    `fallbacks` counts the frames in which the body lost its equilibrium under dead loads, so that the displacement was
+    carried on.
 
     Dead loads do not follow the body, and they press where the registered shape is rough: a body that is bent far may
     buckle under them. The simulated change is therefore compared with that of the simulation with nothing carried on,
-    and given up if they differ by more than the latter.
+    and is replaced by it if they differ by more than the latter.
 
     While the actuators stand still, so does the simulation: a start that followed each registered state would count the
     same markers again in every frame, until the prior does not count any more.
@@ -82,7 +87,7 @@ class Restart:
         self.reset()
 
     def reset(self) -> None:
-        """Forget all frames."""
+        """Forget all frames, so that the next one is a first one."""
         self._carried: _CarriedState | None = None
         self._origin: FloatArray | None = None
         self._last_field: FloatArray | None = None
@@ -93,7 +98,8 @@ class Restart:
     def simulated(self, actuator: Any) -> SimulatedFrame:
         """Return the simulation of the next frame; nothing is remembered of it before `registered`.
 
-        Cost: one simulation, with ``forces`` two; raises ConvergenceError if it finds no equilibrium.
+        `actuator`: state of the actuators, as the simulation takes it. Cost: one simulation, with ``forces`` two;
+        raises ConvergenceError if it finds no equilibrium.
         """
         start = {"reference": None, "guess": self._last_shape}.get(self.how, self._expected_plain())
         plain = self._physics.field(actuator, start=start)
@@ -102,9 +108,10 @@ class Restart:
         return SimulatedFrame(field, field - before, plain, self._carried is not None)
 
     def registered(self, simulated: SimulatedFrame, displacement: FloatArray, actuator: Any) -> bool:
-        """Remember a frame, and return whether its registered state is carried on from now on.
+        """Remember a registered frame, and return whether its registered state is carried on from now on.
 
-        `displacement` (n_nodes, 3): registered, mm; `actuator`: what the actuators did.
+        `simulated`: simulation of the frame; `displacement` (n_nodes, 3): registered, mm; `actuator`: state of the
+        actuators.
         """
         self._plain_before = self._last_plain
         self._last_field, self._last_shape, self._last_plain = simulated.field, displacement, simulated.plain
@@ -117,12 +124,12 @@ class Restart:
         return moved_on
 
     def renew(self) -> None:
-        """Carry nothing on to the next frame."""
+        """Carry no registered state on to the next frame, so that its simulation is the plain one."""
         self._carried = None
         self._origin = self._last_field = self._last_plain
 
     def _expected_plain(self) -> FloatArray | None:
-        """Return a first guess (n_nodes, 3), mm, of the simulation with nothing carried on; None at first.
+        """Return a first guess (n_nodes, 3), mm, of the next simulation with nothing carried on; None at first.
 
         It is extrapolated from the last two frames: the actuators move on as they did.
         """
@@ -131,18 +138,18 @@ class Restart:
         return 2.0 * self._last_plain - self._plain_before
 
     def _expected(self, carried: _CarriedState, plain: FloatArray) -> FloatArray:
-        """Return a first guess (n_nodes, 3), mm, of the simulation from a registered state.
+        """Return a first guess (n_nodes, 3), mm, of the next simulation from the registered state `carried`.
 
-        It changes as the simulation with nothing carried on, `plain` (n_nodes, 3), does.
+        It changes as the simulation with nothing carried on, `plain` (n_nodes, 3), mm, does.
         """
         if self._last_field is None or self._last_plain is None:
             return np.asarray(carried.displacement + plain - carried.plain)
         return np.asarray(self._last_field + plain - self._last_plain)
 
     def _carried_on(self, carried: _CarriedState, actuator: Any, plain: FloatArray) -> FloatArray:
-        """Return the simulation (n_nodes, 3), mm, from a registered state.
+        """Return the simulated displacement (n_nodes, 3), mm, that starts from the registered state `carried`.
 
-        `plain` (n_nodes, 3): simulation with nothing carried on, mm; `actuator`: what the actuators do.
+        `plain` (n_nodes, 3): simulation with nothing carried on, mm; `actuator`: state of the actuators.
         """
         moved = plain - carried.plain
         if self.how == "forces" and isinstance(self._physics, HoldingPhysics):
@@ -160,13 +167,16 @@ class Restart:
 
 @dataclass(eq=False)
 class Lineage:
-    """The variance that was carried on since the last frame that started from the plain simulation, and when it ends.
+    """Sum of the variances of the registered states that were carried on one from the other; it ends this chain.
+
+    The plain simulation is one that starts from no registered state; `noise_mm`: standard deviation of the tracker's
+    noise, mm.
 
     A frame that is registered from a registered state seems surer than it is: its prior is one of small changes, and
     the error of the state itself is not in it. As far as the markers do not measure that error, it stays. So the
     variances of all states that were carried on, one from the other, are added up. Once they add up to what a
-    registration from the plain simulation would state, carrying on is of no use any more, and the next frame starts
-    from the plain simulation.
+    registration from the plain simulation would state, carrying on has no use any more, and the next frame starts from
+    the plain simulation.
     """
 
     noise_mm: float  # standard deviation of the tracker's noise: the least size of an event
@@ -175,7 +185,11 @@ class Lineage:
     _size_mm: float = 0.0
 
     def widening(self, variance: float, simulated: SimulatedFrame | None) -> float:
-        """Return the factor on a frame's covariances, given the variance in mm^2 that its registration states."""
+        """Return the factor, at least 1, on a frame's covariances, given the variance that its registration states.
+
+        `variance`: of a target's coordinate, mm^2; `simulated`: simulation of the frame, or None without one: the
+        factor is then 1.
+        """
         if simulated is None:
             return 1.0
         if not simulated.carried:
@@ -183,10 +197,11 @@ class Lineage:
         return 1.0 + self._carried / variance
 
     def goes_on(self, variance: float, simulated: SimulatedFrame) -> bool:
-        """Return whether a frame whose state is to be carried on is still of use; its variance is added.
+        """Return whether it is still of use to carry on the state of this frame, and add its variance to the sum.
 
+        `variance`: of a target's coordinate by the frame's registration, mm^2; `simulated`: simulation of the frame.
         The variance of a registration from the plain simulation is that of the last one, in proportion to the squared
-        size of the event.
+        size of the displacement.
         """
         self._carried += variance
         growth = max(1.0, self._size(simulated) / self._size_mm) ** 2
@@ -197,5 +212,5 @@ class Lineage:
 
 
 def _rms(field: FloatArray) -> float:
-    """Return the root mean square displacement of a field (n_nodes, 3)."""
+    """Return the root mean square displacement of the nodes in a field (n_nodes, 3), in mm."""
     return float(rms_displacement(field[None])[0])

@@ -1,4 +1,4 @@
-"""Precomputed fields as a physics simulation: between them it interpolates in the actuators' parameters."""
+"""Precomputed displacement fields as a simulation, interpolated between them in the actuators' parameters."""
 
 import os
 from collections.abc import Iterable, Sequence
@@ -15,12 +15,12 @@ from tissuereg.io.fields import read_displacement
 
 
 class TablePhysics:
-    """Fields on a grid of the actuators' parameters, interpolated linearly along each.
+    """A simulation by displacement fields on a grid of the actuators' parameters, interpolated linearly along each.
 
     Parameters
     ----------
     axes : sequence of array_like of float, shape (n_values,); or one such array
-        Values of each parameter, ascending, two or more: a stroke in mm, a share of a load.
+        Two or more ascending values of each parameter, such as a stroke in mm or a share of a load.
     fields : array_like of float, shape (n_values of the first, n_values of the second, ..., n_nodes, 3)
         Displacement at each point of the grid, mm.
 
@@ -59,25 +59,26 @@ class TablePhysics:
         Parameters
         ----------
         values : array_like of float, shape (n_values,)
-            The parameter, one value a file, in any order.
+            Value of the parameter for each file, in any order.
         paths : iterable of path-like
-            Files as `tissuereg.io.fields.read_displacement` reads them: .vtu, .vtk, .msh, .npz.
+            Files with the displacement of each node in mm, .vtu, .vtk, .msh or .npz, as
+            `tissuereg.io.fields.read_displacement` reads them.
         mesh : Mesh
             Undeformed body, whose nodes the files have.
         name : str
-            Of the point data.
+            Name of the point data in the files; .npz files need none.
 
         Returns
         -------
         TablePhysics
-            All fields are held in memory.
+            The simulation by these fields, which are all held in memory.
 
         Raises
         ------
         FormatError
             If a file cannot be read or is of another mesh.
         ArgumentError, ShapeError
-            If there is not one value a file, or two are equal.
+            If there is not one value for each file, or two values are equal.
         """
         files = tuple(paths)
         given = float_array("values", values, (len(files),))
@@ -90,7 +91,7 @@ class TablePhysics:
         return int(self._fields.shape[-2])
 
     def field(self, actuator: Any, *, start: FloatArray | None = None) -> FloatArray:
-        """Return the interpolated field.
+        """Return the displacement interpolated at values of the parameters.
 
         Parameters
         ----------
@@ -102,14 +103,14 @@ class TablePhysics:
         Returns
         -------
         ndarray of float64, shape (n_nodes, 3)
-            mm.
+            Displacement of each node, mm.
 
         Raises
         ------
         ArgumentError
-            If a value lies outside of the table: nothing is known there.
+            If a value lies outside of the table, where no fields are given.
         ShapeError
-            If there is not one value a parameter.
+            If there is not one value for each parameter.
         """
         several = actuator if depth("actuator", actuator) else [actuator]
         values = float_array("actuator", several, (len(self.axes),))
@@ -138,7 +139,7 @@ def _axes(axes: Any) -> tuple[FloatArray, ...]:
 
 
 def _between(number: int, axis: FloatArray, value: float) -> tuple[int, float]:
-    """Return the number of the grid point before a value, and the value's share of the way to the next one."""
+    """Return the number of the grid point before a value, and the share of the way to the next one, 0 to 1."""
     if not axis[0] <= value <= axis[-1]:
         within = f"must lie within the table, {axis[0]:g} to {axis[-1]:g}, got {value:g}"
         message = f"parameter {number + 1} of `actuator` {within}"

@@ -1,9 +1,10 @@
-r"""The temporal prior: what the frames before say about this one.
+r"""The temporal prior: a filter in time that combines the registration of a frame with those of the frames before.
 
-The answer of a frame is the truth plus two errors: one that changes slowly, from model and prior, which consecutive
-frames share, and one that is new in each frame, from the tracker's noise. Averaging consecutive answers removes the
-second, and only the second. How far to average depends on how much the body moves between frames beyond what the
-simulation says. With x_t the answer of frame t, s_t the filtered one and d_t the simulated change since the last frame,
+A frame is the measurement of one moment. Its answer, the registered displacements, is the truth plus two errors: one
+that changes slowly, from model and prior, which consecutive frames share, and one that is new in each frame, from the
+tracker's noise. Averaging consecutive answers removes the second, and only the second. How far to average depends on
+how much the body moves between frames beyond what the simulation says. With x_t the answer of frame t, s_t the filtered
+one and d_t the simulated change since the last frame,
 
     truth_t - truth_{t-1} = d_t + N(0, W r dt + k^2 d^2),    x_t = truth_t + shared error + N(0, W c_t),
     s_t = s_{t-1} + d_t + g_t (x_t - s_{t-1} - d_t),    0 <= g_t <= 1,
@@ -30,7 +31,14 @@ from tissuereg._base.arrays import FloatArray
 
 @dataclass(frozen=True, eq=False)
 class FilterRules:
-    """How the filters of all rates learn from frames."""
+    """Settings of the filters that run side by side, one for each trial rate of motion, and learn from frames.
+
+    `rates` (n_rates,): trial rates, variance of a second's unpredicted motion over that of a frame's noise, 1/s;
+    `change_off`: relative error of a simulated change; `memory`: factor on past innovations in each frame; `together`:
+    number of components that count as one independent number, since neighbouring places move together; `stated`: number
+    of frames as which the stated noise counts in the estimate of the noise; `lost`: probability below which a filter
+    goes on from the mean of all.
+    """
 
     # Rates of motion that are tried: variance of a second's unpredicted motion over that of a frame's noise, 1/s.
     rates: FloatArray = field(default_factory=lambda: 10.0 ** np.arange(-2.0, 7.0))
@@ -46,7 +54,11 @@ FILTER = FilterRules()
 
 @dataclass(eq=False)
 class TemporalPrior:
-    """Filters for all rates of motion on one stream of answers."""
+    """Filters for all trial rates of motion on one stream of registered displacements.
+
+    `variance`: of the tracker's noise as stated, mm^2, a first guess of that of the registered displacements; `gain`:
+    mean gain of the last frame, 0 to 1, where 1 means that this frame alone counts.
+    """
 
     variance: float  # stated, of the tracker's noise, mm^2: a first guess of that of an answer's noise
     gain: float = 1.0  # mean gain of the last frame: 1 = this frame alone
@@ -60,11 +72,12 @@ class TemporalPrior:
     def updated(
         self, answer: FloatArray, change: FloatArray, elapsed: float, relative: float, scored: slice
     ) -> FloatArray:
-        """Return the filtered answer (n_values,) of a frame in mm; three passes over an array (n_rates, n_values).
+        """Return the filtered displacements of a frame, (n_values,), in mm.
 
-        `answer` is the registered displacement of everything that is filtered, `change` its simulated change since the
-        last frame, `elapsed` seconds ago, both (n_values,) in mm. `relative` is the variance of this answer's noise
-        over that of a frame with all markers. Innovations count for the values `scored`, those near the data.
+        `answer` (n_values,): registered displacement of everything that is filtered, mm; `change` (n_values,): its
+        simulated change since the last frame, mm; `elapsed`: time since then, s; `relative`: variance of this answer's
+        noise over that of a frame with all markers; `scored`: slice of the values, near the data, whose innovations
+        tell the rate of motion. Cost: three passes over an array (n_rates, n_values).
         """
         if self._states is None:
             self._states = np.tile(answer, (len(FILTER.rates), 1))
@@ -92,16 +105,16 @@ class TemporalPrior:
 
     @property
     def weights(self) -> FloatArray:
-        """How much each rate counts: probability times rate, adding up to one, shape (n_rates,)."""
+        """Weight of each trial rate of motion, (n_rates,), adding up to one: its probability times the rate."""
         stated = FILTER.stated * max(self._per_frame, 1.0)
         logs = -0.5 * (self._logs + (self._count + stated) * np.log(self._squares + stated * self.variance))
         weights = FILTER.rates * np.exp(logs - logs.max())
         return np.asarray(weights / weights.sum())
 
     def _weigh(self, innovations: FloatArray, total: FloatArray) -> None:
-        """Score the filters of all rates by a frame: record innovations (n_rates, n_scored), mm.
+        """Score the filters of all trial rates by a frame: record its innovations (n_rates, n_scored), mm.
 
-        `total` (n_rates,): their variance under each rate, over the noise's.
+        `total` (n_rates,): variance of the innovations under each rate, over that of the noise.
         """
         self._per_frame = innovations.shape[1] / FILTER.together
         self._squares = FILTER.memory * self._squares + (innovations**2).sum(axis=1) / total / FILTER.together

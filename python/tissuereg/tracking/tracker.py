@@ -1,4 +1,4 @@
-"""A tracked body: frame after frame, the registered state restarts the simulation (the loop of the paper's Fig. 1)."""
+"""The class `Tracker`: frame after frame, the registered state restarts the simulation (loop of the paper's Fig. 1)."""
 
 import math
 import time
@@ -27,37 +27,41 @@ _A_FRAME = "(time_s, measured_mm) or (time_s, measured_mm, actuator)"
 
 
 class Tracker:
-    """Registers one body frame after frame; each frame starts from the registered state of the last one.
+    """Registers one body frame after frame (moment after moment), each from the registered state of the last one.
 
     A frame is simulated from the registered state of the last one and the known motion of the actuators, registered to
-    its markers, and combined with the last frames as far as the body stood still between them.
+    its markers, and combined with the last frames, by a filter in time, as far as the body stood still between them.
 
     Parameters
     ----------
     body : Registrar, Mesh, Body or (nodes, tets, fixed_nodes)
-        What registers each frame; or the undeformed body in mm, of which a registrar is made with all else as usual.
+        The registrar that registers each frame; or the undeformed body in mm, of which a registrar is made with default
+        settings.
     reference_mm : array_like of float, shape (n_markers, 3), or Markers
-        Places of the markers on the undeformed body.
+        Places of the markers on the undeformed body, mm; required unless a registrar is given.
     model : path-like or LatentModel, optional
-        A trained model, ``"phantom"``, or one of `fitted_prior`. Without it the load is unknown; the contacts of a
-        frame are then the start of the next one's.
+        A trained model or its folder, ``"phantom"`` for the shipped one, or a model made by `fitted_prior`. Without it
+        the load is unknown, and the search for contacts in a frame starts from those of the last one.
     targets : mapping of str to array_like of float, shape (3,), optional
-        Inner points of the undeformed body, mm.
+        Inner points of the undeformed body by name, mm, whose deformed places are wanted.
     simulator : Physics or callable of actuator -> array_like of float, shape (n_nodes, 3), optional
-        The physics simulation. Without it frames are registered from rest, as `Registrar.register` does.
+        The simulation of the body for a state of the actuators, with displacements in mm. Without it each frame is
+        registered from the body at rest.
     variants : sequence of Physics or callable, optional
-        The same simulation with other values of what is uncertain, each given the same actuators: four or more, of a
-        model that was calibrated with pairs. A frame is registered from their mean; see `register`.
+        The same simulation with other values of uncertain parameters, each given the same actuators: four or more, with
+        a model that was calibrated with pairs of simulation and truth. A frame is registered from their mean.
     restart : {"forces", "displacement", "guess", "reference"}
-        How the registered state restarts the simulation; see `tissuereg.tracking.restart`. Without a model ``forces``
-        and ``displacement`` are ``guess``: the contacts of the last frame are the forces that hold its shape.
+        How the registered state restarts the simulation: as the nodal loads that hold it, as a displacement that is
+        added to the next simulation, as a first guess, or not at all; see `tissuereg.tracking.restart`. Without a model
+        ``forces`` and ``displacement`` are ``guess``: the contacts of the last frame are the forces that hold its
+        shape.
     temporal : bool
-        Whether frames are combined with the ones before.
+        Whether the result of a frame is combined with those of the frames before, by a filter in time.
 
     Raises
     ------
     MarkerError, ModelError, ShapeError, ArgumentError, MeshError
-        As `Registrar`.
+        If the input cannot be used, as for `Registrar`.
 
     Notes
     -----
@@ -104,31 +108,31 @@ class Tracker:
 
     @property
     def registrar(self) -> Registrar:
-        """What registers each frame."""
+        """The `Registrar` that registers each frame."""
         return self._registrar
 
     @property
     def simulator(self) -> Physics | None:
-        """What simulates each frame; None if nothing does."""
+        """The simulation of each frame, from the actuators' state to a displacement in mm; None if there is none."""
         return self._physics
 
     @property
     def last(self) -> TrackedFrame | None:
-        """The last frame; None before the first one."""
+        """The last frame, with its result before and after the filter in time; None before the first one."""
         return self._last
 
     @property
     def dropped(self) -> int:
-        """Frames that were pushed and never registered, because a newer one was there."""
+        """Number of frames that were pushed and never registered, because a newer one was there."""
         return self._inbox.dropped
 
     @property
     def fallbacks(self) -> int:
-        """Frames in which the body lost its equilibrium under the dead loads; see `tissuereg.tracking.restart`."""
+        """Number of frames in which the body lost its equilibrium under the dead loads of the registered state."""
         return 0 if self._restart is None else self._restart.fallbacks
 
     def reset(self) -> None:
-        """Forget all frames: the next one is a first one. Counts of dropped frames stay."""
+        """Forget all frames, so that the next one is a first one; the count of dropped frames stays."""
         self._prior = TemporalPrior(self._noise_mm**2)
         self._lineage = Lineage(self._noise_mm)
         self._last: TrackedFrame | None = None
@@ -137,34 +141,34 @@ class Tracker:
         self._most_used = 0
 
     def step(self, measured_mm: Any, time_s: float, *, actuator: Any = None) -> Registration:
-        """Register the next frame.
+        """Register the next frame, the markers measured at one moment.
 
         Parameters
         ----------
         measured_mm : array_like of float, shape (n_markers, 3), or Markers
             Measured places in mm; NaN = not seen.
         time_s : float
-            When it was measured, s; later than the last frame.
+            Time of the measurement, s; later than that of the last frame.
         actuator : object
-            What the actuators do, as the simulator takes it.
+            State of the actuators, as the simulator takes it.
 
         Returns
         -------
         Registration
-            The frame's, after the temporal prior; `last` says more.
+            The registered body after the filter in time; `last` holds the result of this frame alone and more.
 
         Raises
         ------
         ArgumentError
             If the frame is not later than the last one, or the simulator does not know the actuator's state.
         MarkerError, ShapeError, ConvergenceError, EnsembleError
-            As `Registrar.register`. The tracker is then as before this frame.
+            If the frame cannot be registered, as by `Registrar.register`. The tracker is then as before this frame.
         """
         frame = MeasuredFrame(measured_mm, time_s, actuator, time.perf_counter())
         return self._tracked(frame, 0, time.perf_counter).registration
 
     def update(self, time_s: float, measured_mm: Any, actuator: Any = None) -> Registration:
-        """Register the next frame; `step` with the time first."""
+        """Register the next frame and return its result; the same as `step`, with the time in s first."""
         return self.step(measured_mm, time_s, actuator=actuator)
 
     def push(self, measured_mm: Any, time_s: float, *, actuator: Any = None) -> None:
@@ -175,22 +179,23 @@ class Tracker:
         Parameters
         ----------
         measured_mm, time_s, actuator
-            As in `step`. They are checked when they are registered.
+            Measured places (n_markers, 3) in mm, their time in s, and the state of the actuators, as in `step`. They
+            are checked when the frame is registered.
         """
         self._inbox.push(MeasuredFrame(measured_mm, time_s, actuator, time.perf_counter()))
 
     def poll(self) -> TrackedFrame | None:
-        """Register the newest frame that was pushed; None if there is none.
+        """Register the newest frame that was pushed, and return it; None if no frame waits.
 
         Returns
         -------
         TrackedFrame or None
-            With the number of frames that were dropped since the last one.
+            The frame with its result, and the number of frames that were dropped since the last one.
 
         Raises
         ------
         ArgumentError, MarkerError, ShapeError, ConvergenceError, EnsembleError
-            As `step`; the frame is gone.
+            If the frame cannot be registered, as by `step`; the frame is then lost.
         """
         taken = self._inbox.take()
         return None if taken is None else self._tracked(*taken, time.perf_counter)
@@ -205,30 +210,31 @@ class Tracker:
     ) -> Iterator[TrackedFrame]:
         """Replay a recording at the rate at which it was measured.
 
-        No frame is registered before its time. If its time comes while another one is registered, it waits; if the next
-        one's comes as well, it is dropped and counted: the tracker goes on with the newest.
+        No frame is registered before its time. If its time comes while another one is registered, it waits; if the time
+        of the next one comes as well, it is dropped and counted: the tracker goes on with the newest.
 
         Parameters
         ----------
         frames : iterable of (time_s, measured_mm) or (time_s, measured_mm, actuator)
-            In the order of time.
+            The frames in the order of time: time in s, places of the markers (n_markers, 3) in mm, state of the
+            actuators.
         failed : callable of (float, TissueRegError), optional
             Called with the time of a frame that cannot be registered and the reason; the replay goes on. Without it the
             error is raised.
         clock : callable
             Returns the time now, s.
         wait : callable of float
-            Waits so many seconds.
+            Waits for the given number of seconds.
 
         Yields
         ------
         TrackedFrame
-            Of the frames that were registered.
+            Each frame that was registered, with its result.
 
         Raises
         ------
         ArgumentError, MarkerError, ShapeError, ConvergenceError, EnsembleError
-            As `step`.
+            If a frame cannot be registered, as by `step`.
         """
         called("failed", failed)
         offset: float | None = None
@@ -245,7 +251,7 @@ class Tracker:
     def _answer(
         self, clock: Callable[[], float], failed: Callable[[float, TissueRegError], None] | None
     ) -> Iterator[TrackedFrame]:
-        """Register the frame that waits, if there is one and it can be registered."""
+        """Register the frame that waits and yield it, if there is one; pass an error to `failed`, if it is given."""
         taken = self._inbox.take()
         if taken is None:
             return
@@ -282,7 +288,7 @@ class Tracker:
         return self._last
 
     def _varied(self, actuator: Any, field: FloatArray | None) -> SimulationVariants | FloatArray | None:
-        """Return a frame's simulation `field` (n_nodes, 3), mm, with its variants where there are any."""
+        """Return a frame's simulated `field` (n_nodes, 3), mm, with those by variants of the simulator, if any."""
         shape = self._registrar.mesh.nodes.shape
         fields = [float_array("variants", one.field(actuator), shape) for one in self._variants]
         return SimulationVariants(fields, field) if fields else field
@@ -298,7 +304,7 @@ class Tracker:
     def _combined(
         self, alone: Registration, simulated: SimulatedFrame | None, elapsed: float
     ) -> tuple[Registration, float]:
-        """Return a frame's answer after the temporal prior, and the share of the frame's own."""
+        """Return a frame's registration after the filter in time, and the weight of its own result in it, 0 to 1."""
         n_used = len(alone.markers.used)
         if not self._temporal or n_used == 0:
             return alone, 1.0
@@ -310,7 +316,7 @@ class Tracker:
 
 
 def _each(frames: Any) -> Iterator[tuple[float, Any, Any]]:
-    """Return the time, the measured places and the actuators' state of each frame of a recording."""
+    """Return an iterator over time (s), measured places (mm) and actuator state of each frame of a recording."""
     if not isinstance(frames, Iterable) or isinstance(frames, str | bytes):
         message = f"`frames` must be frames, each {_A_FRAME}, got {found(frames)}"
         raise ArgumentError(message, where="frames")

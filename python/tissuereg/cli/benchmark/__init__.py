@@ -1,1 +1,1 @@
-"""Times by stage: what the command ``tissuereg bench`` measures."""
+"""Timings by stage, which the command ``tissuereg bench`` measures."""

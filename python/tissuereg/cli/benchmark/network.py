@@ -1,7 +1,8 @@
 """A network of the paper's Table II for any mesh, with random weights: for timings, which do not depend on the values.
 
-Levels are those of the paper: a node of the next level has no other within one hop, unpooling reaches one hop, and
-coarse nodes are neighbours within three. Channels 32, 64, 128, nine bases, 26 latents.
+The network works on a sequence of coarser and coarser graphs, as in the paper: no node of the next graph has another
+one within one edge of the present graph, unpooling reaches one edge, and nodes of the next graph are neighbours if at
+most three edges separate them. It has 32, 64 and 128 channels, nine bases for each convolution, 26 latents.
 """
 
 import hashlib
@@ -22,7 +23,10 @@ from tissuereg.registration.learned.onnx_bytes import OnnxGraph
 
 @dataclass(frozen=True)
 class Table2Network:
-    """The network of the paper's Table II, with random weights."""
+    """Sizes of the network of the paper's Table II: channels, bases of a convolution, latents, error fields.
+
+    `scale_mm`: size of the displacements that it decodes, small enough that no tetrahedron is inverted.
+    """
 
     channels: tuple[int, int, int] = (32, 64, 128)  # of its levels
     n_bases: int = 9  # of a convolution
@@ -36,7 +40,7 @@ TABLE2 = Table2Network()
 
 
 def write_random_table2(mesh: Mesh, folder: Path, seed: int = 0) -> None:
-    """Write a model folder, empty before, with a random network of Table II for a mesh."""
+    """Write the files of a network of Table II for `mesh`, with random weights, into a model folder that is empty."""
     rng = np.random.default_rng(seed)
     levels = _levels(mesh)
     tables = _decoder_tables(levels, mesh.n_nodes, rng)
@@ -68,7 +72,11 @@ def write_random_table2(mesh: Mesh, folder: Path, seed: int = 0) -> None:
 
 @dataclass(frozen=True, eq=False)
 class _Level:
-    """A graph with all nodes their own neighbours, and the edges (coarse node, node) to the next coarser one."""
+    """One graph of the network: its number of nodes, and pairs of node indices.
+
+    `edges` (n_edges, 2): neighbours, where each node is its own neighbour too; `pools` (n_pools, 2): node of the next
+    coarser graph, and a node of this one that is pooled into it.
+    """
 
     n_nodes: int
     edges: IntArray
@@ -76,7 +84,7 @@ class _Level:
 
 
 def _levels(mesh: Mesh) -> list[_Level]:
-    """Return the levels that are convolved, finest first, and the coarsest, without edges."""
+    """Return the graphs of the network, finest first; the coarsest has nodes only, and no edges."""
     from scipy import sparse
 
     both = np.concatenate([mesh.edges, mesh.edges[:, ::-1], np.repeat(np.arange(mesh.n_nodes)[:, None], 2, axis=1)])
@@ -102,7 +110,7 @@ def _pairs(matrix: Any) -> IntArray:
 
 
 def _shares(owners: IntArray, rng: np.random.Generator) -> FloatArray:
-    """Return weights of edges that are positive and add up to one for each owner."""
+    """Return random positive weights (n,) of graph edges that add up to 1 for each node in `owners` (n,)."""
     sizes = rng.uniform(0.5, 1.5, len(owners))
     return np.asarray(sizes / np.bincount(owners, sizes)[owners])
 
@@ -143,7 +151,7 @@ def _decoder_tables(levels: list[_Level], n_nodes: int, rng: np.random.Generator
 
 
 def _encoder(levels: list[_Level], n_nodes: int, rng: np.random.Generator) -> bytes:
-    """Return the encoder as the training package writes it: neighbours gathered, coefficients first, then bases."""
+    """Return the encoder as ONNX bytes, as the training package exports it: it gathers neighbours, then mixes bases."""
     graph, x = OnnxGraph("encoder"), "displacement"
     widths = (3, *TABLE2.channels)
     for level, coarser, n_in, n_out in zip(levels[:-1], levels[1:], widths[:-1], widths[1:], strict=True):

@@ -1,7 +1,7 @@
-"""Times by stage, with work counters that explain them.
+"""Timings by stage, with work counters (iterations, solves, factorisations) that explain them.
 
-Every row is a dict: name, sizes, repeats, median and 99th percentile of the whole, medians of the stages,
-counters, residual, peak memory. Stages add up to the whole of each repeat.
+Every row of the result is a dict: name, sizes, repeats, median and 99th percentile of the total time, median of each
+stage, counters, residual, peak memory. The stages add up to the total of each repeat.
 """
 
 import time
@@ -37,7 +37,11 @@ _Repeat = tuple[dict[str, float], dict[str, Any]]
 
 @dataclass(frozen=True)
 class BenchSettings(StepSettings):
-    """Settings of the timings; `repeats` are those of every row, after one that is not counted."""
+    """Settings of all timings; `repeats` is the number of timed runs of each row, after one that is not counted.
+
+    `elements`: finite elements of the solves; `problems`: problem files that are solved instead of the phantom;
+    `members`: number of solves in the ensemble. The other fields are those of the timings of a registration step.
+    """
 
     elements: tuple[str, ...] = ("tet4", "tet10")  # of the solves
     problems: tuple[str, ...] = ()  # problem files to solve instead of the phantom
@@ -45,7 +49,7 @@ class BenchSettings(StepSettings):
 
 
 def bench_solve(settings: BenchSettings) -> list[Row]:
-    """Time whole static solves, one row per problem and element; nothing is cached between repeats."""
+    """Time whole static solves, one row per problem and element type; nothing is cached between repeats."""
     rows = []
     for name, problem in _problems(settings):
         for element in settings.elements:
@@ -55,7 +59,7 @@ def bench_solve(settings: BenchSettings) -> list[Row]:
 
 
 def bench_ensemble(settings: BenchSettings) -> list[Row]:
-    """Time many solves on one body, random events on the phantom: one row an element; the analysis is a stage."""
+    """Time many solves on the phantom under random loads; one row per element type, with the analysis as a stage."""
     mesh = phantom_mesh()
     rows = []
     for element in settings.elements:
@@ -65,7 +69,7 @@ def bench_ensemble(settings: BenchSettings) -> list[Row]:
 
 
 def bench_esmda(settings: BenchSettings) -> list[Row]:
-    """Time one ES-MDA update: one row per size of `ESMDA_SIZES` and kind of noise."""
+    """Time one ES-MDA update; one row per size in `ESMDA_SIZES` and type of noise covariance, diagonal or dense."""
     rows = []
     for sizes in ESMDA_SIZES:
         for kind in ("diagonal", "dense"):
@@ -75,10 +79,10 @@ def bench_esmda(settings: BenchSettings) -> list[Row]:
 
 
 def bench_register(settings: BenchSettings) -> list[Row]:
-    """Time whole registrations of the phantom, and single steps.
+    """Time whole registrations of the phantom, and single steps of a `Registrar` that is prepared before.
 
-    Two rows by contacts, first on the mesh and again, one by the shipped network where there is one, and those of
-    `step_rows`.
+    There are two rows for the search for contacts (the first registration on a mesh, and a later one), one for the
+    shipped network if there is one, and the rows of `step_rows`.
     """
     event = make_event(seed=settings.seed)
     simulator = Simulator(event.mesh)
@@ -167,7 +171,7 @@ def _one_ensemble(element: str, settings: BenchSettings) -> Callable[[], _Repeat
 
 
 def _summed(reports: list[dict[str, Any]]) -> dict[str, Any]:
-    """Return the counters of all members added up, and their worst residual."""
+    """Return the work counters of all solves of an ensemble, added up, and the largest residual."""
     names = ("iterations", "solves", "factorisations")
     counters = {name: sum(int(report[name]) for report in reports) for name in names}
     return {**counters, "residual": max((report["residual"] for report in reports), default=None), "analyses": 1}

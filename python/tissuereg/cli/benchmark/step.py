@@ -1,7 +1,8 @@
-"""Times of one registration step at the paper's setting, by stage, and the floor that its multiply-adds set.
+"""Timings of one registration step at the paper's setting, by stage, and a lower bound from its multiply-adds.
 
-N_e = 100, N_a = 5, 15 markers on the free surface, one target, everything that `Registrar` makes made and warm; many
-random sets of markers, each with another event: a simulation, and a truth with other loads and another stiffness.
+The ensemble has N_e = 100 members and N_a = 5 assimilations; 15 markers lie on the free surface, with one target. All
+that `Registrar` prepares is ready before. Many random sets of markers are timed, each with another event: a simulation,
+and a true displacement with other loads and another stiffness.
 """
 
 import tempfile
@@ -33,11 +34,11 @@ from tissuereg.simulation.recipe import PairsRecipe
 
 @dataclass(frozen=True)
 class PaperStep:
-    """The paper's setting of a step, and how its time is taken.
+    """Constants of the timed registration step: the paper's setting, and how its time is measured.
 
-    `n_members`, `n_steps`: ensemble size and number of assimilations; `n_markers`: number of markers; `n_warm`: steps
-    that are not counted; `side`, `products`: size and number of the matrix products by which the machine's speed is
-    measured.
+    `n_members`, `n_steps`: ensemble size and number of assimilations; `n_markers`: number of markers; `n_warm`:
+    registrations of each set of markers that are not counted; `side`, `products`: rows of the square matrices, and
+    number of the products of two such, by which the machine's speed is measured.
     """
 
     n_members: int = 100  # of the ensemble
@@ -53,10 +54,10 @@ PAPER = PaperStep()
 
 @dataclass(frozen=True)
 class StepSettings:
-    """Settings of the timings of a step.
+    """Settings of the timings of a registration step.
 
-    `repeats`: timed steps after one that is not counted; `threads`: threads to use, 0 takes all cores; `seed`: of
-    markers and ensemble; `model`: folder of the model, None for the shipped one; `table2`: folder of a network of the
+    `repeats`: timed registrations of every set of markers; `threads`: threads to use, 0 takes all cores; `seed`: seed
+    of markers and events; `model`: folder of the model, None for the shipped one; `table2`: folder of a network of the
     paper's Table II, None for one with random weights; `n_sets`: sets of markers over which times are taken.
     """
 
@@ -72,7 +73,8 @@ class StepSettings:
 def step_rows(settings: StepSettings) -> list[dict[str, Any]]:
     """Time one step with the shipped model and with a network of Table II: rows ``step/shipped`` and ``step/table2``.
 
-    Raises ModelError if a model knows none of the phantom's meshes, or its decoder cannot be cut.
+    Each row is a dict with the times in s, by stage and in total. Raises ModelError if a model was trained on none of
+    the phantom's meshes, or its decoder cannot be restricted to the needed nodes.
     """
     folder = Path(settings.model) if settings.model else shipped_model_folder()
     rows = [_row("step/shipped", folder, settings, "trained")] if folder.exists() else []
@@ -81,7 +83,7 @@ def step_rows(settings: StepSettings) -> list[dict[str, Any]]:
 
 
 def sgemm_rate(threads: int) -> float:
-    """Return the multiply-adds a second of the fastest of some single-precision matrix products on so many threads."""
+    """Return the multiply-adds per second of the fastest of several float32 matrix products on `threads` threads."""
     left, right = (np.random.default_rng(k).random((PAPER.side, PAPER.side), dtype=np.float32) for k in (0, 1))
     product = np.empty_like(left)
     spent = []
@@ -95,7 +97,7 @@ def sgemm_rate(threads: int) -> float:
 
 @contextmanager
 def _table2(settings: StepSettings) -> Iterator[tuple[Path, str]]:
-    """Yield a folder with a network of Table II's size, and in words where its weights are from."""
+    """Yield the folder of a network of Table II's size, and text that states where its weights are from."""
     if settings.table2:
         yield Path(settings.table2), "trained"
         return
@@ -173,7 +175,7 @@ def _row(name: str, folder: Path, settings: StepSettings, weights: str) -> dict[
 
 
 def _markers(mesh: Mesh, rng: np.random.Generator) -> tuple[FloatArray, Any]:
-    """Return places on the free surface (n, 3), evenly random by area, and their weights on the nodes (n, n_nodes)."""
+    """Return random places (n, 3), mm, on the free surface, and sparse weights (n, n_nodes) that interpolate there."""
     from scipy import sparse
 
     held = np.isin(mesh.surface, mesh.node_sets["fixed"]).any(axis=1)
@@ -193,9 +195,9 @@ def _inside(mesh: Mesh, rng: np.random.Generator) -> FloatArray:
 
 
 def _states(mesh: Mesh, n_states: int, seed: int, threads: int) -> tuple[FloatArray, FloatArray]:
-    """Return simulated and true displacements, (n, n_nodes, 3) in mm each, of events as the shipped model's data has.
+    """Return simulated and true displacements, (n, n_nodes, 3), mm, under random loads as in the shipped model's data.
 
-    The truth has the same elements, other loads, another modulus and a stiff inclusion. Events without an equilibrium
+    The truth has the same elements, other loads, another modulus and a stiff inclusion. Loads without an equilibrium
     are left out, so that there may be fewer than `n_states`.
     """
     recipe = shipped_recipe()

@@ -1,4 +1,4 @@
-"""A first experiment on a user's own body: a folder that runs at once, to be filled with measurements."""
+"""A first experiment on a user's own body: a folder that can be simulated at once, to be filled with measurements."""
 
 import os
 from collections.abc import Callable, Mapping
@@ -57,7 +57,7 @@ _Tables = list[tuple[type[Keys], Mapping[str, Any] | None]]
 
 @dataclass(frozen=True)
 class Begun:
-    """What `new_experiment` wrote, names in the folder, and what it guessed, one sentence each."""
+    """Result of `new_experiment`: names of the files written, and a sentence for each thing that was guessed."""
 
     files: tuple[str, ...]
     guessed: tuple[str, ...]
@@ -72,18 +72,19 @@ def new_experiment(
     threads: int = 0,
     progress: Callable[[int, int], None] | None = None,
 ) -> Begun:
-    """Write the folder of an experiment with every key of the format, which `simulate` and `diagnose` take at once.
+    """Write the folder of a made-up experiment with every key of the format, ready for simulation and diagnosis.
 
     Two pads on the surface push in one after another, as far as the body finds equilibrium; ten markers and one inner
-    target are tracked. The tables hold what the believed model predicts on the mesh as it is, with noise. All of this
-    is to be replaced by the user's own.
+    target are tracked. The tables hold what the believed model predicts on the mesh as it is, with noise. The user is
+    to replace all of this by actual pads and measurements.
 
-    The folder must be new or empty; the mesh file stays where it is. Without a rule `fixed` for the held nodes, as
-    `read_mesh` takes it, they are the mesh's node set ``fixed``, in a mesh without it the lowest nodes along z.
-    `progress` is called with frames solved and frames in all. Cost: about ten solves on the mesh.
+    The folder must be new or empty; the mesh file stays where it is. `fixed` is a rule that selects the held nodes (a
+    plane, a ball, or the name of a node set). By default they are the mesh's node set ``fixed``, or the lowest nodes
+    along z if there is none. `progress` is called with the number of frames solved and that of all frames. Cost: about
+    ten solves on the mesh.
 
     Raises ConvergenceError if no equilibrium is found under the made-up pushes, FormatError or MeshError if the mesh
-    cannot be read or the rule holds no node, OutputError if the folder is a file, holds anything, or cannot be written.
+    cannot be read or the rule selects no node, OutputError if the folder is a file, is not empty, or cannot be written.
     """
     target = place("folder", folder, error=OutputError)
     check_folder_target(target)
@@ -121,7 +122,7 @@ def _simulated(
     threads: int,
     progress: Callable[[int, int], None] | None,
 ) -> tuple[Experiment, dict[str, CaseSimulation]]:
-    """Return the experiment and its cases under the largest pushes, halved where needed, that have an equilibrium."""
+    """Return the experiment and its simulated load cases, with pushes halved until all cases have an equilibrium."""
     _write_text(draft, _text(tables, mesh_file.absolute().as_posix(), False))
     for halved in range(_HALVINGS + 1):
         _write_frames(draft, rig, 0.5**halved)
@@ -148,7 +149,7 @@ def _write_text(folder: Path, text: str) -> None:
 
 
 def _held(body: Mesh, fixed: NodeRule | None) -> tuple[str | dict[str, Any], tuple[str, ...]]:
-    """Return the rule of the held nodes for the file, and sentences on what was guessed."""
+    """Return the rule that selects the held nodes, for the experiment file, and sentences on what was guessed."""
     if fixed is not None:
         return rule_for_file(fixed, "fixed"), ()
     if "fixed" in body.node_sets and len(body.node_sets["fixed"]):
@@ -197,7 +198,7 @@ def _text(tables: _Tables, mesh: str, simulated: bool) -> str:
 
 
 def _write_frames(folder: Path, rig: MadeUpRig, share: float) -> None:
-    """Write what the pads do, a share of their pushes, and the frames in which markers are to be seen."""
+    """Write the motion of the pads, `share` times the largest pushes, and the frames in which markers are tracked."""
     times = np.arange(len(_STROKE), dtype=np.float64)
     pushes: dict[str, tuple[FloatArray, dict[str, FloatArray]]] = {
         f"push_{i + 1}": (10.0 * (i + 1) + times, {f"pad_{i + 1}": share * _STROKE[:, None] * push + 0.0})

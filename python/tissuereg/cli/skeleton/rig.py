@@ -1,4 +1,4 @@
-"""Where pads, markers and a target of a made-up rig lie on a user's body."""
+"""Places of the pads, markers and target of a made-up rig on a user's body."""
 
 from dataclasses import dataclass
 
@@ -31,9 +31,9 @@ class MadeUpRig:
 
     @classmethod
     def on(cls, body: Mesh, held: IntArray) -> "MadeUpRig":
-        """Put pads and markers far from the nodes `held` and from each other; pads are of free nodes and share none.
+        """Place pads and markers on `body` far from the held nodes (indices `held`) and from each other.
 
-        Raises MeshError if the free surface has no room for them.
+        Pads consist of free nodes and share none. Raises MeshError if the free surface has no room for them.
         """
         free = np.setdiff1d(body.surface_nodes, held)
         corners = body.nodes[body.surface]
@@ -67,7 +67,7 @@ class MadeUpRig:
         return rig
 
     def _check(self, body: Mesh, held: IntArray) -> None:
-        """Refuse pads that take held nodes, share nodes or have none."""
+        """Raise MeshError if a pad contains held nodes or no node, or if the two pads share nodes."""
         patches = [
             set(map(int, body.surface_nodes_within(at, r))) for at, r in zip(self.centres, self.radii, strict=True)
         ]
@@ -81,9 +81,9 @@ class MadeUpRig:
 
 
 def _pads(places: FloatArray, from_held: FloatArray, radius: float) -> IntArray:
-    """Return the numbers of two surface places for pads: far from what is held, from each other and from corners.
+    """Return the indices (2,) of two places for pads: far from held nodes, from each other and from the body's ends.
 
-    `places` (n, 3): mm; `from_held` (n,): distance from the held nodes, mm; `radius`: of a pad, mm.
+    `places` (n, 3): mm; `from_held` (n,): distance from the held nodes, mm; `radius`: radius of a pad, mm.
     """
     from_middle = np.linalg.norm(places - places.mean(axis=0), axis=1)
     first = int(np.argmax(from_held - 1e-3 * from_middle))
@@ -93,7 +93,7 @@ def _pads(places: FloatArray, from_held: FloatArray, radius: float) -> IntArray:
 
 
 def _cap(radius: float, depth: float) -> tuple[float, float]:
-    """Return radius and lift of a ball above the surface that cuts out a round patch no deeper than `depth`."""
+    """Return radius and lift of the centre, mm, of a ball that cuts out a patch of `radius`, at most `depth` deep."""
     if radius <= depth:
         return radius, 0.0
     lift = (radius**2 - depth**2) / (2.0 * depth)
@@ -101,7 +101,7 @@ def _cap(radius: float, depth: float) -> tuple[float, float]:
 
 
 def _middle(body: Mesh) -> FloatArray:
-    """Return the centre (3,) of the tet that is nearest to the body's centre of volume, mm."""
+    """Return the centroid (3,), mm, of the tet that is closest to the body's centre of volume."""
     centres = body.nodes[body.tets].mean(axis=1)
     middle = np.average(centres, axis=0, weights=body.volumes)
     return np.asarray(centres[np.argmin(np.linalg.norm(centres - middle, axis=1))])
@@ -114,7 +114,11 @@ def _distance(points: FloatArray, others: FloatArray) -> FloatArray:
 
 
 def _spread(points: FloatArray, distance: FloatArray, n: int) -> IntArray:
-    """Return indices of `n` points, each the farthest from those chosen and from what `distance` is measured to."""
+    """Return indices of `n` of the points (n_points, 3), mm, chosen one by one, each the farthest from those before.
+
+    `distance` (n_points,): distance of each point, in mm, from other things that the chosen ones stay away from as
+    well.
+    """
     chosen: list[int] = []
     for _ in range(n):
         chosen.append(int(np.argmax(distance)))

@@ -21,7 +21,7 @@ GAIN, ANGLE, OFFSET, SHIFT = 0.08, 3.0, 0.7, 2.0
 
 
 class GainCause(Cause):
-    """The possible error of a simulation that one actuator gives a multiple of its prescribed motion (no fields)."""
+    """One actuator's motion is scaled."""
 
     id: ClassVar[str] = "actuator_gain"
     always_fitted: ClassVar[bool] = True
@@ -62,7 +62,7 @@ class GainCause(Cause):
 
 
 class DirectionCause(Cause):
-    """The possible error of a simulation that one actuator moves in another direction than believed (no fields)."""
+    """One actuator's motion has another direction."""
 
     id: ClassVar[str] = "actuator_direction"
     discrete: ClassVar[tuple[str, ...]] = ("actuator",)
@@ -107,7 +107,7 @@ class DirectionCause(Cause):
 
 
 class OffsetCause(Cause):
-    """The possible error that one actuator's motion has a constant offset, or its patch another place (no fields)."""
+    """One actuator's motion has a constant offset, or its patch has another position."""
 
     id: ClassVar[str] = "actuator_offset"
     discrete: ClassVar[tuple[str, ...]] = ("actuator", "kind")

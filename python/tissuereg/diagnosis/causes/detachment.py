@@ -35,7 +35,7 @@ DEPTHS = 200
 
 
 class DetachmentCause(Cause):
-    """The possible error that a part of a support, from its rim in one direction, is detached and free (no fields)."""
+    """A part of a boundary, from its rim in one direction, is free."""
 
     id: ClassVar[str] = "detachment"
     discrete: ClassVar[tuple[str, ...]] = ("boundary", "azimuth")

@@ -16,7 +16,7 @@ SHARE = 0.5
 
 
 class DrainageCause(Cause):
-    """The possible error that a share of the volumetric stress relaxes with one time constant (no fields)."""
+    """A share of the volumetric stress relaxes with one time constant."""
 
     id: ClassVar[str] = "drainage"
 

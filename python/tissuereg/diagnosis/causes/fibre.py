@@ -16,7 +16,7 @@ SIZE = 0.5
 
 
 class FibreCause(Cause):
-    """The possible error that one family of fibres, which carry tension only, stiffens the body (no fields)."""
+    """One family of fibres of any direction, which carry tension only."""
 
     id: ClassVar[str] = "fibre"
     discrete: ClassVar[tuple[str, ...]] = ("direction",)

@@ -21,7 +21,7 @@ UNKNOWN, KNOWN = 0.6, 0.2
 
 
 class GravityCause(Cause):
-    """The possible error that the body's weight has another direction or size than believed (no fields)."""
+    """Three components of the body's weight."""
 
     id: ClassVar[str] = "gravity"
     absolute: ClassVar[bool] = True

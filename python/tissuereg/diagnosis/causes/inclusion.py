@@ -36,7 +36,7 @@ LEAST_EXCESS = 0.05
 
 
 class InclusionCause(Cause):
-    """The possible error that a ball at any place in the body has another Young's modulus (no fields)."""
+    """A ball of another modulus, at any place."""
 
     id: ClassVar[str] = "inclusion"
 

@@ -21,11 +21,7 @@ from tissuereg.experiment.effects import Asymmetry, Effect, Mooney, Stiffening
 
 
 class LawCause(Cause):
-    """Base of possible errors that the body follows another law, which contains the believed one as a special case.
-
-    The believed law is neo-Hookean; the other one equals it where its dimensionless shape parameter is zero. Subclasses
-    list in `tried` the pairs of a law and a shape parameter at which changes are simulated. Instances have no fields.
-    """
+    """Laws that contain the believed one at a shape parameter of zero; changes are simulated at one or more values."""
 
     discrete: ClassVar[tuple[str, ...]] = ("law",)
 
@@ -78,7 +74,7 @@ MOONEY = "mooney-rivlin"
 
 
 class MooneyCause(LawCause):
-    """The possible error that the energy also depends on the second invariant: the Mooney-Rivlin law (no fields)."""
+    """The Mooney-Rivlin law."""
 
     id: ClassVar[str] = "mooney"
     tried: ClassVar[tuple[tuple[str, float], ...]] = ((MOONEY, 0.5),)
@@ -117,10 +113,9 @@ EXCESSES = (-0.4, 0.7)
 
 
 class AsymmetryCause(LawCause):
-    """The possible error that the small-strain stiffness differs between tension and compression (no fields).
+    """Ogden's law with one term, or a bimodular law, whose tension and compression differ at the smallest strain.
 
-    The law is Ogden's with one term, which is stiffer in compression for negative exponents and in tension for large
-    positive ones, or a bimodular law, whose tension and compression differ at the smallest strain.
+    Ogden's law is stiffer in compression for negative exponents, in tension for large positive ones.
     """
 
     id: ClassVar[str] = "asymmetry"
@@ -190,7 +185,7 @@ LARGEST = 7.0
 
 
 class StiffeningCause(LawCause):
-    """The possible error that the body stiffens with strain, by Fung's or Yeoh's law (no fields)."""
+    """Fung's exponential law or Yeoh's polynomial law in place of the neo-Hookean one."""
 
     id: ClassVar[str] = "stiffening"
     tried: ClassVar[tuple[tuple[str, float], ...]] = tuple(

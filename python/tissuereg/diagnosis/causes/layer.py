@@ -20,7 +20,7 @@ SPREAD = 1.5
 
 
 class LayerCause(Cause):
-    """The possible error that a layer of constant thickness below the free surface has another modulus (no fields)."""
+    """A layer of constant thickness below the free surface, with another modulus."""
 
     id: ClassVar[str] = "layer"
 

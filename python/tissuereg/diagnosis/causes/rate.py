@@ -15,7 +15,7 @@ SIZE = 0.2
 
 
 class RateCause(Cause):
-    """The possible error that a viscous stress acts in addition to the elastic one (no fields)."""
+    """A viscous stress in addition to the elastic one."""
 
     id: ClassVar[str] = "rate"
 

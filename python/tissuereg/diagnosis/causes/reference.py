@@ -12,7 +12,7 @@ from tissuereg.experiment.effects import Reference
 
 
 class ReferenceCause(Cause):
-    """The possible error that it is wrongly believed whether gravity already deforms the mesh (no fields)."""
+    """Whether the mesh is already deformed by the believed gravity."""
 
     id: ClassVar[str] = "reference"
     absolute: ClassVar[bool] = True

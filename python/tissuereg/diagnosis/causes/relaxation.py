@@ -23,7 +23,7 @@ def times_of(bench: Bench) -> FloatArray:
 
 
 class RelaxationCause(Cause):
-    """The possible error that a share of the stress, whole or isochoric, relaxes with one time constant (no fields)."""
+    """A share of the whole stress, or of its isochoric part, relaxes with one time constant."""
 
     id: ClassVar[str] = "relaxation"
     discrete: ClassVar[tuple[str, ...]] = ("part",)

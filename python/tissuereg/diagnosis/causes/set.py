@@ -13,7 +13,7 @@ SIZE = 0.1
 
 
 class SetCause(Cause):
-    """The possible error that a share of the largest strain remains when the load is gone (no fields)."""
+    """Permanent set."""
 
     id: ClassVar[str] = "set"
 

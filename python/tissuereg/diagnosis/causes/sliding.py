@@ -19,7 +19,7 @@ COHESIONS = (0.03, 0.1)
 
 
 class SlidingCause(Cause):
-    """The possible error that a support slides, on tangential springs or against friction (no fields)."""
+    """A boundary on tangential springs, or one that slips where the tangential stress exceeds friction."""
 
     id: ClassVar[str] = "sliding"
     discrete: ClassVar[tuple[str, ...]] = ("boundary", "kind")

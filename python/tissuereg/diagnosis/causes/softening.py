@@ -19,7 +19,7 @@ FORMS = {"ogden-roxburgh": 0.1, "damage": 0.0}
 
 
 class SofteningCause(Cause):
-    """The possible error that the largest energy so far softens the body: Mullins effect or damage (no fields)."""
+    """Softening by the largest strain energy so far: on reloading only (Mullins), or on first loading too (damage)."""
 
     id: ClassVar[str] = "softening"
     discrete: ClassVar[tuple[str, ...]] = ("form",)

@@ -16,10 +16,7 @@ YOUNG_SPREAD = 1.0
 
 
 class StiffnessCause(Cause):
-    """The possible error that Young's modulus of the whole body differs from the believed one (no fields).
-
-    Every fit varies the modulus as a nuisance parameter; it is named as a cause where it lies far from its prior.
-    """
+    """Another Young's modulus; every fit has it as a nuisance, a finding is named where it lies far from its prior."""
 
     id: ClassVar[str] = "stiffness"
     absolute: ClassVar[bool] = True
@@ -55,7 +52,7 @@ POISSON_SPREAD = 0.06
 
 
 class PoissonCause(Cause):
-    """The possible error that Poisson's ratio of the whole body differs from the believed one (no fields)."""
+    """Poisson's ratio."""
 
     id: ClassVar[str] = "poisson"
 

@@ -17,7 +17,7 @@ HOLD = "hold"
 
 
 class SwellingCause(Cause):
-    """The possible error that all lengths grow or shrink at a constant rate, in a session or half of it (no fields)."""
+    """Growth of all lengths at a constant rate, over the whole session or a half of it."""
 
     id: ClassVar[str] = "swelling"
     discrete: ClassVar[tuple[str, ...]] = ("window", "pads")

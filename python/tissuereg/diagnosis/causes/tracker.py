@@ -26,10 +26,7 @@ ONSETS_A_CASE = 4
 
 
 class FrameCause(Cause):
-    """The possible error that the tracker's frame of reference is shifted and rotated (no fields).
-
-    Every fit allows a small shift and rotation as nuisance parameters; the cause is one larger than their prior.
-    """
+    """The tracker's frame is shifted and rotated, by more than its prior as a nuisance allows."""
 
     id: ClassVar[str] = "frame"
     always_fitted: ClassVar[bool] = True
@@ -66,7 +63,7 @@ class FrameCause(Cause):
 
 
 class ScaleCause(Cause):
-    """The possible error that the tracker's lengths have a wrong scale, about any origin (no fields)."""
+    """The tracker's lengths have a wrong scale, about any origin."""
 
     id: ClassVar[str] = "scale"
 
@@ -108,7 +105,7 @@ class ScaleCause(Cause):
 
 
 class LatencyCause(Cause):
-    """The possible error that markers are recorded with a delay against the actuators' clock (no fields)."""
+    """Markers are recorded with a delay."""
 
     id: ClassVar[str] = "latency"
 
@@ -143,7 +140,7 @@ class LatencyCause(Cause):
 
 
 class SlipCause(Cause):
-    """The possible error that one marker is displaced on the body from some time on (no fields)."""
+    """One marker is displaced on the body from some time on."""
 
     id: ClassVar[str] = "marker_slip"
     discrete: ClassVar[tuple[str, ...]] = ("marker", "onset")
@@ -189,7 +186,7 @@ class SlipCause(Cause):
 
 
 class SwapCause(Cause):
-    """The possible error that two markers are mistaken for each other from some time on (no fields)."""
+    """Two markers are mistaken for each other from some time on."""
 
     id: ClassVar[str] = "marker_swap"
     discrete: ClassVar[tuple[str, ...]] = ("pair", "onset")

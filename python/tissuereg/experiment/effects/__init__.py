@@ -1,8 +1,8 @@
-"""Effects: what may be wrong with a believed experiment, one class an id of its ``[[effect]]`` tables.
+"""Effects: deviations of reality from a believed experiment, one class per ``id`` of an ``[[effect]]`` table.
 
 An effect is plain data that can be made in Python (`Inclusion(centre_mm=..., semi_axes_mm=..., contrast=3.0)`) or read
-from a table (`effect_from_table`). `extended` works those of body, supports and actuators into an experiment;
-`seen_markers` applies those of the measuring chain to predicted markers.
+from a table (`effect_from_table`). `extended` changes an experiment by its effects on body, supports and actuators;
+`seen_markers` changes predicted marker places by the errors of the marker tracker.
 """
 
 from tissuereg.experiment.effects.actuators import ActuatorDirection, ActuatorGain, ActuatorOffset

@@ -1,4 +1,4 @@
-"""What moves the body: actuators whose motion, force or place differs from the believed one."""
+"""Effects on actuators: their motion, force or place differs from what the user believes."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -15,13 +15,13 @@ from tissuereg.experiment.experiment import Actuator, Experiment
 
 @dataclass(frozen=True, kw_only=True)
 class _OfActuator(Effect):
-    """An effect on one actuator, in all cases in which it is present."""
+    """Base of effects on one actuator, which act in all load cases in which it is present."""
 
     repeatable: ClassVar[bool] = True
     actuator: str = text("name of the actuator")
 
     def fits(self, experiment: Experiment) -> None:
-        """Refuse an unknown actuator."""
+        """Raise ExperimentError if the experiment has no actuator of this name."""
         names = [actuator.name for actuator in experiment.actuators]
         if self.actuator not in names:
             refuse(f"`actuator` must be one of {', '.join(names) or 'none'}", self.actuator)
@@ -35,7 +35,7 @@ class ActuatorGain(_OfActuator):
     gain: float = number("factor on the commanded motion or force")
 
     def applied(self, experiment: Experiment, element: str) -> Experiment:
-        """Return the experiment with the actuator's scaled motion."""
+        """Return the experiment with the actuator's motion (mm) or force (mN) multiplied by `gain` in all cases."""
         return _given(experiment, self.actuator, lambda values: values * self.gain)
 
 
@@ -47,7 +47,7 @@ class ActuatorDirection(_OfActuator):
     rotation_deg: Vector = numbers("rotation vector: axis times angle, right-handed", 3)
 
     def applied(self, experiment: Experiment, element: str) -> Experiment:
-        """Return the experiment with the actuator's turned motion."""
+        """Return the experiment with the actuator's motion (mm) or force (mN) rotated in all cases."""
         turn = rotation_from_vector(self.rotation_deg)
         return _given(experiment, self.actuator, lambda values: values @ turn.T)
 
@@ -61,11 +61,11 @@ class ActuatorOffset(_OfActuator):
     shift_mm: Vector | None = numbers("or: how far its patch lies from where it is believed", 3, default=None)
 
     def check(self) -> None:
-        """Refuse none or both."""
+        """Raise ExperimentError unless exactly one of `offset_mm` and `shift_mm` is given."""
         exactly_one(self, ("offset_mm",), ("shift_mm",))
 
     def fits(self, experiment: Experiment) -> None:
-        """Refuse an unknown actuator, a motion of a force actuator, and a patch shifted off the body."""
+        """Raise ExperimentError for an unknown actuator, an offset of a force, or a patch shifted off the body."""
         super().fits(experiment)
         actuator = experiment.actuator(self.actuator)
         if self.offset_mm is not None and actuator.kind != "displacement":
@@ -74,7 +74,7 @@ class ActuatorOffset(_OfActuator):
             refuse(f"`shift_mm` must leave the patch of '{self.actuator}' on the body", list(self.shift_mm))
 
     def applied(self, experiment: Experiment, element: str) -> Experiment:
-        """Return the experiment with the motion or the patch moved."""
+        """Return the experiment with `offset_mm` added to the actuator's motion, or with its patch shifted."""
         if self.offset_mm is not None:
             offset = np.asarray(self.offset_mm)
             return _given(experiment, self.actuator, lambda values: values + offset)
@@ -86,22 +86,23 @@ class ActuatorOffset(_OfActuator):
 
 
 def shifted_patch(mesh: Mesh, actuator: Actuator, shift: Vector) -> IntArray:
-    """Return the surface nodes of a patch that sits elsewhere.
+    """Return the surface nodes of an actuator's patch after it has been shifted.
 
     Parameters
     ----------
     mesh : Mesh
-        Reference shape.
+        Mesh in the reference shape.
     actuator : Actuator
-        Whose patch. If the patch is given as a sphere, its centre is shifted. Any other patch is shifted as an outline:
-        a node belongs to it if, moved back by the shift, its nearest surface node belongs to the believed patch.
+        Actuator whose patch is shifted. If the patch is given as a sphere, its centre is shifted. Any other patch is
+        shifted as an outline: a node belongs to it if, moved back by the shift, its nearest surface node belongs to the
+        believed patch.
     shift : tuple of float
-        mm.
+        Shift vector, mm.
 
     Returns
     -------
     ndarray of int64, shape (n,)
-        Sorted; empty where the patch has left the body.
+        Sorted node indices; empty where the patch has left the body.
     """
     rule = actuator.rule
     if rule is not None and not isinstance(rule, str) and "centre_mm" in rule:
@@ -114,9 +115,9 @@ def shifted_patch(mesh: Mesh, actuator: Actuator, shift: Vector) -> IntArray:
 
 
 def _given(experiment: Experiment, name: str, change: Callable[[FloatArray], FloatArray]) -> Experiment:
-    """Return the experiment with one actuator's commanded values changed in every case that has it.
+    """Return the experiment with the commands of the actuator `name` changed in every load case that has it.
 
-    `change`: takes its motion or force (n_frames, 3), in mm or mN, and returns the changed one.
+    `change`: function that takes its motion or force (n_frames, 3), in mm or mN, and returns the changed one.
     """
     cases = dict(experiment.cases)
     for title, case in cases.items():

@@ -1,7 +1,7 @@
-"""The base of every effect: a frozen record of checked keys that changes an experiment or what its tracker sees.
+"""The base class of every effect: a frozen record of checked keys that changes an experiment or measured markers.
 
 The keys of an effect are its fields, in the units that their names end in, declared by the functions of
-`tissuereg._base.fields`: a table read from a file and a record made in Python obey one rule.
+`tissuereg._base.fields`: a table read from a file and a record made in Python obey the same rules.
 """
 
 from collections.abc import Sequence
@@ -21,12 +21,12 @@ Vector = tuple[float, float, float]
 
 @dataclass(frozen=True, kw_only=True)
 class Effect(CheckedRecord):
-    """One ``[[effect]]`` table.
+    """Base of all effects: one deviation of reality from the believed experiment, as an ``[[effect]]`` table states it.
 
     Raises
     ------
     ExperimentError
-        If a key does not hold what it must.
+        If a field has a value that its declaration does not allow.
     """
 
     error: ClassVar[type[TissueRegError]] = ExperimentError
@@ -38,12 +38,12 @@ class Effect(CheckedRecord):
     absolute: ClassVar[bool] = False
 
     def fits(self, experiment: Experiment) -> None:
-        """Refuse an experiment that lacks what this effect refers to.
+        """Raise an error if an experiment lacks what this effect refers to, such as a marker or an actuator.
 
         Parameters
         ----------
         experiment : Experiment
-            With this effect among its effects.
+            Experiment that has this effect among its effects.
 
         Raises
         ------
@@ -52,29 +52,29 @@ class Effect(CheckedRecord):
         """
 
     def applied(self, experiment: Experiment, element: str) -> Experiment:
-        """Return the experiment with this effect applied.
+        """Return a copy of an experiment that is changed as this effect states.
 
         Parameters
         ----------
         experiment : Experiment
-            What is believed so far.
+            Believed experiment, to which earlier effects have been applied already.
         element : {"tet4", "tet4-averaged", "tet10"}
-            Elements to be used.
+            Finite elements with which it will be simulated.
 
         Returns
         -------
         Experiment
-            For the solver.
+            Changed experiment, for the solver.
 
         Raises
         ------
         ExperimentError
-            If this release's solver does not run the effect.
+            If the solver of this release cannot simulate the effect.
         """
         raise NotImplementedError
 
     def table(self) -> dict[str, Any]:
-        """Return the keys of the ``[[effect]]`` table, ``id`` first, absent ones left out."""
+        """Return the keys and values of the ``[[effect]]`` table: ``id`` first, keys that are None left out."""
         content: dict[str, Any] = {"id": self.id}
         for key in fields(self):
             value = getattr(self, key.name)
@@ -85,59 +85,60 @@ class Effect(CheckedRecord):
 
 @dataclass(frozen=True, kw_only=True)
 class ChainEffect(Effect):
-    """An error of the marker tracker: it changes seen markers, not the body, its targets or forces."""
+    """Base of errors of the marker tracker, which change measured markers, but not the body, its targets or forces."""
 
     def applied(self, experiment: Experiment, element: str) -> Experiment:
         """Return the experiment unchanged: the tracker does not act on the body."""
         return experiment
 
     def seen(self, places: FloatArray, times: FloatArray, names: Sequence[str]) -> FloatArray:
-        """Return where the tracker sees markers.
+        """Return the marker places that the tracker reports, which differ from the true ones by this error.
 
         Parameters
         ----------
         places : ndarray of float64, shape (n_frames, n_markers, 3)
-            Where they are, mm; NaN = not known.
+            True places of the markers in mm; NaN where not known.
         times : ndarray of float64, shape (n_frames,)
-            Frames of the case in s, increasing.
+            Times of the frames in s, increasing.
         names : sequence of str
-            Of the markers.
+            Names of the markers.
 
         Returns
         -------
         ndarray of float64, shape (n_frames, n_markers, 3)
-            mm.
+            Reported places in mm.
         """
         raise NotImplementedError
 
     def undone(self, seen: FloatArray, times: FloatArray, names: Sequence[str]) -> FloatArray:
-        """Return where markers truly are, (n_frames, n_markers, 3), mm, from where the tracker saw them.
+        """Return the true marker places, (n_frames, n_markers, 3), mm, from the places that the tracker reports.
 
-        `seen`: places that the tracker saw, of that shape; `times` (n_frames,): s; `names`: of the markers.
+        `seen`: reported places, of that shape, in mm; `times` (n_frames,): times of the frames, s; `names`: names of
+        the markers.
         """
         raise NotImplementedError
 
 
 def refuse(rule: str, found: object = None) -> NoReturn:
-    """Raise an error that states what must hold and what was found."""
+    """Raise an ExperimentError that states the rule that must hold and the value `found` instead, unless it is None."""
     message = rule if found is None else f"{rule}, got {found!r}"
     raise ExperimentError(message)
 
 
 def exactly_one(effect: Effect, *groups: tuple[str, ...]) -> None:
-    """Refuse an effect unless exactly one group of keys is given, and given whole.
+    """Raise an error unless exactly one of several groups of fields of an effect is given, and that one completely.
 
     Parameters
     ----------
     effect : Effect
-        To be checked.
+        Effect to be checked.
     *groups : tuple of str
-        Keys that belong together.
+        Names of fields that belong together, one tuple per group. A field counts as given unless it is None.
 
     Raises
     ------
     ExperimentError
-        If no group is complete, or keys of several are given.
+        If no group is complete, or fields of more than one group are given.
     """
     given = [key for group in groups for key in group if getattr(effect, key) is not None]
     if given not in [list(group) for group in groups]:
@@ -146,7 +147,7 @@ def exactly_one(effect: Effect, *groups: tuple[str, ...]) -> None:
 
 
 def rotation_from_vector(degrees: Vector) -> FloatArray:
-    """Return the matrix of a rotation vector: axis times angle in degrees, right-handed, shape (3, 3)."""
+    """Return the right-handed rotation matrix, shape (3, 3), of a rotation vector: axis times angle in degrees."""
     from scipy.spatial.transform import Rotation
 
     return np.asarray(Rotation.from_rotvec(np.asarray(degrees), degrees=True).as_matrix())

@@ -1,4 +1,4 @@
-"""All effects by id, in the order in which they are applied."""
+"""All effects by their ``id``, in the order in which they are applied to an experiment."""
 
 import contextlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -37,7 +37,7 @@ _NUISANCES = ("drift", "mesh_error")
 
 
 def effect_from_table(content: Mapping[str, Any]) -> Effect:
-    """Return the effect that a table describes.
+    """Return the effect that an ``[[effect]]`` table describes.
 
     Parameters
     ----------
@@ -47,12 +47,12 @@ def effect_from_table(content: Mapping[str, Any]) -> Effect:
     Returns
     -------
     Effect
-        With its keys checked; `check_effects` checks that it fits an experiment.
+        Effect whose values have been checked; `check_effects` checks whether it fits an experiment.
 
     Raises
     ------
     ExperimentError
-        If the id or a key is unknown, a key is missing or does not hold what it must.
+        If the id or a key is unknown, a key is missing, or a value is not allowed.
 
     Examples
     --------
@@ -72,17 +72,17 @@ def effect_from_table(content: Mapping[str, Any]) -> Effect:
 
 
 def ordered(effects: Iterable[Effect]) -> list[Effect]:
-    """Return effects in the order of application; several of one id keep theirs."""
+    """Return effects in the order in which they are applied; effects of the same id keep their order."""
     return sorted(effects, key=lambda effect: _ORDER.index(effect.id))
 
 
 def check_effects(experiment: Experiment) -> None:
-    """Refuse effects that do not fit their experiment or each other.
+    """Raise an error if effects of an experiment do not fit it or each other.
 
     Parameters
     ----------
     experiment : Experiment
-        With its effects.
+        Experiment with its effects.
 
     Raises
     ------
@@ -100,25 +100,26 @@ def check_effects(experiment: Experiment) -> None:
 
 
 def extended(experiment: Experiment, element: str = "tet4") -> Experiment:
-    """Return an experiment with the effects of body, supports and actuators worked into it.
+    """Return an experiment whose body, supports and actuators are changed as its effects state.
 
     Parameters
     ----------
     experiment : Experiment
-        With its effects.
+        Believed experiment with its effects.
     element : {"tet4", "tet4-averaged", "tet10"}
-        Elements to be used.
+        Finite elements with which it will be simulated.
 
     Returns
     -------
     Experiment
-        Its remaining effects are those that the solver reads while it runs (memory, sliding) and those of the measuring
-        chain. The same object if it has effects of the measuring chain alone, or none.
+        Changed experiment. It keeps the effects that the solver reads while it runs (those of the load history, and
+        sliding) and the errors of the marker tracker. If it has no other effects than errors of the tracker, the same
+        object is returned.
 
     Raises
     ------
     ExperimentError
-        As `check_effects`.
+        If an effect does not fit the experiment or another effect.
     """
     check_effects(experiment)
     rest = tuple(effect for effect in ordered(experiment.effects) if isinstance(effect, ChainEffect | Memory | Sliding))
@@ -132,21 +133,21 @@ def extended(experiment: Experiment, element: str = "tet4") -> Experiment:
 
 
 def seen_markers(experiment: Experiment, places: FloatArray, times: FloatArray) -> FloatArray:
-    """Return where the tracker sees markers, errors of the measuring chain applied.
+    """Return the marker places that the tracker reports, which differ from the true ones by the errors of the tracker.
 
     Parameters
     ----------
     experiment : Experiment
-        With its effects.
+        Experiment with its effects, of which those of the tracker are used.
     places : ndarray of float64, shape (n_frames, n_markers, 3)
-        Where markers are in the frames of a case, mm.
+        True places of the markers in the frames of one load case, mm.
     times : ndarray of float64, shape (n_frames,)
-        s.
+        Times of the frames, s.
 
     Returns
     -------
     ndarray of float64, shape (n_frames, n_markers, 3)
-        mm.
+        Reported places, mm.
     """
     for effect in _chain(experiment.effects):
         places = effect.seen(places, times, experiment.marker_names)
@@ -154,9 +155,9 @@ def seen_markers(experiment: Experiment, places: FloatArray, times: FloatArray) 
 
 
 def true_markers(experiment: Experiment, seen: FloatArray, times: FloatArray) -> FloatArray:
-    """Return where markers truly are, (n_frames, n_markers, 3), mm: all errors of the measuring chain are undone.
+    """Return the true marker places, (n_frames, n_markers, 3), mm: all errors of the tracker are undone.
 
-    `seen`: places that the tracker saw, of that shape; `times` (n_frames,): s.
+    `seen`: places that the tracker reports, of that shape, mm; `times` (n_frames,): times of the frames, s.
     """
     for effect in reversed(_chain(experiment.effects)):
         seen = effect.undone(seen, times, experiment.marker_names)
@@ -165,7 +166,7 @@ def true_markers(experiment: Experiment, seen: FloatArray, times: FloatArray) ->
 
 @contextlib.contextmanager
 def _of_table(index: int, effect: Effect) -> Iterator[None]:
-    """Name the table in every error about its effect."""
+    """Add the number and the id of the ``[[effect]]`` table to an ExperimentError that the block raises."""
     try:
         yield
     except ExperimentError as error:

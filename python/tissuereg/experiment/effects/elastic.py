@@ -1,4 +1,4 @@
-"""What the body is made of, the same everywhere: moduli, law, fibres."""
+"""Effects on the elastic material of the whole body: moduli, law of strain energy, fibres."""
 
 from dataclasses import dataclass, replace
 from typing import ClassVar
@@ -25,7 +25,7 @@ class Stiffness(Effect):
     young_kpa: float = number("Young's modulus at small strain", above=0.0)
 
     def applied(self, experiment: Experiment, element: str) -> Experiment:
-        """Return the experiment with this modulus."""
+        """Return the experiment with Young's modulus `young_kpa` everywhere."""
         return replace(experiment, material=replace(experiment.material, young=self.young_kpa))
 
 
@@ -37,13 +37,16 @@ class Poisson(Effect):
     poisson: float = number("Poisson's ratio at small strain", above=-1.0, below=0.5)
 
     def applied(self, experiment: Experiment, element: str) -> Experiment:
-        """Return the experiment with this ratio."""
+        """Return the experiment with Poisson's ratio `poisson` everywhere."""
         return replace(experiment, material=replace(experiment.material, poisson=self.poisson))
 
 
 @dataclass(frozen=True, kw_only=True)
 class OtherLaw(Effect):
-    """Another law of the same small-strain moduli, with its shape parameters."""
+    """Base of effects by which the strain energy has another law, with the same moduli at small strain.
+
+    `law` names it; its shape parameters, which the table of `Material` defines, must be given and all others be None.
+    """
 
     law: str = choice(tuple(SHAPE_KEYS), "strain energy")
     excess: float | None = number(_OF_LAW, above=-1.0, default=None)
@@ -57,7 +60,7 @@ class OtherLaw(Effect):
     volumetric: str | None = choice(VOLUMETRIC, "energy of volume change, as believed where left out", default=None)
 
     def check(self) -> None:
-        """Refuse missing shape parameters, and those of another law."""
+        """Raise an error if a shape parameter of the law is missing, out of range, or belongs to another law."""
         wanted = SHAPE_KEYS[self.law]
         for key in _SHAPES:
             given = getattr(self, key) is not None
@@ -72,11 +75,11 @@ class OtherLaw(Effect):
         self.of(Material())
 
     def applied(self, experiment: Experiment, element: str) -> Experiment:
-        """Return the experiment with this law."""
+        """Return the experiment with this law in its material."""
         return replace(experiment, material=self.of(experiment.material))
 
     def of(self, material: Material) -> Material:
-        """Return a material with this law."""
+        """Return a copy of a material with this law and its shape parameters."""
         try:
             shape = {key: getattr(self, key) for key in SHAPE_KEYS[self.law]}
             return replace(material, law=self.law, shape=shape, volumetric=self.volumetric or material.volumetric)
@@ -86,21 +89,30 @@ class OtherLaw(Effect):
 
 @dataclass(frozen=True, kw_only=True)
 class Stiffening(OtherLaw):
-    """The body stiffens as strain grows."""
+    """The body stiffens as strain grows.
+
+    `law` names its law of strain energy; the law's shape parameters are fields too; moduli at small strain stay.
+    """
 
     id: ClassVar[str] = "stiffening"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Mooney(OtherLaw):
-    """The strain energy depends on the second invariant as well as on the first."""
+    """The strain energy depends on the second invariant as well as on the first.
+
+    `law` names its law of strain energy; the law's shape parameters are fields too; moduli at small strain stay.
+    """
 
     id: ClassVar[str] = "mooney"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Asymmetry(OtherLaw):
-    """The body responds differently to tension and to compression."""
+    """The body responds differently to tension and to compression.
+
+    `law` names its law of strain energy; the law's shape parameters are fields too; moduli at small strain stay.
+    """
 
     id: ClassVar[str] = "asymmetry"
 
@@ -116,6 +128,6 @@ class Fibre(Effect):
     tension_only: bool = flag("whether shortened fibres are slack", default=True)
 
     def applied(self, experiment: Experiment, element: str) -> Experiment:
-        """Return the experiment with these fibres added to its law."""
+        """Return the experiment with these fibres added to the law of its material."""
         fibre = Fibres(self.k1_over_mu, self.k2, self.direction, self.tension_only)
         return replace(experiment, material=replace(experiment.material, fibre=fibre))

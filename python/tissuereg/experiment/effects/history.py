@@ -1,4 +1,4 @@
-"""Effects of the body's history: relaxation, viscosity, softening, set, swelling, drainage."""
+"""Effects of the body's load history: relaxation, viscosity, softening, permanent set, swelling, drainage."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -13,16 +13,19 @@ from tissuereg.experiment.experiment import Experiment
 
 @dataclass(frozen=True, kw_only=True)
 class Memory(Effect):
-    """An effect that acts while a case runs through time; fields as the solver names them."""
+    """Base of effects of the load history, which the solver computes while a load case runs through time."""
 
     def applied(self, experiment: Experiment, element: str) -> Experiment:
-        """Return the experiment unchanged: the solver reads the effect itself."""
+        """Return the experiment unchanged: the solver reads this effect itself."""
         return experiment
 
 
 @dataclass(frozen=True, kw_only=True)
 class Relaxation(Memory):
-    """Prony series: shares `g` of the stress relax over the times `tau_s`; the modulus is the instantaneous one."""
+    """Prony series: shares `g` of the stress relax over the times `tau_s`; the modulus is the instantaneous one.
+
+    `part`: whether the whole stress relaxes or its isochoric part alone; times are in s.
+    """
 
     id: ClassVar[str] = "relaxation"
     g: tuple[float, ...] = numbers("shares of the stress that relax; their sum is less than 1", above=0.0, below=1.0)
@@ -30,7 +33,7 @@ class Relaxation(Memory):
     part: str = choice(("whole", "isochoric"), "stress that relaxes", default="whole")
 
     def check(self) -> None:
-        """Refuse lists of two lengths, and shares that leave nothing."""
+        """Raise an error if `g` and `tau_s` differ in length, or the shares `g` add up to 1 or more."""
         if len(self.g) != len(self.tau_s):
             refuse("`g` and `tau_s` must be of one length", [len(self.g), len(self.tau_s)])
         if sum(self.g) >= 1.0:
@@ -50,7 +53,8 @@ class Rate(Memory):
 class Softening(Memory):
     """Softening of the stress by the largest strain energy that the material has had so far (Mullins effect, damage).
 
-    The factor on the stress is that of `tissuereg.simulation.behaviour.SofteningLaw`.
+    The stress is multiplied by a factor that depends on the present strain energy density and the largest one so far;
+    `tissuereg.simulation.behaviour.SofteningLaw` has its formula.
     """
 
     id: ClassVar[str] = "softening"
@@ -65,7 +69,7 @@ class Softening(Memory):
     )
 
     def check(self) -> None:
-        """Refuse a `beta` other than 0 with damage."""
+        """Raise an error if `beta` is not 0 although `form` is ``damage``."""
         if self.form == "damage" and self.beta != 0.0:
             refuse("`beta` must be 0 for damage", self.beta)
 
@@ -94,12 +98,12 @@ class Swelling(Memory):
     )
 
     def check(self) -> None:
-        """Refuse an end before the beginning."""
+        """Raise an error if `to_time_s` is not after `from_time_s`."""
         if self.to_time_s <= self.from_time_s:
             refuse("`to_time_s` must lie after `from_time_s`", [self.from_time_s, self.to_time_s])
 
     def share(self, times: FloatArray) -> FloatArray:
-        """Return which share of the growth is done at times (n,) in s."""
+        """Return the share (n,) of the growth, from 0 to 1, that is done at times (n,) in s."""
         return np.clip((times - self.from_time_s) / (self.to_time_s - self.from_time_s), 0.0, 1.0)
 
 

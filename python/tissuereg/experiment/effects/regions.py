@@ -1,4 +1,4 @@
-"""Where the body is stiffer or softer: factors on Young's modulus that can be evaluated at any point."""
+"""Effects that make a region of the body stiffer or softer: factors on Young's modulus, defined at any point."""
 
 import math
 from dataclasses import dataclass, replace
@@ -23,29 +23,29 @@ _CANDIDATES = 4
 
 
 class SharpRegion(Protocol):
-    """A part of the body with a sharp edge."""
+    """Protocol of a region of the body with a sharp edge, described by a depth function that is zero at the edge."""
 
     @property
     def steepness(self) -> float:
-        """Largest change of `depth` along a path of 1 mm."""
+        """Largest change of `depth` in mm along a path of 1 mm."""
 
     def depth(self, points: FloatArray) -> FloatArray:
-        """Return how deep points (..., 3) lie inside the region in mm, negative outside."""
+        """Return the depth (...) in mm of points (..., 3) in mm below the edge of the region, negative outside."""
 
     def lattice_depth(self, mesh: Mesh, tets: IntArray, weights: FloatArray) -> FloatArray:
-        """Return the depth (n, n_points) of points in some tets (n,) from their barycentric weights (n_points, 4)."""
+        """Return the depth (n, n_points), mm, of points in tets (n,), from barycentric weights (n_points, 4)."""
 
 
 @dataclass(frozen=True)
 class Ellipsoid:
-    """An ellipsoid along the axes.
+    """An ellipsoidal region whose axes lie along x, y and z.
 
     Parameters
     ----------
     centre : tuple of float
-        mm.
+        Centre, mm.
     semi_axes : tuple of float
-        mm.
+        Half-axes along x, y and z, mm.
     """
 
     centre: Vector
@@ -53,13 +53,13 @@ class Ellipsoid:
 
     @property
     def steepness(self) -> float:
-        """Largest change of the estimated depth along a path of 1 mm."""
+        """Upper bound of the change of the estimated depth in mm along a path of 1 mm."""
         return 2.0 * max(self.semi_axes) / min(self.semi_axes)
 
     def depth(self, points: FloatArray) -> FloatArray:
-        """Return how deep points (..., 3) lie inside, mm, negative outside.
+        """Return the depth (...) in mm of points (..., 3) in mm below the ellipsoid's surface, negative outside.
 
-        It is exact for a ball, and to first order near the edge otherwise.
+        It is exact for a ball, and to first order near the surface otherwise.
         """
         offset = points - np.asarray(self.centre)
         axes = np.asarray(self.semi_axes)
@@ -69,23 +69,24 @@ class Ellipsoid:
         return np.asarray(np.where(slope > 0, size * (1 - size) / np.where(slope > 0, slope, 1.0), inner))
 
     def lattice_depth(self, mesh: Mesh, tets: IntArray, weights: FloatArray) -> FloatArray:
-        """Return the depth of lattice points in tets, (n_tets, n_points), mm, negative outside the ellipsoid.
+        """Return the depth of points in tets, (n_tets, n_points), mm, negative outside the ellipsoid.
 
-        `tets` int64 (n_tets,): numbers of tets; `weights` (n_points, 4): barycentric weights of the points in every
-        tet.
+        `tets` int64 (n_tets,): indices of the tets; `weights` (n_points, 4): barycentric weights of the points, the
+        same in every tet.
         """
         return self.depth(np.einsum("pc,tcx->tpx", weights, mesh.nodes[mesh.tets[tets]]))
 
 
 class OuterLayer:
-    """The part of the body that lies less than a thickness below the free surface.
+    """The region of the body that lies less than a thickness below its free surface.
 
     Parameters
     ----------
     mesh : Mesh
-        Reference shape; boundary triangles with all nodes in its set ``fixed`` are no free surface.
+        Mesh in the reference shape. Boundary triangles whose nodes are all in its node set ``fixed`` do not belong to
+        the free surface.
     thickness : float
-        mm.
+        Thickness of the layer, mm.
     """
 
     steepness = 1.0
@@ -95,14 +96,14 @@ class OuterLayer:
         self._thickness = thickness
 
     def depth(self, points: FloatArray) -> FloatArray:
-        """Return how far points (..., 3) of the body lie above the layer's inner face, mm."""
+        """Return the distance (...), mm, of points (..., 3), mm, above the layer's inner face; negative below."""
         return np.asarray(self._thickness - _surface_of(self._mesh).distance(points))
 
     def lattice_depth(self, mesh: Mesh, tets: IntArray, weights: FloatArray) -> FloatArray:
-        """Return the depth of lattice points in tets, (n_tets, n_points), mm.
+        """Return the distance of points in tets above the layer's inner face, (n_tets, n_points), mm; negative below.
 
-        It is linear between a tet's corners and its centre. `tets` int64 (n_tets,): numbers of tets; `weights`
-        (n_points, 4): barycentric weights of the points in every tet.
+        It is interpolated linearly between a tet's corners and its centre. `tets` int64 (n_tets,): indices of the tets;
+        `weights` (n_points, 4): barycentric weights of the points, the same in every tet.
         """
         surface = _surface_of(self._mesh)
         inner = weights.min(axis=1)
@@ -111,7 +112,7 @@ class OuterLayer:
 
 
 class _FreeSurface:
-    """Distances from the free surface of a body, mm."""
+    """Distances in mm from a body's free surface: `of_nodes` (n_nodes,), `of_centres` of tets (n_tets,), of points."""
 
     def __init__(self, mesh: Mesh) -> None:
         from scipy.spatial import KDTree
@@ -127,7 +128,7 @@ class _FreeSurface:
         self.of_centres = self.distance(mesh.nodes[mesh.tets].mean(axis=1))
 
     def distance(self, points: FloatArray) -> FloatArray:
-        """Return the distance (...), mm, of points (..., 3) from the triangles of their nearest surface samples."""
+        """Return the distance (...), mm, of points (..., 3), mm, from the triangles of the nearest surface samples."""
         import trimesh
 
         closest: Any = trimesh.triangles.closest_point  # trimesh leaves this function without annotations
@@ -141,12 +142,12 @@ class _FreeSurface:
 
 @lru_cache(maxsize=2)
 def _surface_of(mesh: Mesh) -> _FreeSurface:
-    """Return the free surface of a mesh; layers of one body differ in thickness alone."""
+    """Return the distances from the free surface of a mesh, which are kept for the two meshes used last."""
     return _FreeSurface(mesh)
 
 
 def share_inside(region: SharpRegion, mesh: Mesh, n_points: int = 1) -> FloatArray:
-    """Return the share of every tet's volume, or of the volume around each of its points, that lies inside a region.
+    """Return the share of each tet's volume, or of the volume at each of its quadrature points, inside a region.
 
     Each tet that the edge may cross is sampled at a lattice of points, and the edge is smoothed over their spacing: the
     share is continuous in the region's place and size.
@@ -154,16 +155,17 @@ def share_inside(region: SharpRegion, mesh: Mesh, n_points: int = 1) -> FloatArr
     Parameters
     ----------
     region : SharpRegion
-        With a sharp edge.
+        Region with a sharp edge.
     mesh : Mesh
-        Reference shape.
+        Mesh in the reference shape.
     n_points : {1, 4}
-        Quadrature points of an element; each of four takes the quarter of the tet that is nearest to its corner.
+        Number of quadrature points of an element. Each of four stands for the quarter of the tet that is nearest to its
+        corner.
 
     Returns
     -------
     ndarray of float64, shape (n_tets,) or (n_tets, 4)
-        From 0 to 1.
+        Shares of the volume, from 0 to 1.
     """
     corners = mesh.nodes[mesh.tets]
     reach = np.linalg.norm(corners - corners.mean(axis=1, keepdims=True), axis=2).max(axis=1)
@@ -178,7 +180,7 @@ def share_inside(region: SharpRegion, mesh: Mesh, n_points: int = 1) -> FloatArr
 
 
 def _parts(weights: FloatArray, n_points: int) -> FloatArray:
-    """Return the weight of each lattice point for each quadrature point; columns sum to 1."""
+    """Return the weight of each sample for each quadrature point, (n_samples, n_points); columns sum to 1."""
     if n_points == 1:
         return np.full((len(weights), 1), 1.0 / len(weights))
     # Points at the same distance from several corners are shared equally among them.
@@ -189,7 +191,10 @@ def _parts(weights: FloatArray, n_points: int) -> FloatArray:
 
 @dataclass(frozen=True, kw_only=True)
 class Inclusion(Effect):
-    """An ellipsoid along the axes whose modulus is `contrast` times that around it."""
+    """An ellipsoid along the axes whose modulus is `contrast` times that around it.
+
+    `centre_mm`: centre, mm; `semi_axes_mm`: half-axes along x, y and z, mm.
+    """
 
     id: ClassVar[str] = "inclusion"
     repeatable: ClassVar[bool] = True
@@ -198,20 +203,23 @@ class Inclusion(Effect):
     contrast: float = number("modulus inside over outside", above=0.0)
 
     def applied(self, experiment: Experiment, element: str) -> Experiment:
-        """Return the experiment with the inclusion's factor on the modulus."""
+        """Return the experiment with Young's modulus multiplied by `contrast` inside the ellipsoid."""
         return _stiffened(experiment, Ellipsoid(self.centre_mm, self.semi_axes_mm), self.contrast, element)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Layer(Effect):
-    """An outer layer below the free surface whose modulus is `contrast` times that of the core."""
+    """An outer layer below the free surface whose modulus is `contrast` times that of the core.
+
+    `thickness_mm`: thickness of the layer, mm; held faces do not belong to the free surface.
+    """
 
     id: ClassVar[str] = "layer"
     thickness_mm: float = number("depth below the free surface, which excludes held faces", above=0.0)
     contrast: float = number("modulus inside over outside", above=0.0)
 
     def applied(self, experiment: Experiment, element: str) -> Experiment:
-        """Return the experiment with the layer's factor on the modulus."""
+        """Return the experiment with Young's modulus multiplied by `contrast` in the layer."""
         return _stiffened(experiment, OuterLayer(experiment.mesh, self.thickness_mm), self.contrast, element)
 
 

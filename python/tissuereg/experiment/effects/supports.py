@@ -1,4 +1,4 @@
-"""What holds the body and weighs on it: boundaries that slide or are detached in part, its own weight."""
+"""Effects on supports and weight: boundaries that slide or are detached in part, another gravity."""
 
 from dataclasses import dataclass, replace
 from typing import ClassVar
@@ -15,19 +15,19 @@ from tissuereg.experiment.experiment import Boundary, Experiment
 
 @dataclass(frozen=True, kw_only=True)
 class _Support(Effect):
-    """An effect on one boundary."""
+    """Base of effects on one boundary (a held patch of nodes), which the field `boundary` names."""
 
     repeatable: ClassVar[bool] = True
     boundary: str = text("name of the boundary")
 
     def fits(self, experiment: Experiment) -> None:
-        """Refuse an unknown boundary."""
+        """Raise ExperimentError if the experiment has no boundary of this name."""
         names = [boundary.name for boundary in experiment.boundaries]
         if self.boundary not in names:
             refuse(f"`boundary` must be one of {', '.join(names) or 'none'}", self.boundary)
 
     def held_by(self, experiment: Experiment) -> Boundary:
-        """Return the boundary."""
+        """Return the boundary of the experiment that the field `boundary` names."""
         return next(boundary for boundary in experiment.boundaries if boundary.name == self.boundary)
 
 
@@ -48,13 +48,13 @@ class Sliding(_Support):
     )
 
     def check(self) -> None:
-        """Refuse neither or both of springs and friction, and a cohesion with springs."""
+        """Raise an error unless one of springs and friction is given, or if a cohesion is given without friction."""
         exactly_one(self, ("spring_kpa_per_mm",), ("friction",))
         if self.cohesion_kpa is not None and self.friction is None:
             refuse("`cohesion_kpa` must come with `friction`")
 
     def fits(self, experiment: Experiment) -> None:
-        """Refuse an unknown boundary, and one without a whole triangle of the surface."""
+        """Raise ExperimentError if the boundary is unknown or contains no whole triangle of the surface."""
         super().fits(experiment)
         if not len(self.triangles(experiment)):
             n_nodes = len(self.held_by(experiment).nodes)
@@ -63,12 +63,12 @@ class Sliding(_Support):
             )
 
     def triangles(self, experiment: Experiment) -> IntArray:
-        """Return the surface triangles of the boundary, shape (n, 3)."""
+        """Return the surface triangles whose nodes all belong to the boundary, as node indices, shape (n, 3)."""
         surface = experiment.mesh.surface
         return np.asarray(surface[np.isin(surface, self.held_by(experiment).nodes).all(axis=1)])
 
     def applied(self, experiment: Experiment, element: str) -> Experiment:
-        """Return the experiment unchanged: the solver reads the springs from the effect."""
+        """Return the experiment unchanged: the solver reads springs or friction from the effect."""
         return experiment
 
 
@@ -87,11 +87,11 @@ class Detachment(_Support):
     share: float | None = number("share of the boundary's area that it makes up", above=0.0, below=1.0, default=None)
 
     def check(self) -> None:
-        """Refuse an incomplete ball, an incomplete rim, or both together."""
+        """Raise an error unless exactly one region is given completely: a ball or a rim."""
         exactly_one(self, ("centre_mm", "radius_mm"), ("azimuth_deg", "share"))
 
     def fits(self, experiment: Experiment) -> None:
-        """Refuse an unknown boundary, and a region that frees none of its nodes or all that is held."""
+        """Raise ExperimentError if the boundary is unknown, or the region frees none of its nodes or all held nodes."""
         super().fits(experiment)
         boundary = self.held_by(experiment)
         freed = self.freed(experiment.mesh, boundary.nodes)
@@ -106,14 +106,14 @@ class Detachment(_Support):
         Parameters
         ----------
         mesh : Mesh
-            Reference shape.
+            Mesh in the reference shape.
         nodes : ndarray of int64, shape (n,)
-            Of the boundary.
+            Node indices of the boundary.
 
         Returns
         -------
         ndarray of int64, shape (n_freed,)
-            The detached ones.
+            Indices of the nodes that are detached.
         """
         places = mesh.nodes[nodes]
         if self.centre_mm is not None and self.radius_mm is not None:
@@ -124,14 +124,14 @@ class Detachment(_Support):
         return np.sort(nodes[order[freeing_shares(areas) < self.share]])
 
     def edges(self, mesh: Mesh, nodes: IntArray) -> tuple[FloatArray, FloatArray]:
-        """Return where the edge of a detached rim passes a boundary's nodes, the outermost one first.
+        """Return how far a detached rim must reach to pass each node of a boundary, the outermost node first.
 
         Parameters
         ----------
         mesh : Mesh
-            Reference shape.
+            Mesh in the reference shape.
         nodes : ndarray of int64, shape (n,)
-            Of the boundary.
+            Node indices of the boundary.
 
         Returns
         -------
@@ -143,10 +143,11 @@ class Detachment(_Support):
         return towards[order[0]] - towards[order], areas
 
     def _towards(self, mesh: Mesh, nodes: IntArray) -> tuple[IntArray, FloatArray, FloatArray]:
-        """Return the order of a boundary's nodes from the rim in the direction of the azimuth inwards.
+        """Return the order of a boundary's nodes from the outermost in the direction of the azimuth inwards.
 
-        `nodes` int64 (n,): of the boundary. Result: that order (n,); the coordinate (n,) of the nodes, as given, along
-        the azimuth, mm; the share (n,) of the boundary's area that belongs to each node, in that order.
+        `nodes` int64 (n,): node indices of the boundary. Result: that order (n,), as positions in `nodes`; the
+        coordinate (n,) of the nodes along the azimuth, mm, in the order of `nodes`; the share (n,) of the boundary's
+        area that belongs to each node, in the new order.
         """
         assert self.azimuth_deg is not None  # `check` has seen it
         angle = np.deg2rad(self.azimuth_deg)
@@ -156,7 +157,7 @@ class Detachment(_Support):
         return order, towards, area / area.sum()
 
     def applied(self, experiment: Experiment, element: str) -> Experiment:
-        """Return the experiment with the freed nodes taken from the boundary and from the mesh's held set."""
+        """Return the experiment with the detached nodes removed from the boundary and from the node set ``fixed``."""
         old = self.held_by(experiment)
         kept = np.setdiff1d(old.nodes, self.freed(experiment.mesh, old.nodes))
         boundaries = tuple(
@@ -168,7 +169,7 @@ class Detachment(_Support):
 
 
 def freeing_shares(areas: FloatArray) -> FloatArray:
-    """Return the detached share from which on each node of a rim is free: when half of its area has detached.
+    """Return the detached share of a boundary at which each node becomes free: when half of its area is detached.
 
     Parameters
     ----------
@@ -178,7 +179,7 @@ def freeing_shares(areas: FloatArray) -> FloatArray:
     Returns
     -------
     ndarray of float64, shape (n,)
-        Increasing.
+        Increasing shares of the boundary's area.
     """
     return np.asarray(np.cumsum(areas) - 0.5 * areas)
 
@@ -189,14 +190,15 @@ def node_areas(mesh: Mesh, nodes: IntArray) -> FloatArray:
     Parameters
     ----------
     mesh : Mesh
-        Reference shape.
+        Mesh in the reference shape.
     nodes : ndarray of int64, shape (n,)
-        Sorted, of the surface.
+        Sorted node indices of the patch, all on the surface.
 
     Returns
     -------
     ndarray of float64, shape (n,)
-        A third of the patch's triangles at each node, mm^2; 1 each where the patch holds no whole triangle.
+        A third of the area of the patch's triangles that meet at each node, mm^2. If the patch contains no whole
+        triangle, 1 for every node.
     """
     triangles = mesh.surface[np.isin(mesh.surface, nodes).all(axis=1)]
     corners = mesh.nodes[triangles]
@@ -208,7 +210,7 @@ def node_areas(mesh: Mesh, nodes: IntArray) -> FloatArray:
 
 @dataclass(frozen=True, kw_only=True)
 class _Weight(Effect):
-    """Changes of ``[gravity]``; a key that is left out keeps what is believed."""
+    """Base of effects that change the body's weight; a field that is None keeps what the experiment states."""
 
     absolute: ClassVar[bool] = True
     direction: Vector | None = numbers("where the weight points", 3, directed=True, default=None)
@@ -216,17 +218,17 @@ class _Weight(Effect):
     in_reference: bool | None = flag("whether the mesh already hangs in it", default=None)
 
     def check(self) -> None:
-        """Refuse a table without keys."""
+        """Raise an error if no field is given."""
         if self.direction is None and self.g_mm_per_s2 is None and self.in_reference is None:
             refuse("one of `direction`, `g_mm_per_s2`, `in_reference` must be given")
 
     def fits(self, experiment: Experiment) -> None:
-        """Refuse a weight without direction."""
+        """Raise ExperimentError if neither this effect nor the experiment states a direction of gravity."""
         if experiment.gravity is None and self.direction is None:
             refuse("`direction` must be given where the experiment has no [gravity]")
 
     def applied(self, experiment: Experiment, element: str) -> Experiment:
-        """Return the experiment with this weight."""
+        """Return the experiment with its weight changed by the fields that are given."""
         weight = experiment.gravity or Weight(np.asarray(self.direction), in_reference=False)
         if self.direction is not None:
             weight = replace(weight, direction=np.asarray(self.direction))

@@ -1,4 +1,4 @@
-"""Files to try tissuereg on: a surface with markers, and an experiment (``tools/samples.py`` made them)."""
+"""Sample files to try tissuereg on: a surface with markers, and an experiment (``tools/samples.py`` made them)."""
 
 import os
 import shutil
@@ -14,12 +14,12 @@ SAMPLES = ("surface", "rig")
 
 
 def write_samples(out: str | os.PathLike[str]) -> list[str]:
-    """Write the sample files, all or nothing; return their paths below the folder `out`, with forward slashes.
+    """Write the sample files, all or none; return their paths relative to the folder `out`, with forward slashes.
 
-    ``surface`` gets ``organ.stl``, ``markers.csv``, ``targets.csv`` and ``truth.csv`` (the true places of the targets),
-    ``rig`` an experiment and ``truth.json`` (the effect that is in its data and not in its file). Files of other names
-    stay. Raises OutputError if `out` is a file, a file of one of these names stands there with other content, or the
-    operating system refuses.
+    The folder ``surface`` gets ``organ.stl``, ``markers.csv``, ``targets.csv`` and ``truth.csv`` (the true places of
+    the targets), the folder ``rig`` an experiment and ``truth.json`` (the physical effect that is in its data and not
+    in its model). Files of other names stay. Raises OutputError if `out` is a file, a file of one of these names stands
+    there with other content, or the operating system refuses.
     """
     files = sorted(path.relative_to(_DATA) for name in SAMPLES for path in (_DATA / name).rglob("*") if path.is_file())
     for file in files:

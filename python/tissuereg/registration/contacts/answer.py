@@ -1,4 +1,4 @@
-"""The result of a registration by contacts, assembled from its fit."""
+"""Assembly of the result of a registration by contacts, from the fitted load and its uncertainty."""
 
 from dataclasses import dataclass
 
@@ -23,11 +23,12 @@ from tissuereg.registration.trust import LEVEL, Trust, judge
 
 @dataclass(frozen=True, eq=False)
 class Known:
-    """What a registration found at the targets and at the markers.
+    """The registered displacement of targets and markers, with the uncertainty of the targets and of unused markers.
 
-    `used`, `lost` int64: numbers of the markers that were used, and of those that were not seen or were found wrong;
-    `displacement` (n_targets + n_markers, 3): displacement of the targets, then of all markers, in the tracker's frame,
-    mm; `points`: uncertainty of the targets, then of the lost markers.
+    `used`, `lost` int64 (n_used,), (n_lost,): numbers of the markers that were used, and of those that were not seen or
+    were found wrong; `displacement` (n_targets + n_markers, 3): displacement of the targets, then of all markers, in
+    the tracker's frame, mm; `points`: uncertainty of the n_targets + n_lost places of the targets, then of the lost
+    markers.
     """
 
     used: IntArray
@@ -37,7 +38,12 @@ class Known:
 
 
 def known_of(given: RegisterInput, fit: ContactFit, spread: Spread) -> Known:
-    """Return the registered displacement and covariance of targets and markers, as the fit has them."""
+    """Return the registered displacement of all targets and markers in mm, with the uncertainty of the unmeasured ones.
+
+    `given`: checked input; `fit`: contacts and equilibrium that were found; `spread`: uncertainty of the fit. A marker
+    is used if a coordinate of it was measured and it is wrong with less than the probability in the settings. Cost:
+    three right-hand sides for each target and each marker that is not used.
+    """
     state, observed, inner = fit.state, given.observed, given.targets
     n_targets = len(inner.names)
     measured = np.isfinite(given.markers.measured).any(axis=1)
@@ -55,26 +61,14 @@ def known_of(given: RegisterInput, fit: ContactFit, spread: Spread) -> Known:
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """All parts of a registration by contacts.
+    """All parts from which the result of a registration by contacts is assembled.
 
-    Attributes
-    ----------
-    given : RegisterInput
-        Checked input.
-    fit : ContactFit
-        The fit after its last pass.
-    start : BodyState
-        The body under the believed load.
-    knows : bool
-        Whether a load is believed, so that the targets have a predicted place.
-    known : Known
-        Targets and markers.
-    nodes : NodesOfContacts
-        Spread of the nodes.
-    draw : Draws
-        Posterior fields.
-    surface : SurfaceFit or None
-        Fit of the points of the surface.
+    `given`: checked input: body, markers, targets and settings; `fit`: the contacts that were found, and the
+    equilibrium under them; `start`: the body under the believed load alone (at rest without one), from which the search
+    started; `knows`: whether a load is believed, so that the targets have a predicted place; `known`: registered
+    displacement of targets and markers, with its uncertainty; `nodes`: function without arguments that returns the
+    covariance of every node, (n_nodes, 3, 3), mm^2; `draw`: function of a number of draws that returns displacement
+    fields from the posterior, mm; `surface`: fit of the measured points of the surface; None if no points were given.
     """
 
     given: RegisterInput
@@ -87,7 +81,10 @@ class Answer:
     surface: SurfaceFit | None
 
     def registration(self, clock: Clock) -> ContactRegistration:
-        """Return the result."""
+        """Return the result that a user receives: registered displacement, uncertainty, contacts and tests of trust.
+
+        `clock`: holds the wall time of each stage in s, which is copied into the result.
+        """
         given, fit, markers = self.given, self.fit, self.given.markers
         mesh, state, names = given.mesh, fit.state, given.markers.names
         body = state.displacement[: mesh.n_nodes]
@@ -126,11 +123,11 @@ class Answer:
         )
 
     def _of_markers(self, both: FloatArray) -> FloatArray:
-        """Return the markers' rows (n_markers, 3) of an array (n_targets + n_markers, 3), targets first."""
+        """Return the markers' rows (n_markers, 3) of an array (n_targets + n_markers, 3) that has the targets first."""
         return both[len(self.given.targets.names) :]
 
     def _start_displacement(self) -> FloatArray:
-        """Return the displacement of the markers under the believed load, (n_markers, 3) in mm."""
+        """Return the markers' displacement under the believed load, (n_markers, 3), in the tracker's frame, mm."""
         observed, reference, start = self.given.observed, self.given.markers.reference, self.start
         start_displacement = observed.predict(start.displacement[observed.nodes])
         return start.frame.apply(reference + start_displacement) - reference
@@ -145,10 +142,10 @@ class Answer:
         }
 
     def _unseen(self, position: int, start_displacement: FloatArray) -> Target:
-        """Return the place at which a lost marker would have been measured, with its covariance in mm^2.
+        """Return the predicted measurement of a marker that was not used: its mean place, mm, and covariance, mm^2.
 
-        `position`: number of the marker among the lost ones; `start_displacement` (n_markers, 3): displacement of all
-        markers under the believed load, mm. The covariance contains the tracker's noise.
+        `position`: number of the marker among those not used; `start_displacement` (3,): its displacement under the
+        believed load, mm. The covariance contains the tracker's noise.
         """
         markers, marker = self.given.markers, int(self.known.lost[position])
         index = len(self.given.targets.names) + position
@@ -173,8 +170,9 @@ class Answer:
     def _wrong(self, unseen: list[Target]) -> list[str]:
         """Return one sentence for every dropped marker that lies outside the region predicted from the other markers.
 
-        `unseen`: predicted measurement of each lost marker. A dropped marker inside its region contradicts nothing: no
-        sampled contact reaches it, and the region is wide.
+        `unseen`: predicted measurement of each marker that was not used, in the order of `known.lost`. A dropped marker
+        inside its region gets no sentence: it contradicts nothing, since no sampled contact reaches it and the region
+        is wide.
         """
         markers, limit = self.given.markers, LEVEL / max(len(self.given.markers), 1)
         return [
@@ -184,10 +182,10 @@ class Answer:
         ]
 
     def _residual_variance(self, moved: FloatArray) -> FloatArray:
-        """Return the variance of the markers' residuals, (n_markers, 3) in mm^2: that of the tracker and of the model.
+        """Return the variance of the markers' residuals, (n_markers, 3), mm^2: tracker's noise plus model's error.
 
-        At the rim of a contact the motion varies strongly across an element and the mesh cannot resolve it: the model's
-        part grows there, in this test alone. `moved` is the length of each marker's motion, mm.
+        At the rim of a contact the motion varies strongly across an element and the mesh cannot resolve it; the model's
+        error is therefore enlarged there, in this test alone. `moved` (n_markers,): length of each marker's motion, mm.
         """
         settings, observed = self.given.settings.contacts, self.given.observed
         local = observed.variation(self.fit.state.displacement[observed.nodes])
@@ -212,9 +210,10 @@ class Answer:
 
 
 def _chance(residual: FloatArray, covariance: FloatArray) -> float:
-    """Return the chance of an offset (3,), mm, at least as large under a covariance (3, 3), mm^2.
+    """Return the probability of a Gaussian offset at least as far from zero as `residual` (3,), in mm.
 
-    Components that are NaN are ignored.
+    Distances are Mahalanobis distances under `covariance` (3, 3), mm^2. Components of `residual` that are NaN are
+    ignored.
     """
     from scipy.stats import chi2
 
@@ -224,14 +223,17 @@ def _chance(residual: FloatArray, covariance: FloatArray) -> float:
 
 
 def surface_fit(given: RegisterInput, points: PointData | None, start: BodyState, end: BodyState) -> SurfaceFit | None:
-    """Return how well the points of the surface are met before and after a fit; None without points."""
+    """Return how far the measured surface points lie from the body before and after registration; None without points.
+
+    `given`: checked input; `points`: the same points as data of the fit; `start`, `end`: the body before and after.
+    """
     if given.surface is None or points is None:
         return None
     return SurfaceFit.of(points, given.surface, start, end)
 
 
 def _forces(fit: ContactFit) -> FloatArray:
-    """Return the nodal forces (n_nodes, 3) of the mean load in the tracker's frame, mN."""
+    """Return the nodal forces (n_nodes, 3), mN, of the estimated load, body forces excluded, in the tracker's frame."""
     forces = np.asarray(fit.columns.load(fit.state.coefficients).forces)
     return np.asarray(forces[: fit.columns.body.mesh.n_nodes] @ fit.state.frame.rotation.T)
 

@@ -1,4 +1,4 @@
-"""Everything of a body that depends on its mesh and supports alone: analysed solver, patches, stiffness fields."""
+"""The quantities of a body that depend on its mesh and supports alone: analysed solver, patches, stiffness fields."""
 
 import threading
 from collections import OrderedDict
@@ -21,24 +21,15 @@ _lock = threading.Lock()
 
 @dataclass(frozen=True, eq=False)
 class ContactBody:
-    """A mesh with everything that contacts on it need and that depends on mesh and supports alone.
+    """A mesh with all that a search for contacts needs and that depends on mesh and supports alone.
 
-    Attributes
-    ----------
-    mesh : Mesh
-        Undeformed body.
-    supports : Supports
-        Its held nodes.
-    simulator : Simulator
-        Finite-element solver whose matrices have been analysed for this mesh.
-    patches : Patches
-        Parts of the surface on which contacts may act.
-    base : Patches or None
-        Parts of the doubtful supports on which unknown tractions may act.
-    springs : list of (ndarray of int64 (n, 3), ndarray of float64 (2,))
-        Triangles of each set of springs, with the normal and tangential stiffness of one unit; see `springs_of`.
-    blobs : ndarray of float64, shape (n_blobs, n_tets)
-        Smooth fields along which the stiffness may vary; their squares add up to one in every tet.
+    `mesh`: undeformed body; `supports`: nodes that are surely held, and doubtful ones that are perhaps held;
+    `simulator`: finite-element solver whose matrices have been analysed for this mesh; `patches`: overlapping round
+    parts of the free surface on which contacts may act; `base`: parts of the doubtful supports on which unknown
+    tractions may act; None if no support is doubtful; `springs`: for each set of springs its surface triangles, int64
+    (n, 3), and the factors (2,), 1/mm, by which Young's modulus in kPa is multiplied to get a unit of normal and of
+    tangential stiffness in kPa/mm; `blobs` (n_blobs, n_tets): smooth dimensionless fields along which the stiffness may
+    vary; their squares add up to one in every tet.
     """
 
     mesh: Mesh
@@ -51,7 +42,7 @@ class ContactBody:
 
     @cached_property
     def node_volumes(self) -> FloatArray:
-        """Volume that belongs to each node of the elements, shape (n_element_nodes,), mm^3."""
+        """Integral of each node's shape function over the body, shape (n_element_nodes,), in mm^3."""
         body = self.simulator.body
         shares = np.zeros(body.n_nodes)
         if body.element == "tet10":
@@ -68,10 +59,11 @@ class ContactBody:
 
     @classmethod
     def of(cls, mesh: Mesh, supports: Supports, element: str = "tet4") -> "ContactBody":
-        """Return the body of a mesh, from the cache or made anew.
+        """Return the prepared body of a mesh, from the cache or made anew.
 
-        `mesh`: undeformed body; `supports`: its supports; `element`: elements of the solver. Result: cost if it is not
-        cached: about half a second on 4,000 nodes.
+        `mesh`: undeformed body; `supports`: nodes that are held, for sure or perhaps; `element` {"tet4",
+        "tet4-averaged", "tet10"}: finite elements of the solver. Cost if it is not cached: about half a second on 4,000
+        nodes.
         """
         key = (mesh.digest(), supports.digest(), element)
         with _lock:

@@ -1,4 +1,4 @@
-"""Where the passes of one moment ended, as the start of the next moment's."""
+"""The end of the registration of one moment of measurement, as the start of the next moment's."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -19,27 +19,16 @@ from tissuereg.simulation.sensitivity import Cause
 
 @dataclass(frozen=True, eq=False)
 class Carried:
-    """The state in which the registration of one frame ended, from which the registration of the next frame starts.
+    """The end of the registration of one moment of measurement, from which the registration of the next moment starts.
 
-    Attributes
-    ----------
-    columns : Columns
-        Possible causes of motion, with the stiffness of doubtful supports that was found.
-    state : BodyState
-        The equilibrium under the mean load.
-    samples : tuple of ndarray
-        Of every sample of the posterior: the contacts, the sizes of the families of causes, and the markers that are
-        wrong; the last has a column for each marker of the next frame.
-    tangent : Tangent
-        The linearised equilibrium near that state.
-    material : Material
-        Material, with the graded stiffness that was found.
-    further : list of (Cause, float)
-        Other uncertain parameters, each with its standard deviation.
-    residual : float
-        Root mean square residual that was left, in standard deviations.
-    moments : int
-        Number of frames through which the samples have been carried on.
+    `columns`: possible causes of motion, with the stiffness of doubtful supports that was found; `state`: the
+    equilibrium under the posterior mean of the load; `samples`: samples of the posterior as three int64 arrays: patch
+    and size of each contact, (n_samples, n_slots, 2), -1 for none; candidate size of each family of causes, (n_samples,
+    n_families); whether each marker that is seen at the next moment is wrong, (n_samples, n_seen), 0 or 1; `tangent`:
+    the linearised equilibrium near that state; `material`: material of the body, with the graded stiffness if one was
+    estimated; `further`: further uncertain parameters of the model, each with its standard deviation in the parameter's
+    unit; `residual`: root mean square residual that was left, in standard deviations; `moments`: number of moments
+    through which the samples have been carried on.
     """
 
     columns: Columns
@@ -53,10 +42,11 @@ class Carried:
 
     @classmethod
     def of(cls, draw: Draws, before: BoolArray, now: BoolArray) -> "Carried":
-        """Return the end of a registration, made ready for the next frame.
+        """Return the end of a registration, made ready for the next moment of measurement.
 
-        `draw`: holds the fit of the registration; `before`, `now` bool (n_markers,): markers that were seen in that
-        frame, and those that are seen in the next one. Markers that were not seen before are taken for right.
+        `draw`: holds the fit of the registration; `before`, `now` bool (n_markers,): markers that were seen at its
+        moment, and those that are seen at the next one. In all samples a marker that was not seen before is taken as
+        right.
         """
         fit = draw.fit
         slots, levels, wrong = fit.samples
@@ -67,16 +57,21 @@ class Carried:
         return cls(fit.columns, fit.state, samples, fit.tangent, draw.material, list(draw.further), left, draw.moments)
 
     def columns_for(self, columns: Columns) -> Columns | None:
-        """Return the causes of the next frame on supports of the stiffness found; None if body or causes differ."""
+        """Return the next moment's causes with the material and spring stiffness that were found here.
+
+        `columns`: possible causes of motion at the next moment. Result: None if their body or their number is another
+        one.
+        """
         if columns.body is not self.columns.body or columns.n_columns != self.columns.n_columns:
             return None
         return columns.made_of(self.material).on(self.columns.springs)
 
     def begin(self, columns: Columns, solve: Callable[[FloatArray], FloatArray]) -> BodyState | None:
-        """Return the body under the contacts found in the frame before and the next frame's believed load.
+        """Return the equilibrium under the contacts found here and the next moment's believed load.
 
-        `columns`: causes of the next frame; `solve`: takes the displacement (n_element_nodes, 3) to start from, mm, and
-        returns the equilibrium. Result: None if the load has no equilibrium near that state.
+        `columns`: causes of the next moment; `solve`: takes coefficients of the causes (n_columns,) and returns the
+        displacement (n_element_nodes, 3) in equilibrium, mm; it is not called if the load is the same as here. Result:
+        None if the load has no equilibrium near the one found here.
         """
         coefficients = self.state.coefficients
         if _differ(columns, self.columns, coefficients) <= DISCRETISATION.same_load:
@@ -88,7 +83,10 @@ class Carried:
 
 
 def _differ(here: Columns, there: Columns, coefficients: FloatArray) -> float:
-    """Return the relative difference of the loads that two sets of causes make of coefficients (n_columns,)."""
+    """Return the largest difference of the loads that two sets of causes make of equal coefficients (n_columns,).
+
+    It is the largest absolute difference of any component, over the largest component of `there`'s load.
+    """
     loads = [columns.load(coefficients) for columns in (here, there)]
     parts = [
         np.concatenate([np.ravel(load.forces), np.ravel(load.body_force), np.ravel(load.prescribed)]) for load in loads

@@ -1,8 +1,9 @@
-"""All causes of a registration as columns: their loads, their priors, and the response of observations to them.
+"""All causes that may have moved the body, one column each: their loads, priors, and responses of observations to them.
 
-Columns come in blocks. The first holds three directions per patch; slots choose among these. Then follow a body force,
-the error of a believed load, the tractions of doubtful supports, and a rigid motion. The background is the family of
-the first block; every other block has one family of its own.
+A cause acts in proportion to an unknown coefficient. Columns come in blocks. The first holds a force along each of
+three axes for each patch of the surface; a contact is a choice among these patches. Then follow a body force, the error
+of a believed load, the tractions of doubtful supports, and a rigid motion. The causes of a block share one unknown size
+(they are a family); that of the first block describes weak tractions on all patches at once, the background.
 """
 
 from collections.abc import Sequence
@@ -23,11 +24,12 @@ from tissuereg.simulation.solve import LoadParts
 
 @dataclass(frozen=True)
 class Family:
-    """A group of causes, such as all tractions of the background, that share one standard deviation.
+    """A group of causes, such as all tractions of the background, that share one unknown standard deviation.
 
-    `columns`: the causes that belong to it; `variance`: variance of each coefficient at factor one; `factors`
-    (n_levels,): candidate factors on that variance; `log_prior` (n_levels,): logarithm of each candidate's prior
-    probability, up to a constant.
+    The coefficients are independent normals of variance `variance` times a factor. `name`: the block of causes;
+    `columns`: their indices; `variance`: variance of each coefficient at factor one, dimensionless; `factors`
+    (n_levels,): candidate factors, in the squared unit of the coefficients (mm^2; dimensionless for a believed load);
+    `log_prior` (n_levels,): logarithm of each factor's prior probability, up to a constant.
     """
 
     name: str
@@ -38,7 +40,12 @@ class Family:
 
     @classmethod
     def of(cls, name: str, columns: slice, variance: float, size: tuple[float, float]) -> "Family":
-        """Return a family whose size is log-normal with a median and a standard deviation of the logarithm."""
+        """Return a family whose standard deviation has a discretised log-normal prior.
+
+        `name`: the block of causes; `columns`: their indices; `variance`: variance of a coefficient at factor one;
+        `size`: median of the standard deviation, in mm (for a believed load relative to it), and standard deviation of
+        its logarithm.
+        """
         median, spread = size
         levels = np.array(DISCRETISATION.levels)
         factors = np.asarray(median**2 * np.exp(2.0 * spread * levels), np.float64)
@@ -54,17 +61,22 @@ class Columns:
     body : ContactBody
         The body on which they act.
     young : ndarray of float64, shape (n_patches,)
-        Mean Young's modulus near every patch of the surface, kPa: forces are in proportion to it.
+        Mean Young's modulus near every patch of the surface, kPa; the force of a unit coefficient is in proportion to
+        it.
     base_young : float
-        Mean Young's modulus near the doubtful supports, kPa.
+        Mean Young's modulus of the body, kPa, the unit of tractions and springs at the supports.
     springs : ndarray of float64, shape (n_sets, 2), or None
-        Normal and tangential stiffness, kPa/mm, of the springs under doubtful supports or under a free body.
+        Normal and tangential stiffness, kPa/mm, of the springs under doubtful supports or under a free body; None
+        without springs.
     believed : LoadParts
-        The believed load; with zero coefficients it acts exactly.
+        The believed load: forces in mN, body force in mN/mm^3, prescribed displacement in mm. At zero coefficients
+        exactly this load acts.
     families : tuple of Family
-        Groups of causes; first the weak tractions anywhere on the surface (the background).
+        Groups of causes with a common standard deviation; the first are the weak tractions on all patches (the
+        background).
     rigid : ndarray of float64, shape (2, 3)
-        Pivot of rigid rotations, and the length at which the coefficient of a rotation is the displacement in mm.
+        First row: pivot of rigid rotations, mm; second row, three times: the distance from it, mm, at which a unit
+        rotation moves by 1 mm.
     """
 
     body: ContactBody
@@ -86,9 +98,10 @@ class Columns:
         *,
         drifts: bool = False,
     ) -> "Columns":
-        """Return the possible causes on a body of some material under a believed load.
+        """Return the possible causes of motion of a body of some material under a believed load.
 
-        `drifts`: whether a small rigid motion of the tracker is among them.
+        `body`: prepared mesh; `material`: its material; `believed`: parts of the believed load, None where there is
+        none; `settings`: prior; `drifts`: whether a small rigid motion of the tracker is one of the causes.
         """
         n_patches = 3 * body.patches.n_patches
         extent = body.mesh.extent
@@ -117,20 +130,23 @@ class Columns:
 
     @property
     def n_columns(self) -> int:
-        """Number of columns."""
+        """Number of causes, which is that of their coefficients."""
         return int(self.families[-1].columns.stop)
 
     @property
     def n_patches(self) -> int:
-        """Number of patches that slots choose among."""
+        """Number of patches of the free surface on which a contact may act."""
         return self.body.patches.n_patches
 
     def made_of(self, material: Material) -> "Columns":
-        """Return the columns of the same body made of another material."""
+        """Return the same causes on a body of another material, whose Young's modulus scales the patches' forces."""
         return replace(self, young=_patch_young(self.body, material))
 
     def on_springs(self, stiffness: Sequence[float]) -> "Columns":
-        """Return the same causes on springs of other stiffness: one value a set, modulus over extent."""
+        """Return the same causes on springs of other stiffness.
+
+        `stiffness`: one number per set of springs, in units of Young's modulus over the body's extent.
+        """
         springs = [unit * self.base_young * one for (_, unit), one in zip(self.body.springs, stiffness, strict=True)]
         return replace(self, springs=np.array(springs))
 
@@ -148,11 +164,12 @@ class Columns:
         return 2.0 * float(np.mean(self.young)) / (0.5 * self.body.mesh.extent) ** 2
 
     def responses(self, compliance: Compliance, places: FloatArray, rigid: FloatArray | None = None) -> FloatArray:
-        """Return the responses of observations to unit coefficients.
+        """Return the displacement of observations by a unit coefficient of every cause, (n_rows, n_columns), in mm.
 
-        `compliance`: sensitivities of the observations to nodal forces; `places` (n_points, 3): deformed positions of
-        the points, mm, for rigid motions; three rows per point; `rigid` (n_rows, 6): responses of the rows to rigid
-        motions, if they are not three per point. Result: (n_rows, n_columns), mm per unit coefficient.
+        `compliance`: derivatives of the observations by nodal forces; `places` (n_points, 3): deformed positions of the
+        observed points, mm, with one row of the result for each axis of each point; only rigid motions need them;
+        `rigid` (n_rows, 6): displacement of the observations by unit rigid motions, mm, given instead of `places` where
+        there are not three observations per point.
         """
         n_nodes = self.body.mesh.n_nodes
         out = np.zeros((len(compliance.forces), self.n_columns))
@@ -173,11 +190,19 @@ class Columns:
         return out
 
     def rigid_rows(self, places: FloatArray, directions: FloatArray) -> FloatArray:
-        """Return the motion (n, 6) of places (n, 3) along unit vectors (n, 3) by unit rigid motions, mm."""
+        """Return the motions (n, 6), mm, of places along unit vectors by unit translations and rotations.
+
+        `places` (n, 3): mm; `directions` (n, 3): one unit vector for each place. A unit rotation moves points at the
+        length `rigid[1]` by 1 mm.
+        """
         return np.asarray(np.einsum("kpx,px->pk", self.rigid_field(places), directions))
 
     def rigid_field(self, places: FloatArray) -> FloatArray:
-        """Return the motions (6, n_points, 3), mm, of places (n_points, 3) by unit translations and rotations."""
+        """Return the motions (6, n_points, 3), mm, of places (n_points, 3), mm, by unit translations and rotations.
+
+        A unit translation is 1 mm along an axis; a unit rotation about an axis moves points at the length `rigid[1]` by
+        1 mm.
+        """
         pivot, length = self.rigid
         moves = np.zeros((6, len(places), 3))
         for axis in range(3):
@@ -186,9 +211,10 @@ class Columns:
         return moves
 
     def _believed_responses(self, compliance: Compliance) -> FloatArray:
-        """Return how observations respond to the size of each believed force along each axis, (n_obs, n_forces), in mm.
+        """Return how observations respond to a relative error of the believed load along each axis, (n_obs, 3), in mm.
 
-        `compliance`: sensitivities of the observations to nodal forces.
+        A unit error along an axis adds there, at every node, a force of the size of the believed one; the same holds
+        for body force and prescribed displacement. `compliance`: derivatives of the observations by nodal forces.
         """
         out = np.zeros((len(compliance.forces), 3))
         forces, weight, moved = (self.believed[part] for part in ("forces", "body_force", "prescribed"))
@@ -201,7 +227,11 @@ class Columns:
         return out
 
     def load(self, coefficients: FloatArray) -> Load:
-        """Return the load that belongs to coefficients (n_columns,) of the causes, the believed load included."""
+        """Return the load at coefficients (n_columns,) of the causes, the believed load included.
+
+        It has nodal forces (n_element_nodes, 3), mN, a body force (3,), mN/mm^3, and prescribed displacements of the
+        held nodes (n_held, 3), mm. A rigid motion is no part of it.
+        """
         (forces,), (weight,) = self._forces_and_weights(coefficients[None])
         moved = np.zeros((len(self.body.simulator.held_nodes), 3))
         if self.believed["forces"] is not None:
@@ -215,19 +245,22 @@ class Columns:
         return Load(forces=forces, body_force=weight, prescribed=moved)
 
     def weight_forces(self, body_force: FloatArray) -> FloatArray:
-        """Return the nodal forces (..., n_element_nodes, 3) of body forces (..., 3), mN."""
+        """Return the nodal forces (..., n_element_nodes, 3), mN, equivalent to body forces (..., 3), in mN/mm^3."""
         return np.asarray(self.body.node_volumes[:, None] * body_force[..., None, :])
 
     def forces(self, changes: FloatArray) -> FloatArray:
-        """Return the nodal forces (n, n_element_nodes, 3) of many changes of coefficients (n, n_columns), mN.
+        """Return the nodal forces (n, n_element_nodes, 3), mN, of changes (n, n_columns) of the coefficients.
 
-        Weight is distributed over the nodes; prescribed motion of held nodes is not included.
+        The body force is distributed over the nodes; prescribed motion of held nodes is not included.
         """
         forces, weights = self._forces_and_weights(changes)
         return np.asarray(forces + self.weight_forces(weights))
 
     def _forces_and_weights(self, changes: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return nodal forces (n, n_element_nodes, 3) and body forces (n, 3) of changes, without the believed load."""
+        """Return nodal forces (n, n_element_nodes, 3), mN, and body forces (n, 3), mN/mm^3, of changes of coefficients.
+
+        `changes` (n, n_columns): changes of the coefficients. The believed load itself is not included.
+        """
         n_nodes = self.body.mesh.n_nodes
         units = changes[:, : 3 * self.n_patches].reshape(len(changes), -1, 3)
         weights = changes[:, self._offsets["weight"]] * self._body_force_unit
@@ -245,18 +278,26 @@ class Columns:
         return forces, weights
 
     def frame(self, coefficients: FloatArray) -> FloatArray:
-        """Return the coefficients (6,) of the tracker's rigid motion among all (n_columns,); zero without one."""
+        """Return those of the coefficients (n_columns,) that are a rigid motion of the tracker, shape (6,), in mm.
+
+        They are three translations, then three rotations, each as the displacement at the length `rigid[1]`. They are
+        zero if the causes contain no rigid motion.
+        """
         return np.asarray(coefficients[self._offsets["frame"]]) if "frame" in self._offsets else np.zeros(6)
 
     def without_frame(self, coefficients: FloatArray) -> FloatArray:
-        """Return coefficients (n_columns,) with the part that is a rigid motion of the tracker set to zero."""
+        """Return a copy of the coefficients (n_columns,) with those of the tracker's rigid motion set to zero."""
         out: FloatArray = np.array(coefficients)
         if "frame" in self._offsets:
             out[self._offsets["frame"]] = 0.0
         return out
 
     def core_families(self) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
-        """Return columns, candidate factors on the variance and log priors of every family, for the sampler."""
+        """Return the prior of every family of causes for the compiled sampler: a tuple of three arrays per family.
+
+        They are the variances of all coefficients (n_columns,), zero outside the family; the candidate factors on them
+        (n_levels,); and the logarithm of the prior of each factor (n_levels,).
+        """
         found = []
         for family in self.families:
             variances = np.zeros(self.n_columns)
@@ -266,26 +307,30 @@ class Columns:
 
 
 def _spread(patches: Patches, units: FloatArray) -> FloatArray:
-    """Return nodal values (n, n_nodes, 3): amplitudes (n, n_patches, 3) times the patches' shapes."""
+    """Return nodal values (n, n_nodes, 3): amplitudes (n, n_patches, 3) of the patches times the patches' shapes.
+
+    With amplitudes in kPa times coefficients in mm the values are nodal forces in mN.
+    """
     on_nodes = np.asarray(patches.shapes.T @ np.moveaxis(units, 0, 1).reshape(patches.n_patches, -1))
     return np.moveaxis(on_nodes.reshape(-1, len(units), 3), 1, 0)
 
 
 def _in_mm(size: tuple[float, float], extent: float) -> tuple[float, float]:
-    """Return (median, standard deviation of the logarithm) of a size given over the extent, with the median in mm."""
+    """Return (median in mm, standard deviation of the logarithm), given the median as a share of `extent` (mm)."""
     return (size[0] * extent, size[1])
 
 
 def contact_sizes(columns: Columns, settings: ContactSettings) -> FloatArray:
-    """Return the candidate sizes of a contact, mm, shape (n_sizes,)."""
+    """Return the candidate sizes of a contact, shape (n_sizes,), mm: standard deviations of its force coefficients."""
     return np.array(settings.sizes) * columns.body.mesh.extent
 
 
 def spring_stiffness(body: ContactBody, material: Material, stiffness: float) -> FloatArray | None:
-    """Return the stiffness (n_sets, 2) of a body's springs in kPa/mm; that of a soft bed is fixed.
+    """Return the normal and tangential stiffness of each set of a body's springs, (n_sets, 2), in kPa/mm.
 
-    `body`: with its supports; `material`: its mean modulus is the unit; `stiffness`: of doubtful supports, in Young's
-    modulus over extent.
+    `body`: prepared mesh with its supports; `material`: its mean Young's modulus scales the stiffness; `stiffness`: of
+    doubtful supports, in Young's modulus over extent. The soft bed under a body without supports has a fixed stiffness.
+    Result: None without springs.
     """
     young = float(np.mean(material.young_array)) * (stiffness if body.base is not None else 1.0)
     return np.array([unit * young for _, unit in body.springs]) if body.springs else None
@@ -307,9 +352,10 @@ def _patch_young(body: ContactBody, material: Material) -> FloatArray:
 
 
 def log_filled(columns: Columns, settings: ContactSettings) -> FloatArray:
-    """Return the logarithm of the prior probability of a slot's patch and size, shape (n_patches, n_sizes).
+    """Return the log prior probability that a contact is on each patch with each size, shape (n_patches, n_sizes).
 
-    All radii are equally likely, and so are all centres of one radius; sizes above a share of the radius are unlikely.
+    The probabilities of all patches and sizes add up to that of a contact being there at all. All radii are equally
+    likely, and so are all centres of one radius; sizes above a share of the radius are unlikely.
     """
     patches = columns.body.patches
     sizes = contact_sizes(columns, settings)
@@ -321,11 +367,12 @@ def log_filled(columns: Columns, settings: ContactSettings) -> FloatArray:
 
 
 def sampler(columns: Columns, settings: ContactSettings, responses: FloatArray, data: dict[str, Any]) -> Any:
-    """Return the compiled sampling problem of one linearisation.
+    """Return the compiled sampling problem of one linearisation; its methods draw samples and compute their moments.
 
-    `columns`: causes; `settings`: prior; `responses` (n_obs, n_columns): responses of the observations to the columns;
-    `data`: ``innovation`` (n_obs,), ``noise`` (n_obs, n_obs), ``groups``: rows of each marker. Result: runs the
-    sampler, and computes moments from its samples.
+    `columns`: possible causes; `settings`: prior; `responses` (n_obs, n_columns): displacement of the observations by a
+    unit coefficient of every cause, mm; `data`: a dict of ``innovation`` (n_obs,), measured minus predicted at zero
+    coefficients, mm; ``noise`` (n_obs, n_obs), covariance, mm^2; and ``groups``, the list of each marker's
+    observations.
     """
     from tissuereg import _core
 

@@ -28,8 +28,9 @@ from tissuereg.registration.contacts.tangent import Row
 class Cells:
     """Small parts of a surface on springs, each of which moves nearly as one.
 
-    `weights` (n_cells, n_nodes): share of each node in the mean motion of a cell; rows add up to one; `areas`
-    (n_cells,): mm^2; `centres` (n_cells, 3): mm; `of_set` int64 (n_cells,): set of springs of each cell.
+    `weights` (n_cells, n_nodes): share of each node in the mean motion of a cell, rows add up to one; `areas`
+    (n_cells,): area, mm^2; `centres` (n_cells, 3): centroid, mm; `of_set` int64 (n_cells,): number of the set of
+    springs that each cell belongs to.
     """
 
     weights: FloatArray
@@ -39,7 +40,10 @@ class Cells:
 
     @classmethod
     def of(cls, nodes: FloatArray, sets: Sequence[IntArray]) -> "Cells":
-        """Return the cells of sets of triangles (n, 3) between nodes (n_nodes, 3)."""
+        """Return the cells into which sets of surface triangles are divided, about `DISCRETISATION.cells` in all.
+
+        `nodes` (n_nodes, 3): places of the nodes, mm; `sets`: for each set of springs its triangles, int64 (n, 3).
+        """
         triangles, of_set = list[IntArray](), list[int]()
         for index, whole in enumerate(sets):
             corners = nodes[whole]
@@ -58,7 +62,7 @@ class Cells:
 
     @property
     def rows(self) -> list[Row]:
-        """Nodes and weights of the mean motion of every cell along each axis, three a cell."""
+        """Nodes int64 (k,) and weights (k, 3) of the mean motion of every cell, three entries per cell: x, y and z."""
         found = []
         for own in self.weights:
             nodes = np.flatnonzero(own)
@@ -70,28 +74,14 @@ class Cells:
 class Condensed:
     """Responses of the observations and of small parts of the supports to all causes, on springs of one stiffness.
 
-    Attributes
-    ----------
-    columns : Columns
-        Causes, on these springs.
-    cells : Cells
-        Small parts of the surface on springs, each of which moves nearly as one.
-    known : float
-        Stiffness of these springs, in Young's modulus over extent.
-    stiffness : ndarray of float64, shape (n_cells,)
-        Force per mm of each cell at stiffness one, mN/mm.
-    innovation : ndarray of float64, shape (n_obs,)
-        Measured displacement minus that predicted at zero coefficients, mm.
-    variances : ndarray of float64, shape (n_obs,)
-        Variances of the observations' noise, mm^2.
-    responses : ndarray of float64, shape (n_obs + 3 n_cells, n_columns)
-        Motion of observations, then of cells, under a unit coefficient of each cause, mm.
-    rest : ndarray of float64, shape (3 n_cells,)
-        Motions of the cells at zero coefficients, mm.
-    by_cells : ndarray of float64, shape (n_obs, 3 n_cells)
-        Motion of the observations under unit forces on the cells, mm/mN.
-    among : ndarray of float64, shape (3 n_cells, 3 n_cells)
-        Motion of the cells under unit forces on the cells, mm/mN.
+    `columns`: possible causes of motion, on these springs; `cells`: small parts of the surface on springs, each of
+    which moves nearly as one; `known`: stiffness of these springs, in Young's modulus over extent; `stiffness`
+    (n_cells,): force on each cell per mm of its motion on springs of one modulus over extent, mN/mm; `innovation`
+    (n_obs,): measured displacement minus that predicted at zero coefficients, mm; `variances` (n_obs,): variances of
+    the observations' noise, mm^2; `responses` (n_obs + 3 n_cells, n_columns): motion of observations, then of cells,
+    under a unit coefficient of each cause, mm; `rest` (3 n_cells,): motions of the cells at zero coefficients, mm;
+    `by_cells` (n_obs, 3 n_cells): motion of the observations under unit forces on the cells, mm/mN; `among` (3 n_cells,
+    3 n_cells): motion of the cells under unit forces on the cells, mm/mN.
     """
 
     columns: Columns
@@ -107,11 +97,11 @@ class Condensed:
 
     @classmethod
     def of(cls, passes: Passes, frame: RigidMotion, known: float) -> "Condensed":
-        """Return the condensed problem of a body before its first registration step.
+        """Return the responses of a body before its first registration step, with springs of a known stiffness.
 
-        `passes`: body, material and data; the work is counted there; `frame`: rigid motion of the tracker to begin
-        with; `known`: stiffness of the springs, in Young's modulus over extent. Cost: a factorisation, one right-hand
-        side for each observation and three for each cell.
+        `passes`: holds the body, its material, causes and data, and counts the right-hand sides; `frame`: initial rigid
+        motion from the body's frame to the tracker's; `known`: stiffness of the springs, in Young's modulus over
+        extent. Cost: a factorisation, one right-hand side for each observation and three for each cell.
         """
         body = passes.columns.body
         columns = passes.columns.on_springs([known] * len(body.springs))
@@ -146,7 +136,7 @@ class Condensed:
         )
 
     def on(self, stiffness: Sequence[float]) -> "OnSprings":
-        """Return the observations on springs of other stiffness: one value a set, modulus over extent."""
+        """Return the observations on springs of other stiffness: one number per set, in Young's modulus over extent."""
         more = np.array(stiffness)[self.cells.of_set] - self.known
         return OnSprings(self, np.repeat(more * self.stiffness, 3))
 
@@ -155,8 +145,8 @@ class Condensed:
 class OnSprings:
     """The observations of a body on springs of another stiffness than the one for which responses were computed.
 
-    `condensed`: responses on the springs of known stiffness K0; `pull` (3 n_cells,): stiffness of every cell in excess
-    of K0, mN/mm.
+    `condensed`: responses on the springs of known stiffness K0; `pull` (3 n_cells,): stiffness of every cell along each
+    axis in excess of K0, mN/mm, negative on softer springs.
     """
 
     condensed: Condensed
@@ -164,12 +154,12 @@ class OnSprings:
 
     @cached_property
     def _kept(self) -> FloatArray:
-        """Matrix I + C K, (3 n_cells, 3 n_cells): C are motions of cells by forces on cells, K the excess stiffness."""
+        """Matrix I + C K, (3 n_cells, 3 n_cells): C, motion of cells per force on cells; K, the excess stiffness."""
         return np.asarray(np.eye(len(self.pull)) + self.condensed.among * self.pull)
 
     @cached_property
     def by_motion(self) -> FloatArray:
-        """Change of the observations by unit motions of the cells on the known springs, (n_obs, 3 n_cells)."""
+        """Change of the observations by unit motions that the cells have on the known springs, (n_obs, 3 n_cells)."""
         return np.asarray(-np.linalg.solve(self._kept.T, (self.condensed.by_cells * self.pull).T).T)
 
     @cached_property
@@ -180,8 +170,8 @@ class OnSprings:
     def observed(self, covariance: FloatArray) -> FloatArray:
         """Return the covariance (n_obs, n_obs) of the observations on these springs, in mm^2.
 
-        `covariance` (n_obs + 3 n_cells, n_obs + 3 n_cells): of observations and cells on the springs of known
-        stiffness, mm^2.
+        `covariance` (n_obs + 3 n_cells, n_obs + 3 n_cells): joint covariance of observations and cells on the springs
+        of known stiffness, mm^2.
         """
         n_obs = len(self.condensed.innovation)
         mixed = self.by_motion @ covariance[n_obs:, :n_obs]

@@ -1,4 +1,4 @@
-"""Posterior fields in equilibrium, and the spread of every node."""
+"""Displacement fields drawn from the posterior, each in equilibrium, and the covariance of every node."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -16,22 +16,13 @@ from tissuereg.simulation.sensitivity import Cause
 
 @dataclass(frozen=True, eq=False)
 class Draws:
-    """Posterior displacement fields in equilibrium.
+    """A function that draws displacement fields from the posterior, each in equilibrium under its drawn load.
 
-    Attributes
-    ----------
-    fit : ContactFit
-        Where the passes ended.
-    spread : Spread
-        Its uncertainty.
-    material : Material
-        Material of the body.
-    seed, threads : int
-        Of the registration.
-    further : sequence of (Cause, float)
-        Uncertain parameters of the model beside the moduli, each with its standard deviation.
-    moments : int
-        Frames over which the samples were carried on, this one included.
+    `fit`: the contacts that were found, with the posterior samples and the linearised equilibrium; `spread`:
+    uncertainty of the fit, which draws the coefficients of the causes; `material`: material of the body; `seed`: seed
+    of the random numbers; `threads`: threads to use, 0 takes all cores; `further`: uncertain parameters of the model
+    beside the moduli, each with its standard deviation in the parameter's unit; `moments`: number of moments of
+    measurement over which the samples were carried on, the last one included.
     """
 
     fit: ContactFit
@@ -43,7 +34,7 @@ class Draws:
     moments: int = 1
 
     def __call__(self, count: int) -> FloatArray:
-        """Return fields (count, n_nodes, 3) in the tracker's frame, mm.
+        """Return `count` displacement fields (count, n_nodes, 3) from the posterior, in the tracker's frame, in mm.
 
         Raises `ConvergenceError` if a drawn load finds no equilibrium.
         """
@@ -77,10 +68,11 @@ class Draws:
 
 @dataclass(frozen=True, eq=False)
 class NodesOfContacts:
-    """Computes the covariance of every node when it is called, and keeps it.
+    """A function without arguments that computes the covariance of every node.
 
-    `spread`: uncertainty of the fit; `seed`: of the registration; `fields` (n_draws, n_nodes, 3) or None: posterior
-    displacement fields in equilibrium, mm, if they have been solved; otherwise fields are drawn from the linear model.
+    `spread`: uncertainty of the fit; `seed`: seed of the registration's random numbers; `fields` (n_draws, n_nodes, 3)
+    or None: posterior displacement fields in equilibrium, mm, if they have been solved; otherwise fields are drawn from
+    the linear model.
     """
 
     spread: Spread
@@ -88,7 +80,7 @@ class NodesOfContacts:
     fields: FloatArray | None = field(default=None, repr=False)
 
     def __call__(self) -> FloatArray:
-        """Return the covariance of every node (n_nodes, 3, 3), mm^2; the same at every call."""
+        """Return the covariance of every node (n_nodes, 3, 3), mm^2, in the tracker's frame; the same at every call."""
         return self.spread.nodes(np.random.default_rng([self.seed, 9]), self.fields)
 
 

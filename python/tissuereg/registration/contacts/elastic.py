@@ -1,6 +1,7 @@
 r"""Linear elastic priors of displacement fields: which fields a body at rest may take, to first order.
 
-With the stiffness K of the body at rest and C what the markers see of a field, each function returns a `LinearPrior`:
+With the stiffness matrix K of the body at rest, the matrix C that maps a displacement field to the displacement of the
+markers, and the covariance P of the field, each method of `ElasticBody` returns a `LinearPrior`:
 
 * `least_energy`: ``P = K^-1``. The most probable field has the least strain energy ``u' K u / 2`` of all that explain
   the markers equally well; its forces act at the markers.
@@ -30,13 +31,13 @@ from tissuereg.simulation.solve import Simulator
 
 
 class ElasticBody:
-    """A body at rest with markers, linearised once for any number of priors.
+    """A body at rest with markers, linearised once for any number of priors of its displacement.
 
     `mesh`: undeformed body; its node set ``fixed`` is held; `material`: material; its law does not matter at rest;
-    `markers`: reference places and noise; what was measured does not matter; `element` {"tet4", "tet4-averaged",
-    "tet10"}: elements of the solver; `threads`: threads to use; 0 takes all cores. Raises `MarkerError` if a marker
-    lies far from the body; `SupportError`, `MeshError` or `MaterialError` if the body cannot be linearised. `observed`:
-    attachment of the markers.
+    `markers`: reference places, mm, and noise, mm; the measured places are not used; `element` {"tet4",
+    "tet4-averaged", "tet10"}: finite elements of the solver; `threads`: threads to use; 0 takes all cores. Raises
+    `MarkerError` if a marker lies far from the body; `SupportError`, `MeshError` or `MaterialError` if the body cannot
+    be linearised. The attribute `observed` maps the displacement of nodes to that of the markers.
 
     Notes
     -----
@@ -62,7 +63,7 @@ class ElasticBody:
 
     @cached_property
     def _at_markers(self) -> FloatArray:
-        """K^-1 C', (3 n_markers, n_element_nodes, 3) in mm/mN: the field under a unit force along each coordinate."""
+        """Displacement per unit force on each coordinate of each marker, (3 n_markers, n_element_nodes, 3), mm/mN."""
         return self._linearised.compliance([Observation(*row) for row in self.rows]).forces
 
     @cached_property
@@ -72,16 +73,16 @@ class ElasticBody:
 
     @cached_property
     def patches(self) -> Patches:
-        """Patches of the free surface."""
+        """Overlapping round patches, of several radii, of the surface that is not held, on which loads may act."""
         return make_patches(self.mesh, self._free)
 
     def seen(self, fields: FloatArray) -> FloatArray:
-        """Return the markers' displacements (n_fields, 3 n_markers) in fields (n_fields, n_nodes, 3), mm."""
+        """Return the displacement of the markers, (n_fields, 3 n_markers), mm, in fields (n_fields, n_nodes, 3), mm."""
         columns = [np.einsum("fkx,kx->f", fields[:, nodes], weights) for nodes, weights in self.rows]
         return np.stack(columns, axis=1)
 
     def residual(self, displacement_mm: FloatArray, seen: IntArray, simulation_mm: FloatArray | None) -> FloatArray:
-        """Return the measured displacements of some markers minus those of a simulation, (3 n_seen,), mm.
+        """Return the measured displacements of some markers minus those of a simulation, (n_seen, 3), in mm.
 
         `displacement_mm` (n_seen, 3): measured; `seen` int64 (n_seen,): numbers of the markers; `simulation_mm`
         (n_nodes, 3): simulated displacement; None for the body at rest.
@@ -91,14 +92,18 @@ class ElasticBody:
         return displacement_mm - self.observed.predict(simulation_mm[self.observed.nodes])[seen]
 
     def least_energy(self) -> LinearPrior:
-        """Return the prior under which a displacement is the less likely, the more strain energy it takes: P = K^-1."""
+        """Return the prior of the displacement under which a field is less likely, the more strain energy it takes.
+
+        Its covariance is K^-1, with the stiffness matrix K of the body at rest.
+        """
         fields = self._at_markers[:, : self.mesh.n_nodes]
         return LinearPrior(self.seen(fields), np.moveaxis(fields, 0, -1), self._std)
 
     def patch_loads(self, level: int) -> LinearPrior:
-        """Return the prior of independent loads on patches of one radius.
+        """Return the prior of the displacement field by independent random loads on patches of one radius.
 
-        `level`: which radius of `patches`, 0 the smallest. Of scale one a patch alone moves by about 1 mm.
+        `level`: number of the radius among those of `patches`, 0 for the smallest. At scale one each patch alone moves
+        by about 1 mm. Raises `ArgumentError` if there is no such radius.
         """
         whole("level", level, most=int(self.patches.level.max()))
         shapes = self._young * self.patches.shapes[np.flatnonzero(self.patches.level == level)]
@@ -112,9 +117,10 @@ class ElasticBody:
         return LinearPrior(flat @ flat.T, np.moveaxis(moved, 0, -1), self._std)
 
     def control_loads(self, n_cells: int) -> LinearPrior:
-        """Return the prior of the strain energy among combinations of responses to unit loads on cells of the surface.
+        """Return the prior of the displacement field by unit loads on cells of the surface, weighted by strain energy.
 
-        `n_cells`: number of cells, into which the free nodes of the surface are gathered; at most one a node.
+        `n_cells`: number of cells, into which the free nodes of the surface are gathered; at most one per node. Among
+        the combinations of loads those with the least strain energy are the most likely.
         """
         areas, _ = surface_of_nodes(self.mesh)
         cell = gathered(self.mesh.nodes[self._free], areas[self._free], whole("n_cells", n_cells, least=1))
@@ -132,10 +138,11 @@ class ElasticBody:
         return LinearPrior(seen.T @ best, np.einsum("lnx,lo->nxo", moved, best, optimize=True), self._std)
 
     def priors(self, smooth: bool = True, rigid: float = 1.0) -> dict[str, LinearPrior]:
-        """Return priors by name of which the one of the highest evidence is to be taken.
+        """Return several priors of the displacement field by name; the one of the highest evidence is to be taken.
 
-        `smooth`: whether smooth tractions on patches of several radii are among them beside the strain energy; `rigid`:
-        variance of the markers by rigid motions of the whole body over that by elasticity: a base may give.
+        `smooth`: whether smooth tractions on patches of each radius are among them beside the strain energy; `rigid`:
+        variance of the markers by rigid motions of the whole body, which are added to each prior because a base may
+        give, over that by elasticity.
         """
         found = {"least energy": self.least_energy()}
         for level in range(int(self.patches.level.max()) + 1 if smooth else 0):
@@ -146,8 +153,8 @@ class ElasticBody:
     def given_way(self, prior: LinearPrior, share: float) -> LinearPrior:
         """Return a prior to which small rigid motions of the whole body, held nodes included, have been added.
 
-        `prior`: of this body; `share`: variance of the markers by these motions over their variance by `prior`; 0 adds
-        none.
+        `prior`: prior of this body's displacement; `share`: variance of the markers by these motions over their
+        variance by `prior`; 0 adds none. Raises `ArgumentError` if it is negative.
         """
         off = self.mesh.nodes - self.mesh.nodes.mean(axis=0)
         turns = np.cross(np.eye(3)[:, None], off) / np.sqrt(np.mean(off**2))

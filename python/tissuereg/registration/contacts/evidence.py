@@ -1,8 +1,8 @@
 """Evidence of a stiffness or of supports: how well a body explains the markers, before contacts are sampled.
 
-The contacts of all radii are approximated by one Gaussian; its size and those of all families are maximised over. The
-cost is one factorisation and one right-hand side per marker component; for supports of any stiffness, three more per
-cell of them.
+The contacts of all radii are approximated by one Gaussian; its size and those of all families of causes are chosen for
+the highest evidence. The cost is one factorisation and one right-hand side per measured coordinate; for supports of any
+stiffness, three more per cell (a small part) of them.
 """
 
 from dataclasses import dataclass
@@ -18,10 +18,10 @@ from tissuereg.registration.contacts.state import RigidMotion
 
 
 def log_evidence(passes: Passes, frame: RigidMotion) -> float:
-    """Return the logarithm of the evidence that the observations give a body, up to their own constant.
+    """Return the logarithm of the evidence of the observations for a body, up to a constant of the observations.
 
-    `passes`: body, material and data; the work is counted there; `frame`: rigid motion of the tracker to begin with.
-    Unknown sizes of the causes take their best values, with their prior.
+    `passes`: holds the body, its material, causes and data, and counts the work; `frame`: initial rigid motion from the
+    body's frame to the tracker's. Each unknown size of the causes takes the value of the highest evidence times prior.
     """
     start = start_of(passes.columns, passes.material, None, frame, passes.threads)
     problem = passes.observations(start)
@@ -34,8 +34,8 @@ def log_evidence(passes: Passes, frame: RigidMotion) -> float:
 class SupportStiffness:
     """Estimated stiffness of doubtful supports, one number for each set of springs, in Young's modulus over extent.
 
-    `best`: values of the highest evidence; `log_std`: standard deviation of the logarithm of each, with the others
-    fixed.
+    `best`: values of the highest evidence; `log_std`: standard deviation of the natural logarithm of each, with the
+    others fixed. Both are empty if no support is on springs.
     """
 
     best: tuple[float, ...]
@@ -43,11 +43,12 @@ class SupportStiffness:
 
 
 def support_stiffness(passes: Passes, frame: RigidMotion) -> SupportStiffness:
-    """Return the stiffness of doubtful supports that has the highest evidence.
+    """Return the stiffness of doubtful supports that has the highest evidence, with its uncertainty.
 
-    `passes`: body, material and data; `frame`: rigid motion of the tracker to begin with. First the best common value
-    of all sets of springs is found, then the best of one set after the other, twice. Cost: one factorisation, one
-    right-hand side for each component of a marker and three for each cell, for any number of candidates.
+    `passes`: holds the body, its material, causes and data, and counts the work; `frame`: initial rigid motion from the
+    body's frame to the tracker's. First the best common value of all sets of springs is found, then the best of one set
+    after the other, twice. Cost: one factorisation, one right-hand side for each component of a marker and three for
+    each cell (a small part of the supports), for any number of candidates.
     """
     tried, settings = passes.settings.stiffness_tried, passes.settings.evidence
     n_sets = len(passes.columns.body.springs)
@@ -84,8 +85,9 @@ def _parts(
 ) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
     """Return the parts of the observations' covariance whose sizes are unknown: one contact anywhere, then each family.
 
-    `responses` (n_obs, n_columns): of the observations to the causes, mm. Result: for each part its covariance (n_obs,
-    n_obs) at size one, the candidate factors on it, and the logarithm of their prior.
+    `responses` (n_obs, n_columns): displacement of the observations by a unit coefficient of every cause, mm. Result:
+    for each part its covariance (n_obs, n_obs) at size one, mm^2, the candidate factors on it (n_sizes,),
+    dimensionless, and the logarithm of their prior (n_sizes,).
     """
     patches = columns.body.patches
     count = np.bincount(patches.level)
@@ -107,7 +109,8 @@ def _best_over_sizes(
 ) -> float:
     """Return the log evidence maximised over the sizes of all parts of the covariance, one part after the other.
 
-    `innovation` (n_obs,): mm; `noise` (n_obs,): variances, mm^2; `parts`: covariance, candidate factors and log priors.
+    `innovation` (n_obs,): measured minus predicted displacement, mm; `noise` (n_obs, n_obs): covariance of the noise,
+    mm^2; `parts`: for each part its covariance (n_obs, n_obs), mm^2, candidate factors on it and log priors (n_sizes,).
     """
     levels = [int(np.argmin(np.abs(np.log(factors)))) for _, factors, _ in parts]
     total = noise + sum(part[0] * part[1][level] for part, level in zip(parts, levels, strict=True))
@@ -126,7 +129,7 @@ def _best_over_sizes(
 
 
 def _log_normal(innovation: FloatArray, covariance: FloatArray) -> float:
-    """Return log N(v; 0, C) up to a constant, for an innovation v (n_obs,), mm, and covariance C, mm^2."""
+    """Return log N(innovation; 0, covariance) up to a constant, of an innovation (n_obs,), mm, and covariance, mm^2."""
     factor = np.linalg.cholesky(covariance)
     white = np.linalg.solve(factor, innovation)
     return -0.5 * float(white @ white) - float(np.log(np.diag(factor)).sum())

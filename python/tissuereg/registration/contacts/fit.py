@@ -1,9 +1,9 @@
-"""From data to contacts: linearise, sample, solve, until the body meets the measurements.
+"""Search for the contacts that explain the data: linearise, sample, solve, until the body meets the measurements.
 
-A pass takes the sensitivities of all observations at the present equilibrium, samples which contacts explain the
-residual, and solves the equilibrium under the mean load. Model error enters the sampling only as noise of the data: as
-unknowns of its own it would explain part of the motion, which the solved equilibrium would then lack. Points without
-labels are matched anew in every pass: first fewer of them, in more passes, then all.
+One such round is called a pass: it takes the sensitivities of all observations at the present equilibrium, samples
+which contacts explain the residual, and solves the equilibrium under the mean load. Model error enters the sampling
+only as noise of the data: as unknowns of its own it would explain part of the motion, which the solved equilibrium
+would then lack. Points without labels are matched anew in every pass: first fewer of them, in more passes, then all.
 """
 
 from collections import Counter
@@ -33,8 +33,9 @@ Samples = tuple[Any, Any, Any]
 class _Pass:
     """One round of linearising, sampling and solving: its end, its samples, and the linear problem at its start.
 
-    `state`: equilibrium at its end; `samples`: of the posterior; `at`: the linear problem; `residual`: root mean square
-    residual over standard deviations; `predicted`: what the linear model predicted for it; `misfit`: mean over the
+    `state`: equilibrium at its end; `samples`: samples of the posterior (contacts, sizes of the families of causes,
+    wrong markers); `at`: the body and its observations linearised at its start; `residual`: root mean square residual
+    at its end, in standard deviations; `predicted`: the linear model's prediction of it; `misfit`: mean over the
     samples of the squared Mahalanobis length of the innovation.
     """
 
@@ -46,13 +47,13 @@ class _Pass:
     misfit: float
 
     def ended_as_predicted(self, margin: float) -> bool:
-        """Whether the step ended as the linear model predicted, so that the linearisation also holds at its end."""
+        """Return whether the residual is below the predicted one plus `margin`, each in standard deviations."""
         return self.residual < self.predicted + margin
 
 
 @dataclass(frozen=True)
 class _Residuals:
-    """Root mean square residual of a round over standard deviations, and the linear model's prediction of it."""
+    """Root mean square residual after a round, and the linear model's prediction of it, in standard deviations."""
 
     residual: float
     predicted: float
@@ -65,25 +66,27 @@ class ContactFit:
     Attributes
     ----------
     columns : Columns
-        Possible causes.
+        All possible causes of motion (forces on patches, body force, rigid motion, ...), one column each.
     state : BodyState
-        The equilibrium under the mean load.
+        The equilibrium under the posterior mean of the load, or as near to it as a step reduced the residual.
     tangent : Tangent
         The linearised equilibrium there, or at the start of the last step if that ended as its linear model predicted.
     observations : LinearObservations
-        Observations with their responses to the causes, linearised there.
+        Observations with their responses to the causes, linearised at the same place as `tangent`.
     sampler : _core.Contacts
         Compiled sampler with prior and data at that linearisation.
-    samples : tuple of ndarray
-        Of every sample: the contacts, the size of each family of causes, and which markers are wrong.
+    samples : tuple of three ndarray of int64
+        Samples of the posterior: patch and size of each contact, (n_samples, n_slots, 2), -1 for none; candidate size
+        of each family of causes, (n_samples, n_families); whether each marker that was seen is wrong, (n_samples,
+        n_seen), 0 or 1, without columns if outliers are weighted down instead.
     wrong : ndarray of float64, shape (n_markers,)
         Probability that each marker is wrong; zero for markers that were not seen.
     misfit : float
         Mean over samples of the squared Mahalanobis length of the innovation at the end.
     residual_rms : list of float
-        Root mean square residual after each round, over standard deviations.
+        Root mean square residual after each round, in standard deviations.
     counters : collections.Counter
-        Numbers of factorisations, right-hand sides, solves and sweeps.
+        Numbers of factorisations, right-hand sides, solves, sweeps of the chains, and other work.
     """
 
     columns: Columns
@@ -102,10 +105,12 @@ class ContactFit:
 class Passes:
     """The loop of linearising, sampling and solving, with its data and settings; one round is called a pass.
 
-    `columns`: possible causes; `observed`: data; `material`: material of the body; `settings`: prior and Markov chains;
-    `rng`: source of all random numbers; `threads`: threads to use, 0 takes all cores; `clock`: records the times of the
-    stages and is notified of every pass; `before`: samples from which the first pass goes on, if points are not matched
-    anew; `kept`: a linearised equilibrium near the start.
+    `columns`: possible causes of motion; `observed`: data; `material`: material of the body; `settings`: prior and
+    Markov chains; `rng`: source of all random numbers; `threads`: threads to use, 0 takes all cores; `clock`: records
+    the times of the stages and is notified of every pass; `before`: samples from which the chains of the first pass
+    continue, not used if points are matched anew; None to start them afresh; `kept`: a linearised equilibrium near the
+    start, used in the first pass in place of the one at the start; None to make it; `counters`: counts factorisations,
+    right-hand sides and other work.
     """
 
     columns: Columns
@@ -121,21 +126,22 @@ class Passes:
 
     @property
     def steps(self) -> PassSettings:
-        """When a step is accepted, and when the passes end."""
+        """Settings of the loop: when a step is accepted, and when the passes end."""
         return self.settings.steps
 
     @cached_property
     def linear(self) -> Linearisation:
-        """The linearisation; its work is counted with that of the passes."""
+        """Object that linearises the body and its observations; its work is added to `counters`."""
         return Linearisation(
             self.columns, self.material, self.settings, self.threads, self.clock, self.counters, self.kept
         )
 
     def run(self, start: BodyState) -> ContactFit:
-        """Return the fit from a start in equilibrium.
+        """Return the contacts and the equilibrium that explain the data, found from a start in equilibrium.
 
-        `start`: the body under the believed load, zero coefficients. Result: with a linearisation at its end. Raises
-        `ConvergenceError` if no pass is allowed.
+        `start`: the body under the believed load, with zero coefficients of the causes, or the end of an earlier fit.
+        Result: the best pass, with a linearisation at its end. Raises `ConvergenceError` if no pass is allowed, or if
+        the body has no tangent at the start.
         """
         full = self.observed
         best: tuple[_Pass, list[float]] | None = None
@@ -153,7 +159,11 @@ class Passes:
         return self._fit(last, self._at_end(last, full), history)
 
     def _at_end(self, last: "_Pass", full: ObservedData) -> AtBody:
-        """Return the linear problem at the end of a pass, or at its start if the step ended as predicted."""
+        """Return the linear problem at the end of a pass, or at its start if the step ended as predicted.
+
+        `last`: the pass (one round of the fit); `full`: all data. If points are matched to the surface, the problem is
+        always made at the end. The problem at the start is also returned if there is no tangent at the end.
+        """
         if last.ended_as_predicted(self.steps.as_predicted) and not full.rematches:
             return last.at
         try:
@@ -162,10 +172,11 @@ class Passes:
             return last.at
 
     def _from(self, start: BodyState, stages: list[tuple[ObservedData, int]]) -> tuple["_Pass", list[float]]:
-        """Return the pass that came closest to the data from a start, and the residual after each pass.
+        """Return the pass with the smallest residual of the last stage, and the residual after each pass of all stages.
 
-        `stages`: data to be met one after the other, each with its largest number of passes. Residuals: root mean
-        square, over standard deviations.
+        A pass is one round of the fit. `start`: equilibrium at the beginning; `stages`: data to be met one after the
+        other, each with its largest number of passes. Residuals are root mean squares in standard deviations. Raises
+        `ConvergenceError` if there is no stage.
         """
         last, state, history = None, start, list[float]()
         samples = None if self.observed.weighed or self.observed.rematches else self.before
@@ -182,10 +193,10 @@ class Passes:
         return last, history
 
     def _stages(self, full: ObservedData, width: float) -> list[tuple[ObservedData, int]]:
-        """Return the data of each stage with its largest number of passes: few points first, then all.
+        """Return the data of each stage of the search with its largest number of passes: few points first, then all.
 
-        `full`: all data; `width`: length, as a share of the extent, within which errors of first matches are
-        correlated.
+        `full`: all data; `width`: length, as a share of the extent, within which matching errors of the first stage are
+        correlated. Markers alone come first; without points of a surface there is one stage with all data.
         """
         if not full.rematches:
             return [(full, self.settings.max_passes)]
@@ -194,7 +205,11 @@ class Passes:
         return stages if full.markers is None else [(ObservedData.of(full.markers), self.steps.marker_passes), *stages]
 
     def _approach(self, state: BodyState, samples: Samples | None, most: int) -> tuple["_Pass", list[float]]:
-        """Return the pass with the smallest residual of at most `most` passes, and all residuals."""
+        """Return the pass (round of the fit) with the smallest residual of at most `most`, and the residual after each.
+
+        `state`: equilibrium to begin at; `samples`: samples from which the chains continue, or None. Residuals are root
+        mean squares in standard deviations. Raises `ConvergenceError` if there is no tangent at the first equilibrium.
+        """
         reached: list[_Residuals] = []
         closest: _Pass | None = None
         while len(reached) < max(most, 1) and not self._ended(reached):
@@ -222,7 +237,10 @@ class Passes:
         return closest, [one.residual for one in reached]
 
     def _one_pass(self, state: BodyState, samples: Samples | None) -> "_Pass":
-        """Return the pass that begins at a body, with samples that go on from those before."""
+        """Return the pass (linearise, sample, solve) that begins at an equilibrium.
+
+        `state`: the equilibrium; `samples`: samples from which its chains continue, or None to start them afresh.
+        """
         at = self.linear.at(state, self.observed)
         drawn = self._sample(at.sampler, samples)
         with self.clock.stage("solve"):
@@ -232,7 +250,7 @@ class Passes:
         return _Pass(reached, drawn, at, self.residual_rms(reached, drawn), predicted, misfit)
 
     def observations(self, state: BodyState) -> LinearObservations:
-        """Return the data at a body with their responses to the columns."""
+        """Return the observations linearised at a body, with their responses to all causes, (n_obs, n_columns), mm."""
         tangent = self.linear.tangent(state)
         return self.linear.observations(tangent, self.observed.read(state), state.coefficients, self.observed)
 
@@ -262,15 +280,17 @@ class Passes:
         return tuple(samples)
 
     def _mean(self, at: AtBody, samples: Samples) -> tuple[FloatArray, float]:
-        """Return mean coefficients (n_columns,) over samples, and the mean squared length of the innovation."""
+        """Return mean coefficients over samples, (n_columns,), and the innovation's mean squared Mahalanobis length."""
         no_points = np.zeros((0, self.columns.n_columns))
         found = at.sampler.moments(list(samples), no_points, threads=self.threads)
         return found[0], float(found[5])
 
     def _solve(self, at: AtBody, samples: Samples, state: BodyState, wanted: FloatArray) -> BodyState:
-        """Return the equilibrium under `wanted` coefficients (n_columns,), or as far towards it as it helps.
+        """Return the equilibrium under the `wanted` coefficients, or after a shorter step towards them that helps more.
 
-        That is after the longest step that reduces the residual.
+        `at`: the linear problem at `state`, the present equilibrium; `samples`: samples of the posterior; `wanted`
+        (n_columns,): coefficients of the causes. A step is halved until it reduces the residual enough. Result: `state`
+        itself if no step finds an equilibrium or, where points are matched, none reduces the residual.
         """
         steps, matched = self.steps, not self.observed.rematches
         share, decrease = 1.0, steps.decrease if matched else steps.decrease_unmatched
@@ -296,7 +316,11 @@ class Passes:
         return best[1]
 
     def _towards(self, tangent: Tangent, state: BodyState, coefficients: FloatArray) -> BodyState | None:
-        """Return the equilibrium under coefficients (n_columns,), started from a body; None if there is none."""
+        """Return the equilibrium under coefficients (n_columns,) of the causes; None if none is found.
+
+        `tangent`: linearised equilibrium at `state`, from which the solver starts. The rigid motion among the causes is
+        applied to the frame; of a body without supports its coefficients are then set to zero.
+        """
         try:
             load = self.columns.load(coefficients)
             found = tangent.linearised.solve_near(
@@ -319,10 +343,11 @@ class Passes:
         return BodyState(self.columns.without_frame(coefficients), found.all_displacement, frame)
 
     def residual_rms(self, state: BodyState, samples: Samples, std: FloatArray | None = None) -> float:
-        """Return the root mean square residual of a body, over standard deviations.
+        """Return the root mean square residual of a body, in standard deviations.
 
-        Each observation is weighted by its probability of not being wrong; `std` (n_obs,): standard deviations, mm, by
-        default those at the body.
+        `state`: the body; `samples`: posterior samples, which give each marker's probability not to be wrong, the
+        weight of its observations; `std` (n_obs,): standard deviations to use without weights, mm; by default those at
+        the body, with weights.
         """
         reading = self.observed.read(state)
         if std is not None:
@@ -333,7 +358,10 @@ class Passes:
         return float(np.sqrt(np.average(reading.cost, weights=weights)))
 
     def _ended(self, reached: list["_Residuals"]) -> bool:
-        """Return whether the data are met as the linear model predicted, or passes no longer improve the fit."""
+        """Return whether the data are met as the linear model predicted, or passes no longer improve the fit.
+
+        `reached`: residual of each pass so far and its prediction, in standard deviations.
+        """
         # A first pass from samples of the moment before is no first look.
         if len(reached) < (2 if self.before is None else 1):
             return False
@@ -363,7 +391,10 @@ class Passes:
         )
 
     def _wrong(self, state: BodyState, samples: Samples) -> FloatArray:
-        """Return the probability that each marker is wrong, (n_markers,); zero for markers that were not seen."""
+        """Return the probability that each marker is wrong, (n_markers,); zero for markers that were not seen.
+
+        `state`: the body at the end; `samples`: posterior samples.
+        """
         markers = self.observed.markers
         if markers is None:
             return np.zeros(0)
@@ -377,9 +408,10 @@ class Passes:
 
 
 def _predicted_residual(problem: LinearObservations, coefficients: FloatArray, samples: Samples) -> float:
-    """Return the root mean square residual, over standard deviations, that the linear model predicts.
+    """Return the root mean square residual, in standard deviations, that the linear model predicts.
 
-    `coefficients` (n_columns,): of the causes; `samples`: of the posterior, for the probability that a marker is wrong.
+    `problem`: linearised observations; `coefficients` (n_columns,): coefficients of the causes; `samples`: posterior
+    samples, which give each marker's probability not to be wrong, the weight of its observations.
     """
     residual = (problem.innovation - problem.responses @ coefficients) ** 2 / problem.variances
     weights = np.ones(len(residual))
@@ -391,11 +423,12 @@ def _predicted_residual(problem: LinearObservations, coefficients: FloatArray, s
 def start_of(
     columns: Columns, material: Material, simulation: FloatArray | None, frame: RigidMotion, threads: int
 ) -> BodyState:
-    """Return the body under the believed load.
+    """Return the body under the believed load alone: in equilibrium, with zero coefficients of all causes.
 
-    `columns`: causes; `material`: material of the body; `simulation` (n_element_nodes, 3) or None: the displacement
-    under the believed load, if it is known; `frame`: initial rigid motion; `threads`: threads to use. Result: zero
-    coefficients. Raises `ConvergenceError` if the believed load finds no equilibrium.
+    `columns`: possible causes, with the believed load; `material`: material of the body; `simulation` (n_element_nodes,
+    3) or None: the displacement under the believed load, mm, if it is known; `frame`: initial rigid motion from the
+    body's frame to the tracker's; `threads`: threads to use, 0 takes all cores. Result: the body at rest if no load is
+    believed. Raises `ConvergenceError` if no equilibrium is found.
     """
     zero = np.zeros(columns.n_columns)
     simulator = columns.body.simulator

@@ -1,4 +1,4 @@
-"""Contacts on which samples agree: position, size, force and probability."""
+"""Contacts on which posterior samples agree: position, size, force and probability."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -17,17 +17,17 @@ class FoundContact:
     Attributes
     ----------
     centre_mm : ndarray of float64, shape (3,)
-        On the undeformed surface.
+        Centre of the contact on the undeformed surface, in the body's frame, mm.
     radius_mm : float
-        Mean radius of its patches.
+        Mean radius of its patches (round parts of the surface), mm.
     direction : ndarray of float64, shape (3,)
-        Unit vector of the force on the registered body.
+        Unit vector of the force on the registered body, in the tracker's frame.
     size_mm : float
-        Displacement of the surface there.
+        Length of the displacement of the surface node nearest to the centre, without the body's rigid motion, mm.
     force_mN : float
-        Size of the force at the believed modulus.
+        Size of the force at the believed Young's modulus, mN.
     probability : float
-        Share of samples that have a contact there.
+        Share of posterior samples that have a contact there, 0 to 1.
     """
 
     centre_mm: FloatArray
@@ -38,7 +38,7 @@ class FoundContact:
     probability: float
 
     def to_json(self) -> dict[str, Any]:
-        """Return plain numbers and lists."""
+        """Return the fields as a dict of plain numbers and lists, with the units in the keys."""
         return {
             "centre_mm": self.centre_mm.tolist(),
             "radius_mm": self.radius_mm,
@@ -50,10 +50,10 @@ class FoundContact:
 
 
 def find_contacts(fit: ContactFit, settings: ReportSettings) -> tuple[FoundContact, ...]:
-    """Return the contacts of a fit, the most probable first.
+    """Return the contacts on which the posterior samples of a fit agree, the most probable first.
 
-    `fit`: where the passes ended; `settings`: which contacts are listed. Result: patches of all samples, clustered
-    around the most frequent one.
+    `fit`: the fit with its samples; `settings`: how many contacts, and from which probability on, are listed. Patches
+    of all samples are clustered around the most frequent one; a cluster is one contact.
     """
     slots = np.asarray(fit.samples[0])[:, :, 0]
     left = slots >= 0
@@ -71,7 +71,8 @@ def find_contacts(fit: ContactFit, settings: ReportSettings) -> tuple[FoundConta
 def _next(fit: ContactFit, slots: Any, left: BoolArray) -> tuple[FoundContact, BoolArray]:
     """Return the contact around the most frequent patch among samples that remain, and which of them belong to it.
 
-    `slots`: patch of each contact of each sample; `left`: which of them belong to no contact yet.
+    `fit`: the fit; `slots` int64 (n_samples, n_slots): patch of each contact of each sample, -1 for none; `left` bool,
+    same shape: which of them belong to no found contact yet. Second result: bool, same shape.
     """
     patches = fit.columns.body.patches
     count = np.bincount(slots[left], minlength=patches.n_patches)
@@ -100,7 +101,10 @@ def _next(fit: ContactFit, slots: Any, left: BoolArray) -> tuple[FoundContact, B
 
 
 def _force(fit: ContactFit, centre: FloatArray, radius: float) -> FloatArray:
-    """Return the mean force (3,), mN, on the part of the surface within a ball about `centre` (3,), mm."""
+    """Return the total force (3,), mN, of the estimated load on nodes near a contact, in the body's frame.
+
+    They lie within 1.2 times `radius`, mm, of `centre` (3,), mm.
+    """
     columns = fit.columns
     within = np.linalg.norm(columns.body.mesh.nodes - centre, axis=1) <= 1.2 * radius
     loads = columns.load(fit.state.coefficients)

@@ -26,11 +26,11 @@ STIFFNESS = ("believed", "graded")
 
 @dataclass(frozen=True, eq=False)
 class Grading:
-    """A stiffness that changes along the body, as it was estimated: log E = log E0 + g . xi.
+    """An estimated stiffness that changes along the body: ln E = ln E0 + g . xi at each tet, with Young's modulus E.
 
-    `material`: with one modulus per tet; `rates` (3,): g, the change of the logarithm along each principal axis; `std`
-    (3,): standard deviations of g; `profiles` (3, n_tets): xi, the coordinate of the middle of every tet along each
-    principal axis, from -1 to 1.
+    `material`: material with one Young's modulus per tet; `rates` (3,): g, the change of the logarithm from the middle
+    of the body to its end along each principal axis; `std` (3,): standard deviations of g; `profiles` (3, n_tets): xi,
+    the coordinate of the middle of every tet along each principal axis, from -1 to 1.
     """
 
     material: Material
@@ -40,7 +40,7 @@ class Grading:
 
 
 def profiles_of(mesh: Mesh) -> FloatArray:
-    """Return the coordinates (3, n_tets) of all tets along the principal axes, from -1 to 1 across the body."""
+    """Return the coordinates (3, n_tets) of the tets' centroids along the principal axes, -1 to 1 across the body."""
     centred = mesh.nodes - mesh.nodes.mean(axis=0)
     axes = np.linalg.eigh(centred.T @ centred)[1]
     along = mesh.nodes @ axes
@@ -49,10 +49,10 @@ def profiles_of(mesh: Mesh) -> FloatArray:
 
 
 def grade(passes: Passes, frame: RigidMotion) -> Grading:
-    """Return the grading of highest evidence.
+    """Return the stiffness that changes linearly across the body and has the highest evidence times prior.
 
-    `passes`: causes, data and believed material; `frame`: initial rigid motion. Cost: about twenty evaluations
-    of the evidence.
+    `passes`: holds the body, its causes, data and believed material, and counts the work; `frame`: initial rigid motion
+    from the body's frame to the tracker's. Cost: about twenty evaluations of the evidence.
     """
     trial = _Trial(passes, frame, profiles_of(passes.columns.body.mesh))
     prior = passes.settings.graded_log_std
@@ -68,18 +68,25 @@ def grade(passes: Passes, frame: RigidMotion) -> Grading:
 
 @dataclass(frozen=True, eq=False)
 class _Trial:
-    """Inputs of every evaluation: the loop with body and data, the tracker's rigid motion, the profiles xi."""
+    """Evidence of the data as a function of how the stiffness changes across the body.
+
+    `passes`: the fit, with body, data and believed material; `frame`: initial rigid motion to the tracker's frame;
+    `profiles` (3, n_tets): coordinates of the tets along the principal axes, from -1 to 1.
+    """
 
     passes: Passes
     frame: RigidMotion
     profiles: FloatArray
 
     def material(self, rates: FloatArray) -> Material:
-        """Return the material at rates (3,)."""
+        """Return the material at `rates` (3,) of change of ln E, with Young's modulus E, along the principal axes."""
         return self.passes.material.scaled(np.exp(rates @ self.profiles))
 
     def log_evidence(self, rates: FloatArray) -> float:
-        """Return the logarithm of evidence times prior, up to a constant, for rates (3,) of the stiffness."""
+        """Return the logarithm of evidence times prior, up to a constant, for rates of change of the stiffness.
+
+        `rates` (3,): change of ln E from the middle of the body to its end along each principal axis.
+        """
         material = self.material(rates)
         trial = replace(self.passes, material=material, columns=self.passes.columns.made_of(material))
         prior = -0.5 * float(np.sum((rates / trial.settings.graded_log_std) ** 2))
@@ -89,7 +96,9 @@ class _Trial:
 def _along(trial: _Trial, best: FloatArray, value: float, axis: int, step: float) -> tuple[FloatArray, float, float]:
     """Return the best rates (3,) when one of them is varied, their log evidence, and that rate's standard deviation.
 
-    `best`: rates to start from; `value`: their log evidence; `axis`: which rate; `step`: first step of the search.
+    A rate is the change of ln E (Young's modulus) from the middle of the body to its end along a principal axis.
+    `trial`: evaluates the evidence; `best` (3,): rates to start from; `value`: their log evidence; `axis`: which rate
+    is varied, 0 to 2; `step`: first step of the search.
     """
     limit = trial.passes.settings.graded_log_std
     found = [(0.0, value)]

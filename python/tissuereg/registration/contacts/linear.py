@@ -1,4 +1,4 @@
-"""The linearisation at one body: tangent, responses of the observations to the causes, and the sampler's problem."""
+"""The linearisation at one body: tangent, responses of the observations to the causes, and the sampling problem."""
 
 from collections import Counter
 from dataclasses import dataclass, field
@@ -19,10 +19,10 @@ from tissuereg.registration.contacts.tangent import Row, Tangent, tangent_at
 
 @dataclass(frozen=True, eq=False)
 class AtBody:
-    """Everything that is linearised at one body.
+    """The equilibrium, observations and sampling problem linearised at one deformed body.
 
-    `tangent`: the linearised equilibrium; `observations`: observations with their responses to the columns; `sampler`:
-    dictionary, prior and data.
+    `tangent`: the linearised equilibrium; `observations`: observations with their responses to a unit coefficient of
+    every cause; `sampler`: compiled sampler with these responses, the prior and the data.
     """
 
     tangent: Tangent
@@ -32,11 +32,12 @@ class AtBody:
 
 @dataclass(eq=False)
 class Linearisation:
-    """Linearises the body and its observations; counts the work, and keeps the projection of many observations.
+    """Object that linearises a body and its observations; it counts its work and keeps the last projection it made.
 
-    `columns`: possible causes; `material`: material of the body; `settings`: prior; `threads`: threads to use; `clock`:
-    records the times of the stages; `counters`: counts the work; `kept`: a linearised equilibrium near the first body,
-    used in place of the one there.
+    Many observations are projected onto few combinations of them. `columns`: possible causes of motion; `material`:
+    material of the body; `settings`: prior; `threads`: threads to use, 0 takes all cores; `clock`: records the times of
+    the stages; `counters`: counts factorisations and right-hand sides; `kept`: a linearised equilibrium near the first
+    body, used once in place of the one there; None without one.
     """
 
     columns: Columns
@@ -49,7 +50,7 @@ class Linearisation:
     _basis: tuple[ObservedData, Basis] | None = field(default=None, repr=False)
 
     def at(self, state: BodyState, observed: ObservedData) -> AtBody:
-        """Return the linearised equilibrium at a body, its observations, and the sampler with prior and data."""
+        """Return equilibrium, `observed` data and sampling problem linearised at a body `state` in equilibrium."""
         tangent = self.tangent(state)
         with self.clock.stage("match"):
             reading = observed.read(state)
@@ -63,7 +64,10 @@ class Linearisation:
             return AtBody(tangent, observations, sampler(self.columns, self.settings, observations.responses, data))
 
     def tangent(self, state: BodyState) -> Tangent:
-        """Return the linearised equilibrium at a body; at first the one kept from before, if there is one."""
+        """Return the linearised equilibrium at a body; in the first call the one kept from before, if there is one.
+
+        `state`: the body in equilibrium. Raises `ConvergenceError` if it is not an equilibrium, or not a stable one.
+        """
         if self.kept is not None:
             found, self.kept = self.kept, None
             return found
@@ -77,7 +81,9 @@ class Linearisation:
     ) -> LinearObservations:
         """Return observations linearised at a body; if they are many, a projection that keeps nearly all information.
 
-        `reading`: observations at the body; `coefficients` (n_columns,): of the causes there; `observed`: the data.
+        `tangent`: linearised equilibrium of the body; `reading`: observations at the body; `coefficients` (n_columns,):
+        coefficients of the causes there; `observed`: the data. Result: n_obs observations in mm, or n_kept projected
+        ones over their standard deviations, dimensionless.
         """
         rigid = self.columns.rigid_rows(reading.places, reading.directions)
         if not observed.weighed:
@@ -94,9 +100,10 @@ class Linearisation:
         return projected(reading, basis, few, coefficients)
 
     def _responses(self, tangent: Tangent, rows: list[Row], rigid: FloatArray) -> FloatArray:
-        """Return how observations respond to the causes, (n_rows, n_columns), mm for a unit of each coefficient.
+        """Return the displacement of observations by a unit coefficient of every cause, (n_rows, n_columns), in mm.
 
-        `rows`: nodes and weights of each; `rigid` (n_rows, 6): their motions by unit rigid motions, mm.
+        `tangent`: linearised equilibrium; `rows`: nodes (k,) and weights (k, 3) of each observation; `rigid` (n_rows,
+        6): their displacement by unit rigid motions, mm.
         """
         with self.clock.stage("sensitivities"):
             compliance, solved = tangent.compliance(rows, self._solved)

@@ -1,7 +1,7 @@
-"""The data of a registration, in the form that the passes use: markers, points of the surface, or both.
+"""The data of a registration, in the form that the fit uses: markers, points of the surface, or both.
 
-Each kind of data has one method, `read`: it returns, at a deformed body, the sensitivity rows of the observations,
-their residuals and their standard deviations. The passes use nothing else.
+Either has one method, `read`: it returns, at a deformed body, the sensitivity rows of the observations, their residuals
+and their standard deviations. The fit uses nothing else.
 """
 
 from dataclasses import dataclass, replace
@@ -19,24 +19,14 @@ from tissuereg.registration.contacts.state import BodyState, RigidMotion
 
 @dataclass(frozen=True, eq=False)
 class Observations:
-    """Observations at one deformed body.
+    """Observations at one deformed body, each a weighted sum of nodal displacements measured along one direction.
 
-    Attributes
-    ----------
-    rows : list of (ndarray of int64 (k,), ndarray of float64 (k, 3))
-        Nodes and weights of each observation.
-    places : ndarray of float64, shape (n_obs, 3)
-        Position of each, in the body's frame, mm.
-    directions : ndarray of float64, shape (n_obs, 3)
-        Unit vector along which it is measured.
-    residual : ndarray of float64, shape (n_obs,)
-        Measured minus predicted, mm.
-    std : ndarray of float64, shape (n_obs,)
-        Standard deviation, enlarged by a heavy tail for large residuals, mm.
-    cost : ndarray of float64, shape (n_obs,)
-        Minus twice the logarithm of each observation's likelihood, up to a constant: 1 for residuals of pure noise.
-    groups : list of list of int
-        Observations that may be wrong together, one group per marker; empty if weights replace indicators.
+    `rows`: nodes int64 (k,) of each observation, and the dimensionless weights (k, 3) of their displacement; `places`
+    (n_obs, 3): predicted position of the observed point, in the body's frame, mm; `directions` (n_obs, 3): unit vector
+    along which it is measured, in the body's frame; `residual` (n_obs,): measured minus predicted, mm; `std` (n_obs,):
+    standard deviation, enlarged by a heavy tail for large residuals, mm; `cost` (n_obs,): minus twice the logarithm of
+    each observation's likelihood, up to a constant: 1 for residuals of pure noise; `groups`: for each marker the
+    observations that may be wrong together; empty if outliers get a small weight instead.
     """
 
     rows: list[tuple[IntArray, FloatArray]]
@@ -48,7 +38,7 @@ class Observations:
     groups: list[list[int]]
 
     def followed_by(self, other: "Observations") -> "Observations":
-        """Return these observations followed by others."""
+        """Return these observations followed by those of `other`, at the same body."""
 
         def joined(mine: FloatArray, theirs: FloatArray) -> FloatArray:
             return np.concatenate([mine, theirs])
@@ -65,30 +55,36 @@ class Observations:
 
 
 class DataPart(Protocol):
-    """One kind of data, markers or points of the surface: what every kind can be asked for."""
+    """Interface of a part of the data, which is either the markers or the unlabelled points of the surface."""
 
     @property
     def n_obs(self) -> int:
-        """Number of observations."""
+        """Number of observations: measured coordinates of markers, or points of the surface."""
 
     def read(self, state: BodyState, *, weighed: bool) -> Observations:
-        """Return the observations at a deformed body.
+        """Return the observations at a deformed body, with residuals and standard deviations in mm.
 
-        `weighed`: whether outliers get a small weight, instead of a group that the sampler may take for wrong.
+        `state`: the body; `weighed`: whether outliers get a small weight, instead of a group of observations that the
+        sampler may take for wrong.
         """
 
     def coarser(self, width: float) -> "DataPart":
-        """Return the same data with fewer observations, for first passes.
+        """Return the same data with fewer observations, for the first passes (rounds of the fit).
 
-        `width`: distance within which errors of matching are correlated, over the extent.
+        `width`: distance within which errors of matching points to the surface are correlated, as a share of the
+        extent.
         """
 
     def outliers(self, state: BodyState) -> float:
-        """Return the share of the observations without labels that lie too far from a body to belong to it."""
+        """Return the share of surface points, 0 to 1, too far from the body `state` to belong to it; 0 for markers."""
 
 
 def _turned(rows: list[tuple[IntArray, FloatArray]], rotation: FloatArray) -> list[tuple[IntArray, FloatArray]]:
-    """Return rows of nodes and weights for displacements along the tracker's axes, given those of the body."""
+    """Return rows for displacements along the tracker's axes, given those for displacements along the body's.
+
+    `rows`: nodes (k,) and weights (k, 3) of x, y and z of each marker in turn; `rotation` (3, 3): from the body's frame
+    to the tracker's.
+    """
     if np.array_equal(rotation, np.eye(3)):
         return rows
     found = []
@@ -100,11 +96,11 @@ def _turned(rows: list[tuple[IntArray, FloatArray]], rotation: FloatArray) -> li
 
 @dataclass(frozen=True, eq=False)
 class MarkerData:
-    """The markers as data.
+    """The markers as data of a registration.
 
-    `observation`: attachment of the markers to the mesh; `model_error`: standard deviation of the model's error at a
-    marker, over the marker's motion; `rough`: whether unlabelled points are still far from the surface: markers then
-    have no heavy tail, and lead.
+    `observation`: map from the displacement of nodes to that of the markers; `markers`: reference and measured places,
+    mm; `model_error`: standard deviation of the model's error at a marker, over the marker's motion; `rough`: whether
+    unlabelled points are still far from the surface: markers then have no heavy tail, and lead.
     """
 
     observation: MarkerObservation
@@ -114,37 +110,47 @@ class MarkerData:
 
     @property
     def n_obs(self) -> int:
-        """Number of components seen."""
+        """Number of measured coordinates of markers."""
         return len(self.rows)
 
     @cached_property
     def mask(self) -> BoolArray:
-        """Components that were seen, shape (n_markers, 3)."""
+        """Whether each coordinate of each marker was measured, bool, shape (n_markers, 3)."""
         return np.asarray(np.isfinite(self.markers.measured))
 
     @cached_property
     def rows(self) -> IntArray:
-        """Indices of the components seen among all, shape (n_obs,)."""
+        """Numbers of the measured coordinates, int64 (n_obs,): 3 m + i for axis i of marker m."""
         return np.flatnonzero(self.mask.ravel())
 
     @property
     def groups(self) -> list[list[int]]:
-        """Indices among `rows` of each marker that was seen."""
+        """For each marker that was seen, in order, the positions in `rows` of its measured coordinates."""
         owner = self.rows // 3
         return [np.flatnonzero(owner == marker).tolist() for marker in np.unique(owner)]
 
     def moved(self, frame: RigidMotion) -> FloatArray:
-        """Return each marker's motion relative to a rigid motion, (n_markers,) in mm; unseen components are zero."""
+        """Return the length of each marker's motion in addition to a rigid one, (n_markers,), in mm.
+
+        `frame`: the rigid motion. Coordinates that were not measured count as not moved.
+        """
         places = frame.apply(self.markers.reference)
         return np.asarray(np.linalg.norm(np.where(self.mask, self.markers.measured - places, 0.0), axis=1))
 
     def std(self, frame: RigidMotion) -> FloatArray:
-        """Return the standard deviation (n_obs,), mm, of each component seen: tracker's and model's."""
+        """Return the standard deviation of each measured coordinate, (n_obs,), mm: tracker and model together.
+
+        `frame`: rigid motion of the body; the model's error is in proportion to the motion beside it.
+        """
         both = np.hypot(self.markers.axis_std, self.model_error * self.moved(frame)[:, None])
         return np.asarray(both.ravel()[self.rows])
 
     def read(self, state: BodyState, *, weighed: bool) -> Observations:
-        """Return the components seen; `weighed` gives each marker a heavy tail instead of an indicator."""
+        """Return the measured coordinates of markers as observations, mm, at a deformed body `state`.
+
+        `weighed`: whether an outlier gets a small weight, by heavy-tailed noise, or may be taken for wrong by the
+        sampler.
+        """
         observation, reference = self.observation, self.markers.reference
         here = state.displacement[observation.nodes]
         places = reference + observation.predict(here)
@@ -171,8 +177,8 @@ class MarkerData:
     def wrong(self, state: BodyState, log_odds: float, wrong_std: float) -> FloatArray:
         """Return the probability of each marker that was seen to be wrong, given a body, shape (n_seen,).
 
-        `state`: the deformed body; `log_odds`: logarithm of the odds that a marker is wrong; `wrong_std`: additional
-        standard deviation of a wrong marker, mm.
+        `state`: the deformed body; `log_odds`: logarithm of the prior odds that a marker is wrong; `wrong_std`:
+        additional standard deviation of a wrong marker, mm.
         """
         residual = self.read(state, weighed=False).residual
         narrow = self.std(state.frame)
@@ -182,12 +188,12 @@ class MarkerData:
         return np.asarray(1.0 / (1.0 + np.exp(-np.clip(logs, -700.0, 700.0))))
 
     def outliers(self, state: BodyState) -> float:
-        """Return zero: a wrong marker is found by its label, not counted among outliers."""
+        """Return zero: a wrong marker is found by its own probability to be wrong, and is not counted as an outlier."""
         del state
         return 0.0
 
     def coarser(self, width: float) -> "MarkerData":
-        """Return the markers as data of first passes: all of them, because their labels bring the body close."""
+        """Return the markers for the first rounds of the fit: all of them, since labels bring the body close."""
         del width
         return replace(self, rough=True)
 
@@ -196,8 +202,9 @@ class MarkerData:
 class ObservedData:
     """All data of one registration: the markers, and points of the surface if there are any.
 
-    `parts`: markers first; `weighed`: whether wrong markers get a small weight instead of an indicator of the sampler;
-    data are then projected; `rough`: whether these are the reduced data of first passes.
+    `parts`: markers first; `weighed`: whether wrong markers get a small weight instead of an indicator that the sampler
+    sets; many observations are then projected onto few; `rough`: whether these are the reduced data of first passes
+    (rounds of the fit).
     """
 
     parts: tuple[DataPart, ...]
@@ -206,53 +213,61 @@ class ObservedData:
 
     @classmethod
     def of(cls, *parts: DataPart | None) -> "ObservedData":
-        """Return the data of the parts that have observations."""
+        """Return the data made of those parts that are not None and have observations.
+
+        They are weighed, and projected onto few, if there are more than `MATCHING.most_plain` of them.
+        """
         kept = tuple(part for part in parts if part is not None and part.n_obs)
         return cls(kept, sum(part.n_obs for part in kept) > MATCHING.most_plain)
 
     @property
     def markers(self) -> MarkerData | None:
-        """The markers, if there are any."""
+        """The markers as data; None if no marker was measured."""
         return next((part for part in self.parts if isinstance(part, MarkerData)), None)
 
     @property
     def n_obs(self) -> int:
-        """Number of observations."""
+        """Number of observations: measured coordinates of markers, plus points of the surface."""
         return sum(part.n_obs for part in self.parts)
 
     @property
     def rematches(self) -> bool:
-        """Whether some observations have no label, so that passes match them anew."""
+        """Whether there are points without labels, which are matched to the surface anew in every round of the fit."""
         return any(not isinstance(part, MarkerData) for part in self.parts)
 
     def read(self, state: BodyState) -> Observations:
-        """Return all observations at a deformed body."""
+        """Return all observations at a deformed body, those of the markers first, in mm."""
         first, *others = (part.read(state, weighed=self.weighed) for part in self.parts)
         for other in others:
             first = first.followed_by(other)
         return first
 
     def outliers(self, state: BodyState) -> float:
-        """Return the largest share of observations without labels that a body does not explain."""
+        """Return the share of surface points, 0 to 1, too far from the body `state` to belong to it; 0 for markers."""
         return max(part.outliers(state) for part in self.parts)
 
     def coarser(self, width: float) -> "ObservedData":
-        """Return the same data with fewer points, spaced by a share `width` of the extent, and equal noise."""
+        """Return the same data with fewer points of the surface and equal noise, for first rounds of the fit.
+
+        `width`: distance within which errors of matching points to the surface are correlated, as a share of the
+        extent.
+        """
         return ObservedData(tuple(part.coarser(width) for part in self.parts), self.weighed, rough=True)
 
 
 def tail_variance(squares: FloatArray | float, count: int) -> FloatArray:
-    """Return the factor on the variance of `count` observations that a Student tail gives for residuals.
+    """Return the factor by which heavy-tailed noise (a Student law) enlarges the variance of `count` observations.
 
-    `squares`: their squared length in standard deviations.
+    `squares`: squared length of their residuals in standard deviations, a number or an array. Result: dimensionless, of
+    the same shape; below one for small residuals.
     """
     return np.asarray((MATCHING.tail + squares) / (MATCHING.tail + count), np.float64)
 
 
 def tail_cost(squares: FloatArray | float, count: int) -> FloatArray:
-    """Return minus twice the logarithm of Student's density of squared residuals, up to a constant.
+    """Return minus twice the logarithm of Student's density of `count` residuals, up to a constant.
 
-    `squares`: squared length of the residuals of `count` observations, in standard deviations. About `count` for noise
-    alone.
+    `squares`: their squared length in standard deviations, a number or an array. Result: of the same shape, about
+    `count` for noise alone.
     """
     return np.asarray((MATCHING.tail + count) * np.log1p(np.asarray(squares) / MATCHING.tail), np.float64)

@@ -25,20 +25,12 @@ from tissuereg.registration.contacts.settings import MATCHING, ContactSettings
 class LinearObservations:
     """Observations as a linear function of the coefficients of the causes, about one body.
 
-    Attributes
-    ----------
-    responses : ndarray of float64, shape (n_kept, n_columns)
-        Change of each observation by a unit coefficient of each cause.
-    innovation : ndarray of float64, shape (n_kept,)
-        Measured minus predicted at zero coefficients.
-    variances : ndarray of float64, shape (n_kept,)
-        Variances of their independent noise.
-    groups : list of list of int
-        Observations that may be wrong together: those of one marker.
-    rows : list of (ndarray of int64 (k,), ndarray of float64 (k, 3))
-        Nodes and weights of each observation.
-    dropped_signal : float
-        Largest effect of the causes, squared and over the noise, on a combination of observations that was left out.
+    They are n_obs = n_kept measured displacements in mm or, if these are many, n_kept combinations of them over their
+    standard deviations, without unit. `responses` (n_kept, n_columns): change of each by a unit coefficient of each
+    cause; `innovation` (n_kept,): measured minus predicted at zero coefficients; `variances` (n_kept,): variances of
+    their independent noise; `groups`: for each marker the observations that may be wrong together; empty if they are
+    combinations; `rows`: nodes int64 (k,) of each observation, and the weights (k, 3) of their displacement;
+    `dropped_signal`: largest variance due to the causes, over that of the noise, of a combination that was left out.
     """
 
     responses: FloatArray
@@ -51,10 +43,10 @@ class LinearObservations:
 
 @dataclass(frozen=True, eq=False)
 class Basis:
-    """Directions of whitened observations that span the effects of all causes.
+    """Orthonormal combinations of observations, over their standard deviations, that span the effects of all causes.
 
-    `vectors` (n_kept, n_obs): orthonormal rows; `dropped_signal`: largest signal, squared and over the noise, of a
-    direction that was dropped.
+    `vectors` (n_kept, n_obs): one combination per row; `dropped_signal`: largest variance due to the causes, over that
+    of the noise, of a combination that was dropped.
     """
 
     vectors: FloatArray
@@ -64,8 +56,9 @@ class Basis:
     def of(cls, reading: Observations, responses: FloatArray, variances: FloatArray, most: int) -> "Basis":
         """Return the combinations of observations in which the causes have an effect.
 
-        `reading`: observations; `responses` (n_obs, n_columns): to the causes; `variances` (n_columns,): of the
-        coefficients; `most`: largest number of combinations.
+        `reading`: observations at a body; `responses` (n_obs, n_columns): their displacement by a unit coefficient of
+        every cause, mm; `variances` (n_columns,): prior variances of the coefficients; `most`: largest number of
+        combinations.
         """
         white = responses / reading.std[:, None]
         signals, vectors = np.linalg.eigh((white * variances) @ white.T)
@@ -74,7 +67,10 @@ class Basis:
         return cls(np.ascontiguousarray(vectors[:, ::-1][:, :n_kept].T), max(dropped, 0.0))
 
     def rows(self, reading: Observations) -> list[tuple[IntArray, FloatArray]]:
-        """Return nodes (k,) and weights (k, 3) of every projected observation."""
+        """Return nodes int64 (k,) and weights (k, 3), 1/mm, of the nodal displacement in every projected observation.
+
+        `reading`: the observations before projection.
+        """
         nodes, root = self.nodes(reading), self.vectors / reading.std
         weights = np.zeros((len(reading.rows), len(nodes), 3))
         for row, (own, given) in enumerate(reading.rows):
@@ -84,14 +80,15 @@ class Basis:
 
     @staticmethod
     def nodes(reading: Observations) -> IntArray:
-        """Return the numbers of all nodes on which observations depend, sorted."""
+        """Return the numbers of all nodes on which the observations of `reading` depend, int64 (k,), sorted."""
         return np.unique(np.concatenate([own for own, _ in reading.rows]))
 
 
 def plain(reading: Observations, responses: FloatArray, coefficients: FloatArray) -> LinearObservations:
-    """Return observations as they are, in linear form.
+    """Return observations as they are, as a linear function of the coefficients of the causes.
 
-    `responses` (n_obs, n_columns): to the causes, mm; `coefficients` (n_columns,): at which they were linearised.
+    `reading`: observations at a body, mm; `responses` (n_obs, n_columns): their displacement by a unit coefficient of
+    every cause, mm; `coefficients` (n_columns,): those of the body.
     """
     return LinearObservations(
         responses, reading.residual + responses @ coefficients, reading.std**2, reading.groups, reading.rows
@@ -101,10 +98,11 @@ def plain(reading: Observations, responses: FloatArray, coefficients: FloatArray
 def projected(
     reading: Observations, basis: Basis, responses: FloatArray, coefficients: FloatArray
 ) -> LinearObservations:
-    """Return observations projected onto a basis, in linear form.
+    """Return observations projected onto a basis, as a linear function of the coefficients of the causes.
 
-    `responses` (n_kept, n_columns): of the projected ones to the causes; `coefficients` (n_columns,): at which they
-    were linearised.
+    `reading`: observations at a body, mm; `basis`: n_kept combinations of them; `responses` (n_kept, n_columns): change
+    of each combination by a unit coefficient of every cause, dimensionless; `coefficients` (n_columns,): those of the
+    body.
     """
     root = basis.vectors / reading.std
     innovation = root @ reading.residual + responses @ coefficients
@@ -112,7 +110,11 @@ def projected(
 
 
 def moving_variances(columns: Columns, settings: ContactSettings) -> FloatArray:
-    """Return the variance (n_columns,) of each coefficient if its cause acts."""
+    """Return the prior variance (n_columns,) of the coefficient of each cause, given that this cause acts.
+
+    It is the mean over the candidate sizes of the cause, weighted by their prior, in mm^2 (dimensionless for the error
+    of a believed load).
+    """
     patches = columns.body.patches
     sizes = contact_sizes(columns, settings)
     weights = np.exp(-0.5 * (sizes / (settings.largest_share * patches.radii[:, None])) ** 2)

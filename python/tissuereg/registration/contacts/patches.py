@@ -25,20 +25,23 @@ class Patches:
     Attributes
     ----------
     centres : ndarray of float64, shape (n_patches, 3)
-        mm, undeformed.
+        Node at the centre of each patch on the undeformed surface, mm.
     radii : ndarray of float64, shape (n_patches,)
-        mm.
+        Radius of each patch, mm.
     level : ndarray of int64, shape (n_patches,)
-        Number of the radius, 0 the smallest.
+        Number of each patch's radius among the radii in use, 0 for the smallest.
     normals : ndarray of float64, shape (n_patches, 3)
         Outward unit normal at the centre.
     shapes : scipy.sparse.csr_array, shape (n_patches, n_nodes)
-        Nodal force of one unit over Young's modulus, mm^2 per mm.
+        Nodal force of a unit coefficient along an axis over Young's modulus, mm^2 per mm. For supports that move it is
+        the dimensionless profile, 1 at the centre.
     texture : tuple of ndarray
-        For each patch the patches of the next smaller radius inside it, as compressed rows (first entries, entries),
-        and the ratios of their standard deviations.
+        For each patch the patches of the next smaller radius inside it, on which its force may vary: int64 first
+        entries (n_patches + 1,), int64 patch numbers (n_entries,), and float64 ratios (n_entries,) of the standard
+        deviation of their coefficient to that of the patch.
     neighbours : tuple of ndarray
-        For each patch the similar patches, as compressed rows (first entries, entries).
+        For each patch the similar patches, to which a step of the sampler may move a contact: int64 first entries
+        (n_patches + 1,) and int64 patch numbers (n_entries,).
     """
 
     centres: FloatArray
@@ -56,11 +59,12 @@ class Patches:
 
 
 def make_patches(mesh: Mesh, free: IntArray, *, by_area: bool = True) -> Patches:
-    """Return the patches of a part of a mesh's surface.
+    """Return the patches, of several radii, that cover a part of a mesh's surface.
 
     `mesh`: undeformed body; `free` int64 (n_free,): nodes of the surface that patches may contain; `by_area`: whether
-    shapes are forces, as above; else the profile alone, for supports that move. Result: about a thousand; larger radii
-    have fewer centres.
+    shapes are nodal forces over Young's modulus in mm^2 per mm, in proportion to the nodes' areas; otherwise they are
+    the dimensionless profile 1 - (distance / radius)^2, for supports that move. Result: about a thousand patches;
+    larger radii have fewer centres.
     """
     areas, normals = surface_of_nodes(mesh)
     places = mesh.nodes[free]
@@ -98,16 +102,20 @@ def surface_of_nodes(mesh: Mesh) -> tuple[FloatArray, FloatArray]:
 
 
 def _radii(extent: float, edge: float) -> FloatArray:
-    """Return radii in mm, ascending: shares of the extent, none below a few mean edges of the surface."""
+    """Return the radii of patches, (n_radii,), in mm, ascending.
+
+    They are fixed shares of `extent`, mm; none is below a few times `edge`, the mean edge length of the surface in mm.
+    """
     wanted = np.array(DISCRETISATION.radii_shares) * extent
     least = DISCRETISATION.least_edges * edge
     return np.asarray(np.concatenate([[max(least, wanted[0])], wanted[wanted > 1.3 * max(least, wanted[0])]]))
 
 
 def _thinned(places: FloatArray, normals: FloatArray, gap: float) -> IntArray:
-    """Return the numbers of places of which no two on the same side of the body are closer than `gap`, in order.
+    """Return the numbers of places, int64 (n_kept,), of which no two on one side of the body are closer than `gap`, mm.
 
-    `places` (n, 3), mm; `normals` (n, 3): outward unit normals.
+    `places` (n, 3): mm; `normals` (n, 3): outward unit normals; places whose normals differ much are on opposite sides.
+    The first place that is not too close to those kept is kept next.
     """
     from scipy.spatial import cKDTree
 
@@ -129,10 +137,11 @@ def _shapes(
     patches: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
     n_nodes: int,
 ) -> Any:
-    """Return the nodal forces (n_patches, n_nodes) of one unit on every patch, sparse.
+    """Return the nodal value (n_patches, n_nodes) of one unit of every patch, sparse: profile times weight over scale.
 
-    Each is the patch's profile times the node's share of the surface, over the patch's scale. `surface`: places,
-    normals, areas and numbers of surface nodes; `patches`: centres, normals, radii and scales.
+    `surface`: places (n, 3), mm, normals (n, 3), weights (n,), such as areas in mm^2, and numbers (n,) of surface
+    nodes; `patches`: centres (n_patches, 3), mm, normals (n_patches, 3), radii (n_patches,), mm, and scales
+    (n_patches,), such as 1.6 radii in mm. The profile is 1 - (distance / radius)^2.
     """
     places, normals, weights, nodes = surface
     centres, across, radii, scale = patches
@@ -154,9 +163,11 @@ def _shapes(
 def _texture(
     centres: FloatArray, across: FloatArray, radii: FloatArray, level: IntArray
 ) -> tuple[IntArray, IntArray, FloatArray]:
-    """Return for each patch the patches of the next smaller radius inside it, with ratios of spread.
+    """Return for each patch the patches of the next smaller radius inside it, with ratios of standard deviations.
 
-    They are compressed rows: first entries, entries, ratios.
+    `centres` (n_patches, 3): mm; `across` (n_patches, 3): normals; `radii` (n_patches,): mm; `level` (n_patches,):
+    number of the radius. Result: compressed rows: first entries (n_patches + 1,), patch numbers (n_entries,), ratios
+    (n_entries,).
     """
     trees = _trees(centres, level)
     found = [_pairs(trees, (coarse, coarse - 1), radii, across) for coarse in range(1, len(trees))]
@@ -167,9 +178,10 @@ def _texture(
 def _neighbours(
     centres: FloatArray, across: FloatArray, radii: FloatArray, level: IntArray
 ) -> tuple[IntArray, IntArray]:
-    """Return for each patch the similar patches as compressed rows: first entries, entries.
+    """Return for each patch the similar patches: near ones of equal radius, and those of the next radii at its centre.
 
-    Those are its neighbours of the same radius, and the patches of the next radii about its centre.
+    `centres` (n_patches, 3): mm; `across` (n_patches, 3): normals; `radii` (n_patches,): mm; `level` (n_patches,):
+    number of the radius. Result: compressed rows: first entries (n_patches + 1,), patch numbers (n_entries,).
     """
     trees, reach = _trees(centres, level), DISCRETISATION.thinning * radii
     found = []
@@ -183,7 +195,7 @@ def _neighbours(
 
 
 def _trees(centres: FloatArray, level: IntArray) -> list[tuple[IntArray, Any]]:
-    """Return for each level the numbers of its patches and a search tree of their centres."""
+    """Return for each radius, smallest first, the numbers of its patches and a search tree of their centres in mm."""
     from scipy.spatial import cKDTree
 
     members = [np.flatnonzero(level == one) for one in range(int(level.max(initial=-1)) + 1)]
@@ -193,9 +205,10 @@ def _trees(centres: FloatArray, level: IntArray) -> list[tuple[IntArray, Any]]:
 def _pairs(
     trees: list[tuple[IntArray, Any]], levels: tuple[int, int], reach: FloatArray, across: FloatArray
 ) -> tuple[IntArray, IntArray]:
-    """Return pairs of patches of two levels on the same side, nearer to each other than the first one's reach.
+    """Return pairs of patches of two radii on one side of the body whose centres are nearer than the first one's reach.
 
-    `reach` (n_patches,): mm; `across` (n_patches, 3): outward normals. Result: two arrays of patch numbers.
+    `trees`: patch numbers and search tree of each radius; `levels`: the two radii, by number; `reach` (n_patches,): mm;
+    `across` (n_patches, 3): outward normals. Result: two arrays of patch numbers, int64 (n_pairs,).
     """
     (own, of), (theirs, tree) = trees[levels[0]], trees[levels[1]]
     # Exclude those exactly at the reach.
@@ -208,7 +221,10 @@ def _pairs(
 
 
 def _by_patch(found: list[tuple[IntArray, IntArray]], n_patches: int) -> tuple[IntArray, IntArray, IntArray]:
-    """Return pairs of patches sorted by the first: first entries (n_patches + 1,), second and first of each pair."""
+    """Return pairs of patches sorted by the first: first entries (n_patches + 1,), second and first of each pair.
+
+    `found`: lists of pairs, each as two arrays of patch numbers, int64 (n_pairs,).
+    """
     patches = np.concatenate([np.empty(0, np.int64), *(one[0] for one in found)])
     others = np.concatenate([np.empty(0, np.int64), *(one[1] for one in found)])
     order = np.lexsort((others, patches))

@@ -6,10 +6,10 @@ from tissuereg._base.arrays import FloatArray, IntArray
 
 
 def smooth_fields(middles: FloatArray, count: int) -> FloatArray:
-    """Return Gaussian fields centred at places far from each other.
+    """Return overlapping Gaussian fields, centred at places far from each other, scaled to a constant sum of squares.
 
     `middles` (n, 3): places at which the fields are evaluated, mm; `count`: largest number of fields. Result:
-    (n_fields, n), their squares sum to one at every place.
+    (n_fields, n), dimensionless; their squares sum to one at every place.
     """
     from scipy.spatial import cKDTree
 
@@ -30,7 +30,10 @@ def smooth_fields(middles: FloatArray, count: int) -> FloatArray:
 
 
 def far_apart(places: FloatArray, count: int) -> IntArray:
-    """Return indices (count,) of places (n, 3), each the farthest from those before it; the first is in the middle."""
+    """Return the indices int64 (count,) of places, each the farthest from those before it; the first is in the middle.
+
+    `places` (n, 3): mm; `count`: number of places to choose.
+    """
     # Axis by axis: reductions over an axis of length three are slow.
     x, y, z = (np.ascontiguousarray(places[:, axis]) for axis in range(3))
 

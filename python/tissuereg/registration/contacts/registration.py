@@ -35,10 +35,10 @@ from tissuereg.simulation.solve import LoadParts
 
 @dataclass(frozen=True, eq=False)
 class ContactInput:
-    """What is believed of the load.
+    """The user's belief about the load on the body.
 
-    `load`: believed load; `simulation` (n_nodes, 3) or None: a displacement; the forces that hold it in equilibrium are
-    the believed load.
+    `load`: believed load; `simulation` (n_nodes, 3): a displacement, mm, instead; the forces that hold it in
+    equilibrium are then the believed load. If both are None, no load is believed.
     """
 
     load: Load | None = None
@@ -46,19 +46,20 @@ class ContactInput:
 
     @property
     def any_load(self) -> bool:
-        """Whether there is a believed load."""
+        """Whether a load is believed."""
         return self.load is not None or self.simulation is not None
 
 
 def register_by_contacts(
     given: RegisterInput, believed: ContactInput, clock: Clock, after: Registration | None = None
 ) -> ContactRegistration:
-    """Register without a model.
+    """Register a body without a trained model: find the contacts that explain the data, and the equilibrium under them.
 
-    `given`: checked input; `believed`: believed load; `clock`: records the times of the stages; `after`: of a moment
-    shortly before, with the same markers: its contacts are the start, and what it found of supports and graded
-    stiffness is kept. Result: the equilibrium under the posterior mean of the load. Raises `ConvergenceError` if no
-    equilibrium is found; `SupportError`, `LoadError` or `MaterialError` if a believed quantity does not fit the body.
+    `given`: checked input; `believed`: believed load; `clock`: records the times of the stages; `after`: registration
+    of a moment shortly before, with the same markers: its contacts are the start, and its estimates of supports and
+    graded stiffness are kept; or None. Result: the equilibrium under the posterior mean of the load, with its
+    uncertainty. Raises `ConvergenceError` if no equilibrium is found; `SupportError`, `LoadError` or `MaterialError` if
+    a believed quantity does not fit the body.
     """
     settings = given.settings.contacts
     if given.suspicions:
@@ -88,10 +89,11 @@ def register_by_contacts(
 
 @dataclass(frozen=True, eq=False)
 class _Found:
-    """A fit, the body from which its search began, the material and supports that were estimated before it.
+    """A fit, the body from which its search began, and the estimates that were made before it.
 
-    `further`: other uncertain parameters, each with its standard deviation; `moments`: frames through which the samples
-    have been carried on.
+    `fit`: contacts and equilibrium; `start`: the body under the believed load alone; `material`: material of the body,
+    with its graded stiffness if one was estimated; `further`: further uncertain parameters, each with its standard
+    deviation in the parameter's unit; `moments`: number of moments through which the samples have been carried on.
     """
 
     fit: ContactFit
@@ -103,10 +105,11 @@ class _Found:
 
 @dataclass(frozen=True, eq=False)
 class _ContactSearch:
-    """The search for the contacts that explain what was measured, for any believed load.
+    """The search for the contacts that explain the measurements, for any believed load.
 
-    `given`: checked input; `body`: prepared mesh; `observed`: data; `settings`: prior and chains; `clock`: records the
-    times of the stages; `carried`: end of the frame before, or None.
+    `given`: checked input; `body`: prepared mesh; `observed`: data; `settings`: prior and Markov chains; `clock`:
+    records the times of the stages; `carried`: end of the registration of the moment before, from which the search
+    continues, or None.
     """
 
     given: RegisterInput
@@ -117,7 +120,11 @@ class _ContactSearch:
     carried: Carried | None = None
 
     def least_left(self, believed: ContactInput) -> tuple[_Found, str]:
-        """Return the fit with the believed load; or, if that leaves large residuals, one without it, and the reason."""
+        """Return the fit with the believed load; or, if that leaves large residuals, one without it, and the reason.
+
+        `believed`: believed load. The reason is a sentence, empty if the believed load was kept. Raises
+        `ConvergenceError` if neither finds an equilibrium.
+        """
         if not believed.any_load:
             return self.found(believed), ""
         found = None
@@ -138,7 +145,11 @@ class _ContactSearch:
         return found, ""
 
     def found(self, believed: ContactInput) -> _Found:
-        """Return the fit with the believed load."""
+        """Return the fit under a believed load; it continues from the end of the moment before if that works.
+
+        Otherwise doubtful supports and a graded stiffness are estimated first, and the search begins under the load
+        alone.
+        """
         given, body, settings, clock, material = (
             self.given,
             self.body,
@@ -167,7 +178,12 @@ class _ContactSearch:
         return _Found(passes.run(start), start, passes.material, further)
 
     def _gone_on(self, carried: Carried, passes: Passes, field: FloatArray | None, frame: RigidMotion) -> _Found | None:
-        """Return the fit that continues from the frame before; None if it leaves much larger residuals."""
+        """Return the fit that continues from the end of the moment before; None if it leaves much larger residuals.
+
+        `carried`: that end; `passes`: the loop of the fit with this moment's data; `field` (n_element_nodes, 3) or
+        None: displacement under the believed load, mm, if known; `frame`: initial rigid motion. It is also None if the
+        causes are others or there is no equilibrium.
+        """
         columns = carried.columns_for(passes.columns)
         if columns is None:
             return None
@@ -199,7 +215,11 @@ class _ContactSearch:
 
 
 def _carried(after: Registration | None, given: RegisterInput) -> Carried | None:
-    """Return the end of an earlier registration of the same markers; None without one, or if it cannot be continued."""
+    """Return the end of an earlier registration of the same markers, to start from; None if it cannot be continued.
+
+    `after`: the earlier registration, or None; `given`: this moment's input. A registration with points of the surface,
+    or with other markers, cannot be continued.
+    """
     if not isinstance(after, ContactRegistration) or not isinstance(after.draw, Draws):
         return None
     if given.surface is not None or after.surface is not None:
@@ -212,7 +232,11 @@ def _carried(after: Registration | None, given: RegisterInput) -> Carried | None
 
 
 def _supported(passes: Passes, frame: RigidMotion) -> tuple[Passes, list[tuple[Cause, float]]]:
-    """Return the passes with supports of the stiffness of highest evidence, and its remaining uncertainty."""
+    """Return the loop of the fit with the stiffness of doubtful supports of highest evidence, and its uncertainty.
+
+    `passes`: loop of the fit; `frame`: initial rigid motion. Second result: normal and tangential stiffness of each set
+    of springs, with standard deviations in kPa/mm.
+    """
     found = support_stiffness(passes, frame)
     columns = passes.columns.on_springs(found.best)
     springs = np.zeros((0, 2)) if columns.springs is None else columns.springs
@@ -226,10 +250,12 @@ def _supported(passes: Passes, frame: RigidMotion) -> tuple[Passes, list[tuple[C
 def _graded(
     passes: Passes, frame: RigidMotion, simulation: FloatArray | None
 ) -> tuple[Passes, list[tuple[Cause, float]]]:
-    """Return the loop of the fit with the graded stiffness of highest evidence, and the rest of its uncertainty.
+    """Return the loop of the fit with the graded stiffness of highest evidence, and its remaining uncertainty.
 
-    `simulation` (n_element_nodes, 3) or None: displacement under the believed load, mm. Second result: uncertain
-    parameters, each with its standard deviation.
+    `passes`: loop of the fit; `frame`: initial rigid motion; `simulation` (n_element_nodes, 3) or None: displacement
+    under the believed load, mm. Second result: change of Young's modulus along each principal axis, with the standard
+    deviation of its amount. Raises `MaterialError` if `simulation` is given, since its forces belong to the believed
+    stiffness.
     """
     if simulation is not None:
         message = "a graded stiffness needs a load or none: it would change the forces that hold a `simulation`"
@@ -247,7 +273,11 @@ def _graded(
 def _believed(
     body: ContactBody, material: Material, believed: ContactInput, settings: ContactSettings
 ) -> tuple[LoadParts, FloatArray | None]:
-    """Return the parts of the believed load, and the displacement (n_element_nodes, 3) under it, mm, if it is known."""
+    """Return the parts of the believed load, and the displacement (n_element_nodes, 3) under it, mm, if it is known.
+
+    `body`: prepared mesh; `material`: its material; `believed`: believed load or simulated displacement; `settings`:
+    stiffness of the supports. The displacement is None unless it was given as a simulation.
+    """
     simulator = body.simulator
     if believed.simulation is None:
         return simulator.load_parts(believed.load or Load()), None
@@ -264,7 +294,10 @@ def _believed(
 
 
 def _first_frame(given: RegisterInput, supports: Supports) -> RigidMotion:
-    """Return the initial rigid motion, from the markers or else the points, if nothing is surely held."""
+    """Return the initial rigid motion from the body's frame to the tracker's; the identity if any node is held.
+
+    It is fitted to the markers, or to the surface points if fewer than three markers are seen.
+    """
     if not supports.moves or supports.holds:
         return RigidMotion.still()
     whole = given.markers.seen

@@ -17,19 +17,19 @@ from tissuereg.registration.result import Registration
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class ContactRegistration(Registration):
-    """A body in equilibrium under the load that explains what was measured.
+    """A body in equilibrium under the load that explains the measurements.
 
     Attributes
     ----------
     contacts : tuple of FoundContact
-        Places where the body is probably pushed or pulled.
+        Places where the body is probably pushed or pulled, the most probable first.
     forces : ndarray of float64, shape (n_nodes, 3)
-        Nodal forces of the estimated load in mN at the believed modulus, including the believed load but not its body
-        force.
+        Nodal forces of the estimated load in mN at the believed modulus, in the tracker's frame, including the believed
+        load but not its body force.
     work : dict of str to int
-        Factorisations, right-hand sides, solves, sweeps.
+        Numbers of factorisations, right-hand sides, equilibrium solves, sweeps of the Markov chains, and other work.
     draw : callable of int
-        Returns posterior displacement fields; see `draws`.
+        Function of a number of draws that returns posterior displacement fields, (count, n_nodes, 3), mm; see `draws`.
     surface : SurfaceFit or None
         Fit of the points of the surface; None if none were given.
     """
@@ -59,12 +59,13 @@ class ContactRegistration(Registration):
         Parameters
         ----------
         count : int
-            Number of fields.
+            Number of fields, at least 1.
 
         Returns
         -------
         ndarray of float64, shape (count, n_nodes, 3)
-            mm. The same at every call. Cost: one solve each, started from the registered state.
+            Displacement of every node in each field, mm. The same at every call. Cost: one solve for each field,
+            started from the registered state.
 
         Raises
         ------

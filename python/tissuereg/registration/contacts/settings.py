@@ -12,7 +12,11 @@ from tissuereg.errors import ArgumentError
 
 
 class _Numbers:
-    """A record whose fields must have the types of their defaults: a count, a number, a pair, or a list of numbers."""
+    """Base class of settings, which checks that each field has the type of its default value and is not negative.
+
+    A default is a count, a number, a pair of numbers, a list of numbers, or another record of settings. Raises
+    `ArgumentError` for another type or a negative number.
+    """
 
     def __post_init__(self) -> None:
         for one in fields(self):  # type: ignore[arg-type]
@@ -38,43 +42,51 @@ def _numbers(name: str, value: Any, n_numbers: int | None) -> None:
 
 @dataclass(frozen=True)
 class PassSettings(_Numbers):
-    """When a step of the passes is accepted, and when the passes end.
+    """When a step of the search is accepted, and when the search ends.
+
+    A pass is one round of linearising, sampling and solving; its step leads from the present load to the posterior
+    mean.
 
     Parameters
     ----------
     shortest : float
-        Shortest share of a step towards the mean load that is tried.
+        Shortest part of a step that is tried, as a share of the whole; a step that fails is halved.
     most_iterations : int
         A load that takes more iterations of the solver is abandoned: a shorter step costs less.
     decrease : float
-        A step must reduce the residual by this share of the predicted reduction,
+        A part s of a step, 0 to 1, is accepted if it reduces the residual by at least s times this share.
     good_enough : float
-        or to within this many times `fit_limit`.
+        A step is also accepted if the residual after it is below this many times `fit_limit`.
     decrease_unmatched : float
-        `decrease` where points without labels are matched anew: the first steps gain least.
+        Value in place of `decrease` where points without labels are matched anew: the first steps gain least.
     shortest_unmatched : float
-        In that case a step of at least this length is accepted if it reduces the residual at all.
+        In that case a step is halved down to this share only, once it has an equilibrium, and is then accepted if it
+        reduces the residual at all.
     as_predicted : float
-        A step ended as predicted, so that no linearisation at its end is needed, if its residual exceeds the predicted
-        one by no more, in standard deviations.
+        A step ended as predicted, so that no linearisation at its end is needed, if its root mean square residual
+        exceeds the predicted one by no more than this, in standard deviations.
     settled : float
-        Matches have settled if a pass reduces the residual by less than this share.
+        Matches of points have settled if a pass reduces the residual by less than this share.
     least_rough : int
-        Fewest first passes while the residual of the points is above the limit.
+        Smallest number of passes with few points, while the residual of the points is above `fit_limit`.
     marker_passes : int
-        Passes with markers alone, if there are markers as well as points: labels bring the body close.
+        Largest number of passes with markers alone, if there are markers as well as points: labels bring the body
+        close.
     coarse_passes, fine_passes : int
-        Most passes with few points, and with all of them.
+        Largest number of passes with few points, and then with all of them.
     widths : tuple of float
-        Shares of the extent within which the errors of first matches are correlated: a later one is tried
+        Distances, as shares of the extent, within which errors of first matches are taken for correlated. The search is
+        repeated with the next one while too many points are outliers.
     most_outliers : float
-        if those before it leave more than this share of the points as outliers.
+        Share of the points, as outliers, above which the search is repeated with the next of `widths`.
     unmet : float
-        The fit is repeated without the believed load above this root mean square residual, in standard deviations,
+        The fit is repeated without the believed load if its root mean square residual, in standard deviations, is not
+        below this.
     much_less : float
-        and the belief is dropped if the residual is then less than this share.
+        The believed load is then left out if the residual without it is less than this share of that with it.
     much_more : float
-        A search from the contacts of the state before is given up if it leaves so many times its residual.
+        A search that continues from an earlier moment is given up if it leaves more than this many times the residual
+        of that moment.
     """
 
     shortest: float = 0.02
@@ -103,13 +115,13 @@ class EvidenceSettings(_Numbers):
     Parameters
     ----------
     sizes_mm : tuple of float
-        Smallest and largest candidate size of contacts, mm: from below any tracker's noise to beyond any motion,
+        Smallest and largest candidate size of contacts, mm: from below any tracker's noise to beyond any motion.
     sizes_a_decade : int
-        and how many of them a decade.
+        Number of candidate sizes per factor of ten.
     rounds : int
-        Rounds over all sizes at most,
+        Largest number of rounds in which the sizes of all causes are varied in turn.
     least_gain : float
-        and the gain of the log evidence that ends them.
+        The rounds end when one of them raises the log evidence by less than this.
     first_step, last_step : float
         First and shortest step of the search for gradients of stiffness, in standard deviations of their prior.
     """
@@ -124,22 +136,23 @@ class EvidenceSettings(_Numbers):
 
 @dataclass(frozen=True)
 class ReportSettings(_Numbers):
-    """What of a fit is reported, and what is a reason not to trust it.
+    """Which parts of a fit are reported, and which observations are a reason not to trust it.
 
     Parameters
     ----------
     least_constrained : float
-        A target is flagged if the markers remove less than this share of its variance under unseen contacts.
+        A target is flagged if the markers remove less than this share, 0 to 1, of its variance under unseen contacts.
     wrong : float
         A marker that is wrong with at least this probability is dropped.
     least_probability : float
         Contacts less probable than this are not listed.
     most_contacts : int
-        Contacts listed at most.
+        Largest number of contacts that are listed.
     most_off : float
-        Median distance of surface points over its expected value above which they do not lie on the surface.
+        The surface points are said not to lie on the surface if their median distance exceeds this many times that
+        expected from their noise.
     most_outliers : float
-        Share of surface points above which they belong to something else.
+        Share of surface points, as outliers, above which they are said to belong to something else.
     """
 
     least_constrained: float = 0.8
@@ -152,37 +165,44 @@ class ReportSettings(_Numbers):
 
 @dataclass(frozen=True)
 class ContactSettings(_Numbers):
-    """Prior of contacts, noise of the model, and chains.
+    """Prior of contacts, noise of the model, and Markov chains.
+
+    Lengths are given over the extent of the body. A pair of numbers is a log-normal prior of a standard deviation: its
+    median, and the standard deviation of its logarithm.
 
     Parameters
     ----------
     n_slots : int
         Largest number of contacts.
     odds : float
-        Prior odds that a slot is filled.
+        Prior odds that each of these contacts is there.
     sizes : tuple of float
         Candidate sizes of a contact: motion of its patch under this contact alone, over the body's extent.
     largest_share : float
         Sizes above this share of the patch's radius become unlikely.
     background : tuple of float
-        Median of the size of a background on all patches, over the body's extent, and standard deviation of its
-        logarithm.
+        Size of weak tractions on all patches together (the background), as the motion they cause over the body's
+        extent: median, and standard deviation of its logarithm.
     weight : tuple of float
-        The same for a body force, measured by the motion it causes.
+        Size of a body force, as the motion it causes over the body's extent: median, and standard deviation of its
+        logarithm.
     believed : tuple of float
-        The same for the error of a believed load, over the load.
+        Error of a believed load, over the load: median, and standard deviation of its logarithm.
     supports : tuple of float
-        The same for tractions of doubtful supports.
+        Size of tractions on doubtful supports, as the motion they cause over the body's extent: median, and standard
+        deviation of its logarithm.
     support_stiffness : float
         Default stiffness of doubtful supports, in Young's modulus over the extent of the body.
     stiffness_tried : tuple of float
-        Candidate stiffnesses, among which the evidence of the markers decides.
+        Candidates for that stiffness, in the same unit, among which the evidence of the markers decides.
     support_log_std : float
         Standard deviation of the logarithm of their stiffness from place to place.
     frame : tuple of float
-        The same as `weight` for a rigid motion of a body that nothing surely holds.
+        Size of a rigid motion of a body that nothing surely holds, over its extent: median, and standard deviation of
+        its logarithm.
     drift : tuple of float
-        The same for a drift of the tracker relative to a body that is held (``tracker="drifts"``).
+        Size of a drift of the tracker relative to a body that is held (``tracker="drifts"``), over the body's extent:
+        median, and standard deviation of its logarithm.
     wrong_odds : float
         Prior odds that a marker is wrong.
     wrong_share : float
@@ -190,32 +210,36 @@ class ContactSettings(_Numbers):
     model_error : float
         Standard deviation of the model's error at a marker, over the marker's motion.
     local_error : float
-        The same, over the variation of the motion across the element under the marker; used in tests of residuals only.
+        Standard deviation of a further error of the model, over the variation of the motion across the element under
+        the marker; used in tests of residuals only.
     young_log_std, poisson_std : float
-        Uncertainty of the stiffness (smooth fields of its logarithm) and of Poisson's ratio.
+        Standard deviation of the logarithm of the stiffness, along smooth fields, and of Poisson's ratio.
     graded_log_std : float
         Standard deviation of the logarithm of the stiffness at the ends of the body against its middle
         (``stiffness="graded"``).
     unseen_chance, unseen_share : float
         Probability of one more contact that no marker detects, and its size over its radius.
     n_chains : int
-        Independent chains.
+        Number of independent Markov chains.
     n_chains_first : int
-        The same in the first pass, which need only come close.
+        Number of chains in the first pass (round of linearising, sampling and solving), which need only come close.
     powers : tuple of float
         Power of the likelihood in each sweep of the first pass.
     powers_again : tuple of float
-        The same in later passes, which start from the previous samples.
+        Power of the likelihood in each sweep of later passes, which start from the previous samples.
     n_kept : int
         Number of final sweeps of each chain whose samples are kept.
     sharpness, n_local, n_level : float, int, int
-        See ``tissuereg_contacts::ChainSettings``.
+        Power of the likelihood in the table from which jumps of a contact are drawn; steps to similar patches per
+        contact and sweep; steps of the size of a group of causes per sweep (see ``tissuereg_contacts::ChainSettings``).
     max_passes : int
-        Largest number of linearisations.
+        Largest number of passes, each with one linearisation.
     fit_limit : float
-        Passes end when the markers' root mean square residual is below this many standard deviations,
+        Passes end when the markers' root mean square residual, in standard deviations, is below this and near its
+        prediction.
     promise_margin : float
-        and exceeds the linear model's prediction by less than this.
+        The residual is near its prediction if it exceeds that of the linear model by less than this, in standard
+        deviations.
     n_draws : int
         Number of draws for the spread of nodes.
     background_share : float
@@ -225,7 +249,7 @@ class ContactSettings(_Numbers):
     evidence : EvidenceSettings
         The search for supports and graded stiffness.
     report : ReportSettings
-        What is listed, flagged and dropped.
+        Which contacts are listed, which targets flagged and which markers dropped.
     """
 
     n_slots: int = 3
@@ -270,33 +294,33 @@ class ContactSettings(_Numbers):
 
 @dataclass(frozen=True)
 class Discretisation:
-    """How a body and its causes are made discrete.
+    """How a body and the causes of its motion are made discrete.
 
     Attributes
     ----------
     radii_shares : tuple of float
-        Radii of patches, shares of the extent: 1.6 times each other, from a fingertip to a hand.
+        Radii of patches, as shares of the extent: 1.6 times each other, from a fingertip to a hand.
     least_edges : float
         Smallest radius over the mean edge of the surface: a patch must hold a few nodes.
     thinning : float
-        Centres of one radius are thinned to this share of it.
+        Smallest distance of two centres of equal radius, as a share of the radius.
     least_cosine : float
-        Nodes whose normal differs from the centre's by more (cosine) are on the other side of a sheet: they do not
-        belong to the patch, and do not exclude other centres.
+        Nodes whose normal has a smaller cosine with the centre's are on the other side of a sheet: they do not belong
+        to the patch, and do not exclude other centres.
     levels : tuple of float
-        Levels of a family's size, in standard deviations of its logarithm.
+        Candidate sizes of a family of causes, as logarithms relative to the median, in standard deviations.
     stiffness_fields : int
-        Smooth fields of uncertain stiffness.
+        Largest number of smooth fields along which the stiffness of the body is uncertain.
     support_fields : int
-        The same of doubtful supports.
+        Largest number of smooth fields along which the stiffness of doubtful supports is uncertain.
     cells : int
-        Cells of doubtful supports, on which springs of any stiffness are condensed.
+        Number of cells of doubtful supports, by which springs of any stiffness are treated without a new factorisation.
     bed : float
         Stiffness of the bed around a free body, in Young's modulus over extent: too soft to hold it.
     tolerance : float
         Relative residual of an equilibrium that is linearised.
     same_load : float
-        Relative difference of two loads below which they are one.
+        Relative difference of two loads below which they are taken for the same.
     """
 
     radii_shares: tuple[float, ...] = (0.05, 0.083, 0.133, 0.208, 0.333)
@@ -314,32 +338,33 @@ class Discretisation:
 
 @dataclass(frozen=True)
 class Matching:
-    """How observations are weighed, points matched to a surface, and many observations projected.
+    """How observations are weighed, points matched to a surface, and many observations projected onto few.
 
     Attributes
     ----------
     tail : float
-        Degrees of freedom of the heavy-tailed noise of observations that have no indicator of their own.
+        Degrees of freedom of the heavy-tailed noise of observations that have no indicator of being wrong.
     most_plain : int
         Above this number of observations the sampler, whose cost is quadratic, receives a projection of them.
     least_signal : float
-        Directions with a smaller signal (squared, over the noise) are dropped.
+        Combinations of observations are dropped if the causes contribute less than this to their variance, over the
+        noise.
     most_kept, most_kept_coarse : int
-        Directions kept at most, and in first passes, whose answer is rough.
+        Largest number of combinations that are kept, and in first passes, whose answer is rough.
     coarse_points : int
-        Points in first passes.
+        Number of points in first passes (rounds of linearising, sampling and solving).
     alike_share : float
-        Model errors are correlated within this share of the extent: points so close are not independent.
+        Distance within which model errors are correlated, over the extent: points so close are not independent.
     least_cosine : float
-        Edges with a larger angle between their triangles (cosine) are edges of the body, not of the mesh.
+        Edges whose two triangles have normals of a smaller cosine are edges of the body, not of the mesh.
     far : float
         A point is far from the surface beyond this many standard deviations of its noise.
     outlier : float
         A point is an outlier beyond this many standard deviations.
     closest : int
-        Closest surface samples whose triangles are tested exactly.
+        Number of closest sample points of the surface whose triangles are tested exactly.
     rigid_points : int
-        Points by which a free body is first moved onto its measured surface.
+        Number of points by which a free body is first moved onto its measured surface.
     rigid_first, rigid_last : int
         Iterations from each start of that motion, and from the best of them.
     rigid_share : float
@@ -371,34 +396,37 @@ class Matching:
 
 @dataclass(frozen=True)
 class Effort:
-    """What is kept, what is made at the same time, and the work to expect; no answer depends on it.
+    """How many intermediate results are kept or made at a time, and the work to expect; no answer depends on it.
 
     Attributes
     ----------
     bodies_kept : int
-        Bodies that are kept analysed for the next call.
+        Number of prepared bodies that are kept for later calls.
     remembered : int
-        Observations whose sensitivities are kept: more belong to points, which no later call repeats.
+        Number of observations whose sensitivities are kept: more belong to points, which no later call repeats.
     kept_entries : int
-        A tangent at rest with more entries (1 GB) is not kept: later passes need the memory.
+        A tangent at rest whose factor has more entries (1 GB) is not kept: later passes need the memory.
     many_unknowns : int
-        From so many unknowns on right-hand sides are solved in parts,
+        Number of unknowns from which on right-hand sides are solved in parts.
     block : int
-        of the solver's block per thread.
+        Number of right-hand sides per thread in each of these parts, the block of the solver.
     fields_at_once : int
-        Fields of the whole body made at the same time: a multiple of the block, whatever the number of threads.
+        Number of displacement fields made at the same time: a multiple of the block, whatever the number of threads.
     passes, passes_of_points : int
-        Passes to expect with markers, and with points that are matched anew.
+        Expected number of passes (rounds of linearising, sampling and solving) with markers, and with points that are
+        matched anew.
     factors, factors_of_points : int
-        Factors held at the same time: of the best pass and the next one; with points also of the stage before.
+        Number of factors held at the same time: of the best pass and the next one; with points also of the stage
+        before.
     fields : int
-        Whole fields held beside the responses: errors of the model, and draws with their ingredients.
+        Number of displacement fields held beside the responses: errors of the model, and draws with their ingredients.
     tet_fields : int
-        Numbers per tet: fields of uncertain stiffness with a copy of each, and what the solver keeps.
+        Number of values held per tet: fields of uncertain stiffness with a copy of each, and those that the solver
+        keeps.
     later_bytes : int
-        Memory of modules imported and pictures drawn later.
+        Memory, in bytes, of modules imported and pictures drawn later.
     tet_flops : float
-        Reading, attaching, regions, files and pictures, in operations per tet.
+        Work of reading, attaching, regions, files and pictures, in floating-point operations per tet.
     """
 
     bodies_kept: int = 4

@@ -11,9 +11,9 @@ from tissuereg.simulation.size import BodySize, Estimate, Work
 def announce(body: ContactBody, observed: ObservedData, given: RegisterInput, clock: Clock) -> Estimate:
     """Report a body's size and the estimated memory and time, and refuse a body that would not fit into memory.
 
-    `body`: analysed; `observed`: data; `given`: input, with targets, settings and threads; `clock`: its listener gets a
-    message ``"size"``, and a ``"warning"`` if the registration takes long. Result: the reported estimate. Raises
-    `LargeBodyError` if it would not fit into memory.
+    `body`: prepared mesh; `observed`: data; `given`: input, with targets, settings and threads; `clock`: its listener
+    gets a message ``"size"``, and a ``"warning"`` if the registration takes long. Result: the reported estimate of time
+    in s and memory in bytes. Raises `LargeBodyError` if it would not fit into memory.
     """
     n_draws = given.settings.contacts.n_draws
     work = expected_work(observed.n_obs, 3 * len(given.targets.names), n_draws, matched=observed.rematches)
@@ -26,10 +26,11 @@ def announce(body: ContactBody, observed: ObservedData, given: RegisterInput, cl
 
 
 def expected_work(n_obs: int, n_targets: int, n_draws: int, *, matched: bool) -> Work:
-    """Return the work to expect of a registration.
+    """Return the numbers of factorisations, right-hand sides and stored arrays to expect of a registration.
 
-    `n_obs`, `n_targets`: observations, and components of targets; `n_draws`: draws for the spread of the nodes;
-    `matched`: whether points of a surface are matched anew in every pass. Result: factors of single precision.
+    `n_obs`, `n_targets`: number of observations, and of coordinates of targets; `n_draws`: number of draws for the
+    spread of the nodes; `matched`: whether points of a surface are matched anew in every round of the fit. Factors are
+    taken to be in single precision, 4 bytes per entry.
     """
     passes = EFFORT.passes_of_points if matched else EFFORT.passes
     again = min(n_obs, MATCHING.most_kept) if matched else n_obs

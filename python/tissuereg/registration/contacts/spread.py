@@ -1,4 +1,4 @@
-"""Uncertainty of a registration: regions of points, spread of nodes, and how much the markers constrain a point.
+"""Uncertainty of a registration: covariance of points and nodes, and how much the markers constrain a point.
 
 The covariance of a point has three parts. The first, from the contacts, is the mixture over samples. The second is the
 effect of errors in stiffness and Poisson's ratio on the answer: such an error moves the point and the markers, and the
@@ -26,9 +26,9 @@ from tissuereg.simulation.sensitivity import Cause, Compliance, ModulusField
 class Points:
     """Uncertainty of points of the body.
 
-    `covariance` (n_points, 3, 3): mm^2, contacts and model; `constrained` (n_points,): share of the variance under
-    unseen contacts that the markers remove, 0 to 1; `unseen_std` (n_points,): standard deviation due to an unseen
-    contact, given the markers, mm.
+    `covariance` (n_points, 3, 3): covariance of the places by contacts and model errors, in the tracker's frame, mm^2;
+    `constrained` (n_points,): share of the variance under one more, unseen contact that the markers remove, 0 to 1;
+    `unseen_std` (n_points,): standard deviation due to such a contact, given the markers, mm.
     """
 
     covariance: FloatArray
@@ -39,8 +39,9 @@ class Points:
 class Spread:
     """Covariances of points and nodes for one fit.
 
-    `fit`: the fit after its last pass; `material`: material of the body; `settings`: uncertainty of the model;
-    `threads`: threads to use; `further`: other uncertain parameters of the model, each with its standard deviation.
+    `fit`: contacts and equilibrium that were found; `material`: material of the body; `settings`: uncertainty of the
+    model; `threads`: threads to use, 0 takes all cores; `further`: other uncertain parameters of the model, each with
+    its standard deviation in the parameter's unit.
     """
 
     def __init__(
@@ -66,10 +67,11 @@ class Spread:
         return found
 
     def _moments(self, responses: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return mean and covariance of points over the samples, and the loads that make up for model errors.
+        """Return means (n_points, 3), mm, and covariances (n_points, 3, 3), mm^2, of points over the posterior samples.
 
-        `responses` (n_rows, n_columns): of the points to the causes, mm. The last result, (n_columns, n_errors), does
-        not depend on the points.
+        `responses` (3 n_points, n_columns): displacement of the points by a unit coefficient of every cause, mm. Third
+        result: change of the coefficients by which the fit answers each error of the model, (n_columns, n_errors); it
+        does not depend on the points.
         """
         fit = self._fit
         _, gain, means, covariance, *_ = fit.sampler.moments(
@@ -79,9 +81,9 @@ class Spread:
         return means, covariance, self._suggested
 
     def _by_model(self, compliance: Compliance) -> FloatArray:
-        """Return the displacement of observations by each error of the model, (n_rows, n_errors), mm.
+        """Return the displacement of observations by one standard deviation of each model error, (n_rows, n_errors).
 
-        `compliance`: sensitivities of the observations to nodal forces.
+        The unit is mm. `compliance`: derivatives of the observations by nodal forces.
         """
         n_errors = len(self._model_forces)
         return np.asarray(
@@ -90,10 +92,10 @@ class Spread:
         )
 
     def points(self, rows: Sequence[tuple[IntArray, FloatArray]], places: FloatArray) -> Points:
-        """Return the uncertainty of points.
+        """Return the uncertainty of points: covariances, mm^2, and how much the markers constrain them.
 
-        `rows`: nodes and weights, three rows per point; `places` (n_points, 3): their positions in the body's frame,
-        mm. Cost: one right-hand side per row.
+        `rows`: nodes (k,) and weights (k, 3) of x, y and z of each point; `places` (n_points, 3): their positions in
+        the body's frame, mm. Cost: one right-hand side per row.
         """
         fit = self._fit
         compliance = self._compliance(rows)
@@ -113,7 +115,7 @@ class Spread:
 
     @cached_property
     def _under_unseen(self) -> FloatArray:
-        """Cholesky factor (n_obs, n_obs) of the covariance of the observations under one more contact alone."""
+        """Cholesky factor (n_obs, n_obs), mm, of the observations' covariance by noise and one contact anywhere."""
         own = self._fit.observations.responses
         return np.asarray(
             np.linalg.cholesky((own * self._unseen_variances) @ own.T + np.diag(self._fit.observations.variances))
@@ -122,8 +124,8 @@ class Spread:
     def _unseen(self, responses: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return how far one more contact, which no marker detected, may move points.
 
-        `responses` (3 n, n_columns): of the points to the causes, mm. Result: covariance (n, 3, 3) given the markers,
-        mm^2, and the share (n,) of the variance that the markers remove.
+        `responses` (3 n, n_columns): displacement of the points by a unit coefficient of every cause, mm. Result:
+        covariance (n, 3, 3) given the markers, mm^2, and the share (n,) of the variance that the markers remove.
         """
         cross = (responses * self._unseen_variances) @ self._fit.observations.responses.T
         taken = np.linalg.solve(self._under_unseen, cross.T).T.reshape(len(cross) // 3, 3, cross.shape[1])
@@ -134,7 +136,7 @@ class Spread:
         return remaining, np.asarray(1.0 - traces[0] / np.maximum(traces[1], 1e-300))
 
     def _unseen_draws(self, rng: np.random.Generator, count: int) -> FloatArray:
-        """Return coefficients (count, n_columns) of one more contact, drawn given that the markers detected none."""
+        """Return drawn coefficients (count, n_columns), mm, of one more contact that the markers did not detect."""
         own, variances = self._fit.observations.responses, self._unseen_variances
         drawn = np.sqrt(variances) * rng.standard_normal((count, len(variances)))
         measured = drawn @ own.T + np.sqrt(self._fit.observations.variances) * rng.standard_normal((count, len(own)))
@@ -142,11 +144,11 @@ class Spread:
         return np.asarray(drawn - (variances * (own.T @ np.linalg.solve(self._under_unseen.T, half)).T))
 
     def nodes(self, rng: np.random.Generator, fields: FloatArray | None = None) -> FloatArray:
-        """Return the covariance of every node, from draws.
+        """Return the covariance of the place of every node, (n_nodes, 3, 3), in the tracker's frame, mm^2, from draws.
 
-        `rng`: source of all random numbers; `fields` (n_draws, n_nodes, 3): posterior fields in equilibrium, tracker's
-        frame, mm; linear draws if absent. Result: (n_nodes, 3, 3), mm^2, contacts and model, tracker's frame. Cost: one
-        right-hand side per draw.
+        `rng`: source of all random numbers; `fields` (n_draws, n_nodes, 3): posterior displacement fields in
+        equilibrium, in the tracker's frame, mm; if None, fields are drawn from the linear model. The covariance is that
+        by contacts and model errors. Cost: one right-hand side per draw.
         """
         fit = self._fit
         turn = fit.state.frame.rotation
@@ -172,7 +174,7 @@ class Spread:
         return np.asarray(spread)
 
     def coefficients(self, rng: np.random.Generator, count: int) -> FloatArray:
-        """Return coefficients drawn from the posterior, shape (count, n_columns)."""
+        """Return coefficients of the causes drawn from the posterior, shape (count, n_columns), in mm."""
         fit = self._fit
         n_obs, n_samples = len(fit.observations.variances), len(fit.samples[0])
         order = (
@@ -184,7 +186,7 @@ class Spread:
 
 
 def _in_parts(count: int) -> Iterator[slice]:
-    """Yield consecutive slices of a count: whole fields are large and are made in blocks."""
+    """Yield slices that divide `count` rows into blocks: whole displacement fields are large and are made in blocks."""
     for first in range(0, count, EFFORT.fields_at_once):
         yield slice(first, min(first + EFFORT.fields_at_once, count))
 
@@ -192,9 +194,10 @@ def _in_parts(count: int) -> Iterator[slice]:
 def _forces_of_errors(
     fit: ContactFit, errors: tuple[Sequence[Cause], FloatArray], of_supports: FloatArray
 ) -> FloatArray:
-    """Return the unbalanced forces (n_errors, n_element_nodes, 3), mN, by errors of the model of their usual size.
+    """Return unbalanced nodal forces (n_errors, n_element_nodes, 3), mN, by one standard deviation of each model error.
 
-    `errors`: causes and their standard deviations; `of_supports`: forces by errors of the supports' stiffness.
+    `fit`: the fit; `errors`: causes and their standard deviations; `of_supports` (n_fields, n_element_nodes, 3): forces
+    by errors of the supports' stiffness, mN, which are appended.
     """
     causes, scales = errors
     forces = np.empty((len(causes) + len(of_supports), *of_supports.shape[1:]))
@@ -206,7 +209,7 @@ def _forces_of_errors(
 
 
 def unseen_variances(patches: Patches, settings: ContactSettings, n_columns: int) -> FloatArray:
-    """Return the variances (n_columns,) of one more contact anywhere: each patch is as likely as in the prior."""
+    """Return the variances (n_columns,), mm^2, of the coefficients under one more contact, anywhere as in the prior."""
     count = np.bincount(patches.level)
     likely = 1.0 / (len(count) * count[patches.level])
     variances = np.zeros(n_columns)
@@ -215,9 +218,10 @@ def unseen_variances(patches: Patches, settings: ContactSettings, n_columns: int
 
 
 def linear_fields(fit: ContactFit, change: FloatArray, forces: FloatArray) -> FloatArray:
-    """Return the displacement fields (n, n_element_nodes, 3), mm, that changes of the load cause, linearised.
+    """Return the displacement fields (n, n_element_nodes, 3), mm, that changes of the load cause, to first order.
 
-    `change` (n, n_columns): changes of coefficients; `forces` (n, n_element_nodes, 3): further nodal forces, mN.
+    `fit`: the fit, with the linearised equilibrium; `change` (n, n_columns): changes of coefficients; `forces` (n,
+    n_element_nodes, 3): further nodal forces, mN.
     """
     columns = fit.columns
     total = forces + columns.forces(change)
@@ -231,7 +235,7 @@ def linear_fields(fit: ContactFit, change: FloatArray, forces: FloatArray) -> Fl
 
 
 def _model_errors(fit: ContactFit, material: Material, settings: ContactSettings) -> list[Cause]:
-    """Return stiffness along smooth fields and Poisson's ratio, each perturbed by one standard deviation."""
+    """Return changes of Young's modulus along smooth fields and of Poisson's ratio, each by one standard deviation."""
     simulator = fit.columns.body.simulator
     young = simulator.moduli(material)[0]
     by_tet = young if young.ndim == 1 else young.mean(axis=1)
@@ -241,7 +245,10 @@ def _model_errors(fit: ContactFit, material: Material, settings: ContactSettings
 
 
 def _support_errors(fit: ContactFit, settings: ContactSettings) -> FloatArray:
-    """Return the forces (n_fields, n_element_nodes, 3) due to smooth variations of the supports' stiffness, in mN."""
+    """Return the nodal forces (n_fields, n_element_nodes, 3), mN, by errors of the doubtful supports' stiffness.
+
+    Each is one standard deviation along a smooth field; there are none if no support is doubtful.
+    """
     columns = fit.columns
     simulator = columns.body.simulator
     if columns.body.base is None or columns.springs is None:

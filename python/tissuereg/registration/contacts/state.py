@@ -12,9 +12,9 @@ TRACKERS = ("fixed", "drifts")
 
 @dataclass(frozen=True, eq=False)
 class RigidMotion:
-    """A rotation and a translation: tracker place = rotation body place + shift.
+    """A rigid motion x -> R x + s, which takes a place in the body's frame to the tracker's frame.
 
-    `rotation` (3, 3): T_tracker_from_body's rotation; `shift` (3,): mm.
+    `rotation` (3, 3): R; `shift` (3,): s, mm.
     """
 
     rotation: FloatArray
@@ -22,12 +22,12 @@ class RigidMotion:
 
     @classmethod
     def still(cls) -> "RigidMotion":
-        """Return the identity."""
+        """Return the motion without rotation and shift, the identity."""
         return cls(np.eye(3), np.zeros(3))
 
     @classmethod
     def between(cls, body: FloatArray, tracker: FloatArray) -> "RigidMotion":
-        """Return the best rigid motion (Kabsch) of places (n, 3) to places (n, 3)."""
+        """Return the rigid motion that takes `body` (n, 3) to `tracker` (n, 3), mm, best by least squares (Kabsch)."""
         middle, goal = body.mean(axis=0), tracker.mean(axis=0)
         u, _, vt = np.linalg.svd((tracker - goal).T @ (body - middle))
         proper = np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
@@ -40,18 +40,18 @@ class RigidMotion:
         return not (np.array_equal(self.rotation, np.eye(3)) and not self.shift.any())
 
     def apply(self, places: FloatArray) -> FloatArray:
-        """Return where the tracker sees places (..., 3), mm, that are given in the body's frame."""
+        """Return places (..., 3), mm, in the tracker's frame, given them in the body's frame."""
         return np.asarray(places @ self.rotation.T + self.shift)
 
     def undo(self, places: FloatArray) -> FloatArray:
-        """Return places (..., 3), mm, in the body's frame, given where the tracker sees them."""
+        """Return places (..., 3), mm, in the body's frame, given them in the tracker's frame."""
         return np.asarray((places - self.shift) @ self.rotation)
 
     def followed_by(self, coefficients: FloatArray, rigid: FloatArray) -> "RigidMotion":
-        """Return this motion after a small one in the body's frame.
+        """Return the motion that first applies a small one in the body's frame, then this one.
 
-        `coefficients` (6,): translations in mm and rotations in mm at `rigid`'s length; `rigid` (2, 3): pivot and
-        length, mm.
+        `coefficients` (6,): translations in mm, then rotations as displacements in mm at a distance from the pivot;
+        `rigid` (2, 3): pivot of the rotations, mm, and three times that distance, mm.
         """
         pivot, length = rigid
         turn = _rotation(coefficients[3:] / length[0])
@@ -61,7 +61,7 @@ class RigidMotion:
 
 
 def _rotation(vector: FloatArray) -> FloatArray:
-    """Return the rotation matrix (3, 3) about a vector (3,) by its length in radian (Rodrigues)."""
+    """Return the rotation matrix (3, 3) about the axis `vector` (3,) by its length in radian (Rodrigues)."""
     angle = float(np.linalg.norm(vector))
     if angle == 0.0:
         return np.eye(3)
@@ -72,10 +72,10 @@ def _rotation(vector: FloatArray) -> FloatArray:
 
 @dataclass(eq=False)
 class BodyState:
-    """A body in equilibrium: the load on it, its displacement, and where the tracker sees it.
+    """A body in equilibrium under some coefficients of the causes, with its rigid motion in the tracker's frame.
 
-    `coefficients` (n_columns,): of all causes; `displacement` (n_element_nodes, 3): in the body's frame, mm; `frame`:
-    rigid motion from the body's frame to the tracker's.
+    `coefficients` (n_columns,): of all possible causes (forces on patches, body force, ...), mm; `displacement`
+    (n_element_nodes, 3): in the body's frame, mm; `frame`: rigid motion from the body's frame to the tracker's.
     """
 
     coefficients: FloatArray

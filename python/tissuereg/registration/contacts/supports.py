@@ -21,10 +21,10 @@ HELD = ("sure", "perhaps", "free")
 
 @dataclass(frozen=True, eq=False)
 class Supports:
-    """Nodes that are held.
+    """Numbers of the nodes that are held, for sure or perhaps.
 
-    `sure` int64 (n,): surely held; `perhaps` int64 (m,): doubtful: on springs of unknown stiffness, with unknown
-    tractions.
+    `sure` int64 (n,): surely held; `perhaps` int64 (m,): doubtful: they rest on springs of unknown stiffness, under
+    unknown tractions.
     """
 
     sure: IntArray
@@ -41,17 +41,17 @@ class Supports:
         return not self.holds
 
     def digest(self) -> str:
-        """Return a fingerprint."""
+        """Return a SHA-256 fingerprint of both sets of nodes, in hexadecimal digits."""
         parts = (self.sure.astype("<i8").tobytes(), b"|", self.perhaps.astype("<i8").tobytes())
         return hashlib.sha256(b"".join(parts)).hexdigest()
 
     @classmethod
     def of(cls, mesh: Mesh, held: str, held_nodes: Any = None) -> "Supports":
-        """Return the supports of a mesh.
+        """Return the supports of a mesh; no node is both surely and perhaps held.
 
         `mesh`: its node sets ``fixed`` and ``perhaps_fixed`` are used; a mesh without either is free; `held` {"sure",
-        "perhaps", "free"}: how the set ``fixed`` is taken; `held_nodes`: nodes instead of the set ``fixed``. Result: no
-        node is in both parts. Raises `SupportError` if `held` is none of these.
+        "perhaps", "free"}: whether the nodes ``fixed`` are surely held, perhaps held or not held; `held_nodes`: node
+        numbers instead of the set ``fixed``. Raises `SupportError` if `held` is none of these or a node does not exist.
         """
         check_choice("held", held, HELD, SupportError)
         none = np.empty(0, np.int64)
@@ -64,7 +64,7 @@ class Supports:
 
 
 def _held(mesh: Mesh, nodes: Any) -> IntArray:
-    """Return the nodes that a user names, sorted; refuse those that are not in the mesh."""
+    """Return the node numbers that a user gives, int64 (n,), sorted; raise `SupportError` if one is not in the mesh."""
     held = np.unique(index_array("held_nodes", nodes, (None,)))
     if held.size and (held[0] < 0 or held[-1] >= mesh.n_nodes):
         bad = held[0] if held[0] < 0 else held[-1]
@@ -76,9 +76,9 @@ def _held(mesh: Mesh, nodes: Any) -> IntArray:
 def springs_of(mesh: Mesh, supports: Supports) -> list[tuple[IntArray, FloatArray]]:
     """Return the springs under doubtful supports, or the soft bed of a free body.
 
-    `mesh`: undeformed body; `supports`: its supports. Result: sets of surface triangles, each with the unit of its
-    stiffness per kPa of Young's modulus (normal, tangential): the rim of the doubtful supports and their inside, or the
-    bed; empty if all supports are sure.
+    `mesh`: undeformed body; `supports`: its supports. Result: for each set of springs its surface triangles, int64 (n,
+    3), and the normal and tangential stiffness of one unit per kPa of Young's modulus, (2,), in 1/mm. The sets are the
+    rim of the doubtful supports and their inside, or the bed; there is none if all supports are sure.
     """
     if not supports.holds:
         return [(mesh.surface, np.full(2, DISCRETISATION.bed / mesh.extent))]
@@ -90,7 +90,7 @@ def springs_of(mesh: Mesh, supports: Supports) -> list[tuple[IntArray, FloatArra
 def _zones(mesh: Mesh, triangles: IntArray) -> tuple[IntArray, IntArray]:
     """Return the triangles of the rim of a part of the surface, and of its inside, about half of them each.
 
-    `triangles` int64 (n, 3): the part.
+    `triangles` int64 (n, 3): the part. Result: two int64 arrays (n_rim, 3) and (n_inside, 3).
     """
     from scipy.spatial import cKDTree
 
@@ -106,7 +106,7 @@ def _zones(mesh: Mesh, triangles: IntArray) -> tuple[IntArray, IntArray]:
 
 
 def _covering(mesh: Mesh, nodes: IntArray) -> IntArray:
-    """Return the surface triangles (m, 3) within a set of nodes, and those that touch its other nodes."""
+    """Return the surface triangles, int64 (m, 3), that cover `nodes`: those within the set, and at its other nodes."""
     count = np.isin(mesh.surface, nodes).sum(axis=1)
     within = count == 3
     left = np.setdiff1d(nodes, mesh.surface[within])

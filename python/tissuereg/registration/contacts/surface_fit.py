@@ -14,7 +14,7 @@ from tissuereg.registration.contacts.surface_points import PointData
 
 @dataclass(frozen=True, eq=False)
 class SurfaceFit:
-    """Points of the surface after a registration.
+    """Fit of the measured points of the surface, which have no labels, after a registration.
 
     Attributes
     ----------
@@ -23,10 +23,10 @@ class SurfaceFit:
     used : int
         Number of them that are not outliers.
     thinned_from : int or None
-        Number of points given, if more than took part.
+        Number of points given, if more than took part; otherwise None.
     before_rms_mm, after_rms_mm : float
-        Root mean square distance of the used points from the surface along its normal: simulation (or rest),
-        registration.
+        Root mean square distance of the used points from the surface along its normal, mm: under the believed load (or
+        at rest), and after registration.
     outliers : ndarray of int64, shape (n_outliers,)
         Rows of the given points more than four standard deviations from the surface.
     typical : float
@@ -34,7 +34,7 @@ class SurfaceFit:
     misfit : float
         Sum of squares of the used points' distances over their standard deviations.
     places : ndarray of float64, shape (points, 3)
-        As measured, mm.
+        Places of the points as measured, in the tracker's frame, mm.
     """
 
     points: int
@@ -49,7 +49,10 @@ class SurfaceFit:
 
     @classmethod
     def of(cls, observed: PointData, given: SurfacePoints, start: BodyState, end: BodyState) -> "SurfaceFit":
-        """Return the fit of the points at the start and the end of a registration."""
+        """Return the fit of the points at the start and the end of a registration.
+
+        `observed`: the points as data; `given`: the points as measured; `start`, `end`: the body before and after.
+        """
         before, after = observed.distances(start)[0], observed.distances(end)
         good = after[1] <= MATCHING.outlier
         return cls(
@@ -65,7 +68,7 @@ class SurfaceFit:
         )
 
     def to_json(self) -> dict[str, Any]:
-        """Return plain numbers and lists."""
+        """Return numbers of points, distances in mm and outliers as a dict of plain numbers and lists."""
         return {
             "points": self.points,
             "used": self.used,
@@ -76,7 +79,7 @@ class SurfaceFit:
         }
 
     def reasons(self, settings: ReportSettings) -> list[str]:
-        """Return the reasons not to trust the result, in sentences."""
+        """Return the reasons not to trust the result that the points give, in sentences; empty if there are none."""
         found = []
         if self.typical > settings.most_off:
             found.append(

@@ -25,11 +25,11 @@ from tissuereg.registration.readings.skin import closest_on_triangles
 
 @dataclass(frozen=True, eq=False)
 class Feet:
-    """Closest places of a deformed surface.
+    """Closest places (feet) of a deformed surface to n_points given points.
 
-    `corners` int64 (n_points, 3): nodes of the triangle that contains each foot; `weights` (n_points, 3): barycentric;
-    `places` (n_points, 3): mm; `normals` (n_points, 3): outward; `triangles` int64 (n_points,): which triangle of the
-    surface.
+    `corners` int64 (n_points, 3): nodes of the triangle that contains each foot; `weights` (n_points, 3): barycentric
+    coordinates in it; `places` (n_points, 3): mm; `normals` (n_points, 3): outward unit normals of the triangles;
+    `triangles` int64 (n_points,): number of the triangle among those of the surface.
     """
 
     corners: IntArray
@@ -39,10 +39,11 @@ class Feet:
     triangles: IntArray
 
     def off(self, points: FloatArray, near: float) -> tuple[FloatArray, FloatArray]:
-        """Return the signed distances of points from the surface, (n_points,), mm, and their gradients, (n_points, 3).
+        """Return the signed distance of each point from the surface, (n_points,), mm, and its gradient, (n_points, 3).
 
-        The gradient is the normal within a triangle; at an edge of the body, for points farther away than `near` mm,
-        it is the direction from the edge to the point.
+        `points` (n_points, 3): mm, the ones that the feet belong to. The gradient is the normal within a triangle; at
+        an edge of the body, for points farther away than `near` mm, it is the direction from the edge to the point,
+        outward.
         """
         away = points - self.places
         along = np.einsum("px,px->p", away, self.normals)
@@ -54,11 +55,11 @@ class Feet:
 
 @dataclass(frozen=True, eq=False)
 class PointData:
-    """The points of the surface as data.
+    """The unlabelled points of the surface as data of a registration.
 
-    `mesh`: undeformed body; `places` (n_points, 3): in the tracker's frame, mm; `noise`: standard deviation along the
-    normal, mm; `model_error`: standard deviation of the model's error at a point, over its motion; `rough`: share of
-    the extent within which matching errors are correlated, while the body is far away; 0 once it is near.
+    `mesh`: undeformed body; `places` (n_points, 3): measured, in the tracker's frame, mm; `noise`: standard deviation
+    along the normal, mm; `model_error`: standard deviation of the model's error at a point, over its motion; `rough`:
+    share of the extent within which matching errors are correlated, while the body is far away; 0 once it is near.
     """
 
     mesh: Mesh
@@ -69,7 +70,7 @@ class PointData:
 
     @classmethod
     def of(cls, mesh: Mesh, points: SurfacePoints, model_error: float) -> "PointData":
-        """Return the data of checked points."""
+        """Return checked `points` as data; `model_error`: standard deviation of the model, over a point's motion."""
         return cls(mesh, points.places, points.std, model_error)
 
     @property
@@ -79,12 +80,12 @@ class PointData:
 
     @cached_property
     def _alike(self) -> FloatArray:
-        """Return the number of points with the same model error as each, itself included, shape (n_points,)."""
+        """Number of points within the correlation length of the model's error around each, with itself, (n_points,)."""
         return self._within(MATCHING.alike_share)
 
     @cached_property
     def _matched(self) -> FloatArray:
-        """Return the number of points with the same matching error as each, itself included, shape (n_points,)."""
+        """Number of points within the correlation length of matching errors around each, with itself, (n_points,)."""
         return self._within(self.rough) if self.rough else np.ones(self.n_obs)
 
     def _within(self, share: float) -> FloatArray:
@@ -98,12 +99,15 @@ class PointData:
         return facet_errors(self.mesh)
 
     def feet(self, state: BodyState) -> Feet:
-        """Return the closest places of the deformed surface, in the body's frame."""
+        """Return the closest place of the deformed surface to each point, in the body's frame, mm."""
         moved = self.mesh.nodes + state.displacement[: self.mesh.n_nodes]
         return closest_feet(moved, self.mesh.surface, state.frame.undo(self.places))
 
     def read(self, state: BodyState, *, weighed: bool = True) -> Observations:
-        """Return one observation per point; points always have weights."""
+        """Return one observation per point: its distance from the surface at a deformed body, in mm.
+
+        `weighed` is not used: outliers among the points always get a small weight.
+        """
         del weighed
         feet = self.feet(state)
         std = self.std(state, feet)
@@ -121,10 +125,11 @@ class PointData:
         )
 
     def std(self, state: BodyState, feet: Feet) -> FloatArray:
-        """Return the standard deviation of each point before its tail, (n_points,), mm.
+        """Return the standard deviation of each point's distance from the surface, (n_points,), mm, without its tail.
 
-        It combines the instrument's noise with errors of the model and of the facets. Nearby points share the latter,
-        so that their variance is multiplied by the number of such points.
+        `state`: the body; `feet`: closest places of its surface. It combines the instrument's noise with errors of the
+        model and of the facets. Nearby points share the latter, so that their variance is multiplied by the number of
+        such points.
         """
         motion = state.displacement[feet.corners]
         size = self.model_error * np.linalg.norm(np.einsum("pc,pcx->px", feet.weights, motion), axis=1)
@@ -132,25 +137,26 @@ class PointData:
         return np.asarray(np.sqrt(self.noise**2 + self._alike * (size**2 + facet**2)))
 
     def distances(self, state: BodyState) -> tuple[FloatArray, FloatArray]:
-        """Return each point's distance (n_points,) from the surface along the normal: in mm, and in deviations.
-
-        Deviations are the points' standard deviations.
-        """
+        """Return each point's distance from the surface of a body, (n_points,), in mm, and in standard deviations."""
         feet = self.feet(state)
         residual, _ = feet.off(state.frame.undo(self.places), MATCHING.far * self.noise)
         return np.abs(residual), np.abs(residual) / self.std(state, feet)
 
     def outliers(self, state: BodyState) -> float:
-        """Return the share of points that a body does not explain."""
+        """Return the share of points, 0 to 1, that lie too many standard deviations from the surface of a body."""
         return float(np.mean(self.distances(state)[1] > MATCHING.outlier))
 
     def coarser(self, width: float) -> "PointData":
-        """Return fewer points, spread evenly; matching errors are correlated within a share `width` of the extent."""
+        """Return fewer points, spread evenly, for the first rounds of the fit, while the body is far away.
+
+        `width`: distance within which errors of matching points to the surface are correlated, as a share of the
+        extent.
+        """
         return replace(self, places=self.places[evenly(self.places, MATCHING.coarse_points)], rough=width)
 
 
 def closest_feet(nodes: FloatArray, triangles: IntArray, points: FloatArray) -> Feet:
-    """Return the closest places of a surface.
+    """Return the closest place of a surface to each of many points.
 
     `nodes` (n_nodes, 3): deformed places of nodes, mm; `triangles` int64 (n_triangles, 3): their surface, outward;
     `points` (n_points, 3): mm. Cost: about 3 ms for 500 points on 5,000 triangles.
@@ -178,9 +184,9 @@ def closest_feet(nodes: FloatArray, triangles: IntArray, points: FloatArray) -> 
 def facet_errors(mesh: Mesh) -> FloatArray:
     """Return the estimated distance of each flat triangle from the curved surface it approximates, (n_triangles,), mm.
 
-    A third of the largest sagitta ``1.7 edge x angle / 8`` of its edges, with the angle to the adjacent triangle; on a
-    ball normals turn 1.7 times as much between the ends of an edge as between the centres of two triangles. Sharp edges
-    belong to the body and count as flat.
+    It is a third of the largest sagitta ``1.7 edge x angle / 8`` of its edges, with the angle to the adjacent triangle;
+    on a ball normals turn 1.7 times as much between the ends of an edge as between the centres of two triangles. Sharp
+    edges belong to the body and count as flat.
     """
     corners = mesh.nodes[mesh.surface]
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -201,7 +207,7 @@ def facet_errors(mesh: Mesh) -> FloatArray:
 
 
 def closest_frame(mesh: Mesh, points: FloatArray) -> RigidMotion:
-    """Return the rigid motion of a body to points of its surface.
+    """Return the rigid motion of an undeformed body that brings its surface closest to measured points.
 
     `mesh`: undeformed body; `points` (n, 3): points of all or part of its deformed surface, in the tracker's frame, mm.
     Result: from the body's frame to the tracker's: the best of six starts (as given, moved onto the points' middle, and
@@ -228,7 +234,11 @@ def _starts(mesh: Mesh, points: FloatArray) -> list[RigidMotion]:
 
 
 def _iterated(mesh: Mesh, points: FloatArray, frame: RigidMotion, count: int) -> tuple[RigidMotion, float]:
-    """Return the rigid motion after `count` iterations, and the root mean square distance of the points used, mm."""
+    """Return the rigid motion after `count` iterations, and the root mean square distance of the points used, mm.
+
+    `mesh`: undeformed body; `points` (n, 3): in the tracker's frame, mm; `frame`: motion to start from. Each iteration
+    uses the share of the points that lie closest to the surface.
+    """
     length = 0.5 * mesh.extent
     for _ in range(count):
         places = frame.undo(points)
@@ -246,10 +256,11 @@ def _iterated(mesh: Mesh, points: FloatArray, frame: RigidMotion, count: int) ->
 
 
 def _rows(arms: FloatArray, normals: FloatArray, off: FloatArray, length: float) -> tuple[FloatArray, FloatArray]:
-    """Return matrix and right-hand side of the least squares for a small rigid motion onto a surface.
+    """Return matrix (4 n, 6) and right-hand side (4 n,), mm, of the least squares for a small motion onto a surface.
 
-    `arms` (n, 3): points from the pivot, mm; `normals` (n, 3); `off` (n,): distances, mm; `length`: of a unit rotation,
-    mm. Weight one along normals, a small one along the axes.
+    `arms` (n, 3): feet of the points from the pivot, mm; `normals` (n, 3): unit normals; `off` (n, 3): points minus
+    feet, mm; `length`: distance from the pivot at which a unit rotation moves by 1 mm, in mm. Distances along normals
+    have weight one, those along the axes a small one.
     """
     parts, goals = [], []
     for directions, weight in (

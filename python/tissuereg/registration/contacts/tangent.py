@@ -18,7 +18,7 @@ Row = tuple[IntArray, FloatArray]
 
 
 class Tangent:
-    """A linearised equilibrium, with the sensitivities to nodal forces that have been computed so far.
+    """A linearised equilibrium, with a cache of the sensitivities of observations to nodal forces.
 
     `linearised`: the equilibrium; `threads`: threads to use, 0 takes all cores.
     """
@@ -35,10 +35,11 @@ class Tangent:
     def compliance(
         self, rows: Sequence[Row], progress: Callable[[int, int], None] | None = None
     ) -> tuple[Compliance, int]:
-        """Return the sensitivities of observations to nodal forces, and how many of them had to be solved.
+        """Return the sensitivities of observations to nodal forces, and the number of right-hand sides solved for them.
 
-        `rows`: nodes and weights of each observation; `progress`: called with right-hand sides solved and to solve, on
-        large bodies. Result: one entry per row. The same bits whether cached or not. int Right-hand sides solved.
+        `rows`: nodes (k,) and weights (k, 3) of each observation; `progress`: called with right-hand sides solved and
+        to solve, on large bodies. Result: one row per observation, mm per mN, with the same bits whether it was in the
+        cache or not.
         """
         keys = [nodes.tobytes() + b"|" + weights.tobytes() for nodes, weights in rows]
         with self._lock:
@@ -55,9 +56,10 @@ class Tangent:
         return _together(parts), len(missing)
 
     def _solved(self, rows: list[Row], progress: Callable[[int, int], None] | None) -> Compliance:
-        """Return the sensitivities of observations (`rows`: nodes and weights) to nodal forces, computed anew.
+        """Return the sensitivities of observations to nodal forces, one row each, computed anew, in mm per mN.
 
-        On a large body they are computed in parts, so that `progress` can be told how many are done.
+        `rows`: nodes (k,) and weights (k, 3) of each observation. On a large body they are computed in parts, so that
+        `progress` can be told how many are done.
         """
         parts = []
         for first in range(0, max(1, len(rows)), self._at_once):
@@ -95,11 +97,11 @@ _lock = threading.Lock()
 
 
 def tangent_at(columns: Columns, material: Material, state: BodyState, threads: int) -> tuple[Tangent, int]:
-    """Return the tangent at a body, and the number of factorisations it took.
+    """Return the linearised equilibrium at a body, and the number of factorisations that were made for it, 0 or 1.
 
     `columns`: causes, with the supports of the body; `material`: material of the body; `state`: an equilibrium;
-    `threads`: threads to use. Result: the tangent at rest is cached, unless it is very large: the next call on the same
-    mesh and material reuses it, with the sensitivities of markers at the same positions. int Factorisations: 0 or 1.
+    `threads`: threads to use, 0 takes all cores. The tangent at rest is cached, unless it is very large: the next call
+    on the same mesh and material reuses it, with the sensitivities of markers at the same positions.
     """
     global _rest
     key = _rest_key(columns, material, state, threads)

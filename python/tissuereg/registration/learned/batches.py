@@ -1,4 +1,4 @@
-"""Members of an ensemble in batches, and other tasks, on threads that are started once a process and kept."""
+"""Evaluation of an ensemble in batches, and of other tasks, on threads that a process starts once and keeps."""
 
 import itertools
 import os
@@ -17,12 +17,13 @@ _HELPERS: dict[tuple[int, int], ThreadPoolExecutor] = {}
 
 
 def in_batches(run: Callable[[npt.NDArray[np.float32]], Any], latents: FloatArray, most: int, threads: int) -> Any:
-    """Return what `run` makes of all members, put together along the first axis.
+    """Evaluate `run` on all ensemble members, a batch at a time, and return the results joined along the first axis.
 
-    `run`: members (n_batch, n_latent), float32 and contiguous, to rows (n_batch, ...). Called by several threads at
-    once; `latents` (n_latent, n_members): one column per member; `most`: members in a batch, at most; batches are of
-    nearly one size, whatever the number of threads, so that the bits do not depend on it; `threads`: threads that run
-    batches, the caller's included. Result: float32 (n_members, ...), in the order of the members.
+    `run` takes a batch of latents (n_batch, n_latent), float32 and contiguous, and returns an array (n_batch, ...);
+    several threads call it at once. `latents` (n_latent, n_members), dimensionless, has one column per member. `most`
+    is the largest number of members in a batch; batches are of nearly one size, whatever the number of threads, so that
+    the bits do not depend on it. `threads` is the number of threads that run batches, the caller's included. The result
+    is float32, shape (n_members, ...), in the order of the members and in the unit of what `run` returns.
     """
     rows = np.ascontiguousarray(latents.T, np.float32)
     count = -(-len(rows) // most)
@@ -33,7 +34,7 @@ def in_batches(run: Callable[[npt.NDArray[np.float32]], Any], latents: FloatArra
 
 
 def together(tasks: Sequence[Callable[[], Any]], threads: int) -> list[Any]:
-    """Return what some tasks return, in their order, run by so many threads, the caller's included."""
+    """Call `tasks`, functions without arguments, on up to `threads` threads; return their results in order."""
     found: list[Any] = [None] * len(tasks)
     numbers = itertools.count()
 

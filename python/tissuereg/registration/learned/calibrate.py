@@ -1,7 +1,8 @@
-"""Makes the calibration of a trained model: from fields of its training set, fields it never saw, and pairs.
+"""Makes the calibration of a trained model from fields of its training set, fields not used in training, and pairs.
 
-The scales of events and the chances of right measurements come from rehearsals: events that the model never saw are
-registered from random markers, as a user's will be.
+A pair is a simulated and a true field of the same event. The distribution of event sizes and the p-values of correct
+measurements come from trial registrations (called rehearsals): events that were not used in training are registered
+from random markers, as a user's events will be.
 """
 
 from collections.abc import Callable, Sequence
@@ -57,25 +58,25 @@ _BATCH = 50
 
 
 class Codes(LatentModel, Protocol):
-    """A latent model with an encoder."""
+    """A latent model that also has an encoder, which gives the latents (the code) of a displacement field."""
 
     def codes(self, fields: FloatArray) -> FloatArray:
-        """Return the encoder's means (n_fields, n_latent) of fields (n_fields, n_nodes, 3) in mm."""
+        """Return the encoder's means (n_fields, n_latent), dimensionless, for fields (n_fields, n_nodes, 3) in mm."""
         ...
 
 
 @dataclass(frozen=True)
 class RehearsalSettings:
-    """How events are rehearsed.
+    """Settings of the trial registrations (rehearsals) from which a model is calibrated.
 
     Parameters
     ----------
     n_markers, n_targets : int
-        Random places on the free surface and inside.
+        Number of markers, at random places on the free surface, and of targets, at random places inside the body.
     std : float
-        Noise of the tracker, mm.
+        Standard deviation of the tracker's noise in each coordinate, mm.
     n_events : int
-        Events at most.
+        Number of fields not used in training that are registered, at most: the first ones.
     n_repeats : int
         Registrations of each pair, from other places and with other noise: pairs are few.
     n_varied : int
@@ -86,7 +87,7 @@ class RehearsalSettings:
     least_std, most_std : float
         Noise of these, mm, drawn likewise.
     seed : int
-        Of places and noise.
+        Seed of the places, of the noise, and of the fit of the kinds of events.
     """
 
     n_markers: int = 15
@@ -114,11 +115,12 @@ def calibrate(
 ) -> Calibration:
     """Return the calibration of a model: kinds of events, the model's errors, and the outcome of trial registrations.
 
-    `model`: encoder and decoder; `mesh`: its mesh; `codes` (n_codes, n_latent): encoder's means of fields of the
-    training set; `unseen` (n_fields, n_nodes, 3): fields that were not used in training, mm; `pairs`: for each kind of
-    change a pair of arrays (n_pairs, n_nodes, 3), simulations and truths of the same events, mm; `n_kinds`: number of
-    Gaussian components of the codes to start from; `settings`: of the trial registrations. Cost: about six decodes of 2
-    n_latent + 1 columns at some nodes for every trial.
+    `model` is the encoder and decoder, `mesh` its mesh; `codes` (n_codes, n_latent) are the encoder's means for fields
+    of the training set; `unseen` (n_fields, n_nodes, 3) are fields that were not used in training, in mm; `pairs`
+    holds, for each kind of change (one way in which truths differ from simulations, such as another stiffness),
+    simulated and true fields of the same events, each (n_pairs, n_nodes, 3), in mm; `n_kinds` is the number of Gaussian
+    components (kinds of events) from which the fit to `codes` starts; `settings` are those of the trial registrations.
+    Cost: about six decodes of 2 n_latent + 1 columns at the markers and targets for every trial.
     """
     how = settings or RehearsalSettings()
     rehearsal = _Rehearsing(model, mesh, how)
@@ -167,17 +169,21 @@ def _equal(*shape: int) -> FloatArray:
 
 
 def codes_of(model: Codes, fields: Any, rows: IntArray) -> FloatArray:
-    """Return the encoder's means (n_rows, n_latent) of some fields of a data set, read in parts."""
+    """Return the encoder's means (n_rows, n_latent) for some fields of a data set, which is read in parts.
+
+    `fields` (n_fields, n_nodes, 3), in mm, is an array in memory or on disk; `rows` int64 (n_rows,) are their numbers.
+    """
     parts = [model.codes(np.asarray(fields[rows[i : i + _BATCH]])) for i in range(0, len(rows), _BATCH)]
     return np.concatenate(parts)
 
 
 def field_errors(errors: FloatArray, shares: FloatArray, n_patterns: int) -> FieldErrors:
-    """Return the covariances of the model's errors, one for each kind of event, by common patterns.
+    """Return the covariances of a model's error fields, one for each kind of event, in terms of a few common patterns.
 
-    `errors` (n_fields, n_nodes, 3): true minus decoded fields, mm; `shares` (n_fields, n_kinds): probability that a
-    field is of each kind; `n_patterns`: patterns kept at most. Result: the covariance of a kind with few fields is
-    drawn towards that of all kinds.
+    `errors` (n_fields, n_nodes, 3) are true minus decoded fields, in mm; `shares` (n_fields, n_kinds) is the
+    probability that a field belongs to each kind of event (component of a Gaussian mixture); `n_patterns` is the
+    largest number of patterns (principal components of the errors) that are kept. The covariance of a kind with few
+    fields is drawn towards that of all kinds.
     """
     rows = errors.reshape(len(errors), -1).astype(np.float64)
     values, vectors = np.linalg.eigh(rows @ rows.T)
@@ -202,11 +208,12 @@ def field_errors(errors: FloatArray, shares: FloatArray, n_patterns: int) -> Fie
 
 @dataclass(frozen=True, eq=False)
 class _Differences:
-    """How true fields differ from simulations of the same events, over the size of the simulated event.
+    """How true fields differ from simulations of the same events, divided by the size of the simulated event.
 
-    `kind` int64 (n_pairs,): kind of change of each pair; `codes` (n_pairs, n_latent): difference of codes, 1/mm;
-    `missed` (n_pairs, n_nodes, 3): difference of fields that the decoder misses; `others` (n_fields, n_nodes, 3):
-    errors of whole fields, scaled to the size of `missed`, which lend their patterns.
+    `kind` int64 (n_pairs,) is the kind of change of each pair (the group of pairs that it comes from). `codes`
+    (n_pairs, n_latent) is the difference of the encoder's means, in 1/mm. `missed` (n_pairs, n_nodes, 3) is the part of
+    the difference of the fields that the decoder cannot represent, in mm per mm. `others` (n_fields, n_nodes, 3) are
+    errors of whole fields, scaled to the root mean square of `missed`, which contribute further patterns.
     """
 
     kind: IntArray
@@ -218,10 +225,10 @@ class _Differences:
     def of(
         cls, model: Codes, simulations: FloatArray, truths: FloatArray, kind: IntArray, others: FloatArray
     ) -> "_Differences":
-        """Return the differences of pairs of simulated and true fields.
+        """Return the differences of pairs of simulated and true fields, less what a factor on the whole field explains.
 
-        `simulations`, `truths` (n_pairs, n_nodes, 3): mm; `kind` int64 (n_pairs,): kind of change of each pair;
-        `others` (n_fields, n_nodes, 3): true minus decoded whole fields, mm.
+        `simulations` and `truths` (n_pairs, n_nodes, 3) are displacements in mm; `kind` int64 (n_pairs,) is the group
+        of each pair (its kind of change); `others` (n_fields, n_nodes, 3) are true minus decoded whole fields, in mm.
         """
         squares = np.maximum((simulations**2).sum(axis=(1, 2)), 1e-300)
         factors = ((truths - simulations) * simulations).sum(axis=(1, 2)) / squares
@@ -235,7 +242,7 @@ class _Differences:
         return cls(kind, off, missed, scale * others)
 
     def change(self, rows: IntArray) -> Change:
-        """Return how truths differ from simulations, estimated from the pairs with numbers `rows`."""
+        """Return the covariances of the differences of truths from simulations, from the pairs with numbers `rows`."""
         n_kinds, n_latent = int(self.kind.max()) + 1, self.codes.shape[1]
         kind, every = self.kind[rows], self.codes[rows]
         pooled, covariances = every.T @ every / len(every), np.empty((n_kinds, n_latent, n_latent))
@@ -256,10 +263,11 @@ class _Differences:
 
 @dataclass(frozen=True, eq=False)
 class _Places:
-    """Random markers on the free surface and random targets inside: each place is a weighted sum of nodes.
+    """Random markers on the free surface and random targets inside the body, each a weighted sum of mesh nodes.
 
-    `nodes` int64 (k,): nodes that are needed; `where` int64 (n_places, 4): positions in `nodes`; `weights` (n_places,
-    4): weights of these nodes; markers come first.
+    `nodes` int64 (k,) holds the numbers of the mesh nodes that are needed. `where` int64 (n_places, 4) holds, for each
+    place, the positions in `nodes` of its four nodes, and `weights` (n_places, 4) their weights, which sum to one. The
+    markers come first.
     """
 
     nodes: IntArray
@@ -279,7 +287,7 @@ class _Places:
         return cls(nodes, where.reshape(members.shape), weights)
 
     def rows(self, fields: FloatArray) -> FloatArray:
-        """Return the displacement components (n_fields, 3 n_places) of fields (n_fields, k, 3) given at `nodes`, mm."""
+        """Return the displacement components (n_fields, 3 n_places) of fields (n_fields, k, 3) at `nodes`, in mm."""
         return np.asarray(np.einsum("fpcx,pc->fpx", fields[:, self.where], self.weights).reshape(len(fields), -1))
 
     def rows_of(self) -> RowsOf:
@@ -289,7 +297,7 @@ class _Places:
     def decoder(self, model: Codes) -> RowsOf:
         """Return a function from latents (n_latent, n_members) to displacement components (n_members, 3 n_places), mm.
 
-        The decoder of a network is cut down to the places.
+        If the model is a network, its decoder is reduced to one that computes these places alone.
         """
         from scipy import sparse
 
@@ -341,9 +349,10 @@ class _Trials:
 
 
 class _Rehearsing:
-    """Registers known truths from random markers with random noise, to see what registrations are worth.
+    """Registers events of known displacement from random markers with random noise, to measure the errors.
 
-    `model`: encoder and decoder; `mesh`: its mesh; `how`: numbers of markers and targets, noise, seed.
+    `model` is the encoder and decoder, `mesh` its mesh, and `how` gives the numbers of markers and targets, the noise
+    and the seed.
     """
 
     def __init__(self, model: Codes, mesh: Mesh, how: RehearsalSettings) -> None:
@@ -427,7 +436,11 @@ class _Rehearsing:
         return _with_groups(found, np.array(statistics), trials.groups)
 
     def _log_evidence(self, event: _RegisteredEvent, n_forms: int) -> FloatArray:
-        """Return the log-evidence of every form and scale of the event's own components, (n_forms, n_scales)."""
+        """Return the log-evidence (n_forms, n_scales) of scales under the prior components of the registered event.
+
+        A scale is a factor on a component's standard deviations. With `n_forms` above one each component has a row;
+        with one form the components are summed, weighted by their probabilities.
+        """
         prior = event.prior[: event.n_own]
         logs = log_evidence(prior, event.screening.linear, event.observed, event.noise) + np.log(event.shares)[:, None]
         return np.asarray(np.logaddexp.reduce(logs.reshape(n_forms, -1, logs.shape[1]), axis=1))
@@ -442,7 +455,10 @@ def _with_groups(law: Rehearsal, statistics: FloatArray, groups: Sequence[int]) 
 
 
 def _mixing(logs: FloatArray) -> FloatArray:
-    """Return the probabilities (n_cases,) under which evidences exp(logs), (n_events, n_cases), are likeliest."""
+    """Return the probabilities (n_cases,) of cases that make evidences exp(logs), (n_events, n_cases), largest.
+
+    They are found by expectation and maximisation, with one event added to each case, so that none becomes impossible.
+    """
     weights = np.full(logs.shape[1], 1.0 / logs.shape[1])
     for _ in range(200):
         # One event for each, so that none becomes impossible.
@@ -452,20 +468,22 @@ def _mixing(logs: FloatArray) -> FloatArray:
 
 
 def _misfits(off: FloatArray, covariance: FloatArray, first: int) -> FloatArray:
-    """Return the squared distances (n_points,) of points from their means, in their own covariance.
+    """Return the squared Mahalanobis distance (n_points,) of each point from its mean, in its own covariance.
 
-    `off` (n_rows,): true minus mean, mm; `covariance` (n_rows, n_rows): mm^2; `first`: row at which the points begin.
+    `off` (n_rows,) is true minus mean displacement, in mm, three components per point; `covariance` (n_rows, n_rows) is
+    in mm^2; `first` is the row at which the points begin.
     """
     rows = range(first, len(off), 3)
     return np.array([off[i : i + 3] @ np.linalg.solve(covariance[i : i + 3, i : i + 3], off[i : i + 3]) for i in rows])
 
 
 def _regions(misfits: FloatArray) -> tuple[float, float | None]:
-    """Return the factor on covariances and the degrees of freedom with which 50 and 90 % regions hold their share.
+    """Return the factor on covariances and the degrees of freedom with which 50 % and 90 % regions hold their share.
 
-    `misfits` (n,): squared distances of targets from their means, in their own covariance. Result: `widening`:
-    covariances times this give the Gaussian whose 90 % region holds 90 %; `tail`: degrees of freedom of the t law with
-    the same 90 % region; None if tails are as a Gaussian's, or lighter.
+    `misfits` (n,) are squared Mahalanobis distances of targets from their means. The first result, `widening`, is the
+    factor on covariances for which the 90 % region of a Gaussian holds 90 % of the targets. The second, `tail`, is the
+    degrees of freedom of the t law that has the same 90 % region and holds half of the targets in its 50 % region; None
+    if the tails are those of a Gaussian, or lighter.
     """
     from scipy.optimize import brentq
     from scipy.stats import chi2
@@ -483,11 +501,12 @@ def _regions(misfits: FloatArray) -> tuple[float, float | None]:
 
 
 def _folds(kind: IntArray) -> list[tuple[IntArray, IntArray]]:
-    """Return a division of events into parts for cross-validation: each part with the numbers of all other events.
+    """Divide events into parts for cross-validation; return for each part the numbers of its events and of the others.
 
-    `kind` int64 (n_events,): every part has an equal share of each kind. A covariance fits the events that it was made
-    of too well. Parts are runs of consecutive events of a kind: those of one body or one rig follow each other, and are
-    in one part but where it ends.
+    `kind` int64 (n_events,) is the group of each event; every part has an equal share of each group. Cross-validation
+    is needed because a covariance fits the events from which it was estimated too well. A part is a run of consecutive
+    events of a group, so that events of one body or one rig, which follow each other, are in one part unless they lie
+    at its end.
     """
     part = np.empty(len(kind), np.int64)
     for number in np.unique(kind):

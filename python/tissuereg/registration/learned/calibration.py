@@ -1,7 +1,8 @@
-"""What a trained model's answers are worth, measured on fields it never saw: ``calibration.npz`` of its folder.
+"""The accuracy of a trained model's answers, measured on fields not used in training: the file ``calibration.npz``.
 
-`tissuereg.registration.learned.calibrate` makes it, a registration reads it: kinds of events with the errors of each
-kind, how the truth differs from a simulation, and how improbable calibration events look.
+`tissuereg.registration.learned.calibrate` makes it, and a registration reads it. It holds the kinds of events (a
+Gaussian mixture of the latents of the training fields) with the model's errors for each kind, the differences of true
+fields from simulations, and the test statistics of trial registrations.
 """
 
 from collections.abc import Callable
@@ -36,11 +37,12 @@ BESIDE_VARIANTS = 0.25
 
 @dataclass(frozen=True, eq=False)
 class FieldErrors:
-    """Covariances of a model's error fields, expressed by few orthogonal patterns.
+    """Covariances of a model's error fields (true minus decoded), expressed by a few patterns.
 
-    `basis` (n_patterns, n_nodes, 3): the patterns; `covariances` (n_kinds, n_patterns, n_patterns): second moments of
-    the patterns' coefficients for each kind of event, mm^2; `rest` (n_nodes, 3): standard deviation of what the
-    patterns leave, mm.
+    An error field is a sum of patterns times random coefficients, and an independent rest at each node. `basis`
+    (n_patterns, n_nodes, 3) holds the patterns; a pattern times a coefficient is in mm. `covariances` (n_kinds,
+    n_patterns, n_patterns) are the second moments of the coefficients for each kind of event (component of a Gaussian
+    mixture). `rest` (n_nodes, 3) is the standard deviation of the rest, in mm.
     """
 
     basis: FloatArray
@@ -48,7 +50,7 @@ class FieldErrors:
     rest: FloatArray
 
     def sum(self, coefficients: FloatArray) -> FloatArray:
-        """Return the sum (n_nodes, 3) of the patterns times coefficients (n_patterns,), mm, in single precision."""
+        """Return the sum (n_nodes, 3), in mm, of the patterns times `coefficients` (n_patterns,), in float32."""
         return np.asarray(coefficients.astype(np.float32) @ self._single).reshape(self.basis.shape[1:])
 
     @cached_property
@@ -56,14 +58,17 @@ class FieldErrors:
         return self.basis.reshape(len(self.basis), -1).astype(np.float32)
 
     def project(self, fields: FloatArray) -> FloatArray:
-        """Return the part of fields (n_fields, n_nodes, 3) that is a sum of the patterns."""
+        """Return the projection of `fields` (n_fields, n_nodes, 3), mm, on the patterns, which must be orthogonal."""
         patterns = self.basis.reshape(len(self.basis), -1)
         squares = np.einsum("pi,pi->p", patterns, patterns)
         rows = fields.reshape(len(fields), -1)
         return np.asarray((((rows @ patterns.T) / squares) @ patterns).reshape(fields.shape))
 
     def at(self, rows_of: RowsOf) -> "RowErrors":
-        """Return the errors at markers and targets; `rows_of`: takes fields and returns their components there, mm."""
+        """Return the covariances of the errors at the markers and targets of one registration.
+
+        `rows_of` maps fields (n_fields, n_nodes, 3) to components at markers and targets, (n_fields, n_rows), in mm.
+        """
         patterns = rows_of(self.basis)
         rest = rows_of(self.rest[None])[0] ** 2
         return RowErrors(self, patterns, np.asarray(patterns.T @ self.covariances @ patterns + np.diag(rest)))
@@ -71,10 +76,11 @@ class FieldErrors:
 
 @dataclass(frozen=True, eq=False)
 class RowErrors:
-    """Errors at the markers and targets of one registration.
+    """Covariances of a model's errors at the markers and targets of one registration.
 
-    `whole`: at all nodes; `patterns` (n_patterns, n_rows): its patterns at the points; `covariances` (n_kinds, n_rows,
-    n_rows): of the errors of each kind, mm^2.
+    A row is a displacement component of a marker or target. `whole` describes the errors at all nodes. `patterns`
+    (n_patterns, n_rows) are the values of its patterns at the rows; times a coefficient they are in mm. `covariances`
+    (n_kinds, n_rows, n_rows) are the covariances of the errors at the rows for each kind of event, in mm^2.
     """
 
     whole: FieldErrors
@@ -82,19 +88,20 @@ class RowErrors:
     covariances: FloatArray
 
     def of(self, rows: IntArray) -> "RowErrors":
-        """Return the errors at the components with numbers `rows`, in their order."""
+        """Return the errors at the displacement components with numbers `rows` int64 (k,), in that order."""
         return RowErrors(self.whole, self.patterns[:, rows], self.covariances[:, rows[:, None], rows])
 
 
 @dataclass(frozen=True, eq=False)
 class Change:
-    """How truths differ from simulations of the same event.
+    """Statistics of the difference (change) between the true field of an event and its simulation.
 
-    A truth is ``(1 + a)`` times the simulation, and a change of its code and of what the decoder misses besides, both
-    relative to the size of the simulated event: forces or modulus may be off, so that all moves more or less. `factors`
-    (n_factors,): variances of ``a``, of which one holds; from none on; `covariances` (n_kinds, n_latent, n_latent): of
-    the difference of codes for each kind of change, 1/mm^2; `errors`: what the decoder misses of the change, by kind;
-    per mm of the event's size.
+    The truth is modelled as ``(1 + a)`` times the simulation, because forces or the modulus may be off, plus a
+    difference of its latents and of what the decoder cannot represent, both in proportion to the size (root mean square
+    displacement, mm) of the simulated event. `factors` (n_factors,) are candidate variances of ``a``, from zero on, of
+    which one holds. `covariances` (n_kinds, n_latent, n_latent) are those of the difference of latents, in 1/mm^2, for
+    each kind of change (one way in which truths differ from simulations, such as another stiffness). `errors` are
+    covariances of what the decoder cannot represent, for each kind of change, in mm per mm of size.
     """
 
     factors: FloatArray
@@ -104,14 +111,14 @@ class Change:
 
 @dataclass(frozen=True, eq=False)
 class Rehearsal:
-    """Outcome of trial registrations of events that the model never saw, with random markers and targets.
+    """Outcome of trial registrations of events that were not used in training, with random markers and targets.
 
-    `scales` (n_scales,): candidate factors on the standard deviations of a component, because events differ in size;
-    `scale_weights` (n_forms, n_scales): their probabilities, which sum to one: without a simulation one row for all
-    components, with one a row for each kind of change with each variance of its factor; `widening`: factor on
-    covariances with which 90 % regions hold 90 % of the targets; `tail`: degrees of freedom of the t law of the targets
-    about their means, with which 50 % regions hold their share too, None for a Gaussian; `calibration_set`: test
-    statistics of the trials.
+    `scales` (n_scales,) are candidate factors on the standard deviations of a prior component, because events differ in
+    size. `scale_weights` (n_forms, n_scales) are their probabilities, which sum to one: without a simulation in one row
+    for all components, with one in a row for each kind of change (way in which truths differ from simulations) with
+    each variance of the factor on the simulation. `widening` is the factor on posterior covariances with which 90 %
+    regions hold 90 % of the targets. `tail` is the degrees of freedom of the t law of the targets about their means,
+    with which 50 % regions hold half of them, None for a Gaussian. `calibration_set` holds the trials' test statistics.
     """
 
     scales: FloatArray
@@ -123,11 +130,12 @@ class Rehearsal:
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """What a trained model's answers are worth: kinds of events, the model's errors, outcomes of trial registrations.
+    """Measured accuracy of a trained model: kinds of events, errors of the model, outcomes of trial registrations.
 
-    `kinds`: Gaussian mixture of the training set's codes; `errors`: truth minus decoder(encoder(truth)), for each kind;
-    `alone`: trials without a simulation; `change`: differences of truths from simulations, None if the model has seen
-    no pairs; `anchored`: trials with a simulation.
+    `kinds` is the Gaussian mixture of the training set's latents, of which each component is called a kind of event;
+    `errors` are covariances of truth minus decoder(encoder(truth)), for each kind of event; `alone` is the outcome of
+    trials without a simulation; `change` describes differences of truths from simulations, and `anchored` is the
+    outcome of trials that start from a simulation, both None if no pairs of simulation and truth were given.
     """
 
     kinds: Components
@@ -139,8 +147,8 @@ class Calibration:
     def at(self, rows_of: RowsOf) -> "PointCalibration":
         """Return the calibration at the markers and targets of one registration.
 
-        `rows_of`: takes fields and returns their components there, mm. Cost: a product of n_patterns^2 n_rows for every
-        kind.
+        `rows_of` maps fields (n_fields, n_nodes, 3) to their components at markers and targets, (n_fields, n_rows), in
+        mm. Cost: a product of n_patterns^2 n_rows for every kind of event.
         """
         change = None if self.change is None else self.change.errors.at(rows_of)
         return PointCalibration(self, self.errors.at(rows_of), change)
@@ -150,13 +158,13 @@ class Calibration:
         return np.asarray(np.linalg.cholesky(self.kinds.covariances), np.float64)
 
     def distance(self, code: FloatArray) -> float:
-        """Return how far a code (n_latent,) lies from the training set: least distance from a kind, in its spread."""
+        """Return the least Mahalanobis distance of a code (n_latent,) from the kinds of events in the training set."""
         off = code - self.kinds.means
         white = np.linalg.solve(self._roots, off[:, :, None])
         return float(np.sqrt((white**2).sum(axis=(1, 2)).min()))
 
     def save(self) -> dict[str, FloatArray]:
-        """Return the arrays of ``calibration.npz``."""
+        """Return the arrays that ``calibration.npz`` holds, by their names in the file."""
         arrays = {
             "version": np.array(VERSION),
             "kind_weights": self.kinds.weights,
@@ -174,7 +182,7 @@ class Calibration:
 
     @classmethod
     def read(cls, path: object, n_latent: int, n_nodes: int) -> "Calibration":
-        """Return the content of ``calibration.npz``.
+        """Return the calibration in the file `path` of a model with `n_latent` latents on a mesh of `n_nodes` nodes.
 
         Raises `FormatError` if it is of another version, or an array is missing or of another shape.
         """
@@ -207,10 +215,12 @@ class Calibration:
 
 @dataclass(frozen=True, eq=False)
 class PointCalibration:
-    """A calibration at the markers and targets of one registration.
+    """A calibration restricted to the markers and targets of one registration.
 
-    `whole`: at all nodes; `errors`: the model's errors, for each kind of event; `change_errors`: what the decoder
-    misses of the change from a simulation, for each kind of change, per mm of the event's size; None without pairs.
+    `whole` is the calibration at all nodes. `errors` are the covariances of the model's errors at the displacement
+    components of markers and targets, for each kind of event. `change_errors` are those of the part of the truth's
+    change from a simulation that the decoder cannot represent, for each kind of change, in mm per mm of the event's
+    size; None if the model was calibrated without pairs of simulation and truth.
     """
 
     whole: Calibration
@@ -218,18 +228,23 @@ class PointCalibration:
     change_errors: RowErrors | None
 
     def of(self, rows: IntArray) -> "PointCalibration":
-        """Return the calibration at the components with numbers `rows`, in their order."""
+        """Return the calibration at the displacement components with numbers `rows` int64 (k,), in that order."""
         change = None if self.change_errors is None else self.change_errors.of(rows)
         return PointCalibration(self.whole, self.errors.of(rows), change)
 
     def rehearsal(self, anchored: bool) -> Rehearsal:
-        """Return the outcome of trial registrations with a simulation (`anchored`), or without one."""
+        """Return the outcome of trials from a simulation, if `anchored` and there were any, else of those without."""
         known = self.whole.anchored if anchored else None
         return self.whole.alone if known is None else known
 
     @staticmethod
     def squared_size(size: float, varied: bool) -> float:
-        """Return the factor on covariances of changes, mm^2, for an event of a size in mm, with variants or without."""
+        """Return the factor, in mm^2, that scales the covariances of a relative change to an event of a given size.
+
+        A relative change is the difference of the truth from the simulation, divided by `size`, the root mean square
+        displacement of the simulated event, in mm. If variants of the simulation are given (`varied`), only a share of
+        the factor is returned, because they explain the rest.
+        """
         return (BESIDE_VARIANTS if varied else 1.0) * max(size, LEAST_SIZE_MM) ** 2
 
     def prior(self, share: float = 1.0) -> list[Component]:
@@ -251,12 +266,13 @@ class PointCalibration:
     ) -> tuple[list[Component], list[tuple[int, float]]]:
         """Return the prior of a simulated event: components about the simulation, then those of an unrelated event.
 
-        `code` (n_latent,): of the simulation; `size`: root mean square displacement of the simulation, mm; `simulated`
-        (n_rows,): the simulation at markers and targets, mm; `variants`: covariance of variants of the simulation,
-        which is their mean; changes then have it beside a share of what they have in general, and no factor. Result:
-        components, those about the simulation ordered by kind of change and within a kind by the variance of the
-        factor; and for each of these (kind of change, variance of the factor). The second list is empty where the model
-        knows no changes.
+        `code` (n_latent,) are the simulation's latents; `size` is its root mean square displacement, in mm; `simulated`
+        (n_rows,) are its displacement components at markers and targets, in mm; `variants` is the covariance of
+        variants of the simulation, if it is their mean: truths then differ from it by this covariance and a share of
+        that which they have in general, and by no factor. Components about the simulation are ordered by kind of change
+        (way in which truths differ from simulations), then by variance of the factor on the whole simulation. The
+        second result holds both for each of these; it is empty where the model was calibrated without pairs of
+        simulation and truth, and the prior is then that of an event without a simulation.
         """
         change, law = self.whole.change, self.whole.anchored
         if change is None or law is None or self.change_errors is None:

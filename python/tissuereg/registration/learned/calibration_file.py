@@ -1,4 +1,4 @@
-"""Writes a calibration into the folder of its model, and reads it with its checksum compared."""
+"""Writes a calibration into the folder of its model, and reads it after a comparison of its checksum."""
 
 import hashlib
 from pathlib import Path
@@ -15,11 +15,10 @@ CALIBRATION_NAME = "calibration.npz"
 
 
 def write_calibration(folder: Path, calibration: Calibration) -> None:
-    """Write ``calibration.npz`` and its SHA-256 into the card of the model.
+    """Write a calibration as ``calibration.npz`` into the folder of its model, and its SHA-256 into the model's card.
 
-    `folder`: folder of the model; `calibration`: what is written. Raises `ModelError` if there is no card;
-    `OutputError` if a file cannot be written. Each is written whole or not at all; a calibration that the card does not
-    list is not used.
+    The card is the file ``model.json``. Raises `ModelError` if there is no card; `OutputError` if a file cannot be
+    written. Each file is written whole or not at all; a calibration that the card does not list is not used.
     """
     card = read_card(folder)
     path = folder / CALIBRATION_NAME
@@ -31,10 +30,10 @@ def write_calibration(folder: Path, calibration: Calibration) -> None:
 
 
 def read_calibration(folder: Path, card: dict[str, Any]) -> Calibration | None:
-    """Return the calibration that the card of a model lists, or None.
+    """Return the calibration in the folder of a model, or None if the model's card (``model.json``) lists none.
 
-    Raises `FormatError` if an array is missing or of another shape; `ModelError` if the file is missing, or differs
-    from its SHA-256.
+    `card` is the content of that file. Raises `FormatError` if an array is missing or of another shape; `ModelError` if
+    the calibration's file is missing, or differs from its SHA-256 in the card.
     """
     wanted = card["files"].get(CALIBRATION_NAME)
     if wanted is None:

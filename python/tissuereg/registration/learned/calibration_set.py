@@ -1,8 +1,9 @@
-"""Calibration events, and how improbable a registration looks beside them.
+"""Test statistics of trial registrations, and the p-value of a registration compared with them.
 
-A registration has a few test statistics, each larger where it looks worse. No law of theirs is assumed: events that the
-model never saw were registered, and the share of these that look as bad is the p-value. An event looks as bad as its
-worst statistic, so that the p-value of all statistics together is again a share of calibration events.
+A registration has a few test statistics, each larger where it looks worse. No distribution is assumed for them: events
+that were not used in training were registered with correct measurements, and the p-value of a statistic is the share of
+these trials in which it is at least as large. All statistics together are judged by the smallest of their p-values; its
+own p-value is again the share of trials in which it is as small.
 """
 
 from dataclasses import dataclass
@@ -33,7 +34,7 @@ _LEAST = 1e-300
 
 @dataclass(frozen=True, eq=False)
 class CalibrationSet:
-    """Test statistics of trial registrations with right measurements, with which a registration is compared.
+    """Test statistics of trial registrations with correct measurements, with which a registration is compared.
 
     `statistics` (n_events, 5): as `STATISTICS`; `groups` int64 (n_events,): group of each event, such as those of the
     physics that the model was trained on, and of another physics.
@@ -44,7 +45,7 @@ class CalibrationSet:
 
     @classmethod
     def none(cls) -> "CalibrationSet":
-        """Return a set without trials; a statistic that is a chance is then taken as it is."""
+        """Return a set without trials; a statistic that is the logarithm of a p-value is then taken as it is."""
         return cls(np.empty((0, len(STATISTICS))), np.empty(0, np.int64))
 
     def beside(self, statistics: FloatArray) -> "CalibrationSet":
@@ -76,9 +77,10 @@ class CalibrationSet:
 
 @dataclass(frozen=True, eq=False)
 class _Group:
-    """Test statistics of one group of trials: each column sorted, and the rarity of each trial's rarest statistic.
+    """The test statistics of one group of trials, sorted.
 
-    `columns`: sorted values of each statistic; `rarest`: sorted values of minus the logarithm of the least share.
+    `columns` holds the sorted values of each of the four statistics. `rarest` holds, sorted, minus the logarithm of the
+    least p-value among each trial's statistics, each compared with the other trials of the group.
     """
 
     columns: list["_Ascending"]
@@ -102,7 +104,7 @@ class _Group:
 
 @dataclass(frozen=True, eq=False)
 class _Ascending:
-    """Sorted values (n,) of one statistic, and the value at which their tail begins."""
+    """Sorted values (n,) of one statistic in a group of trials, and the value `first` above which they are its tail."""
 
     values: FloatArray
     first: float
@@ -113,14 +115,14 @@ class _Ascending:
         return cls(ascending, float(ascending[n - min(n, max(_TAIL_FEWEST, int(np.ceil(_TAIL_SHARE * n))))]))
 
     def shares(self, given: FloatArray, *, among: bool = False) -> FloatArray:
-        """Return the shares, in (0, 1], of values that are at least as large as given ones.
+        """Return for each given value the share, in (0, 1], of values that are at least as large; both have shape (k,).
 
-        Given ones are values themselves if they are `among` them; they are then compared with the others.
-
-        Above the tenth that is largest, where values are few, their excess is taken as exponential: logarithms of
-        chances are so if chances are uniform, or a power of what they should be. Of k values with mean excess m, the
-        share beyond an excess x is then (1 + x / (k m))^-k, the scale being known from k values only; one value of 1 is
-        counted with them, so that a tail is known before there is any.
+        If the given values are themselves `among` the values of this statistic, each is compared with the others;
+        otherwise with all. Above `first`, in the largest tenth (at least five values), the excess over `first` is taken
+        as exponential: logarithms of p-values are so if p-values are uniform, or a power of what they should be. Of k
+        values with mean excess m, the share beyond an excess x is then (1 + x / (k m))^-k, because the scale is
+        estimated from k values only; one value with an excess of 1 is counted with them, so that a tail is always
+        defined.
         """
         own = 1 if among else 0
         # With the given one, be it among them or not.

@@ -1,4 +1,4 @@
-"""The card of a trained model, ``model.json``: read, and every entry that is used checked."""
+"""The card of a trained model, the file ``model.json``: reads it, and checks every entry that is used."""
 
 import hashlib
 import json
@@ -20,12 +20,15 @@ MODEL_FILES = ("encoder.onnx", "decoder.onnx", "decoder_weights.npz")
 
 
 def card_text(card: dict[str, Any]) -> str:
-    """Return the content of ``model.json``: an entry a line, and a row of a matrix a line."""
+    """Return the text of ``model.json`` for a card: one line for each entry, and one line for each row of a matrix."""
     return _json(card, 0) + "\n"
 
 
 def _json(value: Any, depth: int) -> str:
-    """Return JSON with each table or list of single values on one line."""
+    """Return a value as JSON, with each table or list that holds only single values on one line.
+
+    `depth` is the number of tables and lists around the value, and thus its indentation in spaces.
+    """
     inner = list(value.values()) if isinstance(value, dict) else value
     if not isinstance(value, dict | list) or (depth and not any(isinstance(one, dict | list) for one in inner)):
         return json.dumps(value, allow_nan=False)
@@ -36,12 +39,12 @@ def _json(value: Any, depth: int) -> str:
 
 
 def read_card(folder: Path) -> dict[str, Any]:
-    """Return the card of a model.
+    """Return the card of the model in a folder, the content of its file ``model.json``.
 
-    Result: ``kind``, ``mesh_digest`` (str), ``n_nodes``, ``n_latent``, ``members`` (int), ``errors_mm`` with ``test``
-    and ``pca``, ``prior`` with matrices of the size of the latents, ``files`` with the SHA-256 of `MODEL_FILES`; other
-    entries are ignored. Raises `ModelError` if there is no card, it is no JSON, or an entry is missing or of another
-    kind.
+    The result holds ``kind`` and ``mesh_digest`` (str), ``n_nodes``, ``n_latent`` and ``members`` (int), ``errors_mm``
+    with the numbers ``test`` and ``pca``, ``prior`` with a mean (n_latent,) and covariances (n_latent, n_latent), and
+    ``files`` with the SHA-256 of `MODEL_FILES`; other entries are ignored. Raises `ModelError` if there is no card, it
+    is no JSON, or an entry is missing or not of this type and size.
     """
     path = folder / "model.json"
     if not path.exists():
@@ -65,9 +68,9 @@ def read_card(folder: Path) -> dict[str, Any]:
 
 
 def check_files(folder: Path, card: dict[str, Any]) -> None:
-    """Check that the files of a model are those that its card describes.
+    """Check that the files of the model in a folder are those that its card describes.
 
-    `card`: from `read_card`. Raises `ModelError` if a file is missing, or differs from its SHA-256 in the card.
+    `card` is what `read_card` returns. Raises `ModelError` if a file is missing, or differs from its SHA-256 in it.
     """
     shared = [name for name in card["files"] if name.endswith(".npy") and Path(name).name == name]
     for name in (*MODEL_FILES, *shared):

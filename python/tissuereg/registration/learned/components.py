@@ -28,10 +28,10 @@ _FEWEST = 20
 
 @dataclass(frozen=True, eq=False)
 class Components:
-    """A mixture of Gaussians over latents.
+    """A mixture of Gaussians over latents, whose components are called kinds of events.
 
-    `weights` (n_kinds,): sum to one; `means` (n_kinds, n_latent): dimensionless; `covariances` (n_kinds, n_latent,
-    n_latent): symmetric, positive definite.
+    `weights` (n_kinds,) are the probabilities of the components, which sum to one; `means` (n_kinds, n_latent) their
+    means, dimensionless; `covariances` (n_kinds, n_latent, n_latent) their covariances, positive definite.
     """
 
     weights: FloatArray
@@ -51,10 +51,11 @@ class Components:
 
     @classmethod
     def fit(cls, codes: FloatArray, n_kinds: int, seed: int) -> "Components":
-        """Return the Gaussian mixture of the codes of a training set; each component is called a kind of event.
+        """Return the Gaussian mixture of the latents of a training set; each component is called a kind of event.
 
-        `codes` (n_codes, n_latent): means of the encoder; `n_kinds`: components to start from; those that keep too few
-        codes are left out; `seed`: of the start. Cost: 40 rounds of n_kinds products (n_latent, n_codes).
+        `codes` (n_codes, n_latent) are the means that the encoder gives the training fields; `n_kinds` is the number of
+        components at the start, of which those that keep too few codes are left out; `seed` determines the start. Cost:
+        40 rounds of n_kinds products (n_latent, n_codes).
         """
         shares = _sorted_by_direction_and_size(codes, n_kinds, np.random.default_rng([seed, 21]))
         kinds = cls._of(codes, shares)
@@ -64,7 +65,11 @@ class Components:
 
     @classmethod
     def _of(cls, codes: FloatArray, shares: FloatArray) -> "Components":
-        """Return the mixture in which code i belongs to kind k by `shares` (n_codes, n_kinds)."""
+        """Return the mixture of Gaussians that is fitted to codes with given probabilities of its components.
+
+        `codes` has shape (n_codes, n_latent); `shares` (n_codes, n_kinds) is the probability that each code belongs to
+        each component. Components with too few codes are left out.
+        """
         n_latent = codes.shape[1]
         counts = shares.sum(axis=0)
         # The largest stays, however few the codes.
@@ -82,7 +87,11 @@ class Components:
         return cls(counts / counts.sum(), means, covariances)
 
     def log_densities(self, codes: FloatArray) -> FloatArray:
-        """Return log(w_k N(z; m_k, C_k)) without the constant, (n_codes, n_kinds), of codes (n_codes, n_latent)."""
+        """Return the logarithm of w_k N(z; m_k, C_k), without its constant, for each code z and component k.
+
+        `codes` has shape (n_codes, n_latent), the result (n_codes, n_kinds); w_k, m_k and C_k are weight, mean and
+        covariance of component k.
+        """
         found = np.empty((len(codes), len(self.weights)))
         for k, (weight, mean, covariance) in enumerate(zip(self.weights, self.means, self.covariances, strict=True)):
             root = np.linalg.cholesky(covariance)
@@ -91,18 +100,21 @@ class Components:
         return found
 
     def shares(self, codes: FloatArray) -> FloatArray:
-        """Return the probability of every kind, (n_codes, n_kinds), given codes (n_codes, n_latent)."""
+        """Return the probability (n_codes, n_kinds) that each code (n_codes, n_latent) belongs to each component."""
         return probabilities(self.log_densities(codes))
 
 
 def probabilities(logs: FloatArray) -> FloatArray:
-    """Return numbers in proportion to exp(logs) that sum to one over the last axis."""
+    """Return numbers in proportion to exp(logs), of the shape of `logs`, that sum to one over the last axis."""
     raised = np.exp(logs - logs.max(axis=-1, keepdims=True))
     return np.asarray(raised / raised.sum(axis=-1, keepdims=True))
 
 
 def _sorted_by_direction_and_size(codes: FloatArray, n_kinds: int, rng: np.random.Generator) -> FloatArray:
-    """Return a first assignment of codes to kinds, (n_codes, n_kinds) of zeros and ones, by k-means."""
+    """Return a first assignment of codes (n_codes, n_latent) to components, by k-means on their direction and length.
+
+    The result (n_codes, n_kinds) has a one in each row, in the column of the component, and zeros otherwise.
+    """
     length = np.linalg.norm(codes, axis=1)
     size = np.log(length + 1e-9)
     features = 1.5 * np.column_stack([(size - size.mean()) / (size.std() + 1e-12), codes / (length + 1e-12)[:, None]])

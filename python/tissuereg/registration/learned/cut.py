@@ -1,4 +1,4 @@
-"""A decoder cut down to points: markers and targets, run for a whole ensemble at a time."""
+"""A decoder reduced to the displacement of markers and targets, which is run for a whole ensemble at a time."""
 
 from collections.abc import Callable
 from typing import Any
@@ -18,10 +18,11 @@ TOLERANCE = 1e-4
 
 
 class CutDecoder:
-    """A decoder at points alone, run by onnxruntime.
+    """A decoder that computes the displacement of a few points alone, run by onnxruntime.
 
-    `decoder`: the whole decoder; `rows` (n_rows, n_nodes): weights of every point on the nodes; `threads`: batches run
-    at once. `multiply_adds`: of one member.
+    `decoder` is the decoder of whole fields; `rows`, a sparse matrix (n_rows, n_nodes), holds the weights of the mesh
+    nodes in each point; `threads` is the number of batches of members that run at once. The attribute `multiply_adds`
+    is the number of multiply-adds for one member.
     """
 
     def __init__(self, decoder: ClosureDecoder | GraphDecoder, rows: Any, threads: int) -> None:
@@ -30,9 +31,9 @@ class CutDecoder:
         self._threads = threads
 
     def __call__(self, latents: FloatArray) -> FloatArray:
-        """Return displacements of the points.
+        """Return the displacement of the points, shape (n_members, n_rows, 3), in mm.
 
-        `latents` (n_latent, n_members): one column per member. Result: (n_members, n_rows, 3), mm.
+        `latents` (n_latent, n_members) has one column for each ensemble member.
         """
         moved = in_batches(lambda z: self._session.run(["moved"], {"z": z})[0], latents, BATCH, self._threads)
         return np.asarray(moved, np.float64).reshape(latents.shape[1], -1, 3)
@@ -45,12 +46,12 @@ class CutDecoder:
         latents: FloatArray,
         where: str,
     ) -> None:
-        """Check that the points, and whole fields from the tables, move as those of the model's own file.
+        """Check that this decoder and the decoder of whole fields agree with the model's own file.
 
-        `rows` (n_rows, n_nodes): weights of every point on the nodes; `decoder`: the whole decoder; `decode`: the
-        model's file: latents (n_latent, n_members) to fields (n_members, n_nodes, 3) mm; `latents` (n_latent,
-        n_members): members to compare; `where`: the model, for the message. Raises `ModelError` if they differ by more
-        than `TOLERANCE` of the largest displacement.
+        `rows`, a sparse matrix (n_rows, n_nodes), holds the weights of the mesh nodes in each point; `decoder` is the
+        decoder of whole fields, from tables; `decode` runs the model's file: latents (n_latent, n_members) to fields
+        (n_members, n_nodes, 3), in mm; `latents` (n_latent, n_members) are the members to compare; `where` names the
+        model in errors. Raises `ModelError` if displacements differ by more than `TOLERANCE` of the largest one.
         """
         whole = decode(latents)
         at_points = np.abs(self(latents) - np.stack([rows @ field for field in whole])).max(initial=0.0)
@@ -65,9 +66,9 @@ class CutDecoder:
 
 
 def session(network: str | bytes, what: str) -> Any:
-    """Return an onnxruntime session on one thread: batches are what runs at the same time.
+    """Return an onnxruntime session that runs a network on one thread, since several batches run at the same time.
 
-    `network`: path of an ONNX file, or its content; `what`: what it is, for the message. Raises `ModelError` if
+    `network` is the path of an ONNX file, or its content; `what` names it in the error message. Raises `ModelError` if
     onnxruntime cannot load it.
     """
     import onnxruntime

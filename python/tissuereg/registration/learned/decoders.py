@@ -1,14 +1,16 @@
-r"""Decoders as tables: what ``decoder_weights.npz`` of a model holds, and the same decoder at a few points alone.
+r"""Decoders as tables of weights (``decoder_weights.npz`` of a model), and the same decoders reduced to a few points.
 
-A point is a row of weights on nodes, so rows are a sparse matrix P (n_rows, n_nodes). Two kinds of decoders are known.
+A point is a weighted sum of mesh nodes, so points are the rows of a sparse matrix P (n_rows, n_nodes). There are two
+types of decoders, for latents z and displacement fields u.
 
-**Closure**: ``u = mean + sum_j c_j components_j`` with ``c = MLP(z)``, or ``MLP(z) + S z``. At points it ends in
-``P components`` (3 n_rows, n_components) in place of the whole fields.
+**Closure**: ``u = mean + sum_j c_j components_j`` with ``c = MLP(z)``, or ``MLP(z) + S z``, where MLP is a multilayer
+perceptron and S a matrix. At points it ends in ``P components`` (3 n_rows, n_components) in place of the whole fields.
 
-**Graph network** (Table II): a linear layer, then on every level ``x <- act(sum_m T_m x B_m + b)`` with T_m the
-unpooling and the coefficients of one basis in one table (fine nodes, coarse nodes). At points, the last level's tables
-become P T_m, and every earlier level keeps the nodes that these reach. What is linear with nothing between is one
-matrix: the linear layer with the first level, and the last level with P.
+**Graph network** (Table II): a linear layer, then on every level ``x <- act(sum_m T_m x B_m + b)``, where x are the
+features of the nodes, T_m (fine nodes, coarse nodes) combines the unpooling with the coefficients of basis m, B_m is
+the matrix of that basis, b a bias and act the activation. At points, the last level's tables become P T_m, and every
+earlier level keeps the nodes on which these depend. Linear steps that follow each other are multiplied into one matrix:
+the linear layer with the first level, and the last level with P.
 """
 
 from collections.abc import Callable
@@ -47,11 +49,11 @@ _TOGETHER = 128
 
 @dataclass(frozen=True, eq=False)
 class ClosureDecoder:
-    """``displacement = mean + components @ (MLP(z) + skip @ z)``.
+    """A decoder with a multilayer perceptron (MLP): ``displacement = mean + components @ (MLP(z) + skip @ z)``.
 
-    `layers`: weights and biases of the MLP; an activation follows all but the last; `skip` (n_components, n_latent) or
-    None: linear part; none without it; `activation`: one of elu, silu, relu, tanh; `components` float32 (n_components,
-    n_nodes, 3): mm; `mean` (n_nodes, 3): mm.
+    `layers` are the weights and biases of the MLP, with an activation after all but the last; `skip` (n_components,
+    n_latent) is a linear part, None for none; `activation` is one of elu, silu, relu, tanh; `components` float32
+    (n_components, n_nodes, 3) are displacement fields, in mm; `mean` (n_nodes, 3) is a displacement field, in mm.
     """
 
     layers: tuple[tuple[FloatArray, FloatArray], ...]
@@ -61,23 +63,24 @@ class ClosureDecoder:
     mean: FloatArray
 
     def decode(self, latents: FloatArray, nodes: IntArray | None = None, threads: int = 1) -> FloatArray:
-        """Return displacement fields (n_members, k, 3) of latents (n_latent, n_members) at nodes (k,), or at all.
+        """Return displacement fields (n_members, k, 3), in mm, of latents (n_latent, n_members).
 
-        In mm and single precision. Cost: some tenths of a millisecond a member.
+        `nodes` (k,) are the numbers of the nodes, by default all. The computation is in single precision, on `threads`
+        threads. Cost: some tenths of a millisecond a member.
         """
         fields = np.asarray(self.mean + self._summed(self._coefficients(latents), threads))
         return fields if nodes is None else fields[:, nodes]
 
     def change(self, latents: FloatArray, code: FloatArray, threads: int = 1) -> FloatArray:
-        """Return the fields of latents (n_latent, n_members) less that of a code (n_latent,), in mm.
+        """Return the fields of `latents` (n_latent, n_members) minus that of `code` (n_latent,), in mm.
 
-        Cost: that of `decode` for the members alone.
+        The result has shape (n_members, n_nodes, 3). Cost: that of `decode` for the members alone.
         """
         x = self._coefficients(np.concatenate([code[:, None], latents], axis=1))
         return np.asarray(self._summed(x[:, 1:] - x[:, :1], threads), np.float64)
 
     def _coefficients(self, latents: FloatArray) -> Any:
-        """Return the components' coefficients (n_components, n_members)."""
+        """Return the coefficients (n_components, n_members) of the components for latents (n_latent, n_members)."""
         z: Any = latents.astype(np.float32)
         x = z
         for number, (weight, bias) in enumerate(self._single):
@@ -103,10 +106,11 @@ class ClosureDecoder:
         return [(weight.astype(np.float32), bias.astype(np.float32)) for weight, bias in self.layers]
 
     def network_at(self, rows: Any) -> tuple[bytes, int]:
-        """Return the decoder at points as an ONNX file, and its multiply-adds a member.
+        """Return the decoder at points as the bytes of an ONNX file, and its number of multiply-adds for one member.
 
-        `rows` (n_rows, n_nodes): weights of every point on the nodes. Result: `file`: from ``z`` (members, n_latent) to
-        ``moved`` (members, 3 n_rows) mm; x, y and z of a row follow each other; `multiply_adds`: of one member.
+        `rows`, a sparse matrix (n_rows, n_nodes), holds the weights of the mesh nodes in each point. The file maps
+        ``z`` (members, n_latent) to ``moved`` (members, 3 n_rows), displacements in mm; x, y and z of a point follow
+        each other.
         """
         n_rows = rows.shape[0]
         flat = np.moveaxis(self.components, 0, -1).reshape(self.components.shape[1], -1)
@@ -135,10 +139,11 @@ class ClosureDecoder:
 
 @dataclass(frozen=True, eq=False)
 class GraphLevel:
-    """One level of a graph network's decoder: unpooling and convolution, ``y = sum_m T_m x B_m + b``.
+    """One level of a graph network's decoder, unpooling and convolution: ``y = sum_m T_m x B_m + b``.
 
-    `tables` (n_fine, n_coarse): sparse T_m, one for each basis m, all with the same pattern; `bases` (M, n_in, n_out):
-    B_m; `bias` (n_out,): b.
+    x (n_coarse, n_in) and y (n_fine, n_out) are features of the nodes. `tables` are sparse matrices T_m (n_fine,
+    n_coarse), one for each basis m, all with the same pattern of non-zeros; `bases` (M, n_in, n_out) are the matrices
+    B_m; `bias` (n_out,) is b.
     """
 
     tables: tuple[Any, ...]
@@ -147,7 +152,7 @@ class GraphLevel:
 
     @cached_property
     def joined(self) -> Any:
-        """All tables as one of float32, shape (n_fine, n_coarse M): bases of a coarse node follow each other."""
+        """All T_m as one sparse float32 matrix (n_fine, n_coarse M); the M columns of a coarse node are adjacent."""
         from scipy import sparse
 
         blocks = [sparse.coo_array(table) for table in self.tables]
@@ -159,25 +164,25 @@ class GraphLevel:
 
     @cached_property
     def joined_bases(self) -> Any:
-        """All bases, transposed, as one matrix of float32, shape (M n_out, n_in)."""
+        """All matrices B_m, transposed, on top of each other, as one float32 matrix of shape (M n_out, n_in)."""
         return np.ascontiguousarray(self.bases.transpose(0, 2, 1).reshape(-1, self.bases.shape[1]), np.float32)
 
     def at(self, rows: IntArray, columns: IntArray) -> FloatArray:
-        """Return dense tables (n_rows, n_columns, M) of fine nodes (`rows`) at coarse nodes (`columns`)."""
+        """Return the T_m at fine nodes `rows` and coarse nodes `columns`, as a dense array (n_rows, n_columns, M)."""
         return _dense([table[rows] for table in self.tables], columns)
 
     def reached(self, rows: IntArray) -> IntArray:
-        """Return the numbers of the coarse nodes on which some fine nodes (`rows`) depend."""
+        """Return the numbers, ascending, of the coarse nodes on which the fine nodes with numbers `rows` depend."""
         return np.unique(self.tables[0][rows].indices).astype(np.int64)
 
 
 @dataclass(frozen=True, eq=False)
 class GraphDecoder:
-    """Table II's decoder: a linear layer and the levels, coarsest first.
+    """The graph network decoder of Table II: a linear layer, then levels from the coarsest to the mesh.
 
-    `weight` (n_coarsest n_channels, n_latent): of the linear layer; channels of a node follow each other; `bias`
-    (n_coarsest n_channels,): of the linear layer; `levels`: ELU follows all but the last; `mean` (n_nodes, 3): mm;
-    `scale`: mm: displacement = mean + scale * output.
+    `weight` (n_coarsest n_channels, n_latent) and `bias` (n_coarsest n_channels,) are those of the linear layer, in
+    which the channels (features) of a node follow each other. `levels` are the levels, with an ELU activation after all
+    but the last. The displacement is `mean` (n_nodes, 3), in mm, plus `scale`, in mm, times the last level's output.
     """
 
     weight: FloatArray
@@ -187,10 +192,10 @@ class GraphDecoder:
     scale: float
 
     def network_at(self, rows: Any) -> tuple[bytes, int]:
-        """Return the decoder at points as an ONNX file, and the number of multiply-adds for one member.
+        """Return the decoder at points as the bytes of an ONNX file, and its number of multiply-adds for one member.
 
-        `rows` (n_rows, n_nodes): weights of every point on the nodes. The file maps ``z`` (members, n_latent) to
-        ``moved`` (members, 3 n_rows), mm.
+        `rows`, a sparse matrix (n_rows, n_nodes), holds the weights of the mesh nodes in each point. The file maps
+        ``z`` (members, n_latent) to ``moved`` (members, 3 n_rows), displacements in mm.
         """
         last = self.levels[-1]
         at_points = [rows @ table for table in last.tables]
@@ -221,7 +226,7 @@ class GraphDecoder:
         return graph.to_bytes(("z", n_latent), ("moved", len(offset))), work + added
 
     def whole(self) -> bytes:
-        """Return the decoder at all nodes as an ONNX file: ``z`` to ``displacement`` (members, n_nodes, 3) mm."""
+        """Return an ONNX file: ``z`` (members, n_latent) to ``displacement`` (members, n_nodes, 3), in mm."""
         n_nodes = len(self.mean)
         graph, x = OnnxGraph("graph_network"), "z"
         x = graph.reshape(graph.node("Gemm", ["z", *_linear(graph, self.weight, self.bias)]), 0, -1, self._n_in)
@@ -243,14 +248,17 @@ class GraphDecoder:
 
     @property
     def _n_in(self) -> int:
-        """Channels of the linear layer."""
+        """Number of features (channels) of each node after the linear layer."""
         return int(self.levels[0].bases.shape[1])
 
     def _end(self, graph: OnnxGraph, at_points: list[Any], columns: IntArray, x: str, offset: FloatArray) -> int:
-        """Add the last level at points; return its multiply-adds.
+        """Add the last level, evaluated at points, to an ONNX graph; return its number of multiply-adds for one member.
 
-        Its products sum_m (P T_m)_rk B_m are constants. For few points they are one matrix; for many, as the patches
-        under markers off the surface have, bases come first.
+        `at_points` are the sparse products P T_m (n_points, n_coarse) of the points' weights with the tables of the
+        last level, `columns` the numbers of the coarse nodes in use, `x` the name of their features in the graph, and
+        `offset` (3 n_points,) the constant part of the displacement, in mm. The sum of (P T_m) x B_m over the bases
+        m, with B_m (n_in, 3), has constant coefficients. For few points these are multiplied into one matrix; for many,
+        as around markers off the surface, x is multiplied by the B_m first.
         """
         bases = self.scale * self.levels[-1].bases
         table = _dense(at_points, columns)
@@ -268,16 +276,20 @@ class GraphDecoder:
         return added
 
     def _expanded(self, at_points: list[Any], columns: IntArray) -> FloatArray:
-        """Return the last level at points as one matrix (3 n_rows, n_columns n_in)."""
+        """Return the last level at points as one matrix (3 n_points, n_columns n_in): features to displacement, mm.
+
+        `at_points` are sparse tables (n_points, n_coarse), one for each basis; `columns` the numbers of coarse nodes.
+        """
         found: FloatArray = np.einsum(
             "rkm,mio->roki", _dense(at_points, columns), self.scale * self.levels[-1].bases, optimize=True
         )
         return found.reshape(3 * at_points[0].shape[0], -1)
 
     def decode(self, latents: FloatArray, nodes: IntArray | None = None, threads: int = 1) -> FloatArray:
-        """Return displacement fields (n_members, k, 3) of latents (n_latent, n_members) at nodes (k,), or at all, mm.
+        """Return displacement fields (n_members, k, 3), in mm, of latents (n_latent, n_members).
 
-        In single precision, on one core. Cost: milliseconds a member, since sums take non-zero coefficients alone.
+        `nodes` (k,) are the numbers of the nodes, by default all. The computation is in single precision, on one core
+        (`threads` is ignored). Cost: milliseconds a member, since sums take non-zero coefficients alone.
         """
         n_members = latents.shape[1]
         x = (self.weight @ latents + self.bias[:, None]).astype(np.float32)
@@ -294,15 +306,16 @@ class GraphDecoder:
         return np.asarray(mean + self.scale * np.moveaxis(x.astype(np.float64), 2, 0))
 
     def change(self, latents: FloatArray, code: FloatArray, threads: int = 1) -> FloatArray:
-        """Return fields (n_members, n_nodes, 3), mm, of latents (n_latent, n_members) less that of one code.
-
-        `code`: (n_latent,).
-        """
+        """Return fields (n_members, n_nodes, 3), mm: those of latents (n_latent, n_members) minus that of a code."""
         both = self.decode(np.concatenate([code[:, None], latents], axis=1), threads=threads)
         return np.asarray(both[1:] - both[0])
 
     def _first(self, rows: IntArray) -> tuple[FloatArray, FloatArray]:
-        """Return the linear layer and first level at some of its nodes as one matrix and one constant, of float32."""
+        """Return the linear layer and the first level as one matrix and one constant, at some nodes of that level.
+
+        `rows` int64 (n_rows,) are the numbers of these nodes; the matrix has shape (n_rows n_out, n_latent), the
+        constant (n_rows n_out,).
+        """
         level, n_in = self.levels[0], self.levels[0].bases.shape[1]
         joined = np.concatenate([self.weight, self.bias[:, None]], axis=1).reshape(-1, n_in, self.weight.shape[1] + 1)
         found = sum(
@@ -314,10 +327,10 @@ class GraphDecoder:
 
 
 def read_decoder(path: Path) -> ClosureDecoder | GraphDecoder | None:
-    """Return the decoder in a file of weights, or None if it is of neither kind.
+    """Return the decoder of whole fields in a file of weights, or None if it is neither a closure nor a graph network.
 
-    `path`: ``decoder_weights.npz`` of a model. Result: the whole decoder. Raises `ModelError` if arrays are missing,
-    not finite, or do not fit each other.
+    `path` is that of ``decoder_weights.npz`` of a model. Raises `ModelError` if arrays are missing, not finite, or do
+    not fit each other.
     """
     try:
         with open_npz(path) as weights:
@@ -346,7 +359,7 @@ def _closure(weights: Archive) -> ClosureDecoder:
 
 
 def _table(weights: Archive, name: str, *shape: int) -> FloatArray:
-    """Return a table of the given shape from a model's weights, or from the file in which networks share it."""
+    """Return an array of the given shape from a model's weights, or from the file ``name.npy`` that networks share."""
     shared = Path(weights.path).with_name(f"{name}.npy")
     if name in weights or not shared.exists():
         return weights.floats(name, *shape)
@@ -392,17 +405,18 @@ def _level(weights: Archive, k: int, n_coarse: int, n_fine: int, n_in: int) -> G
 
 
 def _dense(tables: list[Any], columns: IntArray) -> FloatArray:
-    """Return sparse tables, one for each basis, at some columns, as one dense array (n_rows, n_columns, M)."""
+    """Return M sparse tables at the columns with numbers `columns` as one dense array (n_rows, n_columns, M)."""
     return np.stack([table[:, columns].toarray() for table in tables], axis=-1)
 
 
 def _summed(
     graph: OnnxGraph, table: FloatArray, bases: FloatArray, x: str, groups: list[IntArray] | None = None
 ) -> tuple[str, int]:
-    """Add ``sum_m T_m x B_m`` with a table (n_rows, n_columns, M); return its name and its multiply-adds.
+    """Add ``sum_m T_m x B_m`` to an ONNX graph; return the result's name and the multiply-adds for one member.
 
-    Bases come first. The sum over neighbours is dense within groups of rows that share their neighbours. The result is
-    (members, n_rows, n_out).
+    `table` (n_rows, n_columns, M) holds the T_m, `bases` (M, n_in, n_out) the B_m, and `x` is the name of the features
+    (members, n_columns n_in). They are multiplied by the bases first; the sum over columns is dense within `groups` of
+    rows that share their non-zero columns, by default found here. The result has shape (members, n_rows, n_out).
     """
     n_columns = table.shape[1]
     given = _based(graph, bases, x, n_columns)
@@ -422,7 +436,11 @@ def _summed(
 
 
 def _based(graph: OnnxGraph, bases: FloatArray, x: str, n_columns: int) -> str:
-    """Add the products of all coarse nodes with all bases: (members, n_columns, M n_out)."""
+    """Add the products of the features of coarse nodes with all bases to an ONNX graph; return the result's name.
+
+    `bases` has shape (M, n_in, n_out), `x` is the name of the features (members, n_columns n_in), and the result has
+    shape (members, n_columns, M n_out).
+    """
     n_bases, n_in, n_out = bases.shape
     x = graph.reshape(x, -1, n_in)
     x = graph.node("MatMul", [x, graph.table(bases.transpose(1, 0, 2).reshape(n_in, -1))])
@@ -430,14 +448,22 @@ def _based(graph: OnnxGraph, bases: FloatArray, x: str, n_columns: int) -> str:
 
 
 def _block(graph: OnnxGraph, table: FloatArray, near: IntArray | None, given: str, bases: FloatArray) -> str:
-    """Append to `graph` the sum over neighbours of `table` (n_group, n_near, M) times `bases`; rows `near`, or all."""
+    """Add the sum over coarse nodes and bases for a group of fine nodes to an ONNX graph; return the result's name.
+
+    `table` (n_group, n_near, M) holds the coefficients; `near` (n_near,) are the positions of the coarse nodes in
+    `given`, None for all; `given` is the name of the products with the bases, (members, n_columns, M n_out). The result
+    has shape (members, n_group, n_out).
+    """
     taken = given if near is None else graph.node("Gather", [given, graph.table(near)], axis=1)
     taken = graph.reshape(taken, 0, table.shape[1] * bases.shape[0], bases.shape[2])
     return graph.node("MatMul", [graph.table(table.reshape(len(table), -1)), taken])
 
 
 def _groups(pattern: Any) -> list[IntArray]:
-    """Return groups of rows of a 0/1 pattern that need few columns each, by halving while that saves products."""
+    """Divide the rows of a 0/1 matrix into groups with few non-zero columns; return the row numbers of each group.
+
+    `pattern` has shape (n_rows, n_columns). Groups are halved as long as that saves products.
+    """
 
     def halved(rows: IntArray) -> list[IntArray]:
         mine = pattern[rows]

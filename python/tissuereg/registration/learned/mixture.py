@@ -1,15 +1,16 @@
-r"""Bayes' rule for a decoder that is linear about a point, under a mixture of Gaussians.
+r"""Bayes' rule for a decoder that is linear about a point, under a prior that is a mixture of Gaussians.
 
-Component c says that the latents are N(m_c, s P_c) and the model's own error at markers and targets is N(0, s E_c),
-with s one of a few squared scales: events of a kind differ in size. With G and T the derivatives of markers and
-targets by latents, and C_d the tracker's noise,
+Component c of the prior says that the latents are N(m_c, s P_c) and that the model's own error at markers and targets
+is N(0, s E_c), where s is one of a few squared scales, because events differ in size. With the derivatives G and T of
+the displacement g of markers and t of targets by the latents, the measured displacement y, and the covariance C_d of
+the tracker's noise,
 
     S = s (G P_c G' + E_c[markers, markers]) + C_d,      v = y - g(m_c),
     targets | y, c, s  ~  N( t(m_c) + K v, ... ),        K = s (T P_c G' + E_c[targets, markers]) S^-1.
 
-The error at the targets is learnt from the residual at the markers as far as the two are correlated. A component's
-probability is its own times N(v; 0, S). Over scales and components the posterior is a mixture; its first two moments
-are reported.
+The error at the targets is estimated from the residual at the markers as far as the two are correlated. The posterior
+probability of a component with a scale is in proportion to its prior probability times N(v; 0, S). Over scales and
+components the posterior is a mixture; its first two moments are reported.
 """
 
 from dataclasses import dataclass
@@ -33,11 +34,12 @@ _HOPELESS = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class Component:
-    """One component of a prior at markers and targets.
+    """One component of a Gaussian mixture prior of latents, with the model's own error at markers and targets.
 
-    `weights` (n_scales,): probability of the component with each scale; `scales` (n_scales,): factors on standard
-    deviations; `mean` (n_latent,): dimensionless; `covariance` (n_latent, n_latent): at scale one; `errors` (n_rows,
-    n_rows): covariance of the model's own error at scale one, mm^2; rows are components of markers, then of targets.
+    `weights` (n_scales,) is the probability of the component with each scale; `scales` (n_scales,) are factors on its
+    standard deviations; `mean` (n_latent,) is its mean, dimensionless; `covariance` (n_latent, n_latent) is its
+    covariance at scale one; `errors` (n_rows, n_rows) is the covariance of the model's own error at scale one, in mm^2,
+    where rows are displacement components of the markers, then of the targets.
     """
 
     weights: FloatArray
@@ -49,10 +51,11 @@ class Component:
 
 @dataclass(frozen=True, eq=False)
 class LinearDecoder:
-    """A decoder that is linear about a point: ``rows(z) = at + slopes (z - point)``.
+    """A decoder linearised about a point in latent space: ``rows(z) = at + slopes (z - point)``.
 
-    `point` (n_latent,): dimensionless; `at` (n_rows,): displacement components of markers, then targets, at the point,
-    mm; `slopes` (n_rows, n_latent): mm.
+    The rows are displacement components of the markers, then of the targets. `point` (n_latent,) is the point,
+    dimensionless; `at` (n_rows,) is the displacement there, in mm; `slopes` (n_rows, n_latent) are derivatives by the
+    latents, in mm.
     """
 
     point: FloatArray
@@ -101,29 +104,35 @@ class MixturePosterior:
 
     @property
     def mean(self) -> FloatArray:
-        """Mean displacement (n_rows,) of markers and targets, mm."""
+        """Posterior mean (n_rows,) of the displacement components of markers, then targets, in mm."""
         return np.asarray(self.weights @ self.means)
 
     @property
     def mean_latents(self) -> FloatArray:
-        """Mean of the latents (n_latent,)."""
+        """Posterior mean (n_latent,) of the latents, dimensionless."""
         return np.asarray(self.weights @ self.latents)
 
     @property
     def covariance(self) -> FloatArray:
-        """Covariance (n_rows, n_rows) of the mixture, mm^2."""
+        """Posterior covariance (n_rows, n_rows) of the displacement components of markers, then targets, in mm^2."""
         away = (self.means - self.mean) * np.sqrt(self.weights)[:, None]
         return np.asarray(np.tensordot(self.weights, self.covariances, 1) + away.T @ away)
 
 
 class Conditioned:
-    """A prior given the markers, with a decoder that is linear: how probable its pairs are, and their latents.
+    """A mixture prior conditioned on the markers with a linear decoder: probabilities of its pairs, and their latents.
 
-    `prior`: the mixture; `model`: decoder at markers and targets; `observed` (n_obs,): measured displacements, mm; the
-    first n_obs rows of the model; `noise` (n_obs, n_obs): covariance of the tracker's noise, mm^2; `earlier` (n_all,):
-    `MixturePosterior.logs` about a point close by: pairs that are hopeless there are ruled out. `weights`, `latents`,
-    `pulls`, `logs`: as in `MixturePosterior`. Raises `NoiseError` if the covariance of an innovation is not positive
+    A pair is a component of the prior with one of its scales (factors on its standard deviations). `prior` holds the
+    components; `model` is the decoder at markers and targets; `observed` (n_obs,) are the measured displacements, in
+    mm, of the first n_obs rows of the model; `noise` (n_obs, n_obs) is the covariance of the tracker's noise, in mm^2;
+    `earlier` (n_all,) are the `logs` of all pairs with the decoder linearised about a point close by: pairs that are
+    far too improbable there are ruled out. Raises `NoiseError` if the covariance of an innovation is not positive
     definite.
+
+    The attributes `weights` (n_pairs,), `latents` (n_pairs, n_latent) and `pulls` (n_pairs, n_obs), in 1/mm, are the
+    posterior probabilities, mean latents and S^-1 v of the pairs that are kept, where v is the innovation and S its
+    covariance; `logs` (n_all,) is the logarithm of prior probability times density of v for all pairs, up to a
+    constant.
 
     Notes
     -----
@@ -157,7 +166,7 @@ class Conditioned:
 
     @property
     def mean_latents(self) -> FloatArray:
-        """Mean of the latents (n_latent,)."""
+        """Posterior mean (n_latent,) of the latents, dimensionless."""
         return np.asarray(self.weights @ self.latents)
 
     @property
@@ -167,7 +176,7 @@ class Conditioned:
         return np.array([np.logaddexp.reduce(part) for part in np.split(self.logs, ends)])
 
     def posterior(self) -> MixturePosterior:
-        """Return the posterior of the displacement of markers and targets, with the pairs that are not negligible."""
+        """Return the posterior displacement of markers and targets, without pairs of negligible probability."""
         from scipy.linalg import lapack
 
         n_obs, model, found, kept = self._n_obs, self._model, self._innovations, self._kept
@@ -191,7 +200,7 @@ class Conditioned:
         )
 
     def _backwards(self, pair: Any) -> FloatArray:
-        """Return S^-1 v of a pair."""
+        """Return S^-1 v (n_obs,), in 1/mm, of the pair with this number: v is its innovation, S the covariance of v."""
         from scipy.linalg import lapack
 
         factor = self._innovations.factors[pair]
@@ -201,10 +210,12 @@ class Conditioned:
 def condition(
     prior: list[Component], model: LinearDecoder, observed: FloatArray, noise: FloatArray
 ) -> MixturePosterior:
-    """Return the posterior of markers and targets given the measured markers, under a linear decoder.
+    """Return the posterior displacement of markers and targets given the measured markers, under a linear decoder.
 
-    `prior`: components; `model`: decoder at markers and targets; `observed` (n_obs,): measured displacements, mm, the
-    decoder's first rows; `noise` (n_obs, n_obs): covariance of the tracker's noise, mm^2.
+    `prior` holds the components of a Gaussian mixture; `model` is the decoder at markers and targets; `observed`
+    (n_obs,) are the measured displacements, in mm, of the decoder's first n_obs rows; `noise` (n_obs, n_obs) is the
+    covariance of the tracker's noise, in mm^2. Raises `NoiseError` if the covariance of an innovation is not positive
+    definite.
     """
     return Conditioned(prior, model, observed, noise).posterior()
 
@@ -264,16 +275,16 @@ def log_noise_odds(prior: list[Component], model: LinearDecoder, observed: Float
 def log_evidence(prior: list[Component], model: LinearDecoder, observed: FloatArray, noise: FloatArray) -> FloatArray:
     """Return log N(v; 0, S) of every component and scale, (n_components, n_scales), up to a common constant.
 
-    v is the innovation at the markers and S its covariance. `prior`: components; `model`: decoder at markers and
-    targets; `observed` (n_obs,): measured displacements, mm; `noise` (n_obs, n_obs): covariance of the tracker's noise,
-    mm^2.
+    v is the innovation (measured minus predicted displacement of the markers) and S its covariance. `prior` holds the
+    components; `model` is the decoder at markers and targets; `observed` (n_obs,) are the measured displacements, in
+    mm; `noise` (n_obs, n_obs) is the covariance of the tracker's noise, in mm^2.
     """
     return _innovations(prior, model, observed, noise).logs.reshape(len(prior), -1)
 
 
 @dataclass(frozen=True, eq=False)
 class _Innovations:
-    """Innovations v with their covariances S, of pairs of component and scale: all scales of one follow each other.
+    """Innovations v and their covariances S for pairs of component and scale; the scales of a component are adjacent.
 
     `component`, `scale` (n_pairs,): number of the component, and its scale; `parts`: g P, and G P G' + E at scale one,
     of the components in question, over all rows; `factors` (n_pairs, n_obs + 1, n_obs + 1): Cholesky factors L of S,
@@ -290,7 +301,13 @@ class _Innovations:
 def _innovations(
     prior: list[Component], model: LinearDecoder, observed: FloatArray, noise: FloatArray, pairs: IntArray | None = None
 ) -> _Innovations:
-    """Return the innovations of some pairs, by default of all; other arguments and errors as for `Conditioned`."""
+    """Return the innovations (measured minus predicted displacement of the markers) for pairs of component and scale.
+
+    `prior` holds the components; `model` is the decoder at markers and targets; `observed` (n_obs,) are the measured
+    displacements, in mm; `noise` (n_obs, n_obs) is the covariance of the tracker's noise, in mm^2; `pairs` int64 are
+    the numbers of the pairs, by default all. Raises `NoiseError` if a covariance of an innovation is not positive
+    definite.
+    """
     n_obs = len(observed)
     component = np.repeat(np.arange(len(prior)), [len(one.scales) for one in prior])
     scale = np.concatenate([one.scales for one in prior])

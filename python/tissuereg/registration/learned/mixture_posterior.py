@@ -1,8 +1,8 @@
-"""The answer of a calibrated model: kinds of events, their scales, and the model's own errors, given the markers.
+"""The answer of a calibrated model given the markers: kinds and sizes of events, and the model's own errors.
 
-An ensemble has found where the latents are; the decoder is linearised there, and the mixture of
+An ensemble has found where the latents are; the decoder is linearised there, and the Gaussian mixture of
 `tissuereg.registration.learned.mixture` is conditioned on the markers. The moments are those at markers and targets;
-whole fields are made for the answer alone.
+whole fields are computed for the answer alone.
 """
 
 from dataclasses import dataclass
@@ -29,11 +29,13 @@ _DRAWS, _BATCH = 64, 32
 
 @dataclass(frozen=True, eq=False)
 class _Anchor:
-    """The simulation of a moment, zero without one.
+    """The simulation about which the prior of a registration lies; zero displacement without one.
 
-    `field`, `rows`: at nodes, and at markers and targets, mm; `size`: root mean square displacement, mm; `forms`: kind
-    of change and variance of the factor on the simulation, of the first components of the prior; `variants`: covariance
-    of its variants, where it is the mean of some.
+    `field` (n_nodes, 3) is the simulated displacement at the nodes, and `rows` (n_rows,) its components at markers and
+    targets, in mm (zero for a model without a simulation's code); `size` is its root mean square displacement, in mm.
+    `forms` holds, for each component of the prior about the simulation, the number of its kind of change (way in which
+    truths differ from simulations) and the variance of the factor on the whole simulation. `variants` is the covariance
+    of the simulation's variants where it is their mean, else None.
     """
 
     field: FloatArray
@@ -45,7 +47,7 @@ class _Anchor:
 
 @dataclass(frozen=True, eq=False)
 class CalibratedPosterior:
-    """Moments of the posterior mixture; lengths in mm.
+    """The posterior of one registration with a calibrated model: moments of a Gaussian mixture; lengths in mm.
 
     Names that it shares with `tissuereg.registration.learned.posterior.Posterior` have the same meaning.
 
@@ -98,7 +100,7 @@ class CalibratedPosterior:
         simulation: FloatArray | None,
         variants: Variants | None = None,
     ) -> "CalibratedPosterior":
-        """Return the posterior of one moment.
+        """Return the posterior of one registration.
 
         `given`: body, measured markers and seed; `model`: the model of this moment at markers and targets;
         `calibration`: what its answers are worth there; `used` int64 (n_used,): markers that are used; `simulation`
@@ -147,7 +149,7 @@ class CalibratedPosterior:
 
     @cached_property
     def _correction(self) -> FloatArray:
-        """Estimated error of the decoded field at every node, (n_nodes, 3), mm, given the residuals at the markers."""
+        """Posterior mean (n_nodes, 3), in mm, of the decoded field's error, given the residuals at the markers."""
         told: dict[int, tuple[FieldErrors, FloatArray]] = {}
         factor = 0.0
         for pair in self.found.pairs:
@@ -166,19 +168,19 @@ class CalibratedPosterior:
 
     @property
     def displacement(self) -> FloatArray:
-        """Displacement of every node (n_nodes, 3): decoded, and corrected by what the markers tell of the error.
+        """Displacement (n_nodes, 3) of every node, in mm: the decoded field plus the posterior mean of its error.
 
-        Neither decoder nor correction knows mechanics: tetrahedra that are inside out are mended (`repaired`).
+        Neither of the two obeys mechanics, so the field is smoothed where tetrahedra are inverted.
         """
         return self._whole[0]
 
     @property
     def ratios(self) -> FloatArray:
-        """Volume ratio of every tetrahedron (n_tets,)."""
+        """Volume ratio (n_tets,) of every tetrahedron, deformed over undeformed."""
         return self._whole[1]
 
     def std(self) -> FloatArray:
-        """Return the root of the trace of every node's covariance, (n_nodes,), from 64 posterior fields."""
+        """Return the root of the trace of every node's covariance, (n_nodes,), in mm, from 64 posterior fields."""
         total, square = np.zeros_like(self.displacement), np.zeros(len(self.displacement))
         for fields in self._drawn():
             away = fields - self.displacement
@@ -193,14 +195,14 @@ class CalibratedPosterior:
 
     @cached_property
     def marker_mean(self) -> FloatArray:
-        """Displacement (n_markers, 3) of every marker, seen or not."""
+        """Mean displacement (n_markers, 3) of every marker, used or not, in mm."""
         mean = np.empty((self._n_markers, 3))
         mean[self.order] = self.found.mean[: 3 * self._n_markers].reshape(-1, 3)
         return mean
 
     @cached_property
     def marker_covariance(self) -> FloatArray:
-        """Covariance (3 n_markers, 3 n_markers) of the markers, the model's own error included."""
+        """Covariance (3 n_markers, 3 n_markers) of the markers' displacement, the model's error included, in mm^2."""
         rows = (3 * self.order[:, None] + np.arange(3)).ravel()
         covariance = np.empty((len(rows), len(rows)))
         covariance[np.ix_(rows, rows)] = self._covariance[: len(rows), : len(rows)]
@@ -208,27 +210,27 @@ class CalibratedPosterior:
 
     @property
     def marker_error(self) -> FloatArray:
-        """The model's own error at the markers beyond `marker_covariance`: none."""
+        """Covariance (n_markers, 3, 3) of the model's error that `marker_covariance` does not include: zero."""
         return np.zeros((self._n_markers, 3, 3))
 
     @property
     def target_mean(self) -> FloatArray:
-        """Displacement (n_targets, 3) of every target."""
+        """Mean displacement (n_targets, 3) of every target, in mm."""
         return self.found.mean[3 * self._n_markers :].reshape(-1, 3)
 
     @property
     def target_covariance(self) -> FloatArray:
-        """Covariance (n_targets, 3, 3), the model's own error included."""
+        """Covariance (n_targets, 3, 3) of every target's displacement, the model's own error included, in mm^2."""
         first = range(3 * self._n_markers, len(self._covariance), 3)
         blocks = [self._covariance[i : i + 3, i : i + 3] for i in first]
         return self.rehearsal.widening * np.array(blocks).reshape(-1, 3, 3)
 
     def gains(self, start: FloatArray) -> list[tuple[float, bool]]:
-        """Return for every target how much surer the answer is than a start, and whether that is too little.
+        """Return for each target the share of the start's squared error that the answer removes, and whether it is low.
 
-        `start` (n_targets, 3): displacement of the simulation, or zero, mm. Result: share of the start's expected
-        squared error that is gone, ``|mean - start|^2 / (|mean - start|^2 + trace C)``. Too little: less than half,
-        where what is left is more than the tracker's noise.
+        `start` (n_targets, 3) is the displacement by the simulation, or zero, in mm. The share is ``|mean - start|^2 /
+        (|mean - start|^2 + trace C)``, with the posterior mean and covariance C of the target. It is low if it is less
+        than half and trace C exceeds the tracker's noise variance, summed over the axes.
         """
         removed = ((self.target_mean - start) ** 2).sum(axis=1)
         left = np.trace(self.target_covariance, axis1=1, axis2=2)
@@ -237,7 +239,7 @@ class CalibratedPosterior:
 
     @property
     def tail(self) -> float | None:
-        """Degrees of freedom of the law of the targets about their means; None for a Gaussian."""
+        """Degrees of freedom of the t law of the targets about their means; None for a Gaussian."""
         return self.rehearsal.tail
 
     @cached_property
@@ -247,12 +249,15 @@ class CalibratedPosterior:
         return statistics_of(self.at.whole, self.prior, self.screening, self.observed, self.noise, n_own)
 
     def _factor(self, number: int) -> float:
-        """Return the variance of the factor on the simulation in the prior's component of this number."""
+        """Return the variance of the factor on the whole simulation in the component of the prior with this number."""
         forms = self.anchor.forms
         return forms[number][1] if number < len(forms) else 0.0
 
     def _errors(self, number: int) -> list[tuple[RowErrors, FloatArray]]:
-        """Return the sources of error of a component, each with the covariance of its coefficients at scale one."""
+        """Return the sources of error in the component of the prior with this number.
+
+        Each is a set of patterns, with the covariance (n_patterns, n_patterns) of its coefficients at scale one.
+        """
         forms, change, variants = self.anchor.forms, self.at.change_errors, self.anchor.variants
         if number >= len(forms) or change is None:
             return [(self.at.errors, self.at.errors.whole.covariances[number - len(forms)])]
@@ -293,10 +298,11 @@ class CalibratedPosterior:
 
 @dataclass(frozen=True, eq=False)
 class _Source:
-    """Drawn coefficients of the patterns of one source of errors, with their covariance.
+    """A draw of the pattern coefficients of one source of errors, with their covariance.
 
-    `errors`: the source; `covariance` (n_patterns, n_patterns): of the coefficients; `seen` (n_patterns, n_obs):
-    patterns at the used markers, mm; `coefficients` (n_patterns,): drawn.
+    `errors` is the source, an error that is a sum of patterns times random coefficients; `covariance` (n_patterns,
+    n_patterns) is that of the coefficients; `seen` (n_patterns, n_obs) are the patterns at the components of the used
+    markers; `coefficients` (n_patterns,) are those drawn. A pattern times a coefficient is in mm.
     """
 
     errors: RowErrors
@@ -306,16 +312,19 @@ class _Source:
 
     @classmethod
     def drawn(cls, errors: RowErrors, covariance: FloatArray, n_obs: int, rng: np.random.Generator) -> "_Source":
-        """Return a draw of coefficients (n_patterns,) with their covariance; `n_obs`: number of used components."""
+        """Return a draw of coefficients from N(0, covariance); `n_obs` is three times the number of used markers."""
         values, vectors = np.linalg.eigh(covariance)
         roots = vectors * np.sqrt(np.maximum(values, 0.0))
         return cls(errors, covariance, errors.patterns[:, :n_obs], roots @ rng.standard_normal(len(roots)))
 
     @property
     def variance(self) -> FloatArray:
-        """Variance (n_obs,) of the markers' components by it, mm^2."""
+        """Variance (n_obs,) of the used markers' displacement components that this source of errors causes, in mm^2."""
         return np.asarray(np.einsum("po,pq,qo->o", self.seen, self.covariance, self.seen, optimize=True))
 
     def given(self, pull: FloatArray) -> FloatArray:
-        """Return the field (n_nodes, 3) of the draw conditioned on the markers, mm."""
+        """Return the error field (n_nodes, 3), in mm, of the draw, conditioned on the markers.
+
+        `pull` (n_obs,), in 1/mm, is S^-1 times measured minus drawn marker displacements, with their covariance S.
+        """
         return np.tensordot(self.coefficients + self.covariance @ (self.seen @ pull), self.errors.whole.basis, 1)

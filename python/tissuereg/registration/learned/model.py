@@ -1,4 +1,4 @@
-"""The interface of a latent model for registration."""
+"""The interface of a latent model (a decoder from few latents to displacement fields) for registration."""
 
 from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
@@ -10,14 +10,14 @@ from tissuereg._base.arrays import FloatArray, IntArray
 
 @dataclass(frozen=True, eq=False)
 class Gaussian:
-    """A Gaussian over latents.
+    """A Gaussian distribution of latents.
 
     Attributes
     ----------
     mean : ndarray of float64, shape (n_latent,)
-        Dimensionless.
+        Mean, dimensionless.
     covariance : ndarray of float64, shape (n_latent, n_latent)
-        Symmetric, positive definite.
+        Covariance, symmetric, positive definite, dimensionless.
     """
 
     mean: FloatArray
@@ -25,7 +25,7 @@ class Gaussian:
 
 
 class LatentModel(Protocol):
-    """A low-dimensional family of displacement fields on one mesh."""
+    """A low-dimensional family of displacement fields on one mesh, with a prior of its latents and expected errors."""
 
     @property
     def n_latent(self) -> int:
@@ -39,7 +39,7 @@ class LatentModel(Protocol):
 
     @property
     def card(self) -> dict[str, Any]:
-        """Entry `model` of a result: `kind`, `source`, `members`, `test_error_mm`, `pca26_test_error_mm`."""
+        """Entry `model` of a result: facts `kind`, `source`, `members`, `test_error_mm`, `pca26_test_error_mm`."""
         ...
 
     def errors(self, latents: FloatArray | None = None) -> FloatArray:
@@ -48,54 +48,54 @@ class LatentModel(Protocol):
         Parameters
         ----------
         latents : ndarray of float64, shape (n_latent,), optional
-            Latents at which the errors are evaluated; by default a typical value.
+            Latents at which the errors are evaluated; by default the errors of a typical event are returned.
 
         Returns
         -------
         ndarray of float64, shape (n_fields, n_nodes, 3)
-            mm.
+            Errors, mm.
         """
         ...
 
     def decode(self, latents: FloatArray, nodes: IntArray | None = None) -> FloatArray:
-        """Return displacement fields.
+        """Return the displacement fields of latents.
 
         Parameters
         ----------
         latents : ndarray of float64, shape (n_latent, n_members)
-            One column per member.
+            One column per member, dimensionless.
         nodes : ndarray of int64, shape (k,), optional
-            Nodes to decode; by default all.
+            Numbers of the nodes to decode; by default all.
 
         Returns
         -------
         ndarray of float64, shape (n_members, k, 3)
-            mm.
+            Displacements, mm.
         """
         ...
 
     def prior(self, simulation: FloatArray | None) -> Gaussian:
-        """Return the prior of the truth, given a simulation.
+        """Return the prior distribution of the latents of the true field, given a simulation.
 
         Parameters
         ----------
         simulation : ndarray of float64, shape (n_nodes, 3), or None
-            Displacement in mm; None gives the wide prior.
+            Displacement in mm; None gives the distribution of all training fields.
 
         Returns
         -------
         Gaussian
-            Over the latents.
+            Mean and covariance of the latents.
         """
         ...
 
 
 @runtime_checkable
 class Anchors(Protocol):
-    """A model that can be re-centred on a simulation, so that its latents describe changes from it."""
+    """A model that can be re-centred on a simulation, so that its latents describe differences from the simulation."""
 
     def around(self, simulation: FloatArray) -> LatentModel:
-        """Return the model of changes from a simulation (n_nodes, 3) in mm.
+        """Return the model of differences from a simulation, a displacement (n_nodes, 3) in mm.
 
         At the mean of its prior it decodes to the simulation.
         """
@@ -107,7 +107,7 @@ _SAMPLE = 400
 
 
 def sampled_nodes(n_nodes: int) -> IntArray:
-    """Return nodes that stand for all of a mesh where the size of a field is needed, ascending."""
+    """Return the numbers, ascending, of a random sample of nodes from which the size of a field is estimated."""
     return np.sort(np.random.default_rng(0).permutation(n_nodes)[:_SAMPLE])
 
 
@@ -116,10 +116,10 @@ _MOST_SCALING = 3.0
 
 
 class ScaledErrors:
-    """Errors of fields of known size, scaled in proportion to the size of another field.
+    """Error fields of fields of known size, which can be scaled in proportion to the size of another field.
 
-    `fields` (n_fields, n_nodes, 3): truth minus reconstruction, mm; `sizes` (n_fields,): root mean square displacement
-    of the fields that were reconstructed, mm.
+    `fields` (n_fields, n_nodes, 3) are the errors, truth minus reconstruction, in mm; `sizes` (n_fields,) are the root
+    mean square displacements of the fields that were reconstructed, in mm.
     """
 
     def __init__(self, fields: Any, sizes: Any) -> None:
@@ -129,17 +129,17 @@ class ScaledErrors:
         self._squares: FloatArray | None = None
 
     def scale(self, size: float | None) -> FloatArray:
-        """Return the factor (n_fields,) of every error for a field of this size in mm; one if it is None."""
+        """Return the factor (n_fields,) on each error for a field of root mean square `size` in mm; one for None."""
         if size is None:
             return np.ones(len(self.fields))
         return np.asarray(np.minimum(size / np.maximum(self.sizes, 1e-12), _MOST_SCALING))
 
     def at(self, size: float | None) -> FloatArray:
-        """Return the errors expected for a field of this size in mm; unscaled if it is None."""
+        """Return errors (n_fields, n_nodes, 3), mm, for a field of root mean square `size`, mm; unscaled for None."""
         return np.asarray(self.fields * self.scale(size)[:, None, None])
 
     def mean_square(self, scale: FloatArray) -> FloatArray:
-        """Return the mean square length (n_nodes,) of errors with these factors (n_fields,), mm^2."""
+        """Return the mean square length (n_nodes,), in mm^2, of the errors times their factors `scale` (n_fields,)."""
         if self._squares is None:
             self._squares = np.einsum("eni,eni->en", self.fields, self.fields)
         return np.asarray(scale**2 @ self._squares / max(1, len(scale)))
@@ -147,10 +147,13 @@ class ScaledErrors:
 
 @runtime_checkable
 class ScalesErrors(Protocol):
-    """A model whose errors are those of given fields, scaled to the size of the event."""
+    """A model whose expected errors are given error fields, scaled to the size of the event."""
 
     def error_law(self, latents: FloatArray | None = None) -> tuple[ScaledErrors, FloatArray]:
-        """Return error fields of known size, and the factor (n_fields,) on each at `latents` (n_latent,)."""
+        """Return error fields (with the sizes of their events) and the factors (n_fields,) by which to multiply them.
+
+        The factors scale the errors to the field that `latents` (n_latent,) decode to; they are one for None.
+        """
         ...
 
 

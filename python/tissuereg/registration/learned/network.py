@@ -1,4 +1,4 @@
-"""A trained encoder and decoder, run by onnxruntime."""
+"""A trained encoder and decoder of displacement fields, run by onnxruntime."""
 
 import hashlib
 import os
@@ -36,13 +36,13 @@ _KEPT = 8
 
 
 class NetworkModel:
-    """The model in a folder: ``encoder.onnx``, ``decoder.onnx``, ``decoder_weights.npz``, ``model.json``.
+    """The trained model in a folder: ``encoder.onnx``, ``decoder.onnx``, ``decoder_weights.npz`` and ``model.json``.
 
-    `folder`: folder of the four files; `mesh`: the mesh to register on; it must be the one that the model was trained
-    for; `threads`: batches decoded at once; 0 takes all cores. Each batch runs on one thread, so the bits do not depend
-    on it; `source`: origin of the model for the result; by default the folder; `calibrated`: whether the folder's
-    calibration is read, if there is one. Raises `ModelError` if a file is missing or corrupt, or the model was trained
-    for another mesh; `FormatError` if the weights lack an array.
+    `folder` is the folder of the four files; `mesh` is the mesh to register on, which must be the one that the model
+    was trained for; `threads` is the number of batches decoded at once, where 0 takes all cores (each batch runs on one
+    thread, so the bits do not depend on it); `source` is the origin of the model as a result states it, by default the
+    folder; `calibrated` says whether the folder's calibration is read, if there is one. Raises `ModelError` if a file
+    is missing or corrupt, or the model was trained for another mesh; `FormatError` if the weights lack an array.
     """
 
     def __init__(
@@ -95,33 +95,39 @@ class NetworkModel:
         return int(self._card["n_nodes"])
 
     def errors(self, latents: FloatArray | None = None) -> FloatArray:
-        """Return the expected reconstruction errors; see `LatentModel.errors`. They grow with the displacement."""
+        """Return the expected reconstruction errors (n_fields, n_nodes, 3), in mm: truth minus reconstruction.
+
+        They are those of fields not used in training, scaled to the size of the field that `latents` (n_latent,) decode
+        to, and unscaled for None.
+        """
         law, scale = self.error_law(latents)
         return np.asarray(law.fields * scale[:, None, None])
 
     def error_law(self, latents: FloatArray | None = None) -> tuple[ScaledErrors, FloatArray]:
-        """Return the network's error fields, and the factor (n_fields,) on each at `latents` (n_latent,)."""
+        """Return error fields (with the sizes of their events) and the factors (n_fields,) by which to multiply them.
+
+        The factors scale the errors to the field that `latents` (n_latent,) decode to; they are one for None.
+        """
         if latents is None:
             return self._errors, self._errors.scale(None)
         return self._errors, self._errors.scale(float(rms_displacement(self.sampled(latents[:, None]))[0]))
 
     def sampled(self, latents: FloatArray) -> FloatArray:
-        """Return displacement fields (n_members, k, 3), mm, at k nodes that are representative of the mesh."""
+        """Return displacement fields (n_members, k, 3), in mm, of latents (n_latent, n_members), at k sampled nodes."""
         nodes = sampled_nodes(self.n_nodes)
         return self.decode(latents, nodes) if self.tables is None else self.tables.decode(latents, nodes)
 
     def around(self, simulation: FloatArray) -> "AnchoredModel":
-        """Return a latent model of changes from a simulation.
+        """Return a latent model of differences from a simulation, a displacement (n_nodes, 3) in mm.
 
-        `simulation` (n_nodes, 3): simulated displacement, mm. Result: decodes to the simulation itself at the
-        simulation's own code.
+        It decodes to the simulation itself at the latents that the encoder gives the simulation.
         """
         return AnchoredModel(self, simulation, self._change_errors)
 
     def encode(self, field: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return mean and variance of q(z | field).
+        """Return the mean and variance of the encoder's Gaussian q(z | field) of latents z, given a displacement field.
 
-        `field` (n_nodes, 3): displacement in mm. Result: `mean`, `variance` (n_latent,): dimensionless.
+        `field` (n_nodes, 3) is in mm. The results `mean` and `variance` (n_latent,) are dimensionless.
         """
         given = float_array("field", field, (self.n_nodes, 3))
         mean, log_variance = self._encoder.run(
@@ -130,7 +136,7 @@ class NetworkModel:
         return np.asarray(mean[0], np.float64), np.exp(np.asarray(log_variance[0], np.float64))
 
     def codes(self, fields: FloatArray) -> FloatArray:
-        """Return the means (n_fields, n_latent) of q(z | field) of fields (n_fields, n_nodes, 3) in mm."""
+        """Return the encoder's means (n_fields, n_latent), dimensionless, for fields (n_fields, n_nodes, 3) in mm."""
         parts = [np.asarray(fields[i : i + _BATCH], np.float32) for i in range(0, len(fields), _BATCH)]
         found = [self._encoder.run(["mean"], {"displacement": part})[0] for part in parts]
         return np.concatenate([np.empty((0, self.n_latent)), *found])
@@ -142,14 +148,14 @@ class NetworkModel:
         return self._by_file(latents, nodes)
 
     def change(self, latents: FloatArray, code: FloatArray) -> FloatArray:
-        """Return the fields of latents (n_latent, n_members) less that of a code (n_latent,), mm."""
+        """Return fields (n_members, n_nodes, 3), mm: those of latents (n_latent, n_members) minus that of a code."""
         if latents.shape[1] <= _FEW and self.tables is not None:
             return self.tables.change(latents, code, self._threads)
         both = self._by_file(np.concatenate([code[:, None], latents], axis=1))
         return np.asarray(both[1:] - both[0])
 
     def _by_file(self, latents: FloatArray, nodes: IntArray | None = None) -> FloatArray:
-        """Return displacement fields by ``decoder.onnx``."""
+        """Return fields (n_members, k, 3), mm, of latents (n_latent, n_members) at `nodes` or all, by the ONNX file."""
         has_nodes = "nodes" in {i.name for i in self._decoder.get_overridable_initializers()}
         extra = {} if nodes is None or not has_nodes else {"nodes": np.asarray(nodes, np.int64)}
 
@@ -163,20 +169,20 @@ class NetworkModel:
 
     @cached_property
     def _decoder(self) -> Any:
-        """``decoder.onnx``, read when it is first needed: a graph network's holds large tables."""
+        """Session of ``decoder.onnx``, read when it is first needed, because that of a graph network is large."""
         return _session(self.folder / "decoder.onnx")
 
     @cached_property
     def tables(self) -> ClosureDecoder | GraphDecoder | None:
-        """The decoder's weights; None if they are of no kind that can be cut."""
+        """The decoder's weights; None if it is of no type that can be reduced to a few points."""
         return read_decoder(self.folder / "decoder_weights.npz")
 
     def cut(self, rows: Any) -> CutDecoder | None:
-        """Return the decoder at points alone, made once for the same points and checked against ``decoder.onnx``.
+        """Return the decoder reduced to given points, made once for them and checked against ``decoder.onnx``.
 
-        `rows` (n_rows, n_nodes): weights of every point on the nodes. Result: None if the weights are of no kind that
-        can be cut. Cost: some tenths of a second at first. Raises `ModelError` if the weights and ``decoder.onnx`` are
-        not the same decoder.
+        `rows`, a sparse matrix (n_rows, n_nodes), holds the weights of the mesh nodes in each point. The result is None
+        if the weights are of no type that can be reduced. Cost: some tenths of a second at first. Raises `ModelError`
+        if the weights and ``decoder.onnx`` are not the same decoder.
         """
         digest = hashlib.sha256(rows.indptr.tobytes() + rows.indices.tobytes() + rows.data.tobytes()).hexdigest()
         if digest not in self._cut and self.tables is not None:
@@ -191,11 +197,11 @@ class NetworkModel:
         return self._cut.get(digest)
 
     def prior(self, simulation: FloatArray | None) -> Gaussian:
-        """Return the encoder's distribution, widened by the mismatch of truths and simulations in latent space.
+        """Return the prior of the latents: the encoder's Gaussian, widened by the mismatch of truths and simulations.
 
-        `simulation` (n_nodes, 3) or None: displacement in mm; None gives the distribution of the training set's codes.
-        Result: covariance: encoder variance + measured covariance of encoder(truth) - encoder(simulation), scaled with
-        the size of the simulated event, because larger events have larger errors.
+        `simulation` (n_nodes, 3) is a displacement in mm; None returns the distribution of the training set's latents.
+        The covariance is the encoder's variance plus the measured covariance of encoder(truth) - encoder(simulation),
+        scaled with the size of the simulated event, because larger events have larger errors.
         """
         known = self._card["prior"]
         if simulation is None:
@@ -209,15 +215,16 @@ class NetworkModel:
 
 
 class AnchoredModel:
-    """``field = simulation + decoder(z) - decoder(encoder(simulation))``: the simulation's coding error cancels.
+    """A latent model centred on a simulation: ``field = simulation + decoder(z) - decoder(encoder(simulation))``.
 
-    `network`: encoder and decoder; `simulation` (n_nodes, 3): the anchor, mm; `change_errors`: errors of the network
-    for changes from a simulation to the truth.
+    The error of encoding and decoding the simulation cancels. `network` is the encoder and decoder; `simulation`
+    (n_nodes, 3) is the displacement, in mm; `change_errors` are errors of the network for differences of truths from
+    simulations.
 
     Notes
     -----
-    On the phantom's pairs the error of a truth coded and decoded is 0.41 mm in the median as a whole field and 0.17 mm
-    as a change from its simulation. Without simulated pairs, the errors of whole fields are used.
+    A truth is encoded and decoded with a smaller error as a difference from its simulation than as a whole field.
+    Without pairs of simulation and truth, the errors of whole fields are used.
     """
 
     def __init__(self, network: NetworkModel, simulation: FloatArray, change_errors: "ScaledErrors") -> None:
@@ -248,12 +255,18 @@ class AnchoredModel:
         return np.asarray(both[1:] + (self._simulation[nodes] - both[0]))
 
     def errors(self, latents: FloatArray | None = None) -> FloatArray:
-        """Return the expected errors (n_fields, n_nodes, 3), mm, of the change; they grow with it."""
+        """Return the expected errors (n_fields, n_nodes, 3), in mm, of the decoded difference from the simulation.
+
+        They are scaled to the size of the difference that `latents` (n_latent,) decode to, and unscaled for None.
+        """
         law, scale = self.error_law(latents)
         return np.asarray(law.fields * scale[:, None, None])
 
     def error_law(self, latents: FloatArray | None = None) -> tuple[ScaledErrors, FloatArray]:
-        """Return error fields of known size, and the factor (n_fields,) on each at `latents` (n_latent,)."""
+        """Return error fields (with the sizes of their events) and the factors (n_fields,) by which to multiply them.
+
+        The factors scale the errors to the difference from the simulation that `latents` decode to; one for None.
+        """
         if not len(self._errors.fields):
             return self._network.error_law(latents)
         if latents is None:
@@ -262,12 +275,15 @@ class AnchoredModel:
         return self._errors, self._errors.scale(float(rms_displacement(both[:1] - both[1:])[0]))
 
     def prior(self, simulation: FloatArray | None) -> Gaussian:
-        """Return the prior of the latents about a simulation's code (n_nodes, 3), mm; of all codes for None."""
+        """Return the prior of latents about the code of a simulation (n_nodes, 3), mm; that of all codes for None."""
         return self._prior if simulation is self._simulation else self._network.prior(simulation)
 
 
 def kept_network(folder: Path, mesh: Mesh, threads: int, source: str | None = None) -> NetworkModel:
-    """Return the model of a folder for a mesh; the last two are kept while their files do not change."""
+    """Return the trained model of a folder for a mesh; the last two are kept while their files do not change.
+
+    `threads` is the number of batches decoded at once, 0 for all cores; `source` is the origin that a result states.
+    """
     try:
         stats = [(folder / name).stat() for name in ("model.json", *MODEL_FILES)]
     except OSError:

@@ -1,8 +1,8 @@
-"""ONNX networks as bytes, written without the package `onnx`: only what a cut decoder needs.
+"""ONNX networks as bytes, written without the package `onnx`, with only the operators that a decoder needs.
 
-An ONNX file is a message of Google's protocol buffers. A message is a row of fields, each with a number, a wire type
-(0: whole number in groups of seven bits; 2: length and bytes; 5: four bytes) and a value. Field numbers are those of
-``onnx.proto3``, intermediate representation 8; operators are those of operator set 13.
+An ONNX file is a message of Google's protocol buffers. A message is a sequence of fields, each with a number, a wire
+type (0: whole number in groups of seven bits; 2: length and bytes; 5: four bytes) and a value. Field numbers are those
+of ``onnx.proto3``, intermediate representation 8; operators are those of operator set 13.
 """
 
 import struct
@@ -20,7 +20,7 @@ _ATTRIBUTE_INT, _ATTRIBUTE_INTS = 2, 7
 
 
 class OnnxGraph:
-    """A network under construction, node after node."""
+    """An ONNX network under construction, to which operators and constants are added one by one."""
 
     def __init__(self, name: str) -> None:
         self._name = name
@@ -28,7 +28,7 @@ class OnnxGraph:
         self._tables: list[bytes] = []
 
     def table(self, values: npt.NDArray[np.float64] | npt.NDArray[np.int64]) -> str:
-        """Add a constant; numbers become float32, whole numbers int64. Return its name."""
+        """Add a constant array, as int64 if `values` are whole numbers and as float32 otherwise; return its name."""
         whole = values.dtype.kind == "i"
         array = np.ascontiguousarray(values, np.dtype("<i8") if whole else np.dtype("<f4"))
         name = f"table{len(self._tables)}"
@@ -40,8 +40,8 @@ class OnnxGraph:
     def node(self, kind: str, inputs: Sequence[str], *, output: str = "", **attributes: int | Sequence[int]) -> str:
         """Add an operator and return the name of its result.
 
-        `kind`: its name in the operator set; `inputs`: names of inputs, constants or results; `output`: name of the
-        result; by default a new one; `**attributes`: of the operator.
+        `kind` is the operator's name in the operator set; `inputs` are the names of inputs, constants or results;
+        `output` is the name of the result, by default a new one; `**attributes` are the operator's attributes.
         """
         name = output or f"node{len(self._nodes)}"
         content = b"".join(_bytes(1, one.encode()) for one in inputs) + _bytes(2, name.encode())
@@ -50,14 +50,14 @@ class OnnxGraph:
         return name
 
     def reshape(self, name: str, *shape: int) -> str:
-        """Reshape; 0 keeps an axis, -1 takes what is left. Return the name of the result."""
+        """Add a reshape of the array `name` and return the result's name; 0 keeps an axis, -1 takes what is left."""
         return self.node("Reshape", [name, self.table(np.array(shape, np.int64))])
 
     def to_bytes(self, given: tuple[str | int, ...], *found: tuple[str | int, ...]) -> bytes:
-        """Return the file.
+        """Return the content of the ONNX file, which `onnxruntime.InferenceSession` takes.
 
-        `given`, `*found`: name and lengths of the input and of every output, all float32, after a first axis of
-        members. Result: what `onnxruntime.InferenceSession` takes.
+        `given` and `*found` hold the name of the input and of every output, each followed by the lengths of its axes
+        after the first, which is that of the ensemble members; all are float32.
         """
         graph = b"".join(_bytes(1, node) for node in self._nodes) + _bytes(2, self._name.encode())
         graph += b"".join(_bytes(5, table) for table in self._tables)
@@ -67,7 +67,7 @@ class OnnxGraph:
 
 
 def _value(name: str | int, *lengths: str | int) -> bytes:
-    """Return the description of an input or output (members, ...)."""
+    """Return the description of a float32 input or output with axes of members and then of the given lengths."""
     shape = _bytes(1, _bytes(2, b"members")) + b"".join(_bytes(1, _number(1, int(one))) for one in lengths)
     return _bytes(1, str(name).encode()) + _bytes(2, _bytes(1, _number(1, _FLOAT) + _bytes(2, shape)))
 
@@ -79,7 +79,7 @@ def _attribute(name: str, value: int | Sequence[int]) -> bytes:
 
 
 def _number(field: int, value: int) -> bytes:
-    """Return a field with a whole number; negative ones in two's complement of 64 bits."""
+    """Return a protocol buffer field with a whole number; negative numbers are in two's complement of 64 bits."""
     return _varint(field << 3) + _varint(value & (2**64 - 1))
 
 

@@ -1,4 +1,4 @@
-"""Principal components as a latent model: the baseline for the network, and a model that is fitted in place."""
+"""Principal components as a latent model: the baseline for the network, and a model that is fitted to given fields."""
 
 from functools import cached_property
 from typing import Any
@@ -12,12 +12,12 @@ from tissuereg.registration.learned.model import Gaussian, ScaledErrors, rms_dis
 
 
 class PcaModel:
-    """``field = centre + sum_q components[q] * z[q]`` with unit prior variance per latent.
+    """A latent model of principal components: ``field = centre + sum_q components[q] * z[q]``, with z ~ N(0, I).
 
-    `centre` (n_nodes, 3): field at z = 0 in mm; `components` (n_latent, n_nodes, 3): each scaled by its standard
-    deviation, mm; `error_fields` (n_fields, n_nodes, 3): truth minus reconstruction of held-out fields, mm;
-    `error_sizes` (n_fields,): root mean square distance of those fields from the centre, mm; `card`: entry `model` of a
-    result.
+    `centre` (n_nodes, 3) is the field at z = 0, in mm; `components` (n_latent, n_nodes, 3) are the components, each
+    times its standard deviation, in mm; `error_fields` (n_fields, n_nodes, 3) are truth minus reconstruction of fields
+    not used in the fit, in mm; `error_sizes` (n_fields,) are the root mean square distances of those fields from the
+    centre, in mm; `card` holds the facts for the entry `model` of a result.
     """
 
     def __init__(
@@ -45,13 +45,13 @@ class PcaModel:
         n_latent: int,
         card: dict[str, Any],
     ) -> "PcaModel":
-        """Return the model of the leading components of `fields` about `centre`.
+        """Return the model of the leading principal components of `fields` about `centre`.
 
-        `fields` (n_members, n_nodes, 3): displacement in mm; `held_out` (n_test, n_nodes, 3): fields that measure the
-        reconstruction error; `centre` (n_nodes, 3): field at z = 0; second moments are taken about it; `n_latent`:
-        number of components; fewer if the fields span less; `card`: facts to which the errors are added. Result: with
-        `test_error_mm`, the mean Euclidean error of the held-out fields. Raises `EnsembleError` if fewer than two
-        fields are given.
+        `fields` (n_members, n_nodes, 3) are displacements in mm; `held_out` (n_test, n_nodes, 3) are fields from which
+        the reconstruction error is measured, in mm; `centre` (n_nodes, 3) is the field at z = 0, about which second
+        moments are taken, in mm; `n_latent` is the number of components, of which there are fewer if the fields span
+        less; `card` holds facts to which `test_error_mm`, the mean Euclidean error of the held-out fields, is added.
+        Raises `EnsembleError` if fewer than two fields are given.
 
         Notes
         -----
@@ -97,31 +97,34 @@ class PcaModel:
         return np.asarray((rows @ (field - self.centre).ravel()) / np.einsum("ij,ij->i", rows, rows))
 
     def codes(self, fields: FloatArray) -> FloatArray:
-        """Return the latents (n_fields, n_latent) of fields (n_fields, n_nodes, 3) in mm; see `encode`."""
+        """Return the latents (n_fields, n_latent) of least-squares fits to fields (n_fields, n_nodes, 3) in mm."""
         rows = self.components.reshape(self.n_latent, -1)
         away = (np.asarray(fields, np.float64) - self.centre).reshape(len(fields), -1)
         return np.asarray((away @ rows.T) / np.einsum("ij,ij->i", rows, rows))
 
     def decode(self, latents: FloatArray, nodes: IntArray | None = None) -> FloatArray:
-        """Return displacement fields, one per column of `latents`; see `LatentModel.decode`."""
+        """Return displacement fields (n_members, k, 3), mm, of latents (n_latent, n_members), at nodes (k,) or all."""
         rows = self.components if nodes is None else self.components[:, nodes]
         centre = self.centre if nodes is None else self.centre[nodes]
         flat = latents.T @ rows.reshape(self.n_latent, -1)
         return np.asarray(centre + flat.reshape(latents.shape[1], *centre.shape))
 
     def errors(self, latents: FloatArray | None = None) -> FloatArray:
-        """Return the expected reconstruction errors (n_fields, n_nodes, 3), mm, at latents (n_latent,).
+        """Return the expected reconstruction errors (n_fields, n_nodes, 3), in mm, at latents (n_latent,).
 
         Notes
         -----
         Errors grow in proportion to the distance from the centre, so each held-out error is scaled to the size of the
-        field that `latents` represent.
+        field that `latents` represent. For None they are unscaled.
         """
         law, scale = self.error_law(latents)
         return np.asarray(law.fields * scale[:, None, None])
 
     def error_law(self, latents: FloatArray | None = None) -> tuple[ScaledErrors, FloatArray]:
-        """Return error fields of known size, and the factor (n_fields,) on each at `latents` (n_latent,)."""
+        """Return error fields (with the sizes of their events) and the factors (n_fields,) by which to multiply them.
+
+        The factors scale the errors to the distance of the field of `latents` from the centre; they are one for None.
+        """
         if latents is None:
             return self._law, self._law.scale(None)
         return self._law, self._law.scale(float(rms_displacement(self.decode(latents[:, None]) - self.centre)[0]))
@@ -131,5 +134,5 @@ class PcaModel:
         return ScaledErrors(self.error_fields, self.error_sizes)
 
     def prior(self, simulation: FloatArray | None) -> Gaussian:
-        """Return the unit Gaussian about the centre, which is the simulation the model was fitted around."""
+        """Return the unit Gaussian of the latents; `simulation` is not used, since the model was fitted around it."""
         return Gaussian(np.zeros(self.n_latent), np.eye(self.n_latent))

@@ -1,7 +1,7 @@
-"""A latent model at the markers and targets of a registration: what depends on their places is made once.
+"""A latent model at the markers and targets of a registration: what depends on their places is computed once.
 
-Everything between the first draw and the last covariance needs markers and targets alone; whole fields are decoded for
-the size of the event, on which the model's error depends, and for the answer.
+From the first draw of the ensemble to the last covariance only markers and targets are needed; whole fields are decoded
+for the size of the event, on which the model's error depends, and for the answer.
 """
 
 import math
@@ -20,10 +20,10 @@ from tissuereg.registration.learned.network import NetworkModel
 
 @dataclass(frozen=True, eq=False)
 class ErrorsAt:
-    """Errors of a model for one state: truth minus reconstruction of fields not used in training, mm.
+    """Expected errors of a model at markers and targets: truth minus reconstruction of fields not used in training.
 
-    `markers` (n_fields, n_markers, 3): at the markers; `targets` (n_fields, n_targets, 3): at the targets; `nodes`:
-    returns their mean square length (n_nodes,) at the nodes, mm^2.
+    `markers` (n_fields, n_markers, 3) are those at the markers, `targets` (n_fields, n_targets, 3) those at the
+    targets, in mm; `nodes` is a function that returns the mean square length (n_nodes,) at the nodes, in mm^2.
     """
 
     markers: FloatArray
@@ -32,10 +32,12 @@ class ErrorsAt:
 
 
 class PointModel:
-    """A latent model at markers and targets.
+    """A latent model evaluated at the markers and targets of registrations.
 
-    `model`: a trained network is cut down to the points; of any other model the nodes around them are decoded;
-    `markers`: attachment of the markers; `targets`: inner points. `n_decoded`: members decoded so far.
+    `model` is the latent model: a trained network is reduced to the points, and of any other model the nodes around the
+    points are decoded. `markers` and `targets` interpolate the displacement of markers and targets. The points are
+    those of the markers, of which one off the surface needs several, and then one for each target. The attribute
+    `n_decoded` is the number of members decoded so far.
     """
 
     def __init__(self, model: LatentModel, markers: MarkerObservation, targets: TargetObservation) -> None:
@@ -54,13 +56,14 @@ class PointModel:
 
     @property
     def multiply_adds(self) -> int:
-        """Multiply-adds of the cut decoder, one member; 0 if the model is not cut."""
+        """Number of multiply-adds of the decoder at the points for one member; 0 if the model has no such decoder."""
         return 0 if self._cut is None else self._cut.multiply_adds
 
     def around(self, simulation: FloatArray | None) -> "PointsAround":
-        """Return the model of one moment; if it can, its latents then describe changes from the simulation.
+        """Return the model of one moment, centred on its simulation, a displacement (n_nodes, 3) in mm.
 
-        `simulation` (n_nodes, 3) or None: simulated displacement, mm.
+        If the model can be centred, its latents then describe differences from the simulation. Without a simulation
+        (None) they describe whole fields.
         """
         if simulation is None or not isinstance(self.model, Anchors):
             return PointsAround(self, self.model, simulation)
@@ -72,31 +75,34 @@ class PointModel:
         return self._cut(latents) if self._cut is not None else self.at(self.model.decode(latents, self._nodes))
 
     def at(self, fields: FloatArray) -> FloatArray:
-        """Return displacements (..., n_points, 3) of the points in fields (..., k, 3) of the k nodes around them."""
+        """Return displacements (..., n_points, 3) of the points in fields (..., k, 3) of the nodes around them, mm."""
         columns = np.moveaxis(fields, -2, 0)
         moved = self._near @ columns.reshape(len(columns), math.prod(columns.shape[1:]))
         return np.moveaxis(np.asarray(moved).reshape(self._near.shape[0], *columns.shape[1:]), 0, -2)
 
     def at_points(self, fields: FloatArray) -> FloatArray:
-        """Return displacements (..., n_points, 3) of the points in whole fields (..., n_nodes, 3)."""
+        """Return displacements (..., n_points, 3) of the points in whole fields (..., n_nodes, 3), in mm."""
         return self.at(fields[..., self._nodes, :])
 
     def markers(self, moved: FloatArray) -> FloatArray:
-        """Return displacements (..., n_markers, 3) of the markers, given those of all points (..., n_points, 3)."""
+        """Return displacements (..., n_markers, 3), mm, of the markers from those of all points (..., n_points, 3)."""
         return self._markers.predict_points(moved[..., : self._split, :])
 
     def targets(self, moved: FloatArray) -> FloatArray:
-        """Return displacements (..., n_targets, 3) of the targets, given those of all points (..., n_points, 3)."""
+        """Return displacements (..., n_targets, 3), mm, of the targets from those of all points (..., n_points, 3)."""
         return moved[..., self._split :, :]
 
     def components(self, moved: FloatArray) -> FloatArray:
-        """Return components (n_fields, 3 (n_markers + n_targets)) of displacements (n_fields, n_points, 3), mm."""
+        """Return components (n_fields, 3 (n_markers + n_targets)), in mm, from displacements (n_fields, n_points, 3).
+
+        Markers come first, then targets, each with x, y and z.
+        """
         both = np.concatenate([self.markers(moved), self.targets(moved)], axis=1)
         return both.reshape(len(both), -1)
 
     @cached_property
     def calibration(self) -> PointCalibration | None:
-        """The model's calibration at the markers and targets; None if the model has none."""
+        """The calibration (measured accuracy) of the model at the markers and targets; None if the model has none."""
         whole = getattr(self.model, "calibration", None)
         return None if whole is None else whole.at(lambda fields: self.components(self.at_points(fields)))
 
@@ -106,9 +112,9 @@ class PointModel:
         return self.calibration is not None and self.calibration.change_errors is not None
 
     def errors(self, law: ScaledErrors, scale: FloatArray) -> ErrorsAt:
-        """Return the model's errors at markers and targets, each error field times its factor (n_fields,).
+        """Return the model's errors at markers and targets, each error field times its factor `scale` (n_fields,).
 
-        `law`: error fields; what they are at the points is computed once.
+        `law` holds the error fields (n_fields, n_nodes, 3); their values at the points are computed once.
         """
         if id(law) not in self._errors:
             moved = self.at_points(law.fields)
@@ -119,11 +125,12 @@ class PointModel:
 
 
 class PointsAround:
-    """A latent model of one moment at markers and targets.
+    """A latent model for one moment (one set of measurements) at markers and targets.
 
-    `at`: the model at these points; `latent`: the model of the moment; `simulation` (n_nodes, 3) or None: simulated
-    displacement, mm; `anchor` (n_nodes, 3): what the mean of the prior decodes to, if the latents are of changes from
-    it, mm. `prior`, `family`: latents given the simulation, and those of all training fields.
+    `at` is the model at these points; `latent` is the model centred on the simulation of the moment, if it can be;
+    `simulation` (n_nodes, 3) is the simulated displacement, in mm, or None; `anchor` (n_nodes, 3) is the field that the
+    prior's mean decodes to, in mm, if the latents describe differences from it. The attribute `prior` is the prior of
+    the latents given the simulation, `family` the distribution of the latents of all training fields.
     """
 
     def __init__(
@@ -140,10 +147,10 @@ class PointsAround:
         self._anchor = None if anchor is None else at.at_points(anchor)
 
     def first(self, latents: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return displacements of the points at the prior's mean, (n_points, 3), and of members.
+        """Return the displacement of the points at the prior's mean, (n_points, 3), and for each member.
 
-        `latents` (n_latent, n_members). The members' displacements are (n_members, n_points, 3), mm. If the latents
-        describe changes from a simulation, the mean decodes to it.
+        `latents` (n_latent, n_members) are the members; their displacements are (n_members, n_points, 3); all are in
+        mm. If the latents describe differences from a simulation, the mean decodes to it.
         """
         moved = self._at.decode(np.concatenate([self.prior.mean[:, None], latents], axis=1))
         if self._anchor is not None:
@@ -160,31 +167,37 @@ class PointsAround:
 
     @property
     def calibration(self) -> PointCalibration | None:
-        """The model's calibration at the markers and targets; None if the model has none."""
+        """The calibration (measured accuracy) of the model at the markers and targets; None if the model has none."""
         return self._at.calibration
 
     def components(self, moved: FloatArray) -> FloatArray:
-        """Return displacements (n_fields, n_points, 3) as components (n_fields, 3 (n_markers + n_targets)), mm."""
+        """Return components (n_fields, 3 (n_markers + n_targets)), in mm, from displacements (n_fields, n_points, 3).
+
+        Markers come first, then targets, each with x, y and z.
+        """
         return self._at.components(moved)
 
     def at_rows(self, field: FloatArray) -> FloatArray:
-        """Return the components (3 (n_markers + n_targets),) of one field (n_nodes, 3), mm."""
+        """Return the components (3 (n_markers + n_targets),) of markers, then targets, in a field (n_nodes, 3), mm."""
         return np.asarray(self.all_rows(field[None])[0])
 
     def all_rows(self, fields: FloatArray) -> FloatArray:
-        """Return the components (n_fields, 3 (n_markers + n_targets)) of fields (n_fields, n_nodes, 3), mm."""
+        """Return the displacement of markers and targets in whole fields, components in a row, in mm.
+
+        `fields` has shape (n_fields, n_nodes, 3), the result (n_fields, 3 (n_markers + n_targets)), markers first.
+        """
         return self._at.components(self._at.at_points(fields))
 
     def markers(self, moved: FloatArray) -> FloatArray:
-        """Return displacements (..., n_markers, 3) of the markers, given those of all points (..., n_points, 3)."""
+        """Return displacements (..., n_markers, 3), mm, of the markers from those of all points (..., n_points, 3)."""
         return self._at.markers(moved)
 
     def targets(self, moved: FloatArray) -> FloatArray:
-        """Return displacements (..., n_targets, 3) of the targets, given those of all points (..., n_points, 3)."""
+        """Return displacements (..., n_targets, 3), mm, of the targets from those of all points (..., n_points, 3)."""
         return self._at.targets(moved)
 
     def errors(self, latents: FloatArray | None = None) -> ErrorsAt:
-        """Return the model's expected errors for latents (n_latent,); those of a typical event for None."""
+        """Return expected errors at markers and targets for latents (n_latent,); those of a typical event for None."""
         if isinstance(self.latent, ScalesErrors):
             return self._at.errors(*self.latent.error_law(latents))
         own = self.latent.errors(latents)

@@ -1,4 +1,4 @@
-"""Moments of the posterior ensemble at nodes, markers and targets, the model's own error included."""
+"""Moments of the posterior ensemble at nodes, markers and targets, with the model's own error included."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -20,25 +20,14 @@ _BATCH = 50
 class Posterior:
     """Moments of the posterior ensemble; lengths in mm.
 
-    Attributes
-    ----------
-    displacement : ndarray of float64, shape (n_nodes, 3)
-        Decoded from the mean of the latents; inverted tetrahedra are mended
-        (`tissuereg.registration.learned.repair`).
-    ratios : ndarray of float64, shape (n_tets,)
-        Volume ratio of every tetrahedron.
-    marker_mean : ndarray of float64, shape (n_markers, 3)
-        Displacement of every marker, seen or not.
-    marker_covariance : ndarray of float64, shape (3 n_markers, 3 n_markers)
-        Of the ensemble alone.
-    marker_error : ndarray of float64, shape (n_markers, 3, 3)
-        Covariance of the model's own error.
-    target_mean : ndarray of float64, shape (n_targets, 3)
-        Displacement of every target.
-    target_covariance : ndarray of float64, shape (n_targets, 3, 3)
-        Ensemble and the model's own error.
-    std : callable
-        Returns the root of the trace of every node's covariance, (n_nodes,). Cost: one full decode per member.
+    `displacement` (n_nodes, 3): displacement decoded from the mean of the latents; inverted tetrahedra are mended
+    (`tissuereg.registration.learned.repair`); `ratios` (n_tets,): volume ratio of every tetrahedron, deformed over
+    undeformed; `marker_mean` (n_markers, 3): mean displacement of every marker, seen or not; `marker_covariance` (3
+    n_markers, 3 n_markers): covariance of the markers' displacement in the ensemble alone, mm^2; `marker_error`
+    (n_markers, 3, 3): covariance of the model's own error at every marker, mm^2; `target_mean` (n_targets, 3): mean
+    displacement of every target; `target_covariance` (n_targets, 3, 3): covariance of every target's displacement: that
+    in the ensemble plus that of the model's own error, mm^2; `std`: returns the root of the trace of every node's
+    covariance, (n_nodes,), in mm. Cost: one full decode per member.
     """
 
     displacement: FloatArray
@@ -54,8 +43,8 @@ class Posterior:
     def of(cls, mesh: Mesh, model: PointsAround, ensemble: Assimilation) -> "Posterior":
         """Return the moments of an ensemble.
 
-        `mesh`: undeformed body; `model`: the model of this moment at its markers and targets; `ensemble`: posterior
-        latents. Cost: the members are decoded at markers and targets, their mean in full.
+        `mesh` is the undeformed body; `model` is the latent model at markers and targets; `ensemble` holds the
+        posterior latents. Cost: all members are decoded at markers and targets, and their mean in full.
         """
         factor, mean = ensemble.spread_factor, ensemble.mean
         moved = model.decode(ensemble.latents)
@@ -76,9 +65,9 @@ class Posterior:
 
 
 def _std(model: PointsAround, ensemble: Assimilation, displacement: FloatArray, own: ErrorsAt) -> FloatArray:
-    """Return the root (n_nodes,), mm, of the trace of every node's covariance, the model's own error included.
+    """Return the root (n_nodes,), in mm, of the trace of every node's covariance, the model's own error included.
 
-    `displacement` (n_nodes, 3): mean, mm; `own`: the model's own errors.
+    `displacement` (n_nodes, 3) is the mean, in mm; `own` holds the model's own errors.
     """
     latents = ensemble.latents
     square, total = np.zeros(len(displacement)), np.zeros(displacement.shape)
@@ -92,11 +81,11 @@ def _std(model: PointsAround, ensemble: Assimilation, displacement: FloatArray, 
 
 
 def _covariances(moved: FloatArray) -> FloatArray:
-    """Return the covariance (n_points, 3, 3) of every point over members (n_members, n_points, 3)."""
+    """Return each point's covariance (n_points, 3, 3), in mm^2, over displacements (n_members, n_points, 3) in mm."""
     away = moved - moved.mean(axis=0)
     return np.asarray(np.einsum("epi,epj->pij", away, away) / (len(moved) - 1))
 
 
 def _own_errors(errors: FloatArray) -> FloatArray:
-    """Return the covariance (n_points, 3, 3) of errors (n_fields, n_points, 3)."""
+    """Return the covariance about zero (n_points, 3, 3), in mm^2, of errors (n_fields, n_points, 3) in mm."""
     return np.array([error_covariance(errors[:, p]) for p in range(errors.shape[1])]).reshape(-1, 3, 3)

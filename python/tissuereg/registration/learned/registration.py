@@ -1,7 +1,8 @@
 """Registration with a trained model: Algorithm 1 of the paper.
 
-A simulation of the moment is encoded, an ensemble is drawn around its code, and ES-MDA updates the ensemble until the
-decoded fields agree with the markers; or Gauss-Newton finds the most probable code, and the ensemble is drawn about it.
+A simulation of the moment is encoded, an ensemble of latents is drawn around its code, and ES-MDA updates the ensemble
+until the decoded fields agree with the markers; or Gauss-Newton finds the most probable latents, and the ensemble is
+drawn about them.
 """
 
 import os
@@ -65,38 +66,19 @@ def register_by_model(
     clock: Clock,
     variants: Variants | None = None,
 ) -> LearnedRegistration:
-    """Register one moment with a trained model.
+    """Register one moment (one set of marker measurements) with a trained model.
 
-    Parameters
-    ----------
-    given : RegisterInput
-        Checked input.
-    points : PointModel
-        The model at the markers and targets of that input.
-    simulation : ndarray of float64, shape (n_nodes, 3), or None
-        Displacement of the moment by a simulation, mm.
-    clock : Clock
-        Records the times of the stages: ``encode``, ``assimilate``, ``decode``, ``judge``.
-    variants : Variants, optional
-        Variants of the simulation, about whose mean the prior then is. The answer is compared with the simulation, or
-        without one with that mean.
-
-    Returns
-    -------
-    LearnedRegistration
-        The result. Cost: with ``update="esmda"`` the ensemble is decoded at markers and targets once a step and once at
-        the end; of a calibrated model, whose answer is found about the ensemble's mean, at first and before the last
-        step alone, and then 2 n_latent + 1 members two or three times. Once more where the prior had to be widened; two
-        whole fields are decoded.
-
-    Raises
-    ------
-    EnsembleError
-        If too few ensemble members survive, or the decoder fails where the search for the most probable code begins.
-    ArgumentError
-        If variants are given and the model knows no changes from simulations.
-    ConvergenceError
-        If that search finds no minimum.
+    `given`: checked input; `points`: the model at the markers and targets of that input; `simulation` (n_nodes, 3) or
+    None: displacement of the moment by a simulation, mm; `clock`: records the times of the stages: ``encode``,
+    ``assimilate``, ``decode``, ``judge``; `variants`: variants of the simulation, on whose mean the prior is then
+    centred. The answer is compared with the simulation, or with that mean if there is no simulation. Result: the
+    result. Cost: with ``update="esmda"`` the ensemble is decoded at markers and targets once for each step and once at
+    the end. With a calibrated model, whose answer is found about the ensemble's mean, it is decoded before the first
+    and the last step alone, and then 2 n_latent + 1 members are decoded two or three times. Once more where the prior
+    had to be widened. Two whole fields are decoded. Raises `EnsembleError` if too few ensemble members survive, or the
+    decoder fails where the search for the most probable latents begins; `ArgumentError` if variants are given and the
+    model was not calibrated with pairs of simulation and truth; `ConvergenceError` if the search for the most probable
+    latents finds no minimum.
     """
     if variants is not None and not points.knows_changes:
         message = "`variants` must be left out: the model was not calibrated with pairs of simulation and truth"
@@ -154,10 +136,10 @@ def _without_unlikely(
 
 @dataclass(frozen=True, eq=False)
 class _Drawn:
-    """Draws from the prior, with their predictions.
+    """Draws of latents from the prior, with the displacements that they predict for the markers.
 
-    `prior`: of the latents; `first`: the drawn ensemble; `markers` (n_members, n_markers, 3): its predictions of all
-    markers, mm; `centre` (n_markers, 3): predictions at the prior's mean, mm.
+    `prior` is the prior; `first` is the drawn ensemble; `markers` (n_members, n_markers, 3) are its predictions for all
+    markers, and `centre` (n_markers, 3) those at the prior's mean, in mm.
     """
 
     prior: Gaussian
@@ -176,13 +158,14 @@ class _Drawn:
         return cls(model.prior, first, model.markers(moved), model.markers(centre))
 
     def predicted(self, seen: IntArray) -> FloatArray:
-        """Return the predictions (3 n_seen, n_members) of the markers with numbers `seen`, mm."""
+        """Return the predictions (3 n_seen, n_members), in mm, for the markers with numbers `seen` int64 (n_seen,)."""
         return _rows(self.markers[:, seen])
 
     def start(self, prior: Gaussian, widening: float, seen: IntArray) -> FirstEnsemble:
-        """Return the draws as draws from a widened prior, with their predictions of some markers if known.
+        """Return the ensemble as draws from a widened prior, with predictions for the markers `seen` if known.
 
-        `widening`: factor on its covariance; `seen`: numbers of the markers.
+        `prior` is the widened prior and `widening` the factor by which it was widened; predictions are known if it is
+        one. `seen` int64 (n_seen,) are numbers of markers.
         """
         if widening == 1.0:
             return FirstEnsemble(self.first.latents, self.first.exact, self.predicted(seen))
@@ -193,11 +176,12 @@ class _Drawn:
 
 @dataclass(frozen=True, eq=False)
 class _EnsembleFit:
-    """A posterior ensemble with what it rests on.
+    """A posterior ensemble, with the prior and the noise from which it was computed.
 
-    `prior`: of the latents, widened by the factor `widening` on its covariance; `noise` (n_obs, n_obs): C_d, mm^2;
-    `ensemble`: posterior members; `predicted` (n_obs,) and `absorbed` (n_obs, n_obs): predictions at the minimum and
-    their posterior covariance, mm and mm^2, empty for an ensemble.
+    `prior` is that of the latents, widened by the factor `widening` on its covariance; `noise` (n_obs, n_obs) is the
+    covariance C_d of the tracker's noise and the model's errors, in mm^2; `ensemble` holds the posterior members. For
+    Gauss-Newton, `predicted` (n_obs,) and `absorbed` (n_obs, n_obs) are the predictions at the minimum, in mm, and
+    their posterior covariance, in mm^2; for ES-MDA they are empty.
     """
 
     prior: Gaussian
@@ -211,9 +195,10 @@ class _EnsembleFit:
 def _without_wrong(
     model: PointsAround, drawn: _Drawn, given: RegisterInput, seen: IntArray
 ) -> tuple[_EnsembleFit, dict[int, float]]:
-    """Return the fit, and the markers that were dropped because they do not fit the others, with their p-values.
+    """Return the fit without markers that do not fit the others, and the p-values of these markers by their numbers.
 
-    Only where the fit is a minimum with its derivatives: the covariance of an ensemble is no exact share of the noise.
+    `seen` int64 (n_seen,) are the numbers of the markers to start from. Markers are dropped only with Gauss-Newton,
+    where the fit is a minimum with its derivatives: the covariance of an ensemble is no exact share of the noise.
     """
     if given.settings.smoother.update != "gauss-newton":
         return _fit(model, drawn, given, seen), {}
@@ -228,9 +213,10 @@ def _without_wrong(
 
 
 def _fit(model: PointsAround, drawn: _Drawn, given: RegisterInput, seen: IntArray) -> _EnsembleFit:
-    """Return the posterior ensemble given the markers with numbers `seen`.
+    """Return the posterior ensemble given the markers with numbers `seen` int64 (n_seen,).
 
-    The model's own errors, part of C_d, are taken at the state that a linear model finds.
+    The model's own errors, which are part of the covariance C_d of the noise, are those at the most probable latents of
+    a linear model, or of a typical event for a calibrated model with ES-MDA.
     """
     markers, settings = given.markers, given.settings.smoother
     measured = markers.displacement[seen].ravel()
@@ -253,7 +239,7 @@ def _fit(model: PointsAround, drawn: _Drawn, given: RegisterInput, seen: IntArra
 
 
 def _rows(moved: FloatArray) -> FloatArray:
-    """Return displacements (n_members, n_markers, 3) as predictions (n_obs, n_members)."""
+    """Return displacements (n_members, n_markers, 3) as predictions (3 n_markers, n_members), in the same unit."""
     return np.ascontiguousarray(moved.reshape(len(moved), -1).T)
 
 
@@ -353,10 +339,11 @@ def _trust(
     min_det_f: float,
     notes: list[str],
 ) -> Trust:
-    """Return whether the registration can be trusted, judged by noise and prior as they are stated.
+    """Return whether the registration can be trusted, judged by the stated covariances of noise and prior.
 
-    `residual` (n_used, 3): measured minus fitted, mm; `seen` int64 (n_used,): numbers of the used markers; `min_det_f`:
-    smallest volume ratio; `notes`: reasons found earlier.
+    `names` are those of the used markers; `residual` (n_used, 3) is measured minus fitted displacement, in mm; `seen`
+    int64 (n_used,) are the numbers of the used markers; `min_det_f` is the smallest volume ratio of a tetrahedron;
+    `notes` are reasons for mistrust found earlier.
     """
     if fit.widening > 9.0:
         times = np.sqrt(fit.widening)
@@ -387,10 +374,11 @@ def _calibrated_trust(
 
 
 def _against(moved: FloatArray, simulated: FloatArray, std: FloatArray) -> list[str]:
-    """Return the reason that markers moved against their simulation, if they surely did.
+    """Return a list with the sentence that markers moved against their simulation if they surely did, else empty.
 
-    The factor of the simulation that fits the displacements (n_used, 3) best is below zero beyond what the tracker's
-    noise (n_used, 3) explains; in calibration events loads and stiffness are off by a factor, never by its sign.
+    They did if the factor on the simulated displacements (n_used, 3) that fits the measured ones `moved` (n_used, 3)
+    best is below zero beyond what the tracker's noise `std` (n_used, 3) explains, all in mm. In calibration events
+    loads and stiffness are off by a factor, never by its sign.
     """
     weighted = simulated / std**2
     square = float((weighted * simulated).sum())
@@ -403,7 +391,11 @@ def _against(moved: FloatArray, simulated: FloatArray, std: FloatArray) -> list[
 
 
 def as_model(model: Any, mesh: Mesh, threads: int) -> LatentModel:
-    """Return a model, read from its folder if necessary; raise ModelError if it is none, or knows another mesh."""
+    """Return a latent model for a mesh, read from its folder if `model` is a path, or the shipped one for "phantom".
+
+    Raises `ModelError` if it is no model, or is one for another mesh. `threads` is the number of batches decoded at
+    once, 0 for all cores.
+    """
     if isinstance(model, (str, os.PathLike)):
         if str(model) == "phantom":
             from tissuereg.phantom import shipped_model_folder

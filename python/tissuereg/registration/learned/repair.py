@@ -1,7 +1,7 @@
-"""Fields that turn tetrahedra inside out, mended where they do.
+"""Displacement fields that invert tetrahedra, smoothed near these.
 
-A decoder knows no mechanics: far from what it was trained on, a few of its tetrahedra may be inverted. Their nodes
-take the mean displacement of their neighbours, again and again, until none is: the field becomes smooth there, and
+A decoder does not obey mechanics: far from its training data, a few of its tetrahedra may be inverted. Their nodes
+repeatedly take the mean displacement of their neighbours, until none is inverted: the field becomes smooth there, and
 nowhere else.
 """
 
@@ -18,11 +18,12 @@ _ROUNDS, _GROWTH = 60, 10
 
 
 def repaired(mesh: Mesh, field: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return a field without inverted tetrahedra, if smoothing near them is enough, and its volume ratios.
+    """Return a displacement field without inverted tetrahedra, if smoothing near them is enough, and its volume ratios.
 
-    `mesh`: undeformed body; its held nodes stay; `field` (n_nodes, 3): displacement, mm. Result: `field` (n_nodes, 3):
-    the given one where nothing is inverted; otherwise the best that was found. Cost: volume ratios once, and once a
-    round where something is inverted; `ratios` (n_tets,): its volume ratios.
+    `mesh` is the undeformed body, whose fixed nodes keep their displacement; `field` (n_nodes, 3) is a displacement, in
+    mm. The first result (n_nodes, 3), in mm, is the given field where no tetrahedron is inverted, and otherwise the one
+    with the largest least volume ratio that was found. The second (n_tets,) holds its volume ratios. Cost: volume
+    ratios once, and once a round where something is inverted.
     """
     ratios = det_f(mesh, field)
     if float(ratios.min()) > 0.0:

@@ -8,12 +8,12 @@ from tissuereg.registration.result import Registration
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class LearnedRegistration(Registration):
-    """A body decoded from the mean of the posterior latents.
+    """A registration with a trained model: a body deformed by the field decoded from the mean of the posterior latents.
 
     Attributes
     ----------
     dropped_members : list of (int, str)
-        Ensemble members that were lost, with the reason.
+        Number of each ensemble member that was lost, with the reason.
     """
 
     dropped_members: list[tuple[int, str]]

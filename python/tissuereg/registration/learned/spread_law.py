@@ -1,8 +1,8 @@
-"""The law of a registered point about its mean: a Gaussian, or a t law with heavier tails.
+"""The distribution of a registered point about its mean: a Gaussian, or a t law with heavier tails.
 
-The covariance of a point is known only as well as the kind and the size of its event are, so that true places lie
-about the mean by a multivariate t law rather than by a Gaussian (S. Kotz and S. Nadarajah, Multivariate t Distributions
-and Their Applications, 2004). Both are written with the covariance of the Gaussian that has the same 90 % region.
+The covariance of a point is known only as well as the type and the size of its event are, so that true places lie about
+the mean by a multivariate t law rather than by a Gaussian (S. Kotz and S. Nadarajah, Multivariate t Distributions and
+Their Applications, 2004). Both are stated by the covariance of the Gaussian that has the same 90 % region.
 """
 
 #: Share of the region that a Gaussian and a t law of the same stated covariance have in common.
@@ -10,10 +10,11 @@ COMMON = 0.9
 
 
 def squared_radius(share: float, dof: float | None) -> float:
-    """Return the squared radius of a region in units of the stated covariance.
+    """Return the squared Mahalanobis radius of the region that holds a given share of a point's distribution.
 
-    `share`: probability inside, in (0, 1); `dof`: degrees of freedom of the t law in three dimensions; None for a
-    Gaussian. Result: the quantile of the squared Mahalanobis distance.
+    `share` is the probability inside, in (0, 1). `dof` is the number of degrees of freedom of the t law in three
+    dimensions, None for a Gaussian. The distance is in the covariance of the Gaussian with the same 90 % region, by
+    which both laws are stated.
     """
     from scipy.stats import chi2, f
 

@@ -1,10 +1,10 @@
 """Variants of a simulation: the same event simulated with other values of what is uncertain.
 
-Their mean is where a registration starts from, their second moments are a part of its prior: how this body, held and
+A registration starts from their mean, and their second moments are a part of its prior: how this body, supported and
 loaded as it is, moves differently where moduli, supports or loads are others. As a few variants span few directions, a
-share of what the model knows of simulations in general stays in the prior beside them: a hybrid of an ensemble's and a
-static covariance (T. M. Hamill and C. Snyder, "A hybrid ensemble Kalman filter-3D variational analysis scheme",
-Monthly Weather Review 128, 2905-2919, 2000).
+share of the covariance of truths about simulations in general is added: a hybrid of an ensemble's and a static
+covariance (T. M. Hamill and C. Snyder, "A hybrid ensemble Kalman filter-3D variational analysis scheme", Monthly
+Weather Review 128, 2905-2919, 2000).
 """
 
 from dataclasses import dataclass
@@ -21,9 +21,10 @@ LEAST_VARIANTS = 4
 
 
 def checked_variants(fields: Any, n_nodes: int | None = None) -> FloatArray:
-    """Return variants of a simulation as float64, (n_variants, n_nodes, 3); raise ShapeError if they are none.
+    """Return variants of a simulation as float64, shape (n_variants, n_nodes, 3), in mm.
 
-    At least four finite fields, mm, of the given number of nodes.
+    Raises `ShapeError` unless `fields` are at least four finite displacement fields, of `n_nodes` nodes if that is
+    given.
     """
     given = float_array("variants", fields, (None, n_nodes, 3))
     if len(given) < LEAST_VARIANTS:
@@ -38,10 +39,10 @@ def checked_variants(fields: Any, n_nodes: int | None = None) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class Variants:
-    """Mean and covariance of the variants of one moment's simulation.
+    """Mean and covariance of the variants of a simulation (the same event with other moduli, supports or loads).
 
-    `mean` (n_nodes, 3): mean displacement, mm; `spread`: covariance about it, by as many patterns as there are
-    variants.
+    `mean` (n_nodes, 3) is the mean displacement, in mm; `spread` is the covariance about it, with as many patterns as
+    there are variants.
     """
 
     mean: FloatArray
@@ -49,15 +50,15 @@ class Variants:
 
     @property
     def count(self) -> int:
-        """How many there are."""
+        """Number of variants."""
         return len(self.spread.basis)
 
     @classmethod
     def of(cls, fields: Any, n_nodes: int) -> "Variants":
-        """Return the variants of a moment.
+        """Return the mean and the covariance of the variants of a simulation.
 
-        `fields` (n_variants, n_nodes, 3): displacements, mm. Raises `ShapeError` if the array has another shape, a
-        field is not finite, or there are fewer than four.
+        `fields` (n_variants, n_nodes, 3) are displacements, in mm. Raises `ShapeError` if the array has another shape,
+        a field is not finite, or there are fewer than four.
         """
         given = checked_variants(fields, n_nodes)
         mean = given.mean(axis=0)

@@ -1,4 +1,4 @@
-"""Prior and noise of a moment; a prior that cannot explain the markers is widened, and the result reports it."""
+"""Prior and noise of a registration; a prior that cannot explain the markers is widened, and the result says so."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -19,9 +19,9 @@ _LEVEL = 0.05
 
 @dataclass(frozen=True, eq=False)
 class LinearPredictions:
-    """Predictions as a linear function of latents, about the mean of their prior.
+    """Predicted marker displacements as a linear function of the latents z: ``centre + slope (z - mean of the prior)``.
 
-    `centre` (n_obs,): predictions at the mean, mm; `slope` (n_obs, n_latent): mm.
+    `centre` (n_obs,) are the predictions at the mean, in mm; `slope` (n_obs, n_latent) are their derivatives, in mm.
     """
 
     centre: FloatArray
@@ -31,11 +31,11 @@ class LinearPredictions:
     def of(
         cls, prior: Gaussian, latents: FloatArray, predicted: FloatArray, centre: FloatArray
     ) -> "LinearPredictions | None":
-        """Return the regression of predictions on latents drawn from the prior.
+        """Return the regression of predictions on latents drawn from the prior; None if too few members are finite.
 
-        `prior`: prior of the latents; `latents` (n_latent, n_members): draws; `predicted` (n_obs, n_members): their
-        predictions, mm; members that are not finite are left out; `centre` (n_obs,): predictions at the prior's mean,
-        mm. Result: None if too few predictions are finite.
+        `prior` is the prior of the latents; `latents` (n_latent, n_members) are draws from it; `predicted` (n_obs,
+        n_members) are their predictions, in mm, of which members that are not finite are left out; `centre` (n_obs,)
+        are the predictions at the prior's mean, in mm.
         """
         whole = np.isfinite(predicted).all(axis=0)
         if whole.sum() <= len(prior.mean) or not np.isfinite(centre).all():
@@ -46,7 +46,10 @@ class LinearPredictions:
         return cls(centre, np.linalg.solve(root.T, moments).T)
 
     def most_probable(self, prior: Gaussian, observed: FloatArray, noise: FloatArray) -> FloatArray:
-        """Return the posterior mean (n_latent,) of the linear model."""
+        """Return the posterior mean (n_latent,) of the latents under the linear model.
+
+        `observed` (n_obs,) are the measured displacements, in mm, and `noise` (n_obs, n_obs) their covariance, in mm^2.
+        """
         gain = prior.covariance @ self.slope.T
         off = np.linalg.solve(self.slope @ gain + noise, observed - self.centre)
         return np.asarray(prior.mean + gain @ off)
@@ -55,21 +58,22 @@ class LinearPredictions:
 def widened(
     prior: Gaussian, family: Gaussian, linear: LinearPredictions, observed: FloatArray, noise: FloatArray
 ) -> tuple[Gaussian, float]:
-    """Return the prior, widened if the innovation is too large for it, and the factor.
+    """Return the prior, widened if the innovation is too large for it, and the factor by which it was widened.
 
-    `prior`: prior of the latents; `family`: distribution of the latents of all training fields; no direction is widened
-    beyond its spread; `linear`: predictions about the prior's mean; `observed` (n_obs,): measured marker displacements
-    in mm; `noise` (n_obs, n_obs): covariance C_d, mm^2. Result: `prior`: the same mean; covariance ``((s C)^-1 +
-    L^-1)^-1`` with the prior's C and the family's L: about s C where that is small compared with L, and L where it is
-    large. Unchanged if s = 1; `factor`: smallest s >= 1 with ``v' (H C(s) H' + C_d)^-1 v = n_obs`` for the innovation
-    v, if ``s = 1`` misses the 95 % quantile of its chi-square law; 1 otherwise, and at most `MOST`.
+    `prior` is the prior of the latents; `family` is the distribution of the latents of all training fields, beyond
+    whose spread no direction is widened; `linear` holds the predictions about the prior's mean; `observed` (n_obs,) are
+    the measured marker displacements, in mm; `noise` (n_obs, n_obs) is the covariance C_d, in mm^2. The first result
+    has the same mean and the covariance ``C(s) = ((s C)^-1 + L^-1)^-1`` with the prior's C and the family's L: about s
+    C where that is small compared with L, and L where it is large; it is the given prior if s = 1. The second is s, the
+    smallest s >= 1 with ``v' (H C(s) H' + C_d)^-1 v = n_obs`` for the innovation v and the slope H of `linear`, if ``s
+    = 1`` exceeds the 95 % quantile of its chi-square law; 1 otherwise, and at most `MOST`.
 
     Notes
     -----
     The maximum-likelihood inflation of data assimilation, J. L. Anderson, "An adaptive covariance inflation error
-    correction algorithm for ensemble filters", Tellus A 59, 210-224, 2007, with one factor for the whole prior. The
-    bound matters: on 80 pairs of the phantom, widening without it moved some codes outside the decoder's training data,
-    and those bodies ended with larger errors than they began with.
+    correction algorithm for ensemble filters", Tellus A 59, 210-224, 2007, with one factor for the whole prior. Without
+    the bound L, widening moved some latents of phantom pairs outside the decoder's training data, and those bodies
+    ended with larger errors than they began with.
     """
     from scipy.optimize import brentq
 
@@ -95,11 +99,12 @@ def widened(
 
 @dataclass(frozen=True, eq=False)
 class Stated:
-    """Prior and noise of one moment, before its latents are found.
+    """Prior and noise of one registration, before its latents are found.
 
-    `prior`: prior of the latents, widened if the markers require it; `factor`: factor on its covariance by which it was
-    widened; `noise` (n_obs, n_obs): C_d, the tracker's noise and the model's own errors at the markers, mm^2; `near`
-    (n_latent,): most probable latents of a linear model, at which these errors are taken.
+    `prior` is the prior of the latents, widened if the markers require it; `factor` is the factor on its covariance by
+    which it was widened; `noise` (n_obs, n_obs) is C_d, the covariance of the tracker's noise and of the model's own
+    errors at the markers, in mm^2; `near` (n_latent,) are the most probable latents of a linear model, at which these
+    errors are taken unless a typical event's are.
     """
 
     prior: Gaussian
@@ -118,13 +123,13 @@ def stated(
     *,
     typical: bool = False,
 ) -> Stated:
-    """Return prior and noise of a moment, from draws of the model's prior.
+    """Return the prior and the noise of one registration, from draws of the model's prior.
 
-    `model`: the model of the moment; `seen` int64 (n_seen,): markers that are used; `latents`, `predicted` (n_latent,
-    n_members) and (3 n_seen, n_members): draws from the prior, and their predictions of these markers, mm; `centre` (3
-    n_seen,): predictions at the prior's mean, mm; `typical`: take the errors of a typical event rather than those at
-    the latents of the linear model. Result: where no linear model can be fitted to the draws, the model's own prior and
-    the errors at its mean.
+    `model` is the latent model at the markers; `markers` holds the measurements; `seen` int64 (n_seen,) are the numbers
+    of the markers that are used; `latents` (n_latent, n_members) are draws from the prior, and `predicted` (3 n_seen,
+    n_members) their predictions for these markers, in mm; `centre` (3 n_seen,) are the predictions at the prior's mean,
+    in mm; `typical` says to take the errors of a typical event rather than those at the latents of the linear model.
+    Where no linear model can be fitted to the draws, the result is the model's own prior and the errors at its mean.
     """
     measured = markers.displacement[seen].ravel()
     linear = LinearPredictions.of(model.prior, latents, predicted, centre)
@@ -142,9 +147,9 @@ def stated(
 
 
 def _noise(errors: FloatArray, markers: Markers, seen: IntArray) -> FloatArray:
-    """Return C_d (3 n_seen, 3 n_seen), mm^2: the tracker's noise and the covariance of the model's errors.
+    """Return C_d (3 n_seen, 3 n_seen), in mm^2: the covariance of the tracker's noise plus that of the model's errors.
 
-    `errors` (n_fields, n_seen, 3): the model's errors at the markers with numbers `seen`, mm.
+    `errors` (n_fields, n_seen, 3) are the model's errors at the markers with numbers `seen` int64 (n_seen,), in mm.
     """
     tracker = (markers.axis_std[seen] ** 2).ravel()
     return np.asarray(np.diag(tracker) + error_covariance(errors.reshape(len(errors), 3 * len(seen))))

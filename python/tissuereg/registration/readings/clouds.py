@@ -1,4 +1,4 @@
-"""What distances from the undeformed surface tell of misread points, and of markers that lie on another body."""
+"""Detection of misread surface points, and of markers on another body, by distances from the undeformed surface."""
 
 from itertools import permutations, product
 
@@ -16,10 +16,11 @@ _UNITS = {"metres": 1000.0, "centimetres": 10.0, "inches": 25.4, "micrometres": 
 
 
 def suspect_points(mesh: Mesh, points: FloatArray, *, free: bool) -> list[Suspicion]:
-    """Return the suspicion that points of a surface are misread.
+    """Return the suspicion that measured points of a surface are misread, such as in another unit or other axes.
 
-    `mesh`: undeformed body, mm; `points` (n, 3): as given, mm; `free`: whether the body may have moved rigidly: units
-    can then be recognised by sizes alone. Result: at most one; empty if the input is plausible.
+    `mesh`: undeformed body, mm; `points` (n, 3): measured places as they were given, in mm if they are right; `free`:
+    whether the body may have moved rigidly: only another unit can then be recognised, by the size of the cloud. Result:
+    a list with at most one suspicion; empty if the input is plausible.
     """
     few = points[:: max(1, len(points) // CLOUDS.points)]
     ratio = float(np.max(np.ptp(points, axis=0))) / mesh.extent
@@ -52,7 +53,7 @@ def _typical(skin: Skin, points: FloatArray) -> float:
 
 
 def _turned(points: FloatArray) -> list[tuple[str, FloatArray]]:
-    """Return the points (n, 3) with axes exchanged and negated, each with the change in words."""
+    """Return the points (n, 3), mm, with axes exchanged and negated in 47 ways, each with words such as "y, -x, z"."""
     found = []
     for order in permutations(range(3)):
         for signs in product((1.0, -1.0), repeat=3):
@@ -66,18 +67,19 @@ def _turned(points: FloatArray) -> list[tuple[str, FloatArray]]:
 
 
 def _size(ratio: float) -> Suspicion:
-    """Return the suspicion that points are in other units; `ratio`: size of their cloud over that of the body."""
+    """Return the suspicion that points are in other units; `ratio`: extent of the points over that of the body."""
     unit = min(_UNITS, key=lambda name: abs(np.log(ratio * _UNITS[name])))
     text = f"unit: the surface points span {ratio:.3g} times the extent of the body; they may be in {unit}"
     return Suspicion("unit", text)
 
 
 def scattered(distance: FloatArray, extent: float) -> list[Suspicion]:
-    """Return the suspicion that markers are those of another body.
+    """Return the suspicion that the reference places of markers are those on another body.
 
     `distance` (n_markers,): signed distances of the reference places from the surface, negative inside, mm; `extent`:
-    of the body, mm. Result: at most one: where markers mounted on the skin at one height, each with an error, are as
-    improbable as markers that were all placed inside (chi-squares of the distances).
+    largest extent of the body along an axis, mm. Result: a list with at most one suspicion. There is one where two
+    assumptions are both improbable by chi-squares of the distances: that all markers were mounted on the surface at one
+    height, each with an error, and that all were placed inside the body.
     """
     from scipy.stats import chi2
 

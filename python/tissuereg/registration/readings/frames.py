@@ -1,4 +1,4 @@
-"""Readings in other units, axes and columns: for all markers, or for their reference or measured places alone."""
+"""Readings (ways to interpret the input) in other units, axes or columns, for all markers or part of their places."""
 
 import itertools
 
@@ -24,7 +24,7 @@ _ALL, _REFERENCE, _MEASURED = "all markers", "the reference places", "the measur
 
 
 def units(given: Given) -> list[Reading]:
-    """Return one reading (a way to interpret the input) for each other unit of length that may have been meant."""
+    """Return readings (ways to interpret the input) with lengths in other units, in all places or in a part of them."""
     x, y = given.reference, given.measured
     readings = []
     for factor, name in UNITS.items():
@@ -43,7 +43,7 @@ def units(given: Given) -> list[Reading]:
 
 
 def frames(given: Given) -> list[Reading]:
-    """Return one reading (a way to interpret the input) for each way in which axes may be negated or exchanged."""
+    """Return readings (ways to interpret the input) with axes negated or exchanged, in all places or in a part."""
     x, y = given.reference, given.measured
     middle, motion = given.skin.middle, given.motion
     readings = []
@@ -65,9 +65,9 @@ def frames(given: Given) -> list[Reading]:
 
 
 def columns(given: Given) -> list[Reading]:
-    """Return readings in which columns or rows of the table were shifted by one, as in a spreadsheet.
+    """Return readings (ways to interpret the input) in which columns or rows of the marker table were shifted by one.
 
-    Only for markers that were seen with all three coordinates.
+    Such mistakes happen in a spreadsheet. The list is empty unless all markers were seen with all three coordinates.
     """
     if not given.complete.all() or len(given.names) < 2:
         return []
@@ -94,7 +94,8 @@ def columns(given: Given) -> list[Reading]:
 def _signed_permutations() -> list[tuple[FloatArray, float, str]]:
     """Return the 47 matrices (3, 3) that exchange and negate axes, each with its prior cost and its words.
 
-    True places are the matrix times the given places.
+    True places are the matrix times the given places; the cost is minus the logarithm of the prior odds of this
+    mistake.
     """
     found = []
     for order in itertools.permutations(range(3)):

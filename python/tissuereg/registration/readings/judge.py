@@ -1,4 +1,4 @@
-"""Suspicions that the input is misread, from the geometry of the markers."""
+"""Detection of misread marker input from geometry: `suspect` examines the markers and returns suspicions."""
 
 import numpy as np
 
@@ -27,22 +27,24 @@ def suspect(mesh: Mesh, markers: Markers, observation: MarkerObservation | None 
     mesh : Mesh
         Undeformed body, mm; its node set ``fixed``, if it has one, is held.
     markers : Markers
-        Reference and measured places, mm; coordinates that are NaN were not seen.
+        Reference and measured places as they were given, in mm if they are right; coordinates that are NaN were not
+        seen.
     observation : MarkerObservation, optional
-        Attachment of these markers, for its distances; computed here if absent (it refuses markers that are far away).
+        Map from nodes to these markers, of which the distances from the surface are used; by default they are computed
+        here (the map refuses markers that are far away).
 
     Returns
     -------
     list of Suspicion
-        Another reading first; empty if the input is plausible.
+        The suspicion that another reading is right comes first; the list is empty if the input is plausible.
 
     Notes
     -----
-    No mechanics is involved: about 250 readings (units, axes, rigid motions, columns, orders of rows), each with prior
-    odds, are compared by distances from the surface and smoothness of the motion. A reading is reported if it is a
-    thousand times more likely than the input as given. Readings that leave distances and motion unchanged cannot be
-    distinguished, such as two negated axes of a round body. Cost: about 25 ms for 15 markers on 4,000 nodes; of more
-    than 48 markers 48 are used.
+    No mechanics is involved: about 250 readings (interpretations of the input, with other units, axes, rigid motions,
+    columns or orders of rows), each with prior odds, are compared by distances from the surface and smoothness of the
+    motion. A reading is reported if it is a thousand times more likely than the input as given. Readings that leave
+    distances and motion unchanged cannot be distinguished, such as two negated axes of a round body. Cost: about 25 ms
+    for 15 markers on 4,000 nodes; of more than 48 markers 48 are used.
 
     Examples
     --------
@@ -69,9 +71,11 @@ def suspect(mesh: Mesh, markers: Markers, observation: MarkerObservation | None 
 
 
 def _repeats(markers: Markers, resting: BoolArray, extent: float) -> tuple[list[Suspicion], BoolArray]:
-    """Return suspicions of stale and repeated markers, and a mask (n_markers,) of the remaining markers.
+    """Return suspicions of stale markers and of markers listed twice, and a mask (n_markers,) of the other markers.
 
-    `resting` bool (n_markers,): markers on the held part of the surface; `extent`: of the body, mm.
+    A stale marker has the same measured and reference place; of two equal markers the first stays in the mask.
+    `resting` bool (n_markers,): markers on the held part of the surface; `extent`: largest extent of the body along an
+    axis, mm.
     """
     found: list[Suspicion] = []
     left = np.ones(len(markers), dtype=bool)
@@ -86,7 +90,10 @@ def _repeats(markers: Markers, resting: BoolArray, extent: float) -> tuple[list[
 
 
 def _other_reading(given: Given) -> list[Suspicion]:
-    """Return the suspicion that another reading of the input is right, if one is far likelier."""
+    """Return the suspicion that another reading (interpretation) of the input is right, or that no reading is.
+
+    Result: a list with one suspicion if one is far more probable than the input as given; otherwise empty.
+    """
     rows = chosen_rows(given)
     readings = [as_given(given), *units(given), *frames(given), *columns(given)]
     readings += [*measured_moved(given), *orders(given)]
@@ -112,7 +119,8 @@ def _other_reading(given: Given) -> list[Suspicion]:
 def _lost(markers: Markers, distance: FloatArray, extent: float) -> list[Suspicion]:
     """Return the suspicion that markers lie farther from the surface than any marker is plausibly mounted or placed.
 
-    `distance` (n_markers,): signed distance from the surface, negative inside, mm; `extent`: of the body, mm.
+    `distance` (n_markers,): signed distance of the reference places from the surface, negative inside, mm; `extent`:
+    largest extent of the body along an axis, mm. Result: a list with at most one suspicion.
     """
     outside = 1.5 * standoff(extent) + 0.03 * extent + 4.0 * markers.std
     rows = np.flatnonzero((distance > outside) | (-distance > np.maximum(outside, CHECKS.deepest_share * extent)))
@@ -122,7 +130,8 @@ def _lost(markers: Markers, distance: FloatArray, extent: float) -> list[Suspici
 def _slipped(markers: Markers, resting: BoolArray, extent: float) -> list[Suspicion]:
     """Return the suspicion that markers on the held part of the surface move.
 
-    `resting` bool (n_markers,): markers on that part; `extent`: of the body, mm.
+    `resting` bool (n_markers,): markers on that part; `extent`: largest extent of the body along an axis, mm. Result: a
+    list with at most one suspicion.
     """
     seen = np.where(np.isfinite(markers.displacement), markers.displacement, 0.0)
     size = np.linalg.norm(seen, axis=1)

@@ -1,7 +1,7 @@
-r"""Likelihood of markers under a reading: their places on the skin, and their motion as that of one soft body.
+r"""Likelihood of markers under a reading (interpretation of the input): of their places, and of their motion.
 
-Places. All markers are mounted at the same height s above the skin, with errors of standard deviation t; one in thirty
-may lie anywhere:
+Places. All markers are mounted at the same height s above the surface, with errors of standard deviation t; one in
+thirty may lie anywhere:
 
     p(d_i | s, t) = 0.97 N(d_i; s, t^2) + 0.03 N(d_i; 0, (extent / 5)^2),      d_i: distance from the surface, signed,
 
@@ -12,10 +12,10 @@ Motion. The displacements v (n,) of the seen coordinates are a sample of a Gauss
 
     v ~ N(0, a^2 W K_l W + B S B' + noise^2),    W: freedom of each place, K_l: Matern 3/2 of length l,
 
-where the columns B (n, 18) are translations and rotations that fade as well, within a layer or along the body; six
-more do not fade if nothing is held or the reading allows a rigid motion. The density is averaged over sizes a from 0.2
-to 20 % of the body's extent, three lengths and three noises. K is diagonalised once per length, so that all sizes,
-noises and readings with the same places share one factorisation.
+with the size a of the deformation, and columns B (n, 18), of variances S: translations and rotations that fade as well,
+within a layer or along the body; six more do not fade if nothing is held or the reading allows a rigid motion. The
+density is averaged over sizes a from 0.2 to 20 % of the body's extent, three lengths and three noises. K is
+diagonalised once per length, so that all sizes, noises and readings with the same places share one factorisation.
 """
 
 from functools import cache
@@ -27,14 +27,15 @@ from tissuereg.registration.readings.settings import MOTION, PLACES
 
 
 def standoff(extent: float) -> float:
-    """Return the largest plausible height above the skin for a body of this extent, mm."""
+    """Return the largest plausible height of a marker above the surface, mm, for a body of this extent, mm."""
     return min(PLACES.standoff_mm, PLACES.standoff_share * extent)
 
 
 def places_likelihood(distance: FloatArray, extent: float) -> FloatArray:
     """Return the log-likelihood of the markers' distances from the surface under each of many readings.
 
-    `distance` (n_readings, n_markers): from the surface, negative inside, mm; `extent`: of the body, mm. Result:
+    A reading is one interpretation of the input. `distance` (n_readings, n_markers): signed distances of the reference
+    places from the surface, negative inside, mm; `extent`: largest extent of the body along an axis, mm. Result:
     (n_readings,), up to a constant that all readings share.
     """
     highest = standoff(extent)
@@ -56,16 +57,21 @@ def places_likelihood(distance: FloatArray, extent: float) -> FloatArray:
 
 
 def nowhere_likelihood(distance: FloatArray, extent: float) -> float:
-    """Return the log-likelihood of distances (n_markers,), mm, of places that have nothing to do with the surface."""
+    """Return the log-likelihood of distances (n_markers,), mm, of places that are unrelated to the surface.
+
+    `extent`: largest extent of the body along an axis, mm. The constant left out is that of `places_likelihood`.
+    """
     wide = 0.2 * extent
     return float(np.maximum(-0.5 * (distance / wide) ** 2, -8.0).sum() - len(distance) * np.log(wide))
 
 
 def layout_likelihood(places: FloatArray, held: BoolArray, skin_spread: float) -> FloatArray:
-    """Return the log-likelihood of layouts: many markers are spread over the body, and few are on held surface.
+    """Return the log-likelihood of the layout of the markers on the body under each of many readings.
 
-    `places` (n_readings, n_markers, 3): mm; `held` bool (n_readings, n_markers): whether the closest surface is held;
-    `skin_spread`: root mean square distance of the surface from its mean, mm. Result: (n_readings,).
+    A reading is one interpretation of the input. Many markers are probably spread over the body, and few are on held
+    surface. `places` (n_readings, n_markers, 3): reference places, mm; `held` bool (n_readings, n_markers): whether the
+    closest surface is held; `skin_spread`: root mean square distance of the surface from its mean, mm. Result:
+    (n_readings,).
     """
     glued, n_markers = PLACES.held_odds * held.sum(axis=1), places.shape[1]
     if n_markers < PLACES.fewest_spread:
@@ -79,13 +85,14 @@ def layout_likelihood(places: FloatArray, held: BoolArray, skin_spread: float) -
 def motion_likelihood(
     arms: FloatArray, freedom: FloatArray, motion: FloatArray, noise: float, extent: float, *, rigid: bool = False
 ) -> FloatArray:
-    """Return the log-likelihood of displacements under each of many readings that share their places.
+    """Return the log-likelihood of the markers' displacements under each of many readings that share their places.
 
-    `arms` (n_markers, 3): places, in the frame of the displacements, mm; `freedom` (3, n_markers): freedom of the body
-    at each place, as in `Skin.freedom`; `motion` (n_readings, n_markers, 3): displacements in mm; NaN = not seen, the
-    same coordinates in all readings; `noise`: standard deviation of a measured coordinate, mm; `extent`: of the body,
-    mm; `rigid`: whether the body may move rigidly as a whole. Result: (n_readings,), the density is per mm: a reading
-    in other units adds the logarithm of its volume change.
+    A reading is one interpretation of the input. `arms` (n_markers, 3): reference places, in the frame of the
+    displacements, mm; `freedom` (3, n_markers): how freely the body can move at each place, 0 to 1, for three lengths
+    of fading, from `Skin.freedom`; `motion` (n_readings, n_markers, 3): displacements in mm; NaN = not seen, the same
+    coordinates in all readings; `noise`: standard deviation of a measured coordinate, mm; `extent`: largest extent of
+    the body along an axis, mm; `rigid`: whether the body may move rigidly as a whole. Result: (n_readings,), the
+    density is per mm: a reading in other units adds the logarithm of its volume change.
     """
     seen = np.isfinite(motion[0])
     if not seen.any():
@@ -106,8 +113,9 @@ def motion_likelihood(
 def _grid(noise: float, extent: float) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return the grid over which the likelihood of a motion is averaged, h combinations of three sizes.
 
-    Result, (h,) each: size of the deformation, size of the common motion, standard deviation of the noise, all in mm,
-    and the logarithm of the prior weight.
+    `noise`: standard deviation of a measured coordinate, mm; `extent`: largest extent of the body along an axis, mm.
+    Result, (h,) each: size of the deformation, size of the rigid motion that fades towards held nodes, standard
+    deviation of the noise, all in mm, and the logarithm of the prior weight.
     """
     points = [
         (size * extent, max(size, common) * extent, float(np.hypot(noise, extra)), of_size + of_common + of_noise)
@@ -121,12 +129,15 @@ def _grid(noise: float, extent: float) -> tuple[FloatArray, FloatArray, FloatArr
 
 
 def likeliest(noise: float) -> float:
-    """Return the largest log-likelihood of one measured coordinate under any motion; `noise`: its deviation, mm."""
+    """Return the largest log-likelihood of a measured coordinate, of deviation `noise`, mm, under any motion."""
     return -float(np.log(np.sqrt(2 * np.pi) * np.hypot(noise, MOTION.extra_noise_mm[0])))
 
 
 def unrelated_likelihood(motion: FloatArray, extent: float) -> float:
-    """Return the log-likelihood of displacements (n_markers, 3) that are independent of each other."""
+    """Return the log-likelihood of displacements (n_markers, 3), mm, that are independent of each other.
+
+    NaN are ignored; `extent`: largest extent of the body along an axis, mm.
+    """
     values = motion[np.isfinite(motion)]
     wide = 0.35 * extent
     return float(np.sum(-0.5 * (values / wide) ** 2) - len(values) * (np.log(wide) + 0.5 * np.log(2 * np.pi)))
@@ -135,8 +146,9 @@ def unrelated_likelihood(motion: FloatArray, extent: float) -> float:
 def _rigid_columns(arms: FloatArray, freedom: FloatArray, extent: float) -> tuple[list[FloatArray], FloatArray]:
     """Return the displacements of n markers by unit rigid motions: three translations and three rotations.
 
-    `arms` (n, 3): places, mm; `freedom` (3, n): how freely the body can move at each place; `extent`: of the body, mm.
-    Result: for each of three lengths of fading towards held nodes (n, 3, 6); and (n, 3, 6) for a body that moves as a
+    `arms` (n, 3): reference places, mm; `freedom` (3, n): how freely the body can move at each place, 0 to 1, for three
+    lengths of fading towards held nodes; `extent`: largest extent of the body along an axis, mm. Result: displacements
+    (n, 3, 6) for each of these lengths, with axes marker, component, motion; and (n, 3, 6) for a body that moves as a
     whole.
     """
     centred = arms - arms.mean(axis=0)
@@ -161,10 +173,12 @@ def _diagonal(
     seen: BoolArray,
     lengths: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return smooth motions of each length in the frame of their covariance's eigenvectors.
+    """Return a smooth motion of each length l in the frame of the eigenvectors of its covariance.
 
-    `lengths` (l,): lengths over which a motion varies, mm. Result: eigenvalues (l, n), displacements (l, n, n_readings)
-    and columns (l, n, c) in that frame.
+    `arms` (n_markers, 3): reference places, mm; `freedom` (n_markers,): how freely the body can move there, 0 to 1;
+    `motion` (n_readings, n_markers, 3): displacements, mm; `columns` (n_markers, 3, c): displacements by c rigid
+    motions; `seen` bool (n_markers, 3): the n coordinates that are used; `lengths` (l,): lengths over which a motion
+    varies, mm. Result: eigenvalues (l, n), displacements (l, n, n_readings) and columns (l, n, c) in that frame.
     """
     gaps = np.sqrt(3.0) * np.linalg.norm(arms[:, None] - arms[None], axis=2) / lengths[:, None, None]
     covariance = (1.0 + gaps) * np.exp(-gaps) * freedom[:, None] * freedom[None]
@@ -184,9 +198,10 @@ def _diagonal(
 
 
 def _gaussian(variance: FloatArray, turned: FloatArray, columns: FloatArray, factors: FloatArray) -> FloatArray:
-    """Return log N(v; 0, D + B B'), (l, h, n_readings), for each of many variances of each length.
+    """Return the log-density of a Gaussian N(v; 0, D + B B'), (l, h, n_readings), for h variances D of each length l.
 
-    D = diag(variance), (l, h, n); v = `turned`, (l, n, n_readings); B = `columns` (l, n, c) times `factors` (h, c).
+    D = diag(variance), (l, h, n), mm^2; v = `turned`, displacements, (l, n, n_readings), mm; B = `columns` (l, n, c)
+    times `factors` (h, c).
     """
     weighted = factors[:, :, None] * (np.swapaxes(columns, 1, 2)[:, None] / variance[:, :, None])
     n, n_readings = columns.shape[2], turned.shape[2]

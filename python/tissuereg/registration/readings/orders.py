@@ -1,4 +1,4 @@
-"""Readings with the rows of measured places in another order: two exchanged, all moved by one, sorted, matched."""
+"""Readings (ways to interpret the input) with rows of measured places exchanged, moved by one, sorted or matched."""
 
 import itertools
 from math import lgamma, log
@@ -12,7 +12,7 @@ from tissuereg.registration.readings.settings import COSTS, PROPOSALS
 
 
 def orders(given: Given) -> list[Reading]:
-    """Return readings (ways to interpret the input) in which the measured rows are in another order.
+    """Return readings (ways to interpret the input) in which the rows of the measured places are in another order.
 
     Markers with missing coordinates stay as they are.
     """
@@ -50,7 +50,8 @@ def _reading(given: Given, rows: IntArray, order: IntArray, cost: float) -> Read
 def _pairs(x: FloatArray, y: FloatArray) -> list[tuple[IntArray, float]]:
     """Return orders in which two rows are exchanged, each with its prior cost.
 
-    `x`, `y` (n, 3): reference and measured places, mm. Result: the row numbers in that order, and minus the log odds.
+    `x`, `y` (n, 3): reference and measured places, mm. Result: for each order the row numbers of `y`, int64 (n,), and
+    minus the logarithm of the prior odds.
     """
     n = len(x)
     tried = np.arange(n) if n <= PROPOSALS.all_pairs else np.sort(np.argsort(oddness(x, y))[-PROPOSALS.all_pairs :])
@@ -66,7 +67,8 @@ def _pairs(x: FloatArray, y: FloatArray) -> list[tuple[IntArray, float]]:
 def _rolls(x: FloatArray, y: FloatArray, names: list[str]) -> list[tuple[IntArray, float]]:
     """Return orders that a table may have by mistake: shifted by some rows, reversed, sorted by name or coordinate.
 
-    `x`, `y` (n, 3): reference and measured places, mm. Result: the row numbers in that order, and minus the log odds.
+    `x`, `y` (n, 3): reference and measured places, mm; `names`: names of the n markers. Result: for each order the row
+    numbers of `y`, int64 (n,), and minus the logarithm of the prior odds.
     """
     n = len(x)
     found = [np.roll(np.arange(n), step) for step in (1, -1, 2, -2)] + [np.arange(n)[::-1].copy()]
@@ -81,10 +83,11 @@ def _rolls(x: FloatArray, y: FloatArray, names: list[str]) -> list[tuple[IntArra
 
 
 def _matches(x: FloatArray, y: FloatArray) -> list[tuple[IntArray, float]]:
-    """Return the orders with the least total motion, and each of their cycles alone, with their prior costs.
+    """Return the orders of least total motion of the markers, and each of their cycles alone, with their prior costs.
 
-    `x`, `y` (n, 3): reference and measured places, mm. The motion is measured at rest, and after a rigid motion is
-    removed.
+    `x`, `y` (n, 3): reference and measured places, mm. The motion is measured from the reference places, and also from
+    those after the best rigid motion. Result: for each order the row numbers of `y`, int64 (n,), and minus the
+    logarithm of the prior odds.
     """
     from scipy.optimize import linear_sum_assignment
 
@@ -120,7 +123,7 @@ def _cycles(order: IntArray) -> list[list[int]]:
 
 
 def oddness(x: FloatArray, y: FloatArray) -> FloatArray:
-    """Return how far every marker's motion differs from the median of its neighbours', (n,), mm.
+    """Return how far every marker's displacement differs from the median of its neighbours', (n,), mm.
 
     `x`, `y` (n, 3): reference and measured places, mm.
     """

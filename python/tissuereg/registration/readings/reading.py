@@ -1,4 +1,4 @@
-"""A reading: one interpretation of the input, with the prior cost of the mistake it assumes."""
+"""A reading (one interpretation of the input), with the prior cost of the mistake it assumes, and the input itself."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -14,22 +14,12 @@ from tissuereg.registration.readings.skin import Skin, skin_of
 
 @dataclass(frozen=True, eq=False)
 class Given:
-    """The input as given, with derived data that readings need.
+    """The markers as they were given, with derived data that readings (interpretations of the input) need.
 
-    Attributes
-    ----------
-    skin : Skin
-        Surface of the body.
-    held_nodes : ndarray of float64, shape (n_held, 3)
-        Places of the held nodes, mm.
-    names : tuple of str
-        Names of the markers.
-    reference, measured : ndarray of float64, shape (n_markers, 3)
-        mm; NaN = not seen.
-    motion : ndarray of float64, shape (n_markers, 3)
-        Measured minus reference, mm.
-    noise : float
-        Median standard deviation of a measured coordinate, mm.
+    `skin`: surface of the undeformed body, for distances of points from it; `held_nodes` (n_held, 3): places of the
+    held nodes, mm; `names`: names of the markers; `reference`, `measured` (n_markers, 3): reference and measured places
+    as given, mm; NaN = not seen; `motion` (n_markers, 3): measured minus reference, mm; `noise`: median standard
+    deviation of a measured coordinate, mm.
     """
 
     skin: Skin
@@ -42,7 +32,7 @@ class Given:
 
     @classmethod
     def of(cls, mesh: Mesh, markers: Markers, rows: IntArray) -> "Given":
-        """Return the input of the markers with numbers `rows`, with the data that readings need."""
+        """Return the input of the markers with numbers `rows`, int64 (n,), with the data that readings need."""
         skin = skin_of(mesh)
         return cls(
             skin,
@@ -64,26 +54,13 @@ class Given:
 class Reading:
     """One way to interpret the input: a mistake that may have been made, and the places and motion without it.
 
-    Attributes
-    ----------
-    kind : str
-        Kind of mistake, the first word of the sentence that reports it.
-    words : str
-        The change of the input that this reading makes.
-    cost : float
-        Minus the logarithm of the prior odds of such a mistake.
-    places : ndarray of float64, shape (n_markers, 3)
-        Reference places under this reading, mm.
-    motion : ndarray of float64, shape (n_markers, 3)
-        Displacements under this reading, mm, possibly in a rotated frame; NaN = not seen.
-    arms : ndarray of float64, shape (n_markers, 3)
-        The places in that frame, mm.
-    log_scale : float
-        Logarithm of the factor on measured coordinates.
-    rigid : bool
-        Whether the body may move as a whole.
-    rows : sequence of int
-        Numbers of the markers that are read differently; empty = all.
+    `kind`: kind of mistake, the first word of the sentence that reports it; `words`: the change of the input that this
+    reading makes, in words; `cost`: minus the logarithm of the prior odds of such a mistake; `places` (n_markers, 3):
+    reference places under this reading, mm; `motion` (n_markers, 3): displacements under this reading, mm, possibly in
+    a rotated frame; NaN = not seen; `arms` (n_markers, 3): the reference places in the frame of the displacements, mm;
+    `log_scale`: logarithm of the factor by which this reading multiplies measured coordinates; 0 unless it changes
+    units; `rigid`: whether the body may move rigidly as a whole; `rows`: numbers of the markers that this reading
+    changes; empty = all.
     """
 
     kind: str
@@ -98,5 +75,5 @@ class Reading:
 
 
 def as_given(given: Given) -> Reading:
-    """Return the reading that takes the input as it was given."""
+    """Return the reading (interpretation) that takes the input as it was given: places and displacements unchanged."""
     return Reading("", "", 0.0, given.reference, given.motion, given.reference)

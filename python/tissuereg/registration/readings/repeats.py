@@ -15,9 +15,10 @@ from tissuereg.registration.readings.settings import CHECKS, COSTS
 
 
 def stale(markers: Markers, resting: BoolArray) -> list[int]:
-    """Return the markers whose measured coordinates equal their reference places bit for bit, beyond chance.
+    """Return the numbers of the markers whose measured places equal their reference places bit for bit, beyond chance.
 
-    `markers`: the input; `resting` bool (n_markers,): markers on the held part of the surface, which may be at rest.
+    `markers`: reference and measured places, mm; `resting` bool (n_markers,): markers on the held part of the surface,
+    which may be at rest.
     """
     seen = np.isfinite(markers.measured)
     same = (seen.any(axis=1) & ((markers.measured == markers.reference) | ~seen).all(axis=1)) & ~resting
@@ -33,7 +34,7 @@ def stale(markers: Markers, resting: BoolArray) -> list[int]:
 
 
 def repeated(markers: Markers, extent: float) -> list[tuple[int, int, str]]:
-    """Return pairs of markers with the same place, "reference", "measured" or "both", that chance does not explain."""
+    """Return pairs of markers, by number, whose "reference", "measured" or "both" places are equal beyond chance."""
     n = len(markers)
     chance = (_step(markers) / (0.3 * extent)) ** 2 * max(n * (n - 1) / 2, 1.0)
     if n < 2 or -log(chance) < COSTS.margin:
@@ -50,7 +51,7 @@ def repeated(markers: Markers, extent: float) -> list[tuple[int, int, str]]:
 
 
 def _step(markers: Markers) -> float:
-    """Return the coarsest step, 10, 1, 0.1, ... mm, of which all coordinates are multiples; at least `finest_mm`."""
+    """Return the coarsest step of 10, 1, 0.1, ... mm of which all coordinates are multiples; at least `finest_mm`."""
     values: FloatArray = np.concatenate([markers.reference.ravel(), markers.measured.ravel()])
     values = values[np.isfinite(values)]
     step = 10.0

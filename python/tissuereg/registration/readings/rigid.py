@@ -1,4 +1,4 @@
-"""Readings with a rigid motion between body and markers: of all places, or of reference or measured places alone."""
+"""Readings (ways to interpret the input) with a rigid motion of all places, or of reference or measured ones alone."""
 
 import numpy as np
 
@@ -10,7 +10,7 @@ from tissuereg.registration.readings.settings import COSTS, PROPOSALS
 def best_rigid(start: FloatArray, end: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return rotations (..., 3, 3) and shifts (..., 3) in mm that move points onto others, robust to a few wrong ones.
 
-    `start`, `end` (..., n, 3): mm.
+    `start`, `end` (..., n, 3): the points before and after the motion, mm.
 
     Notes
     -----
@@ -31,14 +31,15 @@ def best_rigid(start: FloatArray, end: FloatArray) -> tuple[FloatArray, FloatArr
 
 
 def moved(points: FloatArray, turn: FloatArray, shift: FloatArray) -> FloatArray:
-    """Return points (..., n, 3), mm, after rotations (..., 3, 3) and shifts (..., 3), mm."""
+    """Return points (..., n, 3), mm, after rotations `turn` (..., 3, 3) and then translations `shift` (..., 3), mm."""
     return np.asarray(points @ np.swapaxes(turn, -1, -2) + shift[..., None, :])
 
 
 def measured_moved(given: Given) -> list[Reading]:
-    """Return the reading in which a rigid motion was applied to all measured places by mistake.
+    """Return the reading (interpretation) in which a rigid motion was applied to all measured places by mistake.
 
-    It is fitted to the motion; there is none if the body itself may move rigidly.
+    The motion is fitted to the displacements of the markers. The list has at most one reading, and none if the body
+    itself may move rigidly.
     """
     rows = given.complete
     if rows.sum() < PROPOSALS.fewest_moved or not len(given.held_nodes):
@@ -56,7 +57,7 @@ def measured_moved(given: Given) -> list[Reading]:
 
 
 def places_moved(given: Given) -> list[Reading]:
-    """Return readings in which a rigid motion must bring the reference places onto the surface.
+    """Return readings (ways to interpret the input) with a rigid motion of the reference places onto the surface.
 
     It is applied to the reference places alone, or to the measured ones, too.
     """
@@ -85,7 +86,8 @@ def places_moved(given: Given) -> list[Reading]:
 def _slid(given: Given, turn: FloatArray, shift: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return s rigid motions that bring the reference places to the surface: (s, 3, 3) and (s, 3), mm.
 
-    `turn`, `shift`: motions to start from; distances are minimised point to plane.
+    `turn` (s, 3, 3), `shift` (s, 3): rotations and shifts to start from; distances from the surface are minimised point
+    to plane.
     """
     extent = given.skin.extent
     size = np.concatenate([np.ones(3), np.full(3, (0.5 * extent) ** 2)])
@@ -104,7 +106,7 @@ def _slid(given: Given, turn: FloatArray, shift: FloatArray) -> tuple[FloatArray
 
 
 def _rotation(vector: FloatArray) -> FloatArray:
-    """Return rotation matrices (s, 3, 3) of rotation vectors (s, 3)."""
+    """Return rotation matrices (s, 3, 3) of rotation vectors (s, 3), in radians."""
     from scipy.spatial.transform import Rotation
 
     return np.asarray(Rotation.from_rotvec(vector).as_matrix())

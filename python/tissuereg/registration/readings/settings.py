@@ -1,7 +1,8 @@
-"""Numbers that decide whether input is misread: one record a question, each field with its unit and its reason.
+"""Numbers that decide whether input is misread: one class for each question, each field with its unit and its reason.
 
 Costs and odds are natural logarithms. A cost is what the input would have to gain in likelihood for a mistake of that
-kind to be as probable as no mistake; shares are of the body's extent unless another whole is named.
+kind to be as probable as no mistake; shares are of the body's extent, the largest along an axis, unless another
+quantity is named.
 """
 
 from dataclasses import dataclass
@@ -10,12 +11,12 @@ from math import log
 
 @dataclass(frozen=True)
 class MistakeCosts:
-    """Logarithm of how rare each mistake is.
+    """Prior cost of each mistake in the input: minus the natural logarithm of its odds against no mistake.
 
     Attributes
     ----------
     unit : float
-        Another unit of length: common between programs.
+        All lengths in another unit: common between programs.
     flip : float
         One axis negated, or two (LPS against RAS): the most common mistake, so the cheapest.
     axes : float
@@ -23,17 +24,17 @@ class MistakeCosts:
     column : float
         Columns or rows shifted by one: a slip in a spreadsheet.
     alone : float
-        More for one of the two triples alone: both come from one program as a rule.
+        Additional cost if the mistake is in reference or measured places alone: both come from one program as a rule.
     middle : float
-        More for a mirror through the body's middle in place of the origin.
+        Additional cost of a mirror plane through the body's middle in place of the origin.
     moved : float
-        A rigid motion of the measured triple, whose six parameters the likelihood integrates.
+        A rigid motion of the measured places, over whose six parameters the likelihood integrates.
     fitted : float
-        A rigid motion fitted to the places, whose six parameters cost a factor of eight each.
+        A rigid motion fitted to the reference places, whose six parameters cost a factor of eight each.
     swap : float
-        Two rows exchanged, beside the number of pairs.
+        Two rows exchanged; the logarithm of the number of pairs is added.
     order : float
-        All rows moved by one or sorted, beside the number of such orders.
+        All rows moved by one or sorted; the logarithm of the number of rows is added.
     far : float
         Markers that lie off the body for no reason that is named.
     unrelated : float
@@ -62,24 +63,24 @@ class MistakeCosts:
 
 @dataclass(frozen=True)
 class PlacesLaw:
-    """How the places of markers lie about a surface.
+    """Probability model of the reference places of markers about the surface of a body.
 
     Attributes
     ----------
     standoff_mm : float
-        Largest plausible height of a marker's centre above the skin, mm: that of a mounted sphere,
+        Largest plausible height of a marker's centre above the surface, mm: that of a mounted sphere.
     standoff_share : float
-        or this share of the extent, if that is less.
+        The same as a share of the extent; the smaller height counts.
     wrong_share : float
         Share of markers that may lie anywhere, so that one wrong marker condemns no reading.
     depth : float
-        Depth of markers that were placed inside the body, share of the extent.
+        Standard deviation of the depth of markers that were placed inside the body, share of the extent.
     inside_odds : float
         Log-odds that all markers were placed inside.
     held_odds : float
         Log-odds of a marker on held surface: hardly anybody measures what cannot move.
     speck, sprawl : float
-        Spread of a layout over that of the skin, below and above which it becomes unlikely.
+        Spread of the markers over that of the surface nodes, below and above which their layout becomes unlikely.
     fewest_spread : int
         Fewest markers for which a spread is meaningful.
     """
@@ -97,7 +98,7 @@ class PlacesLaw:
 
 @dataclass(frozen=True)
 class MotionLaw:
-    """How one soft body moves: a mixture over sizes, lengths and noises.
+    """Probability model of the motion of one soft body: a mixture over sizes, lengths and noises.
 
     Attributes
     ----------
@@ -108,24 +109,27 @@ class MotionLaw:
     lengths : tuple of float
         Lengths over which a deformation varies, shares of the extent.
     together : tuple of float
-        Sizes of a rigid motion that fades towards held nodes, shares of the extent: 0 is that of the deformation, the
-        other a tip that swings.
+        Sizes of a rigid motion that fades towards held nodes, shares of the extent: 0 stands for the size of the
+        deformation, the other is a tip that swings.
     together_weights : tuple of float
+        Prior probability of each size in `together`.
         Prior probability of each.
     extra_noise_mm : tuple of float
         Additions to the tracker's noise, mm: nothing, small misfits of the model, a wrong marker.
     noise_weights : tuple of float
+        Prior probability of each addition.
         Prior probability of each.
     rigid_share : float
         Standard deviation of the translation of a free body, share of the extent.
     rigid_radian : float
-        The same of its rotation, radian.
+        Standard deviation of its rotation, radian.
     fading : tuple of float
         Lengths over which motion fades towards held nodes, shares of the extent: a thin base, and a thick one.
     largest_noise_mm : float
         Upper limit on the noise of a coordinate, mm: a larger stated value is more likely an error of units.
     few_readings : int
-        Up to so many readings are part of a Cholesky factor; of more, a solve is faster.
+        Up to this number, readings (interpretations of the input) are part of a Cholesky factor; for more, a solve is
+        faster.
     """
 
     sizes: tuple[float, ...] = (0.002, 0.008, 0.03, 0.08, 0.2)
@@ -144,38 +148,40 @@ class MotionLaw:
 
 @dataclass(frozen=True)
 class Proposals:
-    """How many other readings are tried, which bounds the time.
+    """Numbers of other readings (interpretations of the input) that are tried, which bound the time.
 
     Attributes
     ----------
     spread_markers : int
-        Markers used that are spread over the body, if there are many,
+        Number of markers used that are spread over the body, if there are many.
     odd_markers : int
-        and those beside them that differ most from their neighbours.
+        Number of further markers used, whose motion differs most from that of their neighbours.
     places : int
-        Readings with other places whose motion is evaluated: the most likely without it.
+        Number of readings with other reference places whose motion is evaluated: those that are most likely by their
+        places.
     turned : int
-        The same of readings with measured places in other frames.
+        Number of readings with measured places in other frames whose motion is evaluated.
     all_pairs : int
-        Up to this number of markers all pairs are exchanged; of more, those that differ most from their neighbours.
+        Up to this number of markers all pairs are exchanged; of more markers, those that differ most from their
+        neighbours.
     orders : int
-        Orders of rows that are evaluated: those with the least motion after a common motion is removed.
+        Number of orders of rows that are evaluated: those with the least motion after a common motion is removed.
     neighbours : int
-        Neighbours with which a marker's motion is compared: enough for a median.
+        Number of neighbours with which a marker's motion is compared: enough for a median.
     fewest_places : int
-        Fewest markers whose places alone determine six parameters,
+        Fewest markers whose places alone determine the six parameters of a rigid motion.
     fewest_moved : int
-        and fewest whose motion does.
+        Fewest markers whose motion determines these parameters.
     smallest_mm : float
-        A rigid motion smaller than this at the held nodes is a slipped support, not a misreading: mm,
+        A rigid motion smaller than this at the held nodes is a slipped support, not a misreading, mm.
     smallest_share : float
-        or this share of the extent, if that is more.
+        The same as a share of the extent; the larger one counts.
     align, slide : int
-        Iterations of a robust rigid fit to places, and of one onto the surface: they settle in fewer.
+        Iterations of a robust rigid fit to places, and of a rigid fit onto the surface: both settle in fewer.
     closest : int
-        Closest surface samples whose triangles are tested exactly.
+        Number of closest surface samples whose triangles are tested exactly.
     sets_kept : int
-        Sets of points whose closest places are kept.
+        Number of sets of points whose closest places on the surface are kept in memory.
     """
 
     spread_markers: int = 32
@@ -197,7 +203,7 @@ class Proposals:
 
 @dataclass(frozen=True)
 class MarkerChecks:
-    """When single markers are suspicious though no other reading explains them.
+    """Limits beyond which single markers are suspicious though no other reading of the input explains them.
 
     Attributes
     ----------
@@ -206,19 +212,19 @@ class MarkerChecks:
     deepest_share : float
         A marker deeper inside the body than this share of its extent was not placed there on purpose.
     held_mm : float
-        A marker on held surface that moves by more is suspicious, beside its noise: mm,
+        A marker on held surface that moves by more than this and its noise is suspicious, mm.
     held_share : float
-        or this share of the extent, if that is more.
+        The same as a share of the extent; the larger one counts.
     mounted : float
-        Largest plausible error of a mounting, share of the largest height above the skin.
+        Standard deviation of the height of a mounted marker, share of the largest height above the surface.
     inside_mm : float
-        The same of a marker placed inside the body, which cannot stick out: mm,
+        Standard deviation of how far a marker that was placed inside the body sticks out of it, mm,
     inside_share : float
-        plus this share of the extent.
+        to which this share of the extent is added.
     level : float
-        Chance below which a mounting is out of the question.
+        Chance below which it is excluded that the markers were mounted, or placed inside.
     fewest : int
-        Fewest markers whose scatter tells.
+        Fewest markers whose distances from the surface are tested.
     finest_mm : float
         Finest step of numbers that came through text or single precision, mm.
     """
@@ -237,12 +243,12 @@ class MarkerChecks:
 
 @dataclass(frozen=True)
 class CloudChecks:
-    """When unlabelled points of a surface are suspicious.
+    """Limits beyond which unlabelled points measured on a surface are suspicious.
 
     `odd`, `lost`: median distances from the undeformed surface, shares of the extent, above which points are
-    suspicious, or refused; `times`: another reading must bring the points closer by this factor; `near`: and within
-    this share of the extent; `larger`, `smaller`: size of a cloud over that of a free body, above or below which it is
-    in other units; `points`: points whose distances are computed.
+    suspicious, or refused; `times`: another reading must bring the points closer by this factor; `near`: share of the
+    extent within which it must bring them; `larger`, `smaller`: size of a cloud over that of a free body, above or
+    below which it is in other units; `points`: number of points whose distances are computed.
     """
 
     odd: float = 0.12

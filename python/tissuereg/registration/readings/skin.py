@@ -1,4 +1,4 @@
-"""Distances of points from a body's surface, and from its held nodes, for many points at once."""
+"""Distances of many points at once from the surface of a body, and from its held nodes."""
 
 from threading import Lock
 from typing import NamedTuple
@@ -16,7 +16,7 @@ _KEEPING = Lock()
 
 
 class Closest(NamedTuple):
-    """Positions of points relative to a surface; shapes as those of the points.
+    """Closest places on a surface to points of shape (..., 3); the arrays have the leading axes of the points.
 
     `distance` (...): mm, negative inside the body; `foot` (..., 3): closest point of the surface, mm; `normal` (...,
     3): outward unit normal of the triangle that contains the foot; `held` bool (...): whether all its corners are held.
@@ -31,9 +31,9 @@ class Closest(NamedTuple):
 class Skin:
     """The surface of a mesh, sampled once for nearest-triangle queries.
 
-    `mesh`: reference shape. `extent`: largest extent of the body along an axis, mm; `middle` (3,): middle of its
+    `mesh`: undeformed body. `extent`: largest extent of the body along an axis, mm; `middle` (3,): middle of its
     bounding box, mm; `spread`: root mean square distance of the surface nodes from their mean, mm; `held` int64
-    (n_held,): held nodes; none if the mesh has no set ``fixed``.
+    (n_held,): numbers of the held nodes; empty if the mesh has no set ``fixed``.
     """
 
     def __init__(self, mesh: Mesh) -> None:
@@ -54,7 +54,7 @@ class Skin:
         self._held_tree = cKDTree(mesh.nodes[self.held], balanced_tree=False) if len(self.held) else None
 
     def closest(self, points: FloatArray) -> Closest:
-        """Return the closest place on the surface for points of shape (..., 3), mm.
+        """Return the closest place on the surface, and the distance from it, of points (..., n, 3), mm.
 
         Points are taken in sets, (n, 3); the last sets are remembered, since reference places come again and again.
         """
@@ -101,7 +101,7 @@ class Skin:
 
 
 def skin_of(mesh: Mesh) -> Skin:
-    """Return the skin of a mesh, cached while its set ``fixed`` stays the same."""
+    """Return the surface of a mesh for nearest-triangle queries, cached while its set ``fixed`` stays the same."""
     found = _skin(mesh)
     held = mesh.node_sets.get("fixed")
     return found if (held is None and not len(found.held)) or found.held is held else Skin(mesh)
@@ -111,7 +111,7 @@ _skin = per_mesh(Skin)
 
 
 def closest_on_triangles(points: FloatArray, corners: FloatArray) -> FloatArray:
-    """Return the closest points of triangles (..., 3, 3) to points (..., 3)."""
+    """Return the closest points (..., 3), mm, of triangles with corners (..., 3, 3), mm, to points (..., 3), mm."""
     a, b, c = corners[..., 0, :], corners[..., 1, :], corners[..., 2, :]
     ab, ac, ap = b - a, c - a, points - a
     normal = np.cross(ab, ac)

@@ -1,4 +1,4 @@
-"""Compares readings by one likelihood: its cheap parts for all of them, the motion for the promising ones."""
+"""Comparison of readings (ways to interpret the input): a cheap likelihood for all, that of the motion for some."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -22,11 +22,12 @@ from tissuereg.registration.readings.settings import COSTS, PROPOSALS
 
 @dataclass(frozen=True, eq=False)
 class Weighed:
-    """A reading with its log-likelihoods, without constants that all readings share.
+    """A reading (one interpretation of the input) with its log-likelihoods, without constants that all readings share.
 
-    `reading`: the reading; `distance` (n_weighed,): of the markers' places from the surface, signed, mm; `motion`
-    (n_weighed, 3): displacements, mm, without the rigid motion of a free body; `of_layout`, `of_places`, `of_motion`:
-    log-likelihoods of the layout on the body, of the distances from its surface, and of the motion.
+    `reading`: the reading; `distance` (n_weighed,): signed distances of the reference places of the markers used from
+    the surface, mm; `motion` (n_weighed, 3): their displacements, mm, without the rigid motion of a free body;
+    `of_layout`, `of_places`, `of_motion`: log-likelihoods of the layout on the body, of the distances from its surface,
+    and of the displacements.
     """
 
     reading: Reading
@@ -42,7 +43,7 @@ class Weighed:
         return self.of_layout + self.of_places + self.of_motion - self.reading.cost
 
     def believable(self, extent: float) -> bool:
-        """Return whether places and motion are likelier than ones unrelated to the body (`extent`, mm)."""
+        """Return whether places and motion are more probable than ones unrelated to the body (of this extent, mm)."""
         places = self.of_places > nowhere_likelihood(self.distance, extent)
         n_seen = int(np.isfinite(self.motion).sum())
         motion = self.of_motion - n_seen * self.reading.log_scale
@@ -50,7 +51,7 @@ class Weighed:
 
 
 def chosen_rows(given: Given) -> IntArray:
-    """Return the numbers of the markers used: all; or, of many, those spread over the body and unusual ones."""
+    """Return the numbers of the markers to use: all, or, of many, some spread over the body and the unusual ones."""
     n = len(given.names)
     if n <= PROPOSALS.spread_markers + PROPOSALS.odd_markers:
         return np.arange(n)
@@ -65,10 +66,10 @@ def chosen_rows(given: Given) -> IntArray:
 
 
 def weigh(given: Given, readings: list[Reading], rows: IntArray) -> list[Weighed]:
-    """Return the readings to evaluate in full; the input as given stays first.
+    """Return the promising readings (interpretations of the input) with their log-likelihoods.
 
-    `given`: the input; `readings`: candidates, the input as given first; `rows` int64 (n_weighed,): markers that are
-    used.
+    `given`: the input; `readings`: candidates, the input as given first; `rows` int64 (n_weighed,): numbers of the
+    markers that are used. Result: the input as given is first.
     """
     where: dict[int, int] = {}
     stacked: list[FloatArray] = []
@@ -106,9 +107,10 @@ def weigh(given: Given, readings: list[Reading], rows: IntArray) -> list[Weighed
 def _worth(readings: list[Reading], likely: FloatArray, rows: IntArray) -> tuple[list[int], list[int]]:
     """Return which readings are evaluated in full: two lists of their numbers.
 
-    `likely` (n_readings,): log-likelihood of each reading's places. The first list has the readings with the given
-    places and axes, the second the likeliest of the others. Readings with only the measured places in other axes are
-    kept if the motion becomes smaller.
+    `readings`: interpretations of the input, the input as given first; `likely` (n_readings,): log-likelihood of each
+    reading's places; `rows`: numbers of the markers used. The first list has the readings with the given places and
+    axes, the second the likeliest of the others. Readings with only the measured places in other axes are kept if the
+    motion becomes smaller.
     """
     given = readings[0]
     same, turned, elsewhere = [0], [], []
@@ -126,10 +128,11 @@ def _worth(readings: list[Reading], likely: FloatArray, rows: IntArray) -> tuple
 
 
 def _hopeless(plain: Weighed, reading: Reading, likely: float, given: Given, rows: IntArray) -> bool:
-    """Return whether a reading cannot beat the input as given, however well its motion fits.
+    """Return whether a reading cannot be more probable than the input as given, however well its motion fits.
 
-    `plain`: the input as given, weighed; `likely`: log-likelihood of the reading's places. If the motion is unchanged,
-    the places decide; otherwise the bound is the likelihood of no motion at all.
+    `plain`: the input as given, with its likelihood; `likely`: log-likelihood of the reading's places; `rows`: numbers
+    of the markers used. If the motion is unchanged, the places decide; otherwise the bound is the likelihood of no
+    motion at all.
     """
     if reading.motion is plain.reading.motion:
         return likely - reading.cost < plain.of_layout + plain.of_places + COSTS.margin
@@ -140,14 +143,14 @@ def _hopeless(plain: Weighed, reading: Reading, likely: float, given: Given, row
 
 
 def _sizes(readings: list[Reading], rows: IntArray) -> FloatArray:
-    """Return the median size of a seen coordinate of the motion under each reading, (n_readings,), mm."""
+    """Return the median absolute seen coordinate of the displacements under each reading, (n_readings,), mm."""
     motion = np.abs([reading.motion[rows] for reading in readings])
     seen = np.isfinite(motion[0])
     return np.median(motion[:, seen], axis=1) if seen.any() else np.zeros(len(readings))
 
 
 def _groups(readings: list[Reading], chosen: list[int]) -> list[list[int]]:
-    """Return the numbers of the `chosen` readings in groups that share places and frame."""
+    """Return the numbers of the `chosen` readings (interpretations of the input) by equal places and frame."""
     groups: dict[tuple[int, int, bool], list[int]] = {}
     for number in chosen:
         reading = readings[number]
@@ -156,10 +159,10 @@ def _groups(readings: list[Reading], chosen: list[int]) -> list[list[int]]:
 
 
 def _motion(given: Given, readings: Sequence[Reading], rows: IntArray) -> tuple[FloatArray, FloatArray]:
-    """Return motions (n_readings, n_weighed, 3), mm, and their log-likelihoods (n_readings,).
+    """Return displacements (n_readings, n_weighed, 3), mm, of the markers, and their log-likelihoods (n_readings,).
 
-    The readings share places and frame; of a free body the rigid motion is removed. `rows`: numbers of the markers
-    used.
+    `readings`: interpretations of the input that share places and frame; `rows`: numbers of the markers used. For a
+    free body the best rigid motion is removed from the displacements.
     """
     arms, freedom = readings[0].arms[rows], given.skin.freedom(readings[0].places[rows])
     motion = np.array([reading.motion[rows] for reading in readings])

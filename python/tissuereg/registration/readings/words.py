@@ -1,4 +1,4 @@
-"""Suspicions in sentences that start with their kind."""
+"""Suspicions that the input is misread, as sentences that start with the kind of mistake."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -23,9 +23,9 @@ class Suspicion:
         ``unit``, ``frame``, ``mirrored``, ``rigid motion``, ``swapped``, ``columns``, ``far from the surface``,
         ``places``, ``unrelated``, ``stale``, ``repeated`` or ``held``.
     sentence : str
-        Starts with the kind.
+        The reason; it starts with the kind.
     markers : tuple of str
-        Markers concerned; empty = all.
+        Names of the markers concerned; empty = all.
     """
 
     kind: str
@@ -34,7 +34,7 @@ class Suspicion:
 
 
 def explained(plain: Weighed, best: Weighed, others: Sequence[Weighed], names: tuple[str, ...]) -> Suspicion:
-    """Return the suspicion that another reading is right.
+    """Return the suspicion that another reading (interpretation) of the input is right.
 
     `plain`, `best`: the input as given, and the reading that beats it; `others`: all readings that were evaluated, to
     list those that fit equally well; `names`: names of all markers.
@@ -58,7 +58,10 @@ def explained(plain: Weighed, best: Weighed, others: Sequence[Weighed], names: t
 
 
 def far(names: Sequence[str], distance: Sequence[float], extent: float) -> Suspicion:
-    """Return the suspicion that markers lie off the surface and no reading explains it; distances in mm."""
+    """Return the suspicion that markers lie off the surface and no reading of the input explains it.
+
+    `names`: the markers; `distance` (n,): distances of each from the surface, mm; `extent`: of the body, mm.
+    """
     farthest = int(np.argmax(distance))
     sentence = (
         f"far from the surface: {listed(names)} {_be(names)} up to {distance[farthest]:.1f} mm ({names[farthest]}) "
@@ -77,7 +80,7 @@ def unrelated(motion: FloatArray) -> Suspicion:
 
 
 def stale(names: Sequence[str]) -> Suspicion:
-    """Return the suspicion that measured places are copies of the reference places."""
+    """Return the suspicion that the measured places of the markers `names` are copies of the reference places."""
     sentence = (
         f"stale: {listed(names)} {_be(names)} measured exactly at the reference place, to the last digit; "
         "a tracker that sees a marker has noise, so this is an old or a copied value"
@@ -97,7 +100,7 @@ def repeated(names: Sequence[str], what: str) -> Suspicion:
 
 
 def held(names: Sequence[str], size: float) -> Suspicion:
-    """Return the suspicion that markers on held surface move, by up to `size` mm."""
+    """Return the suspicion that the markers `names`, which are on held surface, move, by up to `size` mm."""
     sit, move = ("sit", "move") if len(names) > 1 else ("sits", "moves")
     sentence = (
         f"held: {listed(names)} {sit} on surface that is held and yet {move} by up to {size:.1f} mm; "

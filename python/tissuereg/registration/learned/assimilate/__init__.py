@@ -1,4 +1,4 @@
-"""Parameters given observations: by an ensemble, ES-MDA, or by the most probable ones and the Gaussian about them.
+"""Parameters given observations: an ensemble of them by ES-MDA, or the most probable ones and a Gaussian about them.
 
 `tissuereg-esmda` computes; the model is a Python function of many columns of parameters.
 """

@@ -29,14 +29,14 @@ FACTORISATIONS = ("auto", "cholesky", "qr", "svd")
 
 @dataclass(frozen=True, eq=False)
 class StepOptions:
-    """How one update is made; an option that would change nothing beside the others is refused.
+    """How one update of the ensemble is made; an option that would have no effect beside the others is refused.
 
     Attributes
     ----------
     form : {"stochastic", "square_root"}
         Perturbed observations, or a deterministic transform (ETKF) without draws.
     factorisation : {"auto", "cholesky", "qr", "svd"}
-        Of the stochastic form; changes rounding only.
+        Factorisation in the stochastic form; it changes rounding only.
 
     Raises
     ------
@@ -65,24 +65,24 @@ class StepOptions:
         alpha: float,
         threads: int = 0,
     ) -> FloatArray:
-        """Return the latents after one step.
+        """Return the latents of the ensemble after one update.
 
         Parameters
         ----------
         latents : ndarray of float64, shape (n_latent, n_members)
-            Members before the step.
+            Members before the step, dimensionless.
         predicted : ndarray of float64, shape (n_obs, n_members)
-            Their predictions, mm.
+            Marker displacements that they predict, mm.
         observed : ndarray of float64, shape (n_obs,)
             Measured displacements, mm.
         noise : Noise
-            Covariance C_d, factored.
+            Covariance C_d of the measurements, factored, mm^2.
         draws : ndarray of float64, shape (n_obs, n_members)
-            Standard normals; not read in the square-root form.
+            Standard normals, by which observations are perturbed; not read in the square-root form.
         alpha : float
-            Inflation coefficient.
+            Inflation coefficient: the factor on C_d in this step.
         threads : int
-            Threads of the update.
+            Threads of the update; 0 takes all cores.
 
         Returns
         -------
@@ -105,14 +105,14 @@ class Assimilation:
     Attributes
     ----------
     latents : ndarray of float64, shape (n_latent, n_members)
-        Members that survived.
+        Members that survived, dimensionless.
     dropped : list of (int, str)
         Number of each member that was lost, among those of the first ensemble, with the reason.
     exact_draws : bool
         Whether the draws had exact sample moments (`balanced_draws`); otherwise the spread of a small ensemble is too
         narrow.
     alphas : tuple of float
-        Inflation coefficients of the steps made; their inverses sum to one.
+        Inflation coefficients (factors on the covariance of the noise) of the steps made; their inverses sum to one.
     """
 
     latents: FloatArray
@@ -122,15 +122,15 @@ class Assimilation:
 
     @property
     def mean(self) -> FloatArray:
-        """Ensemble mean, shape (n_latent,)."""
+        """Mean (n_latent,) of the ensemble's latents, dimensionless."""
         return np.asarray(self.latents.mean(axis=1))
 
     @property
     def spread_factor(self) -> float:
-        """Factor on covariances that corrects for the finite ensemble.
+        """Factor on covariances of the ensemble that corrects for its finite size.
 
-        Mean and covariance estimated from n independent members predict a further draw with the covariance
-        times ``(1 + 1/n)(n - 1)/(n - 3)`` (variance of Student's t); balanced draws estimate nothing.
+        Mean and covariance estimated from n independent members predict a further draw with the covariance times ``(1 +
+        1/n)(n - 1)/(n - 3)`` (variance of Student's t). For draws with exact sample moments the factor is one.
         """
         n = self.latents.shape[1]
         return 1.0 if self.exact_draws else (1.0 + 1.0 / n) * (n - 1.0) / max(n - 3.0, 1.0)
@@ -138,16 +138,16 @@ class Assimilation:
 
 @dataclass(frozen=True, eq=False)
 class FirstEnsemble:
-    """An ensemble drawn from a prior, with its predictions where they are known.
+    """An ensemble of latents drawn from a prior, with its predictions where they are known.
 
     Attributes
     ----------
     latents : ndarray of float64, shape (n_latent, n_members)
-        Draws.
+        Draws, one column for each member.
     exact : bool
-        Whether their moments are those of the prior, see `balanced_draws`.
+        Whether their sample mean and covariance are those of the prior (`balanced_draws`).
     predicted : ndarray of float64, shape (n_obs, n_members), or None
-        mm.
+        Marker displacements that the draws predict, mm; None if they are not known.
     """
 
     latents: FloatArray
@@ -156,21 +156,21 @@ class FirstEnsemble:
 
     @classmethod
     def of(cls, prior: Gaussian, rng: np.random.Generator, n_members: int) -> "FirstEnsemble":
-        """Return draws from a prior; raise ArgumentError if its covariance is not positive definite."""
+        """Return `n_members` draws from a prior; raise ArgumentError if its covariance is not positive definite."""
         return cls.about(prior, *balanced_draws(rng, (len(prior.mean), n_members), np.empty((0, n_members))))
 
     @classmethod
     def about(cls, prior: Gaussian, draws: FloatArray, exact: bool) -> "FirstEnsemble":
-        """Return the ensemble of a prior from standard normal draws (n_latent, n_members).
+        """Return the ensemble with the mean and covariance of a prior from standard normal draws (n_latent, n_members).
 
-        `exact`: whether the sample moments of the draws are exact.
+        `exact` says whether the sample mean and covariance of the draws are exact.
         """
         return cls(np.asarray(prior.mean[:, None] + _root_of(prior) @ draws), exact)
 
 
 @dataclass(frozen=True, eq=False)
 class AssimilationSettings:
-    """Ensemble, schedule and steps of an assimilation.
+    """Ensemble size, inflation schedule and steps of an assimilation by ES-MDA.
 
     Parameters
     ----------
@@ -179,13 +179,13 @@ class AssimilationSettings:
     schedule : {"geometric"} or sequence of float
         Inflation coefficients: each `decrease` times smaller than the one before, or the coefficients themselves.
     decrease : float
-        Each inflation coefficient over the next; their inverses sum to one.
+        Ratio of each inflation coefficient to the next in a geometric schedule, in which their inverses sum to one.
     options : StepOptions
         Form and factorisation of a step.
     min_members : int
-        Fewer surviving members than this, or than two, raise.
+        Least number of surviving members; with fewer than this, or than two, an error is raised.
     threads : int
-        Threads of the update; the result does not depend on it.
+        Threads of the update, 0 for all cores; the result does not depend on it.
 
     Raises
     ------
@@ -211,7 +211,7 @@ class AssimilationSettings:
         self.coefficients()
 
     def coefficients(self) -> tuple[float, ...]:
-        """Return the inflation coefficients of all steps."""
+        """Return the inflation coefficients (factors on the noise's covariance) of all steps; inverses sum to one."""
         if not isinstance(self.schedule, str):
             return tuple(map(float, _core.check_schedule(float_array("schedule", self.schedule, (None,)))))
         check_choice("schedule", self.schedule, SCHEDULES, ScheduleError)
@@ -236,7 +236,7 @@ def assimilate(
     Parameters
     ----------
     predict : callable
-        Latents (n_latent, n_members) to predictions (n_obs, n_members) in mm; float32 is converted.
+        Function from latents (n_latent, n_members) to predictions (n_obs, n_members) in mm; float32 is converted.
     observed : ndarray of float64, shape (n_obs,)
         Measured marker displacements in mm.
     noise : ndarray of float64, shape (n_obs, n_obs), or Noise
@@ -246,10 +246,10 @@ def assimilate(
     rng : numpy.random.Generator
         The only source of random numbers.
     settings : AssimilationSettings, optional
-        Ensemble, schedule and steps.
+        Ensemble size, inflation schedule and steps.
     perturbations : callable, optional
-        Step number (from 0) and shape (n_obs, n_members) to standard normal draws of that shape, in place of
-        `balanced_draws`; stochastic form only.
+        Function from step number (from 0) and shape (n_obs, n_members) to standard normal draws of that shape, in place
+        of `balanced_draws`; stochastic form only.
     first : FirstEnsemble, optional
         Draws from the prior, in place of `n_members` made here; with their predictions the first step decodes nothing.
 
@@ -274,8 +274,10 @@ def assimilate(
 
     Notes
     -----
-    ``z += C_zy (C_yy + a C_d)^-1 (d + sqrt(a) C_d^1/2 e - y)``, A. A. Emerick and A. C. Reynolds, "Ensemble smoother
-    with multiple data assimilation", Computers & Geosciences 55, 3-15, 2013, doi:10.1016/j.cageo.2012.03.011.
+    Each step adds ``C_zy (C_yy + a C_d)^-1 (d + sqrt(a) C_d^1/2 e - y)`` to each member's latents z, with its
+    prediction y, ensemble covariances C_zy and C_yy, observations d, inflation coefficient a and normal draws e: A. A.
+    Emerick and A. C. Reynolds, "Ensemble smoother with multiple data assimilation", Computers & Geosciences 55, 3-15,
+    2013, doi:10.1016/j.cageo.2012.03.011.
     """
     observed = float_array("observed", observed, (None,))
     covariance = noise_of(noise, len(observed))
@@ -323,7 +325,7 @@ def assimilate(
 
 
 def noise_of(noise: FloatArray | _core.Noise, n_obs: int) -> _core.Noise:
-    """Return the noise's covariance (n_obs, n_obs), mm^2, factored; raise ShapeError if it has another size."""
+    """Return the covariance (n_obs, n_obs) of the noise, in mm^2, factored; raise ShapeError if it has another size."""
     if isinstance(noise, _core.Noise):
         if noise.n_obs != n_obs:
             message = f"`noise` must be that of {n_obs} observations, got {noise.n_obs}"

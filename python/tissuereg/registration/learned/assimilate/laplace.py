@@ -17,25 +17,27 @@ from tissuereg.registration.learned.model import Gaussian
 
 @dataclass(frozen=True, eq=False)
 class Laplace(Gaussian):
-    """A posterior of latents, Gaussian about the most probable ones; `mean` and `covariance` as in `Gaussian`.
+    """A Gaussian posterior of latents about the most probable ones, which are its `mean`, with a `covariance`.
 
     Attributes
     ----------
     root : ndarray of float64, shape (n_latent, n_latent)
-        Lower triangular, ``covariance = root root'``.
+        Lower triangular Cholesky factor, ``covariance = root root'``.
     predicted : ndarray of float64, shape (n_obs,)
-        Predictions at the mean, mm.
+        Predicted displacements at the mean, mm.
     absorbed : ndarray of float64, shape (n_obs, n_obs)
-        Posterior covariance G P G' of the predictions, mm^2: what the fit has absorbed of the noise, see
+        Posterior covariance G P G' of the predictions, mm^2, with their derivatives G and the covariance P of the
+        latents: the part of the noise that the fit has followed, see
         `tissuereg.registration.wrong_markers.score_markers`.
     misfit : float
         Data and prior terms at the mean; a chi-square of n_obs degrees of freedom if prior and noise are as stated.
     last_step : float
         Length of the next step, which was not taken, in standard deviations of the posterior.
     iterations, evaluations : int
-        Steps taken, and points tried, neighbours for derivatives not counted.
+        Number of steps taken, and number of points tried, not counting neighbours for derivatives.
     one_sided : tuple of int
-        Prior directions whose derivative at the mean is one-sided because the model failed on the other side.
+        Numbers of the prior's directions in which the derivative at the mean is one-sided because the model failed on
+        the other side.
     """
 
     root: FloatArray
@@ -48,7 +50,7 @@ class Laplace(Gaussian):
     one_sided: tuple[int, ...]
 
     def draws(self, rng: np.random.Generator, n_members: int) -> FloatArray:
-        """Return latents (n_latent, n_members) drawn from the posterior, whose sample moments are exact if possible."""
+        """Return latents (n_latent, n_members) drawn from the posterior, with exact sample moments if possible."""
         return self.ensemble(rng, n_members).latents
 
     def ensemble(self, rng: np.random.Generator, n_members: int) -> Assimilation:
@@ -64,7 +66,7 @@ class Laplace(Gaussian):
         Returns
         -------
         Assimilation
-            No member is lost.
+            The draws, of which none is counted as lost.
         """
         shape = (len(self.mean), whole("n_members", n_members))
         normals, exact = balanced_draws(rng, shape, np.empty((0, n_members)))
@@ -80,9 +82,10 @@ class SearchSettings:
     tolerance : float
         The search ends where the next step is shorter than so many standard deviations of the posterior.
     max_evaluations : int
-        Points that may be tried.
+        Largest number of points that may be tried.
     difference : float
-        Distance of the neighbours in standard deviations of the prior; 1e-2 suits a decoder in float32.
+        Distance of a point from its neighbours for derivatives, in standard deviations of the prior; 1e-2 suits a
+        decoder in float32.
 
     Raises
     ------
@@ -115,7 +118,7 @@ def gauss_newton(
     Parameters
     ----------
     predict : callable
-        Latents (n_latent, n_columns) to predictions (n_obs, n_columns) in mm.
+        Function from latents (n_latent, n_columns) to predictions (n_obs, n_columns) in mm.
     observed : ndarray of float64, shape (n_obs,)
         Measured marker displacements in mm.
     noise : ndarray of float64, shape (n_obs, n_obs), or Noise
@@ -123,12 +126,13 @@ def gauss_newton(
     prior : Gaussian
         Prior of the latents.
     jacobian : callable, optional
-        Latents (n_latent,) to the derivatives (n_obs, n_latent) of the predictions, mm. By default central differences
-        along the columns of the prior's Cholesky factor, one call of `predict` with 2 n_latent + 1 columns each time.
+        Function from latents (n_latent,) to the derivatives (n_obs, n_latent) of the predictions, mm. By default
+        central differences along the columns of the prior's Cholesky factor, one call of `predict` with 2 n_latent + 1
+        columns each time.
     start : ndarray of float64, shape (n_latent,), optional
         Where the search begins; by default the prior's mean.
     settings : SearchSettings, optional
-        Where the search ends, and how far the neighbours are.
+        Where the search ends, and how far the neighbours of a point for derivatives are.
 
     Returns
     -------
@@ -145,7 +149,7 @@ def gauss_newton(
     NoiseError
         If `noise` is not positive definite.
     ArgumentError
-        If the prior's covariance is not positive definite, or `settings` are none.
+        If the prior's covariance is not positive definite, or `settings` is not a SearchSettings.
     MarkerError
         If `observed` is not finite.
     ShapeError
@@ -153,11 +157,12 @@ def gauss_newton(
 
     Notes
     -----
-    Minimises ``(d - g(z))' C_d^-1 (d - g(z)) + (z - m)' C^-1 (z - m)`` by the steps of Levenberg and Marquardt in the
-    metric of the prior, undamped where the model is nearly linear; the covariance is ``(C^-1 + G' C_d^-1 G)^-1``. One
-    minimum is found, and its regions are right as far as the model is linear over them. D. S. Oliver, A. C. Reynolds
-    and N. Liu, "Inverse theory for petroleum reservoir characterization and history matching", Cambridge University
-    Press, 2008, chapter 8.
+    Minimises ``(d - g(z))' C_d^-1 (d - g(z)) + (z - m)' C^-1 (z - m)`` over latents z, with observations d, predictions
+    g(z) and the prior's mean m and covariance C, by the steps of Levenberg and Marquardt in the metric of the prior,
+    undamped where the model is nearly linear; the covariance is ``(C^-1 + G' C_d^-1 G)^-1``, with the derivatives G of
+    g. One minimum is found, and its regions are right as far as the model is linear over them. D. S. Oliver, A. C.
+    Reynolds and N. Liu, "Inverse theory for petroleum reservoir characterization and history matching", Cambridge
+    University Press, 2008, chapter 8.
     """
     called("jacobian", jacobian)
     settings = maybe("settings", settings, SearchSettings) or SearchSettings()
