@@ -31,17 +31,21 @@ def graph_tables(rng, *, sizes=(3, 8, 20), channels=(6, 5, 3), n_bases=2, n_late
     }
     for k in range(1, len(sizes)):
         n_coarse, n_fine = sizes[k - 1], sizes[k]
-        up = edges_between(rng, n_fine, n_coarse, 2)
-        near = edges_between(rng, n_fine, n_fine, degree)
+        near = edges_between(rng, n_fine, n_coarse, degree)
         tables |= {
-            f"unpool{k}.edges": up,
-            f"unpool{k}.weights": rng.uniform(0.1, 1.0, len(up)),
             f"conv{k}.edges": near,
             f"conv{k}.coefficients": rng.standard_normal((len(near), n_bases)) / degree,
             f"conv{k}.bases": rng.standard_normal((n_bases, channels[k - 1], channels[k])),
             f"conv{k}.bias": rng.standard_normal(channels[k]),
         }
     return tables
+
+
+def graph_closure_tables(rng, **how):
+    """Tables of a closure with a graph network; `how` of the latter."""
+    graph = graph_tables(rng, **how)
+    closure = closure_tables(rng, activation="silu", n_nodes=len(graph["mean_mm"]), skip=True)
+    return {**graph, **closure}
 
 
 def edges_between(rng, n_rows, n_columns, degree):
@@ -73,18 +77,20 @@ def closure_field(tables, z):
     return tables["mean_mm"] + np.tensordot(z + straight, tables["components_mm"], 1)
 
 
-def graph_field(tables, z):
-    """The field (n_nodes, 3) of one code: edge by edge, unpooling and convolution apart."""
+def graph_field(tables, z, activation="elu"):
+    """The field (n_nodes, 3) of one code, edge by edge."""
     sizes = tables["levels"]
     x = (tables["fully_connected.weight"] @ z + tables["fully_connected.bias"]).reshape(sizes[0], -1)
     for k in range(1, len(sizes)):
-        fine = np.zeros((sizes[k], x.shape[1]))
-        for (i, j), share in zip(tables[f"unpool{k}.edges"], tables[f"unpool{k}.weights"], strict=True):
-            fine[i] += share * x[j]
         bases = tables[f"conv{k}.bases"]
-        x = np.tile(tables[f"conv{k}.bias"], (sizes[k], 1))
+        coarse, x = x, np.tile(tables[f"conv{k}.bias"], (sizes[k], 1))
         for (i, j), row in zip(tables[f"conv{k}.edges"], tables[f"conv{k}.coefficients"], strict=True):
-            x[i] += fine[j] @ np.tensordot(row, bases, 1)
+            x[i] += coarse[j] @ np.tensordot(row, bases, 1)
         if k < len(sizes) - 1:
-            x = activated("elu", x)
+            x = activated(activation, x)
     return tables["mean_mm"] + tables["scale_mm"] * x
+
+
+def graph_closure_field(tables, z):
+    """The field (n_nodes, 3) of one code: the closure's and, about zero, the graph network's."""
+    return closure_field(tables, z) + graph_field({**tables, "mean_mm": 0.0}, z, "silu")

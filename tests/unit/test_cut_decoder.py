@@ -5,7 +5,14 @@ import onnx
 import pytest
 from scipy import sparse
 
-from support.networks import closure_field, closure_tables, graph_field, graph_tables
+from support.networks import (
+    closure_field,
+    closure_tables,
+    graph_closure_field,
+    graph_closure_tables,
+    graph_field,
+    graph_tables,
+)
 from tissuereg.errors import ModelError
 from tissuereg.phantom import phantom_mesh, shipped_model_folder
 from tissuereg.registration.learned import cut as cut_module
@@ -26,6 +33,12 @@ DECODERS = {
     "graph/one level": (graph_tables, graph_field, {"sizes": (3, 9), "channels": (6, 3)}),
     "graph/two levels": (graph_tables, graph_field, {}),
     "graph/three levels": (graph_tables, graph_field, {"sizes": (3, 9, 50, 400), "channels": (8, 6, 4, 3)}),
+    "both/one level": (graph_closure_tables, graph_closure_field, {"sizes": (3, 9), "channels": (6, 3)}),
+    "both/three levels": (
+        graph_closure_tables,
+        graph_closure_field,
+        {"sizes": (3, 9, 50, 400), "channels": (8, 6, 4, 3)},
+    ),
 }
 
 
@@ -138,7 +151,10 @@ def test_weights_of_another_decoder_are_refused(monkeypatch):
         (closure_tables, "skip/weight", np.zeros((4, 5)), "skip/weight"),
         (closure_tables, "mean_mm", np.full((12, 3), np.nan), "mean_mm.* must be finite"),
         (graph_tables, "conv1.bases", np.zeros((2, 5, 5)), "conv1.bases"),
-        (graph_tables, "conv2.edges", np.full((50, 2), 99), "conv2 .* must lie between nodes of 20 and 20"),
+        (graph_tables, "conv2.edges", np.full((50, 2), 99), "conv2 .* must lie between nodes of 20 and 8"),
+        (graph_tables, "conv2.edges", np.full((50, 2), (0, 8)), "conv2 .* must lie between nodes of 20 and 8"),
+        (graph_closure_tables, "layer0/weight", np.zeros((7, 5)), "skip/weight"),
+        (graph_closure_tables, "fully_connected.weight", np.zeros((18, 5)), "one number of latents, got 5 and 4"),
         (graph_tables, "levels", np.array([3, 8]), "end in 3 channels"),
         (graph_tables, "scale_mm", np.zeros(2), "scale_mm"),
     ],

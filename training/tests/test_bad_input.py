@@ -166,7 +166,7 @@ def test_too_few_members(tmp_path):
         ("[train]\nloss = 'l3'", r"one of distance, squared"),
         ("[train]\ncoarse_edges = 'x'", r"one of wide, reduced"),
         ("[train]\npatience = -1", r"patience must be at least 0"),
-        ("[train]\nkind = 'mlp'", r"kind must be one of graph, closure, got 'mlp'"),
+        ("[train]\nkind = 'mlp'", r"kind must be one of graph, closure, graph-closure, got 'mlp'"),
         ("[train]\nkind = []", r"kind must be one of graph, closure, got \[\]"),
         ("[train]\nkind = 'closure'\nchannels = [8]", r"and nothing else, got: channels"),
         ("[train]\nkind = 'closure'\nn_components = 25", r"n_components must be at least n_latent, 26, got 25"),

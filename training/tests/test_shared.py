@@ -38,7 +38,19 @@ def test_a_shared_table_is_stored_once_and_read_by_numpy_and_onnxruntime(tmp_pat
         np.testing.assert_allclose(found, x @ TABLE.astype(np.float32), atol=1e-3)
 
 
-@pytest.mark.parametrize("networks", [[network(TABLE), network(TABLE + np.float16(1))], [network(TABLE[::-1])]])
-def test_a_table_that_one_network_lacks_stays_in_the_weights(tmp_path, networks):
-    assert list(write_shared(tmp_path, networks, {"table": TABLE})) == ["table"]
+def test_a_table_of_one_network_alone_is_shared_with_it_and_the_other_keeps_its_own(tmp_path):
+    networks = [network(TABLE), network(TABLE + np.float16(1))]
+    assert not write_shared(tmp_path, networks, {"layer/table": TABLE})
+    assert [path.name for path in tmp_path.iterdir()] == ["layer.table.npy"]
+    sizes = [one.ByteSize() for one in networks]
+    assert sizes[0] < 1000
+    assert sizes[1] > TABLE.nbytes
+
+
+@pytest.mark.parametrize("table", [TABLE[::-1], TABLE[:40]])
+def test_a_table_that_no_network_has_or_that_is_small_stays_in_the_weights(tmp_path, table):
+    networks = [network(TABLE)]
+    if len(table) == 40:  # 80 kB
+        networks[0].graph.initializer[0].CopyFrom(numpy_helper.from_array(table, "half"))
+    assert list(write_shared(tmp_path, networks, {"table": table})) == ["table"]
     assert not list(tmp_path.iterdir())

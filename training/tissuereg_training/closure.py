@@ -24,9 +24,10 @@ from tissuereg_training.pca import Moments
 #: Log-variance of every latent at the start.
 _FIRST_LOG_VARIANCE = -6.0
 #: Share of torch's usual start that the perceptrons' last layers have.
-_SMALL = 0.1
+SMALL = 0.1
 
-_ACTIVATIONS: dict[str, type[nn.Module]] = {"elu": nn.ELU, "silu": nn.SiLU}
+#: By the name in a recipe.
+ACTIVATIONS: dict[str, type[nn.Module]] = {"elu": nn.ELU, "silu": nn.SiLU}
 
 
 class Closure(Network):
@@ -66,7 +67,7 @@ class Closure(Network):
             self.log_variance_head.weight.zero_()
             self.log_variance_head.bias.fill_(_FIRST_LOG_VARIANCE)
             for last in (self.mean_head, self.decoder_layers()[-1]):
-                last.weight.mul_(_SMALL)
+                last.weight.mul_(SMALL)
                 last.bias.zero_()
         self.components_mm: torch.Tensor
         self.coefficient_scale_mm: torch.Tensor
@@ -162,5 +163,5 @@ def perceptron(widths: Sequence[int], activation: str, *, ends_linear: bool) -> 
     """
     layers: list[nn.Module] = []
     for n_in, n_out in pairwise(widths):
-        layers += [nn.Linear(n_in, n_out), _ACTIVATIONS[activation]()]
+        layers += [nn.Linear(n_in, n_out), ACTIVATIONS[activation]()]
     return nn.Sequential(*(layers[:-1] if ends_linear else layers))

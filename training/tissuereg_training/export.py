@@ -24,7 +24,7 @@ from scipy import sparse
 
 from tissuereg_training.layers import DensityPool, FloatArray, VertexConv
 from tissuereg_training.model import GraphVae
-from tissuereg_training.onnx_graph import GraphBuilder
+from tissuereg_training.onnx_graph import GraphBuilder, narrowest
 
 #: Largest table, in numbers, that a decoder layer lays out in full: 256 MiB.
 DENSE_LIMIT = 2**26
@@ -50,13 +50,13 @@ def encoder_onnx(model: GraphVae, facts: dict[str, Any]) -> onnx.ModelProto:
     x = graph.node("Div", [x, graph.table("scale_mm", _numpy(model.scale_mm))], "normalise/scale")
     layers = []
     for k, (conv, pool) in enumerate(model.encoder_layers(), start=1):
-        x = _encoder_conv(graph, f"conv{k}", conv, x)
+        x = mixed_conv(graph, f"conv{k}", conv, x)
         x = graph.node("Elu", [x], f"conv{k}/elu")
         edges = pool.pattern.edges
         shape = (pool.pattern.n_owners, pool.pattern.n_others)
         table = graph.scattered(f"pool{k}", edges, _numpy(pool.weights()), shape)
         x = graph.node("MatMul", [table, x], f"pool{k}/average_neighbours")
-        layers += [_conv_fact(f"conv{k}", conv), _pool_fact("pool", f"pool{k}", pool)]
+        layers += [conv_fact(f"conv{k}", conv), _pool_fact("pool", f"pool{k}", pool)]
     x = graph.reshape(x, "flatten", 0, model.levels.sizes[-1] * model.channels[-1])
     outputs = {}
     for name, head in (("mean", model.mean_head), ("log_variance", model.log_variance_head)):
@@ -94,7 +94,7 @@ def decoder_onnx(model: GraphVae, facts: dict[str, Any]) -> onnx.ModelProto:
     layers = []
     for k, (unpool, conv) in enumerate(model.decoder_layers(), start=1):
         x = _decoder_conv(graph, k, unpool, conv, x, nodes if k == depth else None)
-        layers += [_pool_fact("unpool", f"unpool{k}", unpool), _conv_fact(f"conv{k}", conv)]
+        layers += [_pool_fact("unpool", f"unpool{k}", unpool), conv_fact(f"conv{k}", conv)]
         if k < depth:
             x = graph.node("Add", [x, graph.table(f"conv{k}/bias", _numpy(conv.bias))], f"conv{k}/add_bias")
             x = graph.node("Elu", [x], f"conv{k}/elu")
@@ -111,7 +111,7 @@ def decoder_onnx(model: GraphVae, facts: dict[str, Any]) -> onnx.ModelProto:
 
 
 def decoder_weights(model: GraphVae) -> dict[str, npt.NDArray[Any]]:
-    """Return every table of the decoder, layer by layer as Table II has them, nothing folded.
+    """Return every table of the decoder, layer by layer, unpooling and convolution as one (`folded_edges`).
 
     Parameters
     ----------
@@ -121,10 +121,10 @@ def decoder_weights(model: GraphVae) -> dict[str, npt.NDArray[Any]]:
     Returns
     -------
     dict of str to ndarray
-        ``fully_connected.weight`` (n_L * C, q) and ``.bias``; for k = 1, 2, .. from coarse to fine ``unpool{k}.edges``
-        (e, 2) rows (fine node, coarse node), ``unpool{k}.weights`` (e,), ``conv{k}.edges`` (e, 2) rows (node,
-        neighbour), ``conv{k}.coefficients`` (e, M), ``conv{k}.bases`` (M, I, O), ``conv{k}.bias`` (O,); ``levels``,
-        coarsest first; ``mean_mm`` (n, 3) and ``scale_mm`` (): displacement = mean + scale * output.
+        ``fully_connected.weight`` (n_L * C, q) and ``.bias``; for k = 1, 2, .. from coarse to fine ``conv{k}.edges``
+        (e, 2) rows (fine node, coarse node), ``conv{k}.coefficients`` (e, M), ``conv{k}.bases`` (M, I, O) and
+        ``conv{k}.bias`` (O,); ``levels``, coarsest first; ``mean_mm`` (n, 3) and ``scale_mm`` (): displacement = mean +
+        scale * output.
     """
     head = model.fully_connected
     tables: dict[str, npt.NDArray[Any]] = {
@@ -135,30 +135,68 @@ def decoder_weights(model: GraphVae) -> dict[str, npt.NDArray[Any]]:
         "scale_mm": _numpy(model.scale_mm),
     }
     for k, (unpool, conv) in enumerate(model.decoder_layers(), start=1):
-        edges, coefficients = conv.edge_table()
-        tables |= {
-            f"unpool{k}.edges": unpool.pattern.edges.astype(np.int32),
-            f"unpool{k}.weights": _numpy(unpool.weights()),
-            f"conv{k}.edges": edges.astype(np.int32),
-            f"conv{k}.coefficients": coefficients,
-            f"conv{k}.bases": _numpy(conv.bases),
-            f"conv{k}.bias": _numpy(conv.bias),
-        }
+        edges, coefficients = folded_edges(unpool, conv)
+        tables |= conv_tables(k, conv, edges.astype(np.int32), coefficients)
     return tables
 
 
-def _encoder_conv(graph: GraphBuilder, name: str, conv: VertexConv, x: str) -> str:
+def conv_tables(
+    k: int, conv: VertexConv, edges: npt.NDArray[Any], coefficients: npt.NDArray[Any]
+) -> dict[str, npt.NDArray[Any]]:
+    """Return the tables of the decoder's layer `k`, between two levels."""
+    return {
+        f"conv{k}.edges": edges,
+        f"conv{k}.coefficients": coefficients,
+        f"conv{k}.bases": _numpy(conv.bases),
+        f"conv{k}.bias": _numpy(conv.bias),
+    }
+
+
+def mixed_conv(
+    graph: GraphBuilder, name: str, conv: VertexConv, x: str, nodes: str | None = None, *, half: bool = False
+) -> str:
+    """Add a convolution, coefficients first.
+
+    Parameters
+    ----------
+    graph : GraphBuilder
+        Added to.
+    name : str
+        Of the layer.
+    conv : VertexConv
+        Within a level or between two.
+    x : str
+        Features (batch, n_sources, n_in).
+    nodes : str, optional
+        Compute these alone.
+    half : bool
+        Store tables in half precision, for weights that are rounded so.
+
+    Returns
+    -------
+    str
+        Features (batch, n_nodes, n_out), or (batch, k, n_out), before the activation.
+    """
     edges, coefficients = conv.edge_table()
     neighbours, slots = padded_neighbours(edges, conv.n_nodes)
     n, degree = neighbours.shape
-    table = graph.scattered(name, slots, coefficients, (n, degree, conv.n_bases))
+    stored = graph.halved if half else graph.table
+    table = graph.scattered(name, slots, coefficients, (n, degree, conv.n_bases), half=half)
     table = graph.node("Transpose", [table], f"{name}/coefficients_by_basis", perm=[0, 2, 1])
-    near = graph.node("Gather", [x, graph.table(f"{name}/neighbours", neighbours)], f"{name}/gather_neighbours", axis=1)
+    near = (
+        graph.indices(f"{name}/neighbours", narrowest(neighbours))
+        if half
+        else graph.table(f"{name}/neighbours", neighbours)
+    )
+    if nodes is not None:
+        table = graph.node("Gather", [table, nodes], f"{name}/rows_at_nodes")
+        near = graph.node("Gather", [near, nodes], f"{name}/neighbours_at_nodes")
+    near = graph.node("Gather", [x, near], f"{name}/gather_neighbours", axis=1)
     mixed = graph.node("MatMul", [table, near], f"{name}/mix")
-    flat = graph.reshape(mixed, f"{name}/join_bases", 0, n, conv.n_bases * conv.n_in)
-    bases = graph.table(f"{name}/bases", _numpy(conv.bases).reshape(-1, conv.n_out))
+    flat = graph.reshape(mixed, f"{name}/join_bases", 0, 0, conv.n_bases * conv.n_in)
+    bases = stored(f"{name}/bases", _numpy(conv.bases).reshape(-1, conv.n_out))
     x = graph.node("MatMul", [flat, bases], f"{name}/multiply_bases")
-    return graph.node("Add", [x, graph.table(f"{name}/bias", _numpy(conv.bias))], f"{name}/add_bias")
+    return graph.node("Add", [x, stored(f"{name}/bias", _numpy(conv.bias))], f"{name}/add_bias")
 
 
 def _decoder_conv(graph: GraphBuilder, k: int, unpool: DensityPool, conv: VertexConv, x: str, nodes: str | None) -> str:
@@ -267,7 +305,8 @@ def _matrix(edges: npt.NDArray[Any], values: npt.NDArray[Any], shape: tuple[int,
     return sparse.csr_array((values.astype(np.float64), (edges[:, 0], edges[:, 1])), shape)
 
 
-def _conv_fact(name: str, conv: VertexConv) -> dict[str, Any]:
+def conv_fact(name: str, conv: VertexConv) -> dict[str, Any]:
+    """Return what a file's metadata tells of a convolution."""
     return {
         "name": name,
         "kind": "vcConv",

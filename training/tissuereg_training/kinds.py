@@ -8,15 +8,16 @@ import numpy.typing as npt
 import onnx
 import torch
 
-from tissuereg_training import closure_export, export
+from tissuereg_training import closure_export, export, graph_closure_export
 from tissuereg_training.closure import Closure
 from tissuereg_training.data import FieldArray
 from tissuereg_training.errors import EnsembleError
 from tissuereg_training.graph import IntArray, hierarchy
+from tissuereg_training.graph_closure import GraphClosure
 from tissuereg_training.model import GraphVae
 from tissuereg_training.network import Network
 from tissuereg_training.pca import Moments, principal_components
-from tissuereg_training.settings import ClosureSettings, GraphSettings, TrainSettings
+from tissuereg_training.settings import ClosureSettings, GraphClosureSettings, GraphSettings, TrainSettings
 
 N = TypeVar("N", bound=Network)
 S = TypeVar("S", bound=TrainSettings)
@@ -101,6 +102,30 @@ def _new_graph(material: Material, settings: GraphSettings) -> tuple[GraphVae, s
 
 
 def _new_closure(material: Material, settings: ClosureSettings) -> tuple[Closure, str]:
+    n_nodes, n_wanted = len(material.moments.mean), settings.n_components
+    model = Closure(
+        n_nodes, n_wanted, settings.n_latent, settings.hidden, settings.encoder_hidden, settings.activation
+    )
+    return model, _on_components(model, material, settings)
+
+
+def _new_graph_closure(material: Material, settings: GraphClosureSettings) -> tuple[GraphClosure, str]:
+    levels = hierarchy(len(material.moments.mean), material.tets, len(settings.channels), settings.coarse_edges)
+    model = GraphClosure(
+        levels,
+        settings.channels,
+        settings.n_bases,
+        settings.n_components,
+        settings.n_latent,
+        settings.hidden,
+        settings.encoder_hidden,
+        settings.activation,
+    )
+    return model, f"{_on_components(model, material, settings)}; {levels.summary()}"
+
+
+def _on_components(model: Closure, material: Material, settings: ClosureSettings) -> str:
+    """Give a closure the components of the training split; return a line about its sizes."""
     about, n_wanted = material.moments, settings.n_components
     if about.n_fields <= n_wanted:
         message = (
@@ -109,17 +134,9 @@ def _new_closure(material: Material, settings: ClosureSettings) -> tuple[Closure
         )
         raise EnsembleError(message, where="members")
     components, std = principal_components(material.parts, about, n_wanted)
-    model = Closure(
-        len(about.mean),
-        n_wanted,
-        settings.n_latent,
-        settings.hidden,
-        settings.encoder_hidden,
-        settings.activation,
-    )
     model.set_components(about, torch.from_numpy(components), torch.from_numpy(std))
     widths = (settings.n_latent, *settings.hidden, n_wanted)
-    return model, f"latents > coefficients {' > '.join(map(str, widths))}, {len(about.mean)} nodes"
+    return f"latents > coefficients {' > '.join(map(str, widths))}, {len(about.mean)} nodes"
 
 
 #: By the name in a recipe.
@@ -127,5 +144,11 @@ KINDS: dict[str, Kind[Any, Any]] = {
     "graph": Kind(_new_graph, export.encoder_onnx, export.decoder_onnx, export.decoder_weights),
     "closure": Kind(
         _new_closure, closure_export.encoder_onnx, closure_export.decoder_onnx, closure_export.decoder_weights
+    ),
+    "graph-closure": Kind(
+        _new_graph_closure,
+        closure_export.encoder_onnx,
+        graph_closure_export.decoder_onnx,
+        graph_closure_export.decoder_weights,
     ),
 }

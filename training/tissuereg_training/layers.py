@@ -29,21 +29,30 @@ class VertexConv(nn.Module):
     Parameters
     ----------
     edges : ndarray of int64, shape (n_edges, 2)
-        Rows (node, neighbour) sorted, symmetric, self included.
+        Rows (node, neighbour) sorted by node. Within a level symmetric, self included; between two levels (a
+        convolution with stride) those of a pooling or of an unpooling.
     n_nodes : int
-        Nodes of the level.
+        Nodes after it.
     n_in, n_out : int
         Channels.
     n_bases : int
         M.
+    n_sources : int, optional
+        Nodes before it, where they are another level's.
     """
 
-    def __init__(self, edges: IntArray, n_nodes: int, n_in: int, n_out: int, n_bases: int) -> None:
+    def __init__(
+        self, edges: IntArray, n_nodes: int, n_in: int, n_out: int, n_bases: int, n_sources: int | None = None
+    ) -> None:
         super().__init__()
-        self.n_nodes, self.n_in, self.n_out, self.n_bases = n_nodes, n_in, n_out, n_bases
+        n_sources = n_nodes if n_sources is None else n_sources
+        self.n_nodes, self.n_sources, self.n_in, self.n_out, self.n_bases = n_nodes, n_sources, n_in, n_out, n_bases
         #: Coefficients first: owner of an edge is its target. Bases first: its source.
         self.mixes_first = n_in < n_out
-        self.pattern = EdgePattern(edges, n_nodes, n_nodes, n_bases)
+        if self.mixes_first:
+            self.pattern = EdgePattern(edges, n_nodes, n_sources, n_bases)
+        else:
+            self.pattern = EdgePattern(swapped(edges), n_sources, n_nodes, n_bases)
         degree = len(edges) / n_nodes
         # Small coefficients with bases of size one: equal steps of Adam then change the coefficients most.
         # Starts of the same product but other shares (a / sqrt(degree M), B / sqrt(I)) learned far more slowly.
@@ -56,7 +65,7 @@ class VertexConv(nn.Module):
 
         Parameters
         ----------
-        x : Tensor of float, shape (n_nodes, batch * n_in)
+        x : Tensor of float, shape (n_sources, batch * n_in)
             Input.
 
         Returns
@@ -70,7 +79,7 @@ class VertexConv(nn.Module):
             y = sum_of_products(z, self.bases)
         else:
             u = products(x.reshape(-1, self.n_in), self.bases)
-            y = collect(self.coefficients, u.view(self.n_bases * self.n_nodes, -1), self.pattern).view(-1, self.n_out)
+            y = collect(self.coefficients, u.view(self.n_bases * self.n_sources, -1), self.pattern).view(-1, self.n_out)
         return (y + self.bias).view(self.n_nodes, batch * self.n_out)
 
     def edge_table(self) -> tuple[IntArray, FloatArray]:
@@ -107,3 +116,9 @@ class DensityPool(nn.Module):
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         """Return the means: (n_sources, w) gives (n_targets, w)."""
         return spread(self.weights()[None], x, self.pattern)
+
+
+def swapped(edges: IntArray) -> IntArray:
+    """Return edges (n_edges, 2) with both ends exchanged, sorted again."""
+    turned = edges[:, ::-1]
+    return np.ascontiguousarray(turned[np.lexsort((turned[:, 1], turned[:, 0]))])

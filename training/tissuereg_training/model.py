@@ -10,13 +10,12 @@ ELU after every convolution but the last; none after pooling or the linear layer
 from collections.abc import Sequence
 from typing import Any, ClassVar, cast
 
-import numpy as np
 import torch
 from torch import nn
 from torch.nn import functional as F
 
-from tissuereg_training.graph import Hierarchy, IntArray
-from tissuereg_training.layers import DensityPool, VertexConv
+from tissuereg_training.graph import Hierarchy
+from tissuereg_training.layers import DensityPool, VertexConv, swapped
 from tissuereg_training.network import Network
 
 
@@ -55,7 +54,7 @@ class GraphVae(Network):
         self.fully_connected = nn.Linear(n_latent, n_flat)
         coarse_first = range(depth - 1, -1, -1)
         self.unpools = nn.ModuleList(
-            DensityPool(_swapped(levels.pools[k]), sizes[k], sizes[k + 1]) for k in coarse_first
+            DensityPool(swapped(levels.pools[k]), sizes[k], sizes[k + 1]) for k in coarse_first
         )
         self.decoder_convs = nn.ModuleList(
             VertexConv(levels.edges[k], sizes[k], widths[k + 1], widths[k], n_bases) for k in coarse_first
@@ -126,8 +125,3 @@ class GraphVae(Network):
             if step < len(self.channels) - 1:
                 h = F.elu(h)
         return h.view(self.n_nodes, batch, 3).transpose(0, 1)
-
-
-def _swapped(edges: IntArray) -> IntArray:
-    turned = edges[:, ::-1]
-    return np.ascontiguousarray(turned[np.lexsort((turned[:, 1], turned[:, 0]))])

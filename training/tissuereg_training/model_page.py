@@ -2,7 +2,11 @@
 
 from typing import Any
 
-_NAMES = {"gnn-vae": "Graph network of Table II", "closure": "Principal components combined by a perceptron"}
+_NAMES = {
+    "gnn-vae": "Graph network of Table II",
+    "closure": "Principal components combined by a perceptron",
+    "graph-closure": "Principal components combined by a perceptron, and a graph network",
+}
 
 
 def model_page(card: dict[str, Any]) -> str:
@@ -26,6 +30,8 @@ def model_page(card: dict[str, Any]) -> str:
         (f"{card['n_latent']} principal components, test split", errors["pca"]),
         ("constant mean shape, test split", errors["mean_shape"]),
     ]
+    if "test_mm_without_graph" in card:
+        rows.insert(3, ("test split, graph network switched off", card["test_mm_without_graph"]))
     lines = [
         f"# {_NAMES[card['kind']]}",
         "",
@@ -62,10 +68,13 @@ def model_page(card: dict[str, Any]) -> str:
 
 
 def _sizes(card: dict[str, Any]) -> str:
+    found = []
+    if "hidden" in card:
+        widths = (card["n_latent"], *card["hidden"], card["n_components"])
+        found.append(f"Latents to coefficients {' > '.join(map(str, widths))}, {card['activation']}.")
     if "levels" in card:
-        return f"Levels {' > '.join(f'{n:,}' for n in card['levels'])}, channels {card['channels']}."
-    widths = (card["n_latent"], *card["hidden"], card["n_components"])
-    return f"Latents to coefficients {' > '.join(map(str, widths))}, {card['activation']}."
+        found.append(f"Levels {' > '.join(f'{n:,}' for n in card['levels'])}, channels {card['channels']}.")
+    return " ".join(found)
 
 
 def _data(each: dict[str, Any]) -> str:

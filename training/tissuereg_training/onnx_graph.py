@@ -79,6 +79,10 @@ class GraphBuilder:
         stored = self.table(f"{name}/half", array.astype(np.float16))
         return self.node("Cast", [stored], name, to=TensorProto.FLOAT)
 
+    def indices(self, name: str, array: npt.NDArray[Any]) -> str:
+        """Add whole numbers that are widened to 64 bits when the network is loaded."""
+        return self.node("Cast", [self.table(name, array)], f"{name}/index", to=TensorProto.INT64)
+
     def shape(self, *sizes: int) -> str:
         """Add a shape, for Reshape: 0 keeps an axis, -1 takes the rest."""
         return self.table("shape/" + "x".join(map(str, sizes)), np.array(sizes, np.int64))
@@ -87,7 +91,9 @@ class GraphBuilder:
         """Add a Reshape."""
         return self.node("Reshape", [x, self.shape(*sizes)], name)
 
-    def scattered(self, name: str, edges: npt.NDArray[Any], values: npt.NDArray[Any], shape: tuple[int, ...]) -> str:
+    def scattered(
+        self, name: str, edges: npt.NDArray[Any], values: npt.NDArray[Any], shape: tuple[int, ...], *, half: bool = False
+    ) -> str:
         """Add a table that is stored by its edges and laid out in full when the network is loaded.
 
         Parameters
@@ -100,15 +106,17 @@ class GraphBuilder:
             Coefficients of each edge.
         shape : tuple of int
             Of the full table, (n_nodes, n_neighbours, ...).
+        half : bool
+            Store coefficients in half precision, and edges in as few bits as they need.
 
         Returns
         -------
         str
             Name of the full table; all its inputs are constants, so onnxruntime folds it.
         """
-        index = self.node("Cast", [self.table(f"{name}/edges", edges.astype(np.int32))], f"{name}/index", to=7)
+        index = self.indices(f"{name}/edges", narrowest(edges) if half else edges.astype(np.int32))
         zeros = self.node("ConstantOfShape", [self.shape(*shape)], f"{name}/zeros")
-        coefficients = self.table(f"{name}/coefficients", values)
+        coefficients = (self.halved if half else self.table)(f"{name}/coefficients", values)
         return self.node("ScatterND", [zeros, index, coefficients], f"{name}/scatter_edges")
 
     def build(
@@ -148,3 +156,8 @@ class GraphBuilder:
         helper.set_model_props(model, texts)
         onnx.checker.check_model(model)
         return model
+
+
+def narrowest(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Return whole numbers that are not negative in as few bits as the largest needs."""
+    return array.astype(np.min_scalar_type(array.max()))

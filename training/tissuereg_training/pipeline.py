@@ -34,6 +34,7 @@ from tissuereg_training.evaluate import (
 )
 from tissuereg_training.fit import FitState, fit, stalled
 from tissuereg_training.folder import check_out, put_back, write_model
+from tissuereg_training.graph_closure import GraphClosure
 from tissuereg_training.host import Clock, best_device, device_name, machine, prepare, versions
 from tissuereg_training.inversion import inversions, sampled_inversions
 from tissuereg_training.kinds import KINDS, Material, new_network
@@ -48,8 +49,6 @@ from tissuereg_training.training_split import TrainingSplit
 
 SCHEMA = "tissuereg.train/1"
 MODEL_SCHEMA = "tissuereg.model/1"
-#: Reconstruction errors kept in the model folder, at most.
-N_ERROR_FIELDS = 64
 
 
 def train(
@@ -132,7 +131,7 @@ def train(
             card = _card(model, dataset, material, recipe, seed, state)
             card["data"] = [read_origin(folder) for folder in (first, *further)]
             card["training"] = _training(state, settings, model, threads)
-            errors = _error_fields(model, dataset, split)
+            errors = _error_fields(model, dataset, split, settings.error_fields)
             notify("mean error in mm: " + ", ".join(f"{k} {v:.4f}" for k, v in card["errors_mm"].items()))
         with clock.stage("export"):
             facts, kind = _facts(card, model), KINDS[settings.kind]
@@ -207,6 +206,7 @@ def _card(
         "epochs": state.epoch,
         "best_epoch": state.best_epoch,
         "errors_mm": errors,
+        **_closure_alone(model, test),
         "scale_mm": float(model.scale_mm),
         "kl_weight": settings.kl_weight,
         "spread_weight": settings.spread_weight,
@@ -216,6 +216,14 @@ def _card(
         "reconstructions": inversions(dataset.nodes, dataset.tets, _reconstructed(model, test)),
         "versions": versions(),
     }
+
+
+def _closure_alone(model: Network, test: FieldArray) -> dict[str, float]:
+    """Return what a closure errs without the graph network that was trained with it; nothing of other networks."""
+    if not isinstance(model, GraphClosure):
+        return {}
+    with model.graph_switched_off():
+        return {"test_mm_without_graph": mean_error(model, test)}
 
 
 def _reconstructed(model: Network, fields: FieldArray) -> Iterator[FieldArray]:
@@ -236,14 +244,16 @@ def _training(state: FitState, settings: TrainSettings, model: Network, threads:
     }
 
 
-def _error_fields(model: Network, dataset: Dataset, split: Split) -> dict[str, np.ndarray[Any, np.dtype[Any]]]:
+def _error_fields(
+    model: Network, dataset: Dataset, split: Split, n_most: int
+) -> dict[str, np.ndarray[Any, np.dtype[Any]]]:
     """Return what the network misses of fields it never saw: the pairs' truths, or the test split without pairs.
 
     ``error_fields_mm`` of whole fields, ``change_error_fields_mm`` of the change from simulation to truth, both
     (e, n_nodes, 3), and ``error_sizes_mm``, ``change_sizes_mm``, the root mean square of the true fields.
     """
-    unseen = (dataset.truths if len(dataset.truths) else dataset.fields[split.test])[:N_ERROR_FIELDS]
-    simulated, true = dataset.simulations[:N_ERROR_FIELDS], dataset.truths[:N_ERROR_FIELDS]
+    unseen = (dataset.truths if len(dataset.truths) else dataset.fields[split.test])[:n_most]
+    simulated, true = dataset.simulations[:n_most], dataset.truths[:n_most]
     return {
         "error_fields_mm": error_fields(model, unseen).astype(np.float16),
         "error_sizes_mm": root_mean_square(unseen),

@@ -11,8 +11,8 @@ ACTIVATIONS = ("elu", "silu")
 
 #: Keys newer than the first trainings: left out of a checkpoint's fingerprint while they have these values.
 _LATER: dict[str, Any] = {"kind": "graph", "patience": 0}
-#: Keys of the second stage, which no checkpoint of the first depends on.
-_SECOND = ("spread_weight", "spread_epochs")
+#: Keys of what comes after the first stage, which no checkpoint of it depends on.
+_AFTER = ("spread_weight", "spread_epochs", "error_fields")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,8 +30,8 @@ class TrainSettings:
     rise : float
         Share of all steps in which the learning rate rises to its peak; it falls to zero after.
     loss : {"distance", "rms", "squared"}
-        Reconstruction term, in units of the scale: mean Euclidean node error (graph alone), mean over fields of the
-        root mean square node error (closure alone), or mean squared component.
+        Reconstruction term, in units of the scale: mean Euclidean node error (not of a closure), mean over fields of
+        the root mean square node error (not of a graph network), or mean squared component.
     kl_weight : float
         Weight of the Kullback-Leibler divergence of q(z | x) from N(0, 1), summed over latents. Positive: a network
         without it has no prior.
@@ -52,6 +52,8 @@ class TrainSettings:
         leaves those of the first stage.
     spread_epochs : int
         Passes over the training split in the second stage.
+    error_fields : int
+        Reconstruction errors of unseen fields that are kept in the model folder, at most.
     """
 
     #: Name of the kind in a recipe.
@@ -72,6 +74,7 @@ class TrainSettings:
     patience: int = 0
     spread_weight: float = 0.3
     spread_epochs: int = 5
+    error_fields: int = 64
 
     def rules(self) -> tuple[tuple[bool, str, str], ...]:
         """Return what must hold: (holds, key, sentence)."""
@@ -89,6 +92,7 @@ class TrainSettings:
             (self.patience >= 0, "patience", "at least 0"),
             (0 <= self.spread_weight < math.inf, "spread_weight", "at least 0"),
             (self.spread_epochs >= 1, "spread_epochs", "at least 1"),
+            (self.error_fields >= 1, "error_fields", "at least 1"),
         )
 
     def as_dict(self) -> dict[str, Any]:
@@ -102,7 +106,7 @@ class TrainSettings:
         A training that an earlier version began can then be continued by a later one.
         """
         values = self.as_dict().items()
-        return {key: value for key, value in values if key not in _SECOND and value != _LATER.get(key)}
+        return {key: value for key, value in values if key not in _AFTER and value != _LATER.get(key)}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -128,12 +132,7 @@ class GraphSettings(TrainSettings):
 
     def rules(self) -> tuple[tuple[bool, str, str], ...]:
         """Return what must hold: (holds, key, sentence)."""
-        return (
-            *super().rules(),
-            (_widths(self.channels), "channels", "positive whole numbers"),
-            (self.n_bases >= 1, "n_bases", "at least 1"),
-            (self.coarse_edges in COARSE_HOPS, "coarse_edges", f"one of {', '.join(COARSE_HOPS)}"),
-        )
+        return (*super().rules(), *_graph_rules(self))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -175,8 +174,49 @@ class ClosureSettings(TrainSettings):
         )
 
 
+@dataclass(frozen=True, kw_only=True)
+class GraphClosureSettings(ClosureSettings):
+    """A closure and a graph network that adds what its components leave out, `kind = "graph-closure"`.
+
+    Parameters
+    ----------
+    channels : tuple of int
+        Channels a level of the graph network, finest first; as many strided convolutions as entries.
+    n_bases : int
+        Basis matrices a convolution, M.
+    coarse_edges : {"wide", "reduced"}
+        As for the graph network.
+    """
+
+    kind: ClassVar[str] = "graph-closure"
+    LOSSES: ClassVar[tuple[str, ...]] = ("distance", "rms", "squared")
+
+    batch: int = 64
+    loss: str = "distance"
+    n_components: int = 96
+    hidden: tuple[int, ...] = (256, 256, 256)
+    encoder_hidden: tuple[int, ...] = (256, 256)
+    channels: tuple[int, ...] = (16, 32, 64)
+    n_bases: int = 8
+    coarse_edges: str = "reduced"
+
+    def rules(self) -> tuple[tuple[bool, str, str], ...]:
+        """Return what must hold: (holds, key, sentence)."""
+        return (*super().rules(), *_graph_rules(self))
+
+
 #: By the name in a recipe.
-SETTINGS: dict[str, type[TrainSettings]] = {each.kind: each for each in (GraphSettings, ClosureSettings)}
+SETTINGS: dict[str, type[TrainSettings]] = {
+    each.kind: each for each in (GraphSettings, ClosureSettings, GraphClosureSettings)
+}
+
+
+def _graph_rules(settings: GraphSettings | GraphClosureSettings) -> tuple[tuple[bool, str, str], ...]:
+    return (
+        (_widths(settings.channels), "channels", "positive whole numbers"),
+        (settings.n_bases >= 1, "n_bases", "at least 1"),
+        (settings.coarse_edges in COARSE_HOPS, "coarse_edges", f"one of {', '.join(COARSE_HOPS)}"),
+    )
 
 
 def _widths(values: tuple[int, ...]) -> bool:

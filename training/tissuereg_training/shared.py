@@ -1,4 +1,4 @@
-"""Large tables that both networks and the weights have in common are stored once, in a file of their own.
+"""Large tables that networks and weights have in common are stored once, in a file of their own.
 
 An ONNX file may keep a constant in another file of its folder; an .npy file is a header and the numbers, so numpy and
 onnxruntime read the same bytes.
@@ -14,13 +14,13 @@ import onnx
 from onnx import TensorProto
 
 #: Smaller tables stay where they are, bytes.
-_LARGE = 1 << 20
+_LARGE = 100_000
 
 
 def write_shared(
     folder: Path, networks: Sequence[onnx.ModelProto], weights: dict[str, npt.NDArray[Any]]
 ) -> dict[str, npt.NDArray[Any]]:
-    """Write the tables of `weights` that every network holds as a constant, as ``NAME.npy``.
+    """Write the tables of `weights` that networks hold as constants, as ``NAME.npy``.
 
     Parameters
     ----------
@@ -41,12 +41,12 @@ def write_shared(
         if table.nbytes < _LARGE:
             continue
         stored = np.ascontiguousarray(table)
-        found = [_same(network, stored.tobytes()) for network in networks]
-        if not all(found):
+        found = [constant for network in networks for constant in _same(network, stored.tobytes())]
+        if not found:
             continue
         path = folder / f"{name.replace('/', '.')}.npy"
         np.save(path, stored)
-        for constant in (one for same in found for one in same):
+        for constant in found:
             _refer(constant, path.name, path.stat().st_size - stored.nbytes, stored.nbytes)
         del rest[name]
     return rest

@@ -103,6 +103,12 @@ def _levels(mesh: Mesh) -> list[_Level]:
     return found
 
 
+def _matrix(pairs: IntArray, n_rows: int) -> Any:
+    from scipy import sparse
+
+    return sparse.csr_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), (n_rows, int(pairs[:, 1].max()) + 1))
+
+
 def _pairs(matrix: Any) -> IntArray:
     table = matrix.tocoo()
     pairs = np.stack([table.row, table.col], axis=1).astype(np.int64)
@@ -138,12 +144,12 @@ def _decoder_tables(levels: list[_Level], n_nodes: int, rng: np.random.Generator
         }
     for k, fine in enumerate(reversed(range(len(TABLE2.channels))), start=1):
         level, n_in, n_out = levels[fine], widths[fine + 1], widths[fine]
-        up = level.pools[:, ::-1]
+        # Unpooling and convolution are one table: the coarse nodes that are pooled from a node's neighbours.
+        reached = _matrix(level.edges, level.n_nodes) @ _matrix(level.pools[:, ::-1], level.n_nodes)
+        edges = _pairs(reached)
         tables |= {
-            f"unpool{k}.edges": up,
-            f"unpool{k}.weights": _shares(up[:, 0], rng),
-            f"conv{k}.edges": level.edges,
-            f"conv{k}.coefficients": _coefficients(level.edges, level.n_nodes, rng),
+            f"conv{k}.edges": edges,
+            f"conv{k}.coefficients": _coefficients(edges, level.n_nodes, rng),
             f"conv{k}.bases": rng.standard_normal((TABLE2.n_bases, n_in, n_out)) / np.sqrt(n_in),
             f"conv{k}.bias": np.zeros(n_out),
         }

@@ -1,7 +1,7 @@
 r"""Decoders as tables of weights (``decoder_weights.npz`` of a model), and the same decoders reduced to a few points.
 
 A point is a weighted sum of mesh nodes, so points are the rows of a sparse matrix P (n_rows, n_nodes). There are two
-types of decoders, for latents z and displacement fields u.
+types of decoders, for latents z and displacement fields u, and their sum.
 
 **Closure**: ``u = mean + sum_j c_j components_j`` with ``c = MLP(z)``, or ``MLP(z) + S z``, where MLP is a multilayer
 perceptron and S a matrix. At points it ends in ``P components`` (3 n_rows, n_components) in place of the whole fields.
@@ -62,6 +62,11 @@ class ClosureDecoder:
     components: npt.NDArray[np.float32]
     mean: FloatArray
 
+    @property
+    def n_latent(self) -> int:
+        """Number of latents."""
+        return int(self.layers[0][0].shape[1])
+
     def decode(self, latents: FloatArray, nodes: IntArray | None = None, threads: int = 1) -> FloatArray:
         """Return displacement fields (n_members, k, 3), in mm, of latents (n_latent, n_members).
 
@@ -112,6 +117,12 @@ class ClosureDecoder:
         ``z`` (members, n_latent) to ``moved`` (members, 3 n_rows), displacements in mm; x, y and z of a point follow
         each other.
         """
+        graph = OnnxGraph("closure_at_points")
+        work = self.added_at(graph, rows, "moved")
+        return graph.to_bytes(("z", self.n_latent), ("moved", 3 * rows.shape[0])), work
+
+    def added_at(self, graph: OnnxGraph, rows: Any, output: str) -> int:
+        """Add the decoder at points to an ONNX graph, with the result `output`; return its number of multiply-adds."""
         n_rows = rows.shape[0]
         flat = np.moveaxis(self.components, 0, -1).reshape(self.components.shape[1], -1)
         fields = np.asarray(rows @ flat).reshape(3 * n_rows, -1)
@@ -121,20 +132,19 @@ class ClosureDecoder:
         # The MLP ends linear: with few points its last layer and the components are one smaller matrix.
         joined = 3 * n_rows * last.shape[1] <= last.size + fields.size
         end, constant = (fields @ last, fields @ bias + offset) if joined else (fields, offset)
-        graph, x = OnnxGraph("closure_at_points"), "z"
+        x = "z"
         for weight, shift in layers:
             x = _activated(graph, self.activation, graph.node("Gemm", [x, *_linear(graph, weight, shift)]))
         if not joined:
             x = graph.node("Gemm", [x, *_linear(graph, last, bias)])
             layers.append((last, bias))
         layers.append((end, constant))
-        y = graph.node("Gemm", [x, *_linear(graph, end, constant)], output="moved" if self.skip is None else "")
+        y = graph.node("Gemm", [x, *_linear(graph, end, constant)], output=output if self.skip is None else "")
         if self.skip is not None:
             straight = fields @ self.skip
             layers.append((straight, constant))
-            graph.node("Gemm", ["z", graph.table(np.ascontiguousarray(straight.T)), y], output="moved")
-        work = sum(weight.size for weight, _ in layers)
-        return graph.to_bytes(("z", self.layers[0][0].shape[1]), ("moved", 3 * n_rows)), work
+            graph.node("Gemm", ["z", graph.table(np.ascontiguousarray(straight.T)), y], output=output)
+        return sum(weight.size for weight, _ in layers)
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,11 +188,12 @@ class GraphLevel:
 
 @dataclass(frozen=True, eq=False)
 class GraphDecoder:
-    """The graph network decoder of Table II: a linear layer, then levels from the coarsest to the mesh.
+    """A graph network's decoder, alone (Table II) or added to a closure: a linear layer, then levels up to the mesh.
 
     `weight` (n_coarsest n_channels, n_latent) and `bias` (n_coarsest n_channels,) are those of the linear layer, in
-    which the channels (features) of a node follow each other. `levels` are the levels, with an ELU activation after all
-    but the last. The displacement is `mean` (n_nodes, 3), in mm, plus `scale`, in mm, times the last level's output.
+    which the channels (features) of a node follow each other. `levels` are the levels, coarsest first, with the
+    activation `activation` after all but the last. The displacement is `mean` (n_nodes, 3), in mm, plus `scale`, in mm,
+    times the last level's output, plus that of `closure`, if there is one.
     """
 
     weight: FloatArray
@@ -190,6 +201,8 @@ class GraphDecoder:
     levels: tuple[GraphLevel, ...]
     mean: FloatArray
     scale: float
+    activation: str = "elu"
+    closure: ClosureDecoder | None = None
 
     def network_at(self, rows: Any) -> tuple[bytes, int]:
         """Return the decoder at points as the bytes of an ONNX file, and its number of multiply-adds for one member.
@@ -197,36 +210,39 @@ class GraphDecoder:
         `rows`, a sparse matrix (n_rows, n_nodes), holds the weights of the mesh nodes in each point. The file maps
         ``z`` (members, n_latent) to ``moved`` (members, 3 n_rows), displacements in mm.
         """
+        graph = OnnxGraph("graph_network_at_points")
+        work = self._added_at(graph, rows, "detail" if self.closure else "moved")
+        if self.closure:
+            work += self.closure.added_at(graph, rows, "closure")
+            graph.node("Add", ["closure", "detail"], output="moved")
+        return graph.to_bytes(("z", self.weight.shape[1]), ("moved", 3 * rows.shape[0])), work
+
+    def _added_at(self, graph: OnnxGraph, rows: Any, output: str) -> int:
+        """Add all but the closure at points to an ONNX graph, with the result `output`; return its multiply-adds."""
         last = self.levels[-1]
         at_points = [rows @ table for table in last.tables]
         offset = (rows @ self.mean + self.scale * np.outer(rows.sum(axis=1), last.bias)).ravel()
-        needed = [np.unique(at_points[0].indices).astype(np.int64)]
+        needed = [np.unique(np.concatenate([table.indices for table in at_points])).astype(np.int64)]
         for level in self.levels[-2:0:-1]:
             needed.insert(0, level.reached(needed[0]))
-        n_latent = self.weight.shape[1]
-        graph = OnnxGraph("graph_network_at_points")
         if len(self.levels) == 1:
             expanded = self._expanded(at_points, needed[-1])
-            given = [
-                graph.node("Identity", ["z"]),
-                *_linear(graph, expanded @ self.weight, expanded @ self.bias + offset),
-            ]
-            graph.node("Gemm", given, output="moved")
-            return graph.to_bytes(("z", n_latent), ("moved", len(offset))), len(offset) * n_latent
+            given = _linear(graph, expanded @ self.weight, expanded @ self.bias + offset)
+            graph.node("Gemm", ["z", *given], output=output)
+            return len(offset) * self.weight.shape[1]
         matrix, constant = self._first(needed[0])
-        x = _activated(graph, "elu", graph.node("Gemm", ["z", *_linear(graph, matrix, constant)]))
+        x = _activated(graph, self.activation, graph.node("Gemm", ["z", *_linear(graph, matrix, constant)]))
         work = matrix.size
         for number, level in enumerate(self.levels[1:-1]):
             columns, rows_here = needed[number], needed[number + 1]
             x, added = _summed(graph, level.at(rows_here, columns), level.bases, x)
-            x = _activated(graph, "elu", graph.node("Add", [x, graph.table(level.bias)]))
+            x = _activated(graph, self.activation, graph.node("Add", [x, graph.table(level.bias)]))
             x = graph.reshape(x, 0, len(rows_here) * len(level.bias))
             work += added
-        added = self._end(graph, at_points, needed[-1], x, offset)
-        return graph.to_bytes(("z", n_latent), ("moved", len(offset))), work + added
+        return work + self._end(graph, at_points, needed[-1], (x, output), offset)
 
     def whole(self) -> bytes:
-        """Return an ONNX file: ``z`` (members, n_latent) to ``displacement`` (members, n_nodes, 3), in mm."""
+        """Return an ONNX file: ``z`` (members, n_latent) to ``displacement`` (members, n_nodes, 3), without closure."""
         n_nodes = len(self.mean)
         graph, x = OnnxGraph("graph_network"), "z"
         x = graph.reshape(graph.node("Gemm", ["z", *_linear(graph, self.weight, self.bias)]), 0, -1, self._n_in)
@@ -241,7 +257,7 @@ class GraphDecoder:
             x = parts[0] if len(parts) == 1 else graph.node("Concat", parts, axis=1)
             x = graph.node("Add", [x, graph.table(level.bias)])
             if number < len(self.levels) - 1:
-                x = _activated(graph, "elu", x)
+                x = _activated(graph, self.activation, x)
         x = graph.node("Mul", [x, graph.table(np.array(self.scale))])
         graph.node("Add", [x, graph.table(self.mean)], output="displacement")
         return graph.to_bytes(("z", self.weight.shape[1]), ("displacement", n_nodes, 3))
@@ -251,14 +267,16 @@ class GraphDecoder:
         """Number of features (channels) of each node after the linear layer."""
         return int(self.levels[0].bases.shape[1])
 
-    def _end(self, graph: OnnxGraph, at_points: list[Any], columns: IntArray, x: str, offset: FloatArray) -> int:
+    def _end(
+        self, graph: OnnxGraph, at_points: list[Any], columns: IntArray, ends: tuple[str, str], offset: FloatArray
+    ) -> int:
         """Add the last level, evaluated at points, to an ONNX graph; return its number of multiply-adds for one member.
 
         `at_points` are the sparse products P T_m (n_points, n_coarse) of the points' weights with the tables of the
-        last level, `columns` the numbers of the coarse nodes in use, `x` the name of their features in the graph, and
-        `offset` (3 n_points,) the constant part of the displacement, in mm. The sum of (P T_m) x B_m over the bases
-        m, with B_m (n_in, 3), has constant coefficients. For few points these are multiplied into one matrix; for many,
-        as around markers off the surface, x is multiplied by the B_m first.
+        last level, `columns` the numbers of the coarse nodes in use, `ends` the names of their features and of the
+        result in the graph, and `offset` (3 n_points,) the constant part of the displacement, in mm. The sum of
+        (P T_m) x B_m over the bases m, with B_m (n_in, 3), has constant coefficients. For few points these are
+        multiplied into one matrix; for many, as around markers off the surface, x is multiplied by the B_m first.
         """
         bases = self.scale * self.levels[-1].bases
         table = _dense(at_points, columns)
@@ -268,11 +286,11 @@ class GraphDecoder:
         )
         whole = len(offset) * len(columns) * int(bases.shape[1])
         if whole <= by_groups:
-            graph.node("Gemm", [x, *_linear(graph, self._expanded(at_points, columns), offset)], output="moved")
+            graph.node("Gemm", [ends[0], *_linear(graph, self._expanded(at_points, columns), offset)], output=ends[1])
             return whole
-        y, added = _summed(graph, table, bases, x, groups)
+        y, added = _summed(graph, table, bases, ends[0], groups)
         y = graph.reshape(y, 0, len(offset))
-        graph.node("Add", [y, graph.table(offset)], output="moved")
+        graph.node("Add", [y, graph.table(offset)], output=ends[1])
         return added
 
     def _expanded(self, at_points: list[Any], columns: IntArray) -> FloatArray:
@@ -288,8 +306,8 @@ class GraphDecoder:
     def decode(self, latents: FloatArray, nodes: IntArray | None = None, threads: int = 1) -> FloatArray:
         """Return displacement fields (n_members, k, 3), in mm, of latents (n_latent, n_members).
 
-        `nodes` (k,) are the numbers of the nodes, by default all. The computation is in single precision, on one core
-        (`threads` is ignored). Cost: milliseconds a member, since sums take non-zero coefficients alone.
+        `nodes` (k,) are the numbers of the nodes, by default all. The computation is in single precision, the levels on
+        one thread, a closure on `threads`. Cost: milliseconds a member, since sums take non-zero coefficients alone.
         """
         n_members = latents.shape[1]
         x = (self.weight @ latents + self.bias[:, None]).astype(np.float32)
@@ -301,9 +319,11 @@ class GraphDecoder:
             products = np.matmul(level.joined_bases, coarse).reshape(-1, n_out * n_members)
             table = level.joined[nodes] if last and nodes is not None else level.joined
             y = (table @ products).reshape(-1, n_out, n_members) + level.bias[:, None].astype(np.float32)
-            x = y if last else np.maximum(y, np.expm1(np.minimum(y, 0.0)))
-        mean = self.mean if nodes is None else self.mean[nodes]
-        return np.asarray(mean + self.scale * np.moveaxis(x.astype(np.float64), 2, 0))
+            x = y if last else _ACTIVATED[self.activation](y)
+        rest = self.mean if nodes is None else self.mean[nodes]
+        if self.closure:
+            rest = rest + self.closure.decode(latents, nodes, threads)
+        return np.asarray(rest + self.scale * np.moveaxis(x.astype(np.float64), 2, 0))
 
     def change(self, latents: FloatArray, code: FloatArray, threads: int = 1) -> FloatArray:
         """Return fields (n_members, n_nodes, 3), mm: those of latents (n_latent, n_members) minus that of a code."""
@@ -334,9 +354,8 @@ def read_decoder(path: Path) -> ClosureDecoder | GraphDecoder | None:
     """
     try:
         with open_npz(path) as weights:
-            if "activation" in weights:
-                return _closure(weights)
-            return _graph_network(weights) if "fully_connected.weight" in weights else None
+            closure = _closure(weights) if "activation" in weights else None
+            return _graph_network(weights, closure) if "fully_connected.weight" in weights else closure
     except FormatError as error:
         raise ModelError(str(error), where=str(path)) from error
 
@@ -348,9 +367,9 @@ def _closure(weights: Archive) -> ClosureDecoder:
         raise ModelError(message, where=str(weights.path))
     mean = weights.floats("mean_mm", None, 3)
     layers: list[tuple[FloatArray, FloatArray]] = []
-    while f"layer{len(layers)}/weight" in weights or not layers:
+    while f"layer{len(layers)}/bias" in weights or not layers:
         name = f"layer{len(layers)}"
-        weight = weights.floats(f"{name}/weight", None, len(layers[-1][1]) if layers else None)
+        weight = _table(weights, f"{name}/weight", None, len(layers[-1][1]) if layers else None)
         layers.append((weight, weights.floats(f"{name}/bias", len(weight))))
     n_components, n_latent = len(layers[-1][1]), layers[0][0].shape[1]
     skip = weights.floats("skip/weight", n_components, n_latent) if "skip/weight" in weights else None
@@ -358,17 +377,17 @@ def _closure(weights: Archive) -> ClosureDecoder:
     return ClosureDecoder(tuple(layers), skip, activation, components, mean)
 
 
-def _table(weights: Archive, name: str, *shape: int) -> FloatArray:
+def _table(weights: Archive, name: str, *shape: int | None) -> FloatArray:
     """Return an array of the given shape from a model's weights, or from the file ``name.npy`` that networks share."""
-    shared = Path(weights.path).with_name(f"{name}.npy")
+    shared = Path(weights.path).with_name(f"{name.replace('/', '.')}.npy")
     if name in weights or not shared.exists():
         return weights.floats(name, *shape)
     return float_array(name, np.load(shared, allow_pickle=False), shape)
 
 
-def _graph_network(weights: Archive) -> GraphDecoder:
+def _graph_network(weights: Archive, closure: ClosureDecoder | None) -> GraphDecoder:
     sizes = weights.indices("levels", None)
-    weight = weights.floats("fully_connected.weight", None, None)
+    weight = _table(weights, "fully_connected.weight", None, None)
     bias = weights.floats("fully_connected.bias", len(weight))
     levels: list[GraphLevel] = []
     n_in = len(weight) // max(1, int(sizes[0]))
@@ -378,29 +397,26 @@ def _graph_network(weights: Archive) -> GraphDecoder:
     if not levels or n_in != 3 or len(weight) != sizes[0] * levels[0].bases.shape[1]:
         message = f"the layers in {weights.path} must fit each other and end in 3 channels, they end in {n_in}"
         raise ModelError(message, where=str(weights.path))
-    mean = weights.floats("mean_mm", int(sizes[-1]), 3)
-    return GraphDecoder(weight, bias, tuple(levels), mean, float(weights.floats("scale_mm")))
+    mean, scale = weights.floats("mean_mm", int(sizes[-1]), 3), float(weights.floats("scale_mm"))
+    if closure is None:
+        return GraphDecoder(weight, bias, tuple(levels), mean, scale)
+    if closure.n_latent != weight.shape[1]:
+        message = f"{weights.path} must have one number of latents, got {weight.shape[1]} and {closure.n_latent}"
+        raise ModelError(message, where=str(weights.path))
+    return GraphDecoder(weight, bias, tuple(levels), np.zeros_like(mean), scale, closure.activation, closure)
 
 
 def _level(weights: Archive, k: int, n_coarse: int, n_fine: int, n_in: int) -> GraphLevel:
     from scipy import sparse
 
     bases = weights.floats(f"conv{k}.bases", None, n_in, None)
-    up, near = weights.indices(f"unpool{k}.edges", None, 2), weights.indices(f"conv{k}.edges", None, 2)
-    shares = weights.floats(f"unpool{k}.weights", len(up))
-    coefficients = weights.floats(f"conv{k}.coefficients", len(near), len(bases))
-    for name, edges, most in (("unpool", up, (n_fine, n_coarse)), ("conv", near, (n_fine, n_fine))):
-        if len(edges) == 0 or edges.min() < 0 or (edges.max(axis=0) >= most).any():
-            message = f"edges of {name}{k} in {weights.path} must lie between nodes of {most[0]} and {most[1]}"
-            raise ModelError(message, where=str(weights.path))
-    unpool = sparse.csr_array((shares, (up[:, 0], up[:, 1])), (n_fine, n_coarse))
-    # One pattern for all bases, whatever sums to zero: columns are found from the first.
-    reach = sparse.csr_array((np.ones(len(near)), (near[:, 0], near[:, 1])), (n_fine, n_fine)) @ unpool
-    zero = reach * 0.0
-    tables = tuple(
-        sparse.csr_array(sparse.csr_array((one, (near[:, 0], near[:, 1])), (n_fine, n_fine)) @ unpool + zero)
-        for one in coefficients.T
-    )
+    edges = weights.indices(f"conv{k}.edges", None, 2)
+    coefficients = _table(weights, f"conv{k}.coefficients", len(edges), len(bases))
+    if len(edges) == 0 or edges.min() < 0 or (edges.max(axis=0) >= (n_fine, n_coarse)).any():
+        message = f"edges of conv{k} in {weights.path} must lie between nodes of {n_fine} and {n_coarse}"
+        raise ModelError(message, where=str(weights.path))
+    # Coefficients that are zero stay, so that all bases have one pattern.
+    tables = tuple(sparse.csr_array((one, (edges[:, 0], edges[:, 1])), (n_fine, n_coarse)) for one in coefficients.T)
     return GraphLevel(tables, bases, weights.floats(f"conv{k}.bias", bases.shape[2]))
 
 
