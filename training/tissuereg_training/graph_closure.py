@@ -89,11 +89,12 @@ class GraphClosure(Closure):
 
     def encode(self, x: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Return mean and log-variance of q(z | x), each (batch, n_latent), of normalised fields."""
-        return super().encode(super().normalised(self.in_mm(x)))
+        share = self.scale_mm / self.coefficient_scale_mm.square()
+        return super().encode(share * (x.flatten(1) @ self.components_mm.flatten(1).t()))
 
     def decode(self, z: torch.Tensor) -> torch.Tensor:
         """Return normalised fields (batch, n_nodes, 3) of latents (batch, n_latent)."""
-        field = self.normalised(super().in_mm(super().decode(z)))
+        field = ((super().decode(z) / self.scale_mm) @ self.components_mm.flatten(1)).view(-1, self.n_nodes, 3)
         return field + self.graph_field(z) if self._whole else field
 
     @contextlib.contextmanager
