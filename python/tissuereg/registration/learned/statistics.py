@@ -9,6 +9,9 @@ from tissuereg.registration.learned.calibration import Calibration
 from tissuereg.registration.learned.mixture import NOISE_FACTORS, Component, left_out, log_noise_odds
 from tissuereg.registration.learned.smoother import Screening
 
+#: Markers whose fit to the others is found anew without a simulation: those that fit worst at first.
+_CANDIDATES = 3
+
 #: Least chance of which the logarithm is taken.
 _LEAST = 1e-300
 
@@ -51,8 +54,11 @@ def statistics_of(
     logs = -np.log(np.maximum(without.chances, _LEAST))
     # Fisher's method, as if predictions of different markers were independent: rehearsals say what they are.
     misfit = -np.log(max(float(gammaincc(len(logs), logs.sum())), _LEAST)) if len(logs) else 0.0
-    markers = logs - np.log(max(len(logs), 1))
     unrelated = 0.0
+    if n_own == len(prior):
+        for number in np.argsort(-logs, kind="stable")[:_CANDIDATES]:
+            logs[number] = -np.log(max(screening.chance_of(int(number), prior, observed, noise), _LEAST))
+    markers = logs - np.log(max(len(logs), 1))
     if n_own < len(prior):
         own, others = (np.logaddexp.reduce(part) for part in np.split(found.log_evidence, [n_own]))
         unrelated = max(float(others - own), 0.0)
