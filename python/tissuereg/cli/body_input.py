@@ -70,9 +70,9 @@ def add_method_options(how: Any) -> None:
     usual = "auto, those that suit the mesh"
     element = choice(("auto", *ELEMENTS), "elements of the simulations", default="auto", otherwise=usual)
     add_option(how, "--element", element)
-    members = whole("ensemble members, with a model", least=2, default=None, otherwise="60")
+    members = whole("ensemble members, with a model", least=2, default=None, otherwise="40")
     add_option(how, "--members", members, "N")
-    add_option(how, "--steps", whole("assimilation steps, with a model", least=1, default=None, otherwise="5"), "N")
+    add_option(how, "--steps", whole("assimilation steps, with a model", least=1, default=None, otherwise="4"), "N")
 
 
 def method_of(args: argparse.Namespace) -> dict[str, Any]:

@@ -4,7 +4,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from tissuereg import _core
-from tissuereg._base.arguments import MOST_COUNTED, check_choice, check_running, flag, of_kind, real, whole
+from tissuereg._base.arguments import MOST_COUNTED, check_choice, check_running, of_kind, real, whole
 from tissuereg.errors import ArgumentError
 from tissuereg.registration.contacts.settings import ContactSettings
 from tissuereg.registration.contacts.state import TRACKERS
@@ -30,8 +30,8 @@ class SmootherSettings:
         If a value is not a number or out of its range.
     """
 
-    n_members: int = 60
-    n_steps: int = 5
+    n_members: int = 40
+    n_steps: int = 4
     decrease: float = 2.0
 
     def __post_init__(self) -> None:
@@ -77,7 +77,7 @@ class RegisterSettings:
     Examples
     --------
     >>> RegisterSettings(tracker="drifts").smoother.n_members
-    60
+    40
     """
 
     threads: int = 0

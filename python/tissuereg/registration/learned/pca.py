@@ -64,9 +64,7 @@ class PcaModel:
         components = vectors[:, order].T @ rows / np.sqrt(len(rows))
         largest = np.abs(components).argmax(axis=1)
         components *= np.sign(components[np.arange(len(components)), largest])[:, None]
-        model = cls(
-            centre, components.reshape(-1, *centre.shape), np.empty((0, *centre.shape)), dict(card)
-        )
+        model = cls(centre, components.reshape(-1, *centre.shape), np.empty((0, *centre.shape)), dict(card))
         if len(held_out):
             latents = np.stack([model.encode(field) for field in held_out], axis=1)
             model.error_fields = held_out - model.decode(latents)

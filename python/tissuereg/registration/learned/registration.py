@@ -45,10 +45,10 @@ def register_by_model(
     `given`: checked input; `points`: the model at the markers and targets of that input; `simulation` (n_nodes, 3) or
     None: displacement of the moment by a simulation, mm; `clock`: records the times of the stages: ``encode``,
     ``assimilate``, ``decode``, ``judge``; `variants`: variants of the simulation, on whose mean the prior is then
-    centred. The answer is compared with the simulation, or with that mean if there is no simulation. Cost: the ensembles
-    of up to six pairs of component and scale are decoded at markers and targets once for each step and once at the end,
-    and before that three times about 2 n_latent columns; again for every marker that is left out. Two whole fields are
-    decoded. Raises `EnsembleError` if too few ensemble members survive; `ArgumentError` if variants are given and there
+    centred. The answer is compared with the simulation, or with that mean if there is no simulation. Cost: the
+    ensembles of a few pairs of component and scale are decoded at markers and targets once for each step and once at
+    the end, and before that three times about 2 n_latent columns; again for every marker that is left out. One whole
+    field is decoded. Raises `EnsembleError` if too few ensemble members survive; `ArgumentError` if variants are given and there
     are no pairs of simulation and truth behind the model's calibration.
     """
     if variants is not None and not points.knows_changes:
@@ -148,8 +148,7 @@ def _result(
                 markers.reference[i],
                 markers.reference[i] + posterior.marker_mean[i],
                 # Predicted measurement: the body's spread and the tracker's noise.
-                posterior.marker_covariance[3 * i : 3 * i + 3, 3 * i : 3 * i + 3]
-                + np.diag(markers.axis_std[i] ** 2),
+                posterior.marker_covariance[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] + np.diag(markers.axis_std[i] ** 2),
                 None if simulation is None else markers.reference[i] + start[i],
             )
             for i in unseen

@@ -12,7 +12,7 @@ from tissuereg.registration.learned.calibration import Calibration, Change, Fiel
 from tissuereg.registration.learned.components import Components
 from tissuereg.registration.learned.model import Gaussian
 
-#: Factors on standard deviations, and their probabilities: each factor of two is about half as likely as the one before.
+#: Factors on standard deviations, and their probabilities: from one on, each doubling is about half as likely.
 _SCALES, _WEIGHTS = np.array([0.5, 1.0, 2.0, 4.0, 8.0]), np.array([[0.25, 0.4, 0.2, 0.1, 0.05]])
 
 #: Measured coordinates by whose number errors are too few to say how they are correlated: 15 markers.
