@@ -48,8 +48,8 @@ def register_by_model(
     centred. The answer is compared with the simulation, or with that mean if there is no simulation. Cost: the
     ensembles of a few pairs of component and scale are decoded at markers and targets once for each step and once at
     the end, and before that three times about 2 n_latent columns; again for every marker that is left out. One whole
-    field is decoded. Raises `EnsembleError` if too few ensemble members survive; `ArgumentError` if variants are given and there
-    are no pairs of simulation and truth behind the model's calibration.
+    field is decoded. Raises `EnsembleError` if too few ensemble members survive; `ArgumentError` if variants are given
+    and there are no pairs of simulation and truth behind the model's calibration.
     """
     if variants is not None and not points.knows_changes:
         message = "`variants` must be left out: the model was not calibrated with pairs of simulation and truth"
