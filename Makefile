@@ -129,13 +129,14 @@ phantom-data: $(VENV)/.installed
 # Pairs of simulation and truth of other rigs, with which the model is calibrated (paper/).
 PRESSED ?= build/pressed
 FOREIGN ?= build/foreign
+PAIRS := --pairs build/phantom-pairs --pairs $(FOREIGN)/development --pairs $(PRESSED)
 
 phantom-model: phantom-data training
 	$(MAKE) -C paper pairs PRESSED=$(PRESSED)
 	$(MAKE) -C benchmarks/spread data FOREIGN=$(FOREIGN)
 	$(BIN)/tissuereg simulate training/recipes/breast-more.toml --out build/phantom-more
-	$(TRAINING_BIN)/tissuereg train training/recipes/closure.toml --data build/phantom-data --data build/phantom-more --out build/phantom-model
-	$(BIN)/tissuereg calibrate build/phantom-model --data build/phantom-data --pairs $(FOREIGN)/development --pairs $(PRESSED)
+	$(BIN)/tissuereg simulate training/recipes/breast-pairs.toml --out build/phantom-pairs
+	$(TRAINING_BIN)/tissuereg train training/recipes/closure.toml --data build/phantom-data --data build/phantom-more --out build/phantom-model $(PAIRS)
 
 table2-model: phantom-data training
 	$(TRAINING_BIN)/tissuereg train training/recipes/table2.toml --data build/phantom-data --out build/table2-model

@@ -38,11 +38,10 @@ OF_SUPPORTS = {"held": "perhaps", "stiffness": "graded"}
 
 
 @pytest.mark.parametrize("name", OF_CONTACTS)
-def test_a_setting_of_contacts_means_nothing_with_a_model_unless_it_is_polished(mesh, places, name):
-    with pytest.raises(ModelError, match=f"`{name}` must be left out with a trained model.*without `polish`; got") as e:
+def test_a_setting_of_contacts_means_nothing_with_a_model(mesh, places, name):
+    with pytest.raises(ModelError, match=f"`{name}` must be left out with a trained model; got") as e:
         made(mesh, places, **{name: OF_CONTACTS[name]})
     assert e.value.where == name
-    assert not made(mesh, places, polish=True, **{name: OF_CONTACTS[name]}).by_contacts
 
 
 @pytest.mark.parametrize("name", OF_SUPPORTS)
@@ -52,19 +51,12 @@ def test_what_is_believed_of_supports_and_stiffness_means_nothing_with_a_model(m
     assert e.value.where == name
 
 
-def test_doubtful_supports_mean_something_where_a_model_is_polished_and_a_graded_stiffness_never(mesh, places):
-    assert not made(mesh, places, {"held": "perhaps"}, polish=True).by_contacts
-    with pytest.raises(ModelError, match="`stiffness` must be left out"):
-        made(mesh, places, {"stiffness": "graded"}, polish=True)
-
-
 @pytest.mark.parametrize("name", ["element", "held_nodes"])
 def test_elements_and_prescribed_nodes_mean_nothing_with_a_model_that_simulates_no_load(mesh, places, name):
     body = {"element": "tet4-averaged", "held_nodes": mesh.fixed_nodes}
-    with pytest.raises(ModelError, match=f"`{name}` must be left out.*without a `load`.*or `polish`; got"):
+    with pytest.raises(ModelError, match=f"`{name}` must be left out.*without a `load`.*; got"):
         made(mesh, places, {name: body[name]})
     assert not made(mesh, places, {name: body[name]}, tr.Load(body_force=(0.0, 0.0, 0.001))).by_contacts
-    assert not made(mesh, places, {name: body[name]}, polish=True).by_contacts
 
 
 def test_a_material_is_that_of_the_fallback_with_a_model_as_well(mesh, places):
@@ -78,7 +70,7 @@ def test_a_moment_before_means_nothing_with_a_model(mesh, places):
         registrar.register(places + 0.1, after=before)
 
 
-OF_MODELS = {"smoother": tr.SmootherSettings(n_members=40), "polish": True, "readings": "always"}
+OF_MODELS = {"smoother": tr.SmootherSettings(n_members=40), "readings": "always"}
 
 
 @pytest.mark.parametrize("name", OF_MODELS)

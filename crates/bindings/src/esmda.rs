@@ -1,12 +1,16 @@
 //! Schedules, noise, screening and steps.
 
-use faer::MatMut;
+use faer::{MatMut, MatRef};
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyArrayMethods};
 use pyo3::prelude::*;
+use tissuereg_boundary::arrays;
 use tissuereg_boundary::errors::{Class, raise};
 use tissuereg_boundary::lock;
 use tissuereg_boundary::views::View;
-use tissuereg_esmda::{Factorisation, NoiseCovariance, Schedule, StepSettings, step};
+use tissuereg_esmda::{
+    ComponentScore, Factorisation, NoiseCovariance, ScaledComponent, Schedule, StepSettings,
+    mixture, step,
+};
 
 use crate::errors;
 
@@ -56,6 +60,66 @@ pub(crate) fn screen_members<'py>(
     let dropped =
         screening.dropped.iter().map(|(member, reason)| (*member, reason.to_string())).collect();
     Ok((kept.into_pyarray(py), dropped))
+}
+
+/// Of every pair: log density (n_pairs,), pulls (n_pairs, n_obs), misfits and log determinants (n_pairs, n_groups).
+type Scores<'py> = (
+    Bound<'py, PyArray1<f64>>,
+    Bound<'py, PyArray2<f64>>,
+    Bound<'py, PyArray2<f64>>,
+    Bound<'py, PyArray2<f64>>,
+);
+
+/// Scores pairs of component, int64 (n_pairs,), and scale, float64 (n_pairs,), of a mixture: covariances, float64
+/// (n_components, n_obs, n_obs), innovations, float64 (n_components, n_obs), noise, float64 (n_obs, n_obs).
+#[pyfunction]
+#[pyo3(signature = (covariances, innovations, component, scale, noise, *, group=0, threads=0))]
+#[allow(clippy::too_many_arguments)] // Keywords of the Python signature.
+pub(crate) fn score_components<'py>(
+    py: Python<'py>,
+    covariances: &Bound<'py, PyAny>,
+    innovations: &Bound<'py, PyAny>,
+    component: &Bound<'py, PyAny>,
+    scale: &Bound<'py, PyAny>,
+    noise: &Bound<'py, PyAny>,
+    group: usize,
+    threads: usize,
+) -> PyResult<Scores<'py>> {
+    let innovations = View::<f64>::new("innovations", innovations, &[&[None, None]])?;
+    let (n_components, n_obs) = innovations.matrix().shape();
+    let wanted = [Some(n_components), Some(n_obs), Some(n_obs)];
+    let covariances = View::<f64>::new("covariances", covariances, &[&wanted])?;
+    let component = View::<i64>::new("component", component, &[&[None]])?;
+    let scale = View::<f64>::new("scale", scale, &[&[Some(component.slice().len())]])?;
+    let noise = View::<f64>::new("noise", noise, &[&[Some(n_obs), Some(n_obs)]])?;
+    let stacked = MatRef::from_row_major_slice(covariances.slice(), n_components * n_obs, n_obs);
+    let pairs: Vec<ScaledComponent> = component
+        .slice()
+        .iter()
+        .zip(scale.slice())
+        // A negative number is no component either.
+        .map(|(&number, &scale)| ScaledComponent {
+            component: usize::try_from(number).unwrap_or(usize::MAX),
+            scale,
+        })
+        .collect();
+    let (innovations, noise) = (innovations.matrix(), noise.matrix());
+    let scores = lock::run_released(py, threads, |par| {
+        mixture::score_components(stacked, innovations, &pairs, noise, group, par)
+    })
+    .map_err(|error| errors::from_esmda(py, &error))?;
+    let table = |width: usize, row: fn(&ComponentScore) -> &[f64]| {
+        let flat = scores.iter().flat_map(|score| row(score).iter().copied()).collect();
+        arrays::from_vec(py, flat, [scores.len(), width])
+    };
+    let n_groups = if group == 0 { 0 } else { n_obs / group };
+    let logs: Vec<f64> = scores.iter().map(|score| score.log_density).collect();
+    Ok((
+        logs.into_pyarray(py),
+        table(n_obs, |score| &score.pull)?,
+        table(n_groups, |score| &score.misfits)?,
+        table(n_groups, |score| &score.log_dets)?,
+    ))
 }
 
 /// Covariance of the observations' noise, factored.

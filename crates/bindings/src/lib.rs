@@ -18,7 +18,9 @@ mod _core {
     #[pymodule_export]
     use super::contacts::Contacts;
     #[pymodule_export]
-    use super::esmda::{Noise, Step, check_schedule, schedule_geometric, screen_members};
+    use super::esmda::{
+        Noise, Step, check_schedule, schedule_geometric, score_components, screen_members,
+    };
     #[pymodule_export]
     use super::fem::{
         Adjoints, Behaviour, Body, Cause, Compliance, Law, Linearised, ManySolutions, Rig,

@@ -53,6 +53,7 @@
 //! * [`noise`]: `C_d`, diagonal or dense, factored once.
 //! * [`screening`]: failed members, dropped with their reason.
 //! * [`gauss_newton`]: beside the ensemble, the most probable parameters and the Gaussian about them.
+//! * [`mixture`]: which Gaussian of a mixture the observations came from.
 //! * [`outliers`]: groups of observations that contradict the others after the fit.
 //!
 //! # Conventions
@@ -73,6 +74,7 @@ mod error;
 pub mod gauss_newton;
 mod gaussian;
 mod linalg;
+pub mod mixture;
 pub mod noise;
 pub mod outliers;
 pub mod schedule;
@@ -85,6 +87,7 @@ pub use faer;
 pub use error::{ErrorClass, EsmdaError, Reason};
 pub use gauss_newton::{Evaluation, GaussNewton, Linearised, SearchSettings};
 pub use gaussian::Gaussian;
+pub use mixture::{ComponentScore, ScaledComponent, score_components};
 pub use noise::NoiseCovariance;
 pub use outliers::{GroupScore, score_groups, wrong_groups};
 pub use schedule::Schedule;

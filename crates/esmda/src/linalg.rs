@@ -85,7 +85,11 @@ pub(crate) fn try_for_column_pairs<E: Send>(
 }
 
 /// `f(0), .., f(n - 1)` in order, computed on threads according to `par`.
-fn map_in_order<T: Send>(n: usize, par: Par, f: impl Fn(usize) -> T + Send + Sync) -> Vec<T> {
+pub(crate) fn map_in_order<T: Send>(
+    n: usize,
+    par: Par,
+    f: impl Fn(usize) -> T + Send + Sync,
+) -> Vec<T> {
     if matches!(par, Par::Seq) || n < 2 {
         (0..n).map(f).collect()
     } else {

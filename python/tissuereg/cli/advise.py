@@ -156,7 +156,7 @@ def _of_model(args: argparse.Namespace) -> "tuple[Mesh, FloatArray]":
 
     mesh = phantom_mesh() if args.path is None else read_mesh(args.path, fixed=args.fixed)
     model = as_model(args.model, mesh, args.threads)
-    family = model.prior(None)
+    family = model.prior()
     draws = np.random.default_rng(args.seed or 0).multivariate_normal(family.mean, family.covariance, args.members)
     return mesh, np.asarray(model.decode(draws.T), np.float64)
 

@@ -70,12 +70,9 @@ def add_method_options(how: Any) -> None:
     usual = "auto, those that suit the mesh"
     element = choice(("auto", *ELEMENTS), "elements of the simulations", default="auto", otherwise=usual)
     add_option(how, "--element", element)
-    how.add_argument("--polish", action="store_true", help="with a model: make its answer an equilibrium")
-    text = "with a model: an ensemble, or the most probable answer with its Gaussian"
-    add_option(how, "--update", choice(("esmda", "gauss-newton"), text, default=None, otherwise="esmda"))
-    members = whole("ensemble members, with a model", least=8, default=None, otherwise="200")
+    members = whole("ensemble members, with a model", least=2, default=None, otherwise="40")
     add_option(how, "--members", members, "N")
-    add_option(how, "--steps", whole("assimilation steps, with a model", least=1, default=None, otherwise="5"), "N")
+    add_option(how, "--steps", whole("assimilation steps, with a model", least=1, default=None, otherwise="4"), "N")
 
 
 def method_of(args: argparse.Namespace) -> dict[str, Any]:
@@ -86,9 +83,9 @@ def method_of(args: argparse.Namespace) -> dict[str, Any]:
 def _settings(args: argparse.Namespace) -> "RegisterSettings":
     from tissuereg.registration.settings import RegisterSettings, SmootherSettings
 
-    smoother = only_given(update=args.update, n_members=args.members, n_steps=args.steps)
+    smoother = only_given(n_members=args.members, n_steps=args.steps)
     chosen = only_given(tracker=args.tracker, smoother=SmootherSettings(**smoother) if smoother else None)
-    return RegisterSettings(threads=args.threads, polish=args.polish, **chosen)
+    return RegisterSettings(threads=args.threads, **chosen)
 
 
 def only_given(**options: Any) -> dict[str, Any]:

@@ -2,18 +2,23 @@
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from tissuereg.cli.common import Outcome, Stopwatch, seconds_line
 from tissuereg.cli.options import Help, Parser
+from tissuereg.errors import FormatError
+
+if TYPE_CHECKING:
+    from tissuereg._base.arrays import FloatArray
+    from tissuereg.body.mesh import Mesh
 
 HELP = Help(
     "MODEL is a folder that 'tissuereg train' made, DATA the data set it was trained on. Codes of the training split "
     "give the kinds of events, the validation split the model's errors and how honest measurements look: its events "
     "are registered from random markers. Pairs of what is believed and what happens tell how far truths lie from "
-    "simulations: those of the data set, if its recipe asked for some, and those of PAIRS, a folder of files "
-    "pairs_*.npz with simulation_mm and truth_mm (n, n_nodes, 3). Each is a kind of change of its own: the markers say "
-    "of which kind an event is. "
-    "The folder gets calibration.npz; 'tissuereg register --model' uses it.",
+    "simulations: those of the data set, if its recipe asked for some, and those of PAIRS, another data set with pairs "
+    "or a folder of files pairs_*.npz with simulation_mm and truth_mm (n, n_nodes, 3). Each is a "
+    "kind of change of its own: the markers say of which kind an event is. The folder gets calibration.npz; 'tissuereg register --model' uses it.",
     example="tissuereg calibrate model --data data --pairs pairs --json -",
     seed="seed of kinds, places and noise (default: 0)",
 )
@@ -23,52 +28,77 @@ def options(parser: Parser) -> None:
     """Add the arguments of ``tissuereg calibrate`` to its parser."""
     parser.add_argument("model", metavar="MODEL", help="folder of a trained model")
     parser.add_argument("--data", required=True, metavar="DATA", help="data set that it was trained on")
+    add_pairs(parser)
+
+
+def add_pairs(parser: Parser) -> None:
+    """Add the option for further pairs of simulation and truth."""
     text = "folder of further pairs of simulation and truth; may be given several times, once for each kind of change"
     parser.add_argument("--pairs", metavar="PAIRS", action="append", default=[], help=text)
 
 
 def run(args: argparse.Namespace) -> Outcome:
     """Run ``tissuereg calibrate``: calibrate a model and write the result; JSON schema ``tissuereg.calibrate/1``."""
+    content = calibrated(args.model, args.data, args.pairs, args.seed or 0)
+    counts = f"{content['kinds']} kinds of events, {content['events']} rehearsals, {content['pairs']} pairs"
+    return Outcome(content, "\n".join([counts, seconds_line(content["seconds"])]), args.threads)
+
+
+def calibrated(folder: str, data_folder: str, pairs_folders: list[str], seed: int) -> dict[str, Any]:
+    """Calibrate the model in a folder, write ``calibration.npz`` there, and return the content of the JSON.
+
+    `data_folder`: data set that it was trained on; `pairs_folders`: folders of further pairs, each a kind of change.
+    """
     import numpy as np
 
     from tissuereg.io.datasets import open_dataset
-    from tissuereg.io.fields import read_pairs
     from tissuereg.registration.learned.calibrate import RehearsalSettings, calibrate, codes_of
     from tissuereg.registration.learned.calibration_file import write_calibration
     from tissuereg.registration.learned.network import NetworkModel
 
     clock = Stopwatch()
-    data = open_dataset(args.data)
+    data = open_dataset(data_folder)
     # Its calibration may be of an older version.
-    model = NetworkModel(args.model, data.mesh, threads=1, calibrated=False)
+    model = NetworkModel(folder, data.mesh, threads=1, calibrated=False)
     unseen = np.asarray(data.displacement[data.split["valid"]], np.float64)
-    own = data.pairs
-    pairs = [] if own is None else [(np.asarray(own[0], np.float64), np.asarray(own[1], np.float64))]
-    pairs += [read_pairs(folder, data.mesh.n_nodes) for folder in args.pairs]
+    pairs = [] if data.pairs is None else [_in_mm(data.pairs)]
+    pairs += [_pairs_in(other, data.mesh) for other in pairs_folders]
     clock.lap("read")
     codes = codes_of(model, data.displacement, data.split["train"])
     clock.lap("encode")
-    settings = RehearsalSettings(seed=args.seed or 0)
-    made = calibrate(model, data.mesh, codes, unseen, pairs, settings=settings)
+    made = calibrate(model, data.mesh, codes, unseen, pairs, settings=RehearsalSettings(seed=seed))
     clock.lap("rehearse")
-    write_calibration(Path(args.model), made)
+    write_calibration(Path(folder), made)
     clock.lap("write")
-    content = {
+    laws = {"alone": made.alone, "simulated": made.anchored}
+    return {
         "schema": "tissuereg.calibrate/1",
         "kinds": len(made.kinds.weights),
         "events": len(unseen),
         "pairs": sum(len(one[0]) for one in pairs),
         "kinds_of_change": len(pairs),
-        "widening": {
-            "alone": made.alone.widening,
-            "simulated": None if made.anchored is None else made.anchored.widening,
-        },
-        "tail_degrees_of_freedom": {
-            "alone": made.alone.tail,
-            "simulated": None if made.anchored is None else made.anchored.tail,
-        },
-        "seed": args.seed or 0,
+        "widening": {name: None if law is None else law.widening for name, law in laws.items()},
+        "tail_degrees_of_freedom": {name: None if law is None else law.tail for name, law in laws.items()},
+        "seed": seed,
         "seconds": clock.seconds,
     }
-    lines = [f"{content['kinds']} kinds of events, {content['events']} rehearsals, {content['pairs']} pairs"]
-    return Outcome(content, "\n".join([*lines, seconds_line(clock.seconds)]), args.threads)
+
+
+def _pairs_in(folder: str, mesh: "Mesh") -> "tuple[FloatArray, FloatArray]":
+    """Return simulations and truths (n_pairs, n_nodes, 3), mm, of a data set with pairs, or of files pairs_*.npz."""
+    from tissuereg.io.datasets import open_dataset
+    from tissuereg.io.fields import read_pairs
+
+    if not (Path(folder) / "dataset.json").exists():
+        return read_pairs(folder, mesh.n_nodes)
+    data = open_dataset(folder)
+    if data.pairs is None or data.mesh.digest() != mesh.digest():
+        message = f"{folder} must be a data set with pairs on the mesh of the model"
+        raise FormatError(message, where=folder)
+    return _in_mm(data.pairs)
+
+
+def _in_mm(pairs: tuple[Any, Any]) -> "tuple[FloatArray, FloatArray]":
+    import numpy as np
+
+    return np.asarray(pairs[0], np.float64), np.asarray(pairs[1], np.float64)

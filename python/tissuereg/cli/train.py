@@ -4,14 +4,15 @@ import argparse
 import importlib
 import importlib.util
 
+from tissuereg.cli.calibrate import add_pairs, calibrated
 from tissuereg.cli.options import Help, Parser
 from tissuereg.errors import MissingPackageError
 
 HELP = Help(
     "Trains the network of RECIPE on the data set in DATA (made by 'tissuereg simulate RECIPE.toml --out DATA') and "
-    "exports encoder.onnx, decoder.onnx, decoder_weights.npz and model.json to MODEL; 'tissuereg register --model' "
-    "takes it. Needs the package tissuereg-training, which brings torch: 'make training' in a checkout, or "
-    "'pip install ./training'.",
+    "exports encoder.onnx, decoder.onnx, decoder_weights.npz and model.json to MODEL, which is then calibrated as by "
+    "'tissuereg calibrate'; 'tissuereg register --model' takes it. Needs the package tissuereg-training, which "
+    "brings torch: 'make training' in a checkout, or 'pip install ./training'.",
     example="tissuereg train phantom.toml --data data --out model",
     seed="seed of split, start and batches (default: the recipe's, or else 0)",
     threads="threads to use (default: all cores)",
@@ -24,6 +25,7 @@ def options(parser: Parser) -> None:
     text = "folder of the data set; given again: more members to train on, made with another seed"
     parser.add_argument("--data", required=True, action="append", metavar="DATA", help=text)
     parser.add_argument("--out", required=True, metavar="MODEL", help="folder for the model and its checkpoints")
+    add_pairs(parser)
     start = parser.add_argument_group("start").add_mutually_exclusive_group()
     text = "continue from the last epoch, and fail where there is none (default: continue if there is one)"
     start.add_argument("--resume", action="store_true", help=text)
@@ -32,7 +34,7 @@ def options(parser: Parser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the training package and return its exit code; raise MissingPackageError if it is not installed."""
+    """Run the training package, calibrate what it made, and return its exit code; MissingPackageError without it."""
     from tissuereg.io.atomic import check_folder_target
 
     if importlib.util.find_spec("tissuereg_training") is None:
@@ -43,7 +45,10 @@ def run(args: argparse.Namespace) -> int:
         raise MissingPackageError(message, where="tissuereg_training")
     check_folder_target(args.out)
     training = importlib.import_module("tissuereg_training.cli")
-    return int(training.main(_words(args)))
+    code = int(training.main(_words(args)))
+    if code == 0:
+        calibrated(args.out, args.data[0], args.pairs, args.seed or 0)
+    return code
 
 
 def _words(args: argparse.Namespace) -> list[str]:

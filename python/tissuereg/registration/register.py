@@ -84,8 +84,8 @@ def register(
     -------
     Registration
         Displacement and standard deviation of each node in mm, targets with confidence regions, fit of the markers,
-        trust, times. Without a model, or where the setting ``polish`` is on, it is a `ContactRegistration`, which has
-        contacts, forces and posterior draws as well; otherwise it is a `LearnedRegistration`.
+        trust, times. Without a model it is a `ContactRegistration`, which has contacts, forces and posterior draws as
+        well; otherwise it is a `LearnedRegistration`.
 
     Raises
     ------

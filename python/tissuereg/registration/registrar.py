@@ -27,14 +27,11 @@ from tissuereg.registration.result import Fallback, Registration
 from tissuereg.registration.settings import RegisterSettings
 from tissuereg.simulation.solve import Simulator
 
-#: Settings that mean nothing without a trained model; those that mean nothing with one unless its answer is polished.
-_OF_MODELS, _OF_CONTACTS = ("smoother", "polish", "readings"), ("tracker", "contacts", "ensemble")
+#: Settings that mean nothing without a trained model, and those that mean nothing with one.
+_OF_MODELS, _OF_CONTACTS = ("smoother", "readings"), ("tracker", "contacts", "ensemble")
 
 #: Where something means something with a trained model after all.
-_WHERE = {
-    **dict.fromkeys(("element", "held_nodes"), " without a `load` to simulate or `polish`"),
-    **dict.fromkeys((*_OF_CONTACTS, "held"), " without `polish`"),
-}
+_WHERE = dict.fromkeys(("element", "held_nodes"), " without a `load` to simulate")
 
 
 class Registrar:
@@ -305,13 +302,8 @@ class Registrar:
         `examined`: whether the markers were examined for misreadings, such as other units. If they were not, they are
         now if the result is not trusted.
         """
-        result: Registration = register_by_model(given, points, field, clock, varied)
-        if not examined:
-            result = self._judged(result, given.markers, clock)
-        if not given.settings.polish:
-            return result
-        polished = register_by_contacts(given, ContactInput(None, result.displacement), clock)
-        return replace(polished, model={**result.model, "polished": True})
+        result = register_by_model(given, points, field, clock, varied)
+        return result if examined else self._judged(result, given.markers, clock)
 
     def _judged(self, result: Registration, markers: Markers, clock: Clock) -> Registration:
         """Return `result`; if it is not trusted, suspicions that `markers` are misread precede its reasons."""
@@ -364,12 +356,11 @@ def _refuse_of_models(how: RegisterSettings) -> None:
 def _refuse_with_model(body: Body, load: Load | None, how: RegisterSettings) -> None:
     """Raise `ModelError` if an assumption or setting that has no meaning with a trained model is not at its default."""
     given: dict[str, Any] = {} if body.stiffness == "believed" else {"stiffness": body.stiffness}
-    if not how.polish:
-        given |= how.changed(*_OF_CONTACTS)
-        given |= {} if body.held == "sure" else {"held": body.held}
-        if load is None:
-            given |= {} if body.element == "auto" else {"element": body.element}
-            given |= {} if body.held_nodes is None else {"held_nodes": body.held_nodes}
+    given |= how.changed(*_OF_CONTACTS)
+    given |= {} if body.held == "sure" else {"held": body.held}
+    if load is None:
+        given |= {} if body.element == "auto" else {"element": body.element}
+        given |= {} if body.held_nodes is None else {"held_nodes": body.held_nodes}
     for name, value in given.items():
         message = f"`{name}` must be left out with a trained model, where it means nothing{_WHERE.get(name, '')}; got "
         raise ModelError(message + _in_short(value), where=name)

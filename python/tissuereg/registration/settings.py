@@ -4,13 +4,10 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from tissuereg import _core
-from tissuereg._base.arguments import MOST_COUNTED, check_choice, check_running, flag, of_kind, real, whole
+from tissuereg._base.arguments import MOST_COUNTED, check_choice, check_running, of_kind, real, whole
 from tissuereg.errors import ArgumentError
 from tissuereg.registration.contacts.settings import ContactSettings
 from tissuereg.registration.contacts.state import TRACKERS
-
-#: How the latents of a trained model are found.
-UPDATES = ("esmda", "gauss-newton")
 
 #: When a registrar with a model examines how markers are read.
 READINGS = ("doubtful", "always")
@@ -22,18 +19,10 @@ class SmootherSettings:
 
     Parameters
     ----------
-    update : {"esmda", "gauss-newton"}
-        How the latents are found: by an ensemble smoother with multiple data assimilation, or as the most probable
-        latents with the Gaussian about them, which needs fewer decodes.
     n_members, n_steps : int
-        Ensemble size N_e and number of assimilations N_a. With ``update="gauss-newton"`` `n_members` draws from the
-        Gaussian represent the posterior, and there are no steps.
+        Members of each ensemble, N_e, and number of assimilations, N_a.
     decrease : float
         Ratio of successive inflation coefficients, the factors on the noise covariance in each assimilation.
-    decode_all : bool
-        Whether the ensemble is decoded before every update. By default a calibrated model, whose result is found about
-        the ensemble's mean, decodes before the first and the last update only; between them predictions follow their
-        linear regression on the latents.
 
     Raises
     ------
@@ -41,18 +30,14 @@ class SmootherSettings:
         If a value is not a number or out of its range.
     """
 
-    update: str = "esmda"
-    n_members: int = 60
-    n_steps: int = 5
+    n_members: int = 40
+    n_steps: int = 4
     decrease: float = 2.0
-    decode_all: bool = False
 
     def __post_init__(self) -> None:
-        check_choice("update", self.update, UPDATES, ArgumentError)
         whole("n_members", self.n_members, least=2)
         whole("n_steps", self.n_steps, least=1)
         real("decrease", self.decrease, above=0.0)
-        flag("decode_all", self.decode_all)
 
     def alphas(self) -> tuple[float, ...]:
         """Return the inflation coefficients of all steps."""
@@ -77,9 +62,6 @@ class RegisterSettings:
         takes linearised draws instead. It serves large motions, where the posterior is not Gaussian.
     smoother : SmootherSettings
         With a model: how its latents are estimated.
-    polish : bool
-        With a model: whether its result is used as the simulation of a registration by contacts, so that the body is in
-        equilibrium and meets the markers. The settings of a registration without a model then have a meaning as well.
     readings : {"doubtful", "always"}
         With a model: when a registrar examines whether the markers may be in other units, axes, motions and orders
         (`tissuereg.registration.readings`), which takes as long as several registrations. "always": at every moment.
@@ -95,7 +77,7 @@ class RegisterSettings:
     Examples
     --------
     >>> RegisterSettings(tracker="drifts").smoother.n_members
-    60
+    40
     """
 
     threads: int = 0
@@ -103,7 +85,6 @@ class RegisterSettings:
     contacts: ContactSettings = field(default_factory=ContactSettings)
     ensemble: int = 0
     smoother: SmootherSettings = field(default_factory=SmootherSettings)
-    polish: bool = False
     readings: str = "doubtful"
 
     def __post_init__(self) -> None:
@@ -112,7 +93,6 @@ class RegisterSettings:
         of_kind("contacts", self.contacts, ContactSettings)
         whole("ensemble", self.ensemble, most=MOST_COUNTED)
         of_kind("smoother", self.smoother, SmootherSettings)
-        flag("polish", self.polish)
         check_choice("readings", self.readings, READINGS, ArgumentError)
 
     def changed(self, *names: str) -> dict[str, Any]:

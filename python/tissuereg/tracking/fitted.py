@@ -15,7 +15,7 @@ from tissuereg._base.arguments import check_running, of_kind, real, whole
 from tissuereg._base.arrays import FloatArray, IntArray
 from tissuereg.body.material import Material
 from tissuereg.body.mesh import Mesh
-from tissuereg.registration.learned.model import Gaussian, ScaledErrors
+from tissuereg.registration.learned.model import Gaussian
 from tissuereg.registration.learned.pca import PcaModel
 from tissuereg.simulation.sampling import random_changes
 
@@ -54,17 +54,13 @@ class _Changes:
         """Description of the model for the entry ``model`` of a result: its kind, source and number of fields."""
         return self.changes.card
 
-    def errors(self, latents: FloatArray | None = None) -> FloatArray:
-        """Return the expected reconstruction errors (n_fields, n_nodes, 3), mm, of a change at latents (n_latent,)."""
-        return self.changes.errors(latents)
+    def errors(self) -> FloatArray:
+        """Return the expected reconstruction errors (n_fields, n_nodes, 3), mm, of changes."""
+        return self.changes.errors()
 
-    def error_law(self, latents: FloatArray | None = None) -> tuple[ScaledErrors, FloatArray]:
-        """Return error fields of known size, in mm, and the factor (n_fields,) on each at latents (n_latent,)."""
-        return self.changes.error_law(latents)
-
-    def prior(self, simulation: FloatArray | None) -> Gaussian:
-        """Return the prior of the latents, the unit Gaussian; it does not depend on `simulation` (n_nodes, 3), mm."""
-        return self.changes.prior(simulation)
+    def prior(self) -> Gaussian:
+        """Return the prior of the latents, the unit Gaussian."""
+        return self.changes.prior()
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,6 +90,11 @@ class ChangedSimulation(_Changes):
     """
 
     simulation: FloatArray
+
+    @property
+    def code(self) -> FloatArray:
+        """Latents (n_latent,) of no change: zero."""
+        return np.zeros(self.n_latent)
 
     def decode(self, latents: FloatArray, nodes: IntArray | None = None) -> FloatArray:
         """Return displacement fields (n_members, k, 3), mm, of latents (n_latent, n_members), at nodes (k,) or all."""
@@ -130,7 +131,6 @@ def fitted_prior(
         Numbers of the nodes that are held; by default the node set ``fixed``.
     seed : int
         Seed of the random deformations.
-        Of the events.
     threads : int
         Threads to use; 0 takes all cores.
 

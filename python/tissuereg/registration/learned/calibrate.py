@@ -24,7 +24,7 @@ from tissuereg.registration.learned.calibration import (
     RowsOf,
 )
 from tissuereg.registration.learned.components import Components, probabilities
-from tissuereg.registration.learned.mixture import Component, log_evidence
+from tissuereg.registration.learned.mixture import Component, Evidence
 from tissuereg.registration.learned.model import LatentModel, rms_displacement
 from tissuereg.registration.learned.network import NetworkModel
 from tissuereg.registration.learned.smoother import Decode, Screening, normals, smooth
@@ -442,8 +442,12 @@ class _Rehearsing:
         with one form the components are summed, weighted by their probabilities.
         """
         prior = event.prior[: event.n_own]
-        logs = log_evidence(prior, event.screening.linear, event.observed, event.noise) + np.log(event.shares)[:, None]
-        return np.asarray(np.logaddexp.reduce(logs.reshape(n_forms, -1, logs.shape[1]), axis=1))
+        equal = [
+            replace(one, weights=np.full(len(one.scales), share))
+            for one, share in zip(prior, event.shares, strict=True)
+        ]
+        logs = Evidence.of(equal, event.screening.linear, event.observed, event.noise).logs
+        return np.asarray(np.logaddexp.reduce(logs.reshape(n_forms, len(prior) // n_forms, -1), axis=1))
 
 
 def _with_groups(law: Rehearsal, statistics: FloatArray, groups: Sequence[int]) -> Rehearsal:

@@ -22,6 +22,9 @@ STATISTICS = ("misfit", "wrong marker", "unfamiliar", "simulation", "noise")
 #: Statistics that are chances where no calibration event tells how they are distributed.
 _CHANCES = (True, True, False, False, True)
 
+#: Power of these chances that is taken: errors of real models have heavier tails than the normal law of their moments.
+_POWER = 0.5
+
 #: Share of the events of a group, and their least number, that tell how a statistic goes on beyond the largest of them.
 _TAIL_SHARE, _TAIL_FEWEST = 0.1, 5
 
@@ -45,7 +48,7 @@ class CalibrationSet:
 
     @classmethod
     def none(cls) -> "CalibrationSet":
-        """Return a set without trials; a statistic that is the logarithm of a p-value is then taken as it is."""
+        """Return a set without trials; statistics that are logarithms of chances are then taken as such, tempered."""
         return cls(np.empty((0, len(STATISTICS))), np.empty(0, np.int64))
 
     def beside(self, statistics: FloatArray) -> "CalibrationSet":
@@ -61,13 +64,13 @@ class CalibrationSet:
     def shares(self, statistics: FloatArray) -> FloatArray:
         """Return for each of statistics (5,) the share of calibration events as bad, in the group that looks worst."""
         if not len(self):
-            return np.asarray(np.where(_CHANCES, np.minimum(np.exp(-statistics), 1.0), 1.0))
+            return np.asarray(np.where(_CHANCES, np.minimum(np.exp(-_POWER * statistics), 1.0), 1.0))
         return np.asarray(np.max([group.shares(statistics) for group in self._groups], axis=0))
 
     def p_value(self, statistics: FloatArray) -> float:
         """Return the share of calibration events with as rare a worst statistic as (5,) ones, in the worst group."""
         if not len(self):
-            return float(np.exp(-statistics[0]))
+            return min(1.0, sum(_CHANCES) * float(self.shares(statistics).min()))
         return max(group.p_value(statistics) for group in self._groups)
 
     @cached_property

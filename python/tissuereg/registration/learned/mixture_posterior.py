@@ -16,7 +16,6 @@ from tissuereg.registration.inputs import RegisterInput
 from tissuereg.registration.learned.calibration import FieldErrors, PointCalibration, Rehearsal, RowErrors
 from tissuereg.registration.learned.mixture import Component
 from tissuereg.registration.learned.model import rms_displacement
-from tissuereg.registration.learned.network import AnchoredModel
 from tissuereg.registration.learned.points import PointsAround
 from tissuereg.registration.learned.repair import repaired
 from tissuereg.registration.learned.smoother import Screening, Smoothed, normals, smooth
@@ -48,8 +47,6 @@ class _Anchor:
 @dataclass(frozen=True, eq=False)
 class CalibratedPosterior:
     """The posterior of one registration with a calibrated model: moments of a Gaussian mixture; lengths in mm.
-
-    Names that it shares with `tissuereg.registration.learned.posterior.Posterior` have the same meaning.
 
     Attributes
     ----------
@@ -95,37 +92,34 @@ class CalibratedPosterior:
         cls,
         given: RegisterInput,
         model: PointsAround,
-        calibration: PointCalibration,
         used: IntArray,
         simulation: FloatArray | None,
         variants: Variants | None = None,
     ) -> "CalibratedPosterior":
         """Return the posterior of one registration.
 
-        `given`: body, measured markers and seed; `model`: the model of this moment at markers and targets;
-        `calibration`: what its answers are worth there; `used` int64 (n_used,): markers that are used; `simulation`
-        (n_nodes, 3) or None: simulated displacement, mm; `variants`: whose mean the simulation is. Cost: two decodes of
-        about 2 n_latent columns at markers and targets, then one of the ensembles of all pairs in every step and one
-        more.
+        `given`: body, measured markers and seed; `model`: the model of this moment at markers and targets; `used` int64
+        (n_used,): markers that are used; `simulation` (n_nodes, 3) or None: simulated displacement, mm; `variants`:
+        whose mean the simulation is. Cost: three decodes of about 2 n_latent columns at markers and targets, then one
+        of the ensembles of all pairs in every step and one more.
         """
-        markers = given.markers
+        markers, calibration = given.markers, model.calibration
         order = np.concatenate([used, np.setdiff1d(np.arange(len(markers)), used)])
         rows = np.arange(calibration.errors.patterns.shape[1])
         rows[: 3 * len(order)] = (3 * order[:, None] + np.arange(3)).ravel()
         at = calibration if np.array_equal(order, np.arange(len(order))) else calibration.of(rows)
         size = 0.0 if simulation is None else float(rms_displacement(simulation[None])[0])
-        latent, simulated = model.latent, np.zeros(len(rows))
+        simulated, start = np.zeros(len(rows)), at.whole.kinds.centre
         prior, forms = at.prior(), list[tuple[int, float]]()
-        start = at.whole.kinds.centre
-        varied = None if variants is None else variants.spread.at(model.all_rows).of(rows)
-        if isinstance(latent, AnchoredModel) and simulation is not None:
-            simulated, start = model.at_rows(simulation)[rows], latent.code
+        varied = None if variants is None else variants.spread.at(model.at_rows).of(rows)
+        if model.code is not None and simulation is not None:
+            simulated, start = model.at_rows(simulation[None])[0, rows], model.code
             prior, forms = at.prior_about(start, size, simulated, varied)
         observed = markers.displacement[used].ravel()
         noise = np.diag((markers.axis_std[used] ** 2).ravel())
 
         def decode(latents: FloatArray) -> FloatArray:
-            return model.components(model.decode(np.ascontiguousarray(latents)))[:, rows]
+            return model.decode(np.ascontiguousarray(latents))[:, rows]
 
         screening = Screening.of(decode, prior, observed, noise, start, at.whole.kinds.spread)
         how = given.settings.smoother
@@ -207,11 +201,6 @@ class CalibratedPosterior:
         covariance = np.empty((len(rows), len(rows)))
         covariance[np.ix_(rows, rows)] = self._covariance[: len(rows), : len(rows)]
         return self.rehearsal.widening * covariance
-
-    @property
-    def marker_error(self) -> FloatArray:
-        """Covariance (n_markers, 3, 3) of the model's error that `marker_covariance` does not include: zero."""
-        return np.zeros((self._n_markers, 3, 3))
 
     @property
     def target_mean(self) -> FloatArray:

@@ -12,14 +12,15 @@ import numpy as np
 from tissuereg._base.arrays import FloatArray, IntArray, float_array
 from tissuereg.body.mesh import Mesh
 from tissuereg.errors import ModelError
-from tissuereg.io.fields import Archive, open_npz
+from tissuereg.io.fields import open_npz
 from tissuereg.registration.learned.batches import in_batches
-from tissuereg.registration.learned.calibration import LEAST_SIZE_MM, Calibration
+from tissuereg.registration.learned.calibration import Calibration
 from tissuereg.registration.learned.calibration_file import read_calibration
 from tissuereg.registration.learned.card import MODEL_FILES, check_files, read_card
 from tissuereg.registration.learned.cut import CutDecoder, session
 from tissuereg.registration.learned.decoders import ClosureDecoder, GraphDecoder, read_decoder
-from tissuereg.registration.learned.model import Gaussian, ScaledErrors, rms_displacement, sampled_nodes
+from tissuereg.registration.learned.model import Gaussian
+from tissuereg.registration.learned.stated import stated
 
 #: Members decoded in one call; bounds the memory of the gathered neighbourhoods.
 _BATCH = 25
@@ -71,10 +72,8 @@ class NetworkModel:
         self._cut: dict[str, CutDecoder] = {}
         known = card["prior"]
         self._family = Gaussian(np.asarray(known["mean"], np.float64), np.asarray(known["covariance"], np.float64))
-        with open_npz(self.folder / "decoder_weights.npz") as weights:
-            self._errors = _errors_in(weights, "error_fields_mm", "error_sizes_mm", self.n_nodes)
-            self._change_errors = _errors_in(weights, "change_error_fields_mm", "change_sizes_mm", self.n_nodes)
-        self.calibration: Calibration | None = read_calibration(self.folder, card) if calibrated else None
+        measured = read_calibration(self.folder, card) if calibrated else None
+        self.calibration: Calibration = measured or self._stated(known)
         errors = card["errors_mm"]
         self.card = {
             "kind": card["kind"],
@@ -94,35 +93,30 @@ class NetworkModel:
         """Number of mesh nodes."""
         return int(self._card["n_nodes"])
 
-    def errors(self, latents: FloatArray | None = None) -> FloatArray:
-        """Return the expected reconstruction errors (n_fields, n_nodes, 3), in mm: truth minus reconstruction.
+    def errors(self) -> FloatArray:
+        """Return reconstruction errors (n_fields, n_nodes, 3), mm, of fields not used in training."""
+        return self._errors_in("error_fields_mm")
 
-        They are those of fields not used in training, scaled to the size of the field that `latents` (n_latent,) decode
-        to, and unscaled for None.
-        """
-        law, scale = self.error_law(latents)
-        return np.asarray(law.fields * scale[:, None, None])
+    def _errors_in(self, name: str) -> FloatArray:
+        with open_npz(self.folder / "decoder_weights.npz") as weights:
+            return weights.floats(name, None, self.n_nodes, 3)
 
-    def error_law(self, latents: FloatArray | None = None) -> tuple[ScaledErrors, FloatArray]:
-        """Return error fields (with the sizes of their events) and the factors (n_fields,) by which to multiply them.
-
-        The factors scale the errors to the field that `latents` (n_latent,) decode to; they are one for None.
-        """
-        if latents is None:
-            return self._errors, self._errors.scale(None)
-        return self._errors, self._errors.scale(float(rms_displacement(self.sampled(latents[:, None]))[0]))
-
-    def sampled(self, latents: FloatArray) -> FloatArray:
-        """Return displacement fields (n_members, k, 3), in mm, of latents (n_latent, n_members), at k sampled nodes."""
-        nodes = sampled_nodes(self.n_nodes)
-        return self.decode(latents, nodes) if self.tables is None else self.tables.decode(latents, nodes)
+    def _stated(self, known: dict[str, Any]) -> Calibration:
+        """Return the calibration that the table `prior` of the card and the errors beside the weights state."""
+        relative = known.get("relative_mismatch_covariance")
+        if relative is None:
+            return stated(self._family, self.errors())
+        off, absolute = (np.asarray(one, np.float64) for one in (relative, known["mismatch_covariance"]))
+        # Both are moments of the same differences, over the simulation's size and not: their ratio is that size.
+        per_size = np.sqrt(np.trace(off) / max(float(np.trace(absolute)), 1e-300))
+        return stated(self._family, self.errors(), off, per_size * self._errors_in("change_error_fields_mm"))
 
     def around(self, simulation: FloatArray) -> "AnchoredModel":
         """Return a latent model of differences from a simulation, a displacement (n_nodes, 3) in mm.
 
         It decodes to the simulation itself at the latents that the encoder gives the simulation.
         """
-        return AnchoredModel(self, simulation, self._change_errors)
+        return AnchoredModel(self, simulation)
 
     def encode(self, field: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the mean and variance of the encoder's Gaussian q(z | field) of latents z, given a displacement field.
@@ -187,7 +181,7 @@ class NetworkModel:
         digest = hashlib.sha256(rows.indptr.tobytes() + rows.indices.tobytes() + rows.data.tobytes()).hexdigest()
         if digest not in self._cut and self.tables is not None:
             made = CutDecoder(self.tables, rows, self._threads)
-            codes = self.prior(None)
+            codes = self.prior()
             spread = np.linalg.cholesky(codes.covariance + 1e-12 * np.trace(codes.covariance) * np.eye(self.n_latent))
             draws = np.random.default_rng(0).standard_normal((self.n_latent, 3))
             made.check(rows, self.tables, self._by_file, codes.mean[:, None] + spread @ draws, str(self.folder))
@@ -196,43 +190,23 @@ class NetworkModel:
             self._cut[digest] = made
         return self._cut.get(digest)
 
-    def prior(self, simulation: FloatArray | None) -> Gaussian:
-        """Return the prior of the latents: the encoder's Gaussian, widened by the mismatch of truths and simulations.
-
-        `simulation` (n_nodes, 3) is a displacement in mm; None returns the distribution of the training set's latents.
-        The covariance is the encoder's variance plus the measured covariance of encoder(truth) - encoder(simulation),
-        scaled with the size of the simulated event, because larger events have larger errors.
-        """
-        known = self._card["prior"]
-        if simulation is None:
-            return self._family
-        mean, variance = self.encode(simulation)
-        relative = known.get("relative_mismatch_covariance")
-        if relative is None:
-            return Gaussian(mean, np.diag(variance) + np.asarray(known["mismatch_covariance"], np.float64))
-        size = max(float(rms_displacement(simulation[None])[0]), LEAST_SIZE_MM)
-        return Gaussian(mean, np.diag(variance) + size**2 * np.asarray(relative, np.float64))
+    def prior(self) -> Gaussian:
+        """Return the distribution of the latents of the training set."""
+        return self._family
 
 
 class AnchoredModel:
     """A latent model centred on a simulation: ``field = simulation + decoder(z) - decoder(encoder(simulation))``.
 
-    The error of encoding and decoding the simulation cancels. `network` is the encoder and decoder; `simulation`
-    (n_nodes, 3) is the displacement, in mm; `change_errors` are errors of the network for differences of truths from
-    simulations.
-
-    Notes
-    -----
-    A truth is encoded and decoded with a smaller error as a difference from its simulation than as a whole field.
-    Without pairs of simulation and truth, the errors of whole fields are used.
+    The error of encoding and decoding the simulation cancels: a truth is met more closely as a difference from its
+    simulation than as a whole field. `network` is the encoder and decoder; `simulation` (n_nodes, 3) is the
+    displacement, in mm. The attribute `code` (n_latent,) are the simulation's latents.
     """
 
-    def __init__(self, network: NetworkModel, simulation: FloatArray, change_errors: "ScaledErrors") -> None:
+    def __init__(self, network: NetworkModel, simulation: FloatArray) -> None:
         self._network = network
-        self._errors = change_errors
         self._simulation = simulation
-        self._prior = network.prior(simulation)
-        self.code: FloatArray = self._prior.mean
+        self.code: FloatArray = network.encode(simulation)[0]
         self.calibration = network.calibration
         self.card = network.card
 
@@ -249,34 +223,18 @@ class AnchoredModel:
     def decode(self, latents: FloatArray, nodes: IntArray | None = None) -> FloatArray:
         """Return displacement fields (n_members, k, 3), mm, of latents (n_latent, n_members), at nodes (k,) or all."""
         if nodes is None:
-            return self._simulation + self._network.change(latents, self._prior.mean)
+            return self._simulation + self._network.change(latents, self.code)
         # Beside the simulation's code in one call: the bits depend on nothing that was decoded before.
-        both = self._network.decode(np.concatenate([self._prior.mean[:, None], latents], axis=1), nodes)
+        both = self._network.decode(np.concatenate([self.code[:, None], latents], axis=1), nodes)
         return np.asarray(both[1:] + (self._simulation[nodes] - both[0]))
 
-    def errors(self, latents: FloatArray | None = None) -> FloatArray:
-        """Return the expected errors (n_fields, n_nodes, 3), in mm, of the decoded difference from the simulation.
+    def errors(self) -> FloatArray:
+        """Return reconstruction errors (n_fields, n_nodes, 3), mm, of fields not used in training."""
+        return self._network.errors()
 
-        They are scaled to the size of the difference that `latents` (n_latent,) decode to, and unscaled for None.
-        """
-        law, scale = self.error_law(latents)
-        return np.asarray(law.fields * scale[:, None, None])
-
-    def error_law(self, latents: FloatArray | None = None) -> tuple[ScaledErrors, FloatArray]:
-        """Return error fields (with the sizes of their events) and the factors (n_fields,) by which to multiply them.
-
-        The factors scale the errors to the difference from the simulation that `latents` decode to; one for None.
-        """
-        if not len(self._errors.fields):
-            return self._network.error_law(latents)
-        if latents is None:
-            return self._errors, self._errors.scale(None)
-        both = self._network.sampled(np.stack([latents, self._prior.mean], axis=1))
-        return self._errors, self._errors.scale(float(rms_displacement(both[:1] - both[1:])[0]))
-
-    def prior(self, simulation: FloatArray | None) -> Gaussian:
-        """Return the prior of latents about the code of a simulation (n_nodes, 3), mm; that of all codes for None."""
-        return self._prior if simulation is self._simulation else self._network.prior(simulation)
+    def prior(self) -> Gaussian:
+        """Return the distribution of the latents of the training set."""
+        return self._network.prior()
 
 
 def kept_network(folder: Path, mesh: Mesh, threads: int, source: str | None = None) -> NetworkModel:
@@ -295,11 +253,6 @@ def kept_network(folder: Path, mesh: Mesh, threads: int, source: str | None = No
             _NETWORKS.pop(next(iter(_NETWORKS)))
         _NETWORKS[key] = made
     return made
-
-
-def _errors_in(weights: Archive, fields: str, sizes: str, n_nodes: int) -> ScaledErrors:
-    errors = weights.floats(fields, None, n_nodes, 3)
-    return ScaledErrors(errors, weights.floats(sizes, len(errors)))
 
 
 def _session(path: Path) -> Any:

@@ -1,6 +1,5 @@
 """Principal components as a latent model: the baseline for the network, and a model that is fitted to given fields."""
 
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -8,7 +7,7 @@ import numpy as np
 from tissuereg._base.arrays import FloatArray, IntArray
 from tissuereg.errors import EnsembleError
 from tissuereg.registration.learned.calibration import Calibration
-from tissuereg.registration.learned.model import Gaussian, ScaledErrors, rms_displacement
+from tissuereg.registration.learned.model import Gaussian
 
 
 class PcaModel:
@@ -16,8 +15,7 @@ class PcaModel:
 
     `centre` (n_nodes, 3) is the field at z = 0, in mm; `components` (n_latent, n_nodes, 3) are the components, each
     times its standard deviation, in mm; `error_fields` (n_fields, n_nodes, 3) are truth minus reconstruction of fields
-    not used in the fit, in mm; `error_sizes` (n_fields,) are the root mean square distances of those fields from the
-    centre, in mm; `card` holds the facts for the entry `model` of a result.
+    not used in the fit, in mm; `card` holds the facts for the entry `model` of a result.
     """
 
     def __init__(
@@ -25,13 +23,11 @@ class PcaModel:
         centre: FloatArray,
         components: FloatArray,
         error_fields: FloatArray,
-        error_sizes: FloatArray,
         card: dict[str, Any],
     ) -> None:
         self.centre = centre
         self.components = components
         self.error_fields = error_fields
-        self.error_sizes = error_sizes
         self.card = card
         self.calibration: Calibration | None = None
 
@@ -68,13 +64,10 @@ class PcaModel:
         components = vectors[:, order].T @ rows / np.sqrt(len(rows))
         largest = np.abs(components).argmax(axis=1)
         components *= np.sign(components[np.arange(len(components)), largest])[:, None]
-        model = cls(
-            centre, components.reshape(-1, *centre.shape), np.empty((0, *centre.shape)), np.empty(0), dict(card)
-        )
+        model = cls(centre, components.reshape(-1, *centre.shape), np.empty((0, *centre.shape)), dict(card))
         if len(held_out):
             latents = np.stack([model.encode(field) for field in held_out], axis=1)
             model.error_fields = held_out - model.decode(latents)
-            model.error_sizes = rms_displacement(held_out - centre)
             model.card["test_error_mm"] = float(np.linalg.norm(model.error_fields, axis=2).mean())
         return model
 
@@ -109,30 +102,10 @@ class PcaModel:
         flat = latents.T @ rows.reshape(self.n_latent, -1)
         return np.asarray(centre + flat.reshape(latents.shape[1], *centre.shape))
 
-    def errors(self, latents: FloatArray | None = None) -> FloatArray:
-        """Return the expected reconstruction errors (n_fields, n_nodes, 3), in mm, at latents (n_latent,).
+    def errors(self) -> FloatArray:
+        """Return the reconstruction errors (n_fields, n_nodes, 3), in mm, of fields not used in the fit."""
+        return self.error_fields
 
-        Notes
-        -----
-        Errors grow in proportion to the distance from the centre, so each held-out error is scaled to the size of the
-        field that `latents` represent. For None they are unscaled.
-        """
-        law, scale = self.error_law(latents)
-        return np.asarray(law.fields * scale[:, None, None])
-
-    def error_law(self, latents: FloatArray | None = None) -> tuple[ScaledErrors, FloatArray]:
-        """Return error fields (with the sizes of their events) and the factors (n_fields,) by which to multiply them.
-
-        The factors scale the errors to the distance of the field of `latents` from the centre; they are one for None.
-        """
-        if latents is None:
-            return self._law, self._law.scale(None)
-        return self._law, self._law.scale(float(rms_displacement(self.decode(latents[:, None]) - self.centre)[0]))
-
-    @cached_property
-    def _law(self) -> ScaledErrors:
-        return ScaledErrors(self.error_fields, self.error_sizes)
-
-    def prior(self, simulation: FloatArray | None) -> Gaussian:
-        """Return the unit Gaussian of the latents; `simulation` is not used, since the model was fitted around it."""
+    def prior(self) -> Gaussian:
+        """Return the unit Gaussian of the latents."""
         return Gaussian(np.zeros(self.n_latent), np.eye(self.n_latent))

@@ -1,49 +1,27 @@
-"""Registration with a trained model: Algorithm 1 of the paper.
-
-A simulation of the moment is encoded, an ensemble of latents is drawn around its code, and ES-MDA updates the ensemble
-until the decoded fields agree with the markers; or Gauss-Newton finds the most probable latents, and the ensemble is
-drawn about them.
-"""
+"""Registration with a trained model: ES-MDA in the latents of its decoder, under the prior of its calibration."""
 
 import os
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from tissuereg import _core
 from tissuereg._base.arguments import found, place
 from tissuereg._base.arrays import FloatArray, IntArray
 from tissuereg._base.clock import Clock
 from tissuereg.body.mesh import Mesh
 from tissuereg.errors import ArgumentError, ModelError
 from tissuereg.registration.inputs import RegisterInput, rms_length
-from tissuereg.registration.learned.assimilate import (
-    Assimilation,
-    AssimilationSettings,
-    FirstEnsemble,
-    SearchSettings,
-    assimilate,
-    gauss_newton,
-)
 from tissuereg.registration.learned.calibration_set import STATISTICS
 from tissuereg.registration.learned.mixture_posterior import CalibratedPosterior
-from tissuereg.registration.learned.model import Gaussian, LatentModel
+from tissuereg.registration.learned.model import LatentModel
 from tissuereg.registration.learned.network import kept_network
-from tissuereg.registration.learned.points import PointModel, PointsAround
-from tissuereg.registration.learned.posterior import Posterior
+from tissuereg.registration.learned.points import PointModel
 from tissuereg.registration.learned.result import LearnedRegistration
-from tissuereg.registration.learned.smoother import normals
 from tissuereg.registration.learned.variants import Variants
-from tissuereg.registration.learned.widen import stated
 from tissuereg.registration.result import NO_MARKER, MarkerFit, Target
-from tissuereg.registration.trust import LEVEL, Trust, judge, judge_by_rehearsal
-from tissuereg.registration.wrong_markers import drop_wrong, most_wrong, score_markers
-
-#: The search ends at a step of so many standard deviations, less than any region shows; neighbours for derivatives of
-#: the decoder are far enough for float32.
-_SEARCH = SearchSettings(tolerance=1e-2, difference=1e-2)
+from tissuereg.registration.trust import LEVEL, judge_by_rehearsal
+from tissuereg.registration.wrong_markers import most_wrong
 
 #: Standard deviations of the tracker's noise beyond which a sign is sure: chance of 1e-5.
 _SURELY = 4.3
@@ -53,10 +31,6 @@ _WRONG = STATISTICS.index("wrong marker")
 
 #: A marker is left out if fewer than this share of calibration events have one that fits the others as badly.
 _DROPPED = 0.05
-
-#: Draws from which predictions about the prior's mean are found where the ensemble is no search or has fewer than twice
-#: as many members as there are latents.
-_N_DRAWS = 100
 
 
 def register_by_model(
@@ -71,14 +45,11 @@ def register_by_model(
     `given`: checked input; `points`: the model at the markers and targets of that input; `simulation` (n_nodes, 3) or
     None: displacement of the moment by a simulation, mm; `clock`: records the times of the stages: ``encode``,
     ``assimilate``, ``decode``, ``judge``; `variants`: variants of the simulation, on whose mean the prior is then
-    centred. The answer is compared with the simulation, or with that mean if there is no simulation. Result: the
-    result. Cost: with ``update="esmda"`` the ensemble is decoded at markers and targets once for each step and once at
-    the end. With a calibrated model, whose answer is found about the ensemble's mean, it is decoded before the first
-    and the last step alone, and then 2 n_latent + 1 members are decoded two or three times. Once more where the prior
-    had to be widened. Two whole fields are decoded. Raises `EnsembleError` if too few ensemble members survive, or the
-    decoder fails where the search for the most probable latents begins; `ArgumentError` if variants are given and the
-    model was not calibrated with pairs of simulation and truth; `ConvergenceError` if the search for the most probable
-    latents finds no minimum.
+    centred. The answer is compared with the simulation, or with that mean if there is no simulation. Cost: the
+    ensembles of a few pairs of component and scale are decoded at markers and targets once for each step and once at
+    the end, and before that three times about 2 n_latent columns; again for every marker that is left out. One whole
+    field is decoded. Raises `EnsembleError` if too few ensemble members survive; `ArgumentError` if variants are given
+    and there are no pairs of simulation and truth behind the model's calibration.
     """
     if variants is not None and not points.knows_changes:
         message = "`variants` must be left out: the model was not calibrated with pairs of simulation and truth"
@@ -87,25 +58,16 @@ def register_by_model(
     with clock.stage("encode"):
         model = points.around(anchor)
     seen = np.flatnonzero(given.markers.seen)
-    calibration, fit = points.calibration, None
-    posterior: Posterior | CalibratedPosterior
-    if calibration is None:
-        with clock.stage("assimilate"):
-            drawn = _Drawn.of(model, given)
-            fit, wrong = _without_wrong(model, drawn, given, seen)
-        with clock.stage("decode"):
-            posterior, surely = Posterior.of(given.mesh, model, fit.ensemble), wrong
-    else:
 
-        def smoothed(used: IntArray) -> CalibratedPosterior:
-            return CalibratedPosterior.of(given, model, calibration, used, anchor, variants)
+    def smoothed(used: IntArray) -> CalibratedPosterior:
+        return CalibratedPosterior.of(given, model, used, anchor, variants)
 
-        with clock.stage("assimilate"):
-            posterior, wrong, surely = _without_unlikely(smoothed, seen)
+    with clock.stage("assimilate"):
+        posterior, wrong, surely = _without_unlikely(smoothed, seen)
     used = np.setdiff1d(seen, list(wrong))
     with clock.stage("judge"):
         before = anchor if simulation is None else simulation
-        return _result(given, used, wrong, surely, before, points.model, fit, posterior, clock)
+        return _result(given, used, wrong, surely, before, points.model, posterior, clock)
 
 
 def _without_unlikely(
@@ -134,124 +96,14 @@ def _without_unlikely(
         used = np.delete(used, worst)
 
 
-@dataclass(frozen=True, eq=False)
-class _Drawn:
-    """Draws of latents from the prior, with the displacements that they predict for the markers.
-
-    `prior` is the prior; `first` is the drawn ensemble; `markers` (n_members, n_markers, 3) are its predictions for all
-    markers, and `centre` (n_markers, 3) those at the prior's mean, in mm.
-    """
-
-    prior: Gaussian
-    first: FirstEnsemble
-    markers: FloatArray
-    centre: FloatArray
-
-    @classmethod
-    def of(cls, model: PointsAround, given: RegisterInput) -> "_Drawn":
-        smoother = given.settings.smoother
-        n_members = smoother.n_members
-        if smoother.update == "gauss-newton" or n_members < 2 * len(model.prior.mean):
-            n_members = _N_DRAWS
-        first = FirstEnsemble.about(model.prior, *normals(given.seed, len(model.prior.mean), n_members))
-        centre, moved = model.first(first.latents)
-        return cls(model.prior, first, model.markers(moved), model.markers(centre))
-
-    def predicted(self, seen: IntArray) -> FloatArray:
-        """Return the predictions (3 n_seen, n_members), in mm, for the markers with numbers `seen` int64 (n_seen,)."""
-        return _rows(self.markers[:, seen])
-
-    def start(self, prior: Gaussian, widening: float, seen: IntArray) -> FirstEnsemble:
-        """Return the ensemble as draws from a widened prior, with predictions for the markers `seen` if known.
-
-        `prior` is the widened prior and `widening` the factor by which it was widened; predictions are known if it is
-        one. `seen` int64 (n_seen,) are numbers of markers.
-        """
-        if widening == 1.0:
-            return FirstEnsemble(self.first.latents, self.first.exact, self.predicted(seen))
-        here, there = (np.linalg.cholesky(one.covariance) for one in (self.prior, prior))
-        normals = np.linalg.solve(here, self.first.latents - self.prior.mean[:, None])
-        return FirstEnsemble(prior.mean[:, None] + there @ normals, self.first.exact)
-
-
-@dataclass(frozen=True, eq=False)
-class _EnsembleFit:
-    """A posterior ensemble, with the prior and the noise from which it was computed.
-
-    `prior` is that of the latents, widened by the factor `widening` on its covariance; `noise` (n_obs, n_obs) is the
-    covariance C_d of the tracker's noise and the model's errors, in mm^2; `ensemble` holds the posterior members. For
-    Gauss-Newton, `predicted` (n_obs,) and `absorbed` (n_obs, n_obs) are the predictions at the minimum, in mm, and
-    their posterior covariance, in mm^2; for ES-MDA they are empty.
-    """
-
-    prior: Gaussian
-    widening: float
-    noise: FloatArray
-    ensemble: Assimilation
-    predicted: FloatArray
-    absorbed: FloatArray
-
-
-def _without_wrong(
-    model: PointsAround, drawn: _Drawn, given: RegisterInput, seen: IntArray
-) -> tuple[_EnsembleFit, dict[int, float]]:
-    """Return the fit without markers that do not fit the others, and the p-values of these markers by their numbers.
-
-    `seen` int64 (n_seen,) are the numbers of the markers to start from. Markers are dropped only with Gauss-Newton,
-    where the fit is a minimum with its derivatives: the covariance of an ensemble is no exact share of the noise.
-    """
-    if given.settings.smoother.update != "gauss-newton":
-        return _fit(model, drawn, given, seen), {}
-
-    def scored(kept: IntArray) -> tuple[_EnsembleFit, _core.GroupScores]:
-        fit = _fit(model, drawn, given, seen[kept])
-        residual = given.markers.displacement[seen[kept]] - fit.predicted.reshape(-1, 3)
-        return fit, score_markers(residual, fit.noise, fit.absorbed)
-
-    fit, dropped = drop_wrong(scored, len(seen))
-    return fit, {int(seen[index]): chance for index, chance in dropped}
-
-
-def _fit(model: PointsAround, drawn: _Drawn, given: RegisterInput, seen: IntArray) -> _EnsembleFit:
-    """Return the posterior ensemble given the markers with numbers `seen` int64 (n_seen,).
-
-    The model's own errors, which are part of the covariance C_d of the noise, are those at the most probable latents of
-    a linear model, or of a typical event for a calibrated model with ES-MDA.
-    """
-    markers, settings = given.markers, given.settings.smoother
-    measured = markers.displacement[seen].ravel()
-    latents, predicted = drawn.first.latents, drawn.predicted(seen)
-    believed = stated(model, markers, seen, latents, predicted, drawn.centre[seen].ravel())
-    prior, noise, near, widening = believed.prior, believed.noise, believed.near, believed.factor
-
-    def predict(latents: FloatArray) -> FloatArray:
-        return _rows(model.markers(model.decode(latents))[:, seen])
-
-    rng = np.random.default_rng([given.seed, 3])
-    if settings.update == "gauss-newton":
-        found = gauss_newton(predict, measured, noise, prior, start=near, settings=_SEARCH)
-        ensemble = found.ensemble(rng, settings.n_members)
-        return _EnsembleFit(prior, widening, noise, ensemble, found.predicted, found.absorbed)
-    first = drawn.start(prior, widening, seen) if latents.shape[1] == settings.n_members else None
-    how = AssimilationSettings(settings.n_members, settings.n_steps, decrease=settings.decrease, threads=1)
-    ensemble = assimilate(predict, measured, noise, prior, rng=rng, settings=how, first=first)
-    return _EnsembleFit(prior, widening, noise, ensemble, np.empty(0), np.empty(0))
-
-
-def _rows(moved: FloatArray) -> FloatArray:
-    """Return displacements (n_members, n_markers, 3) as predictions (3 n_markers, n_members), in the same unit."""
-    return np.ascontiguousarray(moved.reshape(len(moved), -1).T)
-
-
 def _result(
     given: RegisterInput,
-    seen: Any,
+    seen: IntArray,
     wrong: dict[int, float],
     surely: dict[int, float],
     simulation: FloatArray | None,
     latent: LatentModel,
-    fit: _EnsembleFit | None,
-    posterior: Posterior | CalibratedPosterior,
+    posterior: CalibratedPosterior,
     clock: Clock,
 ) -> LearnedRegistration:
     """Assemble the result of the markers `seen` that were used.
@@ -270,17 +122,10 @@ def _result(
     if simulation is not None:
         notes += _against(markers.displacement[seen], start[seen], markers.axis_std[seen])
     names = tuple(markers.names[i] for i in seen)
-    dropped_members = posterior.found.dropped if isinstance(posterior, CalibratedPosterior) else []
-    if isinstance(posterior, CalibratedPosterior):
-        trust = _calibrated_trust(names, residual, posterior, float(ratios.min()), notes)
-    elif fit is not None:
-        dropped_members = fit.ensemble.dropped
-        trust = _trust(names, residual, seen, fit, posterior, float(ratios.min()), notes)
+    compared, shown = posterior.rehearsal.calibration_set, posterior.statistics
+    trust = judge_by_rehearsal(names, residual, posterior.noise, compared, shown, float(ratios.min()), notes)
     target_start = inner.predict(before[inner.nodes])
-    gains: list[tuple[float | None, bool]] = [(None, False)] * len(inner.names)
-    tail = None
-    if isinstance(posterior, CalibratedPosterior):
-        gains, tail = list(posterior.gains(target_start)), posterior.tail
+    gains = posterior.gains(target_start)
     unseen = np.setdiff1d(np.arange(len(markers)), seen)
     return LearnedRegistration(
         body=given.body,
@@ -294,7 +139,7 @@ def _result(
                 None if simulation is None else inner.reference[i] + target_start[i],
                 gains[i][0],
                 NO_MARKER if gains[i][1] else None,
-                tail,
+                posterior.tail,
             )
             for i, name in enumerate(inner.names)
         },
@@ -303,9 +148,7 @@ def _result(
                 markers.reference[i],
                 markers.reference[i] + posterior.marker_mean[i],
                 # Predicted measurement: the body's spread and the tracker's noise.
-                posterior.marker_covariance[3 * i : 3 * i + 3, 3 * i : 3 * i + 3]
-                + posterior.marker_error[i]
-                + np.diag(markers.axis_std[i] ** 2),
+                posterior.marker_covariance[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] + np.diag(markers.axis_std[i] ** 2),
                 None if simulation is None else markers.reference[i] + start[i],
             )
             for i in unseen
@@ -326,51 +169,8 @@ def _result(
         settings=given.settings,
         seconds=clock.seconds,
         seed=given.seed,
-        dropped_members=dropped_members,
+        dropped_members=posterior.found.dropped,
     )
-
-
-def _trust(
-    names: tuple[str, ...],
-    residual: FloatArray,
-    seen: IntArray,
-    fit: _EnsembleFit,
-    posterior: Posterior,
-    min_det_f: float,
-    notes: list[str],
-) -> Trust:
-    """Return whether the registration can be trusted, judged by the stated covariances of noise and prior.
-
-    `names` are those of the used markers; `residual` (n_used, 3) is measured minus fitted displacement, in mm; `seen`
-    int64 (n_used,) are the numbers of the used markers; `min_det_f` is the smallest volume ratio of a tetrahedron;
-    `notes` are reasons for mistrust found earlier.
-    """
-    if fit.widening > 9.0:
-        times = np.sqrt(fit.widening)
-        notes.append(f"simulation: it is farther off than usual; its prior had to be widened {times:.1f}-fold")
-    off = fit.ensemble.mean - fit.prior.mean
-    rows = (3 * seen[:, None] + np.arange(3)).ravel()
-    return judge(
-        names,
-        residual,
-        fit.noise,
-        posterior.marker_covariance[np.ix_(rows, rows)],
-        float(off @ np.linalg.solve(fit.prior.covariance, off)),
-        min_det_f,
-        notes,
-    )
-
-
-def _calibrated_trust(
-    names: tuple[str, ...],
-    residual: FloatArray,
-    posterior: CalibratedPosterior,
-    min_det_f: float,
-    notes: list[str],
-) -> Trust:
-    """Judge by comparison with calibration events that the model never saw."""
-    compared, shown = posterior.rehearsal.calibration_set, posterior.statistics
-    return judge_by_rehearsal(names, residual, posterior.noise, compared, shown, min_det_f, notes)
 
 
 def _against(moved: FloatArray, simulated: FloatArray, std: FloatArray) -> list[str]:

@@ -28,7 +28,7 @@ from tissuereg._base.arrays import FloatArray, IntArray, frozen
 from tissuereg.errors import EnsembleError
 from tissuereg.registration.learned.assimilate import ABSURD_MM, StepOptions, balanced_draws
 from tissuereg.registration.learned.components import probabilities
-from tissuereg.registration.learned.mixture import Component, Conditioned, LinearDecoder
+from tissuereg.registration.learned.mixture import Component, Evidence, LinearDecoder
 
 #: Latents (n_latent, n_columns) to displacements at markers and targets (n_columns, n_rows), mm.
 Decode = Callable[[FloatArray], FloatArray]
@@ -40,8 +40,11 @@ _DRAWS_A_LATENT, _SPREAD = 2.3, 0.2
 #: Linearisations: about the start, and then about the mean that the one before gave.
 _SCREENINGS = 3
 
+#: Linearisations without a marker, from the answer with all.
+_AGAIN = 2
+
 #: Pairs that get an ensemble at most, and the least of their probabilities over that of the best.
-_MOST_PAIRS, _LEAST_SHARE = 6, 1e-3
+_MOST_PAIRS, _LEAST_SHARE = 4, 1e-3
 
 _STEP = StepOptions(form="square_root")
 
@@ -51,12 +54,15 @@ class Screening:
     """Evidence of all pairs of component and scale, by a decoder that is linear about the most probable latents.
 
     `linear`: that decoder at markers and targets; `first`: the decoder that is linear about the start, which no
-    marker has moved; `found`: probabilities of the pairs that are not negligible.
+    marker has moved; `found`: evidence of the pairs; `decode`: the decoder itself;
+    `spread` (n_latent,): standard deviation of the training set's codes.
     """
 
     linear: LinearDecoder
     first: LinearDecoder
-    found: Conditioned
+    found: Evidence
+    decode: Decode
+    spread: FloatArray
 
     @classmethod
     def of(
@@ -67,27 +73,50 @@ class Screening:
         noise: FloatArray,
         start: FloatArray,
         spread: FloatArray,
+        rounds: int = _SCREENINGS,
     ) -> "Screening":
         """Return the evidence of the pairs.
 
         `observed` (n_obs,): measured displacements, mm, the first n_obs rows of what is decoded; `noise` (n_obs,
         n_obs): covariance of the tracker's noise, mm^2; `start` (n_latent,): where the first draws lie; `spread`
-        (n_latent,): standard deviation of the training set's codes. Cost: three decodes of about 2 n_latent columns.
+        (n_latent,): standard deviation of the training set's codes; `rounds`: linearisations, about the start and then
+        about the mean that the one before gave. Cost: a decode of about 2 n_latent columns each.
         """
         n = len(start)
         draws, _ = normals(0, n, round(_DRAWS_A_LATENT * n) + 2)
         point, made = start, list[LinearDecoder]()
-        for _ in range(_SCREENINGS):
+        for _ in range(rounds):
             rows = decode(point[:, None] + _SPREAD * spread[:, None] * draws)
             slopes = (rows - rows.mean(axis=0)).T @ draws.T / (draws.shape[1] - 1) / (_SPREAD * spread)
             made.append(LinearDecoder(point, rows.mean(axis=0), slopes))
-            found = Conditioned(prior, made[-1], observed, noise)
+            found = Evidence.of(prior, made[-1], observed, noise)
             point = found.mean_latents
-        return cls(made[-1], made[0], found)
+        return cls(made[-1], made[0], found, decode, spread)
 
     def under(self, prior: list[Component], observed: FloatArray, noise: FloatArray) -> "Screening":
         """Return the evidence of pairs with the same decoder under other weights; arguments as for `of`."""
-        return replace(self, found=Conditioned(prior, self.linear, observed, noise))
+        return replace(self, found=Evidence.of(prior, self.linear, observed, noise))
+
+    def chance_of(self, marker: int, prior: list[Component], observed: FloatArray, noise: FloatArray) -> float:
+        """Return the chance that a marker lies as far from its prediction by the others, linearised about their answer.
+
+        With a wrong marker among them the decoder is linear where that one pulled it. `marker`: its number; the other
+        arguments are as for `of`. Cost: two decodes of about 2 n_latent columns.
+        """
+        own = 3 * marker + np.arange(3)
+        rows = np.concatenate([np.delete(np.arange(len(observed)), own), own])
+        ordered = [replace(one, errors=one.errors[np.ix_(rows, rows)]) for one in prior]
+        there, among = observed[rows], noise[np.ix_(rows, rows)]
+        without = Screening.of(
+            lambda latents: self.decode(latents)[:, rows],
+            ordered,
+            there[:-3],
+            among[:-3, :-3],
+            self.found.mean_latents,
+            self.spread,
+            _AGAIN,
+        )
+        return float(Evidence.of(ordered, without.linear, there, among, by_marker=True).chances()[1][-1])
 
     def kept(self) -> IntArray:
         """Return the numbers of the pairs that get an ensemble, the most probable one first."""

@@ -6,8 +6,11 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.registration.learned.calibration import Calibration
-from tissuereg.registration.learned.mixture import NOISE_FACTORS, Component, left_out, log_noise_odds
+from tissuereg.registration.learned.mixture import NOISE_FACTORS, Component, Evidence, log_noise_odds
 from tissuereg.registration.learned.smoother import Screening
+
+#: Markers whose fit to the others is found anew without a simulation: those that fit worst at first.
+_CANDIDATES = 3
 
 #: Least chance of which the logarithm is taken.
 _LEAST = 1e-300
@@ -47,18 +50,20 @@ def statistics_of(
 
     # About a simulation: a wrong marker pulls the answer to where the decoder's slopes are others.
     linear, found = screening.first if n_own < len(prior) else screening.linear, screening.found
-    without = left_out(prior, linear, observed, noise)
-    logs = -np.log(np.maximum(without.chances, _LEAST))
+    by_marker = Evidence.of(prior, linear, observed, noise, by_marker=True)
+    misfits, chances = by_marker.chances()
+    logs = -np.log(np.maximum(chances, _LEAST))
     # Fisher's method, as if predictions of different markers were independent: rehearsals say what they are.
     misfit = -np.log(max(float(gammaincc(len(logs), logs.sum())), _LEAST)) if len(logs) else 0.0
-    markers = logs - np.log(max(len(logs), 1))
     unrelated = 0.0
+    if n_own == len(prior):
+        for number in np.argsort(-logs, kind="stable")[:_CANDIDATES]:
+            logs[number] = -np.log(max(screening.chance_of(int(number), prior, observed, noise), _LEAST))
+    markers = logs - np.log(max(len(logs), 1))
     if n_own < len(prior):
-        own, others = (np.logaddexp.reduce(part) for part in np.split(found.log_evidence, [n_own]))
+        own, others = (np.logaddexp.reduce(part) for part in np.split(found.of_components, [n_own]))
         unrelated = max(float(others - own), 0.0)
     # A ratio of evidences above x has a chance of at most 1 / x (A. A. Markov), for each factor.
-    larger = max(log_noise_odds(prior, linear, observed, noise) - np.log(len(NOISE_FACTORS)), 0.0)
+    larger = max(log_noise_odds(by_marker, observed, noise) - np.log(len(NOISE_FACTORS)), 0.0)
     far = calibration.distance(found.mean_latents)
-    return Statistics(
-        np.array([misfit, markers.max(initial=-np.inf), far, unrelated, larger]), markers, without.misfits
-    )
+    return Statistics(np.array([misfit, markers.max(initial=-np.inf), far, unrelated, larger]), markers, misfits)

@@ -1,4 +1,4 @@
-"""Parameters given observations: an ensemble of them by ES-MDA, or the most probable ones and a Gaussian about them.
+"""Parameters given observations: an ensemble of them by ES-MDA.
 
 `tissuereg-esmda` computes; the model is a Python function of many columns of parameters.
 """
@@ -12,17 +12,13 @@ from tissuereg.registration.learned.assimilate.ensemble import (
     assimilate,
     balanced_draws,
 )
-from tissuereg.registration.learned.assimilate.laplace import Laplace, SearchSettings, gauss_newton
 
 __all__ = [
     "ABSURD_MM",
     "Assimilation",
     "AssimilationSettings",
     "FirstEnsemble",
-    "Laplace",
-    "SearchSettings",
     "StepOptions",
     "assimilate",
     "balanced_draws",
-    "gauss_newton",
 ]
