@@ -12,11 +12,14 @@ from tissuereg_training.fit import fit
 from tissuereg_training.host import best_device, device_name
 from tissuereg_training.kinds import Material, new_network
 from tissuereg_training.pca import moments
-from tissuereg_training.settings import ClosureSettings, GraphSettings
+from tissuereg_training.settings import ClosureSettings, GraphClosureSettings, GraphSettings
 
 GRAPH = GraphSettings(epochs=2, batch=8, n_latent=4, channels=(4, 8))
 CLOSURE = ClosureSettings(epochs=2, batch=8, n_latent=4, n_components=10, hidden=(16,), encoder_hidden=(16,))
-BOTH = pytest.mark.parametrize("settings", [GRAPH, CLOSURE], ids=["graph", "closure"])
+GRAPH_CLOSURE = GraphClosureSettings(
+    epochs=2, batch=8, n_latent=4, n_components=10, hidden=(16,), encoder_hidden=(16,), channels=(4, 8)
+)
+ALL = pytest.mark.parametrize("settings", [GRAPH, CLOSURE, GRAPH_CLOSURE], ids=lambda each: each.kind)
 DEVICES = ["cpu", *(["cuda"] if torch.cuda.is_available() else [])]
 
 
@@ -29,7 +32,7 @@ def network(settings, fields):
     return new_network(Material(make_block(3, 3, 4).tets, [fields], moments([fields])), settings, 0)[0]
 
 
-@BOTH
+@ALL
 def test_every_table_of_a_network_follows_it(fields, settings):
     model = network(settings, fields).to("meta")
     assert model.device.type == "meta"
@@ -45,7 +48,7 @@ def test_every_table_of_a_network_follows_it(fields, settings):
 
 
 @pytest.mark.parametrize("device", DEVICES)
-@BOTH
+@ALL
 def test_a_training_moves_between_devices_with_its_checkpoint(fields, settings, device, tmp_path):
     parts, valid = [fields[:32]], fields[32:]
     model = network(settings, fields).to(device)

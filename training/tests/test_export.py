@@ -34,13 +34,10 @@ def numpy_decoder(weights, z):
     h = z @ weights["fully_connected.weight"].T + weights["fully_connected.bias"]
     h = h.reshape(len(z), levels[0], -1)
     for k in range(1, len(levels)):
-        fine, coarse = weights[f"unpool{k}.edges"].T
-        finer = np.zeros((len(z), levels[k], h.shape[2]))
-        np.add.at(finer, (slice(None), fine), weights[f"unpool{k}.weights"][:, None] * h[:, coarse])
         node, neighbour = weights[f"conv{k}.edges"].T
         kernels = np.einsum("em,mio->eio", weights[f"conv{k}.coefficients"], weights[f"conv{k}.bases"])
-        h = np.zeros((len(z), levels[k], kernels.shape[2])) + weights[f"conv{k}.bias"]
-        np.add.at(h, (slice(None), node), np.einsum("bei,eio->beo", finer[:, neighbour], kernels))
+        coarse, h = h, np.zeros((len(z), levels[k], kernels.shape[2])) + weights[f"conv{k}.bias"]
+        np.add.at(h, (slice(None), node), np.einsum("bei,eio->beo", coarse[:, neighbour], kernels))
         h = elu(h) if k < len(levels) - 1 else h
     return weights["mean_mm"] + weights["scale_mm"] * h
 

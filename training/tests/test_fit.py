@@ -14,13 +14,16 @@ from tissuereg_training.fit import fit, stalled
 from tissuereg_training.kinds import Material, new_network
 from tissuereg_training.losses import kl_divergence, kl_share, one_cycle, reconstruction
 from tissuereg_training.pca import moments, pca_error, principal_components
-from tissuereg_training.settings import ClosureSettings, GraphSettings
+from tissuereg_training.settings import ClosureSettings, GraphClosureSettings, GraphSettings
 
 SETTINGS = GraphSettings(epochs=6, batch=8, n_latent=4, channels=(4, 8), kl_weight=1e-3)
 CLOSURE = ClosureSettings(
     epochs=6, batch=8, n_latent=4, n_components=10, hidden=(16, 16), encoder_hidden=(16,), kl_weight=1e-3
 )
-BOTH = pytest.mark.parametrize("settings", [SETTINGS, CLOSURE], ids=["graph", "closure"])
+GRAPH_CLOSURE = GraphClosureSettings(
+    epochs=6, batch=8, n_latent=4, n_components=10, hidden=(16,), encoder_hidden=(16,), channels=(4, 8), kl_weight=1e-3
+)
+ALL = pytest.mark.parametrize("settings", [SETTINGS, CLOSURE, GRAPH_CLOSURE], ids=lambda each: each.kind)
 
 
 class StopError(Exception):
@@ -48,7 +51,7 @@ def start(block, fields):
     return make
 
 
-@BOTH
+@ALL
 def test_a_resumed_training_equals_an_uninterrupted_one(start, fields, tmp_path, monkeypatch, settings):
     settings = dataclasses.replace(settings, mixing=0.5)
     whole, split = start(settings)
@@ -96,7 +99,7 @@ def test_checkpoints_of_another_run_or_spoilt_ones_are_refused(start, fields, tm
         )
 
 
-@BOTH
+@ALL
 def test_the_best_validation_epoch_after_the_warm_up_is_kept(start, fields, settings):
     model, split = start(settings)
     state = fit(model, [fields[split.train]], fields[split.valid], settings, seed=0)
@@ -104,7 +107,7 @@ def test_the_best_validation_epoch_after_the_warm_up_is_kept(start, fields, sett
     assert state.best_epoch == min(allowed, key=allowed.get)
     assert min(allowed) == 2
     # A finished closure has weights in half precision: 11 bits.
-    near = {"gnn-vae": 1e-6, "closure": 1e-3}[model.kind]
+    near = 1e-6 if model.kind == "gnn-vae" else 1e-3
     assert mean_error(model, fields[split.valid]) == pytest.approx(allowed[state.best_epoch], rel=near)
 
 
@@ -132,7 +135,7 @@ def test_a_training_that_gets_no_better_ends_after_its_patience_also_when_it_is_
     assert not stalled(state, dataclasses.replace(settings, patience=0))
 
 
-@BOTH
+@ALL
 def test_the_same_seed_gives_the_same_network_and_another_seed_another(start, fields, settings):
     ends = []
     for seed in (0, 0, 1):
@@ -271,3 +274,4 @@ def test_a_checkpoint_of_table_ii_is_known_by_the_keys_that_it_was_begun_with():
     assert set(GraphSettings().identity()) == begun_with
     assert set(GraphSettings(patience=3).identity()) == begun_with | {"patience"}
     assert ClosureSettings().identity()["kind"] == "closure"
+    assert GraphClosureSettings(error_fields=3, spread_epochs=9).identity() == GraphClosureSettings().identity()

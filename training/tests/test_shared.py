@@ -5,6 +5,7 @@ import onnx
 import onnxruntime
 import pytest
 from onnx import TensorProto, helper, numpy_helper
+
 from tissuereg_training.shared import write_shared
 
 # 2 MB of half precision: above the least size of a table that is shared.

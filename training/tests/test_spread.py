@@ -10,12 +10,15 @@ from tissuereg_training.evaluate import codes
 from tissuereg_training.kinds import Material, new_network
 from tissuereg_training.losses import reconstruction
 from tissuereg_training.pca import moments
-from tissuereg_training.settings import ClosureSettings, GraphSettings
+from tissuereg_training.settings import ClosureSettings, GraphClosureSettings, GraphSettings
 from tissuereg_training.spread import fit_spread
 
 GRAPH = GraphSettings(epochs=2, batch=8, n_latent=4, channels=(4, 8), spread_epochs=3)
 CLOSURE = ClosureSettings(
     epochs=2, batch=8, n_latent=4, n_components=10, hidden=(16, 16), encoder_hidden=(16,), spread_epochs=60
+)
+GRAPH_CLOSURE = GraphClosureSettings(
+    epochs=2, batch=8, n_latent=4, n_components=10, hidden=(16,), encoder_hidden=(16,), channels=(4, 8), spread_epochs=3
 )
 
 
@@ -39,7 +42,7 @@ def start(block, fields):
     return make
 
 
-@pytest.mark.parametrize("settings", [GRAPH, CLOSURE], ids=["graph", "closure"])
+@pytest.mark.parametrize("settings", [GRAPH, CLOSURE, GRAPH_CLOSURE], ids=lambda each: each.kind)
 def test_means_and_decoder_stay_bit_for_bit_and_the_same_seed_gives_the_same_spread(start, fields, settings):
     model, again = start(settings), start(settings)
     before = codes(model, fields)

@@ -103,9 +103,7 @@ def _new_graph(material: Material, settings: GraphSettings) -> tuple[GraphVae, s
 
 def _new_closure(material: Material, settings: ClosureSettings) -> tuple[Closure, str]:
     n_nodes, n_wanted = len(material.moments.mean), settings.n_components
-    model = Closure(
-        n_nodes, n_wanted, settings.n_latent, settings.hidden, settings.encoder_hidden, settings.activation
-    )
+    model = Closure(n_nodes, n_wanted, settings.n_latent, settings.hidden, settings.encoder_hidden, settings.activation)
     return model, _on_components(model, material, settings)
 
 

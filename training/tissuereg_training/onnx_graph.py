@@ -92,7 +92,13 @@ class GraphBuilder:
         return self.node("Reshape", [x, self.shape(*sizes)], name)
 
     def scattered(
-        self, name: str, edges: npt.NDArray[Any], values: npt.NDArray[Any], shape: tuple[int, ...], *, half: bool = False
+        self,
+        name: str,
+        edges: npt.NDArray[Any],
+        values: npt.NDArray[Any],
+        shape: tuple[int, ...],
+        *,
+        half: bool = False,
     ) -> str:
         """Add a table that is stored by its edges and laid out in full when the network is loaded.
 

@@ -42,7 +42,7 @@ def options(parser: Parser) -> None:
     happens = parser.add_argument_group("what may happen")
     fields = happens.add_mutually_exclusive_group()
     fields.add_argument("--data", metavar="DATA", help="data set of the body, with its mesh")
-    fields.add_argument("--model", metavar="FOLDER", help="folder of a trained model, or phantom for the shipped one")
+    fields.add_argument("--model", metavar="FOLDER", help="folder of a trained model; phantom, phantom-graph: shipped")
     text = "of random pushes and pulls: how far a usual one moves the body at most"
     add_option(happens, "--largest", number(text, unit="mm", above=0.0, default=None, otherwise="5"), "MM")
     more = parser.add_argument_group("more")

@@ -65,7 +65,7 @@ def add_belief_options(what: Any) -> None:
 
 def add_method_options(how: Any) -> None:
     """Add the options for trained model, elements and ensemble to an argparse group."""
-    text = "folder of a trained model, or 'phantom' for the one that is shipped (default: unknown contacts)"
+    text = "folder of a trained model; phantom, phantom-graph: shipped ones (default: unknown contacts)"
     how.add_argument("--model", metavar="DIR", help=text)
     usual = "auto, those that suit the mesh"
     element = choice(("auto", *ELEMENTS), "elements of the simulations", default="auto", otherwise=usual)

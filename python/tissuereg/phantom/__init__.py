@@ -31,6 +31,9 @@ __all__ = [
 #: Sizes of the embedded body.
 SIZES = ("full", "small")
 
+#: Folders of the models that are shipped for ``phantom_mesh()``, by the names that ``register(..., model=...)`` takes.
+SHIPPED_MODELS = {"phantom": "model", "phantom-graph": "graph"}
+
 _FOLDER = Path(str(files("tissuereg.phantom")))
 
 
@@ -102,9 +105,10 @@ def true_fields(size: str = "full") -> tuple[FloatArray, FloatArray]:
     return on_truth_mesh, on_body
 
 
-def shipped_model_folder() -> Path:
-    """Return the folder of the model trained for ``phantom_mesh()``, which ``register(..., model="phantom")`` takes."""
-    return _FOLDER / "model"
+def shipped_model_folder(name: str = "phantom") -> Path:
+    """Return the folder of a model trained for ``phantom_mesh()``; `name` is a key of `SHIPPED_MODELS`."""
+    check_choice("name", name, tuple(SHIPPED_MODELS), ArgumentError)
+    return _FOLDER / SHIPPED_MODELS[name]
 
 
 def _mesh(size: str, name: str) -> Mesh:

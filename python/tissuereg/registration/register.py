@@ -68,8 +68,8 @@ def register(
         `load` is not used. Without a model, the nodal forces that hold it in equilibrium are the assumed load. With
         one, it may also be variants: simulations of the moment with other values of uncertain parameters.
     model : path-like or LatentModel, optional
-        Folder of a trained model for this mesh, or ``"phantom"`` for the one that is shipped. Without it the answer is
-        an equilibrium under unknown contacts.
+        Folder of a trained model for this mesh, or ``"phantom"`` or ``"phantom-graph"``: shipped ones. Without it the
+        answer is an equilibrium under unknown contacts.
     seed : int
         Seed of all random numbers: the same seed gives the same result at any thread count.
     settings : RegisterSettings, optional

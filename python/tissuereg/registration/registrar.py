@@ -48,8 +48,8 @@ class Registrar:
     reference_mm : array_like of float, shape (n_markers, 3), or Markers
         Places of the markers on or near the undeformed body, mm; of `Markers` their noise and names are taken as well.
     model : path-like or LatentModel, optional
-        Folder of a trained model for this mesh, or ``"phantom"`` for the one that is shipped. Without it the load is
-        unknown, and the answer is the equilibrium under the load that fits the markers.
+        Folder of a trained model for this mesh, or ``"phantom"`` or ``"phantom-graph"``: shipped ones. Without it the
+        load is unknown, and the answer is the equilibrium under the load that fits the markers.
     targets : mapping of str to array_like of float, shape (3,), optional
         Inner points of the undeformed body by name, mm, whose deformed places are wanted.
     load : Load, optional

@@ -40,8 +40,8 @@ class Tracker:
     reference_mm : array_like of float, shape (n_markers, 3), or Markers
         Places of the markers on the undeformed body, mm; required unless a registrar is given.
     model : path-like or LatentModel, optional
-        A trained model or its folder, ``"phantom"`` for the shipped one, or a model made by `fitted_prior`. Without it
-        the load is unknown, and the search for contacts in a frame starts from those of the last one.
+        A trained model or its folder, ``"phantom"`` or ``"phantom-graph"`` for shipped ones, or one of `fitted_prior`.
+        Without it the load is unknown, and the search for contacts in a frame starts from those of the last one.
     targets : mapping of str to array_like of float, shape (3,), optional
         Inner points of the undeformed body by name, mm, whose deformed places are wanted.
     simulator : Physics or callable of actuator -> array_like of float, shape (n_nodes, 3), optional

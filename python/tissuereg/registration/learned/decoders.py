@@ -229,7 +229,7 @@ class GraphDecoder:
             expanded = self._expanded(at_points, needed[-1])
             given = _linear(graph, expanded @ self.weight, expanded @ self.bias + offset)
             graph.node("Gemm", ["z", *given], output=output)
-            return len(offset) * self.weight.shape[1]
+            return len(offset) * int(self.weight.shape[1])
         matrix, constant = self._first(needed[0])
         x = _activated(graph, self.activation, graph.node("Gemm", ["z", *_linear(graph, matrix, constant)]))
         work = matrix.size
@@ -310,7 +310,7 @@ class GraphDecoder:
         one thread, a closure on `threads`. Cost: milliseconds a member, since sums take non-zero coefficients alone.
         """
         n_members = latents.shape[1]
-        x = (self.weight @ latents + self.bias[:, None]).astype(np.float32)
+        x: Any = (self.weight @ latents + self.bias[:, None]).astype(np.float32)
         for number, level in enumerate(self.levels):
             last = number == len(self.levels) - 1
             _, n_in, n_out = level.bases.shape
@@ -320,10 +320,9 @@ class GraphDecoder:
             table = level.joined[nodes] if last and nodes is not None else level.joined
             y = (table @ products).reshape(-1, n_out, n_members) + level.bias[:, None].astype(np.float32)
             x = y if last else _ACTIVATED[self.activation](y)
-        rest = self.mean if nodes is None else self.mean[nodes]
-        if self.closure:
-            rest = rest + self.closure.decode(latents, nodes, threads)
-        return np.asarray(rest + self.scale * np.moveaxis(x.astype(np.float64), 2, 0))
+        mean = self.mean if nodes is None else self.mean[nodes]
+        found = np.asarray(mean + self.scale * np.moveaxis(x.astype(np.float64), 2, 0))
+        return found if self.closure is None else found + self.closure.decode(latents, nodes, threads)
 
     def change(self, latents: FloatArray, code: FloatArray, threads: int = 1) -> FloatArray:
         """Return fields (n_members, n_nodes, 3), mm: those of latents (n_latent, n_members) minus that of a code."""

@@ -191,19 +191,21 @@ def _against(moved: FloatArray, simulated: FloatArray, std: FloatArray) -> list[
 
 
 def as_model(model: Any, mesh: Mesh, threads: int) -> LatentModel:
-    """Return a latent model for a mesh, read from its folder if `model` is a path, or the shipped one for "phantom".
+    """Return a latent model for a mesh, read from its folder if `model` is a path, or a shipped one for its name.
 
     Raises `ModelError` if it is no model, or is one for another mesh. `threads` is the number of batches decoded at
     once, 0 for all cores.
     """
-    if isinstance(model, (str, os.PathLike)):
-        if str(model) == "phantom":
-            from tissuereg.phantom import shipped_model_folder
+    from tissuereg.phantom import SHIPPED_MODELS, shipped_model_folder
 
-            return kept_network(shipped_model_folder(), mesh, threads, "shipped")
+    if isinstance(model, (str, os.PathLike)):
+        if str(model) in SHIPPED_MODELS:
+            return kept_network(shipped_model_folder(str(model)), mesh, threads, "shipped")
         return kept_network(place("model", model, error=ModelError), mesh, threads)
     if not isinstance(getattr(model, "n_nodes", None), int):
-        message = f"`model` must be a folder, 'phantom' or a model that knows a mesh, got {found(model)}"
+        message = (
+            f"`model` must be a folder, {', '.join(SHIPPED_MODELS)} or a model that knows a mesh, got {found(model)}"
+        )
         raise ModelError(message, where="model")
     if model.n_nodes != mesh.n_nodes:
         message = f"the model must know this mesh of {mesh.n_nodes} nodes, it knows {model.n_nodes}"
