@@ -15,7 +15,6 @@ __all__ = [
     "Cause",
     "Compliance",
     "Contacts",
-    "GaussNewton",
     "GroupScores",
     "Law",
     "Linearised",
@@ -237,32 +236,6 @@ class Contacts:
         self, samples: Sequence[_Integers], points: _Floats, *, threads: int = 0
     ) -> tuple[_Floats, _Floats, _Floats, _Floats, _Floats, float]: ...
     def draws(self, samples: Sequence[_Integers], normals: _Floats, *, threads: int = 0) -> _Floats: ...
-
-@final
-class GaussNewton:
-    def __new__(
-        cls,
-        mean: _Floats,
-        covariance: _Floats,
-        observed: _Floats,
-        noise: Noise,
-        *,
-        start: _Floats | None = None,
-        tolerance: float,
-        max_evaluations: int,
-        difference: float,
-        largest: float,
-    ) -> GaussNewton: ...
-    @property
-    def point(self) -> _Floats: ...
-    @property
-    def stencil(self) -> _Floats: ...
-    @property
-    def evaluations(self) -> int: ...
-    def evaluate(self, predicted: _Floats) -> tuple[bool, bool, float, float]: ...
-    def linearise(self, jacobian: _Floats) -> tuple[bool, float, list[int]]: ...
-    def linearise_by_differences(self, predicted: _Floats) -> tuple[bool, float, list[int]]: ...
-    def posterior(self) -> tuple[_Floats, _Floats, _Floats]: ...
 
 @final
 class GroupScores:

@@ -121,7 +121,7 @@ class ConvergenceError(TissueRegError, RuntimeError):
         it ended as `tried_fraction` (share of the load), `residual_mN` and `tolerance_mN` (norm of the unbalanced
         forces, found and required), `min_det_f` (smallest determinant of a tet's deformation gradient F), `worst_tets`
         (pairs of a tet's index and its det F) and `reason` (text); and its work as the counts `iterations` and
-        `factorisations`. A search by Gauss-Newton gives `evaluations`, `last_step` and `tolerance`.
+        `factorisations`.
     """
 
     exit_code = 3

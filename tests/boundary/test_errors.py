@@ -218,39 +218,6 @@ def test_bad_data_of_a_step_raise_by_cause():
         step().apply(np.full((1, 10), np.nan))
 
 
-def search(**changes):
-    given = {"mean": np.zeros(2), "covariance": np.eye(2), "observed": np.ones(3), "start": None} | changes
-    start = given.pop("start")
-    noise = _core.Noise.diagonal(np.ones(3))
-    settings = {"tolerance": 1e-3, "max_evaluations": 9, "difference": 1e-4, "largest": 1e4}
-    return _core.GaussNewton(*given.values(), noise, start=start, **settings)
-
-
-def test_bad_data_of_a_search_raise_by_cause():
-    with pytest.raises(errors.ArgumentError, match=r"prior covariance must be positive definite; .* pivot 1") as caught:
-        search(covariance=np.ones((2, 2)))
-    assert (caught.value.pivot, caught.value.where) == (1, "pivot 1")
-    with pytest.raises(errors.ArgumentError, match="prior covariance must be symmetric"):
-        search(covariance=np.array([[1.0, 0.5], [0.0, 1.0]]))
-    with pytest.raises(errors.ArgumentError, match="`mean` must be finite"):
-        search(mean=np.array([0.0, np.inf]))
-    with pytest.raises(errors.MarkerError, match="`observed` must be finite"):
-        search(observed=np.array([0.0, np.nan, 0.0]))
-    with pytest.raises(errors.ShapeError, match="`start`"):
-        search(start=np.zeros(3))
-    with pytest.raises(errors.TissueRegError, match="`linearise` needs an accepted point first") as caught:
-        search().linearise(np.ones((3, 2)))
-    assert caught.value.where == "linearise"
-    running = search()
-    assert repr(running) == "GaussNewton(n=2, evaluations=0)"
-    assert running.evaluate(np.zeros(3)) == (True, False, 3.0, 0.0)
-    bad = np.zeros((3, 5))
-    bad[:, 3:] = np.nan
-    with pytest.raises(errors.EnsembleError, match="prior direction 1; it fails on both") as caught:
-        running.linearise_by_differences(bad)
-    assert caught.value.where == "prior direction 1"
-
-
 def test_bad_data_of_group_scores_raise_by_cause():
     one, zero = np.eye(2), np.zeros((2, 2))
     with pytest.raises(errors.ArgumentError, match="`groups` must be less than `n_groups`"):

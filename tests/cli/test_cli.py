@@ -421,19 +421,21 @@ def test_progress_in_a_log_is_lines_with_the_time_left(monkeypatch, capsys):
 # --- register ---
 
 
-def test_register_takes_the_update_that_is_named(tmp_path, capsys):
+def test_register_takes_members_and_steps_and_no_longer_an_update(tmp_path, capsys):
     body = tr.phantom.phantom_mesh("small")
     write_vtu(tmp_path / "mesh.vtu", body)
     places = body.nodes[body.surface_nodes[::60]]
     rows = [f"P{i},{x},{y},{z},{x + 0.02 * z},{y},{z}\n" for i, (x, y, z) in enumerate(places.tolist())]
     (tmp_path / "markers.csv").write_text(MARKERS_HEADER + "".join(rows))
+    words = ["register", tmp_path / "mesh.vtu", tmp_path / "markers.csv", "--model", SMALL_MODEL]
     fits = []
-    for update in ("esmda", "gauss-newton"):
-        words = ["register", tmp_path / "mesh.vtu", tmp_path / "markers.csv", "--model", SMALL_MODEL, "--members", 40]
-        code, said, _ = run_json(capsys, *words, "--update", update, "--out", tmp_path / update)
+    for number, options in enumerate((["--members", 40], ["--members", 30], ["--members", 40, "--steps", 1])):
+        code, said, _ = run_json(capsys, *words, *options, "--out", tmp_path / str(number))
         assert code in (0, 4)
         fits.append(said["markers"]["after_rms_mm"])
-    assert fits[0] != fits[1]
+    assert len(set(fits)) == 3
+    for gone in (["--update", "esmda"], ["--polish"]):
+        assert run(capsys, *words, *gone, "--out", tmp_path / "gone")[0] == 2
 
 
 def test_register_takes_variants_of_the_simulation(tmp_path, capsys):

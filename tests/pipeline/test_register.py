@@ -146,53 +146,62 @@ def test_the_phantom_is_registered_by_the_shipped_network():
     assert np.linalg.norm(lesion.mean - event.true_lesion) < 0.5 * np.linalg.norm(lesion.simulation - event.true_lesion)
 
 
-def test_gauss_newton_registers_the_phantom_as_the_ensemble_does():
+def test_a_model_that_was_never_calibrated_registers_the_phantom_by_what_it_states():
     from tissuereg.phantom.event import LESION_MM, make_event
 
     event = make_event(seed=0, size="small")
     simulation = tr.simulate(event.mesh, event.load, event.material).displacement
-    found = {
-        update: tr.register(
-            event.mesh,
-            event.markers,
-            model=SMALL_MODEL,
-            simulation=simulation,
-            targets={"lesion": LESION_MM},
-            settings=tr.RegisterSettings(smoother=tr.SmootherSettings(update=update)),
+    for known, least in ((simulation, np.linalg.norm(simulation - event.true_displacement, axis=1).mean()), (None, 4.0)):
+        result = tr.register(
+            event.mesh, event.markers, model=SMALL_MODEL, simulation=known, targets={"lesion": LESION_MM}
         )
-        for update in ("esmda", "gauss-newton")
-    }
-    before = np.linalg.norm(simulation - event.true_displacement, axis=1).mean()
-    after = np.linalg.norm(found["gauss-newton"].displacement - event.true_displacement, axis=1).mean()
-    assert after < 0.5 * before
-    ensemble, laplace = (found[update].target("lesion") for update in ("esmda", "gauss-newton"))
-    # Mean and mode of a posterior that is nearly Gaussian: a small part of its standard deviation apart.
-    off = laplace.mean - ensemble.mean
-    assert off @ np.linalg.solve(ensemble.covariance, off) < 0.5**2
-    assert 0.7 < np.trace(laplace.covariance) / np.trace(ensemble.covariance) < 1.4
-    assert found["gauss-newton"].trust.chi_square == pytest.approx(found["esmda"].trust.chi_square, rel=0.2)
+        assert np.linalg.norm(result.displacement - event.true_displacement, axis=1).mean() < 0.5 * least
+        lesion = result.target("lesion")
+        off = lesion.mean - event.true_lesion
+        assert off @ np.linalg.solve(lesion.covariance, off) < 16.3  # 99.9 % of chi-square, 3 degrees
+        assert result.trust.ok, result.trust.reasons
 
 
-def test_with_a_model_gauss_newton_drops_a_wrong_marker_and_names_it():
+def with_a_wrong_marker(size, simulated):
+    """Return an event of the phantom, its simulation or None, and its markers, of which one is 8 mm off."""
     from tissuereg.phantom.event import make_event
 
-    event = make_event(seed=0, size="small")
-    simulation = tr.simulate(event.mesh, event.load, event.material).displacement
+    event = make_event(seed=0, size=size)
+    simulation = tr.simulate(event.mesh, event.load, event.material).displacement if simulated else None
     measured = event.markers.measured.copy()
-    measured[3] += (0.0, 1.5, 1.5)
-    seen = tr.Markers(event.markers.reference, measured, 0.1)
-    settings = tr.RegisterSettings(smoother=tr.SmootherSettings(update="gauss-newton"))
-    result = tr.register(event.mesh, seen, model=SMALL_MODEL, simulation=simulation, settings=settings)
+    measured[3] += (0.0, 6.0, 6.0)
+    return event, simulation, tr.Markers(event.markers.reference, measured, 0.1)
+
+
+@pytest.mark.parametrize("simulated", [False, True])
+def test_a_model_that_was_never_calibrated_names_a_wrong_marker(simulated):
+    event, simulation, seen = with_a_wrong_marker("small", simulated)
+    result = tr.register(event.mesh, seen, model=SMALL_MODEL, simulation=simulation)
+    assert [reason for reason in result.trust.reasons if reason.startswith(f"wrong marker: {seen.names[3]} ")]
+    # Nothing was rehearsed that would say how rare such a marker is.
+    assert result.markers.dropped == ()
+
+
+@pytest.mark.parametrize("simulated", [False, True])
+def test_a_calibrated_model_leaves_a_wrong_marker_out(simulated):
+    event, simulation, seen = with_a_wrong_marker("full", simulated)
+    result = tr.register(event.mesh, seen, model="phantom", simulation=simulation)
     name = seen.names[3]
     assert result.markers.dropped == ((name, "wrong"),)
-    assert [reason for reason in result.trust.reasons if reason.startswith(f"wrong marker: {name} ")]
     # It does not bend the body: as if it had not been seen.
+    measured = seen.measured.copy()
     measured[3] = np.nan
-    seen = tr.Markers(event.markers.reference, measured, 0.1)
-    without = tr.register(event.mesh, seen, model=SMALL_MODEL, simulation=simulation, settings=settings)
+    without = tr.register(
+        event.mesh, tr.Markers(seen.reference, measured, 0.1), model="phantom", simulation=simulation
+    )
     assert np.array_equal(result.displacement, without.displacement)
     off = event.markers.measured[3] - result.unseen[name].mean
-    assert off @ np.linalg.solve(result.unseen[name].covariance, off) < 16.0
+    assert off @ np.linalg.solve(result.unseen[name].covariance, off) < 16.3
+    if simulated:
+        # So rare that it is a reason against the answer, too; the only one that the other markers do not give.
+        (reason,) = set(result.trust.reasons) - set(without.trust.reasons)
+        assert reason.startswith(f"wrong marker: {name} does not fit the others (p = ")
+        assert reason.endswith("was left out")
 
 
 def test_a_model_for_another_mesh_is_refused(block_mesh, seen):

@@ -1,7 +1,5 @@
 """The ES-MDA loop against the answer that is known where the model is linear."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -9,7 +7,6 @@ from tissuereg import _core
 from tissuereg.errors import ArgumentError, EnsembleError, ScheduleError, ShapeError
 from tissuereg.registration.learned.assimilate import (
     AssimilationSettings,
-    Between,
     FirstEnsemble,
     StepOptions,
     assimilate,
@@ -45,49 +42,6 @@ def test_a_linear_model_gives_the_kalman_posterior(n_steps):
     # Balanced draws leave rounding only, amplified by the conditioning of C_yy.
     np.testing.assert_allclose(found.mean, mean, atol=1e-9)
     np.testing.assert_allclose(np.cov(found.latents), covariance, atol=1e-9)
-
-
-def test_predictions_between_computed_ones_are_exact_where_the_model_is_linear():
-    operator, prior, noise, observed, mean, covariance = linear_problem(np.random.default_rng(3))
-    first = FirstEnsemble.of(prior, np.random.default_rng(1), 60)
-    first = replace(first, predicted=operator @ first.latents)
-    computed = []
-
-    def predict(latents):
-        computed.append(latents)
-        return operator @ latents
-
-    between = Between(predict, {4}, first.latents, first.predicted)
-    found = assimilate(
-        between,
-        observed,
-        noise,
-        prior,
-        rng=np.random.default_rng(0),
-        first=first,
-        settings=AssimilationSettings(n_steps=5),
-    )
-    np.testing.assert_allclose(found.mean, mean, atol=1e-9)
-    np.testing.assert_allclose(np.cov(found.latents), covariance, atol=1e-9)
-    # The first step has its predictions; of the four calls after it the last is computed.
-    assert (between.n_calls, between.n_computed, len(computed)) == (4, 1, 1)
-
-
-def test_predictions_between_computed_ones_follow_the_regression_of_a_curved_model():
-    rng = np.random.default_rng(1)
-    latents = rng.standard_normal((2, 50))
-    curved = lambda z: np.stack([z[0] + 0.3 * z[1] ** 2, np.sin(z[0])])  # noqa: E731
-    between = Between(curved, {2}, latents, curved(latents))
-    moved = latents + np.array([[0.5], [-0.25]])
-    away = latents - latents.mean(axis=1, keepdims=True)
-    slope = np.linalg.lstsq(away.T, curved(latents).T, rcond=None)[0].T
-    np.testing.assert_allclose(between(moved), curved(latents) + slope @ (moved - latents), atol=1e-12)
-    np.testing.assert_array_equal(between(moved), curved(moved))
-    # From there on, about what was computed last; an ensemble that lost members is computed.
-    away = moved - moved.mean(axis=1, keepdims=True)
-    slope = np.linalg.lstsq(away.T, curved(moved).T, rcond=None)[0].T
-    np.testing.assert_allclose(between(latents), curved(moved) + slope @ (latents - moved), atol=1e-12)
-    np.testing.assert_array_equal(between(latents[:, :40]), curved(latents[:, :40]))
 
 
 def test_plain_draws_are_used_and_reported_where_the_ensemble_is_small():

@@ -43,9 +43,7 @@ def calibration(mesh):
 
 def registered(mesh, calibration):
     """Return a registration of a field by a linear model that cannot represent all of it, and the target's node."""
-    model = PcaModel(
-        np.zeros((mesh.n_nodes, 3)), smooth_fields(mesh, 4, 2), np.empty((0, mesh.n_nodes, 3)), np.empty(0), {}
-    )
+    model = PcaModel(np.zeros((mesh.n_nodes, 3)), smooth_fields(mesh, 4, 2), np.empty((0, mesh.n_nodes, 3)), {})
     model.calibration = calibration
     truth = smooth_fields(mesh, 9, 3).sum(axis=0)
     free = np.setdiff1d(np.unique(mesh.surface), mesh.fixed_nodes)[::5][:8]
@@ -156,9 +154,7 @@ def test_markers_that_move_against_their_simulation_are_a_reason(factor, against
 
 
 def test_markers_of_another_body_are_a_reason(mesh, calibration):
-    model = PcaModel(
-        np.zeros((mesh.n_nodes, 3)), smooth_fields(mesh, 4, 2), np.empty((0, mesh.n_nodes, 3)), np.empty(0), {}
-    )
+    model = PcaModel(np.zeros((mesh.n_nodes, 3)), smooth_fields(mesh, 4, 2), np.empty((0, mesh.n_nodes, 3)), {})
     model.calibration = calibration
     rng = np.random.default_rng(6)
     free = np.setdiff1d(np.unique(mesh.surface), mesh.fixed_nodes)[::2][:24]

@@ -37,7 +37,7 @@ class Every(CheckedRecord):
     name: str = fields.text("a name", default="a")
     pair: tuple[str, ...] = fields.texts("two names", length=2, default=("a", "b"))
     update: str = fields.choice(("one", "two"), "which", default="one")
-    polish: bool = fields.flag("whether", default=False)
+    closed: bool = fields.flag("whether", default=False)
     folder: Path | None = fields.path("where", default=None)
     inner: Inner = fields.nested(Inner)
 
@@ -62,7 +62,7 @@ WRONG = {
     "an empty name": ({"name": " "}, "`name` must be a text, got ' '"),
     "one name twice": ({"pair": ["a", "a"]}, "`pair` must be a list of 2 different texts"),
     "an unknown word": ({"update": "three"}, "`update` must be one of one, two, got 'three'"),
-    "one for true": ({"polish": 1}, "`polish` must be true or false, got 1"),
+    "one for true": ({"closed": 1}, "`closed` must be true or false, got 1"),
     "no path": ({"folder": 3}, "`folder` must be a path"),
     "another kind of record": ({"inner": 3}, "`inner` must be of the kind Inner, got 3"),
 }

@@ -1,10 +1,9 @@
-"""Principal components as a latent model, and the covariance of what a model misses."""
+"""Principal components as a latent model."""
 
 import numpy as np
 import pytest
 
 from tissuereg.errors import EnsembleError
-from tissuereg.registration.learned.model import error_covariance
 from tissuereg.registration.learned.pca import PcaModel
 
 
@@ -46,10 +45,3 @@ def test_the_first_component_is_the_direction_of_most_motion():
 def test_one_field_is_no_prior():
     with pytest.raises(EnsembleError, match="at least two simulated fields, got 1"):
         PcaModel.fit(np.zeros((1, 3, 3)), np.zeros((0, 3, 3)), centre=np.zeros((3, 3)), n_latent=2, card={})
-
-
-def test_the_error_covariance_keeps_its_diagonal_and_is_positive_definite():
-    rows = np.random.default_rng(2).standard_normal((8, 20)) + 0.5
-    covariance = error_covariance(rows)
-    np.testing.assert_allclose(np.diag(covariance), np.mean(rows**2, axis=0))
-    assert np.linalg.eigvalsh(covariance).min() > 0

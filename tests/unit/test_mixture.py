@@ -15,7 +15,6 @@ from tissuereg.registration.learned.calibrate import RehearsalSettings, _folds, 
 from tissuereg.registration.learned.calibration import Calibration, FieldErrors, Rehearsal
 from tissuereg.registration.learned.calibration_file import write_calibration
 from tissuereg.registration.learned.components import Components
-from tissuereg.registration.learned.linearise import conditioned
 from tissuereg.registration.learned.mixture import (
     Component,
     Conditioned,
@@ -27,6 +26,7 @@ from tissuereg.registration.learned.mixture import (
 )
 from tissuereg.registration.learned.network import NetworkModel
 from tissuereg.registration.learned.pca import PcaModel
+from tissuereg.registration.learned.smoother import Screening
 
 
 def spread_matrix(size, rng):
@@ -229,16 +229,22 @@ def test_a_noise_that_is_no_covariance_is_refused():
         condition([one], LinearDecoder(one.mean, np.zeros(9), np.zeros((9, 4))), np.zeros(6), -100.0 * np.eye(6))
 
 
-def test_relinearising_finds_the_latent_of_a_curved_decoder():
+def test_a_screening_finds_the_latent_of_a_curved_decoder():
     def decode(latents):
         return np.stack([np.sinh(latents[0]), latents[0] ** 3], axis=1)
 
     one = Component(np.ones(1), np.ones(1), np.zeros(1), np.eye(1), np.zeros((2, 2)))
     exact = decode(np.array([[0.8]]))[0]
-    found, linear = conditioned(decode, [one], exact[:1], np.array([[1e-8]]), np.zeros(1), np.ones(1), 12)
-    # Secants over 0.2 standard deviations differ from tangents by 0.04 / 6 of the third derivative.
-    assert found.mean_latents[0] == pytest.approx(0.8, abs=5e-3)
-    assert linear.point[0] == pytest.approx(0.8, abs=0.03)
+    given = ([one], exact[:1], np.array([[1e-8]]), np.zeros(1), np.ones(1))
+    found = Screening.of(decode, *given)
+    # Draws of 0.2 standard deviations are in the mean 0.04 / 2 of the second derivative off the decoder at their centre.
+    assert found.found.mean_latents[0] == pytest.approx(0.8, abs=0.02 * np.tanh(0.8))
+    assert found.linear.point[0] == pytest.approx(0.8, abs=0.02)
+    # What no marker has moved is linear about the start.
+    assert found.first.point.tolist() == [0.0]
+    once = Screening.of(decode, *given, rounds=1)
+    assert abs(once.found.mean_latents[0] - 0.8) > 0.05
+    assert once.first is once.linear
 
 
 def heavy_tailed(mesh, n_fields, seed):
@@ -356,12 +362,17 @@ def test_a_calibration_in_a_models_folder_is_used_and_one_that_was_altered_is_re
     folder = tmp_path / "model"
     shutil.copytree(SMALL_MODEL, folder)
     mesh = phantom_mesh("small")
-    assert NetworkModel(folder, mesh).calibration is None
+    # Until then the model's own statements: nothing was rehearsed.
+    assert not len(NetworkModel(folder, mesh).calibration.alone.calibration_set)
     n = mesh.n_nodes
     kinds = Components(np.ones(1), np.zeros((1, 26)), np.eye(26)[None])
     errors = FieldErrors(np.ones((2, n, 3)), np.eye(2)[None], np.zeros((n, 3)))
     write_calibration(folder, Calibration(kinds, errors, Rehearsal(np.ones(1), np.ones((1, 1)))))
-    assert NetworkModel(folder, mesh).calibration is not None
+    read = NetworkModel(folder, mesh).calibration
+    np.testing.assert_array_equal(read.errors.basis, errors.basis)
+    assert read.change is None
+    # The folder's calibration can be left aside.
+    assert NetworkModel(folder, mesh, calibrated=False).calibration.change is not None
     content = bytearray((folder / "calibration.npz").read_bytes())
     content[len(content) // 2] ^= 1
     (folder / "calibration.npz").write_bytes(content)

@@ -21,13 +21,7 @@ from tissuereg.experiment.effects import EFFECTS
 from tissuereg.io.experiments import read_experiment
 from tissuereg.parallel import Failed, Processes, open_executor
 from tissuereg.registration.contacts.settings import ContactSettings
-from tissuereg.registration.learned.assimilate import (
-    AssimilationSettings,
-    SearchSettings,
-    StepOptions,
-    assimilate,
-    gauss_newton,
-)
+from tissuereg.registration.learned.assimilate import AssimilationSettings, StepOptions, assimilate
 from tissuereg.registration.learned.model import Gaussian
 from tissuereg.registration.wrong_markers import score_markers
 from tissuereg.simulation.fine import FineMeshing
@@ -276,13 +270,12 @@ CALLS = {
             "contacts": quick().contacts,
             "ensemble": 0,
             "smoother": tr.SmootherSettings(),
-            "polish": False,
             "readings": "doubtful",
         },
     ),
     "SmootherSettings": (
         tr.SmootherSettings,
-        {"update": "esmda", "n_members": 9, "n_steps": 2, "decrease": 2.0, "decode_all": False},
+        {"n_members": 9, "n_steps": 2, "decrease": 2.0},
     ),
     "SimulationVariants": (
         tr.SimulationVariants,
@@ -506,20 +499,6 @@ CALLS = {
             "options": StepOptions(),
             "min_members": 5,
             "threads": 1,
-        },
-    ),
-    "SearchSettings": (SearchSettings, {"tolerance": 1e-3, "max_evaluations": 5, "difference": 1e-4}),
-    "gauss_newton": (
-        lambda **given: gauss_newton(
-            lambda z: z, **{"observed": [1.0], "noise": np.eye(1), "prior": gaussian(), **given}
-        ),
-        {
-            "observed": [1.0],
-            "noise": np.eye(1),
-            "prior": gaussian(),
-            "jacobian": lambda z: np.eye(1),
-            "start": [0.0],
-            "settings": SearchSettings(),
         },
     ),
     "score_markers": (

@@ -1,7 +1,6 @@
 //! Exceptions for the errors of `tissuereg-esmda` and `tissuereg-contacts`.
 
 use pyo3::prelude::*;
-use pyo3::types::PyDict;
 use tissuereg_boundary::errors::{Class, raise, raise_with};
 use tissuereg_contacts::{self as contacts, ContactsError};
 use tissuereg_esmda::{self as esmda, EsmdaError};
@@ -25,16 +24,7 @@ pub(crate) fn from_esmda(py: Python<'_>, error: &EsmdaError) -> PyErr {
                 dropped.iter().map(|(member, reason)| (*member, reason.to_string())).collect();
             details.set_item("dropped", dropped)
         }
-        E::NoiseNotPositiveDefinite { pivot } | E::PriorNotPositiveDefinite { pivot } => {
-            details.set_item("pivot", pivot)
-        }
-        E::NoMinimum { evaluations, step, tolerance } => {
-            let report = PyDict::new(py);
-            report.set_item("evaluations", evaluations)?;
-            report.set_item("last_step", step)?;
-            report.set_item("tolerance", tolerance)?;
-            details.set_item("report", report)
-        }
+        E::NoiseNotPositiveDefinite { pivot } => details.set_item("pivot", pivot),
         _ => Ok(()),
     })
 }

@@ -8,7 +8,7 @@ mod contacts;
 mod errors;
 mod esmda;
 mod fem;
-mod gauss_newton;
+mod group_scores;
 
 use pyo3::prelude::*;
 
@@ -28,7 +28,7 @@ mod _core {
     };
 
     #[pymodule_export]
-    use super::gauss_newton::{GaussNewton, GroupScores};
+    use super::group_scores::GroupScores;
 
     /// Version of all parts, from the workspace.
     #[pymodule_export]

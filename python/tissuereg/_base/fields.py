@@ -5,7 +5,7 @@ A field states what it must hold, its unit, its meaning and its default:
 >>> @dataclass(frozen=True, kw_only=True)
 ... class Settings(CheckedRecord):
 ...     std_mm: float = number("noise of a marker coordinate", above=0.0, default=0.1)
-...     update: str = choice(("esmda", "gauss-newton"), "how latents are found", default="esmda")
+...     tracker: str = choice(("fixed", "drifts"), "whether it may have moved", default="fixed")
 >>> Settings(std_mm=0.0)
 Traceback (most recent call last):
     ...
