@@ -85,10 +85,8 @@ class _Level:
 
 def _levels(mesh: Mesh) -> list[_Level]:
     """Return the graphs of the network, finest first; the coarsest has nodes only, and no edges."""
-    from scipy import sparse
-
     both = np.concatenate([mesh.edges, mesh.edges[:, ::-1], np.repeat(np.arange(mesh.n_nodes)[:, None], 2, axis=1)])
-    graph: Any = sparse.csr_array((np.ones(len(both)), (both[:, 0], both[:, 1])), (mesh.n_nodes, mesh.n_nodes))
+    graph = _matrix(both, mesh.n_nodes)
     found = []
     for _ in TABLE2.channels:
         near = np.zeros(graph.shape[0], dtype=bool)
@@ -98,7 +96,7 @@ def _levels(mesh: Mesh) -> list[_Level]:
                 centres.append(node)
                 near[graph.indices[graph.indptr[node] : graph.indptr[node + 1]]] = True
         found.append(_Level(graph.shape[0], _pairs(graph), _pairs(graph[centres])))
-        graph = sparse.csr_array(((graph @ graph @ graph)[centres][:, centres] > 0).astype(np.float64))
+        graph = _matrix(_pairs((graph @ graph @ graph)[centres][:, centres]), len(centres))
     found.append(_Level(graph.shape[0], np.empty((0, 2), np.int64), np.empty((0, 2), np.int64)))
     return found
 
@@ -145,8 +143,7 @@ def _decoder_tables(levels: list[_Level], n_nodes: int, rng: np.random.Generator
     for k, fine in enumerate(reversed(range(len(TABLE2.channels))), start=1):
         level, n_in, n_out = levels[fine], widths[fine + 1], widths[fine]
         # Unpooling and convolution are one table: the coarse nodes that are pooled from a node's neighbours.
-        reached = _matrix(level.edges, level.n_nodes) @ _matrix(level.pools[:, ::-1], level.n_nodes)
-        edges = _pairs(reached)
+        edges = _pairs(_matrix(level.edges, level.n_nodes) @ _matrix(level.pools[:, ::-1], level.n_nodes))
         tables |= {
             f"conv{k}.edges": edges,
             f"conv{k}.coefficients": _coefficients(edges, level.n_nodes, rng),

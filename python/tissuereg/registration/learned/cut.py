@@ -8,7 +8,7 @@ import numpy as np
 from tissuereg._base.arrays import FloatArray
 from tissuereg.errors import ModelError
 from tissuereg.registration.learned.batches import in_batches
-from tissuereg.registration.learned.decoders import ClosureDecoder, GraphDecoder
+from tissuereg.registration.learned.decoders import ClosureDecoder, GraphDecoder, network_at
 
 #: Members run in one call: intermediate values of a batch stay in the cache of a core.
 BATCH = 27
@@ -26,7 +26,7 @@ class CutDecoder:
     """
 
     def __init__(self, decoder: ClosureDecoder | GraphDecoder, rows: Any, threads: int) -> None:
-        file, self.multiply_adds = decoder.network_at(rows)
+        file, self.multiply_adds = network_at(decoder, rows)
         self._session = session(file, "the cut decoder")
         self._threads = threads
 

@@ -110,19 +110,8 @@ class ClosureDecoder:
     def _single(self) -> list[Any]:
         return [(weight.astype(np.float32), bias.astype(np.float32)) for weight, bias in self.layers]
 
-    def network_at(self, rows: Any) -> tuple[bytes, int]:
-        """Return the decoder at points as the bytes of an ONNX file, and its number of multiply-adds for one member.
-
-        `rows`, a sparse matrix (n_rows, n_nodes), holds the weights of the mesh nodes in each point. The file maps
-        ``z`` (members, n_latent) to ``moved`` (members, 3 n_rows), displacements in mm; x, y and z of a point follow
-        each other.
-        """
-        graph = OnnxGraph("closure_at_points")
-        work = self.added_at(graph, rows, "moved")
-        return graph.to_bytes(("z", self.n_latent), ("moved", 3 * rows.shape[0])), work
-
     def added_at(self, graph: OnnxGraph, rows: Any, output: str) -> int:
-        """Add the decoder at points to an ONNX graph, with the result `output`; return its number of multiply-adds."""
+        """Add the decoder at points to an ONNX graph, as `network_at` has them; return the multiply-adds a member."""
         n_rows = rows.shape[0]
         flat = np.moveaxis(self.components, 0, -1).reshape(self.components.shape[1], -1)
         fields = np.asarray(rows @ flat).reshape(3 * n_rows, -1)
@@ -204,21 +193,16 @@ class GraphDecoder:
     activation: str = "elu"
     closure: ClosureDecoder | None = None
 
-    def network_at(self, rows: Any) -> tuple[bytes, int]:
-        """Return the decoder at points as the bytes of an ONNX file, and its number of multiply-adds for one member.
+    def added_at(self, graph: OnnxGraph, rows: Any, output: str) -> int:
+        """Add the decoder at points to an ONNX graph, as `network_at` has them; return the multiply-adds a member."""
+        if self.closure is None:
+            return self._levels_at(graph, rows, output)
+        work = self._levels_at(graph, rows, "levels") + self.closure.added_at(graph, rows, "closure")
+        graph.node("Add", ["closure", "levels"], output=output)
+        return work
 
-        `rows`, a sparse matrix (n_rows, n_nodes), holds the weights of the mesh nodes in each point. The file maps
-        ``z`` (members, n_latent) to ``moved`` (members, 3 n_rows), displacements in mm.
-        """
-        graph = OnnxGraph("graph_network_at_points")
-        work = self._added_at(graph, rows, "detail" if self.closure else "moved")
-        if self.closure:
-            work += self.closure.added_at(graph, rows, "closure")
-            graph.node("Add", ["closure", "detail"], output="moved")
-        return graph.to_bytes(("z", self.weight.shape[1]), ("moved", 3 * rows.shape[0])), work
-
-    def _added_at(self, graph: OnnxGraph, rows: Any, output: str) -> int:
-        """Add all but the closure at points to an ONNX graph, with the result `output`; return its multiply-adds."""
+    def _levels_at(self, graph: OnnxGraph, rows: Any, output: str) -> int:
+        """Add all but the closure at points to an ONNX graph; return the number of multiply-adds for one member."""
         last = self.levels[-1]
         at_points = [rows @ table for table in last.tables]
         offset = (rows @ self.mean + self.scale * np.outer(rows.sum(axis=1), last.bias)).ravel()
@@ -229,7 +213,7 @@ class GraphDecoder:
             expanded = self._expanded(at_points, needed[-1])
             given = _linear(graph, expanded @ self.weight, expanded @ self.bias + offset)
             graph.node("Gemm", ["z", *given], output=output)
-            return len(offset) * int(self.weight.shape[1])
+            return len(offset) * self.n_latent
         matrix, constant = self._first(needed[0])
         x = _activated(graph, self.activation, graph.node("Gemm", ["z", *_linear(graph, matrix, constant)]))
         work = matrix.size
@@ -260,7 +244,12 @@ class GraphDecoder:
                 x = _activated(graph, self.activation, x)
         x = graph.node("Mul", [x, graph.table(np.array(self.scale))])
         graph.node("Add", [x, graph.table(self.mean)], output="displacement")
-        return graph.to_bytes(("z", self.weight.shape[1]), ("displacement", n_nodes, 3))
+        return graph.to_bytes(("z", self.n_latent), ("displacement", n_nodes, 3))
+
+    @property
+    def n_latent(self) -> int:
+        """Number of latents."""
+        return int(self.weight.shape[1])
 
     @property
     def _n_in(self) -> int:
@@ -343,6 +332,17 @@ class GraphDecoder:
         )
         flat = np.asarray(found).reshape(-1, joined.shape[2])
         return flat[:, :-1], flat[:, -1] + np.tile(level.bias, len(rows))
+
+
+def network_at(decoder: ClosureDecoder | GraphDecoder, rows: Any) -> tuple[bytes, int]:
+    """Return a decoder at points as the bytes of an ONNX file, and its number of multiply-adds for one member.
+
+    `rows`, a sparse matrix (n_rows, n_nodes), holds the weights of the mesh nodes in each point. The file maps ``z``
+    (members, n_latent) to ``moved`` (members, 3 n_rows), displacements in mm; x, y and z of a point follow each other.
+    """
+    graph = OnnxGraph("decoder_at_points")
+    work = decoder.added_at(graph, rows, "moved")
+    return graph.to_bytes(("z", decoder.n_latent), ("moved", 3 * rows.shape[0])), work
 
 
 def read_decoder(path: Path) -> ClosureDecoder | GraphDecoder | None:
