@@ -6,7 +6,6 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from tissuereg import Markers
 from tissuereg._base.arguments import flag, real, whole
 from tissuereg._base.arrays import FloatArray, IntArray
 from tissuereg.body.observe import MarkerObservation, TargetObservation
@@ -40,7 +39,7 @@ class _OneUpdate(Rival):
         super().__init__(setting)
         self._n_members = whole("n_members", n_members, least=2)
         self._spread = flag("spread", spread)
-        observed = MarkerObservation(setting.mesh, setting.reference_mm, self._markers_of(setting.reference_mm).names)
+        observed = MarkerObservation(setting.mesh, setting.reference_mm, setting.markers(setting.reference_mm).names)
         assert setting.model is not None  # `Rival` has seen it
         self._points = PointModel(setting.model, observed, TargetObservation(setting.mesh, {}))
         self._n_moments = 0
@@ -100,9 +99,6 @@ class _OneUpdate(Rival):
         if not len(fields):
             return np.empty((0, 3 * len(self.setting.reference_mm))), np.zeros(fields.shape[1:])
         return self._points.components(self._points.at_points(fields)), np.mean(fields**2, axis=0)
-
-    def _markers_of(self, measured_mm: FloatArray) -> Markers:
-        return self.setting.markers(measured_mm)
 
     @abstractmethod
     def _forecast(self, prior: Gaussian, rng: np.random.Generator) -> FirstEnsemble:
