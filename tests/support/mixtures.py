@@ -10,8 +10,10 @@ from tissuereg.registration.learned.mixture import Component, LinearDecoder
 
 @dataclass
 class Closed:
-    """Posterior of every pair of component and scale: probabilities, latents (n_pairs, n_latent), means (n_pairs, n_rows)
-    and covariances (n_pairs, n_rows, n_rows) of the rows, pulls S^-1 v (n_pairs, n_obs), log evidence (n_pairs,).
+    """Posterior of every pair of component and scale.
+
+    Probabilities, latents (n_pairs, n_latent), means (n_pairs, n_rows) and covariances (n_pairs, n_rows, n_rows) of the
+    rows, pulls S^-1 v (n_pairs, n_obs), log evidence (n_pairs,).
     """
 
     weights: np.ndarray

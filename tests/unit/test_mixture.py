@@ -222,7 +222,7 @@ def test_a_screening_finds_the_latent_of_a_curved_decoder():
     exact = decode(np.array([[0.8]]))[0]
     given = ([one], exact[:1], np.array([[1e-8]]), np.zeros(1), np.ones(1))
     found = Screening.of(decode, *given)
-    # Draws of 0.2 standard deviations are in the mean 0.04 / 2 of the second derivative off the decoder at their centre.
+    # Draws of 0.2 standard deviations are in the mean 0.04 / 2 of the second derivative off their centre's field.
     assert found.found.mean_latents[0] == pytest.approx(0.8, abs=0.02 * np.tanh(0.8))
     assert found.linear.point[0] == pytest.approx(0.8, abs=0.02)
     # What no marker has moved is linear about the start.

@@ -43,9 +43,7 @@ def test_with_a_linear_decoder_the_answer_is_the_closed_form(problem):
     np.testing.assert_allclose(found.mean, oracle.mean, atol=1e-8)
     np.testing.assert_allclose(found.mean_latents, oracle.mean_latents, atol=1e-8)
     np.testing.assert_allclose(found.covariance, oracle.covariance, atol=1e-8)
-    for pair, mean, covariance, pull in zip(
-        found.pairs, oracle.means, oracle.covariances, oracle.pulls, strict=True
-    ):
+    for pair, mean, covariance, pull in zip(found.pairs, oracle.means, oracle.covariances, oracle.pulls, strict=True):
         np.testing.assert_allclose(pair.mean, mean, atol=1e-9)
         np.testing.assert_allclose(pair.covariance, covariance, atol=1e-9)
         np.testing.assert_allclose(pair.pulls.mean(axis=0), pull, atol=1e-8)

@@ -94,7 +94,7 @@ class _OneUpdate(Rival):
         return self._own(simulated=True)
 
     def _own(self, *, simulated: bool) -> tuple[FloatArray, FloatArray]:
-        """Return the model's errors at all markers (n_fields, 3 n_markers), mm, and their mean squares (n_nodes, 3), mm^2."""
+        """Return the model's errors at all markers (n_fields, 3 n_markers), mm; mean squares (n_nodes, 3) in mm^2."""
         fields = errors_of(self._points.model, simulated=simulated)
         if not len(fields):
             return np.empty((0, 3 * len(self.setting.reference_mm))), np.zeros(fields.shape[1:])
