@@ -17,15 +17,23 @@ described in [Spread with a trained model](../../docs/theory/kinds-of-events.md)
   0.48), another modulus and loads that are off, each with the believed model's simulation of the same event. *Before*
   is that simulation. {development} other pairs{pressed} were used to calibrate.
 
-*ours*: the model with its calibration; the ensemble is decoded before the first and the last update, or before every
-one. *one Gaussian*: the same model without it (its prior and its errors one Gaussian
-each). *paper*: Algorithm 1 as the paper has it: prior $q(z \\mid M_t)$, $C_d$ = 0.1 mm², 100 members, 5 assimilations;
+{calibrated} *paper*: Algorithm 1 as the paper has it: prior $q(z \\mid M_t)$, \
+$C_d$ = 0.1 mm², 100 members, 5 assimilations;
 $M_t$ is the simulation, or the undeformed body. *pca26*: 26 principal components in place of the network. The last
 column: events whose mean error at the targets is larger than before. A method that is not given the simulation is
 compared with it all the same.
 
 ![Coverage, ranks and p-values](spread.png)
 """
+
+#: What a model with and without its calibration is, where it has ensembles in a mixture, and in archives before that.
+_MIXTURE = """\
+*ours*: the model with its calibration. *not calibrated*: the same model by what it states of itself, one kind of event
+with errors of reconstruction, of any size."""
+_ONE_GAUSSIAN = """\
+*ours*: the model with its calibration; the ensemble is decoded before the first and the last update, or before every
+one. *one Gaussian*: the same model without it (its prior and its errors one Gaussian
+each)."""
 
 _GAUSSIAN = """
 One factor on all covariances makes 90 % regions hold 90 % of the targets in rehearsals. The posterior has heavier tails
@@ -58,6 +66,7 @@ def page(found: dict[str, Any]) -> str:
         known=sets["known"]["ours"]["events"],
         foreign=sets["foreign"]["ours"]["events"],
         development=found["n_development_pairs"],
+        calibrated=_ONE_GAUSSIAN if "one Gaussian" in sets["known"] else _MIXTURE,
         pressed=", and pairs of bodies that pads press," if found.get("kinds_of_change", 0) > 1 else "",
     )
     tails = [tail for tail in found.get("tail", {}).values() if tail is not None]

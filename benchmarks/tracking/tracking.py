@@ -160,9 +160,9 @@ def study(truth: tuple[Any, Any], seed: int, threads: int, tell: Callable[[str],
     """Return the rows of one set of markers, by method."""
     motion = Motion(truth, seed, threads)
     everything = range(len(motion.shares))
-    few = tr.RegisterSettings(threads=threads, smoother=tr.SmootherSettings(n_members=100))
+    how = tr.RegisterSettings(threads=threads)
     places = tr.Markers(motion.places, std=STD_MM)
-    registrar = tr.Registrar(motion.mesh, places, "phantom", {"lesion": LESION}, settings=few)
+    registrar = tr.Registrar(motion.mesh, places, "phantom", {"lesion": LESION}, settings=how)
     table = table_of(motion)
     inner = registrar.attached.targets
     fields = [table.field(share) for share in motion.shares]
@@ -207,11 +207,11 @@ def by_contacts(motion: Motion, threads: int) -> tr.Registrar:
 def replayed_trackers(motion: Motion, threads: int) -> dict[str, Callable[[], tr.Tracker]]:
     """Return makers of the trackers that are timed, by name."""
     targets = {"lesion": LESION}
-    few = tr.RegisterSettings(threads=threads, smoother=tr.SmootherSettings(n_members=100))
+    how = tr.RegisterSettings(threads=threads)
     places = tr.Markers(motion.places, std=STD_MM)
 
     def of(model: Any, simulator: Any) -> tr.Tracker:
-        registrar = tr.Registrar(motion.mesh, places, model, targets, settings=few)
+        registrar = tr.Registrar(motion.mesh, places, model, targets, settings=how)
         return tr.Tracker(registrar, simulator=simulator)
 
     def fitted() -> Any:

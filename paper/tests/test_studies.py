@@ -56,7 +56,6 @@ def subject():
     model = Coded.fit(fields[:40], fields[:0], centre=centre, n_latent=N_LATENT, card={})
     codes = np.stack([model.encode(field)[0] for field in fields[40:]], axis=1)
     model.error_fields = fields[40:] - model.decode(codes)
-    model.error_sizes = np.ones(len(model.error_fields))
     errors = {"train": 0.2, "valid": 0.3, "test": 0.3, "pca": 0.4}
     facts = {"kind": "pca", "source": "here", "n_nodes": len(centre), "n_latent": N_LATENT, "errors_mm": errors}
     return Subject(held_out, model, {**facts, "members": 40}, (), fields.mean(axis=0))
@@ -227,7 +226,7 @@ def test_members_assimilations_and_noise_of_a_setting_reach_the_smoother(subject
 
     monkeypatch.setattr(sweeping, "assimilate_many", watched)
     model = subject.model
-    counted = Counted(model.centre, model.components, model.error_fields, model.error_sizes, {})
+    counted = Counted(model.centre, model.components, model.error_fields, {})
     sweep = Sweep(Subject(subject.held_out, counted, {}), cases, 0)
     sweep.run([Setting(method, 0.01, "cm2", 20, 3)], threads=1)
     at_markers = [members for members, nodes in decoded if nodes == len(cases.markers)]

@@ -40,10 +40,9 @@ PRIVATE: dict[str, tuple[str, tuple[str, ...]]] = {
             "registration.learned.network",
             "registration.learned.pca",
             "registration.learned.points",
-            "registration.learned.posterior",
             "registration.learned.registration",
+            "registration.learned.repair",
             "registration.learned.variants",
-            "registration.learned.widen",
         ),
     ),
     "cli": (

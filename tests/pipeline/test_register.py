@@ -151,7 +151,10 @@ def test_a_model_that_was_never_calibrated_registers_the_phantom_by_what_it_stat
 
     event = make_event(seed=0, size="small")
     simulation = tr.simulate(event.mesh, event.load, event.material).displacement
-    for known, least in ((simulation, np.linalg.norm(simulation - event.true_displacement, axis=1).mean()), (None, 4.0)):
+    for known, least in (
+        (simulation, np.linalg.norm(simulation - event.true_displacement, axis=1).mean()),
+        (None, 4.0),
+    ):
         result = tr.register(
             event.mesh, event.markers, model=SMALL_MODEL, simulation=known, targets={"lesion": LESION_MM}
         )
@@ -191,9 +194,7 @@ def test_a_calibrated_model_leaves_a_wrong_marker_out(simulated):
     # It does not bend the body: as if it had not been seen.
     measured = seen.measured.copy()
     measured[3] = np.nan
-    without = tr.register(
-        event.mesh, tr.Markers(seen.reference, measured, 0.1), model="phantom", simulation=simulation
-    )
+    without = tr.register(event.mesh, tr.Markers(seen.reference, measured, 0.1), model="phantom", simulation=simulation)
     assert np.array_equal(result.displacement, without.displacement)
     off = event.markers.measured[3] - result.unseen[name].mean
     assert off @ np.linalg.solve(result.unseen[name].covariance, off) < 16.3

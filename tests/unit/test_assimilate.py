@@ -7,7 +7,6 @@ from tissuereg import _core
 from tissuereg.errors import ArgumentError, EnsembleError, ScheduleError, ShapeError
 from tissuereg.registration.learned.assimilate import (
     AssimilationSettings,
-    FirstEnsemble,
     StepOptions,
     assimilate,
     balanced_draws,

@@ -3,9 +3,11 @@
 import numpy as np
 import pytest
 
+from support.mixtures import decoder
 from tissuereg.registration.learned.calibrate import _regions
 from tissuereg.registration.learned.calibration_set import STATISTICS, CalibrationSet
-from tissuereg.registration.learned.mixture import Component, LinearDecoder, condition
+from tissuereg.registration.learned.mixture import Component, LinearDecoder
+from tissuereg.registration.learned.smoother import Screening
 from tissuereg.registration.learned.spread_law import squared_radius
 from tissuereg.registration.learned.statistics import statistics_of
 
@@ -62,12 +64,15 @@ def test_shares_go_on_beyond_the_largest_honest_value():
     assert equal.shares(np.full(5, 3.0))[0] < 0.1
 
 
-def test_without_honest_events_chances_are_taken_as_they_are():
+def test_without_honest_events_roots_of_chances_are_taken_for_shares():
     honest = CalibrationSet.none()
-    assert honest.p_value(np.array([3.0, 1.0, 8.0, 0.0, 0.0])) == pytest.approx(np.exp(-3.0))
+    # Distances from the training set and odds of another event are no chances: they say nothing.
     np.testing.assert_allclose(
-        honest.shares(np.array([3.0, -1.0, 8.0, 2.0, 4.0])), [np.exp(-3.0), 1.0, 1.0, 1.0, np.exp(-4.0)]
+        honest.shares(np.array([6.0, -1.0, 8.0, 20.0, 4.0])), [np.exp(-3.0), 1.0, 1.0, 1.0, np.exp(-2.0)]
     )
+    # The rarest of three (Bonferroni).
+    assert honest.p_value(np.array([6.0, 1.0, 8.0, 0.0, 0.0])) == pytest.approx(3.0 * np.exp(-3.0))
+    assert honest.p_value(np.array([0.1, -1.0, 8.0, 20.0, 0.0])) == 1.0
 
 
 # --- signs ---
@@ -96,8 +101,8 @@ def test_markers_of_another_event_than_the_simulated_one_show_it(gaussian):
     for name, latents in (("own", [3.1, 0, 0, 0]), ("another", [-1.0, 1.5, 0, 0])):
         observed = linear.at[:12] + linear.slopes[:12] @ np.array(latents) + 0.2 * rng.standard_normal(12)
         prior = [about, other]
-        posterior = condition(prior, linear, observed, noise)
-        found[name] = statistics_of(Nowhere(), prior, linear, observed, noise, posterior, 1).row
+        screening = Screening.of(decoder(linear), prior, observed, noise, np.zeros(4), np.ones(4))
+        found[name] = statistics_of(Nowhere(), prior, screening, observed, noise, 1).row
     simulation = STATISTICS.index("simulation")
     assert found["own"][simulation] == 0.0
     assert found["another"][simulation] > 10.0

@@ -39,7 +39,7 @@ OF_SUPPORTS = {"held": "perhaps", "stiffness": "graded"}
 
 @pytest.mark.parametrize("name", OF_CONTACTS)
 def test_a_setting_of_contacts_means_nothing_with_a_model(mesh, places, name):
-    with pytest.raises(ModelError, match=f"`{name}` must be left out with a trained model; got") as e:
+    with pytest.raises(ModelError, match=f"`{name}` must be left out with a trained model, where it means nothing; got") as e:
         made(mesh, places, **{name: OF_CONTACTS[name]})
     assert e.value.where == name
 
@@ -70,7 +70,7 @@ def test_a_moment_before_means_nothing_with_a_model(mesh, places):
         registrar.register(places + 0.1, after=before)
 
 
-OF_MODELS = {"smoother": tr.SmootherSettings(n_members=40), "readings": "always"}
+OF_MODELS = {"smoother": tr.SmootherSettings(n_members=50), "readings": "always"}
 
 
 @pytest.mark.parametrize("name", OF_MODELS)

@@ -1,13 +1,13 @@
 """One update of an ensemble of latents a moment: the ensemble smoother, and the ensemble Kalman filter over time."""
 
 from abc import abstractmethod
+from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
 
-from tissuereg import Markers
 from tissuereg._base.arguments import flag, real, whole
-from tissuereg._base.arrays import FloatArray
+from tissuereg._base.arrays import FloatArray, IntArray
 from tissuereg.body.observe import MarkerObservation, TargetObservation
 from tissuereg.registration.learned.assimilate import (
     Assimilation,
@@ -18,17 +18,19 @@ from tissuereg.registration.learned.assimilate import (
 )
 from tissuereg.registration.learned.model import Gaussian
 from tissuereg.registration.learned.points import PointModel, PointsAround
-from tissuereg.registration.learned.posterior import Posterior
-from tissuereg.registration.learned.widen import stated
+from tissuereg.registration.learned.repair import repaired
+from tissuereg_paper.latents import LinearPredictions, error_covariance, errors_of, prior_of, widened
 from tissuereg_paper.rivals.rival import Estimate, Moment, Rival, Setting
+
+#: Members decoded to whole fields at once.
+_BATCH = 50
 
 
 class _OneUpdate(Rival):
     """An ensemble of the latents of the setting's model, updated by all markers of a moment in one step.
 
-    Prior of a moment, noise, and the answer from the posterior ensemble are those of the package's own registration
-    with a model that was not calibrated; see `tissuereg.registration.learned.widen.stated` and
-    `tissuereg.registration.learned.posterior`.
+    Prior and noise of a moment are those of `tissuereg_paper.latents`; the answer is decoded from the ensemble's mean,
+    and smoothed where tetrahedra are inverted, as the package does.
     """
 
     needs: ClassVar[frozenset[str]] = frozenset({"model"})
@@ -37,7 +39,7 @@ class _OneUpdate(Rival):
         super().__init__(setting)
         self._n_members = whole("n_members", n_members, least=2)
         self._spread = flag("spread", spread)
-        observed = MarkerObservation(setting.mesh, setting.reference_mm, self._markers_of(setting.reference_mm).names)
+        observed = MarkerObservation(setting.mesh, setting.reference_mm, setting.markers(setting.reference_mm).names)
         assert setting.model is not None  # `Rival` has seen it
         self._points = PointModel(setting.model, observed, TargetObservation(setting.mesh, {}))
         self._n_moments = 0
@@ -58,34 +60,45 @@ class _OneUpdate(Rival):
         rng = np.random.default_rng([self.setting.seed, 13, self._n_moments])
         self._n_moments += 1
         model = self._points.around(moment.simulation_mm)
-        drawn = FirstEnsemble.of(model.prior, rng, self._n_members)
-        centre, moved = model.first(drawn.latents)
-        believed = stated(
-            model,
-            self._markers_of(moment.measured_mm),
-            moment.seen,
-            drawn.latents,
-            _rows(model, moved, moment),
-            model.markers(centre)[moment.seen].ravel(),
-        )
+        prior, observed = prior_of(self._points.model, moment.simulation_mm), moment.displacement_mm.ravel()
+        drawn = FirstEnsemble.of(prior, rng, self._n_members)
+        predicted = _rows(model, np.concatenate([prior.mean[:, None], drawn.latents], axis=1), moment)
+        own, own_at_nodes = self._own_changed if model.code is not None else self._own_whole
+        noise = np.diag(np.repeat(self.setting.std_mm[moment.seen] ** 2, 3))
+        noise += error_covariance(own[:, _components(moment)])
+        linear, factor = LinearPredictions.of(prior, drawn.latents, predicted[:, 1:], predicted[:, 0]), 1.0
+        if linear is not None:
+            prior, factor = widened(prior, self._points.model.prior(), linear, observed, noise)
         found = assimilate(
-            lambda latents: _rows(model, model.decode(latents), moment),
-            moment.displacement_mm.ravel(),
-            believed.noise,
-            believed.prior,
+            lambda latents: _rows(model, latents, moment),
+            observed,
+            noise,
+            prior,
             rng=rng,
             settings=AssimilationSettings(
                 schedule=[1.0], min_members=max(2, self._n_members // 5), threads=self.setting.threads
             ),
-            first=self._forecast(believed.prior, rng),
+            first=self._forecast(prior, rng),
         )
-        self._remember(believed.prior, found)
-        posterior = Posterior.of(self.setting.mesh, model, found)
-        spread = np.repeat(posterior.std()[:, None] / np.sqrt(3.0), 3, axis=1) if self._spread else None
-        return Estimate(posterior.displacement, spread, {"widened": believed.factor, "latents": found.latents})
+        self._remember(prior, found)
+        displacement, _ = repaired(self.setting.mesh, model.latent.decode(found.mean[:, None])[0])
+        spread = _std(model, found, displacement, own_at_nodes) if self._spread else None
+        return Estimate(displacement, spread, {"widened": factor, "latents": found.latents})
 
-    def _markers_of(self, measured_mm: FloatArray) -> Markers:
-        return self.setting.markers(measured_mm)
+    @cached_property
+    def _own_whole(self) -> tuple[FloatArray, FloatArray]:
+        return self._own(simulated=False)
+
+    @cached_property
+    def _own_changed(self) -> tuple[FloatArray, FloatArray]:
+        return self._own(simulated=True)
+
+    def _own(self, *, simulated: bool) -> tuple[FloatArray, FloatArray]:
+        """Return the model's errors at all markers (n_fields, 3 n_markers), mm; mean squares (n_nodes, 3) in mm^2."""
+        fields = errors_of(self._points.model, simulated=simulated)
+        if not len(fields):
+            return np.empty((0, 3 * len(self.setting.reference_mm))), np.zeros(fields.shape[1:])
+        return self._points.components(self._points.at_points(fields)), np.mean(fields**2, axis=0)
 
     @abstractmethod
     def _forecast(self, prior: Gaussian, rng: np.random.Generator) -> FirstEnsemble:
@@ -167,6 +180,27 @@ class LatentFilter(_OneUpdate):
         self._errors = found.latents - prior.mean[:, None], found.exact_draws
 
 
-def _rows(model: PointsAround, moved: FloatArray, moment: Moment) -> FloatArray:
-    """Return predictions (n_obs, n_members) of the markers seen, from displacements of points."""
-    return np.ascontiguousarray(model.markers(moved)[:, moment.seen].reshape(len(moved), -1).T)
+def _rows(model: PointsAround, latents: FloatArray, moment: Moment) -> FloatArray:
+    """Return predictions (n_obs, n_members), mm, of the markers seen, from latents (n_latent, n_members)."""
+    return np.ascontiguousarray(model.decode(np.ascontiguousarray(latents))[:, _components(moment)].T)
+
+
+def _components(moment: Moment) -> IntArray:
+    """Return the numbers (n_obs,) of the components of the markers seen among those of all markers."""
+    return np.asarray((3 * moment.seen[:, None] + np.arange(3)).ravel())
+
+
+def _std(model: PointsAround, found: Assimilation, displacement: FloatArray, own: FloatArray) -> FloatArray:
+    """Return the spread (n_nodes, 3) of the nodes, mm, alike along all axes, the model's own error included.
+
+    `displacement` (n_nodes, 3): answer, mm; `own` (n_nodes, 3): mean squares of the model's errors, mm^2.
+    """
+    latents = found.latents
+    square, total = np.zeros(len(displacement)), np.zeros(displacement.shape)
+    for first in range(0, latents.shape[1], _BATCH):
+        away = model.latent.decode(latents[:, first : first + _BATCH]) - displacement
+        square += np.einsum("eni,eni->n", away, away)
+        total += away.sum(axis=0)
+    n = latents.shape[1]
+    variance = found.spread_factor * np.maximum(square - np.einsum("ni,ni->n", total, total) / n, 0.0) / (n - 1)
+    return np.repeat(np.sqrt((variance + own.sum(axis=1))[:, None] / 3.0), 3, axis=1)

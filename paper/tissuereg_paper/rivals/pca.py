@@ -9,9 +9,10 @@ from tissuereg._base.arrays import FloatArray
 from tissuereg.body.observe import MarkerObservation
 from tissuereg.errors import ArgumentError
 from tissuereg.registration.learned.assimilate import AssimilationSettings, assimilate
-from tissuereg.registration.learned.model import Gaussian, error_covariance
+from tissuereg.registration.learned.model import Gaussian
 from tissuereg.registration.learned.pca import PcaModel
 from tissuereg.registration.linear_prior import LinearPrior
+from tissuereg_paper.latents import error_covariance
 from tissuereg_paper.rivals.rival import Estimate, Rival, Setting
 
 #: One field of so many is held out to measure what the components leave.

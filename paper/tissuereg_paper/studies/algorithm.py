@@ -1,7 +1,8 @@
 """Algorithm 1 of the paper for many pairs at once: they share each call of the decoder.
 
 The update is that of `tissuereg-esmda`, pair by pair. With random draws it is the paper's algorithm; with balanced ones
-it is `tissuereg.registration.learned.assimilate.assimilate`, which registrations use.
+it is `tissuereg.registration.learned.assimilate.assimilate`. A registration of the package makes the same steps, in
+square-root form and for several ensembles at once.
 """
 
 from collections.abc import Callable, Sequence

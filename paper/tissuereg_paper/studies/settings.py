@@ -35,7 +35,8 @@ class Method:
     words: str
 
 
-#: The paper's Algorithm 1; the same with another prior; and the prior, draws and noise that registrations use.
+#: The paper's Algorithm 1, with the encoder's own q as prior; the same with another prior; and that with balanced
+#: draws and the model's own errors.
 METHODS = (
     Method("paper", "encoder", False, False, "Algorithm 1, prior q(z | start mesh)"),
     Method("family", "family", False, False, "Algorithm 1, prior of all training codes"),

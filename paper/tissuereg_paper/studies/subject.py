@@ -38,12 +38,12 @@ class StudyModel(Protocol):
         """Return fields (n_members, k, 3) in mm of latents (n_latent, n_members), at some nodes or at all."""
         ...
 
-    def errors(self, latents: FloatArray | None = None) -> FloatArray:
-        """Return typical errors of reconstruction (n_fields, n_nodes, 3), mm."""
+    def errors(self) -> FloatArray:
+        """Return errors of reconstruction (n_fields, n_nodes, 3), mm."""
         ...
 
-    def prior(self, simulation: FloatArray | None) -> Gaussian:
-        """Return the distribution of the codes of all training fields, for None."""
+    def prior(self) -> Gaussian:
+        """Return the distribution of the codes of all training fields."""
         ...
 
 

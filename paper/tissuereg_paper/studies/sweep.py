@@ -10,7 +10,8 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.body.mesh import det_f
-from tissuereg.registration.learned.model import Gaussian, error_covariance
+from tissuereg.registration.learned.model import Gaussian
+from tissuereg_paper.latents import error_covariance
 from tissuereg_paper.studies.algorithm import assimilate_many
 from tissuereg_paper.studies.cases import Cases
 from tissuereg_paper.studies.measures import Clusters, Errors, inside90
@@ -78,7 +79,7 @@ class Sweep:
         self._mesh, self._model, self._seed, self._thorough = subject.held_out.mesh, subject.model, seed, thorough
         shapes, self._which = np.unique(cases.starts, return_inverse=True)
         codes = [self._model.encode(np.asarray(cases.fields[shape], np.float64)) for shape in shapes]
-        family = self._model.prior(None)
+        family = self._model.prior()
         self._priors: dict[str, list[Gaussian]] = {
             "encoder": [Gaussian(mean, np.diag(variance)) for mean, variance in codes],
             "encoder-std": [Gaussian(mean, np.diag(np.sqrt(variance))) for mean, variance in codes],

@@ -75,7 +75,7 @@ def run_table2(subject: Subject, cases: Cases, seed: int, n_samples: int = N_SAM
     rng = np.random.default_rng([seed, 24])
     samples = {
         "N(0, I)": _sampled(subject, standard, n_samples, rng),
-        "codes of the training set": _sampled(subject, subject.model.prior(None), n_samples, rng),
+        "codes of the training set": _sampled(subject, subject.model.prior(), n_samples, rng),
     }
     return Table2(_rows(subject, cases), samples, _agreement(subject))
 

@@ -17,8 +17,9 @@ HELP = Help(
     "give the kinds of events, the validation split the model's errors and how honest measurements look: its events "
     "are registered from random markers. Pairs of what is believed and what happens tell how far truths lie from "
     "simulations: those of the data set, if its recipe asked for some, and those of PAIRS, another data set with pairs "
-    "or a folder of files pairs_*.npz with simulation_mm and truth_mm (n, n_nodes, 3). Each is a "
-    "kind of change of its own: the markers say of which kind an event is. The folder gets calibration.npz; 'tissuereg register --model' uses it.",
+    "or a folder of files pairs_*.npz with simulation_mm and truth_mm (n, n_nodes, 3). Each is a kind of change of its "
+    "own: the markers say of which kind an event is. The folder gets calibration.npz; 'tissuereg register --model' "
+    "uses it.",
     example="tissuereg calibrate model --data data --pairs pairs --json -",
     seed="seed of kinds, places and noise (default: 0)",
 )
