@@ -7,14 +7,14 @@ import blind.page as blind
 import diagnosis.febio as febio
 import diagnosis.material_parts as material_parts
 import diagnosis.simulated_here as simulated_here
+import learned.__main__ as learned
+import learned.page as learned_page
 import misuse.__main__ as misuse
 import real.__main__ as real
 import speed.cluster as cluster
 import speed.esmda as esmda
 import speed.large_bodies as large_bodies
 import speed.solver as solver
-import spread.spread as spread
-import spread.spread_page as spread_page
 import tracking.tracked_beam as beam
 import tracking.tracking as tracking
 from common import read_archive, write_archive
@@ -56,11 +56,11 @@ WRITTEN = {
         large_bodies.page,
         lambda a: _more(a["rows"][0]["measured"]["register"], "peak_bytes", 10**8),
     ),
-    "spread": (
-        spread.OUT,
-        spread_page.PAGE,
-        spread_page.page,
-        lambda a: _more(a["sets"]["known"]["ours"], "crps_mm"),
+    "learned": (
+        learned.ARCHIVE,
+        learned_page.PAGE,
+        learned_page.page,
+        lambda a: _more(a["rows"][0], "after_mm"),
     ),
     "beam": (beam.ARCHIVE, beam.PAGE, beam.page, lambda a: _more(a["trials"][0]["by_seed"][0]["rest_mm"], "tracked")),
 }
@@ -78,6 +78,11 @@ def test_a_page_is_that_of_its_archive(name):
 @pytest.mark.parametrize("tier", blind.PAGES)
 def test_a_page_of_the_blind_bench_is_that_of_its_verdicts(tier):
     assert blind.page(tier) == (blind.HERE / blind.PAGES[tier]).read_text(encoding="utf-8")
+
+
+def test_the_table_of_trained_models_in_the_results_is_that_of_the_archive():
+    answer, kept = read_archive(learned.ARCHIVE), table("learned", learned_page.RESULTS)
+    assert learned_page.results_table(answer["rows"]) == kept
 
 
 def test_the_page_of_unknown_loads_is_that_of_its_archives():

@@ -50,6 +50,7 @@ def score_components(
     noise: _Floats,
     *,
     group: int = 0,
+    last: bool = False,
     threads: int = 0,
 ) -> tuple[_Floats, _Floats, _Floats, _Floats]: ...
 def screen_members(predicted: _Floats, limit: float) -> tuple[_Integers, list[tuple[int, str]]]: ...

@@ -130,7 +130,7 @@ def test_a_marker_is_predicted_from_the_others_alone_under_every_pair():
     prior, linear, noise, draw = mixture_of_two(np.random.default_rng(3))
     observed = draw()
     observed[3:6] += 20.0
-    found, chances = Evidence.of(prior, linear, observed, noise, by_marker=True).chances()
+    found, chances = Evidence.of(prior, linear, observed, noise, compared="every").chances()
     for marker in range(4):
         own = np.arange(3 * marker, 3 * marker + 3)
         others = np.setdiff1d(np.arange(12), own)
@@ -154,7 +154,7 @@ def test_a_marker_is_predicted_from_the_others_alone_under_every_pair():
 
 def test_chances_of_a_marker_among_draws_from_the_prior_are_uniform():
     prior, linear, noise, draw = mixture_of_two(np.random.default_rng(4))
-    drawn = (Evidence.of(prior, linear, draw(), noise, by_marker=True) for _ in range(400))
+    drawn = (Evidence.of(prior, linear, draw(), noise, compared="every") for _ in range(400))
     p = np.sort([one.chances()[1][2] for one in drawn])
     # Largest distance from uniform: the 1 % point of Kolmogorov's law is 1.63 / sqrt(n).
     assert np.abs(p - (np.arange(400) + 0.5) / 400).max() < 1.63 / np.sqrt(400)
@@ -202,7 +202,7 @@ def test_a_pair_without_probability_counts_for_nothing():
     linear = LinearDecoder(np.zeros(4), np.zeros(9), rng.standard_normal((9, 4)))
     observed, noise = rng.standard_normal(6), 0.1 * np.eye(6)
     without = [prior[0], replace(prior[1], weights=np.zeros(2))]
-    both = [Evidence.of(one, linear, observed, noise, by_marker=True) for one in (without, prior[:1])]
+    both = [Evidence.of(one, linear, observed, noise, compared="every") for one in (without, prior[:1])]
     np.testing.assert_allclose(both[0].mean_latents, both[1].mean_latents, rtol=1e-12)
     np.testing.assert_allclose(both[0].chances(), both[1].chances(), rtol=1e-12)
 

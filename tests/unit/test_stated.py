@@ -194,7 +194,7 @@ def test_with_a_linear_decoder_the_chance_is_that_of_all_markers_at_once():
     screening = Screening.of(
         lambda latents: linear.at + (linear.slopes @ latents).T, prior, observed, noise, np.zeros(3), np.ones(3)
     )
-    _, every = Evidence.of(prior, linear, observed, noise, by_marker=True).chances()
+    _, every = Evidence.of(prior, linear, observed, noise, compared="every").chances()
     for marker in range(5):
         assert screening.chance_of(marker, prior, observed, noise) == pytest.approx(every[marker], rel=1e-5)
 
@@ -212,7 +212,7 @@ def test_a_wrong_marker_that_bends_the_decoder_to_itself_is_found_without_it():
     observed = decode(np.array([[0.5], [0.1]]))[0]
     observed[9] += 1.5
     screening = Screening.of(decode, [one], observed, noise, np.zeros(2), np.ones(2))
-    _, about_all = Evidence.of([one], screening.linear, observed, noise, by_marker=True).chances()
+    _, about_all = Evidence.of([one], screening.linear, observed, noise, compared="every").chances()
     chances = [screening.chance_of(marker, [one], observed, noise) for marker in range(4)]
     # The answer with it lies where the first latent moves the marker as far as it likes.
     assert about_all[3] > 1e-3

@@ -8,8 +8,8 @@ use tissuereg_boundary::errors::{Class, raise};
 use tissuereg_boundary::lock;
 use tissuereg_boundary::views::View;
 use tissuereg_esmda::{
-    ComponentScore, Factorisation, NoiseCovariance, ScaledComponent, Schedule, StepSettings,
-    mixture, step,
+    ComponentScore, Factorisation, Groups, NoiseCovariance, ScaledComponent, Schedule,
+    StepSettings, mixture, step,
 };
 
 use crate::errors;
@@ -71,9 +71,10 @@ type Scores<'py> = (
 );
 
 /// Scores pairs of component, int64 (n_pairs,), and scale, float64 (n_pairs,), of a mixture: covariances, float64
-/// (n_components, n_obs, n_obs), innovations, float64 (n_components, n_obs), noise, float64 (n_obs, n_obs).
+/// (n_components, n_obs, n_obs), innovations, float64 (n_components, n_obs), noise, float64 (n_obs, n_obs). `group` observations are compared with the others, all or the
+/// `last` ones; 0 for none.
 #[pyfunction]
-#[pyo3(signature = (covariances, innovations, component, scale, noise, *, group=0, threads=0))]
+#[pyo3(signature = (covariances, innovations, component, scale, noise, *, group=0, last=false, threads=0))]
 #[allow(clippy::too_many_arguments)] // Keywords of the Python signature.
 pub(crate) fn score_components<'py>(
     py: Python<'py>,
@@ -83,6 +84,7 @@ pub(crate) fn score_components<'py>(
     scale: &Bound<'py, PyAny>,
     noise: &Bound<'py, PyAny>,
     group: usize,
+    last: bool,
     threads: usize,
 ) -> PyResult<Scores<'py>> {
     let innovations = View::<f64>::new("innovations", innovations, &[&[None, None]])?;
@@ -104,15 +106,20 @@ pub(crate) fn score_components<'py>(
         })
         .collect();
     let (innovations, noise) = (innovations.matrix(), noise.matrix());
+    let groups = match (group, last) {
+        (0, _) => Groups::Nothing,
+        (_, false) => Groups::Every(group),
+        (_, true) => Groups::Last(group),
+    };
     let scores = lock::run_released(py, threads, |par| {
-        mixture::score_components(stacked, innovations, &pairs, noise, group, par)
+        mixture::score_components(stacked, innovations, &pairs, noise, groups, par)
     })
     .map_err(|error| errors::from_esmda(py, &error))?;
     let table = |width: usize, row: fn(&ComponentScore) -> &[f64]| {
         let flat = scores.iter().flat_map(|score| row(score).iter().copied()).collect();
         arrays::from_vec(py, flat, [scores.len(), width])
     };
-    let n_groups = if group == 0 { 0 } else { n_obs / group };
+    let n_groups = scores.first().map_or(0, |score| score.misfits.len());
     let logs: Vec<f64> = scores.iter().map(|score| score.log_density).collect();
     Ok((
         logs.into_pyarray(py),

@@ -87,7 +87,7 @@ pub use faer;
 pub use error::{ErrorClass, EsmdaError, Reason};
 pub use gauss_newton::{Evaluation, GaussNewton, Linearised, SearchSettings};
 pub use gaussian::Gaussian;
-pub use mixture::{ComponentScore, ScaledComponent, score_components};
+pub use mixture::{ComponentScore, Groups, ScaledComponent, score_components};
 pub use noise::NoiseCovariance;
 pub use outliers::{GroupScore, score_groups, wrong_groups};
 pub use schedule::Schedule;

@@ -34,6 +34,17 @@ pub struct ScaledComponent {
     pub scale: f64,
 }
 
+/// Groups of observations that follow each other, of one size, which are compared with all other observations.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Groups {
+    /// None.
+    Nothing,
+    /// All of them; the size divides the number of observations.
+    Every(usize),
+    /// The last one alone, which costs nothing more.
+    Last(usize),
+}
+
 /// What the observations say of one scaled component.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
@@ -42,9 +53,9 @@ pub struct ComponentScore {
     pub log_density: f64,
     /// `u = S^-1 v`, (n_obs).
     pub pull: Vec<f64>,
-    /// `q` of every group.
+    /// `q` of each group that was asked for.
     pub misfits: Vec<f64>,
-    /// `log det (S^-1)_gg` of every group.
+    /// `log det (S^-1)_gg` of each.
     pub log_dets: Vec<f64>,
 }
 
@@ -53,8 +64,7 @@ pub struct ComponentScore {
 /// # Shapes
 ///
 /// `covariances` (`n_components n_obs`, `n_obs`) are the `A_c` on top of each other, `innovations` (`n_components`, `n_obs`)
-/// the `v` of each, `noise` (`n_obs`, `n_obs`) is `C_d`; of all, the lower halves are read. `group` observations that
-/// follow each other make a group; 0 leaves groups out.
+/// the `v` of each, `noise` (`n_obs`, `n_obs`) is `C_d`; of all, the lower halves are read.
 ///
 /// # Errors
 ///
@@ -63,16 +73,16 @@ pub struct ComponentScore {
 ///
 /// # Cost
 ///
-/// `n_obs^3 / 6` multiply-adds a pair, three times that with groups; pairs on threads by `par`, with the same bits.
+/// `n_obs^3 / 6` multiply-adds a pair, three times that with every group; pairs on threads by `par`, with the same bits.
 ///
 /// # Examples
 ///
 /// ```
-/// use tissuereg_esmda::{ScaledComponent, faer::{Mat, Par, mat}, score_components};
+/// use tissuereg_esmda::{Groups, ScaledComponent, faer::{Mat, Par, mat}, score_components};
 ///
 /// let (unit, v) = (Mat::<f64>::identity(2, 2), mat![[2.0, 0.0]]);
 /// let pairs = [1.0, 3.0].map(|scale| ScaledComponent { component: 0, scale });
-/// let scores = score_components(unit.as_ref(), v.as_ref(), &pairs, unit.as_ref(), 1, Par::Seq)?;
+/// let scores = score_components(unit.as_ref(), v.as_ref(), &pairs, unit.as_ref(), Groups::Every(1), Par::Seq)?;
 /// // S = 2: the first observation lies sqrt(2) deviations from where the second has it.
 /// assert!((scores[0].misfits[0] - 2.0).abs() < 1e-14);
 /// assert!((scores[0].log_density - (-1.0 - 2.0_f64.ln())).abs() < 1e-14);
@@ -83,7 +93,7 @@ pub fn score_components(
     innovations: MatRef<'_, f64>,
     pairs: &[ScaledComponent],
     noise: MatRef<'_, f64>,
-    group: usize,
+    groups: Groups,
     par: Par,
 ) -> Result<Vec<ComponentScore>, EsmdaError> {
     let (n_components, n_obs) = innovations.shape();
@@ -92,8 +102,10 @@ pub fn score_components(
     check_finite("covariances", covariances)?;
     check_finite("innovations", innovations)?;
     check_finite("noise", noise)?;
-    let whole = group == 0 || n_obs.is_multiple_of(group);
-    check_setting("group", group as f64, "a divisor of the number of observations", whole)?;
+    if let Groups::Every(size) | Groups::Last(size) = groups {
+        let whole = size > 0 && n_obs > 0 && n_obs.is_multiple_of(size);
+        check_setting("group", size as f64, "a divisor of the number of observations", whole)?;
+    }
     for pair in pairs {
         let (number, known) = (pair.component as f64, pair.component < n_components);
         check_setting("component", number, "less than the number of components", known)?;
@@ -108,7 +120,7 @@ pub fn score_components(
             if i < j { 0.0 } else { square * own[(i, j)] + noise[(i, j)] }
         });
         let innovation = Mat::from_fn(n_obs, 1, |i, _| innovations[(component, i)]);
-        scored(total, innovation, group)
+        scored(total, innovation, groups)
     };
     linalg::map_in_order(pairs.len(), par, score).into_iter().collect()
 }
@@ -117,18 +129,29 @@ pub fn score_components(
 fn scored(
     mut lower: Mat<f64>,
     mut innovation: Mat<f64>,
-    group: usize,
+    groups: Groups,
 ) -> Result<ComponentScore, EsmdaError> {
     let n_obs = lower.nrows();
     linalg::cholesky_in_place(lower.as_mut())
         .map_err(|pivot| EsmdaError::NoiseNotPositiveDefinite { pivot })?;
     solve_lower_triangular_in_place(lower.as_ref(), innovation.as_mut(), Par::Seq);
     let square: f64 = innovation.col(0).iter().map(|w| w * w).sum();
-    let log_root: f64 = lower.diagonal().column_vector().iter().map(|l| l.ln()).sum();
+    let roots: Vec<f64> = lower.diagonal().column_vector().iter().copied().collect();
+    let log_root: f64 = roots.iter().map(|l| l.ln()).sum();
+    let first = match groups {
+        Groups::Last(size) => n_obs - size,
+        _ => n_obs,
+    };
+    let last: f64 = innovation.col(0).iter().skip(first).map(|w| w * w).sum();
     solve_upper_triangular_in_place(lower.transpose(), innovation.as_mut(), Par::Seq);
     let pull: Vec<f64> = innovation.col(0).iter().copied().collect();
     let (mut misfits, mut log_dets) = (Vec::new(), Vec::new());
-    if group > 0 {
+    if let Groups::Last(_) = groups {
+        // The last rows of L^-1 v are what the others leave of the last observations, white.
+        misfits.push(last);
+        log_dets.push(-2.0 * roots[first..].iter().map(|l| l.ln()).sum::<f64>());
+    }
+    if let Groups::Every(group) = groups {
         let mut root = Mat::identity(n_obs, n_obs);
         solve_lower_triangular_in_place(lower.as_ref(), root.as_mut(), Par::Seq);
         for first in (0..n_obs).step_by(group) {

@@ -8,11 +8,12 @@ use common::Normals;
 use faer::linalg::solvers::DenseSolveCore;
 use faer::prelude::Solve;
 use faer::{Mat, Par, Side};
-use tissuereg_esmda::{ComponentScore, EsmdaError, ScaledComponent, score_components};
+use tissuereg_esmda::{ComponentScore, EsmdaError, Groups, ScaledComponent, score_components};
 
 const N_COMPONENTS: usize = 3;
 const N_OBS: usize = 12;
 const GROUP: usize = 3;
+const EVERY: Groups = Groups::Every(GROUP);
 
 /// Covariances on top of each other, innovations, noise, and pairs in no order.
 fn problem() -> (Mat<f64>, Mat<f64>, Mat<f64>, Vec<ScaledComponent>) {
@@ -30,10 +31,10 @@ fn problem() -> (Mat<f64>, Mat<f64>, Mat<f64>, Vec<ScaledComponent>) {
     (covariances, normals.matrix(N_COMPONENTS, N_OBS), noise, pairs)
 }
 
-fn scores(group: usize, par: Par) -> Vec<ComponentScore> {
+fn scores(groups: Groups, par: Par) -> Vec<ComponentScore> {
     let (covariances, innovations, noise, pairs) = problem();
     let (a, v) = (covariances.as_ref(), innovations.as_ref());
-    score_components(a, v, &pairs, noise.as_ref(), group, par).unwrap()
+    score_components(a, v, &pairs, noise.as_ref(), groups, par).unwrap()
 }
 
 /// Covariance of a pair's innovation, and the innovation.
@@ -50,7 +51,7 @@ fn close(found: f64, wanted: f64) {
 
 #[test]
 fn densities_are_those_by_determinants() {
-    for (score, pair) in scores(0, Par::Seq).iter().zip(problem().3) {
+    for (score, pair) in scores(Groups::Nothing, Par::Seq).iter().zip(problem().3) {
         let (total, innovation) = total(&pair);
         let pull = total.llt(Side::Lower).unwrap().solve(&innovation);
         let square = (innovation.transpose() * &pull)[(0, 0)];
@@ -64,7 +65,7 @@ fn densities_are_those_by_determinants() {
 
 #[test]
 fn a_group_is_predicted_by_all_others() {
-    for (score, pair) in scores(GROUP, Par::Seq).iter().zip(problem().3) {
+    for (score, pair) in scores(EVERY, Par::Seq).iter().zip(problem().3) {
         let (total, innovation) = total(&pair);
         assert_eq!(score.misfits.len(), N_OBS / GROUP);
         for group in 0..N_OBS / GROUP {
@@ -87,10 +88,20 @@ fn a_group_is_predicted_by_all_others() {
 }
 
 #[test]
+fn the_last_group_alone_is_as_among_all() {
+    for (last, every) in scores(Groups::Last(GROUP), Par::Seq).iter().zip(scores(EVERY, Par::Seq)) {
+        assert_eq!((last.misfits.len(), last.log_dets.len()), (1, 1));
+        close(last.misfits[0], every.misfits[N_OBS / GROUP - 1]);
+        close(last.log_dets[0], every.log_dets[N_OBS / GROUP - 1]);
+        assert_eq!((last.log_density, &last.pull), (every.log_density, &every.pull));
+    }
+}
+
+#[test]
 fn threads_and_groups_change_no_bit() {
-    let (one, many) = (scores(GROUP, Par::Seq), scores(GROUP, Par::rayon(3)));
+    let (one, many) = (scores(EVERY, Par::Seq), scores(EVERY, Par::rayon(3)));
     assert_eq!(one, many);
-    for (with, without) in one.iter().zip(scores(0, Par::Seq)) {
+    for (with, without) in one.iter().zip(scores(Groups::Nothing, Par::Seq)) {
         assert_eq!((with.log_density, &with.pull), (without.log_density, &without.pull));
     }
 }
@@ -99,22 +110,32 @@ fn threads_and_groups_change_no_bit() {
 fn what_does_not_fit_is_refused() {
     let (covariances, innovations, noise, pairs) = problem();
     let (a, v, c) = (covariances.as_ref(), innovations.as_ref(), noise.as_ref());
-    let refused = |pairs: &[ScaledComponent], group| {
-        score_components(a, v, pairs, c, group, Par::Seq).unwrap_err()
+    let refused = |pairs: &[ScaledComponent], groups| {
+        score_components(a, v, pairs, c, groups, Par::Seq).unwrap_err()
     };
     let beyond = [ScaledComponent { component: 3, scale: 1.0 }];
-    assert!(matches!(refused(&beyond, 0), EsmdaError::Setting { name: "component", .. }));
+    assert!(matches!(
+        refused(&beyond, Groups::Nothing),
+        EsmdaError::Setting { name: "component", .. }
+    ));
     let endless = [ScaledComponent { component: 0, scale: f64::INFINITY }];
-    assert!(matches!(refused(&endless, 0), EsmdaError::Setting { name: "scale", .. }));
-    assert!(matches!(refused(&pairs, 5), EsmdaError::Setting { name: "group", .. }));
+    assert!(matches!(
+        refused(&endless, Groups::Nothing),
+        EsmdaError::Setting { name: "scale", .. }
+    ));
+    for groups in [Groups::Every(5), Groups::Every(0), Groups::Last(5), Groups::Last(0)] {
+        assert!(matches!(refused(&pairs, groups), EsmdaError::Setting { name: "group", .. }));
+    }
     let fewer = a.subrows(1, 5);
-    let error = score_components(fewer, v, &pairs, c, 0, Par::Seq).unwrap_err();
+    let error = score_components(fewer, v, &pairs, c, Groups::Nothing, Par::Seq).unwrap_err();
     assert!(matches!(error, EsmdaError::Shape { argument: "covariances", .. }));
     let negative = c * faer::Scale(-1000.0);
-    let error = score_components(a, v, &pairs, negative.as_ref(), 0, Par::Seq).unwrap_err();
+    let error =
+        score_components(a, v, &pairs, negative.as_ref(), Groups::Nothing, Par::Seq).unwrap_err();
     assert_eq!(error, EsmdaError::NoiseNotPositiveDefinite { pivot: 0 });
     let mut spoilt = covariances.clone();
     spoilt[(4, 1)] = f64::NAN;
-    let error = score_components(spoilt.as_ref(), v, &pairs, c, 0, Par::Seq).unwrap_err();
+    let error =
+        score_components(spoilt.as_ref(), v, &pairs, c, Groups::Nothing, Par::Seq).unwrap_err();
     assert!(matches!(error, EsmdaError::NotFinite { argument: "covariances", row: 4, .. }));
 }

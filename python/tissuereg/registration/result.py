@@ -34,7 +34,6 @@ class Region:
     ----------
     centre : ndarray of float64, shape (3,)
         Centre of the ellipsoid, mm.
-        mm.
     axes : ndarray of float64, shape (3, 3)
         Unit half-axes, one per row, in the order of `radii`.
     radii : ndarray of float64, shape (3,)

@@ -13,6 +13,7 @@ latents is ``m_c + s^2 P_c G' S^-1 v``.
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 
@@ -22,6 +23,9 @@ from tissuereg.registration.learned.components import probabilities
 
 #: Pairs of component and scale that are less probable than this share of the most probable one are left out of a mean.
 _NEGLIGIBLE = 1e-4
+
+#: Share of the most probable pair below which another linearisation makes no pair count.
+HOPELESS = 1e-12
 
 #: Standard deviations of the tracker's noise over the stated ones, with which the stated ones are compared.
 NOISE_FACTORS = (3.0, 10.0)
@@ -60,17 +64,19 @@ class LinearDecoder:
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """What the markers say of every pair of component and scale; the scales of a component are adjacent.
+    """What the markers say of pairs of component and scale; the scales of a component are adjacent.
 
-    `prior`, `model`: of which mixture, and by which decoder; `component` int64 and `scale` (n_pairs,): of each pair;
+    `prior`, `model`: of which mixture, and by which decoder; `pairs` int64 (n_pairs,): numbers of the pairs among all;
+    `component` int64 and `scale` (n_pairs,): of each pair;
     `logs` (n_pairs,): logarithm of prior probability times N(v; 0, S), up to a common constant; `pulls` (n_pairs,
     n_obs): S^-1 v, 1/mm; `misfits`, `log_dets` (n_pairs, n_markers): squared distance of each marker from its
-    prediction by the others, in the prediction's standard deviations, and log det of the marker's block of S^-1; empty
-    where they were not asked for.
+    prediction by the others, in the prediction's standard deviations, and log det of the marker's block of S^-1, for
+    the markers that were asked for.
     """
 
     prior: list[Component]
     model: LinearDecoder
+    pairs: IntArray
     component: IntArray
     scale: FloatArray
     logs: FloatArray
@@ -86,28 +92,33 @@ class Evidence:
         observed: FloatArray,
         noise: FloatArray,
         *,
-        by_marker: bool = False,
+        compared: Literal["none", "every", "last"] = "none",
+        pairs: IntArray | None = None,
     ) -> "Evidence":
-        """Return the evidence of all pairs.
+        """Return the evidence of pairs.
 
         `observed` (n_obs,): measured displacements, mm, of the decoder's first n_obs rows; `noise` (n_obs, n_obs):
-        covariance of the tracker's noise, mm^2; `by_marker`: whether each marker is compared with its prediction by
-        the others. Raises `NoiseError` if the covariance of an innovation is not positive definite. Cost: a Cholesky
-        factor of size n_obs for every pair, and an inverse where markers are compared.
+        covariance of the tracker's noise, mm^2; `compared`: markers that are compared with their prediction by the
+        others; `pairs` int64 (n_pairs,), ascending: numbers of the pairs, all by default. Raises `NoiseError` if the covariance of an innovation is not positive definite. Cost: a Cholesky
+        factor of size n_obs for every pair, and an inverse where every marker is compared.
         """
         n_obs = len(observed)
         slopes = model.slopes[:n_obs]
-        spread = slopes @ np.array([one.covariance for one in prior]) @ slopes.T
-        covariances = spread + np.array([one.errors[:n_obs, :n_obs] for one in prior])
-        off = observed - model.at[:n_obs] - (np.array([one.mean for one in prior]) - model.point) @ slopes.T
         component = np.repeat(np.arange(len(prior)), [len(one.scales) for one in prior])
-        scale = np.concatenate([one.scales for one in prior])
+        pairs = np.arange(len(component)) if pairs is None else pairs
+        component, scale = component[pairs], np.concatenate([one.scales for one in prior])[pairs]
         with np.errstate(divide="ignore"):
-            weights = np.log(np.concatenate([one.weights for one in prior]))
-        group = 3 if by_marker else 0
-        given = covariances, off, component, scale, np.ascontiguousarray(noise)
-        logs, *others = _core.score_components(*given, group=group)
-        return cls(prior, model, component, scale, weights + logs, *others)
+            weights = np.log(np.concatenate([one.weights for one in prior])[pairs])
+        needed, number = np.unique(component, return_inverse=True)
+        used = [prior[c] for c in needed]
+        spread = slopes @ np.array([one.covariance for one in used]) @ slopes.T
+        covariances = spread + np.array([one.errors[:n_obs, :n_obs] for one in used])
+        off = observed - model.at[:n_obs] - (np.array([one.mean for one in used]) - model.point) @ slopes.T
+        given = covariances, off, number, scale, np.ascontiguousarray(noise)
+        logs, *others = _core.score_components(
+            *given, group=0 if compared == "none" else 3, last=compared == "last"
+        )
+        return cls(prior, model, pairs, component, scale, weights + logs, *others)
 
     @cached_property
     def mean_latents(self) -> FloatArray:
@@ -120,10 +131,16 @@ class Evidence:
         return np.asarray(np.sum(means, axis=0))
 
     @property
+    def likely(self) -> IntArray:
+        """Numbers (k,) of the pairs that are probable enough to count if the decoder is linear about another point."""
+        return np.asarray(self.pairs[self.logs > self.logs.max() + np.log(HOPELESS)])
+
+    @property
     def of_components(self) -> FloatArray:
-        """Logarithm of the evidence of each component, over its scales, up to a constant, (n_components,)."""
-        ends = np.cumsum([len(one.weights) for one in self.prior])[:-1]
-        return np.array([np.logaddexp.reduce(part) for part in np.split(self.logs, ends)])
+        """Logarithm of the evidence of each component, over these scales, up to a constant, (n_components,)."""
+        logs = np.full(len(self.prior), -np.inf)
+        np.logaddexp.at(logs, self.component, self.logs)
+        return logs
 
     def chances(self) -> tuple[FloatArray, FloatArray]:
         """Return how well each marker agrees with the prediction from all other markers.

@@ -84,13 +84,13 @@ class Screening:
         """
         n = len(start)
         draws, _ = normals(0, n, round(_DRAWS_A_LATENT * n) + 2)
-        point, made = start, list[LinearDecoder]()
+        point, made, pairs = start, list[LinearDecoder](), None
         for _ in range(rounds):
             rows = decode(point[:, None] + _SPREAD * spread[:, None] * draws)
             slopes = (rows - rows.mean(axis=0)).T @ draws.T / (draws.shape[1] - 1) / (_SPREAD * spread)
             made.append(LinearDecoder(point, rows.mean(axis=0), slopes))
-            found = Evidence.of(prior, made[-1], observed, noise)
-            point = found.mean_latents
+            found = Evidence.of(prior, made[-1], observed, noise, pairs=pairs)
+            point, pairs = found.mean_latents, found.likely
         return cls(made[-1], made[0], found, decode, spread)
 
     def under(self, prior: list[Component], observed: FloatArray, noise: FloatArray) -> "Screening":
@@ -116,13 +116,15 @@ class Screening:
             self.spread,
             _AGAIN,
         )
-        return float(Evidence.of(ordered, without.linear, there, among, by_marker=True).chances()[1][-1])
+        pairs = without.found.likely
+        found = Evidence.of(ordered, without.linear, there, among, compared="last", pairs=pairs)
+        return float(found.chances()[1][0])
 
     def kept(self) -> IntArray:
         """Return the numbers of the pairs that get an ensemble, the most probable one first."""
         logs = self.found.logs
         best = np.argsort(-logs, kind="stable")[:_MOST_PAIRS]
-        return np.asarray(best[logs[best] > logs.max() + np.log(_LEAST_SHARE)])
+        return np.asarray(self.found.pairs[best[logs[best] > logs.max() + np.log(_LEAST_SHARE)]])
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,7 +6,7 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.registration.learned.calibration import Calibration
-from tissuereg.registration.learned.mixture import NOISE_FACTORS, Component, Evidence, log_noise_odds
+from tissuereg.registration.learned.mixture import HOPELESS, NOISE_FACTORS, Component, Evidence, log_noise_odds
 from tissuereg.registration.learned.smoother import Screening
 
 #: Markers whose fit to the others is found anew without a simulation: those that fit worst at first.
@@ -50,7 +50,7 @@ def statistics_of(
 
     # About a simulation: a wrong marker pulls the answer to where the decoder's slopes are others.
     linear, found = screening.first if n_own < len(prior) else screening.linear, screening.found
-    by_marker = Evidence.of(prior, linear, observed, noise, by_marker=True)
+    by_marker = Evidence.of(prior, linear, observed, noise, compared="every")
     misfits, chances = by_marker.chances()
     logs = -np.log(np.maximum(chances, _LEAST))
     # Fisher's method, as if predictions of different markers were independent: rehearsals say what they are.
@@ -62,7 +62,8 @@ def statistics_of(
     markers = logs - np.log(max(len(logs), 1))
     if n_own < len(prior):
         own, others = (np.logaddexp.reduce(part) for part in np.split(found.of_components, [n_own]))
-        unrelated = max(float(others - own), 0.0)
+        # A screening leaves out what is less probable than that.
+        unrelated = min(max(float(others - own), 0.0), -np.log(HOPELESS))
     # A ratio of evidences above x has a chance of at most 1 / x (A. A. Markov), for each factor.
     larger = max(log_noise_odds(by_marker, observed, noise) - np.log(len(NOISE_FACTORS)), 0.0)
     far = calibration.distance(found.mean_latents)

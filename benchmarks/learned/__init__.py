@@ -1,0 +1,1 @@
+"""Registration with the trained models, honest input and spoilt."""

@@ -1,1 +1,0 @@
-"""The spread of the trained model, on shapes that it never saw."""
