@@ -1,6 +1,6 @@
-"""The breast phantom: embedded meshes, meshes of any number of nodes, a trained model, and a synthetic measurement.
+"""The breast phantom: embedded meshes, meshes of any number of nodes, trained models, and a synthetic measurement.
 
-The body has two sizes: ``full``, as many nodes as the paper's, which the shipped model was trained on; and ``small``,
+The body has two sizes: ``full``, as many nodes as the paper's, which the shipped models were trained on; and ``small``,
 for quick examples. The true deformation behind the measurement is known. It was simulated with another model than the
 one that users simulate with: another stiffness, a stiff lesion, ten-node elements, a finer mesh that shares no inner
 node, and markers between nodes.
@@ -43,7 +43,7 @@ def phantom_mesh(size: str = "full") -> Mesh:
     Parameters
     ----------
     size : str
-        ``full``: the mesh of 4,258 nodes on which the shipped model was trained, equal to ``breast_mesh(4223)``.
+        ``full``: the mesh of 4,258 nodes on which the shipped models were trained, equal to ``breast_mesh(4223)``.
         ``small``: a mesh of 1,213 nodes.
 
     Returns

@@ -2,8 +2,8 @@
 
 Without a trained model the load is unknown: the prior is a few contacts on the free surface, and the result is an
 equilibrium under the contacts that explain the markers (`tissuereg.registration.contacts.registration`). With a model
-it is found by the paper's Algorithm 1 (`tissuereg.registration.learned.registration`). Either is one registration of a
-`Registrar`.
+it is the posterior ensemble of ES-MDA in the model's latents (`tissuereg.registration.learned.registration`). Either is
+one registration of a `Registrar`.
 """
 
 import os

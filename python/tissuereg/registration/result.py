@@ -69,9 +69,9 @@ class Target:
     simulation : ndarray of float64, shape (3,), or None
         Place by the simulation alone, mm; None if there was no simulation.
     constrained : float or None
-        Share of the point's variance under unknown contacts that the markers remove, 0 to 1. With a calibrated model
-        the share of the expected squared error of the simulation (or of the undeformed body) that is removed; None with
-        a model that is not calibrated.
+        Share of the point's variance under unknown contacts that the markers remove, 0 to 1. With a trained model the
+        share of the expected squared error of the simulation (or of the undeformed body) that is removed. None for a
+        marker that was not used.
     flag : str or None
         ``"no marker tells"`` if that share is too small to rely on the region, or on the registered place being better
         than the simulated one; otherwise None.

@@ -1,11 +1,12 @@
 r"""Tests of one registration against its assumptions, to decide whether it can be trusted.
 
-The misfit of a registration is
+With a trained model, test statistics are compared with those of trial registrations (`judge_by_rehearsal`). Without one
+the misfit of a registration is
 
     J = (z - z0)' P^-1 (z - z0)  +  r' C_d^-1 r,
 
-the prior term and the data term at the posterior mean z of the unknowns (latents, or coefficients of the load), with
-their prior mean z0 and prior covariance P, the residual r of the markers and the noise covariance C_d. If prior and
+the prior term and the data term at the posterior mean z of the coefficients of the load, with their prior mean z0 and
+prior covariance P, the residual r of the markers and the noise covariance C_d. If prior and
 noise are as stated and the model is linear, J equals the chi-square of the innovation and follows a chi-square law with
 one degree of freedom per measured coordinate. Each marker is tested separately by its fitted residual
 (`tissuereg.registration.wrong_markers`).
@@ -32,15 +33,15 @@ class Trust:
     ok : bool
         True if no test failed, so that `reasons` is empty.
     p_value : float
-        Probability of a misfit at least this large if prior and noise are as stated; with a calibrated model the share
-        of calibration events (trial registrations) that look at least as bad.
+        Probability of a misfit at least this large if prior and noise are as stated; with a trained model the share of
+        calibration events (trial registrations) that look at least as bad, or an estimate of it without calibration.
     reasons : list of str
         Reasons not to trust the result, in sentences that start with their kind: ``misfit``, ``few markers``, ``wrong
         marker``, ``inverted tets``, ``simulation``, ``unfamiliar``, ``noise``, or a kind of
         `tissuereg.registration.readings.Suspicion`.
     chi_square : float
         Misfit J: squared residuals over the noise, plus the squared distance from the prior mean over the prior
-        covariance; with a calibrated model the first alone.
+        covariance; with a trained model the first alone.
     residual_chi_square : float
         Data term of J alone: squared residuals over the noise.
     n_obs : int
@@ -65,7 +66,7 @@ def judge(
     notes: list[str],
     points: tuple[float, int] = (0.0, 0),
 ) -> Trust:
-    """Return whether a registration can be trusted, and why not, by chi-square tests of misfit and markers.
+    """Return whether a registration without a model can be trusted, and why not, by tests of misfit and markers.
 
     `names`: markers that were used; `residual` (n_markers, 3): measured minus fitted places, mm; NaN = not seen,
     ignored; `noise` (3 n_markers, 3 n_markers): covariance C_d of the noise, mm^2; `posterior_spread` (3 n_markers, 3
@@ -91,8 +92,8 @@ def judge(
         )
     if not points[1]:
         reasons += _too_few(names)
-    # Markers are taken for independent here: a spread estimated from an ensemble is not consistent enough with the
-    # noise to take out what correlated errors share.
+    # Markers are taken for independent here: a spread estimated from samples is not consistent enough with the noise to
+    # take out what correlated errors share.
     own = np.kron(np.eye(len(names)), np.ones((3, 3)))
     scores = score_markers(residual, noise * own, posterior_spread)
     for index in sorted(scores.wrong(LEVEL)):
@@ -143,7 +144,7 @@ def judge_by_rehearsal(
     min_det_f: float,
     notes: list[str],
 ) -> Trust:
-    """Return whether a registration with a calibrated model can be trusted, and why not, by comparison with trials.
+    """Return whether a registration with a trained model can be trusted, and why not, by comparison with trials.
 
     Its test statistics are judged together against those of calibration events (trial registrations with right
     measurements), of which one percent would not be trusted, by any statistic. `names`: markers that were used;

@@ -18,7 +18,7 @@ def score_markers(residual: FloatArray, noise: FloatArray, absorbed: FloatArray)
     `residual` (n_markers, 3): measured minus fitted places, mm; NaN = not seen, ignored; `noise` (3 n_markers, 3
     n_markers): covariance C_d of the measurement noise and model errors, mm^2; `absorbed` (3 n_markers, 3 n_markers):
     posterior covariance H P H' of the markers' predictions, mm^2. Where errors of different markers are correlated, use
-    the covariance of a linearised model: one estimated from an ensemble is not exact enough. A marker keeps at least a
+    the covariance of a linearised model: one estimated from samples is not exact enough. A marker keeps at least a
     twentieth of its noise. Result: arrays with one entry a marker. ``chi_square``: squared misfit to the others in its
     own standard deviations. ``n_obs``: number of components seen, its degrees of freedom. ``p_value``: the chance of a
     chi-square at least this large if the marker is good; 1 for a marker that was not seen. ``leverage``: the share of

@@ -120,7 +120,7 @@ def calibrate(
     holds, for each kind of change (one way in which truths differ from simulations, such as another stiffness),
     simulated and true fields of the same events, each (n_pairs, n_nodes, 3), in mm; `n_kinds` is the number of Gaussian
     components (kinds of events) from which the fit to `codes` starts; `settings` are those of the trial registrations.
-    Cost: about six decodes of 2 n_latent + 1 columns at the markers and targets for every trial.
+    Cost of every trial, at its markers and targets: six decodes of about 2 n_latent columns, five of its ensembles.
     """
     how = settings or RehearsalSettings()
     rehearsal = _Rehearsing(model, mesh, how)

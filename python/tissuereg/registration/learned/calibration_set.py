@@ -82,7 +82,7 @@ class CalibrationSet:
 class _Group:
     """The test statistics of one group of trials, sorted.
 
-    `columns` holds the sorted values of each of the four statistics. `rarest` holds, sorted, minus the logarithm of the
+    `columns` holds the sorted values of each statistic. `rarest` holds, sorted, minus the logarithm of the
     least p-value among each trial's statistics, each compared with the other trials of the group.
     """
 

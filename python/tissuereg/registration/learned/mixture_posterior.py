@@ -1,8 +1,8 @@
-"""The answer of a calibrated model given the markers: kinds and sizes of events, and the model's own errors.
+"""The answer of a trained model given the markers: kinds and sizes of events, and the model's own errors.
 
-An ensemble has found where the latents are; the decoder is linearised there, and the Gaussian mixture of
-`tissuereg.registration.learned.mixture` is conditioned on the markers. The moments are those at markers and targets;
-whole fields are computed for the answer alone.
+The posterior at markers and targets is that of the ensembles of `tissuereg.registration.learned.smoother`, with the
+factor on covariances that rehearsals gave. Whole fields are computed for the answer alone, from the same members and
+from the errors that the markers tell of them.
 """
 
 from dataclasses import dataclass
@@ -46,7 +46,7 @@ class _Anchor:
 
 @dataclass(frozen=True, eq=False)
 class CalibratedPosterior:
-    """The posterior of one registration with a calibrated model: moments of a Gaussian mixture; lengths in mm.
+    """The posterior of one registration with a trained model: moments of a mixture of ensembles; lengths in mm.
 
     Attributes
     ----------

@@ -39,11 +39,12 @@ _KEPT = 8
 class NetworkModel:
     """The trained model in a folder: ``encoder.onnx``, ``decoder.onnx``, ``decoder_weights.npz`` and ``model.json``.
 
-    `folder` is the folder of the four files; `mesh` is the mesh to register on, which must be the one that the model
-    was trained for; `threads` is the number of batches decoded at once, where 0 takes all cores (each batch runs on one
-    thread, so the bits do not depend on it); `source` is the origin of the model as a result states it, by default the
-    folder; `calibrated` says whether the folder's calibration is read, if there is one. Raises `ModelError` if a file
-    is missing or corrupt, or the model was trained for another mesh; `FormatError` if the weights lack an array.
+    `folder` is the folder of these files and of tables that they share (``NAME.npy``); `mesh` is the mesh to register
+    on, which must be the one that the model was trained for; `threads` is the number of batches decoded at once, where
+    0 takes all cores (each batch runs on one thread, so the bits do not depend on it); `source` is the origin of the
+    model as a result states it, by default the folder; `calibrated` says whether the folder's calibration is read, if
+    there is one. Raises `ModelError` if a file is missing or corrupt, or the model was trained for another mesh;
+    `FormatError` if the weights lack an array.
     """
 
     def __init__(

@@ -43,13 +43,13 @@ def register_by_model(
     """Register one moment (one set of marker measurements) with a trained model.
 
     `given`: checked input; `points`: the model at the markers and targets of that input; `simulation` (n_nodes, 3) or
-    None: displacement of the moment by a simulation, mm; `clock`: records the times of the stages: ``encode``,
-    ``assimilate``, ``decode``, ``judge``; `variants`: variants of the simulation, on whose mean the prior is then
+    None: displacement of the moment by a simulation, mm; `clock`: records the times of the stages ``encode``,
+    ``assimilate`` and ``judge``; `variants`: variants of the simulation, on whose mean the prior is then
     centred. The answer is compared with the simulation, or with that mean if there is no simulation. Cost: the
     ensembles of a few pairs of component and scale are decoded at markers and targets once for each step and once at
     the end, and before that three times about 2 n_latent columns; again for every marker that is left out. One whole
     field is decoded. Raises `EnsembleError` if too few ensemble members survive; `ArgumentError` if variants are given
-    and there are no pairs of simulation and truth behind the model's calibration.
+    and there are no pairs of simulation and truth behind what is known of the model.
     """
     if variants is not None and not points.knows_changes:
         message = "`variants` must be left out: the model was not calibrated with pairs of simulation and truth"

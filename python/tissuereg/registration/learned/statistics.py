@@ -1,4 +1,4 @@
-"""The test statistics by which a registration with a calibrated model is compared with the calibration set."""
+"""The test statistics by which a registration with a trained model is compared with the calibration set."""
 
 from dataclasses import dataclass
 
@@ -18,7 +18,7 @@ _LEAST = 1e-300
 
 @dataclass(frozen=True, eq=False)
 class Statistics:
-    """Test statistics of one registration with a calibrated model, dimensionless.
+    """Test statistics of one registration with a trained model, dimensionless.
 
     `row` (5,): as `tissuereg.registration.learned.calibration_set.STATISTICS`; `marker_rows` (n_markers,): the
     statistic of each marker: the second of `row` is the largest of them; `marker_misfits` (n_markers,): squared misfit
