@@ -9,7 +9,7 @@ import numpy as np
 from readme import write_table
 
 HERE = Path(__file__).resolve().parent
-PAGE, RESULTS = HERE / "RESULTS.md", HERE.parents[1] / "docs" / "results.md"
+PAGE, RESULTS, README = HERE / "RESULTS.md", HERE.parents[1] / "docs" / "results.md", HERE.parents[1] / "README.md"
 
 _SETS = {
     "known": "known physics",
@@ -31,8 +31,8 @@ of noise; 20 random inner points each, or the demo's lesion. No model was traine
 * **Demo**: one true field by another model than the simulation, with other markers and noise in every event.
 
 *shipped*: `model="phantom"`, {shipped}. *graph*: `model="phantom-graph"`, {graph}. *not calibrated*: the shipped
-network by what it states of itself. *without ES-MDA*: members stay where the prior has them, and only the model's own error is
-told by the markers. Brackets: 95 %, clusters drawn again. *Silent*: trusted, no marker named, and at least half of the
+network by what it states of itself. *without ES-MDA*: members stay where the prior has them, and only the model's own
+error is told by the markers. Brackets: 95 %, clusters drawn again. *Silent*: trusted, no marker named, and at least half of the
 targets that are not flagged lie outside their 90 % regions.
 """
 
@@ -111,6 +111,22 @@ def results_table(rows: list[dict[str, Any]]) -> str:
     return "\n".join(honest_table(rows, ("shipped", "graph", "not calibrated"))) + "\n"
 
 
+def readme_table(rows: list[dict[str, Any]]) -> str:
+    """Return the table of the repository's README: honest input of the shipped models."""
+    methods = ("shipped", "graph")
+    heads = [f"{method}: error, mm | 90 % regions hold" for method in methods]
+    lines = [f"| with a trained model | simulation, mm | {' | '.join(heads)} |", "|---" * 6 + "|"]
+    for name in ("demo", "foreign"):
+        cells = [_SETS[name], f"{_column(_of(rows, 'shipped', name, 'honest'), 'before_mm').mean():.2f}"]
+        for method in methods:
+            own = _of(rows, method, name, "honest")
+            after = _column(own, "after_mm")
+            low, high = _interval(after, own)
+            cells += [f"{after.mean():.2f} ({low:.2f} to {high:.2f})", f"{100 * _column(own, 'held90').mean():.0f} %"]
+        lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join(lines) + "\n"
+
+
 def _of(rows: list[dict[str, Any]], method: str, name: str, change: str) -> list[dict[str, Any]]:
     return [row for row in rows if (row["method"], row["set"], row["input"]) == (method, name, change)]
 
@@ -136,6 +152,7 @@ def _interval(values: Any, rows: list[dict[str, Any]]) -> tuple[float, float]:
 
 
 def write_page(archive: dict[str, Any]) -> None:
-    """Write the page, and the table in ``docs/results.md``."""
+    """Write the page, and the tables of the results and of the README."""
     PAGE.write_text(page(archive), encoding="utf-8")
     write_table("learned", results_table(archive["rows"]), RESULTS)
+    write_table("learned", readme_table(archive["rows"]), README)

@@ -83,6 +83,7 @@ def test_a_page_of_the_blind_bench_is_that_of_its_verdicts(tier):
 def test_the_table_of_trained_models_in_the_results_is_that_of_the_archive():
     answer, kept = read_archive(learned.ARCHIVE), table("learned", learned_page.RESULTS)
     assert learned_page.results_table(answer["rows"]) == kept
+    assert learned_page.readme_table(answer["rows"]) == table("learned", learned_page.README)
 
 
 def test_the_page_of_unknown_loads_is_that_of_its_archives():

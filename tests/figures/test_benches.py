@@ -94,14 +94,13 @@ def test_advise(copy, few_shapes):
     assert "80 members choose, 5 held-out members" in (copy / "benchmarks/advise/RESULTS.md").read_text("utf-8")
 
 
-def test_spread(copy, few_shapes):
-    recipe = copy / "benchmarks" / "spread" / "spread-foreign.toml"
+def test_learned(copy, few_shapes):
+    recipe = copy / "benchmarks" / "learned" / "foreign.toml"
     recipe.write_text(recipe.read_text("utf-8").replace("members = 10 ", "members = 1 "), "utf-8")
-    run(copy, "spread.spread", "--make-foreign", "foreign", "--files", 4)
-    model = REPOSITORY / "python" / "tissuereg" / "phantom" / "model"
-    few = ("--events", 2, "--rivals", 1, "--alarms", 1)
-    run(copy, "spread.spread", "--model", model, "--data", few_shapes, "--foreign", "foreign", *few)
-    assert read_archive(copy / "benchmarks" / "spread" / "archive")["sets"]["known"]["ours"]["events"] == 2
+    run(copy, "learned", "--foreign", "foreign", "--make", "1:6:2")
+    run(copy, "learned", "--data", few_shapes, "--foreign", "foreign", "--share", 0.004)
+    rows = read_archive(copy / "benchmarks" / "learned" / "archive")["rows"]
+    assert {row["method"] for row in rows} >= {"shipped", "graph", "not calibrated", "without ES-MDA"}
 
 
 @pytest.mark.skipif(not SHARED.is_dir(), reason="the folder `shared` next to the repository is absent")

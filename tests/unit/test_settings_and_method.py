@@ -39,7 +39,9 @@ OF_SUPPORTS = {"held": "perhaps", "stiffness": "graded"}
 
 @pytest.mark.parametrize("name", OF_CONTACTS)
 def test_a_setting_of_contacts_means_nothing_with_a_model(mesh, places, name):
-    with pytest.raises(ModelError, match=f"`{name}` must be left out with a trained model, where it means nothing; got") as e:
+    with pytest.raises(
+        ModelError, match=f"`{name}` must be left out with a trained model, where it means nothing; got"
+    ) as e:
         made(mesh, places, **{name: OF_CONTACTS[name]})
     assert e.value.where == name
 
