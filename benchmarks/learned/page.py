@@ -32,8 +32,8 @@ of noise; 20 random inner points each, or the demo's lesion. No model was traine
 
 *shipped*: `model="phantom"`, {shipped}. *graph*: `model="phantom-graph"`, {graph}. *not calibrated*: the shipped
 network by what it states of itself. *without ES-MDA*: members stay where the prior has them, and only the model's own
-error is told by the markers. Brackets: 95 %, clusters drawn again. *Silent*: trusted, no marker named, and at least half of the
-targets that are not flagged lie outside their 90 % regions.
+error is told by the markers. Brackets: 95 %, clusters drawn again. *Silent*: trusted, no marker named, and at least
+half of the targets that are not flagged lie outside their 90 % regions.
 """
 
 

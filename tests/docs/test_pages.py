@@ -1,7 +1,6 @@
 """Does every code block of the documentation do what its page says?"""
 
 import json
-import re
 import shutil
 
 import numpy as np
@@ -18,7 +17,6 @@ from tissuereg.phantom.demo import run_demo
 
 DOCS = REPOSITORY / "docs"
 FIGURES = script("tools", "demo_figures")
-NUMBER = re.compile(r"\d+\.\d+")
 PAGES = [REPOSITORY / "README.md", *sorted(DOCS.rglob("*.md"))]
 #: Guides are followed by `test_guides.py`, in a copy of the sources.
 WITH_BLOCKS = [page for page in PAGES if blocks(page) and page.parent.name != "guides"]
@@ -115,10 +113,6 @@ def test_the_readme_runs_and_finds_the_lesion(run):
     assert (folder / "report.html").is_file()
     assert (folder / "registered" / "registered.vtu").is_file()
     assert isinstance(result, tr.Registration)
-    shown, made = script("benchmarks", "readme").table("demo", FIGURES.RESULTS), FIGURES.demo_table(answer)
-    assert NUMBER.sub("", shown) == NUMBER.sub("", made)
-    # One unit of the last digit: other processors round other sums.
-    np.testing.assert_allclose(*(list(map(float, NUMBER.findall(text))) for text in (shown, made)), atol=0.0101)
 
 
 def test_the_results_show_the_errors_of_the_model_that_is_shipped():

@@ -99,8 +99,9 @@ class Evidence:
 
         `observed` (n_obs,): measured displacements, mm, of the decoder's first n_obs rows; `noise` (n_obs, n_obs):
         covariance of the tracker's noise, mm^2; `compared`: markers that are compared with their prediction by the
-        others; `pairs` int64 (n_pairs,), ascending: numbers of the pairs, all by default. Raises `NoiseError` if the covariance of an innovation is not positive definite. Cost: a Cholesky
-        factor of size n_obs for every pair, and an inverse where every marker is compared.
+        others; `pairs` int64 (n_pairs,), ascending: numbers of the pairs, all by default. Raises
+        `NoiseError` if the covariance of an innovation is not positive definite. Cost: a Cholesky factor of size n_obs
+        for every pair, and an inverse where every marker is compared.
         """
         n_obs = len(observed)
         slopes = model.slopes[:n_obs]
