@@ -3,6 +3,7 @@
 import argparse
 import importlib
 import importlib.util
+import sys
 
 from tissuereg.cli.calibrate import add_pairs, calibrated
 from tissuereg.cli.options import Help, Parser
@@ -47,6 +48,9 @@ def run(args: argparse.Namespace) -> int:
     training = importlib.import_module("tissuereg_training.cli")
     code = int(training.main(_words(args)))
     if code == 0:
+        if not args.quiet:
+            again = f"tissuereg calibrate {args.out} --data {args.data[0]}"
+            print(f"trained; calibrating by trial registrations (if stopped: {again})", file=sys.stderr, flush=True)
         calibrated(args.out, args.data[0], args.pairs, args.seed or 0)
     return code
 
