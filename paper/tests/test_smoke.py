@@ -141,13 +141,17 @@ def test_variants_are_solved_and_compared(run, kept, tmp_path, rigs, monkeypatch
     monkeypatch.setattr(rig_variants, "SHARES", np.array([0.25, 0.5, 1.0]))
     monkeypatch.setattr(rig_variants, "DEVELOPMENT_SEEDS", {1: [101]})
     run(rig_variants, tmp_path / "variants", "--development", "--scenario", "1")
-    with np.load(tmp_path / "variants" / f"{RIG}.npz") as made:
+    run(rig_variants, tmp_path / "halved", "--development", "--scenario", "1", "--halved")
+    with np.load(tmp_path / "variants" / f"{RIG}.npz") as made, np.load(tmp_path / "halved" / f"{RIG}.npz") as other:
         assert np.isfinite(made["push_mN"]).sum() > 4
+        assert (made["young_kpa"] == 2.0 * other["young_kpa"]).all()
+        # The same strokes push a softer body less hard.
+        assert np.nanmean(other["push_mN"][:, 0]) < np.nanmean(made["push_mN"][:, 0])
     monkeypatch.setattr(variants, "SHARES", (0.25,))
     monkeypatch.setattr(variants, "FEWER", (2,))
-    run(kept(variants), "--data", rigs, "--variants", tmp_path / "variants")
+    run(kept(variants), "--data", rigs, "--variants", tmp_path / "variants", "--halved", tmp_path / "halved")
     rows = read_archive(variants.ARCHIVE)["rows"]
-    assert len(rows) == 5
+    assert len(rows) == 7
     assert all(set(row["rigs"]) == {RIG} for row in rows)
 
 

@@ -88,6 +88,10 @@ def test_a_variant_is_taken_with_moduli_from_the_softest_to_the_stiffest():
     pushes = np.array([[100.0, 200.0, 300.0, 400.0], [100.0, 200.0, 300.0, 400.0]])
     slopes = np.array([0.01, 0.02])
     fields = (slopes[:, None] * pushes)[:, :, None, None] * np.ones((1, 1, 2, 3))
+    softer = RigVariants(fields, pushes, (5.0, 10.0)).at(50.0)
+    assert softer.shape == (2 * N_MODULI, 2, 3)
+    assert softer.max() < 0.02 * 50.0 * STORED_KPA / 5.0
+    assert softer.min() > 0.01 * 50.0 * STORED_KPA / 10.0
     found = RigVariants(fields, pushes).at(100.0)
     assert found.shape == (2 * N_MODULI, 2, 3)
     for slope, of_body in zip(slopes, np.split(found[:, 0, 0], 2), strict=True):

@@ -1,6 +1,6 @@
 """Variants of the simulation on development rigs of the phantom experiment: how many, and what stays beside them.
 
-``python -m scripts.variants --variants FOLDER`` writes ``archive/variants`` and the table of
+``python -m scripts.variants --variants FOLDER --halved FOLDER`` writes ``archive/variants`` and the table of
 ``docs/decisions/learned-model.md``; ``--page`` writes the table alone. Nothing here is a reported rig.
 """
 
@@ -32,6 +32,9 @@ TABLES = ("rows/#/rigs/<rig>",)
 #: Shares of the general variance that stay beside the variants, with all of them; the released one with fewer bodies.
 SHARES, FEWER = (0.03, 0.1, 0.25, 1.0), (6, 12)
 
+#: How rows of variants from ranges that are wrong by half begin.
+HALVED = "variants of ranges wrong by half"
+
 
 def settings():
     """Return the compared registrations: words, method, share of the general variance, number of bodies."""
@@ -42,20 +45,27 @@ def settings():
         ("variants alone, one Kalman update", EnsembleOfSimulations, None, 24),
         *((f"network and variants, share {share:g}", VariedNetwork, share, 24) for share in SHARES),
         *((f"network and variants, share {released:g}", VariedNetwork, released, count) for count in FEWER),
+        (f"{HALVED}, one Kalman update", EnsembleOfSimulations, None, 24),
+        (f"{HALVED}, network, share {released:g}", VariedNetwork, released, 24),
     ]
 
 
-def measure(data, folder):
-    """Return the rows of the table: errors of each registration on each rig that has variants."""
+def measure(data, folder, other):
+    """Return the rows of the table: errors of each registration on each rig that has variants.
+
+    `folder`, `other`: variants from the ranges of the truth, and from ranges that are wrong by half.
+    """
     mesh = phantom_mesh()
     model = as_model("phantom", mesh, 1)
     rigs = [rig for rig in read_rigs(data) if (folder / f"{rig.name}.npz").exists()]
     compared = settings()
     rows = [{"words": words, "bodies": count, "rigs": {}} for words, _, _, count in compared]
     for rig in rigs:
-        variants, markers = read_variants(folder, rig, mesh.n_nodes), measured(rig, PLAIN, 0)
+        right, wrong = (read_variants(one, rig, mesh.n_nodes) for one in (folder, other))
+        markers = measured(rig, PLAIN, 0)
         believed = Believed(rig, mesh, 1)
         for row, (_, method, share, count) in zip(rows, compared, strict=True):
+            variants = wrong if row["words"].startswith(HALVED) else right
             few = {part: getattr(variants, part)[:count] for part in ("fields_mm", "pushes")}
             believed.variants = replace(variants, **few)
             calibration.BESIDE_VARIANTS = share
@@ -110,11 +120,12 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--data", type=Path, default=PAPER / "bench" / "twin" / "development")
     parser.add_argument("--variants", type=Path)
+    parser.add_argument("--halved", type=Path, help="the same from ranges that are wrong by half")
     parser.add_argument("--page", action="store_true", help="write the table again from the archive")
     options = parser.parse_args()
     if not options.page:
         with threadpool_limits(limits=1, user_api="blas"):
-            content = {"machine": machine(), "rows": measure(options.data, options.variants)}
+            content = {"machine": machine(), "rows": measure(options.data, options.variants, options.halved)}
         write_archive(ARCHIVE, content, TABLES)
     write_table("variants", table(read_archive(ARCHIVE)), PAGE)
 

@@ -33,10 +33,13 @@ class RigVariants:
         Displacements at equilibria, NaN beyond the last one.
     pushes : ndarray of float64, shape (n_variants, n_levels)
         How hard the pads push there along their strokes together, mN.
+    young_kpa : tuple of (float, float)
+        Least and largest Young's modulus with which each is taken, kPa.
     """
 
     fields_mm: FloatArray
     pushes: FloatArray
+    young_kpa: tuple[float, float] = YOUNG_KPA
 
     def at(self, push: float) -> FloatArray:
         """Return all variants under a push in mN, (n, n_nodes, 3) in mm; those that it presses too far are left out.
@@ -45,7 +48,7 @@ class RigVariants:
         several moduli.
         """
         steps = (np.arange(N_MODULI)[None] + _spread_evenly(len(self.pushes))[:, None]) / N_MODULI
-        low, high = np.log(YOUNG_KPA)
+        low, high = np.log(self.young_kpa)
         wanted = push * STORED_KPA / np.exp(low + (high - low) * steps)
         found = [
             field
@@ -77,7 +80,9 @@ def read_variants(folder: str | os.PathLike[str], rig: Rig, n_nodes: int) -> Rig
     """
     with open_npz(file_of(folder, rig)) as file:
         pushes = file.floats("push_mN", None, None, finite=False)
-        return RigVariants(file.floats("field_mm", *pushes.shape, n_nodes, 3, finite=False), pushes)
+        low, high = (float(one) for one in file.floats("young_kpa", 2)) if "young_kpa" in file else YOUNG_KPA
+        fields = file.floats("field_mm", *pushes.shape, n_nodes, 3, finite=False)
+        return RigVariants(fields, pushes, (low, high))
 
 
 def file_of(folder: str | os.PathLike[str], rig: Rig) -> Path:
