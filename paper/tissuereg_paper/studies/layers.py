@@ -3,8 +3,6 @@
 from dataclasses import dataclass
 from typing import Any
 
-from tissuereg.io.fields import Archive
-
 
 @dataclass(frozen=True)
 class Layer:
@@ -56,30 +54,28 @@ def graph_layers(levels: tuple[int, ...], channels: tuple[int, ...], n_latent: i
 PAPER = graph_layers(PAPER_LEVELS, PAPER_CHANNELS, PAPER_LATENTS)
 
 
-def layers_of(weights: Archive, card: dict[str, Any]) -> tuple[Layer, ...]:
+def layers_of(card: dict[str, Any]) -> tuple[Layer, ...]:
     """Return the layers of a model.
 
     Parameters
     ----------
-    weights : Archive
-        Its ``decoder_weights.npz``.
     card : dict
         Its card.
 
     Returns
     -------
     tuple of Layer
-        As in Table II where the card states ``levels`` and ``channels``; the fully connected layers of the decoder
-        where its weights hold ``layer0/weight`` and so on; otherwise none.
+        As in Table II where it is a graph network; of other networks the decoder: fully connected layers, the linear
+        part, components, and then those of a graph network where it has one; otherwise none.
     """
     levels, channels = card.get("levels"), card.get("channels")
+    graph: tuple[Layer, ...] = ()
     if isinstance(levels, list) and isinstance(channels, list) and len(levels) == len(channels) + 1:
-        return graph_layers(tuple(levels), tuple(channels), card["n_latent"])
-    found: list[Layer] = []
-    while (name := f"layer{len(found)}/weight") in weights:
-        found.append(Layer("Fully connected", (1, len(weights.floats(name, None, None)))))
-    if "skip/weight" in weights:
-        found.append(Layer("Linear, from the latents, added", (1, len(weights.floats("skip/weight", None, None)))))
-    if found:
-        found.append(Layer("Principal components", (card["n_nodes"], 3)))
-    return tuple(found)
+        graph = graph_layers(tuple(levels), tuple(channels), card["n_latent"])
+    hidden, n_components = card.get("hidden"), card.get("n_components")
+    if not isinstance(hidden, list) or not isinstance(n_components, int):
+        return graph
+    found = [Layer("Fully connected", (1, width)) for width in (*hidden, n_components)]
+    found.append(Layer("Linear, from the latents, added", (1, n_components)))
+    found.append(Layer("Principal components", (card["n_nodes"], 3)))
+    return (*found, *graph[len(graph) // 2 :])

@@ -103,5 +103,4 @@ def subject_of(model: str | os.PathLike[str] | None = None) -> Subject:
     facts = {name: card[name] for name in ("kind", "n_nodes", "n_latent", "members", "errors_mm")}
     with open_npz(Path(folder) / "decoder_weights.npz") as weights:
         mean = weights.floats("mean_mm", card["n_nodes"], 3) if "mean_mm" in weights else None
-        layers = layers_of(weights, card)
-    return Subject(held_out, network, {**facts, "source": source}, layers, mean)
+    return Subject(held_out, network, {**facts, "source": source}, layers_of(card), mean)
