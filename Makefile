@@ -24,7 +24,7 @@ help:
 	@echo "make test-wheel      the wheel installed without a compiler, and another one built from the source archive"
 	@echo "make lint            formatters, linters, types"
 	@echo "make bench           times by stage of whole registrations; all other benches: benchmarks/README.md"
-	@echo "make phantom-model   data set and shipped model of the phantom, anew (hours; resumable); make table2-model: the paper's"
+	@echo "make phantom-model   data set and shipped models of the phantom, anew (hours; resumable); make table2-model: the paper's"
 	@echo "                     network on the same data; make small-model: that of tests, on the small phantom (half an hour)"
 	@echo "make demo-figures    what the README shows of the demo, after a change of model or phantom"
 
@@ -122,7 +122,7 @@ docs: $(DOCS_VENV)/.installed
 bench:
 	$(MAKE) -C benchmarks/speed stages
 
-# Runs of hours: each goes on where it was stopped. What is shipped are the files of build/phantom-model.
+# Runs of hours: each goes on where it was stopped. What is shipped are the files of build/phantom-model and build/phantom-graph.
 phantom-data: $(VENV)/.installed
 	$(BIN)/tissuereg simulate training/recipes/breast.toml --out build/phantom-data
 
@@ -133,10 +133,11 @@ PAIRS := --pairs build/phantom-pairs --pairs $(FOREIGN)/development --pairs $(PR
 
 phantom-model: phantom-data training
 	$(MAKE) -C paper pairs PRESSED=$(PRESSED)
-	$(MAKE) -C benchmarks/spread data FOREIGN=$(FOREIGN)
+	$(MAKE) -C benchmarks/learned data FOREIGN=$(FOREIGN)
 	$(BIN)/tissuereg simulate training/recipes/breast-more.toml --out build/phantom-more
 	$(BIN)/tissuereg simulate training/recipes/breast-pairs.toml --out build/phantom-pairs
 	$(TRAINING_BIN)/tissuereg train training/recipes/closure.toml --data build/phantom-data --data build/phantom-more --out build/phantom-model $(PAIRS)
+	$(TRAINING_BIN)/tissuereg train training/recipes/graph.toml --data build/phantom-data --data build/phantom-more --out build/phantom-graph $(PAIRS)
 
 table2-model: phantom-data training
 	$(TRAINING_BIN)/tissuereg train training/recipes/table2.toml --data build/phantom-data --out build/table2-model

@@ -42,6 +42,14 @@ def test_a_model_is_calibrated_and_registers_with_it(folders, capsys):
     found = json.loads(capsys.readouterr().out)
     assert code == 0, found
     assert (code, found["schema"], found["pairs"]) == (0, "tissuereg.calibrate/1", 14)
+    beside = found["beside_contacts"]
+    for one in (beside["alone"], beside["simulated"]):
+        assert one["events"] > 0
+        assert max(one["model"], one["contacts"]) < one["before"]
+    text = (folders / "model" / "MODEL.md").read_text(encoding="utf-8")
+    assert text.count("## Beside registration without a model") == 1
+    assert text.endswith(beside["text"])
+    assert f"| {beside['alone']['before']:.2f} | {beside['alone']['model']:.2f} |" in text
     data = tr.open_dataset(folders / "data")
     field, surface = data.displacement[5].astype(float), np.unique(data.mesh.surface)[::60]
     reference = data.mesh.nodes[surface]

@@ -1,6 +1,7 @@
 """The command ``tissuereg calibrate``: measures how accurate and how certain a trained model's answers are."""
 
 import argparse
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,11 +19,15 @@ HELP = Help(
     "are registered from random markers. Pairs of what is believed and what happens tell how far truths lie from "
     "simulations: those of the data set, if its recipe asked for some, and those of PAIRS, another data set with pairs "
     "or a folder of files pairs_*.npz with simulation_mm and truth_mm (n, n_nodes, 3). Each is a kind of change of its "
-    "own: the markers say of which kind an event is. The folder gets calibration.npz; 'tissuereg register --model' "
-    "uses it.",
+    "own: the markers say of which kind an event is. The folder gets calibration.npz, which 'tissuereg register "
+    "--model' uses, and MODEL.md says what the model is worth beside registration without one.",
     example="tissuereg calibrate model --data data --pairs pairs --json -",
     seed="seed of kinds, places and noise (default: 0)",
 )
+
+
+#: Events that are registered with and without the model.
+_COMPARED = 12
 
 
 def options(parser: Parser) -> None:
@@ -42,7 +47,8 @@ def run(args: argparse.Namespace) -> Outcome:
     """Run ``tissuereg calibrate``: calibrate a model and write the result; JSON schema ``tissuereg.calibrate/1``."""
     content = calibrated(args.model, args.data, args.pairs, args.seed or 0)
     counts = f"{content['kinds']} kinds of events, {content['events']} rehearsals, {content['pairs']} pairs"
-    return Outcome(content, "\n".join([counts, seconds_line(content["seconds"])]), args.threads)
+    said = [counts, "", content["beside_contacts"]["text"], seconds_line(content["seconds"])]
+    return Outcome(content, "\n".join(said), args.threads)
 
 
 def calibrated(folder: str, data_folder: str, pairs_folders: list[str], seed: int) -> dict[str, Any]:
@@ -56,6 +62,7 @@ def calibrated(folder: str, data_folder: str, pairs_folders: list[str], seed: in
     from tissuereg.registration.learned.calibrate import RehearsalSettings, calibrate, codes_of
     from tissuereg.registration.learned.calibration_file import write_calibration
     from tissuereg.registration.learned.network import NetworkModel
+    from tissuereg.registration.worth import worth, worth_text
 
     clock = Stopwatch()
     data = open_dataset(data_folder)
@@ -69,7 +76,14 @@ def calibrated(folder: str, data_folder: str, pairs_folders: list[str], seed: in
     clock.lap("encode")
     made = calibrate(model, data.mesh, codes, unseen, pairs, settings=RehearsalSettings(seed=seed))
     clock.lap("rehearse")
-    write_calibration(Path(folder), made)
+    model.calibration = made
+    alone, simulated = worth(model, data.mesh, unseen[-_COMPARED:], [None] * len(unseen[-_COMPARED:]), seed), None
+    if pairs:
+        simulations, truths = (np.concatenate(parts)[-_COMPARED:] for parts in zip(*pairs, strict=True))
+        simulated = worth(model, data.mesh, truths, list(simulations), seed)
+    text = worth_text(alone, simulated)
+    clock.lap("compare")
+    write_calibration(Path(folder), made, text)
     clock.lap("write")
     laws = {"alone": made.alone, "simulated": made.anchored}
     return {
@@ -80,6 +94,11 @@ def calibrated(folder: str, data_folder: str, pairs_folders: list[str], seed: in
         "kinds_of_change": len(pairs),
         "widening": {name: None if law is None else law.widening for name, law in laws.items()},
         "tail_degrees_of_freedom": {name: None if law is None else law.tail for name, law in laws.items()},
+        "beside_contacts": {
+            "alone": None if alone is None else asdict(alone),
+            "simulated": None if simulated is None else asdict(simulated),
+            "text": text,
+        },
         "seed": seed,
         "seconds": clock.seconds,
     }

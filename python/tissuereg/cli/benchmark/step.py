@@ -1,8 +1,8 @@
 """Timings of one registration step by stage, and a lower bound from its multiply-adds.
 
-Ensembles have N_e = 100 members and N_a = 5 assimilations as in the paper, and in one row the defaults; 15 markers lie on the free surface, with one target. All
-that `Registrar` prepares is ready before. Many random sets of markers are timed, each with another event: a simulation,
-and a true displacement with other loads and another stiffness.
+Ensembles have N_e = 100 members and N_a = 5 assimilations as in the paper, and in one row the defaults; 15 markers lie
+on the free surface, with one target. All that `Registrar` prepares is ready before. Many random sets of markers are
+timed, each with another event: a simulation, and a true displacement with other loads and another stiffness.
 """
 
 import tempfile

@@ -13,11 +13,15 @@ from tissuereg.registration.learned.card import card_text, read_card
 
 CALIBRATION_NAME = "calibration.npz"
 
+#: Heading of the section of a model's page that compares it with registration without a model.
+_WORTH = "## Beside registration without a model"
 
-def write_calibration(folder: Path, calibration: Calibration) -> None:
+
+def write_calibration(folder: Path, calibration: Calibration, worth: str | None = None) -> None:
     """Write a calibration as ``calibration.npz`` into the folder of its model, and its SHA-256 into the model's card.
 
-    The card is the file ``model.json``. Raises `ModelError` if there is no card; `OutputError` if a file cannot be
+    The card is the file ``model.json``. `worth`: text that becomes the last section of ``MODEL.md``, in the place of an
+    older one. Raises `ModelError` if there is no card; `OutputError` if a file cannot be
     written. Each file is written whole or not at all; a calibration that the card does not list is not used.
     """
     card = read_card(folder)
@@ -25,6 +29,12 @@ def write_calibration(folder: Path, calibration: Calibration) -> None:
     with atomic_file(path) as draft, draft.open("wb") as stream:
         np.savez_compressed(stream, **calibration.save())  # type: ignore[arg-type]
     card["files"][CALIBRATION_NAME] = _sha256(path)
+    if worth is not None:
+        page = folder / "MODEL.md"
+        before = page.read_text(encoding="utf-8").split(_WORTH)[0] if page.exists() else ""
+        with atomic_file(page) as draft:
+            draft.write_text(f"{before.rstrip()}\n\n{_WORTH}\n\n{worth}".lstrip(), encoding="utf-8")
+        card["files"][page.name] = _sha256(page)
     with atomic_file(folder / "model.json") as draft:
         draft.write_text(card_text(card), encoding="utf-8")
 

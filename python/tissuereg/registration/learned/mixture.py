@@ -116,9 +116,7 @@ class Evidence:
         covariances = spread + np.array([one.errors[:n_obs, :n_obs] for one in used])
         off = observed - model.at[:n_obs] - (np.array([one.mean for one in used]) - model.point) @ slopes.T
         given = covariances, off, number, scale, np.ascontiguousarray(noise)
-        logs, *others = _core.score_components(
-            *given, group=0 if compared == "none" else 3, last=compared == "last"
-        )
+        logs, *others = _core.score_components(*given, group=0 if compared == "none" else 3, last=compared == "last")
         return cls(prior, model, pairs, component, scale, weights + logs, *others)
 
     @cached_property
