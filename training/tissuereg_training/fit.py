@@ -24,6 +24,9 @@ from tissuereg_training.settings import TrainSettings
 
 Report = Callable[[str], None]
 
+#: Batches that are timed before a training.
+_TIMED = 3
+
 
 @dataclass
 class FitState:
@@ -102,6 +105,10 @@ def fit(
         checkpoint.load_into(model, optimiser, state)
     x = normalised_parts(model, train)
     n_batches = max(1, round(len(x) / settings.batch))
+    if report is not None:
+        left = settings.epochs - state.epoch
+        seconds = _seconds_of_an_epoch(model, x, n_batches, settings)
+        report(f"{left} epochs of about {seconds:.1f} s on this machine as it is now: {left * seconds / 3600:.1f} h")
     reported = time.perf_counter()
     while state.epoch < settings.epochs and not stalled(state, settings):
         start = time.perf_counter()
@@ -172,6 +179,19 @@ def _epoch(
         optimiser.step()
         sums += (missed.item(), kl.item())
     return {"reconstruction": float(sums[0] / n_batches), "kl": float(sums[1] / n_batches)}
+
+
+def _seconds_of_an_epoch(model: Network, train: torch.Tensor, n_batches: int, settings: TrainSettings) -> float:
+    """Return what an epoch will take, from a few batches; weights and random numbers stay as they are."""
+    rows, spent = np.arange(min(settings.batch, len(train))), []
+    for _ in range(_TIMED):
+        start = time.perf_counter()
+        x = _blended(train, rows, settings.mixing, np.random.default_rng(0))
+        mean, log_variance = model.encode(x)
+        (reconstruction(model.decode(mean), x, settings.loss) + kl_divergence(mean, log_variance).sum()).backward()
+        model.zero_grad()
+        spent.append(time.perf_counter() - start)
+    return n_batches * float(np.median(spent))
 
 
 def _blended(train: torch.Tensor, rows: Any, share: float, rng: np.random.Generator) -> torch.Tensor:

@@ -72,7 +72,7 @@ class TrainSettings:
     n_latent: int = 26
     gradient_limit: float = 1.0
     patience: int = 0
-    spread_weight: float = 3.0
+    spread_weight: float = 1.0
     spread_epochs: int = 5
     error_fields: int = 64
 

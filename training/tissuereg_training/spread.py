@@ -26,6 +26,9 @@ from tissuereg_training.settings import TrainSettings
 #: Peak of the learning rate: one layer, whose loss is smooth.
 _RATE = 1e-2
 
+#: Fields from which the head's first bias is taken.
+_FIRST = 500
+
 
 def fit_spread(
     model: Network,
@@ -85,6 +88,10 @@ def _fitted(
     report: Callable[[str], None] | None,
 ) -> list[dict[str, float]]:
     """Run the epochs of the second stage on normalised fields; return a row for each."""
+    # From one variance a latent: weights of the first stage, for other variances, would only have to shrink.
+    with torch.no_grad():
+        head.bias.copy_(model.encode(x[:_FIRST])[1].mean(dim=0))
+        head.weight.zero_()
     optimiser = torch.optim.Adam(head.parameters(), lr=_RATE)
     n_batches = max(1, round(len(x) / settings.batch))
     n_steps, history = settings.spread_epochs * n_batches, list[dict[str, float]]()

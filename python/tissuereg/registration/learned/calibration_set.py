@@ -3,7 +3,8 @@
 A registration has a few test statistics, each larger where it looks worse. No distribution is assumed for them: events
 that were not used in training were registered with correct measurements, and the p-value of a statistic is the share of
 these trials in which it is at least as large. All statistics together are judged by the smallest of their p-values; its
-own p-value is again the share of trials in which it is as small.
+own p-value is again the share of trials in which it is as small. Trials come in groups, one for each physics, which
+count alike whatever the number of their events.
 """
 
 from dataclasses import dataclass
@@ -62,47 +63,38 @@ class CalibrationSet:
         return len(self.statistics)
 
     def shares(self, statistics: FloatArray) -> FloatArray:
-        """Return for each of statistics (5,) the share of calibration events as bad, in the group that looks worst."""
+        """Return for each of statistics (5,) the share of calibration events as bad; groups count alike."""
         if not len(self):
             return np.asarray(np.where(_CHANCES, np.minimum(np.exp(-_POWER * statistics), 1.0), 1.0))
-        return np.asarray(np.max([group.shares(statistics) for group in self._groups], axis=0))
+        return np.asarray(self._shares(statistics[None])[0])
 
     def p_value(self, statistics: FloatArray) -> float:
-        """Return the share of calibration events with as rare a worst statistic as (5,) ones, in the worst group."""
+        """Return the share of calibration events with as rare a worst statistic as (5,) ones; groups count alike."""
         if not len(self):
             return min(1.0, sum(_CHANCES) * float(self.shares(statistics).min()))
-        return max(group.p_value(statistics) for group in self._groups)
+        rarest = -np.log(self.shares(statistics).min())[None]
+        return float(np.mean([one.shares(rarest)[0] for one in self._rarest]))
 
     @cached_property
-    def _groups(self) -> list["_Group"]:
-        return [_Group.of(self.statistics[self.groups == group]) for group in np.unique(self.groups)]
+    def _columns(self) -> list[list["_Ascending"]]:
+        """The sorted values of each statistic, of each group."""
+        rows = (self.statistics[self.groups == group] for group in np.unique(self.groups))
+        return [[_Ascending.of(column) for column in own.T] for own in rows]
 
+    @cached_property
+    def _rarest(self) -> list["_Ascending"]:
+        """Minus the logarithm of the least share among each event's statistics, sorted, of each group."""
+        groups = (self.statistics[self.groups == group] for group in np.unique(self.groups))
+        shares = (self._shares(rows, own=number) for number, rows in enumerate(groups))
+        return [_Ascending.of(-np.log(one.min(axis=1))) for one in shares]
 
-@dataclass(frozen=True, eq=False)
-class _Group:
-    """The test statistics of one group of trials, sorted.
-
-    `columns` holds the sorted values of each statistic. `rarest` holds, sorted, minus the logarithm of the
-    least p-value among each trial's statistics, each compared with the other trials of the group.
-    """
-
-    columns: list["_Ascending"]
-    rarest: "_Ascending"
-
-    @classmethod
-    def of(cls, statistics: FloatArray) -> "_Group":
-        columns = [_Ascending.of(column) for column in statistics.T]
-        # Of every event among the others, as one that is asked is compared with others than itself.
-        shares = np.array([one.shares(column, among=True) for one, column in zip(columns, statistics.T, strict=True)])
-        return cls(columns, _Ascending.of(-np.log(shares.min(axis=0))))
-
-    def shares(self, statistics: FloatArray) -> FloatArray:
-        return np.array(
-            [float(one.shares(statistic[None])[0]) for one, statistic in zip(self.columns, statistics, strict=True)]
-        )
-
-    def p_value(self, statistics: FloatArray) -> float:
-        return float(self.rarest.shares(-np.log(self.shares(statistics).min())[None])[0])
+    def _shares(self, rows: FloatArray, own: int = -1) -> FloatArray:
+        """Return the shares (k, 5) of events as bad as `rows` (k, 5), which are those of the group `own` if not -1."""
+        each = [
+            [one.shares(column, among=number == own) for one, column in zip(columns, rows.T, strict=True)]
+            for number, columns in enumerate(self._columns)
+        ]
+        return np.asarray(np.mean(each, axis=0).T)
 
 
 @dataclass(frozen=True, eq=False)
