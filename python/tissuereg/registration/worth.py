@@ -86,7 +86,7 @@ def worth(
 
 def worth_text(alone: Worth | None, simulated: Worth | None) -> str:
     """Return a table of errors with and without the model, and a sentence that says when the model pays."""
-    rows = {"without a simulation": alone, "with one": simulated}
+    rows = {"without a simulation": alone, "with a simulation": simulated}
     known = {name: one for name, one in rows.items() if one is not None}
     lines = [
         "| mean error at inner targets, mm | events | before | with this model | by contacts |",
