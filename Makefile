@@ -137,7 +137,7 @@ phantom-model: phantom-data training
 	$(BIN)/tissuereg simulate training/recipes/breast-more.toml --out build/phantom-more
 	$(BIN)/tissuereg simulate training/recipes/breast-pairs.toml --out build/phantom-pairs
 	$(TRAINING_BIN)/tissuereg train training/recipes/closure.toml --data build/phantom-data --data build/phantom-more --out build/phantom-model $(PAIRS)
-	$(TRAINING_BIN)/tissuereg train training/recipes/graph.toml --data build/phantom-data --data build/phantom-more --out build/phantom-graph $(PAIRS)
+	$(TRAINING_BIN)/tissuereg train training/recipes/graph.toml --data build/phantom-data --data build/phantom-more --out build/phantom-graph $(PAIRS) --patterns 20
 
 table2-model: phantom-data training
 	$(TRAINING_BIN)/tissuereg train training/recipes/table2.toml --data build/phantom-data --out build/table2-model

@@ -5,8 +5,9 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from tissuereg._base.fields import whole
 from tissuereg.cli.common import Outcome, Stopwatch, seconds_line
-from tissuereg.cli.options import Help, Parser
+from tissuereg.cli.options import Help, Parser, add_option
 from tissuereg.errors import FormatError
 
 if TYPE_CHECKING:
@@ -38,23 +39,26 @@ def options(parser: Parser) -> None:
 
 
 def add_pairs(parser: Parser) -> None:
-    """Add the option for further pairs of simulation and truth."""
+    """Add the options for further pairs of simulation and truth, and for the size of the file."""
     text = "folder of further pairs of simulation and truth; may be given several times, once for each kind of change"
     parser.add_argument("--pairs", metavar="PAIRS", action="append", default=[], help=text)
+    text = "patterns at most that describe the model's errors; they make most of calibration.npz"
+    add_option(parser, "--patterns", whole(text, least=1, default=80), "N")
 
 
 def run(args: argparse.Namespace) -> Outcome:
     """Run ``tissuereg calibrate``: calibrate a model and write the result; JSON schema ``tissuereg.calibrate/1``."""
-    content = calibrated(args.model, args.data, args.pairs, args.seed or 0)
+    content = calibrated(args.model, args.data, args.pairs, args.patterns, args.seed or 0)
     counts = f"{content['kinds']} kinds of events, {content['events']} rehearsals, {content['pairs']} pairs"
     said = [counts, "", content["beside_contacts"]["text"], seconds_line(content["seconds"])]
     return Outcome(content, "\n".join(said), args.threads)
 
 
-def calibrated(folder: str, data_folder: str, pairs_folders: list[str], seed: int) -> dict[str, Any]:
+def calibrated(folder: str, data_folder: str, pairs_folders: list[str], n_patterns: int, seed: int) -> dict[str, Any]:
     """Calibrate the model in a folder, write ``calibration.npz`` there, and return the content of the JSON.
 
-    `data_folder`: data set that it was trained on; `pairs_folders`: folders of further pairs, each a kind of change.
+    `data_folder`: data set that it was trained on; `pairs_folders`: folders of further pairs, each a kind of change;
+    `n_patterns`: patterns of errors at most.
     """
     import numpy as np
 
@@ -74,7 +78,8 @@ def calibrated(folder: str, data_folder: str, pairs_folders: list[str], seed: in
     clock.lap("read")
     codes = codes_of(model, data.displacement, data.split["train"])
     clock.lap("encode")
-    made = calibrate(model, data.mesh, codes, unseen, pairs, settings=RehearsalSettings(seed=seed))
+    how = RehearsalSettings(n_patterns=n_patterns, seed=seed)
+    made = calibrate(model, data.mesh, codes, unseen, pairs, settings=how)
     clock.lap("rehearse")
     model.calibration = made
     alone, simulated = worth(model, data.mesh, unseen[-_COMPARED:], [None] * len(unseen[-_COMPARED:]), seed), None

@@ -41,9 +41,6 @@ _CHANGE_SCALES = np.array([0.25, 0.5, 1.0, 2.0, 4.0])
 #: Variances of the factor by which all moves more or less than simulated: from sure to a factor of two or so.
 _FACTORS = np.array([0.0, 0.02, 0.1, 0.4])
 
-#: Patterns of errors kept, and of errors of changes.
-_PATTERNS, _CHANGE_PATTERNS = 80, 80
-
 #: Parts of the events, each rehearsed with what the others tell.
 _FOLDS = 5
 
@@ -86,6 +83,9 @@ class RehearsalSettings:
         Numbers of markers of these, drawn evenly on a logarithmic scale.
     least_std, most_std : float
         Noise of these, mm, drawn likewise.
+    n_patterns : int
+        Patterns at most by which the model's errors, and those of changes from a simulation, are described: they make
+        most of the file.
     seed : int
         Seed of the places, of the noise, and of the fit of the kinds of events.
     """
@@ -100,6 +100,7 @@ class RehearsalSettings:
     most_markers: int = 40
     least_std: float = 0.03
     most_std: float = 1.0
+    n_patterns: int = 80
     seed: int = 0
 
 
@@ -134,10 +135,10 @@ def calibrate(
     shares = np.einsum("fp,fk->fpk", np.eye(n_physics)[np.minimum(group, 1)], kinds.shares(coded))
     shares = shares.reshape(len(fields), -1)
     scales = Rehearsal(_SCALES, _equal(n_physics, len(_SCALES)))
-    made = Calibration(kinds, field_errors(missed, shares, _PATTERNS), scales)
+    made = Calibration(kinds, field_errors(missed, shares, how.n_patterns), scales)
     trials, varied = _Trials([], []), _Trials([], [])
     for own, others in _folds(group):
-        without = replace(made, errors=field_errors(missed[others], shares[others], _PATTERNS))
+        without = replace(made, errors=field_errors(missed[others], shares[others], how.n_patterns))
         for row in own:
             times = how.n_repeats if group[row] else int(row < how.n_events)
             for _ in range(times):
@@ -150,12 +151,12 @@ def calibrate(
     simulations, truths, kind = np.concatenate([one for one, _ in pairs]), fields[group > 0], group[group > 0] - 1
     missed = missed[group == 0]
     differences = _Differences.of(model, simulations, truths, kind, missed)
-    made = replace(made, change=differences.change(np.arange(len(truths))))
+    made = replace(made, change=differences.change(np.arange(len(truths)), how.n_patterns))
     n_forms = len(pairs) * len(_FACTORS)
     scales = Rehearsal(_CHANGE_SCALES, _equal(n_forms, len(_CHANGE_SCALES)))
     trials, varied = _Trials([], []), _Trials([], [])
     for own, others in _folds(kind):
-        without = replace(made, anchored=scales, change=differences.change(others))
+        without = replace(made, anchored=scales, change=differences.change(others, how.n_patterns))
         for row in own:
             for _ in range(how.n_repeats):
                 trials.add(rehearsal.trial(without, simulations[row], truths[row]), kind[row])
@@ -241,8 +242,11 @@ class _Differences:
         scale = np.sqrt(np.mean(missed**2) / np.maximum(np.mean(others**2), 1e-300))
         return cls(kind, off, missed, scale * others)
 
-    def change(self, rows: IntArray) -> Change:
-        """Return the covariances of the differences of truths from simulations, from the pairs with numbers `rows`."""
+    def change(self, rows: IntArray, n_patterns: int) -> Change:
+        """Return the covariances of the differences of truths from simulations, from the pairs with numbers `rows`.
+
+        `n_patterns`: the largest number of patterns of what the decoder cannot represent.
+        """
         n_kinds, n_latent = int(self.kind.max()) + 1, self.codes.shape[1]
         kind, every = self.kind[rows], self.codes[rows]
         pooled, covariances = every.T @ every / len(every), np.empty((n_kinds, n_latent, n_latent))
@@ -255,7 +259,7 @@ class _Differences:
         # Errors of whole fields lend what errors look like; their size is that of the changes.
         both = np.concatenate([self.missed[rows], self.others])
         shares = np.eye(n_kinds + 1)[np.concatenate([kind, np.full(len(self.others), n_kinds)])]
-        errors = field_errors(both, shares, _CHANGE_PATTERNS)
+        errors = field_errors(both, shares, n_patterns)
         rest = both[: len(rows)] - errors.project(both[: len(rows)])
         own = FieldErrors(errors.basis, errors.covariances[:n_kinds], np.sqrt((rest**2).mean(axis=0)))
         return Change(_FACTORS, covariances, own)
