@@ -22,7 +22,8 @@ from learned.spoilt import CHANGES, OF_SIMULATIONS, Change, honest
 from tissuereg._base.machine import machine, versions
 from tissuereg.errors import MarkerError
 from tissuereg.parallel import Failed, Processes, in_order
-from tissuereg.phantom import phantom_mesh, shipped_model_folder
+from tissuereg.phantom import SHIPPED_MODELS, phantom_mesh, shipped_model_folder
+from tissuereg.registration.learned.card import read_card
 from tissuereg.registration.learned.network import NetworkModel
 from tissuereg.registration.settings import SmootherSettings
 
@@ -50,8 +51,8 @@ METHODS: dict[str, tuple[str, bool, SmootherSettings]] = {
     "1,000 members": ("phantom", True, SmootherSettings(n_members=1000)),
 }
 
-#: Methods that are also asked with spoilt input.
-SPOILT = ("shipped", "graph", "not calibrated")
+#: Methods that are also asked with spoilt input, and on which share of the first one's events.
+SPOILT = {"shipped": 1.0, "graph": 0.5, "not calibrated": 0.25}
 
 
 @dataclass(frozen=True)
@@ -68,7 +69,7 @@ class Events:
     first: int
     known: int = 500
     demo: int = 300
-    others: int = 60
+    others: int = 40
     spoilt: int = 60
 
 
@@ -164,9 +165,8 @@ def jobs_of(events: Events) -> list[Job]:
             if strange or method not in SPOILT:
                 continue
             changes = [*CHANGES, *(OF_SIMULATIONS if name == "foreign" else ())]
-            jobs += [
-                Job(method, name, one, i, events) for one in changes for i in range(min(len(cases), events.spoilt))
-            ]
+            few = min(len(cases), max(1, round(SPOILT[method] * events.spoilt)))
+            jobs += [Job(method, name, one, i, events) for one in changes for i in range(few)]
     return jobs
 
 
@@ -218,12 +218,12 @@ def main() -> None:
             name: max(1, round(options.share * getattr(events, name))) for name in ("known", "demo", "others", "spoilt")
         }
         events = replace(events, **fewer)
-        models = {name: dict(_network(name, True).card) for name in ("phantom", "phantom-graph")}
+        models = {name: read_card(shipped_model_folder(name)) for name in SHIPPED_MODELS}
         found = {
             "schema": "tissuereg.learned/1",
             **commit(),
             "models": {
-                name: {key: card[key] for key in ("kind", "members", "errors_mm")} for name, card in models.items()
+                name: {key: card[key] for key in ("kind", "trained_on", "errors_mm")} for name, card in models.items()
             },
             "first_foreign": options.first,
             "machine": machine(),

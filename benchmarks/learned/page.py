@@ -41,7 +41,7 @@ def page(archive: dict[str, Any]) -> str:
     """Return the page."""
     rows = archive["rows"]
     models = {
-        name: f"{model['kind']}, {model['members']:,} fields, {model['errors_mm']['test']:.3f} mm on its test split"
+        name: f"{model['kind']}, {model['trained_on']:,} fields, {model['errors_mm']['test']:.3f} mm on its test split"
         for name, model in archive["models"].items()
     }
     head = _HEAD.format(first=archive["first_foreign"], shipped=models["phantom"], graph=models["phantom-graph"])

@@ -13,6 +13,9 @@ Change = Callable[[Case, list[Case], np.random.Generator], tuple[Case, int | Non
 #: By how much one marker is wrong, mm.
 OFF_MM = (5.0, 10.0, 20.0, 40.0)
 
+#: Standard deviation of each coordinate of markers that say nothing, mm.
+_RANDOM_MM = 3.0
+
 
 def honest(case: Case, others: list[Case], rng: np.random.Generator) -> tuple[Case, None]:
     """Nothing is wrong."""
@@ -44,8 +47,7 @@ def _stale(case: Case, others: list[Case], rng: np.random.Generator) -> tuple[Ca
 
 
 def _random(case: Case, others: list[Case], rng: np.random.Generator) -> tuple[Case, None]:
-    size = np.sqrt(((case.measured - case.reference) ** 2).mean())
-    return replace(case, measured=case.reference + size * rng.standard_normal(case.reference.shape)), None
+    return replace(case, measured=case.reference + _RANDOM_MM * rng.standard_normal(case.reference.shape)), None
 
 
 def _noisier(factor: float) -> Change:
