@@ -354,7 +354,7 @@ def read_decoder(path: Path) -> ClosureDecoder | GraphDecoder | None:
     try:
         with open_npz(path) as weights:
             closure = _closure(weights) if "activation" in weights else None
-            return _graph_network(weights, closure) if "fully_connected.weight" in weights else closure
+            return _graph_network(weights, closure) if "fully_connected.bias" in weights else closure
     except FormatError as error:
         raise ModelError(str(error), where=str(path)) from error
 
