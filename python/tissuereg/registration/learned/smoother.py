@@ -252,28 +252,35 @@ def smooth(
             logs[number] += _step_evidence(predicted, observed, covariances[number], log_dets[number], alpha)
             before = np.ascontiguousarray(ensembles[number])
             ensembles[number] = _STEP.update(before, predicted, observed, noises[number], empty, alpha=alpha, threads=1)
-    pairs = []
     factor = 1.0 if draws[1] else spread_factor(n_members)
-    for number, share in enumerate(probabilities(logs)):
-        rows, error = parts[number], errors[number]
-        pulls = np.linalg.solve(covariances[number], observed[:, None] - rows[:, :n_obs].T).T
-        answers = rows + pulls @ error[:n_obs]
-        left = error - error[:, :n_obs] @ np.linalg.solve(covariances[number], error[:n_obs])
-        away = answers - answers.mean(axis=0)
-        spread = away.T @ away * (factor / (len(away) - 1)) + left
-        pairs.append(
-            Pair(
-                int(component[number]),
-                float(scale[number]),
-                float(share),
-                ensembles[number],
-                answers.mean(axis=0),
-                spread,
-                pulls,
-                covariances[number],
-            )
-        )
-    return Smoothed(tuple(pairs), dropped)
+    found = zip(component, scale, probabilities(logs), ensembles, parts, errors, covariances, strict=True)
+    return Smoothed(tuple(_answer(c, s, w, z, x, e, d, observed, factor) for c, s, w, z, x, e, d in found), dropped)
+
+
+def _answer(
+    component: int,
+    scale: float,
+    weight: float,
+    latents: FloatArray,
+    rows: FloatArray,
+    error: FloatArray,
+    covariance: FloatArray,
+    observed: FloatArray,
+    factor: float,
+) -> Pair:
+    """Return the posterior of a pair: each member's error is conditioned on what it leaves at the markers.
+
+    `rows` (n_members, n_rows): the members decoded; `error` (n_rows, n_rows): covariance of the model's own error;
+    `covariance` (n_obs, n_obs): C_d; `factor`: on the members' covariance, for their number; others as for `Pair`.
+    """
+    n_obs = len(observed)
+    pulls = np.linalg.solve(covariance, observed[:, None] - rows[:, :n_obs].T).T
+    answers = rows + pulls @ error[:n_obs]
+    left = error - error[:, :n_obs] @ np.linalg.solve(covariance, error[:n_obs])
+    mean = answers.mean(axis=0)
+    away = answers - mean
+    spread = np.asarray(away.T @ away * (factor / (len(away) - 1)) + left)
+    return Pair(int(component), float(scale), float(weight), latents, mean, spread, pulls, covariance)
 
 
 def spread_factor(n_members: int) -> float:
