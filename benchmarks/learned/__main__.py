@@ -18,7 +18,7 @@ import tissuereg as tr
 from common import commit, read_archive, write_archive
 from learned.cases import STD, Case, demo, foreign, known, make_foreign, of_another_organ
 from learned.page import write_page
-from learned.spoilt import CHANGES, OF_SIMULATIONS, Change, honest
+from learned.spoilt import CHANGES, OF_SIMULATIONS, ONE_OFF, Change, honest
 from tissuereg._base.machine import machine, versions
 from tissuereg.errors import MarkerError
 from tissuereg.parallel import Failed, Processes, in_order
@@ -60,8 +60,8 @@ class Events:
     """Which events are asked.
 
     `data`: whose test split is known physics; `foreign`: folder of foreign pairs, from the file with number `first` on;
-    `known`, `demo`: numbers of events; `others`: of each set by other methods than the shipped one; `spoilt`: of each
-    set in each way.
+    `known`, `demo`: numbers of events; `others`: of each set by other methods than the shipped one; `off`: of each set
+    with one marker that is off by a distance; `spoilt`: of each set in each other way.
     """
 
     data: Path
@@ -70,7 +70,8 @@ class Events:
     known: int = 500
     demo: int = 300
     others: int = 40
-    spoilt: int = 60
+    off: int = 60
+    spoilt: int = 20
 
 
 @lru_cache(maxsize=1)
@@ -165,8 +166,9 @@ def jobs_of(events: Events) -> list[Job]:
             if strange or method not in SPOILT:
                 continue
             changes = [*CHANGES, *(OF_SIMULATIONS if name == "foreign" else ())]
-            few = min(len(cases), max(1, round(SPOILT[method] * events.spoilt)))
-            jobs += [Job(method, name, one, i, events) for one in changes for i in range(few)]
+            for one in changes:
+                n = max(1, round(SPOILT[method] * (events.off if one in ONE_OFF else events.spoilt)))
+                jobs += [Job(method, name, one, i, events) for i in range(min(len(cases), n))]
     return jobs
 
 
@@ -215,7 +217,8 @@ def main() -> None:
     if not options.page:
         events = Events(options.data, options.foreign, options.first)
         fewer = {
-            name: max(1, round(options.share * getattr(events, name))) for name in ("known", "demo", "others", "spoilt")
+            name: max(1, round(options.share * getattr(events, name)))
+            for name in ("known", "demo", "others", "off", "spoilt")
         }
         events = replace(events, **fewer)
         models = {name: read_card(shipped_model_folder(name)) for name in SHIPPED_MODELS}

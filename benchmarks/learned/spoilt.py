@@ -71,9 +71,12 @@ def _of_another_event(case: Case, others: list[Case], rng: np.random.Generator) 
     return replace(case, simulation=strangers[int(rng.integers(len(strangers)))].simulation), None
 
 
+#: One marker is off; by name.
+ONE_OFF: dict[str, Change] = {f"one marker off by {off:g} mm": _one_off(off) for off in OFF_MM}
+
 #: By name. Those of a simulation are only for sets with one of each event.
 CHANGES: dict[str, Change] = {
-    **{f"one marker off by {off:g} mm": _one_off(off) for off in OFF_MM},
+    **ONE_OFF,
     "two markers swapped": _swapped,
     "three markers of before the motion": _stale,
     "random markers": _random,

@@ -277,7 +277,7 @@ def _answer(
     pulls = np.linalg.solve(covariance, observed[:, None] - rows[:, :n_obs].T).T
     answers = rows + pulls @ error[:n_obs]
     left = error - error[:, :n_obs] @ np.linalg.solve(covariance, error[:n_obs])
-    mean = answers.mean(axis=0)
+    mean = np.asarray(answers.mean(axis=0), np.float64)
     away = answers - mean
     spread = np.asarray(away.T @ away * (factor / (len(away) - 1)) + left)
     return Pair(int(component), float(scale), float(weight), latents, mean, spread, pulls, covariance)
