@@ -274,12 +274,12 @@ def _answer(
     `covariance` (n_obs, n_obs): C_d; `factor`: on the members' covariance, for their number; others as for `Pair`.
     """
     n_obs = len(observed)
-    pulls = np.linalg.solve(covariance, observed[:, None] - rows[:, :n_obs].T).T
+    pulls = np.asarray(np.linalg.solve(covariance, observed[:, None] - rows[:, :n_obs].T).T, np.float64)
     answers = rows + pulls @ error[:n_obs]
     left = error - error[:, :n_obs] @ np.linalg.solve(covariance, error[:n_obs])
-    mean = np.asarray(answers.mean(axis=0), np.float64)
+    mean = answers.mean(axis=0)
     away = answers - mean
-    spread = np.asarray(away.T @ away * (factor / (len(away) - 1)) + left)
+    spread = away.T @ away * (factor / (len(away) - 1)) + left
     return Pair(int(component), float(scale), float(weight), latents, mean, spread, pulls, covariance)
 
 
