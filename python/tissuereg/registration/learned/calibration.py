@@ -321,7 +321,7 @@ def _rehearsal_arrays(name: str, rehearsal: Rehearsal) -> dict[str, FloatArray]:
     return {
         f"{name}_scales": rehearsal.scales,
         f"{name}_scale_weights": rehearsal.scale_weights,
-        f"{name}_signs": rehearsal.calibration_set.statistics,
+        f"{name}_signs": rehearsal.calibration_set.statistics.astype(np.float32),
         f"{name}_groups": rehearsal.calibration_set.groups,
         f"{name}_tail": np.array(rehearsal.tail or 0.0),
         f"{name}_widening": np.array(rehearsal.widening),
