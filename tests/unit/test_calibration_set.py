@@ -6,7 +6,7 @@ import pytest
 from support.mixtures import decoder
 from tissuereg.registration.learned.calibrate import _regions
 from tissuereg.registration.learned.calibration_set import STATISTICS, CalibrationSet
-from tissuereg.registration.learned.mixture import Component, LinearDecoder
+from tissuereg.registration.learned.mixture import Component, Evidence, LinearDecoder
 from tissuereg.registration.learned.smoother import Screening
 from tissuereg.registration.learned.spread_law import squared_radius
 from tissuereg.registration.learned.statistics import statistics_of
@@ -112,6 +112,23 @@ def test_markers_of_another_event_than_the_simulated_one_show_it(gaussian):
     assert found["another"][simulation] > 10.0
     honest = CalibrationSet.none().beside(drawn(200, np.random.default_rng(5)) * [1, 1, 1, 0, 1])
     assert honest.p_value(found["another"]) < 0.01
+
+
+def test_noise_that_is_larger_than_stated_shows_and_smaller_noise_does_not(gaussian):
+    one, linear, noise, rng = gaussian
+    small = Component(one.weights, one.scales, one.mean, one.covariance, 0.1 * one.errors)
+    found = {}
+    for factor in (0.3, 1.0, 10.0):
+        error = np.linalg.cholesky(small.errors[:12, :12]) @ rng.standard_normal(12)
+        observed = linear.at[:12] + linear.slopes[:12] @ rng.standard_normal(4) + error
+        observed += factor * 0.2 * rng.standard_normal(12)
+        screening = Screening.of(decoder(linear), [small], observed, noise, np.zeros(4), np.ones(4))
+        found[factor] = statistics_of(Nowhere(), [small], screening, observed, noise, 1).row[STATISTICS.index("noise")]
+    assert found[0.3] == found[1.0] == 0.0
+    # The odds of the likeliest of two factors, less what Markov's bound pays for either.
+    larger = [Evidence.of([small], screening.linear, observed, f**2 * noise).logs[0] for f in (1.0, 3.0, 10.0)]
+    assert found[10.0] == pytest.approx(max(larger[1:]) - larger[0] - np.log(2.0))
+    assert found[10.0] > 3.0
 
 
 # --- regions ---
