@@ -114,7 +114,7 @@ def results_table(rows: list[dict[str, Any]]) -> str:
 def readme_table(rows: list[dict[str, Any]]) -> str:
     """Return the table of the repository's README: honest input of the shipped models."""
     methods = ("shipped", "graph")
-    heads = [f"{method}: error, mm | 90 % regions hold" for method in methods]
+    heads = [f"{method}: error, mm (95 %; events) | 90 % regions hold" for method in methods]
     lines = [f"| with a trained model | simulation, mm | {' | '.join(heads)} |", "|---" * 6 + "|"]
     for name in ("demo", "foreign"):
         cells = [_SETS[name], f"{_column(_of(rows, 'shipped', name, 'honest'), 'before_mm').mean():.2f}"]
@@ -122,7 +122,8 @@ def readme_table(rows: list[dict[str, Any]]) -> str:
             own = _of(rows, method, name, "honest")
             after = _column(own, "after_mm")
             low, high = _interval(after, own)
-            cells += [f"{after.mean():.2f} ({low:.2f} to {high:.2f})", f"{100 * _column(own, 'held90').mean():.0f} %"]
+            cells += [f"{after.mean():.2f} ({low:.2f} to {high:.2f}; {len(own)})"]
+            cells += [f"{100 * _column(own, 'held90').mean():.0f} %"]
         lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines) + "\n"
 
