@@ -12,8 +12,12 @@ from tissuereg.registration.learned.decoders import ClosureDecoder, GraphDecoder
 from tissuereg.registration.learned.network import NetworkModel
 from tissuereg.simulation.solve import simulate
 
-#: Kind, decoder and largest folder in MB of each.
-WANTED = {"phantom": ("closure", ClosureDecoder, 20.0), "phantom-graph": ("graph-closure", GraphDecoder, 6.0)}
+#: Kind, decoder, largest folder in MB, and largest motion of held nodes in mm, of each. What is held has zeros in all
+#: data: components keep them, a graph network learns them.
+WANTED = {
+    "phantom": ("closure", ClosureDecoder, 20.0, 1e-5),
+    "phantom-graph": ("graph-closure", GraphDecoder, 6.0, 1e-3),
+}
 
 
 @pytest.fixture(scope="module", params=SHIPPED_MODELS)
@@ -37,7 +41,7 @@ def network(folder):
 
 
 def test_it_is_of_its_kind_with_26_latents_and_calibrated(name, card, network):
-    kind, decoder, _ = WANTED[name]
+    kind, decoder, *_ = WANTED[name]
     assert card["kind"] == network.card["kind"] == kind
     assert isinstance(network.tables, decoder)
     assert network.n_latent == 26
@@ -92,8 +96,7 @@ def test_a_simulation_is_coded_and_decoded_to_within_a_tenth_of_its_motion(netwo
     assert np.median(np.sqrt(variance)) > 0.3
 
 
-def test_what_is_held_stays(network):
+def test_what_is_held_stays(name, network):
     held = phantom_mesh().fixed_nodes
     fields = network.decode(np.random.default_rng(2).standard_normal((26, 60)), held)
-    # Every member of its data has zeros there.
-    assert np.abs(fields).max() < 1e-5
+    assert np.abs(fields).max() < WANTED[name][3]
