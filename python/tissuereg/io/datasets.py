@@ -1,4 +1,4 @@
-"""Simulated data sets, opened lazily: only the members (simulated deformations) that are asked for are read.
+"""Simulated data sets, opened lazily: only the members (simulated deformations) that are accessed are read.
 
 `docs/files.md` describes the folder of a data set.
 """
@@ -44,7 +44,7 @@ def open_dataset(path: str | os.PathLike[str]) -> "Dataset":
     Returns
     -------
     Dataset
-        The data set, of which nothing but ``dataset.json`` has been read; other files are read when they are asked for.
+        The data set, of which nothing but ``dataset.json`` has been read; other files are read when they are accessed.
 
     Raises
     ------
@@ -114,7 +114,7 @@ class Dataset:
     def displacement(self) -> "Displacements":
         """Displacements of the members: ``data.displacement[i]`` is the array of member i, (n_nodes, 3) float32 in mm.
 
-        A member is read from its file when it is asked for.
+        A member is read from its file when it is accessed.
         """
         return Displacements(self._chunks)
 

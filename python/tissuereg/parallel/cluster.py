@@ -88,7 +88,7 @@ class Cluster(AbstractContextManager["Cluster"]):
     patience : float
         Time in s for which a scheduler that does not answer is tried again.
     n_kept : int
-        Number of workers that a cluster object is told to have again when some are lost; with 0 nothing is done.
+        Number of workers to which a cluster object is scaled again when some are lost; with 0 nothing is done.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-r"""Choice of places for further markers: the surface points whose measurement tells most about inner targets.
+r"""Choice of places for further markers: the surface points whose measurement most reduces the targets' variance.
 
 An ensemble of displacement fields represents the prior. With the anomalies X of the targets and Y of the candidate
 places (displacement minus the mean of the ensemble, over the square root of the number of members less one), and noise
