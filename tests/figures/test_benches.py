@@ -97,10 +97,14 @@ def test_advise(copy, few_shapes):
 def test_learned(copy, few_shapes):
     recipe = copy / "benchmarks" / "learned" / "foreign.toml"
     recipe.write_text(recipe.read_text("utf-8").replace("members = 10 ", "members = 1 "), "utf-8")
+    (copy / "docs").mkdir()
+    for page in ("docs/results.md", "README.md"):
+        shutil.copy(REPOSITORY / page, copy / page)
     run(copy, "learned", "--foreign", "foreign", "--make", "1:6:2")
     run(copy, "learned", "--data", few_shapes, "--foreign", "foreign", "--share", 0.004)
     rows = read_archive(copy / "benchmarks" / "learned" / "archive")["rows"]
     assert {row["method"] for row in rows} >= {"shipped", "graph", "not calibrated", "without ES-MDA"}
+    assert "| demo, its lesion | 1.13 |" in (copy / "README.md").read_text("utf-8")
 
 
 @pytest.mark.skipif(not SHARED.is_dir(), reason="the folder `shared` next to the repository is absent")

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from common import REPOSITORY, read_archive
-from learned.__main__ import ARCHIVE, answer
+from learned.__main__ import ARCHIVE
 from learned.cases import drawn
+from learned.run import answer
 from learned.spoilt import CHANGES
 from tissuereg.phantom import phantom_mesh, shipped_model_folder
 from tissuereg.registration.learned.network import NetworkModel
