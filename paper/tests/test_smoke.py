@@ -97,10 +97,13 @@ def test_the_command_runs_the_contest(rigs, tmp_path):
 def test_the_page_of_simulation_studies_is_made(run, tmp_path, monkeypatch):
     monkeypatch.setattr(running, "draw_cases", lambda *given: draw_cases(*given, n_starts=2, n_targets=2))
     monkeypatch.setattr(paper, "PAGE", tmp_path / "paper.md")
-    monkeypatch.setattr(paper, "ARCHIVES", {"shipped": tmp_path / "paper-shipped"})
+    archives = {name: tmp_path / f"paper-{name}" for name in ("shipped", "graph")}
+    monkeypatch.setattr(paper, "ARCHIVES", archives)
     assert run(paper) == 0
-    assert read_archive(tmp_path / "paper-shipped")["studies"]["fig6"]["rows"]
-    assert "## The model for registrations" in (tmp_path / "paper.md").read_text(encoding="utf-8")
+    kinds = [read_archive(folder)["studies"]["fig6"]["model"]["kind"] for folder in archives.values()]
+    assert kinds == ["closure", "graph-closure"]
+    text = (tmp_path / "paper.md").read_text(encoding="utf-8")
+    assert all(f"## {paper.TITLES[name]}" in text for name in archives)
 
 
 @pytest.mark.usefixtures("small")
