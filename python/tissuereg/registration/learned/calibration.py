@@ -317,7 +317,7 @@ def _errors_in(file: Archive, name: str, n_kinds: int | None, n_nodes: int) -> F
     return FieldErrors(basis, covariances, file.floats(f"{name}_rest_mm", n_nodes, 3))
 
 
-def _rehearsal_arrays(name: str, rehearsal: Rehearsal) -> dict[str, FloatArray]:
+def _rehearsal_arrays(name: str, rehearsal: Rehearsal) -> dict[str, Any]:
     return {
         f"{name}_scales": rehearsal.scales,
         f"{name}_scale_weights": rehearsal.scale_weights,
