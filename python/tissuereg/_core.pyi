@@ -29,6 +29,7 @@ __all__ = [
     "check_schedule",
     "laws",
     "schedule_geometric",
+    "score_components",
     "screen_members",
     "surface_triangles",
     "tet_volumes",
