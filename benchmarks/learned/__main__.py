@@ -1,6 +1,6 @@
 """Registrations with the trained models, honest and spoilt  -> archive/, RESULTS.md.
 
-python -m learned --foreign FOREIGN --make 0:120                  # foreign pairs by number, resumable (foreign.toml)
+python -m learned --foreign FOREIGN --make 0:58                   # foreign pairs by number, resumable (foreign.toml)
 python -m learned --data DATA --foreign FOREIGN                   # measure; --jobs processes side by side
 python -m learned --page                                          # write the page of what was measured
 """

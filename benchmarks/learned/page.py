@@ -81,7 +81,7 @@ def spoilt_tables(rows: list[dict[str, Any]]) -> Iterator[str]:
     for method in dict.fromkeys(row["method"] for row in rows if row["input"] != "honest"):
         yield f"**{method}**: the wrong marker is named, or the answer distrusted or refused (*n*: named); silent\n"
         names = [name for name in _SETS if _of(rows, method, name, "two markers swapped")]
-        yield "| input | " + " | ".join(_SETS[name].replace("the same", before(name)) for name in names) + " |"
+        yield "| input | " + " | ".join(_SETS[name].replace("the same", _before(name)) for name in names) + " |"
         yield "|---" * (len(names) + 1) + "|"
         for change in dict.fromkeys(
             row["input"] for row in rows if row["method"] == method and row["input"] != "honest"
@@ -93,7 +93,7 @@ def spoilt_tables(rows: list[dict[str, Any]]) -> Iterator[str]:
         yield ""
 
 
-def before(name: str) -> str:
+def _before(name: str) -> str:
     """Return the words of the set that another one repeats without a simulation."""
     return _SETS[name.split(",")[0]]
 

@@ -118,16 +118,10 @@ def answer(model: Any, case: Case, wrong: int | None, smoother: SmootherSettings
     return row
 
 
+@lru_cache
 def _network(name: str, calibrated: bool) -> NetworkModel:
     """Return a shipped model of the phantom, kept for the process."""
-    if (name, calibrated) not in _KEPT:
-        _KEPT[name, calibrated] = NetworkModel(
-            shipped_model_folder(name), phantom_mesh(), threads=1, calibrated=calibrated
-        )
-    return _KEPT[name, calibrated]
-
-
-_KEPT: dict[tuple[str, bool], NetworkModel] = {}
+    return NetworkModel(shipped_model_folder(name), phantom_mesh(), threads=1, calibrated=calibrated)
 
 
 @dataclass(frozen=True)

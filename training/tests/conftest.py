@@ -62,6 +62,18 @@ def smooth_fields(block: Block, n: int, seed: int, rank: int = 6) -> Any:
     return fields.astype(np.float32)
 
 
+@pytest.fixture(scope="module")
+def block() -> Block:
+    """A block of 150 nodes."""
+    return make_block(5, 5, 6)
+
+
+@pytest.fixture(scope="module")
+def fields(block: Block) -> Any:
+    """Eighty fields of the block."""
+    return smooth_fields(block, 80, 1, rank=40)
+
+
 def split_of(n_members: int, seed: int) -> Split:
     """The split that `tissuereg simulate` writes."""
     n_held_out = n_members // 10

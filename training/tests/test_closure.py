@@ -5,7 +5,6 @@ import dataclasses
 import numpy as np
 import pytest
 import torch
-from conftest import make_block, smooth_fields
 
 from tissuereg_training.closure_export import decoder_onnx, decoder_weights, encoder_onnx
 from tissuereg_training.errors import EnsembleError, ParityError
@@ -17,16 +16,6 @@ from tissuereg_training.pca import moments, pca_error, principal_components
 from tissuereg_training.settings import ClosureSettings
 
 SETTINGS = ClosureSettings(n_latent=6, n_components=20, hidden=(16, 24), encoder_hidden=(12,))
-
-
-@pytest.fixture(scope="module")
-def block():
-    return make_block(5, 5, 6)
-
-
-@pytest.fixture(scope="module")
-def fields(block):
-    return smooth_fields(block, 80, 1, rank=40)
 
 
 @pytest.fixture(scope="module", params=["elu", "silu"])

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from conftest import make_block, make_workplace, smooth_fields
+from conftest import make_workplace, smooth_fields
 
 from tissuereg_training.closure_export import encoder_onnx
 from tissuereg_training.errors import EnsembleError
@@ -18,16 +18,6 @@ from tissuereg_training.settings import ClosureSettings, GraphClosureSettings
 
 SIZES = {"n_latent": 6, "n_components": 20, "hidden": (16, 24), "encoder_hidden": (12,)}
 SETTINGS = GraphClosureSettings(channels=(5, 8), n_bases=3, **SIZES)
-
-
-@pytest.fixture(scope="module")
-def block():
-    return make_block(5, 5, 6)
-
-
-@pytest.fixture(scope="module")
-def fields(block):
-    return smooth_fields(block, 80, 1, rank=40)
 
 
 @pytest.fixture(scope="module")

@@ -143,6 +143,16 @@ def normalised_parts(model: Network, parts: Iterable[FieldArray]) -> torch.Tenso
     return torch.cat([model.normalised(torch.from_numpy(part).to(model.device)) for part in parts])
 
 
+def batch_terms(
+    model: Network, x: torch.Tensor, loss: str, rng: np.random.Generator
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return the reconstruction error of `x` (batch, ...) with drawn latents, and the KL divergence of q in nats."""
+    mean, log_variance = model.encode(x)
+    noise = torch.from_numpy(rng.standard_normal(mean.shape, dtype=np.float32)).to(mean.device)
+    found = model.decode(sampled_latents(mean, log_variance, noise))
+    return reconstruction(found, x, loss), kl_divergence(mean, log_variance).sum()
+
+
 def _epoch(
     model: Network,
     optimiser: torch.optim.Adam,
@@ -161,11 +171,7 @@ def _epoch(
         for group in optimiser.param_groups:
             group["lr"] = one_cycle(step, settings.epochs * n_batches, settings.learning_rate, settings.rise)
         x = _blended(train, rows, settings.mixing, rng)
-        mean, log_variance = model.encode(x)
-        noise = torch.from_numpy(rng.standard_normal(mean.shape, dtype=np.float32)).to(mean.device)
-        found = model.decode(sampled_latents(mean, log_variance, noise))
-        missed = reconstruction(found, x, settings.loss)
-        kl = kl_divergence(mean, log_variance).sum()
+        missed, kl = batch_terms(model, x, settings.loss, rng)
         loss = missed + weight * kl
         if not bool(torch.isfinite(loss)):
             message = (
@@ -186,9 +192,9 @@ def _seconds_of_an_epoch(model: Network, train: torch.Tensor, n_batches: int, se
     rows, spent = np.arange(min(settings.batch, len(train))), []
     for _ in range(_TIMED):
         start = time.perf_counter()
-        x = _blended(train, rows, settings.mixing, np.random.default_rng(0))
-        mean, log_variance = model.encode(x)
-        (reconstruction(model.decode(mean), x, settings.loss) + kl_divergence(mean, log_variance).sum()).backward()
+        rng = np.random.default_rng(0)
+        missed, kl = batch_terms(model, _blended(train, rows, settings.mixing, rng), settings.loss, rng)
+        (missed + kl).backward()
         model.zero_grad()
         spent.append(time.perf_counter() - start)
     return n_batches * float(np.median(spent))

@@ -17,20 +17,7 @@ from tissuereg_training.onnx_graph import GraphBuilder, narrowest
 
 
 def decoder_onnx(model: GraphClosure, facts: dict[str, Any]) -> onnx.ModelProto:
-    """Return the decoder.
-
-    Parameters
-    ----------
-    model : GraphClosure
-        Trained and finished.
-    facts : dict
-        Metadata of the whole model.
-
-    Returns
-    -------
-    onnx.ModelProto
-        `z` (batch, n_latent), and `nodes` (k,) where given, to `displacement` (batch, k, 3) mm.
-    """
+    """Return the decoder of a trained and finished model; arguments and result as of `closure_export.decoder_onnx`."""
     graph, depth = GraphBuilder("decoder"), len(model.channels)
     nodes = graph.named_table("nodes", np.arange(model.n_nodes, dtype=np.int64))
     field = closure_export.decoded_at(graph, model, nodes)

@@ -18,9 +18,9 @@ import torch
 
 from tissuereg_training.data import FieldArray
 from tissuereg_training.errors import DivergenceError
-from tissuereg_training.fit import normalised_parts
-from tissuereg_training.losses import kl_divergence, one_cycle, reconstruction
-from tissuereg_training.network import Network, sampled_latents
+from tissuereg_training.fit import batch_terms, normalised_parts
+from tissuereg_training.losses import one_cycle
+from tissuereg_training.network import Network
 from tissuereg_training.settings import TrainSettings
 
 #: Peak of the learning rate: one layer, whose loss is smooth.
@@ -102,10 +102,7 @@ def _fitted(
             for group in optimiser.param_groups:
                 group["lr"] = one_cycle(epoch * n_batches + number, n_steps, _RATE, settings.rise)
             some = x[torch.from_numpy(rows).to(x.device)]
-            mean, log_variance = model.encode(some)
-            noise = torch.from_numpy(rng.standard_normal(mean.shape, dtype=np.float32)).to(mean.device)
-            missed = reconstruction(model.decode(sampled_latents(mean, log_variance, noise)), some, settings.loss)
-            kl = kl_divergence(mean, log_variance).sum()
+            missed, kl = batch_terms(model, some, settings.loss, rng)
             loss = missed + settings.spread_weight * kl
             if not bool(torch.isfinite(loss)):
                 message = f"the loss of the second stage must stay finite, got {loss.item()} in epoch {epoch + 1}"

@@ -71,8 +71,8 @@ type Scores<'py> = (
 );
 
 /// Scores pairs of component, int64 (n_pairs,), and scale, float64 (n_pairs,), of a mixture: covariances, float64
-/// (n_components, n_obs, n_obs), innovations, float64 (n_components, n_obs), noise, float64 (n_obs, n_obs). `group` observations are compared with the others, all or the
-/// `last` ones; 0 for none.
+/// (n_components, n_obs, n_obs), innovations, float64 (n_components, n_obs), noise, float64 (n_obs, n_obs). `group`
+/// observations are compared with the others, all or the `last` ones; 0 for none.
 #[pyfunction]
 #[pyo3(signature = (covariances, innovations, component, scale, noise, *, group=0, last=false, threads=0))]
 #[allow(clippy::too_many_arguments)] // Keywords of the Python signature.

@@ -136,21 +136,17 @@ fn scored(
         .map_err(|pivot| EsmdaError::NoiseNotPositiveDefinite { pivot })?;
     solve_lower_triangular_in_place(lower.as_ref(), innovation.as_mut(), Par::Seq);
     let square: f64 = innovation.col(0).iter().map(|w| w * w).sum();
-    let roots: Vec<f64> = lower.diagonal().column_vector().iter().copied().collect();
-    let log_root: f64 = roots.iter().map(|l| l.ln()).sum();
-    let first = match groups {
-        Groups::Last(size) => n_obs - size,
-        _ => n_obs,
-    };
-    let last: f64 = innovation.col(0).iter().skip(first).map(|w| w * w).sum();
+    let log_roots: Vec<f64> = lower.diagonal().column_vector().iter().map(|l| l.ln()).collect();
+    let log_root: f64 = log_roots.iter().sum();
+    let (mut misfits, mut log_dets) = (Vec::new(), Vec::new());
+    if let Groups::Last(size) = groups {
+        // The last rows of L^-1 v are what the others leave of the last observations, white.
+        let first = n_obs - size;
+        misfits.push(innovation.col(0).iter().skip(first).map(|w| w * w).sum());
+        log_dets.push(-2.0 * log_roots[first..].iter().sum::<f64>());
+    }
     solve_upper_triangular_in_place(lower.transpose(), innovation.as_mut(), Par::Seq);
     let pull: Vec<f64> = innovation.col(0).iter().copied().collect();
-    let (mut misfits, mut log_dets) = (Vec::new(), Vec::new());
-    if let Groups::Last(_) = groups {
-        // The last rows of L^-1 v are what the others leave of the last observations, white.
-        misfits.push(last);
-        log_dets.push(-2.0 * roots[first..].iter().map(|l| l.ln()).sum::<f64>());
-    }
     if let Groups::Every(group) = groups {
         let mut root = Mat::identity(n_obs, n_obs);
         solve_lower_triangular_in_place(lower.as_ref(), root.as_mut(), Par::Seq);

@@ -12,7 +12,7 @@ import numpy as np
 
 from tissuereg import _core
 from tissuereg._base.arrays import FloatArray
-from tissuereg.registration.learned.assimilate import balanced_draws
+from tissuereg.registration.learned.assimilate import balanced_draws, spread_factor
 from tissuereg.registration.learned.model import Gaussian
 
 #: Each inflation coefficient over the next; the paper only says that they decrease.
@@ -40,8 +40,7 @@ class Ensembles:
     @property
     def spread_factor(self) -> float:
         """Factor on covariances for the finite ensemble, as `Assimilation.spread_factor`."""
-        n = self.latents.shape[2]
-        return 1.0 if self.exact else (1.0 + 1.0 / n) * (n - 1.0) / max(n - 3.0, 1.0)
+        return spread_factor(self.latents.shape[2], exact=self.exact)
 
 
 def assimilate_many(

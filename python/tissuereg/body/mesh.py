@@ -237,6 +237,13 @@ def free_surface(mesh: Mesh) -> tuple[IntArray, FloatArray]:
     return free, areas / areas.sum()
 
 
+def random_simplices(mesh: Mesh, n_triangles: int, n_tets: int, rng: np.random.Generator) -> tuple[IntArray, IntArray]:
+    """Return corners of random free surface triangles (n_triangles, 3), by area, and tets (n_tets, 4), by volume."""
+    free, shares = free_surface(mesh)
+    triangles = free[rng.choice(len(free), n_triangles, p=shares)]
+    return triangles, mesh.tets[rng.choice(mesh.n_tets, n_tets, p=mesh.volumes / mesh.volumes.sum())]
+
+
 def det_f(mesh: Mesh, displacement: FloatArray) -> FloatArray:
     """Return the volume ratio of every tet under a displacement of the nodes.
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.body.markers import Markers
-from tissuereg.body.mesh import Mesh, free_surface
+from tissuereg.body.mesh import Mesh, random_simplices
 from tissuereg.errors import TissueRegError
 from tissuereg.registration.learned.model import LatentModel
 from tissuereg.registration.register import register
@@ -63,9 +63,7 @@ def worth(
     rows = []
     for number, (truth, simulation) in enumerate(zip(truths, simulations, strict=True)):
         rng = np.random.default_rng([seed, 61, number])
-        triangles, shares = free_surface(mesh)
-        on = triangles[rng.choice(len(triangles), _MARKERS, p=shares)]
-        inside = mesh.tets[rng.choice(mesh.n_tets, _TARGETS, p=mesh.volumes / mesh.volumes.sum())]
+        on, inside = random_simplices(mesh, _MARKERS, _TARGETS, rng)
         reference, places = mesh.nodes[on].mean(axis=1), mesh.nodes[inside].mean(axis=1)
         measured = reference + truth[on].mean(axis=1) + _STD * rng.standard_normal(reference.shape)
         targets = {str(i): place for i, place in enumerate(places)}

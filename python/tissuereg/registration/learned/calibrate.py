@@ -13,7 +13,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray, IntArray
-from tissuereg.body.mesh import Mesh, free_surface
+from tissuereg.body.mesh import Mesh, random_simplices
 from tissuereg.registration.learned.calibration import (
     LEAST_SIZE_MM,
     UNRELATED,
@@ -280,9 +280,7 @@ class _Places:
 
     @classmethod
     def drawn(cls, mesh: Mesh, n_markers: int, n_targets: int, rng: np.random.Generator) -> "_Places":
-        free, shares = free_surface(mesh)
-        triangles = free[rng.choice(len(free), n_markers, p=shares)]
-        tets = mesh.tets[rng.choice(mesh.n_tets, n_targets, p=mesh.volumes / mesh.volumes.sum())]
+        triangles, tets = random_simplices(mesh, n_markers, n_targets, rng)
         members = np.concatenate([np.column_stack([triangles, triangles[:, :1]]), tets])
         weights = np.zeros((len(members), 4))
         weights[:n_markers, :3] = rng.dirichlet(np.ones(3), n_markers)

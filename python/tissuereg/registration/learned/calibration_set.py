@@ -75,17 +75,20 @@ class CalibrationSet:
         rarest = -np.log(self.shares(statistics).min())[None]
         return float(np.mean([one.shares(rarest)[0] for one in self._rarest]))
 
+    @property
+    def _by_group(self) -> list[FloatArray]:
+        """The statistics (n, 5) of each group's events."""
+        return [self.statistics[self.groups == group] for group in np.unique(self.groups)]
+
     @cached_property
     def _columns(self) -> list[list["_Ascending"]]:
         """The sorted values of each statistic, of each group."""
-        rows = (self.statistics[self.groups == group] for group in np.unique(self.groups))
-        return [[_Ascending.of(column) for column in own.T] for own in rows]
+        return [[_Ascending.of(column) for column in own.T] for own in self._by_group]
 
     @cached_property
     def _rarest(self) -> list["_Ascending"]:
         """Minus the logarithm of the least share among each event's statistics, sorted, of each group."""
-        groups = (self.statistics[self.groups == group] for group in np.unique(self.groups))
-        shares = (self._shares(rows, own=number) for number, rows in enumerate(groups))
+        shares = (self._shares(rows, own=number) for number, rows in enumerate(self._by_group))
         return [_Ascending.of(-np.log(one.min(axis=1))) for one in shares]
 
     def _shares(self, rows: FloatArray, own: int = -1) -> FloatArray:

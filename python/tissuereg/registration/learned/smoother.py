@@ -26,7 +26,7 @@ import numpy as np
 from tissuereg import _core
 from tissuereg._base.arrays import FloatArray, IntArray, frozen
 from tissuereg.errors import EnsembleError
-from tissuereg.registration.learned.assimilate import ABSURD_MM, StepOptions, balanced_draws
+from tissuereg.registration.learned.assimilate import ABSURD_MM, StepOptions, balanced_draws, spread_factor
 from tissuereg.registration.learned.components import probabilities
 from tissuereg.registration.learned.mixture import Component, Evidence, LinearDecoder
 
@@ -252,7 +252,7 @@ def smooth(
             logs[number] += _step_evidence(predicted, observed, covariances[number], log_dets[number], alpha)
             before = np.ascontiguousarray(ensembles[number])
             ensembles[number] = _STEP.update(before, predicted, observed, noises[number], empty, alpha=alpha, threads=1)
-    factor = 1.0 if draws[1] else spread_factor(n_members)
+    factor = spread_factor(n_members, exact=draws[1])
     found = zip(component, scale, probabilities(logs), ensembles, parts, errors, covariances, strict=True)
     return Smoothed(tuple(_answer(c, s, w, z, x, e, d, observed, factor) for c, s, w, z, x, e, d in found), dropped)
 
@@ -281,15 +281,6 @@ def _answer(
     away = answers - mean
     spread = away.T @ away * (factor / (len(away) - 1)) + left
     return Pair(int(component), float(scale), float(weight), latents, mean, spread, pulls, covariance)
-
-
-def spread_factor(n_members: int) -> float:
-    """Return the factor on covariances that corrects for an ensemble of independent draws being finite.
-
-    Mean and covariance estimated from n independent members predict a further draw with the covariance times ``(1 +
-    1/n)(n - 1)/(n - 3)`` (variance of Student's t); draws with exact moments estimate nothing.
-    """
-    return (1.0 + 1.0 / n_members) * (n_members - 1.0) / max(n_members - 3.0, 1.0)
 
 
 def _step_evidence(

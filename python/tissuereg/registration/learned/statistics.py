@@ -42,9 +42,9 @@ def statistics_of(
 
     `calibration`: knows how far a code lies from the training set; `prior`: mixture, of which `screening` has the
     evidence; `observed` (n_obs,): measured displacements, mm; `noise` (n_obs, n_obs): covariance of the tracker's
-    noise, mm^2; `n_own`: number of components of the simulated
-    event, which come first; the others are those of an event that was not simulated. Cost: a Cholesky factor of size
-    n_obs for every pair of component and scale, and for each of `NOISE_FACTORS`, and an inverse for every pair.
+    noise, mm^2; `n_own`: number of components of the simulated event, which come first; the others are those of an
+    event that was not simulated. Cost: a Cholesky factor of size n_obs for every pair of component and scale, and for
+    each of `NOISE_FACTORS`, and an inverse for every pair.
     """
     from scipy.special import gammaincc
 

@@ -11,6 +11,7 @@ from tissuereg.registration.learned.assimilate.ensemble import (
     StepOptions,
     assimilate,
     balanced_draws,
+    spread_factor,
 )
 
 __all__ = [
@@ -21,4 +22,5 @@ __all__ = [
     "StepOptions",
     "assimilate",
     "balanced_draws",
+    "spread_factor",
 ]

@@ -127,13 +127,17 @@ class Assimilation:
 
     @property
     def spread_factor(self) -> float:
-        """Factor on covariances of the ensemble that corrects for its finite size.
+        """Factor on covariances of the ensemble that corrects for its finite size (`spread_factor`)."""
+        return spread_factor(self.latents.shape[1], exact=self.exact_draws)
 
-        Mean and covariance estimated from n independent members predict a further draw with the covariance times ``(1 +
-        1/n)(n - 1)/(n - 3)`` (variance of Student's t). For draws with exact sample moments the factor is one.
-        """
-        n = self.latents.shape[1]
-        return 1.0 if self.exact_draws else (1.0 + 1.0 / n) * (n - 1.0) / max(n - 3.0, 1.0)
+
+def spread_factor(n_members: int, *, exact: bool) -> float:
+    """Return the factor on covariances that corrects for an ensemble being finite.
+
+    Mean and covariance estimated from n independent members predict a further draw with the covariance times ``(1 +
+    1/n)(n - 1)/(n - 3)`` (variance of Student's t). For draws with `exact` sample moments the factor is one.
+    """
+    return 1.0 if exact else (1.0 + 1.0 / n_members) * (n_members - 1.0) / max(n_members - 3.0, 1.0)
 
 
 @dataclass(frozen=True, eq=False)
