@@ -194,7 +194,7 @@ def _seconds_of_an_epoch(model: Network, train: torch.Tensor, n_batches: int, se
         start = time.perf_counter()
         rng = np.random.default_rng(0)
         missed, kl = batch_terms(model, _blended(train, rows, settings.mixing, rng), settings.loss, rng)
-        (missed + kl).backward()
+        (missed + kl).backward()  # type: ignore[no-untyped-call]
         model.zero_grad()
         spent.append(time.perf_counter() - start)
     return n_batches * float(np.median(spent))
