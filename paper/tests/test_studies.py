@@ -9,12 +9,12 @@ import pytest
 import tissuereg as tr
 from support.files import run, run_json
 from tissuereg.errors import ArgumentError, EnsembleError, ModelError
-from tissuereg.registration.learned.assimilate import AssimilationSettings, assimilate
 from tissuereg.registration.learned.model import Gaussian
 from tissuereg.registration.learned.pca import PcaModel
 from tissuereg.simulation.dataset import make_dataset
 from tissuereg.simulation.recipe import recipe_of
 from tissuereg_paper.cli import _STUDIES, main
+from tissuereg_paper.rivals.assimilation import AssimilationSettings, assimilate
 from tissuereg_paper.studies import SIMULATED, STUDIES, reproduce, shapes
 from tissuereg_paper.studies import run as running
 from tissuereg_paper.studies import sweep as sweeping

@@ -10,8 +10,10 @@ import tissuereg as tr
 from support.meshes import block
 from support.wrong import ends_well, swept
 from tissuereg.registration.contacts.settings import ContactSettings
+from tissuereg.registration.learned.model import Gaussian
 from tissuereg.registration.learned.pca import PcaModel
 from tissuereg_paper.rivals import RIVALS, Rigid, Setting
+from tissuereg_paper.rivals.assimilation import AssimilationSettings, StepOptions, assimilate
 from tissuereg_paper.studies import ContestInputs
 from tissuereg_paper.studies import run as running
 
@@ -44,6 +46,16 @@ def setting(**given):
     return Setting(**{**good, "threads": 1, **given})
 
 
+def gaussian():
+    return Gaussian(np.zeros(1), np.eye(1))
+
+
+def assimilated(**given):
+    good = {"observed": [1.0], "noise": np.eye(1), "prior": gaussian(), "rng": np.random.default_rng(0)}
+    few = AssimilationSettings(n_members=9, min_members=5)
+    return assimilate(lambda z: z, **{**good, "settings": few, **given})
+
+
 def rival(name):
     """Return the constructor of a method, given everything that any of them needs."""
     fields = np.random.default_rng(0).standard_normal((20, mesh().n_nodes, 3))
@@ -62,6 +74,30 @@ def reproduced(**given):
 
 #: Every method and the studies: a call that works.
 CALLS = {
+    "StepOptions": (StepOptions, {"form": "stochastic", "factorisation": "auto"}),
+    "assimilate": (
+        lambda **given: assimilated(**given),
+        {
+            "observed": [1.0],
+            "noise": np.eye(1),
+            "prior": gaussian(),
+            "rng": np.random.default_rng(0),
+            "settings": AssimilationSettings(n_members=9, min_members=5),
+            "perturbations": lambda step, shape: np.ones(shape),
+        },
+    ),
+    "AssimilationSettings": (
+        AssimilationSettings,
+        {
+            "n_members": 9,
+            "n_steps": 2,
+            "schedule": "geometric",
+            "decrease": 2.0,
+            "options": StepOptions(),
+            "min_members": 5,
+            "threads": 1,
+        },
+    ),
     "Setting": (
         setting,
         {
@@ -120,7 +156,13 @@ CALLS = {
 }
 
 #: What a message may call an argument instead of its name; several are split by bars.
-CALLED = {"reference_mm": "marker", "measured_mm": "marker", "model": "model"}
+CALLED = {
+    "reference_mm": "marker",
+    "measured_mm": "marker",
+    "model": "model",
+    "observed": "noise",
+    "schedule": "coefficients",
+}
 
 
 @pytest.mark.parametrize(("call", "argument", "wrong"), swept(CALLS))

@@ -34,7 +34,7 @@ PRIVATE: dict[str, tuple[str, tuple[str, ...]]] = {
     "registration.learned": (
         "models are loaded, sampled and assimilated as registration does, where a study varies one of these steps",
         (
-            "registration.learned.assimilate",
+            "registration.learned.draws",
             "registration.learned.card",
             "registration.learned.model",
             "registration.learned.network",

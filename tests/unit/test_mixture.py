@@ -170,7 +170,7 @@ def test_noise_that_is_larger_than_stated_has_the_larger_evidence():
     def odds(std):
         drawn = slopes @ np.linalg.cholesky(one.covariance) @ rng.standard_normal(4)
         observed = drawn + std * np.sqrt(0.1) * rng.standard_normal(30)
-        return log_noise_odds(Evidence.of([one], linear, observed, noise), observed, noise)
+        return log_noise_odds(Evidence.of([one], linear, observed, noise), noise)
 
     right, threefold, tenfold = ([odds(std) for _ in range(200)] for std in (1.0, 3.0, 10.0))
     assert min(threefold) > 5.0

@@ -110,6 +110,8 @@ def test_an_answer_of_no_marker_is_not_trusted_unless_points_are_there():
 class Events:
     """Honest events of which a share of exp(-sign) looks as bad, and of all signs together four times the least."""
 
+    level = 0.01
+
     def shares(self, signs):
         return np.exp(-np.asarray(signs))
 
@@ -117,13 +119,19 @@ class Events:
         return float(4.0 * self.shares(signs).min())
 
 
-def compared(misfit=0.5, markers=None, distance=1.0, unrelated=0.0, noise=1.0, min_det_f=0.8, notes=()):
+class Strict(Events):
+    """The same, with fewer false alarms."""
+
+    level = 0.001
+
+
+def compared(misfit=0.5, markers=None, distance=1.0, unrelated=0.0, noise=1.0, min_det_f=0.8, notes=(), events=None):
     """Return the verdict on signs, given as shares of honest events that look as bad."""
     markers = np.ones(8) if markers is None else markers
     signs = -np.log([misfit, markers.min(), distance, np.exp(-unrelated), noise])
     noise = 0.01 * np.eye(24)
     shown = SimpleNamespace(row=signs, marker_rows=-np.log(markers), marker_misfits=np.full(8, 9.0))
-    return judge_by_rehearsal(NAMES, np.zeros((8, 3)), noise, Events(), shown, min_det_f, list(notes))
+    return judge_by_rehearsal(NAMES, np.zeros((8, 3)), noise, events or Events(), shown, min_det_f, list(notes))
 
 
 def test_what_honest_events_show_as_well_is_trusted():
@@ -145,6 +153,12 @@ def test_what_honest_events_show_as_well_is_trusted():
 )
 def test_what_honest_events_do_not_show_is_a_reason(given, kind):
     assert [reason.split(":")[0] for reason in compared(**given).reasons] == [kind]
+
+
+def test_the_events_say_below_which_share_an_answer_is_not_trusted():
+    assert not compared(misfit=0.002).ok
+    assert compared(misfit=0.002, events=Strict()).ok
+    assert not compared(misfit=0.0002, events=Strict()).ok
 
 
 def test_markers_that_are_rarer_than_in_honest_events_are_named():

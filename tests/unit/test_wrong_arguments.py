@@ -21,8 +21,6 @@ from tissuereg.experiment.effects import EFFECTS
 from tissuereg.io.experiments import read_experiment
 from tissuereg.parallel import Failed, Processes, open_executor
 from tissuereg.registration.contacts.settings import ContactSettings
-from tissuereg.registration.learned.assimilate import AssimilationSettings, StepOptions, assimilate
-from tissuereg.registration.learned.model import Gaussian
 from tissuereg.registration.wrong_markers import score_markers
 from tissuereg.simulation.fine import FineMeshing
 
@@ -107,16 +105,6 @@ def filled(**given):
 def saved(**given):
     with tempfile.TemporaryDirectory() as folder:
         registered().save(Path(folder) / "out", **given)
-
-
-def gaussian():
-    return Gaussian(np.zeros(1), np.eye(1))
-
-
-def assimilated(**given):
-    good = {"observed": [1.0], "noise": np.eye(1), "prior": gaussian(), "rng": np.random.default_rng(0)}
-    few = AssimilationSettings(n_members=9, min_members=5)
-    return assimilate(lambda z: z, **{**good, "settings": few, **given})
 
 
 def registrations(**changed):
@@ -477,30 +465,6 @@ CALLS = {
         lambda **given: tr.FineModel(**{"experiment": rig(), **given}),
         {"experiment": rig(), "meshing": FineMeshing(rim_edge=2.0)},
     ),
-    "StepOptions": (StepOptions, {"form": "stochastic", "factorisation": "auto"}),
-    "assimilate": (
-        lambda **given: assimilated(**given),
-        {
-            "observed": [1.0],
-            "noise": np.eye(1),
-            "prior": gaussian(),
-            "rng": np.random.default_rng(0),
-            "settings": AssimilationSettings(n_members=9, min_members=5),
-            "perturbations": lambda step, shape: np.ones(shape),
-        },
-    ),
-    "AssimilationSettings": (
-        AssimilationSettings,
-        {
-            "n_members": 9,
-            "n_steps": 2,
-            "schedule": "geometric",
-            "decrease": 2.0,
-            "options": StepOptions(),
-            "min_members": 5,
-            "threads": 1,
-        },
-    ),
     "score_markers": (
         score_markers,
         {"residual": np.ones((1, 3)), "noise": np.eye(3), "absorbed": 0.1 * np.eye(3)},
@@ -514,8 +478,6 @@ CALLED = {
     "body": "mesh",
     "address": "cluster",
     "tets": "tet",
-    "observed": "noise",
-    "schedule": "coefficients",
     "node_sets": "node set|`a`",
     "reference": "marker",
     "measured": "marker|surface",

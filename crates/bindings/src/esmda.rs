@@ -270,6 +270,12 @@ impl Step {
         Ok(updated)
     }
 
+    /// `log [N(d; mean Y, C_yy + alpha C_d) / N(0; 0, alpha C_d)]`, of the square-root form; None of the other.
+    #[getter]
+    fn log_evidence(&self) -> Option<f64> {
+        self.step.report().log_evidence
+    }
+
     /// Number of members.
     #[getter]
     fn n_members(&self) -> usize {

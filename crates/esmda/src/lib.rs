@@ -68,6 +68,7 @@
 //! lists of choices may grow in a minor version: they are `#[non_exhaustive]`, and settings are made from their default.
 #![forbid(unsafe_code)]
 
+mod bordered;
 mod check;
 mod chi_square;
 mod error;

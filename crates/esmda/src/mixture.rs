@@ -16,13 +16,15 @@
 //!
 //! and `q_g` is the squared distance of the observations `g` from their prediction by all others, in its own standard
 //! deviations. Their density given the others is `N(B^-1 u_g; 0, B^-1)`.
+//!
+//! Rows below `S` are factored along with it: `v'` becomes `w'`, and the identity `L'^-1`. Some pairs are factored side by
+//! side, a lane each, because such small factors alone do not fill vector registers.
 
-use faer::linalg::triangular_solve::{
-    solve_lower_triangular_in_place, solve_upper_triangular_in_place,
-};
-use faer::{Mat, MatRef, Par};
+use faer::{MatRef, Par};
+use pulp::{Arch, NullaryFnOnce};
 
-use crate::check::{check_finite, check_setting, check_shape};
+use crate::bordered::{Bordered, Lanes};
+use crate::check::{LANES, check_finite, check_setting, check_shape, row_of};
 use crate::{EsmdaError, linalg};
 
 /// A Gaussian of the mixture, by its number, with a factor on its standard deviations.
@@ -73,7 +75,8 @@ pub struct ComponentScore {
 ///
 /// # Cost
 ///
-/// `n_obs^3 / 6` multiply-adds a pair, three times that with every group; pairs on threads by `par`, with the same bits.
+/// `n_obs^3 / 6` multiply-adds a pair, three times that with every group; eight pairs at once, and these on threads by
+/// `par`, with the same bits.
 ///
 /// # Examples
 ///
@@ -113,55 +116,84 @@ pub fn score_components(
         check_setting("scale", pair.scale, "finite", usable)?;
     }
     let score = |number: usize| {
-        let ScaledComponent { component, scale } = pairs[number];
-        let own = covariances.subrows(component * n_obs, n_obs);
-        let square = scale * scale;
-        let total = Mat::from_fn(n_obs, n_obs, |i, j| {
-            if i < j { 0.0 } else { square * own[(i, j)] + noise[(i, j)] }
-        });
-        let innovation = Mat::from_fn(n_obs, 1, |i, _| innovations[(component, i)]);
-        scored(total, innovation, groups)
+        let first = number * LANES;
+        let own = &pairs[first..pairs.len().min(first + LANES)];
+        Arch::new().dispatch(Batch { covariances, innovations, pairs: own, noise, groups })
     };
-    linalg::map_in_order(pairs.len(), par, score).into_iter().collect()
+    let scores = linalg::map_in_order(pairs.len().div_ceil(LANES), par, score);
+    scores.into_iter().flatten().collect()
 }
 
-/// Scores one innovation (n_obs, 1) under its covariance, of which the upper half is zero.
-fn scored(
-    mut lower: Mat<f64>,
-    mut innovation: Mat<f64>,
+/// Up to `LANES` pairs, at least one; arguments as for [`score_components`].
+struct Batch<'a> {
+    covariances: MatRef<'a, f64>,
+    innovations: MatRef<'a, f64>,
+    pairs: &'a [ScaledComponent],
+    noise: MatRef<'a, f64>,
     groups: Groups,
-) -> Result<ComponentScore, EsmdaError> {
-    let n_obs = lower.nrows();
-    linalg::cholesky_in_place(lower.as_mut())
-        .map_err(|pivot| EsmdaError::NoiseNotPositiveDefinite { pivot })?;
-    solve_lower_triangular_in_place(lower.as_ref(), innovation.as_mut(), Par::Seq);
-    let square: f64 = innovation.col(0).iter().map(|w| w * w).sum();
-    let log_roots: Vec<f64> = lower.diagonal().column_vector().iter().map(|l| l.ln()).collect();
-    let log_root: f64 = log_roots.iter().sum();
-    let (mut misfits, mut log_dets) = (Vec::new(), Vec::new());
-    if let Groups::Last(size) = groups {
-        // The last rows of L^-1 v are what the others leave of the last observations, white.
-        let first = n_obs - size;
-        misfits.push(innovation.col(0).iter().skip(first).map(|w| w * w).sum());
-        log_dets.push(-2.0 * log_roots[first..].iter().sum::<f64>());
-    }
-    solve_upper_triangular_in_place(lower.transpose(), innovation.as_mut(), Par::Seq);
-    let pull: Vec<f64> = innovation.col(0).iter().copied().collect();
-    if let Groups::Every(group) = groups {
-        let mut root = Mat::identity(n_obs, n_obs);
-        solve_lower_triangular_in_place(lower.as_ref(), root.as_mut(), Par::Seq);
-        for first in (0..n_obs).step_by(group) {
-            // Rows of L^-1 above the first column of a group are zero there.
-            let own = root.get(first.., first..first + group);
-            let mut block = own.transpose() * own;
-            linalg::cholesky_in_place(block.as_mut())
-                .map_err(|pivot| EsmdaError::NoiseNotPositiveDefinite { pivot: first + pivot })?;
-            let mut white = Mat::from_fn(group, 1, |i, _| pull[first + i]);
-            solve_lower_triangular_in_place(block.as_ref(), white.as_mut(), Par::Seq);
-            misfits.push(white.col(0).iter().map(|w| w * w).sum());
-            let log_root: f64 = block.diagonal().column_vector().iter().map(|l| l.ln()).sum();
-            log_dets.push(2.0 * log_root);
+}
+
+impl NullaryFnOnce for Batch<'_> {
+    type Output = Vec<Result<ComponentScore, EsmdaError>>;
+
+    #[inline(always)]
+    fn call(self) -> Self::Output {
+        let n = self.noise.nrows();
+        let inverse = matches!(self.groups, Groups::Every(_));
+        let mut factor = Bordered::new(n, inverse);
+        // Lanes that are left over repeat the last pair.
+        let pairs: [_; LANES] =
+            std::array::from_fn(|lane| self.pairs[lane.min(self.pairs.len() - 1)]);
+        let squares = pairs.map(|pair| pair.scale * pair.scale);
+        for i in 0..n {
+            let own = pairs.map(|pair| row_of(self.covariances, pair.component * n + i));
+            let (own, noise) = (own.each_ref().map(|row| &row[..=i]), row_of(self.noise, i));
+            for (j, entry) in factor.row_mut(i)[..=i].iter_mut().enumerate() {
+                for lane in 0..LANES {
+                    entry[lane] = squares[lane] * own[lane][j] + noise[j];
+                }
+            }
+            factor.row_mut(n)[i] = pairs.map(|pair| self.innovations[(pair.component, i)]);
         }
+        factor.run();
+        let (square, log_det, pulls) = (factor.square(0), factor.log_det(0), factor.solution());
+        let mut scores: Vec<_> = (0..self.pairs.len())
+            .map(|lane| {
+                let pull = pulls.iter().map(|one| one[lane]).collect();
+                let (misfits, log_dets) = (Vec::new(), Vec::new());
+                let log_density = -0.5 * (square[lane] + log_det[lane]);
+                ComponentScore { log_density, pull, misfits, log_dets }
+            })
+            .collect();
+        let mut add = |misfit: Lanes, log_det: Lanes| {
+            for (lane, score) in scores.iter_mut().enumerate() {
+                score.misfits.push(misfit[lane]);
+                score.log_dets.push(log_det[lane]);
+            }
+        };
+        let mut failed = factor.failed;
+        match self.groups {
+            Groups::Nothing => {}
+            // The last of L^-1 v are what the others leave of the last observations, white.
+            Groups::Last(size) => {
+                add(factor.square(n - size), factor.log_det(n - size).map(|value| -value));
+            }
+            Groups::Every(size) => {
+                for first in (0..n).step_by(size) {
+                    let mut block = factor.block_of_inverse(first, size);
+                    block.row_mut(size).copy_from_slice(&pulls[first..first + size]);
+                    block.run();
+                    add(block.square(0), block.log_det(0));
+                    for (all, own) in failed.iter_mut().zip(block.failed) {
+                        *all = all.or(own.map(|pivot| first + pivot));
+                    }
+                }
+            }
+        }
+        let refused = |pivot| EsmdaError::NoiseNotPositiveDefinite { pivot };
+        let checked = scores.into_iter().zip(failed);
+        checked
+            .map(|(score, failed)| failed.map_or(Ok(score), |pivot| Err(refused(pivot))))
+            .collect()
     }
-    Ok(ComponentScore { log_density: -0.5 * square - log_root, pull, misfits, log_dets })
 }

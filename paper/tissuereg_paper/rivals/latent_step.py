@@ -9,17 +9,17 @@ import numpy as np
 from tissuereg._base.arguments import flag, real, whole
 from tissuereg._base.arrays import FloatArray, IntArray
 from tissuereg.body.observe import MarkerObservation, TargetObservation
-from tissuereg.registration.learned.assimilate import (
-    Assimilation,
-    AssimilationSettings,
-    FirstEnsemble,
-    assimilate,
-    balanced_draws,
-)
+from tissuereg.registration.learned.draws import balanced_draws
 from tissuereg.registration.learned.model import Gaussian
 from tissuereg.registration.learned.points import PointModel, PointsAround
 from tissuereg.registration.learned.repair import repaired
 from tissuereg_paper.latents import LinearPredictions, error_covariance, errors_of, prior_of, widened
+from tissuereg_paper.rivals.assimilation import (
+    Assimilation,
+    AssimilationSettings,
+    FirstEnsemble,
+    assimilate,
+)
 from tissuereg_paper.rivals.rival import Estimate, Moment, Rival, Setting
 
 #: Members decoded to whole fields at once.

@@ -13,8 +13,8 @@ from tissuereg.body.observe import MarkerObservation
 from tissuereg.errors import ArgumentError
 from tissuereg.registration.contacts.body import ContactBody
 from tissuereg.registration.contacts.supports import Supports
-from tissuereg.registration.learned.assimilate import AssimilationSettings, StepOptions, assimilate
 from tissuereg.registration.learned.model import Gaussian
+from tissuereg_paper.rivals.assimilation import AssimilationSettings, StepOptions, assimilate
 from tissuereg_paper.rivals.rival import Estimate, Moment, Rival, Setting
 
 #: Residual over load at which an equilibrium is good enough for markers with noise.

@@ -8,11 +8,11 @@ from tissuereg._base.arguments import whole
 from tissuereg._base.arrays import FloatArray
 from tissuereg.body.observe import MarkerObservation
 from tissuereg.errors import ArgumentError
-from tissuereg.registration.learned.assimilate import AssimilationSettings, assimilate
 from tissuereg.registration.learned.model import Gaussian
 from tissuereg.registration.learned.pca import PcaModel
 from tissuereg.registration.linear_prior import LinearPrior
 from tissuereg_paper.latents import error_covariance
+from tissuereg_paper.rivals.assimilation import AssimilationSettings, assimilate
 from tissuereg_paper.rivals.rival import Estimate, Rival, Setting
 
 #: One field of so many is held out to measure what the components leave.
@@ -35,7 +35,7 @@ class PcaEsMda(Rival):
         Number of components; 26 as the paper has latents.
     n_members, n_steps : int
         Ensemble size and number of assimilations of ES-MDA, as in the paper. The model is linear, so that neither
-        changes the answer where draws can be balanced (`tissuereg.registration.learned.assimilate.balanced_draws`).
+        changes the answer where draws can be balanced (`tissuereg.registration.learned.draws.balanced_draws`).
 
     Raises
     ------

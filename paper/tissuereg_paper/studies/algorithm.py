@@ -1,7 +1,7 @@
 """Algorithm 1 of the paper for many pairs at once: they share each call of the decoder.
 
 The update is that of `tissuereg-esmda`, pair by pair. With random draws it is the paper's algorithm; with balanced ones
-it is `tissuereg.registration.learned.assimilate.assimilate`. A registration of the package makes the same steps, in
+it is `tissuereg_paper.rivals.assimilation.assimilate`. A registration of the package makes the same steps, in
 square-root form and for several ensembles at once.
 """
 
@@ -12,7 +12,7 @@ import numpy as np
 
 from tissuereg import _core
 from tissuereg._base.arrays import FloatArray
-from tissuereg.registration.learned.assimilate import balanced_draws, spread_factor
+from tissuereg.registration.learned.draws import balanced_draws, spread_factor
 from tissuereg.registration.learned.model import Gaussian
 
 #: Each inflation coefficient over the next; the paper only says that they decrease.

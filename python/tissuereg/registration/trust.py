@@ -126,6 +126,11 @@ class Shown(Protocol):
 class Compared(Protocol):
     """Set of calibration events: trial registrations with right measurements, with which one is compared."""
 
+    @property
+    def level(self) -> float:
+        """The p-value below which an answer is not trusted."""
+        ...
+
     def p_value(self, statistics: FloatArray) -> float:
         """Return the share of calibration events whose rarest statistic is as rare as that of statistics (5,)."""
         ...
@@ -147,7 +152,7 @@ def judge_by_rehearsal(
     """Return whether a registration with a trained model can be trusted, and why not, by comparison with trials.
 
     Its test statistics are judged together against those of calibration events (trial registrations with right
-    measurements), of which one percent would not be trusted, by any statistic. `names`: markers that were used;
+    measurements), by any statistic; `calibration_set` says which share is too small. `names`: markers that were used;
     `residual` (n_markers, 3): measured minus fitted places, mm; `noise` (3 n_markers, 3 n_markers): covariance of the
     tracker's noise, mm^2; `calibration_set`: the calibration events; `shown`: test statistics of the registration;
     `min_det_f`: smallest volume ratio of a tet of the registered body; `notes`: reasons found earlier in the
@@ -157,10 +162,10 @@ def judge_by_rehearsal(
     flat = residual.ravel()
     data = float(flat @ np.linalg.solve(noise, flat))
     statistics = shown.row
-    p_value, reasons = calibration_set.p_value(statistics), list(notes)
-    if p_value < LEVEL:
+    p_value, level, reasons = calibration_set.p_value(statistics), calibration_set.level, list(notes)
+    if p_value < level:
         shares = calibration_set.shares(statistics)
-        limit = max(LEVEL / len(shares), float(shares.min()))
+        limit = max(level / len(shares), float(shares.min()))
         misfit, marker, unfamiliar, simulation, scatter = (bool(share <= limit) for share in shares)
         if misfit:
             reasons.append(

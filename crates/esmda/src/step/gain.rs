@@ -83,7 +83,8 @@ impl Gain {
         };
         let side = if members { Side::Members } else { Side::Observations };
         let wanted = settings.factorisation;
-        let mut report = StepReport { factorisation: wanted, side, condition_bound: None };
+        let mut report =
+            StepReport { factorisation: wanted, side, condition_bound: None, log_evidence: None };
         if wanted == Factorisation::Svd {
             report.side = Side::Smaller;
             return Ok((Self::by_svd(&anomalies, innovations)?.multiplied_out(n_obs), report));
@@ -169,10 +170,20 @@ impl Gain {
             let shrink = -w * w / (root * (1.0 + root));
             along[(k, 0)] * w / (1.0 + w * w) + shrink * svd.u[(member, k)]
         });
+        // r' (S S' + I)^-1 r, and log det (S S' + I).
+        let length: f64 = mean.col(0).iter().map(|r| r * r).sum();
+        let (square, log_det) = svd.w.iter().zip(along.col(0).iter()).fold(
+            (length, 0.0),
+            |(square, log_det), (w, along)| {
+                let squared = w * w;
+                (square - along * along * squared / (1.0 + squared), log_det + squared.ln_1p())
+            },
+        );
         let report = StepReport {
             factorisation: Factorisation::Svd,
             side: Side::Smaller,
             condition_bound: None,
+            log_evidence: Some(-0.5 * ((n_members - 1) as f64 * square + log_det)),
         };
         let gain = Self::Factors { left: svd.u, core: Core::Identity, right };
         Ok((gain, report))

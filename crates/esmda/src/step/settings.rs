@@ -109,4 +109,9 @@ pub struct StepReport {
     pub side: Side,
     /// Upper bound on the condition number of the matrix solved with; `None` where it was not formed.
     pub condition_bound: Option<f64>,
+    /// `log [N(d; mean Y, C_yy + alpha C_d) / N(0; 0, alpha C_d)]`, of a deterministic step only.
+    ///
+    /// Where the inverses of all `alpha` of a schedule sum to one, the sum over its steps plus `log N(0; 0, C_d)` is the
+    /// log evidence of the observations, exactly so for a linear model and an ensemble with its prior's moments.
+    pub log_evidence: Option<f64>,
 }

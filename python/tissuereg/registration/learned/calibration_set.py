@@ -23,6 +23,13 @@ STATISTICS = ("misfit", "wrong marker", "unfamiliar", "simulation", "noise")
 #: Statistics that are chances where no calibration event tells how they are distributed.
 _CHANCES = (True, True, False, False, True)
 
+#: Share of calibration events below which an answer is not trusted. Physics, numbers of markers and noises count alike
+#: among them, so that the hardest set what is rare: events of any one of them are distrusted less often.
+_LEVEL = 0.02
+
+#: The same without a calibration event, of chances that a model states.
+_STATED_LEVEL = 0.01
+
 #: Power of these chances that is taken: errors of real models have heavier tails than the normal law of their moments.
 _POWER = 0.5
 
@@ -61,6 +68,11 @@ class CalibrationSet:
 
     def __len__(self) -> int:
         return len(self.statistics)
+
+    @property
+    def level(self) -> float:
+        """The p-value below which an answer is not trusted."""
+        return _LEVEL if len(self) else _STATED_LEVEL
 
     def shares(self, statistics: FloatArray) -> FloatArray:
         """Return for each of statistics (5,) the share of calibration events as bad; groups count alike."""

@@ -67,7 +67,9 @@ class Evidence:
     """What the markers say of pairs of component and scale; the scales of a component are adjacent.
 
     `prior`, `model`: of which mixture, and by which decoder; `pairs` int64 (n_pairs,): numbers of the pairs among all;
-    `component` int64 and `scale` (n_pairs,): of each pair;
+    `component` int64 and `scale` (n_pairs,): of each pair; `weights` (n_pairs,): logarithm of its prior probability;
+    `innovations`: S - R at scale one (k, n_obs, n_obs) and v (k, n_obs) of the k components in use, the number of each
+    pair's among them, and its scale;
     `logs` (n_pairs,): logarithm of prior probability times N(v; 0, S), up to a common constant; `pulls` (n_pairs,
     n_obs): S^-1 v, 1/mm; `misfits`, `log_dets` (n_pairs, n_markers): squared distance of each marker from its
     prediction by the others, in the prediction's standard deviations, and log det of the marker's block of S^-1, for
@@ -79,6 +81,8 @@ class Evidence:
     pairs: IntArray
     component: IntArray
     scale: FloatArray
+    weights: FloatArray
+    innovations: tuple[FloatArray, FloatArray, IntArray, FloatArray]
     logs: FloatArray
     pulls: FloatArray
     misfits: FloatArray
@@ -115,9 +119,11 @@ class Evidence:
         spread = slopes @ np.array([one.covariance for one in used]) @ slopes.T
         covariances = spread + np.array([one.errors[:n_obs, :n_obs] for one in used])
         off = observed - model.at[:n_obs] - (np.array([one.mean for one in used]) - model.point) @ slopes.T
-        given = covariances, off, number, scale, np.ascontiguousarray(noise)
-        logs, *others = _core.score_components(*given, group=0 if compared == "none" else 3, last=compared == "last")
-        return cls(prior, model, pairs, component, scale, weights + logs, *others)
+        given, group = (covariances, off, number, scale), 0 if compared == "none" else 3
+        logs, *others = _core.score_components(
+            *given, np.ascontiguousarray(noise), group=group, last=compared == "last"
+        )
+        return cls(prior, model, pairs, component, scale, weights, given, weights + logs, *others)
 
     @cached_property
     def mean_latents(self) -> FloatArray:
@@ -156,12 +162,14 @@ class Evidence:
         return (weights * self.misfits).sum(axis=0), (weights * chdtrc(3, self.misfits)).sum(axis=0)
 
 
-def log_noise_odds(stated: Evidence, observed: FloatArray, noise: FloatArray) -> float:
+def log_noise_odds(stated: Evidence, noise: FloatArray) -> float:
     """Return by how much the markers speak for larger noise than stated: the largest log ratio of evidences.
 
     `stated`: evidence under the stated covariance `noise` (n_obs, n_obs), mm^2, with which covariances are compared
-    that are `NOISE_FACTORS`^2 times as large; `observed` (n_obs,): measured displacements, mm. Negative where the
-    stated one explains the markers best. Cost: a Cholesky factor of size n_obs for every pair and factor.
+    that are `NOISE_FACTORS`^2 times as large. Negative where the stated one explains the markers best. Cost: a Cholesky
+    factor of size n_obs for every pair and factor.
     """
-    larger = (Evidence.of(stated.prior, stated.model, observed, factor**2 * noise).logs for factor in NOISE_FACTORS)
+    larger = (
+        stated.weights + _core.score_components(*stated.innovations, f**2 * noise, threads=1)[0] for f in NOISE_FACTORS
+    )
     return float(max(map(np.logaddexp.reduce, larger)) - np.logaddexp.reduce(stated.logs))

@@ -11,6 +11,7 @@ from functools import cached_property
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray, IntArray
+from tissuereg._base.machine import n_cores
 from tissuereg.body.mesh import Mesh
 from tissuereg.registration.inputs import RegisterInput
 from tissuereg.registration.learned.calibration import FieldErrors, PointCalibration, Rehearsal, RowErrors
@@ -122,9 +123,9 @@ class CalibratedPosterior:
             return model.decode(np.ascontiguousarray(latents))[:, rows]
 
         screening = Screening.of(decode, prior, observed, noise, start, at.whole.kinds.spread)
-        how = given.settings.smoother
+        how, threads = given.settings.smoother, given.settings.threads or n_cores()
         draws = normals(given.seed, len(start), how.n_members)
-        found = smooth(decode, prior, screening.kept(), observed, noise, draws, how.alphas())
+        found = smooth(decode, prior, screening.kept(), observed, noise, draws, how.alphas(), threads)
         rehearsal = at.rehearsal(bool(forms))
         field = np.zeros_like(given.mesh.nodes) if simulation is None else simulation
         anchor = _Anchor(field, simulated, size, tuple(forms), varied)

@@ -20,7 +20,7 @@ from tissuereg.registration.learned.points import PointModel
 from tissuereg.registration.learned.result import LearnedRegistration
 from tissuereg.registration.learned.variants import Variants
 from tissuereg.registration.result import NO_MARKER, MarkerFit, Target
-from tissuereg.registration.trust import LEVEL, judge_by_rehearsal
+from tissuereg.registration.trust import judge_by_rehearsal
 from tissuereg.registration.wrong_markers import most_wrong
 
 #: Standard deviations of the tracker's noise beyond which a sign is sure: chance of 1e-5.
@@ -91,7 +91,7 @@ def _without_unlikely(
             return found, dropped, surely
         worst = int(np.argmax(shown.marker_rows))
         dropped[int(used[worst])] = share
-        if compared.p_value(shown.row) < LEVEL:
+        if compared.p_value(shown.row) < compared.level:
             surely[int(used[worst])] = share
         used = np.delete(used, worst)
 

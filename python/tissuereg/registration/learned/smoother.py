@@ -9,8 +9,7 @@ with s one of a few scales. A pair of component and scale is one Gaussian prior,
    are decoded in one batch a step. Square-root form: no observation is perturbed.
 3. **Evidence** of each pair from the predictions of every step n with inflation a_n, exact for a linear decoder:
 
-       log Z = sum_n [ log N(y; mean Y_n, cov Y_n + a_n C_d) + (log det(2 pi C_d) + n_obs log a_n) / 2
-                       - log det(2 pi C_d) / (2 a_n) ].
+       log Z = log N(0; 0, C_d) + sum_n log [ N(y; mean Y_n, cov Y_n + a_n C_d) / N(0; 0, a_n C_d) ].
 
 4. **Answer.** Each member's error is conditioned on its own residual at the markers:
    ``t_i = T(z_i) + B (y - g(z_i))``, ``B = s^2 E_c[targets, markers] C_d^-1``, and over members and pairs the moments
@@ -19,15 +18,16 @@ with s one of a few scales. A pair of component and scale is one Gaussian prior,
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
 
 from tissuereg import _core
 from tissuereg._base.arrays import FloatArray, IntArray, frozen
 from tissuereg.errors import EnsembleError
-from tissuereg.registration.learned.assimilate import ABSURD_MM, StepOptions, balanced_draws, spread_factor
+from tissuereg.registration.learned.batches import together
 from tissuereg.registration.learned.components import probabilities
+from tissuereg.registration.learned.draws import ABSURD_MM, balanced_draws, spread_factor
 from tissuereg.registration.learned.mixture import Component, Evidence, LinearDecoder
 
 #: Latents (n_latent, n_columns) to displacements at markers and targets (n_columns, n_rows), mm.
@@ -45,8 +45,6 @@ _AGAIN = 2
 
 #: Pairs that get an ensemble at most, and the least of their probabilities over that of the best.
 _MOST_PAIRS, _LEAST_SHARE = 4, 1e-3
-
-_STEP = StepOptions(form="square_root")
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,6 +209,7 @@ def smooth(
     noise: FloatArray,
     draws: tuple[FloatArray, bool],
     alphas: tuple[float, ...],
+    threads: int = 1,
 ) -> Smoothed:
     """Return the posterior by ES-MDA in some pairs of component and scale.
 
@@ -218,7 +217,8 @@ def smooth(
     int64 (n_pairs,): numbers of the pairs, all scales of one component after those of another; `observed` (n_obs,):
     measured displacements, mm, the first n_obs rows; `noise` (n_obs, n_obs): covariance of the tracker's noise, mm^2;
     `draws` (n_latent, n_members): standard normals, and whether their sample moments are exact; `alphas`: inflation
-    coefficients, whose inverses sum to one. Raises `EnsembleError` if fewer than half of a pair's members survive.
+    coefficients, whose inverses sum to one; `threads`: pairs that are updated at once. Raises `EnsembleError` if fewer
+    than half of a pair's members survive.
     Cost: a decode of n_pairs n_members columns for every coefficient and one more.
     """
     component = np.repeat(np.arange(len(prior)), [len(one.scales) for one in prior])[kept]
@@ -231,30 +231,40 @@ def smooth(
     errors = [s**2 * prior[c].errors for c, s in zip(component, scale, strict=True)]
     covariances = [one[:n_obs, :n_obs] + noise for one in errors]
     noises = [_core.Noise.dense(np.ascontiguousarray(one)) for one in covariances]
-    log_dets = [float(np.linalg.slogdet(2.0 * np.pi * one)[1]) for one in covariances]
-    logs, dropped = np.log(weight), list[tuple[int, str]]()
-    empty = np.empty((0, n_members))
+    log_dets = np.array([np.linalg.slogdet(2.0 * np.pi * one)[1] for one in covariances])
+    logs, dropped = np.log(weight) - 0.5 * log_dets, list[tuple[int, str]]()
     for alpha in (*alphas, None):
         ends = np.cumsum([one.shape[1] for one in ensembles])
         parts = np.split(decode(np.concatenate(ensembles, axis=1)), ends[:-1])
-        for number, rows in enumerate(parts):
-            kept_members, lost = _core.screen_members(np.ascontiguousarray(rows.T), ABSURD_MM)
+        tasks = [partial(_updated, *one, observed, alpha) for one in zip(ensembles, parts, noises, strict=True)]
+        for number, (*updated, lost, log) in enumerate(together(tasks, threads)):
+            ensembles[number], parts[number] = updated
+            logs[number] += log
             dropped += [(number * n_members + int(index), reason) for index, reason in lost]
-            if len(kept_members) < max(2, n_members // 2):
-                message = f"at least half of {n_members} ensemble members must survive, {len(kept_members)} are left"
+            if len(parts[number]) < max(2, n_members // 2):
+                left = len(parts[number])
+                message = f"at least half of {n_members} ensemble members must survive, {left} are left"
                 raise EnsembleError(message, dropped=dropped)
-            if lost:
-                rows, ensembles[number] = rows[kept_members], ensembles[number][:, kept_members]
-                parts[number] = rows
-            if alpha is None:
-                continue
-            predicted = np.ascontiguousarray(rows[:, :n_obs].T)
-            logs[number] += _step_evidence(predicted, observed, covariances[number], log_dets[number], alpha)
-            before = np.ascontiguousarray(ensembles[number])
-            ensembles[number] = _STEP.update(before, predicted, observed, noises[number], empty, alpha=alpha, threads=1)
     factor = spread_factor(n_members, exact=draws[1])
     found = zip(component, scale, probabilities(logs), ensembles, parts, errors, covariances, strict=True)
     return Smoothed(tuple(_answer(c, s, w, z, x, e, d, observed, factor) for c, s, w, z, x, e, d in found), dropped)
+
+
+def _updated(
+    latents: FloatArray, rows: FloatArray, noise: _core.Noise, observed: FloatArray, alpha: float | None
+) -> tuple[FloatArray, FloatArray, list[tuple[int, str]], float]:
+    """Return the members of a pair after a step, those before it decoded, those that were lost, and its log evidence.
+
+    `latents` (n_latent, n_members); `rows` (n_members, n_rows): decoded, mm; `noise`: C_d; `alpha`: None for no step.
+    """
+    kept, lost = _core.screen_members(np.ascontiguousarray(rows.T), ABSURD_MM)
+    if lost:
+        rows, latents = rows[kept], latents[:, kept]
+    if alpha is None or len(kept) < 2:
+        return latents, rows, lost, 0.0
+    predicted = np.ascontiguousarray(rows[:, : len(observed)].T)
+    step = _core.Step.square_root(predicted, observed, noise, alpha=alpha, threads=1)
+    return step.apply(np.ascontiguousarray(latents)), rows, lost, step.log_evidence or 0.0
 
 
 def _answer(
@@ -281,20 +291,6 @@ def _answer(
     away = answers - mean
     spread = away.T @ away * (factor / (len(away) - 1)) + left
     return Pair(int(component), float(scale), float(weight), latents, mean, spread, pulls, covariance)
-
-
-def _step_evidence(
-    predicted: FloatArray, observed: FloatArray, noise: FloatArray, log_det: float, alpha: float
-) -> float:
-    """Return the part of a pair's log evidence that one step adds; `log_det` is that of 2 pi C_d."""
-    n_obs, n_members = predicted.shape
-    mean = predicted.mean(axis=1)
-    away = predicted - mean[:, None]
-    total = away @ away.T / (n_members - 1) + alpha * noise
-    factor = np.linalg.cholesky(total)
-    half = np.linalg.solve(factor, observed - mean)
-    log_total = n_obs * np.log(2.0 * np.pi) + 2.0 * np.log(np.diag(factor)).sum()
-    return float(-0.5 * half @ half - 0.5 * log_total + 0.5 * (log_det + n_obs * np.log(alpha)) - 0.5 * log_det / alpha)
 
 
 @lru_cache(maxsize=4)

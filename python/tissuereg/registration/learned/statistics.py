@@ -65,6 +65,6 @@ def statistics_of(
         # A screening leaves out what is less probable than that.
         unrelated = min(max(float(others - own), 0.0), -np.log(HOPELESS))
     # A ratio of evidences above x has a chance of at most 1 / x (A. A. Markov), for each factor.
-    larger = max(log_noise_odds(by_marker, observed, noise) - np.log(len(NOISE_FACTORS)), 0.0)
+    larger = max(log_noise_odds(by_marker, noise) - np.log(len(NOISE_FACTORS)), 0.0)
     far = calibration.distance(found.mean_latents)
     return Statistics(np.array([misfit, markers.max(initial=-np.inf), far, unrelated, larger]), markers, misfits)

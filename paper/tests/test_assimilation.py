@@ -5,13 +5,13 @@ import pytest
 
 from tissuereg import _core
 from tissuereg.errors import ArgumentError, EnsembleError, ScheduleError, ShapeError
-from tissuereg.registration.learned.assimilate import (
+from tissuereg.registration.learned.draws import balanced_draws
+from tissuereg.registration.learned.model import Gaussian
+from tissuereg_paper.rivals.assimilation import (
     AssimilationSettings,
     StepOptions,
     assimilate,
-    balanced_draws,
 )
-from tissuereg.registration.learned.model import Gaussian
 
 
 def linear_problem(rng, n_latent=6, n_obs=9):

@@ -1,4 +1,4 @@
-"""The ES-MDA loop: draw, decode, compare, update; Algorithm 1 of the paper, lines 3 to 10.
+"""The ES-MDA loop for any model: draw, predict, compare, update; Algorithm 1 of the paper, lines 3 to 10.
 
 `tissuereg-esmda` computes the update; random numbers are drawn here, from a generator that the caller passes in.
 """
@@ -12,10 +12,8 @@ from tissuereg import _core
 from tissuereg._base.arguments import called, check_choice, check_running, maybe, of_kind, real, whole
 from tissuereg._base.arrays import FloatArray, float_array
 from tissuereg.errors import ArgumentError, EnsembleError, ScheduleError, ShapeError
+from tissuereg.registration.learned.draws import ABSURD_MM, balanced_draws, spread_factor
 from tissuereg.registration.learned.model import Gaussian
-
-#: A predicted marker displacement beyond this many mm marks a failed member.
-ABSURD_MM = 1e4
 
 #: Schedules that have a name.
 SCHEDULES = ("geometric",)
@@ -129,15 +127,6 @@ class Assimilation:
     def spread_factor(self) -> float:
         """Factor on covariances of the ensemble that corrects for its finite size (`spread_factor`)."""
         return spread_factor(self.latents.shape[1], exact=self.exact_draws)
-
-
-def spread_factor(n_members: int, *, exact: bool) -> float:
-    """Return the factor on covariances that corrects for an ensemble being finite.
-
-    Mean and covariance estimated from n independent members predict a further draw with the covariance times ``(1 +
-    1/n)(n - 1)/(n - 3)`` (variance of Student's t). For draws with `exact` sample moments the factor is one.
-    """
-    return 1.0 if exact else (1.0 + 1.0 / n_members) * (n_members - 1.0) / max(n_members - 3.0, 1.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -344,44 +333,3 @@ def _root_of(prior: Gaussian) -> FloatArray:
     except np.linalg.LinAlgError as error:
         message = "the covariance of `prior` must be positive definite; it has no Cholesky factor"
         raise ArgumentError(message, where="prior") from error
-
-
-def balanced_draws(rng: np.random.Generator, shape: tuple[int, int], anomalies: FloatArray) -> tuple[FloatArray, bool]:
-    """Return standard normal draws whose sample moments are exact, if the ensemble is large enough.
-
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-        Source of random numbers.
-    shape : (int, int)
-        Rows (dimensions) and columns (members).
-    anomalies : ndarray of float64, shape (k, n_members)
-        Zero-mean rows with which the draws must be uncorrelated.
-
-    Returns
-    -------
-    draws : ndarray of float64, shape `shape`
-        Mean zero, sample covariance the identity, sample correlation with `anomalies` zero.
-    exact : bool
-        False if there are too few members for that; the draws are then plain.
-
-    Notes
-    -----
-    With such draws the stochastic update reproduces the Kalman mean and covariance exactly if the model is
-    linear: the usual loss of spread, about n_obs/n_members of it, comes from these sampling errors alone.
-    Needs n_members > rows + rank(anomalies) + 1.
-    """
-    draws = rng.standard_normal(shape)
-    rows, n_members = shape
-    if n_members <= rows + len(anomalies) + 1:
-        return draws, False
-    taken = np.vstack([np.ones((1, n_members)), anomalies])
-    basis, triangle = np.linalg.qr(taken.T)
-    lengths = np.abs(np.diag(triangle))
-    if not lengths.min() > 1e-9 * lengths.max():
-        # Rows that depend on others have no direction of their own.
-        basis, singular, _ = np.linalg.svd(taken.T, full_matrices=False)
-        basis = basis[:, singular > 1e-12 * singular.max()]
-    draws -= (draws @ basis) @ basis.T
-    root = np.linalg.cholesky(draws @ draws.T / (n_members - 1))
-    return np.ascontiguousarray(np.linalg.solve(root, draws)), True

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from tissuereg.registration.learned.assimilate import AssimilationSettings, StepOptions, assimilate
 from tissuereg.registration.learned.model import Gaussian
+from tissuereg_paper.rivals.assimilation import AssimilationSettings, StepOptions, assimilate
 
 N_LATENT, N_MARKERS, N_TARGETS, N_EVENTS, N_MEMBERS = 6, 5, 4, 400, 60
 
