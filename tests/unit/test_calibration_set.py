@@ -49,6 +49,7 @@ def test_groups_count_alike_whatever_their_size():
     signs = np.array([9.0, 1.0, 1.0, 0.0, 1.0])
     assert alone.p_value(signs) < 0.01 < both.p_value(signs) < only.p_value(signs)
     np.testing.assert_allclose(both.shares(signs), 0.5 * (alone.shares(signs) + only.shares(signs)))
+    assert [both.share(number, sign) for number, sign in enumerate(signs)] == list(both.shares(signs))
     # An event of either physics, as likely of one as of the other, alarms once in fifty.
     asked = np.concatenate([drawn(1000, rng), drawn(1000, rng, heavier=2.0)])
     rates = [np.mean([both.p_value(one) < both.level for one in part]) for part in np.split(asked, 2)]
@@ -74,6 +75,7 @@ def test_without_honest_events_roots_of_chances_are_taken_for_shares():
     np.testing.assert_allclose(
         honest.shares(np.array([6.0, -1.0, 8.0, 20.0, 4.0])), [np.exp(-3.0), 1.0, 1.0, 1.0, np.exp(-2.0)]
     )
+    assert [honest.share(number, 6.0) for number in (0, 2)] == [pytest.approx(np.exp(-3.0)), 1.0]
     assert honest.level < honest.beside(np.ones((9, 5))).level
     # The rarest of three (Bonferroni).
     assert honest.p_value(np.array([6.0, 1.0, 8.0, 0.0, 0.0])) == pytest.approx(3.0 * np.exp(-3.0))

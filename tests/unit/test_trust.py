@@ -115,6 +115,9 @@ class Events:
     def shares(self, signs):
         return np.exp(-np.asarray(signs))
 
+    def share(self, number, sign):
+        return float(np.exp(-sign))
+
     def p_value(self, signs):
         return float(4.0 * self.shares(signs).min())
 

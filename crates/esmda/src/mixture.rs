@@ -21,10 +21,10 @@
 //! side, a lane each, because such small factors alone do not fill vector registers.
 
 use faer::{MatRef, Par};
-use pulp::{Arch, NullaryFnOnce};
+use pulp::{Arch, Simd, WithSimd};
 
-use crate::bordered::{Bordered, Lanes};
-use crate::check::{LANES, check_finite, check_setting, check_shape, row_of};
+use crate::bordered::Bordered;
+use crate::check::{check_finite, check_setting, check_shape, row_of};
 use crate::{EsmdaError, linalg};
 
 /// A Gaussian of the mixture, by its number, with a factor on its standard deviations.
@@ -75,7 +75,7 @@ pub struct ComponentScore {
 ///
 /// # Cost
 ///
-/// `n_obs^3 / 6` multiply-adds a pair, three times that with every group; eight pairs at once, and these on threads by
+/// `n_obs^3 / 6` multiply-adds a pair, three times that with every group; several pairs at once, and these on threads by
 /// `par`, with the same bits.
 ///
 /// # Examples
@@ -115,16 +115,18 @@ pub fn score_components(
         let usable = pair.scale.is_finite();
         check_setting("scale", pair.scale, "finite", usable)?;
     }
-    let score = |number: usize| {
-        let first = number * LANES;
-        let own = &pairs[first..pairs.len().min(first + LANES)];
-        Arch::new().dispatch(Batch { covariances, innovations, pairs: own, noise, groups })
-    };
-    let scores = linalg::map_in_order(pairs.len().div_ceil(LANES), par, score);
+    let n_batches = pairs.len().div_ceil(BATCH);
+    let scores = linalg::map_in_order(n_batches, par, |number| {
+        let pairs = &pairs[number * BATCH..pairs.len().min((number + 1) * BATCH)];
+        Arch::new().dispatch(Batch { covariances, innovations, pairs, noise, groups })
+    });
     scores.into_iter().flatten().collect()
 }
 
-/// Up to `LANES` pairs, at least one; arguments as for [`score_components`].
+/// Pairs that a thread takes at once: a multiple of the lanes of any processor.
+const BATCH: usize = 16;
+
+/// Some pairs; other arguments as for [`score_components`].
 struct Batch<'a> {
     covariances: MatRef<'a, f64>,
     innovations: MatRef<'a, f64>,
@@ -133,55 +135,62 @@ struct Batch<'a> {
     groups: Groups,
 }
 
-impl NullaryFnOnce for Batch<'_> {
+impl WithSimd for Batch<'_> {
     type Output = Vec<Result<ComponentScore, EsmdaError>>;
 
     #[inline(always)]
-    fn call(self) -> Self::Output {
+    fn with_simd<S: Simd>(self, simd: S) -> Self::Output {
+        let mut scores = Vec::with_capacity(self.pairs.len());
+        for pairs in self.pairs.chunks(S::F64_LANES) {
+            scores.extend(self.scored(simd, pairs));
+        }
+        scores
+    }
+}
+
+impl Batch<'_> {
+    /// Scores of as many pairs as there are lanes, or fewer.
+    #[inline(always)]
+    fn scored<S: Simd>(
+        &self,
+        simd: S,
+        pairs: &[ScaledComponent],
+    ) -> Vec<Result<ComponentScore, EsmdaError>> {
         let n = self.noise.nrows();
         let inverse = matches!(self.groups, Groups::Every(_));
-        let mut factor = Bordered::new(n, inverse);
-        // Lanes that are left over repeat the last pair.
-        let pairs: [_; LANES] =
-            std::array::from_fn(|lane| self.pairs[lane.min(self.pairs.len() - 1)]);
-        let squares = pairs.map(|pair| pair.scale * pair.scale);
-        for i in 0..n {
-            let own = pairs.map(|pair| row_of(self.covariances, pair.component * n + i));
-            let (own, noise) = (own.each_ref().map(|row| &row[..=i]), row_of(self.noise, i));
-            for (j, entry) in factor.row_mut(i)[..=i].iter_mut().enumerate() {
-                for lane in 0..LANES {
-                    entry[lane] = squares[lane] * own[lane][j] + noise[j];
-                }
-            }
-            factor.row_mut(n)[i] = pairs.map(|pair| self.innovations[(pair.component, i)]);
-        }
+        let mut factor = self.joined(simd, pairs, inverse);
         factor.run();
         let (square, log_det, pulls) = (factor.square(0), factor.log_det(0), factor.solution());
-        let mut scores: Vec<_> = (0..self.pairs.len())
-            .map(|lane| {
-                let pull = pulls.iter().map(|one| one[lane]).collect();
-                let (misfits, log_dets) = (Vec::new(), Vec::new());
-                let log_density = -0.5 * (square[lane] + log_det[lane]);
-                ComponentScore { log_density, pull, misfits, log_dets }
+        let mut scores: Vec<_> = (0..pairs.len())
+            .map(|lane| ComponentScore {
+                log_density: -0.5 * (square[lane] + log_det[lane]),
+                pull: pulls.iter().skip(lane).step_by(S::F64_LANES).copied().collect(),
+                misfits: Vec::new(),
+                log_dets: Vec::new(),
             })
             .collect();
-        let mut add = |misfit: Lanes, log_det: Lanes| {
-            for (lane, score) in scores.iter_mut().enumerate() {
-                score.misfits.push(misfit[lane]);
-                score.log_dets.push(log_det[lane]);
+        let mut add = |misfits: Vec<f64>, log_dets: Vec<f64>| {
+            for (score, (misfit, log_det)) in
+                scores.iter_mut().zip(misfits.into_iter().zip(log_dets))
+            {
+                score.misfits.push(misfit);
+                score.log_dets.push(log_det);
             }
         };
-        let mut failed = factor.failed;
+        let mut failed = factor.failed.clone();
         match self.groups {
             Groups::Nothing => {}
             // The last of L^-1 v are what the others leave of the last observations, white.
             Groups::Last(size) => {
-                add(factor.square(n - size), factor.log_det(n - size).map(|value| -value));
+                let log_dets = factor.log_det(n - size).into_iter().map(|value| -value);
+                add(factor.square(n - size), log_dets.collect());
             }
             Groups::Every(size) => {
                 for first in (0..n).step_by(size) {
                     let mut block = factor.block_of_inverse(first, size);
-                    block.row_mut(size).copy_from_slice(&pulls[first..first + size]);
+                    let own = pulls.chunks_exact(S::F64_LANES).skip(first).take(size);
+                    own.enumerate()
+                        .for_each(|(j, own)| block.lanes_mut(size, j).copy_from_slice(own));
                     block.run();
                     add(block.square(0), block.log_det(0));
                     for (all, own) in failed.iter_mut().zip(block.failed) {
@@ -195,5 +204,25 @@ impl NullaryFnOnce for Batch<'_> {
         checked
             .map(|(score, failed)| failed.map_or(Ok(score), |pivot| Err(refused(pivot))))
             .collect()
+    }
+
+    /// Covariances of the innovations of some pairs and the innovations, a lane each; lanes that are left over repeat the
+    /// last pair.
+    #[inline(always)]
+    fn joined<S: Simd>(&self, simd: S, pairs: &[ScaledComponent], inverse: bool) -> Bordered<S> {
+        let n = self.noise.nrows();
+        let mut joined = Bordered::new(simd, n, inverse);
+        for i in 0..n {
+            let noise = row_of(self.noise, i);
+            for lane in 0..S::F64_LANES {
+                let ScaledComponent { component, scale } = pairs[lane.min(pairs.len() - 1)];
+                let (own, square) = (row_of(self.covariances, component * n + i), scale * scale);
+                for (j, (own, noise)) in own[..=i].iter().zip(&*noise).enumerate() {
+                    joined.lanes_mut(i, j)[lane] = square * own + noise;
+                }
+                joined.lanes_mut(n, i)[lane] = self.innovations[(component, i)];
+            }
+        }
+        joined
     }
 }

@@ -80,6 +80,12 @@ class CalibrationSet:
             return np.asarray(np.where(_CHANCES, np.minimum(np.exp(-_POWER * statistics), 1.0), 1.0))
         return np.asarray(self._shares(statistics[None])[0])
 
+    def share(self, number: int, value: float) -> float:
+        """Return the share of calibration events in which the statistic with this number is as large as `value`."""
+        if not len(self):
+            return min(float(np.exp(-_POWER * value)), 1.0) if _CHANCES[number] else 1.0
+        return float(np.mean([columns[number].shares(np.array([value]))[0] for columns in self._columns]))
+
     def p_value(self, statistics: FloatArray) -> float:
         """Return the share of calibration events with as rare a worst statistic as (5,) ones; groups count alike."""
         if not len(self):

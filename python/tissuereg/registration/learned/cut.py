@@ -10,8 +10,8 @@ from tissuereg.errors import ModelError
 from tissuereg.registration.learned.batches import in_batches
 from tissuereg.registration.learned.decoders import ClosureDecoder, GraphDecoder, network_at
 
-#: Members run in one call: intermediate values of a batch stay in the cache of a core.
-BATCH = 27
+#: Members run in one call: enough that the weights are read for many, few enough that their values stay in a cache.
+BATCH = 54
 
 #: The cut decoder and the full one agree to this share of the largest displacement: single precision leaves 1e-6.
 TOLERANCE = 1e-4

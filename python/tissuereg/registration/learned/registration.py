@@ -86,7 +86,7 @@ def _without_unlikely(
         compared, shown = found.rehearsal.calibration_set, found.statistics
         if not len(compared) or len(dropped) >= most_wrong(len(seen)):
             return found, dropped, surely
-        share = float(compared.shares(shown.row)[_WRONG])
+        share = compared.share(_WRONG, float(shown.row[_WRONG]))
         if share >= _DROPPED:
             return found, dropped, surely
         worst = int(np.argmax(shown.marker_rows))

@@ -44,7 +44,7 @@ _SCREENINGS = 3
 _AGAIN = 2
 
 #: Pairs that get an ensemble at most, and the least of their probabilities over that of the best.
-_MOST_PAIRS, _LEAST_SHARE = 4, 1e-3
+_MOST_PAIRS, _LEAST_SHARE = 3, 1e-3
 
 
 @dataclass(frozen=True, eq=False)
