@@ -135,10 +135,10 @@ class Job:
     events: Events
 
 
-def jobs_of(events: Events) -> list[Job]:
-    """Return all jobs."""
+def jobs_of(events: Events, methods: list[str]) -> list[Job]:
+    """Return all jobs of some methods."""
     jobs = []
-    for method in METHODS:
+    for method in methods:
         for name, cases in sets(events).items():
             n = len(cases) if method == "shipped" else min(len(cases), events.others)
             strange = name == "another organ"
@@ -165,9 +165,9 @@ def row_of(job: Job) -> dict[str, Any]:
     return {**which, **answer(_network(network, calibrated), case, wrong, smoother)}
 
 
-def measure(events: Events, n_jobs: int) -> list[dict[str, Any]]:
-    """Return a row for every job, in their order, by `n_jobs` processes."""
-    jobs, rows = jobs_of(events), []
+def measure(events: Events, methods: list[str], n_jobs: int) -> list[dict[str, Any]]:
+    """Return a row for every job of some methods, in their order, by `n_jobs` processes."""
+    jobs, rows = jobs_of(events, methods), []
     with Processes(n_jobs) as executor:
         for outcome in in_order(executor.run(row_of, jobs)):
             if isinstance(outcome, Failed):

@@ -23,6 +23,13 @@ _KUHN = [(1, 3), (1, 5), (2, 3), (2, 6), (4, 5), (4, 6)]
 torch.set_num_threads(1)  # these networks are too small to share
 
 
+@pytest.fixture
+def on_the_processor(monkeypatch):
+    """Hide graphics cards, on which sums run in no fixed order, from this process and those it starts."""
+    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "")
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+
+
 @dataclass
 class Block:
     """A box of tetrahedra, held at z = 0."""

@@ -45,7 +45,7 @@ def networks(model):
     return {name: (model / name).read_bytes() for name in NETWORKS}
 
 
-def test_after_a_kill_at_any_moment_the_next_run_gives_the_same_model_and_nothing_is_left(tmp_path):
+def test_after_a_kill_at_any_moment_the_next_run_gives_the_same_model_and_nothing_is_left(tmp_path, on_the_processor):
     place = make_workplace(tmp_path / "place", recipe=RECIPE.replace("epochs = 60", "epochs = 12"))
     began = time.monotonic()
     process = start(place, tmp_path / "whole" / "model")

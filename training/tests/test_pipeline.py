@@ -18,6 +18,7 @@ from tissuereg_training import pipeline
 from tissuereg_training.cli import main
 from tissuereg_training.data import mesh_digest
 from tissuereg_training.errors import CheckpointError
+from tissuereg_training.host import best_device, device_name
 from tissuereg_training.inversion import volume_ratios
 from tissuereg_training.kinds import KINDS
 from tissuereg_training.parity import onnx_session
@@ -73,7 +74,11 @@ def test_the_card_tells_data_training_and_shapes_and_a_page_says_the_same(reques
     assert card["data"][0] == {"seed": 0, "members": 200, "recipe_sha256": ""}
     training = card["training"]
     assert 0 < training["hours"] < 1
-    assert (training["threads"], training["device"], training["stopped_early"]) == (1, "the processor", False)
+    assert (training["threads"], training["device"], training["stopped_early"]) == (
+        1,
+        device_name(best_device()),
+        False,
+    )
     # Decoded again from the files: the model's shapes and how many of them are impossible.
     z = np.random.default_rng([3, 14]).standard_normal((1000, 6), dtype=np.float32)
     found = session(folder / "decoder.onnx").run(None, {"z": z})[0]
@@ -207,7 +212,7 @@ def test_a_checkpoint_of_other_data_or_settings_is_refused(workplace, monkeypatc
     assert workplace.train(recipe=workplace.recipe.read_text().replace("batch = 4", "batch = 8")) == 0
 
 
-def test_a_killed_command_goes_on_and_gives_the_same_model(workplace):
+def test_a_killed_command_goes_on_and_gives_the_same_model(workplace, on_the_processor):
     recipe = RECIPE.replace("epochs = 60", "epochs = 40")
     workplace.recipe.write_text(recipe)
     words = [str(workplace.recipe), "--data", str(workplace.data), "--threads", "1"]

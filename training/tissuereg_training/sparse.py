@@ -24,8 +24,8 @@ import torch
 from tissuereg_training.graph import IntArray
 
 with warnings.catch_warnings():
-    # torch warns once per process that its CSR tensors are in beta state; trigger and suppress that here.
-    warnings.filterwarnings("ignore", message="Sparse CSR tensor support is in beta state")
+    # torch warns once per process that its CSR tensors are in beta state, or unchecked; trigger and suppress that here.
+    warnings.filterwarnings("ignore", message="Sparse CSR tensor support is in beta state|Sparse invariant checks are")
     torch.sparse_csr_tensor([0, 1], [0], [1.0], check_invariants=False)
 
 
