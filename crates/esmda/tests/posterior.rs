@@ -3,8 +3,9 @@
 
 mod common;
 
-use common::{LinearGaussian, Normals, moments, relative_difference};
+use common::{Case, LinearGaussian, Normals, moments, relative_difference};
 use faer::Mat;
+use faer::prelude::Solve;
 use tissuereg_esmda::{Schedule, StepSettings};
 
 fn schedules() -> Vec<Schedule> {
@@ -74,6 +75,29 @@ fn correlated_noise_gives_the_kalman_posterior_too() {
     let (found_mean, found_covariance) = moments(&ensemble);
     assert!(relative_difference(&found_mean, &mean) < 1e-12);
     assert!(relative_difference(&found_covariance, &covariance) < 1e-12);
+}
+
+#[test]
+fn the_steps_of_a_schedule_add_up_to_the_log_evidence() {
+    let covariance = Mat::from_fn(7, 7, |i, j| 0.09 * 0.6_f64.powi((i as i32 - j as i32).abs()));
+    for problem in
+        [LinearGaussian::new(4, 7, 1e-3, 3), LinearGaussian::with_covariance(4, covariance, 8)]
+    {
+        // log [N(d; 0, H H' + C_d) / N(0; 0, C_d)]
+        let total = &problem.operator * problem.operator.transpose() + &problem.covariance;
+        let data = Mat::from_fn(7, 1, |obs, _| problem.observed[obs]);
+        let square = (data.transpose() * total.partial_piv_lu().solve(&data))[(0, 0)];
+        let ratio = (total.determinant() / problem.covariance.determinant()).ln();
+        let wanted = -0.5 * (square + ratio);
+        for schedule in schedules() {
+            let mut ensemble = Normals::new(5).exact(4, 20, &[]);
+            let found = problem.run_square_root(&mut ensemble, &schedule).unwrap();
+            assert!((found - wanted).abs() < 1e-7 * wanted.abs(), "{found} is not {wanted}");
+        }
+    }
+    let case = Case::surgical();
+    let stochastic = case.step(2.0, &StepSettings::default()).unwrap();
+    assert!(stochastic.report().log_evidence.is_none());
 }
 
 #[test]

@@ -115,25 +115,26 @@ impl LinearGaussian {
         (mean, factor.solve(Mat::<f64>::identity(n, n)))
     }
 
-    /// Runs a whole schedule of square-root steps.
+    /// Runs a whole schedule of square-root steps; the sum of their log evidences.
     pub fn run_square_root(
         &self,
         parameters: &mut Mat<f64>,
         schedule: &Schedule,
-    ) -> Result<(), EsmdaError> {
-        let settings = StepSettings::default();
+    ) -> Result<f64, EsmdaError> {
+        let (settings, mut evidence) = (StepSettings::default(), 0.0);
         for &alpha in schedule.alphas() {
             let predicted = &self.operator * &*parameters;
-            Step::prepare_square_root(
+            let step = Step::prepare_square_root(
                 predicted.as_ref(),
                 &self.observed,
                 &self.noise(),
                 alpha,
                 &settings,
-            )?
-            .apply(parameters.as_mut())?;
+            )?;
+            evidence += step.report().log_evidence.unwrap();
+            step.apply(parameters.as_mut())?;
         }
-        Ok(())
+        Ok(evidence)
     }
 
     /// Runs a whole schedule of stochastic steps, with draws from a function of the current ensemble.
