@@ -91,6 +91,23 @@ def test_a_mixture_is_that_of_brute_force_on_a_grid():
     assert found.covariance[1, 1] == pytest.approx(4.0 * density @ (z - mean / 2.0) ** 2, rel=1e-6)
 
 
+def test_lost_members_are_numbered_through_all_pairs():
+    rng = np.random.default_rng(12)
+    prior = [one_component(rng), one_component(rng)]
+    draws, decoded = normals(0, 4, 30), LinearDecoder(np.zeros(4), np.zeros(9), rng.standard_normal((9, 4)))
+
+    def spoilt(latents):
+        rows = decoder(decoded)(latents)
+        if latents.shape[1] == 60:
+            rows[[7, 40]] = np.nan
+        return rows
+
+    alphas = SmootherSettings().alphas()
+    found = smooth(spoilt, prior, np.arange(2), np.zeros(5), 0.2 * np.eye(5), draws, alphas, threads=2)
+    assert [number for number, _ in found.dropped] == [7, 40]
+    assert [pair.latents.shape[1] for pair in found.pairs] == [29, 29]
+
+
 def test_an_error_that_markers_see_is_taken_out_of_the_target():
     # The decoder knows nothing; marker and target share their error.
     one = Component(np.ones(1), np.ones(1), np.zeros(1), np.full((1, 1), 1e-12), np.array([[1.0, 0.9], [0.9, 1.0]]))
