@@ -26,50 +26,39 @@ def linear_problem(rng, n_latent=6, n_obs=9):
     return operator, prior, noise, observed, mean, covariance
 
 
-@pytest.mark.parametrize("n_steps", [1, 5])
-def test_a_linear_model_gives_the_kalman_posterior(n_steps):
-    operator, prior, noise, observed, mean, covariance = linear_problem(np.random.default_rng(3))
-    found = assimilate(
-        lambda z: operator @ z,
-        observed,
-        noise,
-        prior,
-        rng=np.random.default_rng(0),
-        settings=AssimilationSettings(n_members=60, n_steps=n_steps),
+def run(problem, seed=0, perturbations=None, **settings):
+    """Return the ensemble of a linear problem."""
+    operator, prior, noise, observed = problem[:4]
+    rng, how = np.random.default_rng(seed), AssimilationSettings(**settings)
+    return assimilate(
+        lambda z: operator @ z, observed, noise, prior, rng=rng, settings=how, perturbations=perturbations
     )
-    assert found.exact_draws
-    # Balanced draws leave rounding only, amplified by the conditioning of C_yy.
+
+
+def is_kalmans(found, problem):
+    """Compare with the known posterior; balanced draws leave rounding, amplified by the conditioning of C_yy."""
+    mean, covariance = problem[4:]
     np.testing.assert_allclose(found.mean, mean, atol=1e-9)
     np.testing.assert_allclose(np.cov(found.latents), covariance, atol=1e-9)
 
 
+@pytest.mark.parametrize("n_steps", [1, 5])
+def test_a_linear_model_gives_the_kalman_posterior(n_steps):
+    problem = linear_problem(np.random.default_rng(3))
+    found = run(problem, n_members=60, n_steps=n_steps)
+    assert found.exact_draws
+    is_kalmans(found, problem)
+
+
 def test_plain_draws_are_used_and_reported_where_the_ensemble_is_small():
-    operator, prior, noise, observed, _, _ = linear_problem(np.random.default_rng(4))
-    found = assimilate(
-        lambda z: operator @ z,
-        observed,
-        noise,
-        prior,
-        rng=np.random.default_rng(0),
-        settings=AssimilationSettings(n_members=12, min_members=5),
-    )
+    found = run(linear_problem(np.random.default_rng(4)), n_members=12, min_members=5)
     assert not found.exact_draws
     assert found.spread_factor > 1.2
 
 
 def test_the_same_generator_gives_the_same_bits_at_any_thread_count():
-    operator, prior, noise, observed, _, _ = linear_problem(np.random.default_rng(5))
-    runs = [
-        assimilate(
-            lambda z: operator @ z,
-            observed,
-            noise,
-            prior,
-            rng=np.random.default_rng(1),
-            settings=AssimilationSettings(threads=threads),
-        )
-        for threads in (1, 2)
-    ]
+    problem = linear_problem(np.random.default_rng(5))
+    runs = [run(problem, seed=1, threads=threads) for threads in (1, 2)]
     assert np.array_equal(runs[0].latents, runs[1].latents)
 
 
@@ -120,19 +109,11 @@ def test_balanced_draws_have_exact_moments_and_no_correlation():
 
 @pytest.mark.parametrize("schedule", ["geometric", [28 / 3, 7, 4, 2]])
 def test_any_schedule_gives_the_kalman_posterior_of_a_linear_model_and_closes_its_sum(schedule):
-    operator, prior, noise, observed, mean, covariance = linear_problem(np.random.default_rng(3))
-    found = assimilate(
-        lambda z: operator @ z,
-        observed,
-        noise,
-        prior,
-        rng=np.random.default_rng(0),
-        settings=AssimilationSettings(n_members=60, schedule=schedule),
-    )
+    problem = linear_problem(np.random.default_rng(3))
+    found = run(problem, n_members=60, schedule=schedule)
     assert sum(1.0 / alpha for alpha in found.alphas) == pytest.approx(1.0, abs=1e-12)
     assert 1 < len(found.alphas) < 20
-    np.testing.assert_allclose(found.mean, mean, atol=1e-9)
-    np.testing.assert_allclose(np.cov(found.latents), covariance, atol=1e-9)
+    is_kalmans(found, problem)
 
 
 OPTIONS = {
@@ -144,58 +125,30 @@ OPTIONS = {
 
 @pytest.mark.parametrize("options", OPTIONS.values(), ids=OPTIONS.keys())
 def test_every_option_gives_the_kalman_posterior(options):
-    operator, prior, noise, observed, mean, covariance = linear_problem(np.random.default_rng(3))
-    found = assimilate(
-        lambda z: operator @ z,
-        observed,
-        noise,
-        prior,
-        rng=np.random.default_rng(0),
-        settings=AssimilationSettings(n_members=60, options=options),
-    )
-    np.testing.assert_allclose(found.mean, mean, atol=1e-9)
-    np.testing.assert_allclose(np.cov(found.latents), covariance, atol=1e-9)
+    problem = linear_problem(np.random.default_rng(3))
+    is_kalmans(run(problem, n_members=60, options=options), problem)
 
 
 def test_perturbations_of_the_caller_are_the_ones_used():
-    operator, prior, noise, observed, _, _ = linear_problem(np.random.default_rng(3))
-    asked = []
+    problem, asked = linear_problem(np.random.default_rng(3)), []
 
     def perturbations(step, shape):
         asked.append((step, shape))
         return np.zeros(shape)
 
-    found = assimilate(
-        lambda z: operator @ z,
-        observed,
-        noise,
-        prior,
-        rng=np.random.default_rng(0),
-        perturbations=perturbations,
-        settings=AssimilationSettings(n_members=60, n_steps=3),
-    )
+    found = run(problem, perturbations=perturbations, n_members=60, n_steps=3)
     assert asked == [(0, (9, 60)), (1, (9, 60)), (2, (9, 60))]
     assert not found.exact_draws
     # Without any perturbation every member is drawn to the same data: far less spread than the posterior's.
-    posterior = assimilate(
-        lambda z: operator @ z,
-        observed,
-        noise,
-        prior,
-        rng=np.random.default_rng(0),
-        settings=AssimilationSettings(n_members=60),
-    )
+    posterior = run(problem, n_members=60)
     assert np.trace(np.cov(found.latents)) < 0.9 * np.trace(np.cov(posterior.latents))
 
 
 def test_there_is_no_hidden_generator():
-    operator, prior, noise, observed, _, _ = linear_problem(np.random.default_rng(3))
+    problem = operator, prior, noise, observed, _, _ = linear_problem(np.random.default_rng(3))
     with pytest.raises(TypeError, match="rng"):
         assimilate(lambda z: operator @ z, observed, noise, prior)
-    first, second = (
-        assimilate(lambda z: operator @ z, observed, noise, prior, rng=np.random.default_rng(seed)).latents
-        for seed in (0, 1)
-    )
+    first, second = (run(problem, seed).latents for seed in (0, 1))
     assert not np.allclose(first, second)
 
 
@@ -238,13 +191,6 @@ def test_wrong_settings_of_a_run_are_refused(settings, error, message):
     ],
 )
 def test_wrong_options_of_a_step_are_refused(settings, message):
-    operator, prior, noise, observed, _, _ = linear_problem(np.random.default_rng(3))
+    problem = linear_problem(np.random.default_rng(3))
     with pytest.raises((ArgumentError, ShapeError), match=message):
-        assimilate(
-            lambda z: operator @ z,
-            observed,
-            noise,
-            prior,
-            rng=np.random.default_rng(0),
-            settings=AssimilationSettings(options=StepOptions(**settings)),
-        )
+        run(problem, options=StepOptions(**settings))

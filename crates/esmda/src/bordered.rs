@@ -52,7 +52,7 @@ impl<S: Simd> Bordered<S> {
             let (above, below) = rows.split_at_mut((j + 1) * n);
             let own = &mut above[j * n..];
             let pivot = simd.sub_f64s(own[j], dot(simd, &own[..j], &own[..j]));
-            for (failed, &pivot) in self.failed.iter_mut().zip(bytes(&pivot)) {
+            for (failed, &pivot) in self.failed.iter_mut().zip(lanes_of(&pivot)) {
                 // What is not a number is not positive either.
                 let positive = pivot > 0.0;
                 *failed = failed.or((!positive).then_some(j));
@@ -78,7 +78,7 @@ impl<S: Simd> Bordered<S> {
     #[inline(always)]
     pub(crate) fn square(&self, first: usize) -> Vec<f64> {
         let white = &self.row(self.n)[first..];
-        bytes(&dot(self.simd, white, white)).to_vec()
+        lanes_of(&dot(self.simd, white, white)).to_vec()
     }
 
     /// `log det S`, or that of the observations from one on, given those before.
@@ -87,7 +87,7 @@ impl<S: Simd> Bordered<S> {
         let mut sum = vec![0.0; S::F64_LANES];
         for i in first..self.n {
             sum.iter_mut()
-                .zip(bytes(&self.row(i)[i]))
+                .zip(lanes_of(&self.row(i)[i]))
                 .for_each(|(sum, root)| *sum += 2.0 * root.ln());
         }
         sum
@@ -117,7 +117,7 @@ impl<S: Simd> Bordered<S> {
             let a = &self.row(self.n + 1 + first + i)[first + i..];
             for j in 0..=i {
                 let b = &self.row(self.n + 1 + first + j)[first + i..];
-                block.lanes_mut(i, j).copy_from_slice(bytes(&dot(self.simd, a, b)));
+                block.lanes_mut(i, j).copy_from_slice(lanes_of(&dot(self.simd, a, b)));
             }
         }
         block
@@ -126,7 +126,7 @@ impl<S: Simd> Bordered<S> {
 
 /// The lanes of a vector.
 #[inline(always)]
-fn bytes<V: pulp::bytemuck::Pod>(vector: &V) -> &[f64] {
+fn lanes_of<V: pulp::bytemuck::Pod>(vector: &V) -> &[f64] {
     pulp::bytemuck::cast_slice(std::slice::from_ref(vector))
 }
 

@@ -83,7 +83,7 @@ class CalibrationSet:
     def share(self, number: int, value: float) -> float:
         """Return the share of calibration events in which the statistic with this number is as large as `value`."""
         if not len(self):
-            return min(float(np.exp(-_POWER * value)), 1.0) if _CHANCES[number] else 1.0
+            return float(self.shares(np.full(len(STATISTICS), value))[number])
         return float(np.mean([columns[number].shares(np.array([value]))[0] for columns in self._columns]))
 
     def p_value(self, statistics: FloatArray) -> float:

@@ -120,9 +120,8 @@ class Evidence:
         covariances = spread + np.array([one.errors[:n_obs, :n_obs] for one in used])
         off = observed - model.at[:n_obs] - (np.array([one.mean for one in used]) - model.point) @ slopes.T
         given, group = (covariances, off, number, scale), 0 if compared == "none" else 3
-        logs, *others = _core.score_components(
-            *given, np.ascontiguousarray(noise), group=group, last=compared == "last"
-        )
+        noise = np.ascontiguousarray(noise)
+        logs, *others = _core.score_components(*given, noise, group=group, last=compared == "last", threads=1)
         return cls(prior, model, pairs, component, scale, weights, given, weights + logs, *others)
 
     @cached_property

@@ -232,14 +232,15 @@ def smooth(
     covariances = [one[:n_obs, :n_obs] + noise for one in errors]
     noises = [_core.Noise.dense(np.ascontiguousarray(one)) for one in covariances]
     log_dets = np.array([np.linalg.slogdet(2.0 * np.pi * one)[1] for one in covariances])
-    logs, dropped = np.log(weight), list[tuple[int, str]]()
+    # Of the whole schedule: inverses of coefficients sum to one, or to zero where there is no step.
+    logs, dropped = np.log(weight) - 0.5 * log_dets * sum(1.0 / alpha for alpha in alphas), list[tuple[int, str]]()
     for alpha in (*alphas, None):
         ends = np.cumsum([one.shape[1] for one in ensembles])
         parts = np.split(decode(np.concatenate(ensembles, axis=1)), ends[:-1])
         tasks = [partial(_updated, *one, observed, alpha) for one in zip(ensembles, parts, noises, strict=True)]
         for number, (*updated, lost, log) in enumerate(together(tasks, threads)):
             ensembles[number], parts[number] = updated
-            logs[number] += log if alpha is None else log - 0.5 * log_dets[number] / alpha
+            logs[number] += log
             dropped += [(number * n_members + int(index), reason) for index, reason in lost]
             if len(parts[number]) < max(2, n_members // 2):
                 left = len(parts[number])
