@@ -120,15 +120,23 @@ class CalibrationSet:
 
 @dataclass(frozen=True, eq=False)
 class _Ascending:
-    """Sorted values (n,) of one statistic in a group of trials, and the value `first` above which they are its tail."""
+    """Sorted values (n,) of one statistic in a group of trials, and their tail.
+
+    `first`: the value above which they are the tail; `n_beyond`, `excess`: number of those, and the sum of what they
+    exceed it by.
+    """
 
     values: FloatArray
     first: float
+    n_beyond: int
+    excess: float
 
     @classmethod
     def of(cls, values: FloatArray) -> "_Ascending":
         ascending, n = np.sort(values), len(values)
-        return cls(ascending, float(ascending[n - min(n, max(_TAIL_FEWEST, int(np.ceil(_TAIL_SHARE * n))))]))
+        first = float(ascending[n - min(n, max(_TAIL_FEWEST, int(np.ceil(_TAIL_SHARE * n))))])
+        excess = ascending[ascending > first] - first
+        return cls(ascending, first, len(excess), float(excess.sum()))
 
     def shares(self, given: FloatArray, *, among: bool = False) -> FloatArray:
         """Return for each given value the share, in (0, 1], of values that are at least as large; both have shape (k,).
@@ -144,8 +152,7 @@ class _Ascending:
         # With the given one, be it among them or not.
         n, beyond = len(self.values) + 1 - own, given > self.first
         shares = (n - np.searchsorted(self.values, given, side="left")) / n
-        excess = self.values[self.values > self.first] - self.first
         x = given[beyond] - self.first
-        k, total = max(len(excess) - own, 0) + 1, excess.sum() - own * x + _FIRST_EXCESS
+        k, total = max(self.n_beyond - own, 0) + 1, self.excess - own * x + _FIRST_EXCESS
         shares[beyond] = k / n * (1.0 + x / total) ** -float(k)
-        return np.asarray(np.clip(shares, _LEAST, 1.0))
+        return np.maximum(np.minimum(shares, 1.0), _LEAST)
