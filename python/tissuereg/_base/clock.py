@@ -5,6 +5,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 
+from tissuereg._base.provenance import note_warning
+
 
 @dataclass(frozen=True)
 class Progress:
@@ -45,6 +47,8 @@ class Clock:
 
     def tell(self, kind: str, words: str) -> None:
         """Pass a message of the given kind (see `Progress.kind`) and text to the listener, if there is one."""
+        if kind == "warning":
+            note_warning(words)
         if self._listener is not None:
             self._listener(Progress(kind, words))
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Any, TextIO
 
 from tissuereg._base.machine import machine, n_cores, versions
+from tissuereg._base.provenance import note_warning
 
 #: Exit code of an answer that was found and written, but is not to be trusted.
 UNTRUSTED = 4
@@ -66,6 +67,7 @@ def warnings_as_lines(*, debug: bool) -> Iterator[list[str]]:
     ) -> None:
         text = " ".join(str(message).split())
         notes.append(text)
+        note_warning(text)
         print(paragraph(f"warning: {text}"), file=sys.stderr)
 
     # matplotlib warns if it cannot write its font cache; users of a command can do nothing about that.

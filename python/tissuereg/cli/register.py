@@ -56,6 +56,7 @@ def options(parser: Parser) -> None:
     parser.add_argument("--out", required=True, metavar="DIR", help="folder for the results")
     text = "write registered_deformed.vtu too, its nodes where they are now"
     parser.add_argument("--deformed", action="store_true", help=text)
+    parser.add_argument("--no-picture", action="store_true", help="draw nothing: no registered.png, a page of text")
     _add_input_options(parser)
     add_method_options(parser.add_argument_group("method"))
     parser.set_defaults(late="markers", room=1)
@@ -95,8 +96,8 @@ def _write(result: "Registration", args: argparse.Namespace, extra: dict[str, An
         shown(Progress("stage", "draws"))
         _ = result.std  # computed when it is first read
         shown(Progress("stage", "files"))
-        result.save(draft, extra, deformed=args.deformed)
-        result.report(draft / "report.html")
+        result.save(draft, extra, deformed=args.deformed, picture=not args.no_picture)
+        result.report(draft / "report.html", picture=not args.no_picture)
 
 
 def _total(clock: Stopwatch) -> dict[str, float]:

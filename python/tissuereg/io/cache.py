@@ -7,9 +7,9 @@ folder cannot be written, a warning is given and nothing is kept; results are th
 
 import hashlib
 import os
-import warnings
 from pathlib import Path
 
+from tissuereg._base.provenance import warn
 from tissuereg.errors import TissueRegError
 from tissuereg.io.atomic import atomic_file
 
@@ -66,7 +66,7 @@ def keep_entry(name: str, content: bytes, most: int) -> None:
             _WARNED.add(folder)
             place = "the user has no home" if folder is None else f"{folder} cannot be written"
             text = f"nothing is kept for the next run, {place}; TISSUEREG_CACHE may name another folder for the cache"
-            warnings.warn(text, stacklevel=2)
+            warn(text)
 
 
 def _digest(name: str, content: bytes) -> bytes:

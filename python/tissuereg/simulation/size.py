@@ -7,7 +7,6 @@ by ``benchmarks/speed/large_bodies.py``; the speed is that of the machine, measu
 
 import math
 import time
-import warnings
 from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING
@@ -15,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tissuereg._base.machine import LIMIT, available_bytes, n_cores, resident_bytes
+from tissuereg._base.provenance import warn
 from tissuereg.errors import LargeBodyError, LargeBodyWarning
 from tissuereg.simulation.settings import SIZE
 
@@ -162,7 +162,7 @@ class Estimate:
             raise LargeBodyError(
                 message, where="mesh", needed_bytes=self.added_bytes, available_bytes=self.available_bytes
             )
-        warnings.warn(need, LargeBodyWarning, stacklevel=2)
+        warn(need, LargeBodyWarning)
 
     def _advice(self, there: int) -> str:
         """Return one sentence of advice for a body that does not fit into the available memory of `there` bytes."""
