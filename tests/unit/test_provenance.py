@@ -48,7 +48,12 @@ def test_a_command_states_itself_its_files_and_its_warnings(files, tmp_path, cap
     assert {"contacts", "tracker", "body"} <= set(made["settings"])
     assert json.loads((tmp_path / "out" / "registration.json").read_text())["provenance"] == made
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
-    for words in (*(one["sha256"] for one in made["inputs"]), made["date"], "lies 2.1 mm outside", "0.1 mm of a marker"):
+    for words in (
+        *(one["sha256"] for one in made["inputs"]),
+        made["date"],
+        "lies 2.1 mm outside",
+        "0.1 mm of a marker",
+    ):
         assert words in page
     assert "Not a medical device; no patient data have been tried." in page
 

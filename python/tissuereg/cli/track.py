@@ -100,6 +100,7 @@ def run(args: argparse.Namespace) -> Outcome:
         "failed": tracked.failures,
         "hz": len(tracked.frames) / spent,
         "dropped_frames": tracker.dropped,
+        "provenance": tracked.provenance,
     }
     seconds = clock.seconds
     _write(Path(args.out), {**content, "seconds": seconds}, tracked)
@@ -184,6 +185,7 @@ class _Tracked:
     """Results of all frames in the form in which they are written: answers, failures, errors, displacement fields.
 
     `frames`, `failures`: JSON content per registered and per failed frame; `errors`: exceptions of failed frames;
+    `provenance`: that of the last frame, which knows all files and warnings so far;
     `fields`: displacement (n_nodes, 3) in mm per registered frame, only if `keeps_fields`.
     """
 
@@ -191,11 +193,13 @@ class _Tracked:
     frames: list[dict[str, Any]] = field(default_factory=list)
     failures: list[dict[str, Any]] = field(default_factory=list)
     errors: "list[TissueRegError]" = field(default_factory=list)
+    provenance: dict[str, Any] = field(default_factory=dict)
     fields: "list[FloatArray]" = field(default_factory=list)
 
     def add(self, frame: "TrackedFrame") -> None:
         result = frame.registration
         trust = result.trust
+        self.provenance = result.provenance.to_json(result.given)
         self.frames.append(
             {
                 "time_s": frame.time_s,

@@ -276,6 +276,11 @@ class Registration:
         )
 
     @property
+    def given(self) -> dict[str, Any]:
+        """All settings and beliefs, those of the body as ``body``: plain numbers, lists and strings."""
+        return {**self.settings.to_json(), "body": self.body.to_json()}
+
+    @property
     def starts_simulated(self) -> bool:
         """Whether the markers' places before registration are those of a simulation, and not of the body at rest."""
         return not np.allclose(self.start_markers, self.all_markers.reference, rtol=0.0, atol=1e-6)
@@ -339,7 +344,7 @@ class Registration:
             "work": own["work"],
             "dropped_members": own["dropped_members"],
             "seconds": dict(self.seconds),
-            "provenance": self.provenance.to_json({**self.settings.to_json(), "body": self.body.to_json()}),
+            "provenance": self.provenance.to_json(self.given),
         }
 
     def save(
