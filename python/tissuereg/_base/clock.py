@@ -16,7 +16,8 @@ class Progress:
     ----------
     kind : str
         ``"stage"``: a stage begins, or goes on; ``"pass"``: one iteration of a registration (linearise, sample, solve)
-        is finished; ``"size"``: a remark on time and memory; ``"warning"``: a warning.
+        is finished; ``"size"``: a remark on time and memory; ``"work"``: one on unknowns and factorisations;
+        ``"warning"``: a warning.
     words : str
         Name of the stage, on large bodies followed by the share that is done; or the text of the remark.
     done, most : int

@@ -41,6 +41,7 @@ COMMANDS = {
     "diagnose": "find out what the simulation gets wrong",
     "demo": "register the embedded phantom, end to end",
     "bench": "time the parts",
+    "cache": "say what is kept to save time, or delete it",
 }
 
 

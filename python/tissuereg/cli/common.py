@@ -84,9 +84,9 @@ def note(text: str) -> None:
     print(f"note: {' '.join(text.split())}", file=sys.stderr)
 
 
-def seconds_line(seconds: dict[str, float]) -> str:
-    """Return the times of all stages, by name in s, as one line of text, the total last."""
-    stages = [f"{name} {value:.3g} s" for name, value in seconds.items() if name != "total"]
+def seconds_line(seconds: dict[str, float], *, verbose: bool = False) -> str:
+    """Return the total of times by stage, in s, as one line of text; if `verbose`, after the times of all stages."""
+    stages = [f"{name} {value:.3g} s" for name, value in seconds.items() if name != "total"] if verbose else []
     return ", ".join([*stages, f"total {seconds['total']:.3g} s"])
 
 

@@ -84,6 +84,7 @@ class Help:
         add_option(group, "--threads", whole(self.threads, most=MOST_THREADS, default=0), "N")
         group.add_argument("--json", metavar="FILE", help="write one JSON object to FILE; - is standard output")
         group.add_argument("--quiet", action="store_true", help="no progress on standard error")
+        group.add_argument("--verbose", action="store_true", help="also say what is of use to numericists: work, times")
         group.add_argument("--debug", action="store_true", help="show the traceback of an error")
 
 

@@ -106,7 +106,12 @@ def run(args: argparse.Namespace) -> Outcome:
     _write(Path(args.out), {**content, "seconds": seconds}, tracked)
     clock.lap("write")
     content["seconds"] = clock.seconds
-    return Outcome(content, _summary(content, args.out), args.threads, 0 if tracked.all_trusted else UNTRUSTED)
+    return Outcome(
+        content,
+        _summary(content, args.out, verbose=args.verbose),
+        args.threads,
+        0 if tracked.all_trusted else UNTRUSTED,
+    )
 
 
 def _read(args: argparse.Namespace) -> "tuple[Tracker, Recording, TablePhysics | None]":
@@ -237,7 +242,7 @@ def _write(out: Path, content: dict[str, Any], tracked: _Tracked) -> None:
             write_simulations(draft / _FIELDS, [frame["time_s"] for frame in tracked.frames], tracked.fields)
 
 
-def _summary(content: dict[str, Any], out: str) -> str:
+def _summary(content: dict[str, Any], out: str, *, verbose: bool) -> str:
     """Return the content of ``track.json`` as text; the last line states whether a frame is not to be trusted."""
     import numpy as np
 
@@ -252,7 +257,7 @@ def _summary(content: dict[str, Any], out: str) -> str:
             f"latency: median {np.median(latency):.0f} ms, 99 % {np.percentile(latency, 99):.0f} ms",
             f"rms distance to the markers: median {rms:.3f} mm",
             *(target_line(name, target, f" at {last['time_s']:g} s") for name, target in last["targets"].items()),
-            seconds_line(content["seconds"]),
+            seconds_line(content["seconds"], verbose=verbose),
             f"written: {out}",
             *([f"not registered at {failed[0]['time_s']:g} s: {failed[0]['reason']}"] if failed else []),
             *_frames_verdict(frames),

@@ -129,18 +129,20 @@ class Estimate:
         return _duration(self.seconds)
 
     def sentence(self) -> str:
-        """Return one line of text about the size of the body and what the computation needs.
-
-        It states nodes, tets, unknowns, entries of the factor, number of factorisations, time and memory.
-        """
-        size, work = self.size, self.work
-        times = f"about {work.factorisations} factorisation{'' if work.factorisations == 1 else 's'}"
+        """Return one line of text with nodes and tets, and the time and memory that the computation needs."""
         there = "" if self.available_bytes is None else f", {_gb(self.available_bytes)} more are available"
         return (
-            f"{size.n_nodes:,} nodes, {size.n_tets:,} {size.element}, {size.n_unknowns:,} unknowns; a factor has "
-            f"{_count(size.n_entries)} entries ({_gb(work.entry_bytes * size.n_entries)}) and takes "
-            f"{_figure(size.flops / 1e9)} GFlop; {times}, {self.duration()}, "
+            f"{self.size.n_nodes:,} nodes, {self.size.n_tets:,} tets: {self.duration()}, "
             f"peak memory {_gb(self.peak_bytes)}{there}"
+        )
+
+    def work_sentence(self) -> str:
+        """Return one line of text on the work: elements, unknowns, entries of the factor, number of factorisations."""
+        size, work = self.size, self.work
+        times = f"about {work.factorisations} factorisation{'' if work.factorisations == 1 else 's'}"
+        return (
+            f"{size.element}, {size.n_unknowns:,} unknowns; a factor has {_count(size.n_entries)} entries "
+            f"({_gb(work.entry_bytes * size.n_entries)}) and takes {_figure(size.flops / 1e9)} GFlop; {times}"
         )
 
     def check(self) -> None:
