@@ -34,6 +34,7 @@ NEEDED = {
     MODULE,
     "tissuereg/__init__.py",
     "tissuereg/_core.pyi",
+    "tissuereg/licences.txt",
     "tissuereg/py.typed",
     "tissuereg/phantom/data/breast.toml",
     "tissuereg/phantom/data/full-truth.npz",

@@ -1,5 +1,6 @@
 """``tissuereg calibrate``: a few events of the phantom calibrate a copy of the model that ships."""
 
+import contextlib
 import json
 import shutil
 
@@ -36,9 +37,21 @@ def folders(tmp_path_factory):
     return folder
 
 
-def test_a_model_is_calibrated_and_registers_with_it(folders, capsys):
+def test_a_model_is_calibrated_and_registers_with_it(folders, capsys, monkeypatch):
     words = ["calibrate", str(folders / "model"), "--data", str(folders / "data"), "--pairs", str(folders / "pairs")]
+    told = {}
+
+    @contextlib.contextmanager
+    def shown(what, *, quiet):
+        yield lambda *counts: told.setdefault(what, []).append(counts)
+
+    monkeypatch.setattr("tissuereg.cli.calibrate.progress_bar", shown)
     code = main([*words, "--json", "-"])
+    assert [what[0] for what in told] == ["1", "2", "3"]
+    for counts in told.values():
+        assert counts[-1][0] == counts[-1][1]
+        assert counts == sorted(set(counts))
+    assert len(told["2 of 3, trial registrations"]) > 50
     found = json.loads(capsys.readouterr().out)
     assert code == 0, found
     assert (code, found["schema"], found["pairs"]) == (0, "tissuereg.calibrate/1", 14)

@@ -416,6 +416,15 @@ def test_progress_in_a_log_is_lines_with_the_time_left(monkeypatch, capsys):
     assert lines[0] == "simulations: 45 of 100, about 55 s left"
     assert 5 <= len(lines) <= 12
     assert all(line.endswith(" s left") for line in lines)
+    with progress_bar("frames", quiet=False) as report:
+        now[0] += 60.0  # a mesh is made first: that is not what a frame takes
+        report(1, 12)
+        now[0] += 10.0
+        report(2, 12)
+        now[0] += 10.0
+        report(3, 12)
+    lines = capsys.readouterr().err.splitlines()
+    assert lines == ["frames: 1 of 12", "frames: 2 of 12, about 2 min left", "frames: 3 of 12, about 90 s left"]
 
 
 # --- register ---

@@ -109,7 +109,12 @@ def test_it_tells_and_writes_all(inputs, capsys):
     assert code == (0 if all(frame["trust"]["ok"] for frame in said["frames"]) else 4)
     out = inputs / "deep" / "out"
     assert {file.name for file in out.iterdir()} == {"track.json", "targets.csv", "fields.npz"}
-    assert json.loads((out / "track.json").read_text())["frames"] == said["frames"]
+    kept = json.loads((out / "track.json").read_text())
+    assert kept["frames"] == said["frames"]
+    made = kept["provenance"]
+    assert {"body.vtu", "recording.csv", "reference.csv"} <= {one["path"] for one in made["inputs"]}
+    assert made["command"].startswith("tissuereg track ")
+    assert "smoother" in made["settings"]
     with (out / "targets.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert [float(row["time_s"]) for row in rows] == TIMES

@@ -107,5 +107,7 @@ def comparable(file: Path) -> object:
 
 def without_times(value: object) -> object:
     if isinstance(value, dict):
-        return {key: without_times(one) for key, one in value.items() if key not in ("seconds", "members_per_s")}
+        return {
+            key: without_times(one) for key, one in value.items() if key not in ("seconds", "date", "members_per_s")
+        }
     return [without_times(one) for one in value] if isinstance(value, list) else value

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import tissuereg as tr
+from support.answers import told
 from support.rigs import rig
 from tissuereg.diagnosis.run import _own_modulus
 from tissuereg.experiment.effects import Poisson, Stiffness
@@ -17,7 +18,7 @@ def test_the_answer_depends_on_neither_threads_nor_the_call():
     said = tr.simulate_experiment(believed)
     cases = {name: replace(case, forces=dict(said[name].forces)) for name, case in believed.cases.items()}
     still = replace(believed, cases=cases)
-    one, again, two = (tr.diagnose(still, threads=threads, keep=False).to_json() for threads in (1, 1, 2))
+    one, again, two = (told(tr.diagnose(still, threads=threads, keep=False)) for threads in (1, 1, 2))
     assert one["verdict"] == "unexplained"
     assert len(one["candidates"]) > 20
     assert one == again == two

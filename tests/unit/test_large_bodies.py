@@ -121,11 +121,13 @@ def test_the_size_is_told_after_the_analysis_and_before_any_factor(block_mesh, m
     )
     kinds = [words if kind == "stage" else kind for kind, words in said]
     assert kinds.index("body") < kinds.index("size") < kinds.index("linearise") < kinds.index("sample")
-    assert kinds.count("size") == 1
-    line = dict(said)["size"]
+    assert (kinds.count("size"), kinds.count("work")) == (1, 1)
+    line, work = dict(said)["size"], dict(said)["work"]
     found = of(block_mesh, "tet4-averaged")
-    for part in (f"{block_mesh.n_nodes:,} nodes", f"{found.n_unknowns:,} unknowns", "about 2 factorisations", "GFlop"):
-        assert part in line
+    assert line.startswith(f"{block_mesh.n_nodes:,} nodes, {block_mesh.n_tets:,} tets: ")
+    for part in (f"{found.n_unknowns:,} unknowns", "about 2 factorisations", "GFlop"):
+        assert part in work
+        assert part not in line
 
 
 @pytest.mark.usefixtures("afresh")
@@ -156,6 +158,8 @@ def test_the_command_says_the_size_or_refuses_and_writes_nothing(monkeypatch, bl
     code, _, said = run(capsys, *words)
     assert code in (0, 4)
     assert said.startswith(f"note: {block_mesh.n_nodes:,} nodes, ")
+    assert "GFlop" not in said
+    assert "GFlop" in run(capsys, *words, "--verbose")[2]
     assert run(capsys, *words, "--quiet")[2] == ""
 
 
@@ -165,7 +169,11 @@ def test_solve_says_the_size_of_what_is_not_small(monkeypatch, tmp_path, capsys)
     assert run(capsys, *words)[2] == ""
     monkeypatch.setattr(Estimate, "is_small", False)
     code, _, said = run(capsys, *words)
-    assert (code, said.count("note: "), said.count("about 1 factorisation,")) == (0, 1, 1)
+    assert (code, said.count("note: "), said.count("GFlop")) == (0, 1, 0)
+    _, out, said = run(capsys, *words, "--verbose")
+    assert (said.count("note: "), said.count("about 1 factorisation")) == (2, 1)
+    assert "iterations" in out
+    assert "iterations" not in run(capsys, *words)[1]
 
 
 def test_a_second_way_of_many_right_hand_sides_has_the_same_bits(monkeypatch, block_mesh):

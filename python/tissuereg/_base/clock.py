@@ -5,6 +5,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 
+from tissuereg._base.provenance import note_warning
+
 
 @dataclass(frozen=True)
 class Progress:
@@ -14,7 +16,8 @@ class Progress:
     ----------
     kind : str
         ``"stage"``: a stage begins, or goes on; ``"pass"``: one iteration of a registration (linearise, sample, solve)
-        is finished; ``"size"``: a remark on time and memory; ``"warning"``: a warning.
+        is finished; ``"size"``: a remark on time and memory; ``"work"``: one on unknowns and factorisations;
+        ``"warning"``: a warning.
     words : str
         Name of the stage, on large bodies followed by the share that is done; or the text of the remark.
     done, most : int
@@ -45,6 +48,8 @@ class Clock:
 
     def tell(self, kind: str, words: str) -> None:
         """Pass a message of the given kind (see `Progress.kind`) and text to the listener, if there is one."""
+        if kind == "warning":
+            note_warning(words)
         if self._listener is not None:
             self._listener(Progress(kind, words))
 

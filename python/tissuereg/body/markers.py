@@ -8,6 +8,7 @@ import numpy as np
 
 from tissuereg._base.arguments import found
 from tissuereg._base.arrays import FloatArray, IntArray, depth, float_array, frozen
+from tissuereg._base.provenance import derived
 from tissuereg.errors import MarkerError
 
 #: Upper limit of a finite standard deviation, mm: its square must not overflow.
@@ -100,7 +101,8 @@ class Markers:
             The selected markers: in their present order for a mask, in the order of `keep` for indices.
         """
         rows = _kept(keep, len(self))
-        return Markers(self.reference[rows], self.measured[rows], self.axis_std[rows], [self.names[i] for i in rows])
+        kept = Markers(self.reference[rows], self.measured[rows], self.axis_std[rows], [self.names[i] for i in rows])
+        return derived(kept, self)
 
 
 def _kept(keep: Any, n_markers: int) -> IntArray:

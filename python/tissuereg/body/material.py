@@ -1,7 +1,6 @@
 """Materials: law, small-strain moduli, fibres and density."""
 
 import hashlib
-import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -11,6 +10,7 @@ import numpy as np
 from tissuereg import _core
 from tissuereg._base.arguments import flag, found, maybe, named, of_kind, real, text
 from tissuereg._base.arrays import FloatArray, depth, float_array
+from tissuereg._base.provenance import keep_with, recorded, warn
 from tissuereg.body.laws import DECLARED
 from tissuereg.errors import MaterialError, UnitWarning
 
@@ -154,7 +154,9 @@ class Material:
         young, poisson = self.young_array, self.poisson_array
         _within("young", young, np.isfinite(young) & (young > 0), "positive, in kPa")
         _within("poisson", poisson, (poisson > -1) & (poisson < 0.5), "in (-1, 0.5)")
-        _check_unit(young)
+        with recorded() as record:
+            _check_unit(young)
+        keep_with(self, record)
         self.core_law()
 
     @property
@@ -305,4 +307,4 @@ def _check_unit(young: FloatArray) -> None:
             f"`young` is taken in kPa, got about {typical:.0e}; soft tissues and silicones lie between {softest:g} and "
             f"{stiffest:g} kPa, so it may be in {unit}"
         )
-        warnings.warn(message, UnitWarning, stacklevel=4)
+        warn(message, UnitWarning)

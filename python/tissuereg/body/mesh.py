@@ -10,6 +10,7 @@ import numpy as np
 
 from tissuereg._base.arguments import check_choice, named, real, text
 from tissuereg._base.arrays import FloatArray, IntArray, float_array, frozen, index_array
+from tissuereg._base.provenance import derived
 from tissuereg._core import check_mesh, surface_triangles, tet_volumes
 from tissuereg.errors import MeshError, UnitError
 
@@ -138,7 +139,7 @@ class Mesh:
             A new mesh, with the same nodes and tets.
         """
         text("name", name, error=MeshError)
-        return Mesh(self.nodes, self.tets, {**self.node_sets, name: indices}, self.frame)
+        return derived(Mesh(self.nodes, self.tets, {**self.node_sets, name: indices}, self.frame), self)
 
     def in_frame(self, frame: str | None) -> "Mesh":
         """Return the same mesh with its coordinates declared to be in a frame; no coordinate is changed.
@@ -153,7 +154,7 @@ class Mesh:
         Mesh
             A new mesh, with the same nodes and tets.
         """
-        return Mesh(self.nodes, self.tets, self.node_sets, frame)
+        return derived(Mesh(self.nodes, self.tets, self.node_sets, frame), self)
 
     @cached_property
     def extent(self) -> float:

@@ -10,7 +10,6 @@ interpolated linearly between corner nodes, or quadratically where the mid-edge 
 too.
 """
 
-import warnings
 from collections.abc import Iterator, Mapping
 from functools import cached_property
 from typing import Any
@@ -18,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from tissuereg._base.arrays import BoolArray, FloatArray, IntArray, float_array
+from tissuereg._base.provenance import warn
 from tissuereg.body.markers import Markers
 from tissuereg.body.mesh import Mesh, per_mesh
 from tissuereg.errors import MarkerError
@@ -537,7 +537,7 @@ class _Locator:
             raise MarkerError(message, where=name)
         if gap[tet] > WARN_TARGET_SHARE * self._extent:
             text = f"target '{name}' lies {gap[tet]:.2g} mm outside the mesh; it moves with the closest tet"
-            warnings.warn(text, stacklevel=4)
+            warn(text)
         return tet, weights[tet]
 
     def _weights(self, tets: IntArray, point: FloatArray) -> FloatArray:

@@ -6,6 +6,7 @@ import numpy as np
 
 from tissuereg._base.arguments import found, real
 from tissuereg._base.arrays import FloatArray, IntArray, float_array, frozen
+from tissuereg._base.provenance import derived
 from tissuereg.errors import SurfaceError
 
 #: More points than this are thinned evenly.
@@ -66,6 +67,7 @@ class SurfacePoints:
         self.places: FloatArray = frozen(np.ascontiguousarray(places[kept]))
         self.rows: IntArray = frozen(whole[kept])
         self.std = std
+        derived(self, measured)
 
     def __len__(self) -> int:
         return len(self.places)

@@ -16,8 +16,9 @@ from collections.abc import Callable, Iterator, Sequence
 from types import FrameType
 from typing import Any
 
+from tissuereg._base.provenance import recorded
 from tissuereg.cli.common import Outcome, envelope, paragraph, warnings_as_lines
-from tissuereg.cli.options import Parser, UsageError, json_target, parse
+from tissuereg.cli.options import Parser, UsageError, command_text, json_target, parse
 from tissuereg.errors import ConvergenceError, TissueRegError
 from tissuereg.io.atomic import check_file_target
 from tissuereg.io.json import dumps, write_json
@@ -40,6 +41,7 @@ COMMANDS = {
     "diagnose": "find out what the simulation gets wrong",
     "demo": "register the embedded phantom, end to end",
     "bench": "time the parts",
+    "cache": "say what is kept to save time, or delete it",
 }
 
 
@@ -79,7 +81,7 @@ def run_program(parser_of: Callable[[Sequence[str]], Parser], argv: Sequence[str
     """
     words = list(sys.argv[1:] if argv is None else argv)
     target, debug = json_target(words), "--debug" in words
-    with _ended_like_an_interrupt(), warnings_as_lines(debug=debug) as notes:
+    with _ended_like_an_interrupt(), recorded(command_text(words)), warnings_as_lines(debug=debug) as notes:
         try:
             outcome = _run(parser_of(words), words, target)
             if isinstance(outcome, int):

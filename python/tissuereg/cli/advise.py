@@ -100,7 +100,8 @@ def run(args: argparse.Namespace) -> Outcome:
         f"{name}: expected error {errors[0]:.2f} mm before, {errors[-1]:.2f} mm with {args.number} markers"
         for name, errors in content["expected_mm"].items()
     ]
-    return Outcome(content, "\n".join([*lines, seconds_line(clock.seconds), f"written: {args.out}"]), args.threads)
+    lines += [seconds_line(clock.seconds, verbose=args.verbose), f"written: {args.out}"]
+    return Outcome(content, "\n".join(lines), args.threads)
 
 
 def _check(args: argparse.Namespace) -> None:

@@ -69,7 +69,7 @@ def _table(content: dict[str, Any]) -> str:
         lines.append(f"{row['name']:<{width}}  {1e3 * row['median_s']:>10.4g}  {1e3 * row['p99_s']:>10.4g}  {stages}")
         if "floor_s" in row:
             lines.append(_floor_line(row, width))
-    return "\n".join([*lines, seconds_line(content["seconds"])])
+    return "\n".join([*lines, seconds_line(content["seconds"], verbose=True)])
 
 
 def _floor_line(row: dict[str, Any], width: int) -> str:

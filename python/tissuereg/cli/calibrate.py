@@ -2,17 +2,20 @@
 
 import argparse
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tissuereg._base.fields import whole
 from tissuereg.cli.common import Outcome, Stopwatch, seconds_line
 from tissuereg.cli.options import Help, Parser, add_option
+from tissuereg.cli.progress import Report, progress_bar
 from tissuereg.errors import FormatError
 
 if TYPE_CHECKING:
     from tissuereg._base.arrays import FloatArray
     from tissuereg.body.mesh import Mesh
+    from tissuereg.registration.worth import Worth
 
 HELP = Help(
     "MODEL is a folder that 'tissuereg train' made, DATA the data set it was trained on. Codes of the training split "
@@ -48,17 +51,20 @@ def add_pairs(parser: Parser) -> None:
 
 def run(args: argparse.Namespace) -> Outcome:
     """Run ``tissuereg calibrate``: calibrate a model and write the result; JSON schema ``tissuereg.calibrate/1``."""
-    content = calibrated(args.model, args.data, args.pairs, args.patterns, args.seed or 0)
+    content = calibrated(args.model, args.data, args.pairs, args.patterns, args.seed or 0, quiet=args.quiet)
     counts = f"{content['kinds']} kinds of events, {content['events']} rehearsals, {content['pairs']} pairs"
-    said = [counts, "", content["beside_contacts"]["text"], seconds_line(content["seconds"])]
+    spent = seconds_line(content["seconds"], verbose=args.verbose)
+    said = [counts, "", content["beside_contacts"]["text"], spent]
     return Outcome(content, "\n".join(said), args.threads)
 
 
-def calibrated(folder: str, data_folder: str, pairs_folders: list[str], n_patterns: int, seed: int) -> dict[str, Any]:
+def calibrated(
+    folder: str, data_folder: str, pairs_folders: list[str], n_patterns: int, seed: int, *, quiet: bool = False
+) -> dict[str, Any]:
     """Calibrate the model in a folder, write ``calibration.npz`` there, and return the content of the JSON.
 
     `data_folder`: data set that it was trained on; `pairs_folders`: folders of further pairs, each a kind of change;
-    `n_patterns`: patterns of errors at most.
+    `n_patterns`: patterns of errors at most; `quiet`: whether no progress is shown.
     """
     import numpy as np
 
@@ -76,16 +82,25 @@ def calibrated(folder: str, data_folder: str, pairs_folders: list[str], n_patter
     pairs = [] if data.pairs is None else [_in_mm(data.pairs)]
     pairs += [_pairs_in(other, data.mesh) for other in pairs_folders]
     clock.lap("read")
-    codes = codes_of(model, data.displacement, data.split["train"])
+    with progress_bar("1 of 3, fields encoded", quiet=quiet) as shown:
+        codes = codes_of(model, data.displacement, data.split["train"], shown)
     clock.lap("encode")
     how = RehearsalSettings(n_patterns=n_patterns, seed=seed)
-    made = calibrate(model, data.mesh, codes, unseen, pairs, settings=how)
+    with progress_bar("2 of 3, trial registrations", quiet=quiet) as shown:
+        made = calibrate(model, data.mesh, codes, unseen, pairs, settings=how, progress=shown)
     clock.lap("rehearse")
     model.calibration = made
-    alone, simulated = worth(model, data.mesh, unseen[-_COMPARED:], [None] * len(unseen[-_COMPARED:]), seed), None
+    events: list[tuple[FloatArray, list[FloatArray | None]]] = [(unseen[-_COMPARED:], [None] * _COMPARED)]
     if pairs:
         simulations, truths = (np.concatenate(parts)[-_COMPARED:] for parts in zip(*pairs, strict=True))
-        simulated = worth(model, data.mesh, truths, list(simulations), seed)
+        events.append((truths, list(simulations)))
+    found: list[Worth | None] = []
+    counts = [len(fields) for fields, _ in events]
+    with progress_bar("3 of 3, events registered with the model and without", quiet=quiet) as shown:
+        for fields, starts in events:
+            counted = None if shown is None else partial(_after, shown, sum(counts[: len(found)]), sum(counts))
+            found.append(worth(model, data.mesh, fields, starts[: len(fields)], seed, counted))
+    alone, simulated = (*found, None)[:2]
     text = worth_text(alone, simulated)
     clock.lap("compare")
     write_calibration(Path(folder), made, text)
@@ -107,6 +122,10 @@ def calibrated(folder: str, data_folder: str, pairs_folders: list[str], n_patter
         "seed": seed,
         "seconds": clock.seconds,
     }
+
+
+def _after(report: Report, before: int, in_all: int, done: int) -> None:
+    report(before + done, in_all)
 
 
 def _pairs_in(folder: str, mesh: "Mesh") -> "tuple[FloatArray, FloatArray]":

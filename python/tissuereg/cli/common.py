@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Any, TextIO
 
 from tissuereg._base.machine import machine, n_cores, versions
+from tissuereg._base.provenance import note_warning
 
 #: Exit code of an answer that was found and written, but is not to be trusted.
 UNTRUSTED = 4
@@ -66,6 +67,7 @@ def warnings_as_lines(*, debug: bool) -> Iterator[list[str]]:
     ) -> None:
         text = " ".join(str(message).split())
         notes.append(text)
+        note_warning(text)
         print(paragraph(f"warning: {text}"), file=sys.stderr)
 
     # matplotlib warns if it cannot write its font cache; users of a command can do nothing about that.
@@ -82,9 +84,9 @@ def note(text: str) -> None:
     print(f"note: {' '.join(text.split())}", file=sys.stderr)
 
 
-def seconds_line(seconds: dict[str, float]) -> str:
-    """Return the times of all stages, by name in s, as one line of text, the total last."""
-    stages = [f"{name} {value:.3g} s" for name, value in seconds.items() if name != "total"]
+def seconds_line(seconds: dict[str, float], *, verbose: bool = False) -> str:
+    """Return the total of times by stage, in s, as one line of text; if `verbose`, after the times of all stages."""
+    stages = [f"{name} {value:.3g} s" for name, value in seconds.items() if name != "total"] if verbose else []
     return ", ".join([*stages, f"total {seconds['total']:.3g} s"])
 
 

@@ -80,7 +80,7 @@ def _outcome(answer: dict[str, Any], clock: Stopwatch, args: argparse.Namespace)
         lines.append(f"  {answer['left']['sentence']}")
     if answer.get("next_experiment"):
         lines.append(f"  next: {answer['next_experiment']['action']}")
-    lines.append(seconds_line(clock.seconds))
+    lines.append(seconds_line(clock.seconds, verbose=args.verbose))
     if args.out is not None:
         lines.append(f"written: {args.out}")
     return Outcome({**answer, "seconds": clock.seconds}, "\n".join(lines), args.threads)

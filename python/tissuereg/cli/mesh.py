@@ -81,7 +81,7 @@ def run(args: argparse.Namespace) -> Outcome:
         "seed": None,
         "seconds": seconds,
     }
-    return Outcome(content, _summary(mesh, seconds, args.out), args.threads)
+    return Outcome(content, _summary(mesh, seconds_line(seconds, verbose=args.verbose), args.out), args.threads)
 
 
 def _sets(given: list[list[str]]) -> dict[str, list[str]]:
@@ -102,7 +102,7 @@ def _of_deviation(mesh: "FilledMesh") -> list[str]:
     ]
 
 
-def _summary(mesh: "FilledMesh", seconds: dict[str, float], out: str) -> str:
+def _summary(mesh: "FilledMesh", spent: str, out: str) -> str:
     found = mesh.quality
     lines = [
         f"{mesh.n_nodes} nodes, {mesh.n_tets} tets: shape quality at least {found['min_quality']:.2f}, median "
@@ -113,7 +113,7 @@ def _summary(mesh: "FilledMesh", seconds: dict[str, float], out: str) -> str:
         *_of_deviation(mesh),
         *(f"repaired: {sentence}" for sentence in mesh.repaired),
         "node sets: " + (", ".join(f"{name} ({len(nodes)})" for name, nodes in mesh.node_sets.items()) or "none"),
-        seconds_line(seconds),
+        spent,
         f"written: {out}",
     ]
     return "\n".join(lines)

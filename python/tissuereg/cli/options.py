@@ -2,6 +2,7 @@
 
 import argparse
 import contextlib
+import shlex
 import textwrap
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import MISSING, dataclass
@@ -83,6 +84,7 @@ class Help:
         add_option(group, "--threads", whole(self.threads, most=MOST_THREADS, default=0), "N")
         group.add_argument("--json", metavar="FILE", help="write one JSON object to FILE; - is standard output")
         group.add_argument("--quiet", action="store_true", help="no progress on standard error")
+        group.add_argument("--verbose", action="store_true", help="also say what is of use to numericists: work, times")
         group.add_argument("--debug", action="store_true", help="show the traceback of an error")
 
 
@@ -149,6 +151,28 @@ def refuse_overwriting(written: Iterable[Path], inputs: Iterable[str | Path | No
         if file.resolve() in read:
             message = f"an output must not replace an input; {file} would, so choose another --out"
             raise UsageError(message, where=str(file))
+
+
+#: Options that change no answer: where it is written and what is said of it. Those of the first line have a value.
+_BESIDE = {"--out": 1, "--json": 1, "--threads": 1} | dict.fromkeys(
+    ("--quiet", "--debug", "--verbose", "--no-picture", "--deformed", "--fields"), 0
+)
+
+
+def command_text(words: Sequence[str]) -> str:
+    """Return a command line as text for a result, without the options that change no answer.
+
+    >>> command_text(["register", "body.vtu", "--out", "a folder", "--fixed", "ball 0 0 0 5", "--json=-"])
+    "tissuereg register body.vtu --fixed 'ball 0 0 0 5'"
+    """
+    kept, skipped = ["tissuereg"], 0
+    for word in words:
+        name, _, value = word.partition("=")
+        if skipped or name in _BESIDE:
+            skipped = skipped - 1 if skipped else _BESIDE[name] if not value else 0
+        else:
+            kept.append(word)
+    return shlex.join(kept)
 
 
 def json_target(words: Sequence[str]) -> str | None:

@@ -64,20 +64,19 @@ class _Lines:
     def __init__(self, what: str) -> None:
         self._what = what
         self._start: tuple[float, int] | None = None
-        self._next = 0.0
+        self._next = time.monotonic() + _FIRST_LINE
 
     def report(self, done: int, in_all: int) -> None:
         """Print a line with the tasks done, the number of all and the time left, if enough time has passed."""
         now = time.monotonic()
-        if self._start is None:  # what is done by then was there before
-            self._start, self._next = (now, done), now + _FIRST_LINE
+        if self._start is None:  # what is done by then was there before, or waited for what is made once
+            self._start = (now, done)
         if now < self._next or done >= in_all:
             return
         spent, fresh = now - self._start[0], done - self._start[1]
         self._next = now + max(_FIRST_LINE, min(_LAST_LINE, spent / 5))
-        if fresh > 0:
-            left = duration(spent / fresh * (in_all - done))
-            print(f"{self._what}: {done} of {in_all}, about {left} left", file=sys.stderr, flush=True)
+        left = f", about {duration(spent / fresh * (in_all - done))} left" if fresh > 0 else ""
+        print(f"{self._what}: {done} of {in_all}{left}", file=sys.stderr, flush=True)
 
 
 def duration(seconds: float) -> str:
@@ -88,10 +87,13 @@ def duration(seconds: float) -> str:
 
 
 class Stages:
-    """Shows stages and iterations of a registration on standard error, in a tqdm bar or else lines (not if `quiet`)."""
+    """Shows stages and iterations of a registration on standard error, in a tqdm bar or else lines (not if `quiet`).
 
-    def __init__(self, bar: Any, *, quiet: bool) -> None:
-        self._bar, self._quiet = bar, quiet
+    With `verbose`, remarks on the work too.
+    """
+
+    def __init__(self, bar: Any, *, quiet: bool, verbose: bool = False) -> None:
+        self._bar, self._quiet, self._verbose = bar, quiet, verbose
         self._start = time.perf_counter()
         self._pass = ""
 
@@ -101,7 +103,7 @@ class Stages:
             self._passed(said.done, said.most)
         elif said.kind == "stage" and not self._quiet:
             self._began(said.words)
-        elif not self._quiet:
+        elif not self._quiet and (self._verbose or said.kind != "work"):
             self._clear()
             if said.kind == "warning":
                 print(paragraph(f"warning: {said.words}"), file=sys.stderr)
@@ -137,15 +139,15 @@ class Stages:
 
 
 @contextlib.contextmanager
-def stage_lines(*, quiet: bool) -> Iterator[Stages]:
-    """Yield an object that shows the stages of a registration on standard error, and nothing if `quiet`.
+def stage_lines(*, quiet: bool, verbose: bool = False) -> Iterator[Stages]:
+    """Yield an object that shows the stages of a registration on standard error, nothing if `quiet`, more if `verbose`.
 
     On a terminal it draws a bar, otherwise it prints lines; both only in runs of more than a few seconds.
     """
     if quiet or not sys.stderr.isatty():
-        yield Stages(None, quiet=quiet)
+        yield Stages(None, quiet=quiet, verbose=verbose)
         return
     from tqdm import tqdm
 
     with tqdm(file=sys.stderr, unit="", delay=_SILENT, leave=False) as bar:
-        yield Stages(bar, quiet=False)
+        yield Stages(bar, quiet=False, verbose=verbose)

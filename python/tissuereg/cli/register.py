@@ -56,6 +56,7 @@ def options(parser: Parser) -> None:
     parser.add_argument("--out", required=True, metavar="DIR", help="folder for the results")
     text = "write registered_deformed.vtu too, its nodes where they are now"
     parser.add_argument("--deformed", action="store_true", help=text)
+    parser.add_argument("--no-picture", action="store_true", help="draw nothing: no registered.png, a page of text")
     _add_input_options(parser)
     add_method_options(parser.add_argument_group("method"))
     parser.set_defaults(late="markers", room=1)
@@ -74,7 +75,7 @@ def run(args: argparse.Namespace) -> Outcome:
     clock = Stopwatch()
     given = _input(args)
     reading = clock.lap("read")
-    with stage_lines(quiet=args.quiet) as shown:
+    with stage_lines(quiet=args.quiet, verbose=args.verbose) as shown:
         result = register(**given, **method_of(args), progress=shown)
         clock.lap("register")
         stages = {name: spent for name, spent in result.seconds.items() if name != "total"}
@@ -83,7 +84,8 @@ def run(args: argparse.Namespace) -> Outcome:
     writing = clock.lap("write")
     seconds = {"read": reading, **stages, "write": writing, **_total(clock)}
     content = {**result.to_json(), "seconds": seconds}
-    return Outcome(content, summary(content, args.out), args.threads, 0 if result.trust.ok else UNTRUSTED)
+    text = summary(content, args.out, verbose=args.verbose)
+    return Outcome(content, text, args.threads, 0 if result.trust.ok else UNTRUSTED)
 
 
 def _write(result: "Registration", args: argparse.Namespace, extra: dict[str, Any], shown: Stages) -> None:
@@ -95,8 +97,8 @@ def _write(result: "Registration", args: argparse.Namespace, extra: dict[str, An
         shown(Progress("stage", "draws"))
         _ = result.std  # computed when it is first read
         shown(Progress("stage", "files"))
-        result.save(draft, extra, deformed=args.deformed)
-        result.report(draft / "report.html")
+        result.save(draft, extra, deformed=args.deformed, picture=not args.no_picture)
+        result.report(draft / "report.html", picture=not args.no_picture)
 
 
 def _total(clock: Stopwatch) -> dict[str, float]:
@@ -189,28 +191,35 @@ def _from_experiment(args: argparse.Namespace) -> dict[str, Any]:
     return {**frame, "mesh": replace(frame["mesh"], **only_given(held=args.held, stiffness=args.stiffness))}
 
 
-def summary(content: dict[str, Any], out: str) -> str:
+def summary(content: dict[str, Any], out: str, *, verbose: bool = False) -> str:
     """Return the content of ``registration.json`` as text; contacts, flags and the verdict come last."""
-    markers, trust, body, model = (content[name] for name in ("markers", "trust", "body", "model"))
+    markers, trust = content["markers"], content["trust"]
     simulated = any(target["simulation_mm"] is not None for target in content["targets"].values())
     start = start_word(simulated)
-    unknown = trust["p_value"] is None or not math.isfinite(trust["p_value"])
-    p_value = "not known" if unknown else f"{trust['p_value']:.3g}"
     return "\n".join(
         [
             *([_marker_line(markers, start)] if markers["used"] or markers["dropped"] else []),
             *([_surface_line(content["surface"])] if content["surface"] is not None else []),
             *(target_line(name, target) for name, target in content["targets"].items()),
-            f"smallest det F {body['min_det_f']:.3f}, {body['inverted_tets']} inverted tets; p-value of the "
-            f"residuals {p_value}",
-            f"model: {model.get('kind')}, {model.get('source')}",
-            seconds_line(content["seconds"]),
+            *(_figures(content) if verbose else []),
+            seconds_line(content["seconds"], verbose=verbose),
             f"written: {out}",
             *(_contact_line(contact) for contact in content["contacts"]),
             *([] if content["fallback"] is None else fallback_lines(content["fallback"]["targets_mm"])),
             *_verdict_lines(content["targets"], trust),
         ]
     )
+
+
+def _figures(content: dict[str, Any]) -> list[str]:
+    """Return lines for numericists: volume ratio, p-value, kind of model."""
+    body, model, p_value = content["body"], content["model"], content["trust"]["p_value"]
+    known = p_value is not None and math.isfinite(p_value)
+    return [
+        f"smallest det F {body['min_det_f']:.3f}, {body['inverted_tets']} inverted tets; p-value of the residuals "
+        f"{f'{p_value:.3g}' if known else 'not known'}",
+        f"model: {model.get('kind')}, {model.get('source')}",
+    ]
 
 
 def _surface_line(surface: dict[str, Any]) -> str:

@@ -152,7 +152,7 @@ def _outcome(content: dict[str, Any], args: argparse.Namespace) -> Outcome:
             if content.get("overhead") is None
             else [f"{content['overhead']:.1%} of the workers' time went into no chunk"]
         ),
-        seconds_line(content["seconds"]),
+        seconds_line(content["seconds"], verbose=args.verbose),
         f"written: {args.out}",
     ]
     return Outcome(content, "\n".join(lines), args.threads)

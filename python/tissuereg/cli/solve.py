@@ -45,6 +45,8 @@ def run(args: argparse.Namespace) -> Outcome:
     estimate = Estimate.of(BodySize.of(simulator), SOLVE, args.threads)
     if not (args.quiet or estimate.is_small):
         note(estimate.sentence())
+    if args.verbose:
+        note(estimate.work_sentence())
     estimate.check()
     clock.lap("analyse")
     found = simulator.solve(problem.load, problem.material, tolerance=args.tol, threads=args.threads)
@@ -68,19 +70,23 @@ def run(args: argparse.Namespace) -> Outcome:
     }
     if problem.reference is not None and args.element == "tet4":
         content["largest_difference_mm"] = float(np.abs(found.displacement - problem.reference).max())
-    return Outcome(content, _summary(content, args.out), args.threads)
+    return Outcome(content, _summary(content, args.out, verbose=args.verbose), args.threads)
 
 
 _FROM_REPORT = ("iterations", "solves", "factorisations", "load_steps", "load_fraction", "residual", "min_det_f")
 
 
-def _summary(content: dict[str, Any], out: str) -> str:
+def _summary(content: dict[str, Any], out: str, *, verbose: bool) -> str:
     lines = [
         f"{content['n_nodes']} nodes, {content['n_tets']} tets ({content['element']}): largest displacement "
-        f"{content['largest_mm']:.4f} mm, smallest det F {content['min_det_f']:.3f}",
-        f"{content['iterations']} iterations, {content['factorisations']} factorisations, {content['load_steps']} "
-        f"load steps, residual {content['residual']:.1e}",
+        f"{content['largest_mm']:.4f} mm",
     ]
+    if verbose:
+        lines.append(
+            f"smallest det F {content['min_det_f']:.3f}; {content['iterations']} iterations, "
+            f"{content['factorisations']} factorisations, {content['load_steps']} load steps, residual "
+            f"{content['residual']:.1e}"
+        )
     if "largest_difference_mm" in content:
         lines.append(f"largest difference to the file's own displacement: {content['largest_difference_mm']:.2e} mm")
-    return "\n".join([*lines, seconds_line(content["seconds"]), f"written: {out}"])
+    return "\n".join([*lines, seconds_line(content["seconds"], verbose=verbose), f"written: {out}"])

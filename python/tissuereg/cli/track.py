@@ -100,12 +100,18 @@ def run(args: argparse.Namespace) -> Outcome:
         "failed": tracked.failures,
         "hz": len(tracked.frames) / spent,
         "dropped_frames": tracker.dropped,
+        "provenance": tracked.provenance,
     }
     seconds = clock.seconds
     _write(Path(args.out), {**content, "seconds": seconds}, tracked)
     clock.lap("write")
     content["seconds"] = clock.seconds
-    return Outcome(content, _summary(content, args.out), args.threads, 0 if tracked.all_trusted else UNTRUSTED)
+    return Outcome(
+        content,
+        _summary(content, args.out, verbose=args.verbose),
+        args.threads,
+        0 if tracked.all_trusted else UNTRUSTED,
+    )
 
 
 def _read(args: argparse.Namespace) -> "tuple[Tracker, Recording, TablePhysics | None]":
@@ -184,6 +190,7 @@ class _Tracked:
     """Results of all frames in the form in which they are written: answers, failures, errors, displacement fields.
 
     `frames`, `failures`: JSON content per registered and per failed frame; `errors`: exceptions of failed frames;
+    `provenance`: that of the last frame, which knows all files and warnings so far;
     `fields`: displacement (n_nodes, 3) in mm per registered frame, only if `keeps_fields`.
     """
 
@@ -191,11 +198,13 @@ class _Tracked:
     frames: list[dict[str, Any]] = field(default_factory=list)
     failures: list[dict[str, Any]] = field(default_factory=list)
     errors: "list[TissueRegError]" = field(default_factory=list)
+    provenance: dict[str, Any] = field(default_factory=dict)
     fields: "list[FloatArray]" = field(default_factory=list)
 
     def add(self, frame: "TrackedFrame") -> None:
         result = frame.registration
         trust = result.trust
+        self.provenance = result.provenance.to_json(result.given)
         self.frames.append(
             {
                 "time_s": frame.time_s,
@@ -233,7 +242,7 @@ def _write(out: Path, content: dict[str, Any], tracked: _Tracked) -> None:
             write_simulations(draft / _FIELDS, [frame["time_s"] for frame in tracked.frames], tracked.fields)
 
 
-def _summary(content: dict[str, Any], out: str) -> str:
+def _summary(content: dict[str, Any], out: str, *, verbose: bool) -> str:
     """Return the content of ``track.json`` as text; the last line states whether a frame is not to be trusted."""
     import numpy as np
 
@@ -248,7 +257,7 @@ def _summary(content: dict[str, Any], out: str) -> str:
             f"latency: median {np.median(latency):.0f} ms, 99 % {np.percentile(latency, 99):.0f} ms",
             f"rms distance to the markers: median {rms:.3f} mm",
             *(target_line(name, target, f" at {last['time_s']:g} s") for name, target in last["targets"].items()),
-            seconds_line(content["seconds"]),
+            seconds_line(content["seconds"], verbose=verbose),
             f"written: {out}",
             *([f"not registered at {failed[0]['time_s']:g} s: {failed[0]['reason']}"] if failed else []),
             *_frames_verdict(frames),

@@ -51,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
         if not args.quiet:
             again = f"tissuereg calibrate {args.out} --data {args.data[0]}"
             print(f"trained; calibrating by trial registrations (if stopped: {again})", file=sys.stderr, flush=True)
-        calibrated(args.out, args.data[0], args.pairs, args.patterns, args.seed or 0)
+        calibrated(args.out, args.data[0], args.pairs, args.patterns, args.seed or 0, quiet=args.quiet)
     return code
 
 

@@ -6,9 +6,11 @@ one for material tests, and each cause of the catalogue is a module of `causes`.
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import TYPE_CHECKING, overload
 
 from tissuereg._base.arguments import called, check_choice, check_running, flag, of_kind
+from tissuereg._base.provenance import call_text, note_origins, provenance_now, recorded
 from tissuereg.errors import ArgumentError
 from tissuereg.experiment.experiment import Experiment
 from tissuereg.experiment.material_experiment import MaterialExperiment
@@ -99,10 +101,15 @@ def diagnose(
     called("progress", progress)
     if element is not None:
         check_choice("element", element, ELEMENTS, ArgumentError)
-    if isinstance(experiment, MaterialExperiment):
-        from tissuereg.diagnosis.material import diagnose_material
+    settings = {"seed": seed, "element": element}
+    with recorded(call_text("tissuereg.diagnose", experiment=experiment, **settings)):
+        note_origins(experiment)
+        if isinstance(experiment, MaterialExperiment):
+            from tissuereg.diagnosis.material import diagnose_material
 
-        return diagnose_material(experiment, seed=seed, progress=progress)
-    from tissuereg.diagnosis.run import diagnose_body
+            tested = diagnose_material(experiment, seed=seed, progress=progress)
+            return replace(tested, answer={**tested.answer, "provenance": provenance_now().to_json(settings)})
+        from tissuereg.diagnosis.run import diagnose_body
 
-    return diagnose_body(experiment, seed=seed, threads=threads, keep=keep, element=element, progress=progress)
+        found = diagnose_body(experiment, seed=seed, threads=threads, keep=keep, element=element, progress=progress)
+        return replace(found, provenance=provenance_now(), settings=settings)

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from tissuereg._base.arguments import place
+from tissuereg._base.provenance import Provenance
 from tissuereg.diagnosis.causes import Values
 from tissuereg.experiment.experiment import Experiment
 
@@ -100,6 +101,10 @@ class Diagnosis:
         Versions of the package, numpy and Python.
     details : dict
         Objects that the report draws: ``search``, ``layout``, ``noise``, ``target``, ``nuisances``, ``thresholds``.
+    provenance : Provenance
+        Date, version, call or command, hashes of the input files, warnings.
+    settings : dict
+        Settings of the diagnosis, by name.
     """
 
     verdict: str
@@ -113,6 +118,8 @@ class Diagnosis:
     versions: dict[str, str]
     left: dict[str, Any] | None = None
     details: dict[str, Any] = field(default_factory=dict)
+    provenance: Provenance = field(default_factory=Provenance)
+    settings: dict[str, Any] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         names = ", ".join(" or ".join(finding.group) for finding in self.findings) or "nothing named"
@@ -139,6 +146,7 @@ class Diagnosis:
             "next_experiment": self.next_experiment,
             "seed": self.seed,
             "versions": self.versions,
+            "provenance": self.provenance.to_json(self.settings),
         }
 
     def report(self, path: str | os.PathLike[str]) -> Path:

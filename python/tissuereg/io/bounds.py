@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from tissuereg._base.arguments import place
+from tissuereg._base.provenance import note_file
 from tissuereg.errors import FormatError
 
 
@@ -84,7 +85,7 @@ _BINARY_STL_HEAD, _BINARY_STL_ROW = 84, 50
 
 
 def existing_file(path: str | os.PathLike[str], most_mb: int | None = None) -> Path:
-    """Return `path` as a `Path` after checking that it is a file that can be read.
+    """Return `path` as a `Path` after checking that it is a file that can be read; it counts as read from now on.
 
     `most_mb`: largest size, MB; None for no limit. Raises `FormatError` if it does not exist, is a folder, may not be
     read or is larger.
@@ -101,6 +102,7 @@ def existing_file(path: str | os.PathLike[str], most_mb: int | None = None) -> P
         raise FormatError(message, where=str(file))
     if most_mb is not None and file.stat().st_size > most_mb * 1_000_000:
         raise too_large(file, most_mb, f"it has {file.stat().st_size / 1e6:.0f} MB")
+    note_file(file)
     return file
 
 

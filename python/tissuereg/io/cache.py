@@ -5,13 +5,14 @@ SHA-256 of its name and content, so that a damaged, truncated or renamed entry c
 folder cannot be written, a warning is given and nothing is kept; results are the same.
 """
 
+import contextlib
 import hashlib
 import os
-import warnings
 from pathlib import Path
 
+from tissuereg._base.provenance import warn
 from tissuereg.errors import TissueRegError
-from tissuereg.io.atomic import atomic_file
+from tissuereg.io.atomic import OutputError, atomic_file
 
 _SUFFIX = ".cached"
 _MAGIC = b"tissuereg cache 1\n"
@@ -66,7 +67,7 @@ def keep_entry(name: str, content: bytes, most: int) -> None:
             _WARNED.add(folder)
             place = "the user has no home" if folder is None else f"{folder} cannot be written"
             text = f"nothing is kept for the next run, {place}; TISSUEREG_CACHE may name another folder for the cache"
-            warnings.warn(text, stacklevel=2)
+            warn(text)
 
 
 def _digest(name: str, content: bytes) -> bytes:
@@ -78,3 +79,34 @@ def _age(path: Path) -> float:
         return path.stat().st_mtime
     except OSError:  # another process has deleted it
         return 0.0
+
+
+def cached_entries() -> dict[Path, int]:
+    """Return the files of all entries of the cache with their bytes; none if the folder does not exist.
+
+    Raises `RuntimeError` as `cache_folder`, and `OutputError` if the folder cannot be read.
+    """
+    folder, found = cache_folder(), dict[Path, int]()
+    try:
+        for file in sorted(folder.glob(f"*{_SUFFIX}")) if folder.exists() else ():
+            with contextlib.suppress(FileNotFoundError):  # another process has deleted it
+                found[file] = file.stat().st_size
+    except OSError as error:
+        message = f"the cache must be a folder that can be read; {folder} is not: {error.strerror}"
+        raise OutputError(message, where=str(folder)) from error
+    return found
+
+
+def clear_cache() -> dict[Path, int]:
+    """Delete all entries of the cache and nothing else; return their files with their bytes.
+
+    Raises `OutputError` if one cannot be deleted; those before it are gone then.
+    """
+    entries = cached_entries()
+    for file in entries:
+        try:
+            file.unlink(missing_ok=True)
+        except OSError as error:
+            message = f"entries of the cache must be files that can be deleted; {file} is not: {error.strerror}"
+            raise OutputError(message, where=str(file)) from error
+    return entries

@@ -11,6 +11,7 @@ import numpy as np
 
 from tissuereg._base.arguments import flag, real, reals
 from tissuereg._base.arrays import FloatArray, IntArray
+from tissuereg._base.provenance import reads
 from tissuereg.body.mesh import Mesh
 from tissuereg.errors import ExperimentError, MeshError
 from tissuereg.experiment.effects import Effect, check_effects, effect_from_table
@@ -37,6 +38,7 @@ from tissuereg.io.node_rules import nodes_by_rule
 from tissuereg.io.toml import Table, experiment_file, read_toml
 
 
+@reads
 def read_experiment(path: str | os.PathLike[str], *, measured: bool = True) -> Experiment:
     """Read the folder of an experiment on a body with supports, actuators and tracked markers (a rig).
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from tissuereg._base.provenance import reads
 from tissuereg.errors import ExperimentError
 from tissuereg.experiment.effects import Effect, effect_from_table
 from tissuereg.experiment.effects.elastic import Fibre, OtherLaw, Poisson, Stiffness
@@ -28,6 +29,7 @@ TEST_EFFECTS: tuple[type[Effect], ...] = (Stiffness, Poisson, OtherLaw, Fibre, R
 _COLUMNS = tuple(TEST_COLUMNS)
 
 
+@reads
 def read_material_experiment(path: str | os.PathLike[str]) -> MaterialExperiment:
     """Read the stress-strain curves of a material test and the believed material.
 

@@ -5,7 +5,6 @@ arrays ``<name>_nodes``.
 """
 
 import os
-import warnings
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -14,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tissuereg._base.arrays import IntArray, float_array
+from tissuereg._base.provenance import reads, warn
 from tissuereg.body.mesh import Mesh
 from tissuereg.errors import FormatError, MeshError, ShapeError
 from tissuereg.io.atomic import atomic_file
@@ -27,6 +27,7 @@ _SURFACE_CELLS = {"vertex", "line", "line3", "triangle", "triangle6", "quad", "q
 _TET_CELLS = {"tetra": 4, "tetra10": 10}
 
 
+@reads
 def read_mesh(path: str | os.PathLike[str], fixed: NodeRule | None = None, *, frame: str | None = None) -> Mesh:
     """Read a tetrahedral mesh with its node sets.
 
@@ -215,7 +216,7 @@ def _corners(block: Any) -> npt.NDArray[Any]:
 
 def _warn_of_dropped(file: Path, n_dropped: int, second_order: bool) -> None:
     what = "mid-edge nodes of the ten-node tetrahedra" if second_order else "nodes that belong to no tetrahedron"
-    warnings.warn(f"{file}: {n_dropped} {what} were dropped; the corner nodes keep their order", stacklevel=4)
+    warn(f"{file}: {n_dropped} {what} were dropped; the corner nodes keep their order")
 
 
 def _placed(file: Path | str, nodes: Any, tets: Any, sets: Mapping[str, Any]) -> Mesh:

@@ -1,13 +1,13 @@
 """Markers and targets (inner points) from files of points with labels, such as those of 3D Slicer."""
 
 import os
-import warnings
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray
+from tissuereg._base.provenance import warn
 from tissuereg.body.markers import Markers
 from tissuereg.errors import FormatError, MarkerError
 from tissuereg.io.fcsv import read_fcsv
@@ -105,7 +105,7 @@ def _markers(sit: NamedPoints, seen: dict[str, FloatArray], std: float, frame: s
     names = [name for name, known in zip(sit.names, sit.defined, strict=True) if known]
     if len(names) < len(sit.names):
         lost = ", ".join(name for name in sit.names if name not in names)
-        warnings.warn(f"{sit.file}: {lost} left out, where it sits is not defined", stacklevel=4)
+        warn(f"{sit.file}: {lost} left out, where it sits is not defined")
     places = [seen.get(name, np.full(3, np.nan)) for name in names]
     try:
         return Markers(sit.places_in(frame)[sit.defined], np.reshape(places, (-1, 3)), std, names)

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray
+from tissuereg._base.provenance import reads
 from tissuereg.body.load import Load
 from tissuereg.body.material import Material
 from tissuereg.body.mesh import Mesh
@@ -71,6 +72,7 @@ def write_solution(path: str | os.PathLike[str], problem: Problem, displacement:
     )
 
 
+@reads
 def read_simulation(path: str | os.PathLike[str], n_nodes: int | None = None) -> FloatArray:
     """Read the displacement (n_nodes, 3), in mm, that a simulation gave the nodes of a mesh.
 
@@ -81,6 +83,7 @@ def read_simulation(path: str | os.PathLike[str], n_nodes: int | None = None) ->
         return archive.floats("displacement_mm", n_nodes, 3)
 
 
+@reads
 def read_variants(path: str | os.PathLike[str], n_nodes: int | None = None) -> FloatArray:
     """Read k displacement fields of one moment, (k, n_nodes, 3) in mm, simulated with different uncertain parameters.
 

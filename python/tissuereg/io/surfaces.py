@@ -7,7 +7,6 @@ refused, with the unit that would make it a body.
 
 import os
 import re
-import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -17,6 +16,7 @@ import numpy as np
 from tissuereg._base.arguments import check_choice
 from tissuereg._base.arguments import place as path_of
 from tissuereg._base.arrays import FloatArray, IntArray
+from tissuereg._base.provenance import warn
 from tissuereg.body.triangles import Triangles
 from tissuereg.errors import FormatError, MeshError, MissingPackageError, ShapeError, UnitError
 from tissuereg.io.bounds import FILES, existing_file, mesh_file
@@ -149,7 +149,7 @@ def _unit_of(file: Path, given: str | None) -> str:
     stated = _noted_unit(file)
     if given is not None and stated is not None and given != stated:
         text = f"{file} states that it is in {_UNIT_NAMES[stated]}; it is read in {_UNIT_NAMES[given]}, as given"
-        warnings.warn(text, stacklevel=4)
+        warn(text)
     return given or stated or "mm"
 
 

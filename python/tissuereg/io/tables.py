@@ -9,6 +9,7 @@ import numpy as np
 
 from tissuereg._base.arguments import check_choice, place
 from tissuereg._base.arrays import FloatArray
+from tissuereg._base.provenance import reads
 from tissuereg.body.markers import Markers
 from tissuereg.body.mesh import PATIENT_FRAMES
 from tissuereg.errors import FormatError, MarkerError
@@ -22,6 +23,7 @@ _MOVED = ("moved_x_mm", "moved_y_mm", "moved_z_mm")
 _STD = ("std_x_mm", "std_y_mm", "std_z_mm")
 
 
+@reads
 def read_markers(
     path: str | os.PathLike[str],
     std: float | None = None,
@@ -85,6 +87,7 @@ def read_markers(
         raise
 
 
+@reads
 def read_reference(
     path: str | os.PathLike[str],
     std: float | None = None,
@@ -116,6 +119,7 @@ def read_reference(
         raise
 
 
+@reads
 def read_targets(
     path: str | os.PathLike[str], *, frame: str | None = None, table_frame: str | None = None
 ) -> dict[str, FloatArray]:
@@ -152,6 +156,7 @@ def read_targets(
     return dict(zip(names, places, strict=True))
 
 
+@reads
 def read_surface(
     path: str | os.PathLike[str], *, frame: str | None = None, table_frame: str | None = None
 ) -> FloatArray:
@@ -280,6 +285,7 @@ class Recording:
         return zip(self.times.tolist(), self.measured, strict=True)
 
 
+@reads
 def read_recording(
     path: str | os.PathLike[str],
     names: Sequence[str],

@@ -1,7 +1,6 @@
 """`tetrahedralize` fills a surface with a tetrahedral mesh for simulations and measures the quality of this mesh."""
 
 import math
-import warnings
 from collections.abc import Mapping, Sequence
 from typing import Any, cast
 
@@ -10,6 +9,7 @@ import numpy as np
 from tissuereg._base.arguments import check_running, found, named, real
 from tissuereg._base.arrays import FloatArray, IntArray
 from tissuereg._base.clock import Clock
+from tissuereg._base.provenance import warn
 from tissuereg.body.mesh import Mesh
 from tissuereg.body.triangles import Triangles
 from tissuereg.errors import FormatError, MeshError, MeshingError
@@ -140,7 +140,7 @@ def tetrahedralize(
     mesh.settings = {"size_mm": float(size_mm), "deviation_mm": float(wanted), "mesher": mesher}
     if mesh.quality["parts"] > 1:
         text = f"the body is in {mesh.quality['parts']} parts that share no node: each must be held on its own"
-        warnings.warn(text, stacklevel=2)
+        warn(text)
     return mesh
 
 

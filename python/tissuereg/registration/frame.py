@@ -7,6 +7,7 @@ import numpy as np
 
 from tissuereg._base.arguments import check_choice, check_running, maybe, of_kind
 from tissuereg._base.arrays import FloatArray
+from tissuereg._base.provenance import call_text, note_origins, recorded
 from tissuereg.errors import ArgumentError, ConvergenceError
 from tissuereg.experiment.effects import extended, true_markers
 from tissuereg.experiment.experiment import Case, Experiment
@@ -105,8 +106,11 @@ def register_frame(
     for name in options:
         check_choice("option", name, _OPTIONS, ArgumentError)
     how = maybe("settings", settings, RegisterSettings) or RegisterSettings()
-    given = frame_input(experiment, case, time, element=element, threads=how.threads)
-    return register(**{**given, **options}, settings=how)
+    call = call_text("tissuereg.register_frame", experiment=experiment, case=case, time=time, element=element)
+    with recorded(call):
+        note_origins(experiment)
+        given = frame_input(experiment, case, time, element=element, threads=how.threads)
+        return register(**{**given, **options}, settings=how)
 
 
 def _through_time(experiment: Experiment, case: Case, frame: int, element: str, threads: int) -> FloatArray:

@@ -14,6 +14,7 @@ from typing import Any
 
 from tissuereg._base.arguments import called, check_choice, check_running, found, maybe, of_kind
 from tissuereg._base.arrays import FloatArray, float_array
+from tissuereg._base.provenance import derived, note_origins, recorded
 from tissuereg.body.markers import Markers
 from tissuereg.body.mesh import Mesh
 from tissuereg.errors import ArgumentError
@@ -172,8 +173,11 @@ class _Moments:
     def completed(self, result: Registration, markers: Markers) -> Registration:
         """Return `result` with its body, and, without a trained model, with a function that draws posterior fields."""
         if isinstance(result, ContactRegistration):
-            return replace(result, body=self.body, draw=_Again(self, markers))
-        return replace(result, body=self.body)
+            result = replace(result, draw=_Again(self, markers))
+        # Another process does not know from which files it was sent what it registers.
+        with recorded() as record:
+            note_origins(self.body.mesh, self.body.material, markers, *self.options.values())
+        return replace(result, body=self.body, provenance=result.provenance.also_of(record))
 
 
 @dataclass(frozen=True)
@@ -210,7 +214,7 @@ def _moments(markers: Any, measured: Any) -> Iterator[Markers]:
     if measured is not None:
         base = as_markers(of_kind("markers", markers, (Markers, tuple)))
         places = float_array("measured", measured, (None, len(base), 3))
-        return (Markers(base.reference, moment, base.axis_std, base.names) for moment in places)
+        return (derived(Markers(base.reference, moment, base.axis_std, base.names), base) for moment in places)
     if isinstance(markers, Markers | str | bytes) or not isinstance(markers, Iterable):
         message = f"`markers` must be those of many moments, or `measured` be given; got {found(markers)}"
         raise ArgumentError(message, where="markers")

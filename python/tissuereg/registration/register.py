@@ -77,8 +77,8 @@ def register(
         model.
     progress : callable of Progress, optional
         Called when a stage begins, with its name in `Registration.seconds`, and when an iteration (a pass) is finished;
-        on large bodies also with the part of a stage that is done. Without a model also with one line of size, time and
-        memory as soon as the mesh is analysed, and with a warning where it takes longer than a minute.
+        on large bodies also with the part of a stage that is done. Without a model also with lines of size, time,
+        memory and work as soon as the mesh is analysed, and with a warning where it takes longer than a minute.
 
     Returns
     -------

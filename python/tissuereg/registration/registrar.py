@@ -11,6 +11,7 @@ from threadpoolctl import ThreadpoolController
 from tissuereg._base.arguments import called, check_running, found, maybe
 from tissuereg._base.arrays import FloatArray, float_array
 from tissuereg._base.clock import Clock, Listener
+from tissuereg._base.provenance import call_text, note_origins, note_record, provenance_now, recorded
 from tissuereg.body.load import Load
 from tissuereg.body.markers import Markers
 from tissuereg.body.mesh import Mesh
@@ -100,7 +101,7 @@ class Registrar:
     ) -> None:
         check_running(seed=seed)
         how = maybe("settings", settings, RegisterSettings) or RegisterSettings()
-        self._load = maybe("load", load, Load)
+        self._load, self._named = maybe("load", load, Load), model
         body = Body.of(mesh)
         if model is None:
             _refuse_of_models(how)
@@ -111,9 +112,11 @@ class Registrar:
         self._blas = ThreadpoolController().select(user_api="blas")
         if not isinstance(reference_mm, Markers):
             reference_mm = Markers(float_array("reference_mm", reference_mm, (None, 3)))
-        with self._blas.limit(limits=1):
+        with recorded() as self._record, self._blas.limit(limits=1):
+            note_origins(body.mesh, body.material, reference_mm, targets)
             self._attached = Attachment.of(body, reference_mm, targets, how, seed)
             self._model = None if model is None else as_model(model, body.mesh, how.threads)
+            note_origins(self._model)
             self._points = None if self._model is None else self._points_of(self._model)
         self._solver = _LoadSolver(body)
 
@@ -214,6 +217,8 @@ class Registrar:
         load, how = self._load, own.settings
         other = Registrar(own.body, markers, self._model, targets, load=load, seed=own.seed, settings=how)
         other._solver = self._solver  # analysed once for the body
+        other._named = self._named
+        other._record.add(self._record)
         return other
 
     def _points_of(self, model: LatentModel) -> PointModel:
@@ -234,6 +239,32 @@ class Registrar:
         Registration
             The displaced body with its uncertainty, as `register` returns it.
         """
+        with recorded(self._call(moment)):
+            note_record(self._record)
+            note_origins(moment.markers, moment.surface, moment.simulation)
+            result, start = self._answer(moment, clock)
+            made = provenance_now()
+        # Not the moment itself: it holds the one before, and so on to the first.
+        markers, used = moment.markers, result.markers.used
+        return replace(result, linear=lambda: self._linear(markers, used, start), provenance=made)
+
+    def _call(self, moment: MomentInput) -> str:
+        """Return the call of `tissuereg.register` that gives the answer of a moment, as text."""
+        own = self._attached
+        return call_text(
+            "tissuereg.register",
+            mesh=own.mesh,
+            markers=moment.markers if len(moment.markers) else None,
+            surface=moment.surface,
+            targets=own.targets.names or None,
+            load=self._load,
+            simulation=moment.simulation,
+            model=self._named,
+            seed=own.seed,
+        )
+
+    def _answer(self, moment: MomentInput, clock: Clock) -> tuple[Registration, FloatArray | None]:
+        """Return the registration of one moment, and the displacement (n_nodes, 3), mm, from which it starts."""
         field, varied = self._simulated(moment)
         with self._blas.limit(limits=1):
             if field is None and varied is None and self._points is not None and self._load is not None:
@@ -243,10 +274,7 @@ class Registrar:
             result = self._registered(moment, field, varied, clock)
         if varied is not None:
             result = replace(result, model={**result.model, "variants": varied.count})
-        start = field if field is not None or varied is None else varied.mean
-        # Not the moment itself: it holds the one before, and so on to the first.
-        markers, used = moment.markers, result.markers.used
-        return replace(result, linear=lambda: self._linear(markers, used, start))
+        return result, field if field is not None or varied is None else varied.mean
 
     def _simulated(self, moment: MomentInput) -> tuple[FloatArray | None, Variants | None]:
         """Return the simulated displacement (n_nodes, 3) of a moment, mm, and its variants, checked; each may be None.

@@ -5,7 +5,7 @@ Results of one method alone are in `tissuereg.registration.contacts.result` and 
 
 import os
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -14,6 +14,7 @@ import numpy as np
 
 from tissuereg._base.arguments import flag, found, named, place, real, text
 from tissuereg._base.arrays import FloatArray, float_array
+from tissuereg._base.provenance import Provenance
 from tissuereg.body.markers import Markers
 from tissuereg.body.mesh import Mesh
 from tissuereg.errors import MarkerError, ModelError
@@ -209,6 +210,8 @@ class Registration:
         Wall time per stage, by name, s.
     seed : int
         Seed of all random numbers.
+    provenance : Provenance
+        Date, version, call or command, hashes of the input files, warnings.
     linear : callable, optional
         Takes no argument and returns the estimate of the body by linear elasticity alone, or None; see `fallback`.
     """
@@ -228,6 +231,7 @@ class Registration:
     settings: RegisterSettings
     seconds: dict[str, float]
     seed: int
+    provenance: Provenance = field(default_factory=Provenance)
     linear: Callable[[], Fallback | None] | None = None
 
     @property
@@ -270,6 +274,11 @@ class Registration:
             f"{type(self).__name__}({self.mesh.n_nodes} nodes, {used} marker{'' if used == 1 else 's'}, "
             f"{len(self.targets)} target{'' if len(self.targets) == 1 else 's'}, {self._found_words()}{trusted})"
         )
+
+    @property
+    def given(self) -> dict[str, Any]:
+        """All settings and beliefs, those of the body as ``body``: plain numbers, lists and strings."""
+        return {**self.settings.to_json(), "body": self.body.to_json()}
 
     @property
     def starts_simulated(self) -> bool:
@@ -335,11 +344,16 @@ class Registration:
             "work": own["work"],
             "dropped_members": own["dropped_members"],
             "seconds": dict(self.seconds),
-            "provenance": {"settings": {**self.settings.to_json(), "body": self.body.to_json()}},
+            "provenance": self.provenance.to_json(self.given),
         }
 
     def save(
-        self, folder: str | os.PathLike[str], extra: dict[str, Any] | None = None, *, deformed: bool = False
+        self,
+        folder: str | os.PathLike[str],
+        extra: dict[str, Any] | None = None,
+        *,
+        deformed: bool = False,
+        picture: bool = True,
     ) -> Path:
         """Write the result as files into a folder, all of them or none.
 
@@ -355,6 +369,8 @@ class Registration:
             Entries added to the JSON; they override its own.
         deformed : bool
             Whether to write ``registered_deformed.vtu`` too: the body with displaced nodes and the same point data.
+        picture : bool
+            Whether to draw ``registered.png``, which takes most of the time of this call.
 
         Returns
         -------
@@ -370,7 +386,8 @@ class Registration:
         from tissuereg.report.files import save_registration
 
         target, added = place("folder", folder, error=OutputError), dict(named("extra", extra))
-        return save_registration(self, target, added, deformed=flag("deformed", deformed))
+        drawn = flag("picture", picture)
+        return save_registration(self, target, added, deformed=flag("deformed", deformed), picture=drawn)
 
     def plot(self) -> Any:
         """Return a matplotlib figure of the body before and after, with markers, targets and the nodes' deviations."""
@@ -378,13 +395,22 @@ class Registration:
 
         return registration_figure(self)
 
-    def report(self, path: str | os.PathLike[str]) -> Path:
-        """Write one self-contained HTML page: picture, markers, targets with regions, trust, model, times.
+    @cached_property
+    def picture(self) -> bytes:
+        """The figure of `plot` as the bytes of a PNG file, drawn when it is first read."""
+        from tissuereg.report.picture import png_bytes
+
+        return png_bytes(self.plot())
+
+    def report(self, path: str | os.PathLike[str], *, picture: bool = True) -> Path:
+        """Write one self-contained HTML page: picture, markers, targets with regions, trust, model, times, provenance.
 
         Parameters
         ----------
         path : path-like
             File to write, whole or not at all.
+        picture : bool
+            Whether to draw the body.
 
         Returns
         -------
@@ -394,7 +420,7 @@ class Registration:
         from tissuereg.io.atomic import OutputError
         from tissuereg.report.page import write_page
 
-        return write_page(self, place("path", path, error=OutputError))
+        return write_page(self, place("path", path, error=OutputError), picture=flag("picture", picture))
 
 
 def _row_json(row: FloatArray) -> list[float | None]:

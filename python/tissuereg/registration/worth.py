@@ -1,6 +1,6 @@
 """What a trained model is worth on its body: the same events registered with it and by contacts."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,7 +37,12 @@ class Worth:
 
 
 def worth(
-    model: LatentModel, mesh: Mesh, truths: FloatArray, simulations: Sequence[FloatArray | None], seed: int = 0
+    model: LatentModel,
+    mesh: Mesh,
+    truths: FloatArray,
+    simulations: Sequence[FloatArray | None],
+    seed: int = 0,
+    progress: Callable[[int], None] | None = None,
 ) -> Worth | None:
     """Return what a model is worth on events that it was not trained on.
 
@@ -53,6 +58,8 @@ def worth(
         What is simulated of each event, mm; without one it is registered from rest.
     seed : int
         Of places and noise.
+    progress : callable of int, optional
+        Called with the number of events done.
 
     Returns
     -------
@@ -77,8 +84,10 @@ def worth(
                 ends = np.array([found.target(name).mean for name in targets])
                 row.append(float(np.linalg.norm(ends - true, axis=1).mean()))
         except TissueRegError:
-            continue
-        rows.append(row)
+            row = []
+        rows += [row] if row else []
+        if progress is not None:
+            progress(number + 1)
     return Worth(len(rows), *(float(one) for one in np.mean(rows, axis=0))) if rows else None
 
 

@@ -16,16 +16,20 @@ if TYPE_CHECKING:
 
 
 #: What `save_registration` writes.
-WRITTEN = ("registered.vtu", "targets.csv", "targets.mrk.json", "registration.json", "registered.png")
+PICTURE = "registered.png"
+WRITTEN = ("registered.vtu", "targets.csv", "targets.mrk.json", "registration.json", PICTURE)
 
 #: What it writes on request.
 DEFORMED = "registered_deformed.vtu"
 
 
-def save_registration(result: "Registration", folder: Path, extra: dict[str, Any], *, deformed: bool = False) -> Path:
+def save_registration(
+    result: "Registration", folder: Path, extra: dict[str, Any], *, deformed: bool = False, picture: bool = True
+) -> Path:
     """Write a registration's mesh, tables, JSON and picture into a folder, all or none; return the folder.
 
-    The files are those in `WRITTEN`, with `deformed` also a mesh whose nodes are displaced. Entries of `extra` are
+    The files are those in `WRITTEN`, with `deformed` also a mesh whose nodes are displaced, without `picture` not
+    `PICTURE`. Entries of `extra` are
     added to the JSON and replace its own of the same name. Raises OutputError if the folder cannot be written; nothing
     is changed then.
     """
@@ -46,7 +50,8 @@ def save_registration(result: "Registration", folder: Path, extra: dict[str, Any
         write_targets(draft / "targets.csv", content["targets"])
         write_mrk_json(draft / "targets.mrk.json", _labelled(content), mesh.frame)
         write_json(draft / "registration.json", {**content, **extra})
-        result.plot().savefig(draft / "registered.png", dpi=110)
+        if picture:
+            (draft / PICTURE).write_bytes(result.picture)
     return folder
 
 

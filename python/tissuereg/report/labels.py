@@ -104,6 +104,8 @@ def _free_place(
     """
     best, least = None, np.inf
     for reach, middle in _candidates(anchor, size, frame):
+        if min(reach, 1.0) >= least:  # no later one costs less
+            break
         box = _box(middle, size)
         outside = (box[0] < frame[0]).any() or (box[1] > frame[1]).any()
         if reach >= least or outside or any(_overlap(_box(middle, size + 2.0 * STYLE.gap), other) for other in taken):

@@ -1,7 +1,6 @@
 """A self-contained HTML page that reports one registration."""
 
 import base64
-import io
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,6 +10,7 @@ import numpy as np
 from tissuereg._base.arrays import FloatArray
 from tissuereg.io.atomic import atomic_file
 from tissuereg.report.markup import document, escape, table
+from tissuereg.report.provenance import provenance_section
 from tissuereg.report.scene import Surface, contact_verb, contacts_of, surface_of
 from tissuereg.report.words import counted, fallback_lines, silent, start_word, verdict
 
@@ -22,11 +22,14 @@ _STYLE = """
 """
 
 
-def write_page(result: "Registration", path: Path) -> Path:
-    """Write the HTML page of a registration, whole or not at all; return its path, or raise OutputError."""
+def write_page(result: "Registration", path: Path, *, picture: bool = True) -> Path:
+    """Write the HTML page of a registration, whole or not at all; return its path, or raise OutputError.
+
+    `picture`: whether the body is drawn.
+    """
     parts = [
         _summary(result),
-        _picture(result),
+        _picture(result) if picture else "",
         _contacts(result),
         _targets(result),
         _dropped(result),
@@ -35,6 +38,7 @@ def write_page(result: "Registration", path: Path) -> Path:
         _model(result),
         _work(result),
         _times(result),
+        provenance_section(result.to_json()["provenance"], _believed(result)),
     ]
     text = document("Registration", parts, _STYLE)
     with atomic_file(path) as draft:
@@ -75,9 +79,7 @@ def _met(result: "Registration") -> str:
 
 
 def _picture(result: "Registration") -> str:
-    stream = io.BytesIO()
-    result.plot().savefig(stream, dpi=110, format="png")
-    data = base64.b64encode(stream.getvalue()).decode("ascii")
+    data = base64.b64encode(result.picture).decode("ascii")
     return f"<img alt='body before and after' src='data:image/png;base64,{data}'>"
 
 
@@ -183,6 +185,32 @@ def _work(result: "Registration") -> str:
 def _times(result: "Registration") -> str:
     rows = [(stage, f"{1000 * seconds:.0f}") for stage, seconds in result.seconds.items()]
     return _section("Time", ("stage", "ms"), rows)
+
+
+def _believed(result: "Registration") -> list[tuple[str, str]]:
+    """Return what was believed before: noise, supports, material, elements and seed, each with words for it."""
+    body, surface = result.body, surface_of(result)
+    noise = [f"{_range(result.all_markers.axis_std, 'mm')} of a marker's coordinate"] if len(result.all_markers) else []
+    noise += [] if surface is None else [f"{surface.std_mm:g} mm of a surface point along the normal"]
+    held = len(result.mesh.node_sets.get("fixed", ()))
+    law = body.material
+    return [
+        ("noise (standard deviation)", "; ".join(noise) or "none"),
+        ("supports", f"{held} nodes in the set 'fixed', held: {body.held}; tracker: {result.settings.tracker}"),
+        (
+            "material",
+            f"{law.law}, Young's modulus {_range(law.young_array, 'kPa')} ({body.stiffness}), Poisson's ratio "
+            f"{_range(law.poisson_array)}, {law.density:g} g/cm^3",
+        ),
+        ("elements", body.element),
+        ("seed", str(result.seed)),
+    ]
+
+
+def _range(values: FloatArray, unit: str = "") -> str:
+    """Return the smallest and the largest of some numbers, or the number if all are the same, with their unit."""
+    low, high = float(np.min(values)), float(np.max(values))
+    return f"{low:g}{'' if low == high else f' to {high:g}'} {unit}".rstrip()
 
 
 def _section(title: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

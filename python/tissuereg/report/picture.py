@@ -1,5 +1,6 @@
 """The picture of a registration by matplotlib: two views of the body, verdict and reasons above, legend below."""
 
+import io
 import math
 import textwrap
 from typing import TYPE_CHECKING, Any
@@ -52,6 +53,13 @@ def registration_figure(result: "Registration") -> Any:
         _panels(figure, result, views[0], top)
     write_legend(figure, result)
     return figure
+
+
+def png_bytes(figure: Any) -> bytes:
+    """Return a figure as the bytes of a PNG file of 1430 x 792 pixels."""
+    stream = io.BytesIO()
+    figure.savefig(stream, dpi=110, format="png", pil_kwargs={"compress_level": 2})
+    return stream.getvalue()
 
 
 def _views(figure: Any, result: "Registration", body: FloatArray, ends: tuple[float, float]) -> list[scene.View]:

@@ -46,8 +46,8 @@ def make_dataset(
     `recipe`: recipe of the data set: mesh, material, random loads, pairs; `out`: folder, or a URL of fsspec; chunks
     (files of members) already there are kept; `seed`: seed of all random numbers; by default the recipe's; `threads`:
     threads of a chunk; 0 takes all cores. The data do not depend on it; `progress`: called with the number of
-    simulations done and the number of all simulations, pairs included; `executor`: where chunks are made, each as a
-    separate task that writes its file itself. By default in this process. Result: ``members`` (number with
+    simulations done and the number of all simulations, two a pair included; `executor`: where chunks are made, each as
+    a separate task that writes its file itself. By default in this process. Result: ``members`` (number with
     equilibrium), ``failed`` (list of [index, reason]), ``members_per_s`` (None if all were there), ``motion``
     (statistics of the displacements in mm, see `tissuereg.simulation.motion.motion_summary`), ``bytes``, ``seconds``
     (dict of wall times by stage), ``seed``, and ``overhead``, the share of the workers' time that made no chunk (None
@@ -64,7 +64,7 @@ def make_dataset(
         of_kind("executor", executor, Executor)
     store, clock = store_of(out), Clock()
     seed = recipe.seed if seed is None else seed
-    in_all = recipe.data.members + recipe.pairs.members
+    in_all = recipe.data.members + 2 * recipe.pairs.members
     with clock.stage("total"):
         with clock.stage("analyse"):
             mesh = recipe.mesh()
@@ -89,7 +89,11 @@ def make_dataset(
         pairs = None
         with clock.stage("pairs"):
             if recipe.pairs.members:
-                pairs = make_pairs(task_of(0)) if executor is None else one_result(executor, make_pairs, task_of(0))
+                if executor is None:
+                    after = _from(progress, in_all)
+                    pairs = make_pairs(task_of(0), None if after is None else partial(after, recipe.data.members))
+                else:
+                    pairs = one_result(executor, make_pairs, task_of(0))
         if progress is not None:
             progress(in_all, in_all)
         in_order = [reports[number] for number in range(n_chunks)]

@@ -1,6 +1,7 @@
 """Pairs of simulations in a data set: one event by the believed model (as assumed) and by another model."""
 
 import hashlib
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -33,13 +34,13 @@ class PairsReport:
     made: bool
 
 
-def make_pairs(task: ChunkTask) -> PairsReport:
+def make_pairs(task: ChunkTask, progress: Callable[[int], None] | None = None) -> PairsReport:
     """Simulate pairs of displacement fields, and write them unless a valid file is there; return a summary of the file.
 
     A pair is the answer of the assumed (believed) model to a random load, and that of another model, the truth, to a
-    varied load. `task`: any chunk task of the data set, for its recipe, seed and folder. Raises `EnsembleError` if more
-    than half of the pairs fail; `FormatError` if the pairs are there already, but spoilt; `OutputError` if they cannot
-    be written.
+    varied load. `task`: any chunk task of the data set, for its recipe, seed and folder; `progress`: called with the
+    number of simulations done, two a pair. Raises `EnsembleError` if more than half of the pairs fail; `FormatError` if
+    the pairs are there already, but spoilt; `OutputError` if they cannot be written.
     """
     store = store_of(task.destination)
     made = not store.exists(PAIRS_NAME)
@@ -47,7 +48,7 @@ def make_pairs(task: ChunkTask) -> PairsReport:
         content = store.read(PAIRS_NAME)
         _check(task, content)
     else:
-        simulations, truths = simulated_pairs(chunk_maker(task), task.threads)
+        simulations, truths = simulated_pairs(chunk_maker(task), task.threads, progress=progress)
         arrays = {
             "simulation_mm": simulations.astype(np.float32),
             "truth_mm": truths.astype(np.float32),
@@ -69,14 +70,19 @@ def _check(task: ChunkTask, content: bytes) -> None:
 
 
 def simulated_pairs(
-    maker: ChunkMaker, threads: int = 0, *, max_iterations: int = SOLVE_ITERATIONS
+    maker: ChunkMaker,
+    threads: int = 0,
+    *,
+    max_iterations: int = SOLVE_ITERATIONS,
+    progress: Callable[[int], None] | None = None,
 ) -> tuple[FloatArray, FloatArray]:
     """Return pairs of displacement fields under a random load: of the assumed model, and of another one, the truth.
 
     `maker`: recipe, mesh and seed; `threads`: threads to use; 0 takes all cores. The pairs do not depend on it;
-    `max_iterations`: a simulation that needs more fails, and its pair with it. Result: `simulations`, `truths`
-    (n_pairs, n_nodes, 3): displacements of the assumed (believed) model and of the other one, mm; a pair is left out if
-    either simulation found no equilibrium. Raises `EnsembleError` if more than half of the pairs fail.
+    `max_iterations`: a simulation that needs more fails, and its pair with it; `progress`: as of `make_pairs`. Result:
+    `simulations`, `truths` (n_pairs, n_nodes, 3): displacements of the assumed (believed) model and of the other one,
+    mm; a pair is left out if either simulation found no equilibrium. Raises `EnsembleError` if more than half of the
+    pairs fail.
     """
     recipe, simulator = maker.recipe, maker.simulator
     # A stream of its own: what else is drawn does not depend on Poisson's ratio.
@@ -93,8 +99,9 @@ def simulated_pairs(
         poisson = believed.poisson + of_poisson.uniform(*pairs.poisson_change)
         truths.append(Material(material.young_array * _inclusion(maker, rng), poisson))
     how: dict[str, Any] = {**SOLVE, "threads": threads, "max_iterations": max_iterations}
-    simulated = simulator.solve_many(loads, [believed] * len(loads), **how)
-    true = true_simulator.solve_many(true_loads, truths, **how)
+    simulated = simulator.solve_many(loads, [believed] * len(loads), progress=progress, **how)
+    then = None if progress is None else (lambda n: progress(len(loads) + n))
+    true = true_simulator.solve_many(true_loads, truths, progress=then, **how)
     both = np.intersect1d(simulated.solved, true.solved)
     if len(both) < pairs.members / 2:
         message = f"at least half of the pairs must find equilibrium, {len(both)} of {pairs.members} did"

@@ -7,7 +7,6 @@ by ``benchmarks/speed/large_bodies.py``; the speed is that of the machine, measu
 
 import math
 import time
-import warnings
 from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING
@@ -15,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tissuereg._base.machine import LIMIT, available_bytes, n_cores, resident_bytes
+from tissuereg._base.provenance import warn
 from tissuereg.errors import LargeBodyError, LargeBodyWarning
 from tissuereg.simulation.settings import SIZE
 
@@ -129,18 +129,20 @@ class Estimate:
         return _duration(self.seconds)
 
     def sentence(self) -> str:
-        """Return one line of text about the size of the body and what the computation needs.
-
-        It states nodes, tets, unknowns, entries of the factor, number of factorisations, time and memory.
-        """
-        size, work = self.size, self.work
-        times = f"about {work.factorisations} factorisation{'' if work.factorisations == 1 else 's'}"
+        """Return one line of text with nodes and tets, and the time and memory that the computation needs."""
         there = "" if self.available_bytes is None else f", {_gb(self.available_bytes)} more are available"
         return (
-            f"{size.n_nodes:,} nodes, {size.n_tets:,} {size.element}, {size.n_unknowns:,} unknowns; a factor has "
-            f"{_count(size.n_entries)} entries ({_gb(work.entry_bytes * size.n_entries)}) and takes "
-            f"{_figure(size.flops / 1e9)} GFlop; {times}, {self.duration()}, "
+            f"{self.size.n_nodes:,} nodes, {self.size.n_tets:,} tets: {self.duration()}, "
             f"peak memory {_gb(self.peak_bytes)}{there}"
+        )
+
+    def work_sentence(self) -> str:
+        """Return one line of text on the work: elements, unknowns, entries of the factor, number of factorisations."""
+        size, work = self.size, self.work
+        times = f"about {work.factorisations} factorisation{'' if work.factorisations == 1 else 's'}"
+        return (
+            f"{size.element}, {size.n_unknowns:,} unknowns; a factor has {_count(size.n_entries)} entries "
+            f"({_gb(work.entry_bytes * size.n_entries)}) and takes {_figure(size.flops / 1e9)} GFlop; {times}"
         )
 
     def check(self) -> None:
@@ -162,7 +164,7 @@ class Estimate:
             raise LargeBodyError(
                 message, where="mesh", needed_bytes=self.added_bytes, available_bytes=self.available_bytes
             )
-        warnings.warn(need, LargeBodyWarning, stacklevel=2)
+        warn(need, LargeBodyWarning)
 
     def _advice(self, there: int) -> str:
         """Return one sentence of advice for a body that does not fit into the available memory of `there` bytes."""

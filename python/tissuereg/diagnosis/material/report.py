@@ -13,6 +13,7 @@ from tissuereg.diagnosis.report import svg
 from tissuereg.diagnosis.report.ranking import chance, plain_name, ranking, separated
 from tissuereg.io.experiment_out import experiment_text
 from tissuereg.report.markup import document, escape, table
+from tissuereg.report.provenance import provenance_section
 
 if TYPE_CHECKING:
     from tissuereg.diagnosis.material import MaterialDiagnosis
@@ -68,6 +69,7 @@ def material_page(found: "MaterialDiagnosis", folder: Path) -> str:
         _held_out(answer["held_out"]),
         "<h2>What to measure next</h2>",
         f"<p>{escape(_advice(answer['next_experiment']))}</p>",
+        *([provenance_section(answer["provenance"])] if "provenance" in answer else []),
         "<h2>What was assumed</h2>",
         _assumed(answer),
     ]

@@ -15,6 +15,7 @@ from tissuereg.errors import ExperimentError
 from tissuereg.io.atomic import atomic_file
 from tissuereg.io.experiment_out import experiment_text
 from tissuereg.report.markup import document, escape
+from tissuereg.report.provenance import provenance_section
 
 if TYPE_CHECKING:
     from tissuereg.diagnosis.answer import Diagnosis
@@ -60,6 +61,7 @@ def page_parts(found: "Diagnosis", folder: Path) -> list[str]:
     parts += [_ranking(found), "<h2>Prediction of what was not fitted</h2>", proved(found)]
     parts += ["<h2>Causes that cannot be distinguished, and what to measure next</h2>", ties(found)]
     parts += ["<h2>What was assumed</h2>", assumed(found), _model(found, folder)]
+    parts.append(provenance_section(found.provenance.to_json(found.settings)))
     if drawn:
         parts.append(f"<script type='application/json' id='scene'>{script_text(scene(found))}</script>")
         parts.append(f"<script>\n{viewer_text()}</script>")

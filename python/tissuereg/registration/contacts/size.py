@@ -12,13 +12,14 @@ def announce(body: ContactBody, observed: ObservedData, given: RegisterInput, cl
     """Report a body's size and the estimated memory and time, and refuse a body that would not fit into memory.
 
     `body`: prepared mesh; `observed`: data; `given`: input, with targets, settings and threads; `clock`: its listener
-    gets a message ``"size"``, and a ``"warning"`` if the registration takes long. Result: the reported estimate of time
-    in s and memory in bytes. Raises `LargeBodyError` if it would not fit into memory.
+    gets messages ``"size"`` and ``"work"``, and a ``"warning"`` if the registration takes long. Result: the reported
+    estimate of time in s and memory in bytes. Raises `LargeBodyError` if it would not fit into memory.
     """
     n_draws = given.settings.contacts.n_draws
     work = expected_work(observed.n_obs, 3 * len(given.targets.names), n_draws, matched=observed.rematches)
     estimate = Estimate.of(BodySize.of(body.simulator), work, given.threads)
     clock.tell("size", estimate.sentence())
+    clock.tell("work", estimate.work_sentence())
     estimate.check()
     if estimate.is_long:
         clock.tell("warning", f"this takes {estimate.duration()}; a coarser mesh is faster (docs/large-bodies.md)")

@@ -35,6 +35,8 @@ class SurfaceFit:
         Sum of squares of the used points' distances over their standard deviations.
     places : ndarray of float64, shape (points, 3)
         Places of the points as measured, in the tracker's frame, mm.
+    std_mm : float
+        Stated standard deviation of a point's place along the surface's normal, mm.
     """
 
     points: int
@@ -46,6 +48,7 @@ class SurfaceFit:
     typical: float
     misfit: float
     places: FloatArray
+    std_mm: float
 
     @classmethod
     def of(cls, observed: PointData, given: SurfacePoints, start: BodyState, end: BodyState) -> "SurfaceFit":
@@ -65,6 +68,7 @@ class SurfaceFit:
             typical=float(np.median(after[1]) / 0.6745),
             misfit=float(np.sum(after[1][good] ** 2)),
             places=given.places,
+            std_mm=given.std,
         )
 
     def to_json(self) -> dict[str, Any]:

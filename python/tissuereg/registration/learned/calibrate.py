@@ -53,6 +53,12 @@ _BORROWED = 20.0
 #: Fields coded at once.
 _BATCH = 50
 
+#: Work of a trial that is screened, and of one that is registered too.
+_SCREENED, _SHOWN = 2, 3
+
+#: Takes what is done and what there is in all.
+Counter = Callable[[int, int], None]
+
 
 class Codes(LatentModel, Protocol):
     """A latent model that also has an encoder, which gives the latents (the code) of a displacement field."""
@@ -113,6 +119,7 @@ def calibrate(
     *,
     n_kinds: int = 12,
     settings: RehearsalSettings | None = None,
+    progress: Counter | None = None,
 ) -> Calibration:
     """Return the calibration of a model: kinds of events, the model's errors, and the outcome of trial registrations.
 
@@ -121,10 +128,12 @@ def calibrate(
     holds, for each kind of change (one way in which truths differ from simulations, such as another stiffness),
     simulated and true fields of the same events, each (n_pairs, n_nodes, 3), in mm; `n_kinds` is the number of Gaussian
     components (kinds of events) from which the fit to `codes` starts; `settings` are those of the trial registrations.
-    Cost of every trial, at its markers and targets: six decodes of about 2 n_latent columns, five of its ensembles.
+    `progress` is called with the work done and all work, in units of half a screened trial. Cost of every trial, at its
+    markers and targets: six decodes of about 2 n_latent columns, five of its ensembles.
     """
     how = settings or RehearsalSettings()
-    rehearsal = _Rehearsing(model, mesh, how)
+    n_pairs = sum(len(truths) for _, truths in pairs)
+    rehearsal = _Rehearsing(model, mesh, how, progress)
     kinds = Components.fit(codes, n_kinds, how.seed)
     known = [unseen, *(truths for _, truths in pairs)]
     fields, group = np.concatenate(known), np.repeat(np.arange(len(known)), [len(one) for one in known])
@@ -145,6 +154,7 @@ def calibrate(
                 trials.add(rehearsal.trial(without, None, fields[row]), group[row])
             if group[row] or row < how.n_varied:
                 varied.add(rehearsal.trial(without, None, fields[row], varied=True), group[row])
+    rehearsal.expect(len(trials.events) + n_pairs * how.n_repeats, len(varied.events) + n_pairs)
     made = replace(made, alone=rehearsal.beside(rehearsal.outcome(trials, scales), varied))
     if not pairs:
         return made
@@ -169,12 +179,17 @@ def _equal(*shape: int) -> FloatArray:
     return np.full(shape, 1.0 / np.prod(shape))
 
 
-def codes_of(model: Codes, fields: Any, rows: IntArray) -> FloatArray:
+def codes_of(model: Codes, fields: Any, rows: IntArray, progress: Counter | None = None) -> FloatArray:
     """Return the encoder's means (n_rows, n_latent) for some fields of a data set, which is read in parts.
 
-    `fields` (n_fields, n_nodes, 3), in mm, is an array in memory or on disk; `rows` int64 (n_rows,) are their numbers.
+    `fields` (n_fields, n_nodes, 3), in mm, is an array in memory or on disk; `rows` int64 (n_rows,) are their numbers;
+    `progress` is called with the number of fields coded and of all.
     """
-    parts = [model.codes(np.asarray(fields[rows[i : i + _BATCH]])) for i in range(0, len(rows), _BATCH)]
+    parts = []
+    for i in range(0, len(rows), _BATCH):
+        parts.append(model.codes(np.asarray(fields[rows[i : i + _BATCH]])))
+        if progress is not None:
+            progress(min(i + _BATCH, len(rows)), len(rows))
     return np.concatenate(parts)
 
 
@@ -357,8 +372,9 @@ class _Rehearsing:
     and the seed.
     """
 
-    def __init__(self, model: Codes, mesh: Mesh, how: RehearsalSettings) -> None:
+    def __init__(self, model: Codes, mesh: Mesh, how: RehearsalSettings, progress: Counter | None = None) -> None:
         self._model, self._mesh, self._how = model, mesh, how
+        self._progress, self._done, self._in_all = progress, 0, 0
         self._n_trials = 0
         usual = SmootherSettings()
         self._alphas, self._draws = usual.alphas(), normals(how.seed, model.n_latent, usual.n_members)
@@ -402,6 +418,15 @@ class _Rehearsing:
         screening = Screening.of(decode, prior, observed, noise, start, made.kinds.spread)
         return _RegisteredEvent(made, prior, n_own, shares, decode, screening, observed, noise, rows)
 
+    def expect(self, n_trials: int, n_varied: int) -> None:
+        """State how many trials there are in all, and how many more that only tell how test statistics spread."""
+        self._in_all = _SCREENED * n_trials + _SHOWN * (n_trials + n_varied)
+
+    def _tell(self, work: int) -> None:
+        self._done += work
+        if self._progress is not None:
+            self._progress(self._done, self._in_all)
+
     def _layout(self, rng: np.random.Generator) -> tuple[int, float]:
         """Return a number of markers and the standard deviation of their noise, mm."""
         how = self._how
@@ -425,6 +450,7 @@ class _Rehearsing:
         again = event.screening.under(prior, event.observed, event.noise)
         shown = statistics_of(event.made, prior, again, event.observed, event.noise, event.n_own)
         found = smooth(event.decode, prior, again.kept(), event.observed, event.noise, self._draws, self._alphas)
+        self._tell(_SHOWN)
         return shown.row, _misfits(event.rows - found.mean, found.covariance, n_obs)
 
     def outcome(self, trials: _Trials, law: Rehearsal) -> Rehearsal:
@@ -449,6 +475,7 @@ class _Rehearsing:
             for one, share in zip(prior, event.shares, strict=True)
         ]
         logs = Evidence.of(equal, event.screening.linear, event.observed, event.noise).logs
+        self._tell(_SCREENED)
         return np.asarray(np.logaddexp.reduce(logs.reshape(n_forms, len(prior) // n_forms, -1), axis=1))
 
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from tissuereg._base.arguments import is_number
 from tissuereg._base.arrays import FloatArray
+from tissuereg._base.provenance import note_file
 from tissuereg.errors import FormatError, ModelError
 from tissuereg.io.bounds import FILES, existing_file, read_text
 
@@ -86,6 +87,7 @@ def check_files(folder: Path, card: dict[str, Any]) -> None:
         if found != wanted:
             message = f"{path} must be the file its card describes (SHA-256 {wanted[:12]}), got {found[:12]}"
             raise ModelError(message, where=str(path))
+        note_file(path, found)
 
 
 def _check_tables(path: Path, card: dict[str, Any]) -> None:

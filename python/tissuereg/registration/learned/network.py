@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray, IntArray, float_array
+from tissuereg._base.provenance import reads
 from tissuereg.body.mesh import Mesh
 from tissuereg.errors import ModelError
 from tissuereg.io.fields import open_npz
@@ -249,7 +250,7 @@ def kept_network(folder: Path, mesh: Mesh, threads: int, source: str | None = No
         return NetworkModel(folder, mesh, threads=threads, source=source)  # says what is missing
     key = (str(folder.resolve()), mesh.digest(), threads, source, *((one.st_mtime_ns, one.st_size) for one in stats))
     with _KEEPING:
-        made = _NETWORKS.pop(key, None) or NetworkModel(folder, mesh, threads=threads, source=source)
+        made = _NETWORKS.pop(key, None) or reads(NetworkModel)(folder, mesh, threads=threads, source=source)
         while len(_NETWORKS) > 1:
             _NETWORKS.pop(next(iter(_NETWORKS)))
         _NETWORKS[key] = made
