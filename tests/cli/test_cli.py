@@ -488,6 +488,21 @@ def test_register_writes_its_files_and_tells_all(inputs, capsys):
     assert (out / "registered.png").read_bytes()[:4] == b"\x89PNG"
 
 
+def test_the_picture_is_drawn_once_and_not_at_all_without_one(inputs, capsys, monkeypatch):
+    drawn, plot = [], tr.Registration.plot
+    monkeypatch.setattr(tr.Registration, "plot", lambda self: drawn.append(self) or plot(self))
+    words = ["register", inputs / "mesh.vtu", inputs / "markers.csv", "--quiet", "--out"]
+    assert run(capsys, *words, inputs / "plain", "--no-picture")[0] == 0
+    assert drawn == []
+    assert not (inputs / "plain" / "registered.png").exists()
+    assert "<img" not in (inputs / "plain" / "report.html").read_text(encoding="utf-8")
+    code, said, _ = run(capsys, *words, inputs / "drawn")
+    assert (code, len(drawn)) == (0, 1)
+    assert "det F" not in said
+    assert "attach" not in said
+    assert "det F" in run(capsys, *words, inputs / "plain", "--no-picture", "--verbose")[1]
+
+
 def test_register_takes_a_frame_of_an_experiment(tmp_path, capsys):
     rig = write_experiment(tmp_path / "rig")
     words = ["register", rig, "--case", "lean", "--time", 11.1, "--out", tmp_path / "out"]

@@ -245,3 +245,13 @@ def test_only_parallel_makes_processes_for_tasks_and_knows_dask():
     others = [path for path in PACKAGE.rglob("*.py") if own not in path.parents]
     assert {str(path): pools_of(path) for path in [*others, *runners] if pools_of(path)} == {}
     assert {path.name for path in own.glob("*.py") if pools_of(path)} >= {"executor.py", "cluster.py", "jobs.py"}
+
+
+def test_every_warning_goes_into_the_provenance_of_answers():
+    """By `warn` of `tissuereg._base.provenance`: what is given in another way no answer in Python knows of."""
+    given = {
+        path.relative_to(PACKAGE).as_posix()
+        for path in PACKAGE.rglob("*.py")
+        if re.search(r"\bwarnings\.warn\(|from warnings import", path.read_text(encoding="utf-8"))
+    }
+    assert given == {"_base/provenance.py"}
