@@ -21,7 +21,7 @@ from tissuereg.cli.body_input import (
 from tissuereg.cli.common import UNTRUSTED, Outcome, Stopwatch, envelope, seconds_line
 from tissuereg.cli.options import Help, Parser, add_option, refuse, refuse_overwriting
 from tissuereg.cli.progress import Stages, stage_lines
-from tissuereg.report.words import counted, fallback_lines, silent, start_word, target_line, verdict
+from tissuereg.report.words import fallback_lines, markers_used, silent, start_word, target_line, verdict
 
 if TYPE_CHECKING:
     from tissuereg.registration.body import Body
@@ -224,7 +224,7 @@ def _surface_line(surface: dict[str, Any]) -> str:
 
 def _marker_line(markers: dict[str, Any], start: str) -> str:
     lost = ", ".join(f"{item['marker']} ({item['reason']})" for item in markers["dropped"])
-    used = f"{counted(len(markers['used']), 'marker')} used{f'; dropped: {lost}' if lost else ''}"
+    used = f"{markers_used(markers['used'], markers['inner'])} used{f'; dropped: {lost}' if lost else ''}"
     if not markers["used"]:
         return used
     return f"{used}; rms distance {markers['before_rms_mm']:.3f} mm {start}, {markers['after_rms_mm']:.3f} mm after"

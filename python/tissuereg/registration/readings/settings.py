@@ -76,7 +76,7 @@ class PlacesLaw:
     depth : float
         Standard deviation of the depth of markers that were placed inside the body, share of the extent.
     inside_odds : float
-        Log-odds that all markers were placed inside.
+        Log-odds that all markers were placed inside; the same again that some were, and the others mounted.
     held_odds : float
         Log-odds of a marker on held surface: hardly anybody measures what cannot move.
     speck, sprawl : float
@@ -209,8 +209,6 @@ class MarkerChecks:
     ----------
     near_share : float
         Places nearer to the surface than this share of the extent (root mean square) need no rigid motion onto it.
-    deepest_share : float
-        A marker deeper inside the body than this share of its extent was not placed there on purpose.
     held_mm : float
         A marker on held surface that moves by more than this and its noise is suspicious, mm.
     held_share : float
@@ -230,7 +228,6 @@ class MarkerChecks:
     """
 
     near_share: float = 0.01
-    deepest_share: float = 0.2
     held_mm: float = 3.0
     held_share: float = 0.02
     mounted: float = 0.4
