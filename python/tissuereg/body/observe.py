@@ -160,8 +160,9 @@ class MarkerObservation:
         -------
         scipy.sparse.csr_array, shape (n_points, n_nodes)
             Weights of the nodes. Its product with a field (n_nodes, 3) in mm has first one row per marker, the
-            displacement of its foot (the closest point of the surface; of an inner marker its own place), then three rows for each marker off the
-            surface: how the displacement varies along x, y and z across the patch of surface around the foot, in mm.
+            displacement of its foot (the closest point of the surface; of an inner marker its own place), then three
+            rows for each marker off the surface: how the displacement varies along x, y and z across the patch of
+            surface around the foot, in mm.
         """
         from scipy import sparse
 
@@ -347,7 +348,7 @@ class TargetObservation:
 
 
 def _tets_within(mesh: Mesh, places: FloatArray, distance: FloatArray, std: Any) -> IntArray:
-    """Return the tet that contains each place (n,), by index; -1 for places outside, or no deeper than the skin is known.
+    """Return the tet that contains each place (n,), by index; -1 outside, and no deeper than the skin is known.
 
     `places` (n, 3): mm; `distance` (n,): distance from the surface, mm; `std`: noise, mm, one number or (n,).
     """
@@ -367,8 +368,8 @@ def _cells(
     """Return the corners and barycentric weights of the triangle of each foot, or of the tet around an inner place.
 
     `triangles` int64 (n, 3), `weights` (n, 3): of the feet; `tets` int64 (n,): tets around inner places, -1 elsewhere;
-    `places` (n, 3): mm. Result: (n, 3) if no place is inside; else (n, 4), where a triangle's first corner is repeated with
-    a weight of zero.
+    `places` (n, 3): mm. Result: (n, 3) if no place is inside; else (n, 4), where a triangle's first corner is repeated
+    with a weight of zero.
     """
     inner = np.flatnonzero(tets >= 0)
     if not len(inner):

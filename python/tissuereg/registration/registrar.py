@@ -104,6 +104,7 @@ class Registrar:
         body = Body.of(mesh)
         if model is None:
             _refuse_of_models(how)
+            body.warn_of_supports()
         else:
             _refuse_with_model(body, self._load, how)
         self._examines = model is None or how.readings == "always"
@@ -326,7 +327,7 @@ class Registrar:
     @cached_property
     def _elastic(self) -> ElasticFallback | None:
         own = self._attached
-        if not len(own.mesh.node_sets.get("fixed", ())) or own.mesh.n_nodes > LARGEST:
+        if not len(own.body.held_mesh.node_sets.get("fixed", ())) or own.mesh.n_nodes > LARGEST:
             return None
         try:
             return ElasticFallback.of(own.mesh, own.body.material, own.places, own.targets, own.settings.threads)

@@ -6,7 +6,8 @@ thirty may lie anywhere:
     p(d_i | s, t) = 0.97 N(d_i; s, t^2) + 0.03 N(d_i; 0, (extent / 5)^2),      d_i: distance from the surface, signed,
 
 averaged over four s and three t. Alternatively all were placed inside the body, at depths up to one or two tenths of
-its extent, or each one was mounted or placed inside. A layout much smaller or larger than the body is unlikely in itself, and so are markers on held surface.
+its extent, or each one was mounted or placed inside. A layout much smaller or larger than the body is unlikely in
+itself, and so are markers on held surface.
 
 Motion. The displacements v (n,) of the seen coordinates are a sample of a Gaussian field that fades towards held nodes,
 
@@ -39,7 +40,9 @@ def places_likelihood(distance: FloatArray, extent: float) -> FloatArray:
     (n_readings,), up to a constant that all readings share.
     """
     highest = standoff(extent)
-    deep = np.exp(-0.5 * (distance / PLACES.depth / extent) ** 2) / (PLACES.depth * extent)
+    depths = extent * np.array(PLACES.depths)
+    # Half of a normal density, on the inner side of the surface, has twice its height.
+    deep = 2.0 * np.mean(np.exp(-0.5 * (distance[..., None] / depths) ** 2) / depths, axis=-1)
     deep = np.where(distance < 0.0, deep, 0.0)
     finest = 0.3 * highest / PLACES.standoff_mm + 0.003 * extent
     parts, mixed = [], []
