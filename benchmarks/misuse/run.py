@@ -58,7 +58,8 @@ def misuses(numbers: Iterable[int]) -> list[dict]:
 def registered(event: Event) -> dict:
     """Return whether `register` trusts its answer, its reasons if not, and the markers that it names as wrong."""
     try:
-        result = tr.register(event.mesh(), event.markers(), settings=tr.RegisterSettings(threads=1))
+        body = tr.Body(event.mesh(), held="free" if event.fixed is None else "sure")
+        result = tr.register(body, event.markers(), settings=tr.RegisterSettings(threads=1))
     except TissueRegError as error:
         return {"trusted": False, "reasons": [f"{type(error).__name__}: {error}"], "wrong": []}
     wrong = [name for name, why in result.markers.dropped if why == "wrong"]

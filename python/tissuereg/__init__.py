@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from tissuereg.io.experiments import read_experiment
     from tissuereg.io.material_experiments import read_material_experiment
     from tissuereg.io.meshes import read_mesh
-    from tissuereg.io.tables import read_markers, read_surface, read_targets
+    from tissuereg.io.tables import read_markers, read_seen, read_surface, read_targets
     from tissuereg.meshing import FilledMesh, tetrahedralize
     from tissuereg.registration.advise import MarkerAdvice, advise_markers
     from tissuereg.registration.body import Body
@@ -71,6 +71,7 @@ _MODULES = {
     "read_material_experiment": "tissuereg.io.material_experiments",
     "read_mesh": "tissuereg.io.meshes",
     "read_markers": "tissuereg.io.tables",
+    "read_seen": "tissuereg.io.tables",
     "read_surface": "tissuereg.io.tables",
     "read_targets": "tissuereg.io.tables",
     "FilledMesh": "tissuereg.meshing",
@@ -140,6 +141,7 @@ __all__ = [
     "read_markers",
     "read_material_experiment",
     "read_mesh",
+    "read_seen",
     "read_surface",
     "read_targets",
     "register",

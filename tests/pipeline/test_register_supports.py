@@ -60,7 +60,7 @@ def test_a_body_that_nothing_holds_is_found_after_a_rigid_motion_and_a_pull(body
     ]
     moved = pulled(body, base[np.unique(corners)])
     places = turned(15.0, (12.0, -12.0, 10.0)).apply(body.nodes + moved)
-    free = tr.Mesh(body.nodes, body.tets, {})
+    free = tr.Body(tr.Mesh(body.nodes, body.tets), held="free")
     result = tr.register(free, seen(body, places), targets={"middle": body.nodes.mean(axis=0)})
     rigid = RigidMotion.between(body.nodes, places).apply(body.nodes)
     bent = np.linalg.norm(places - rigid, axis=1).mean()

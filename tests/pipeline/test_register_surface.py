@@ -124,7 +124,7 @@ def test_a_free_body_is_found_by_its_points(block_mesh, leaned):
         np.array([8.0, -5.0, 4.0, 4.0, -3.0, 5.0]), np.stack([block_mesh.nodes.mean(axis=0), np.full(3, 20.0)])
     )
     true = turn.apply(block_mesh.nodes + 0.3 * leaned)
-    free = tr.Mesh(block_mesh.nodes, block_mesh.tets)
+    free = tr.Body(tr.Mesh(block_mesh.nodes, block_mesh.tets), held="free")
     points = turn.apply(cloud(block_mesh, 0.3 * leaned, 300, rng, 0.05))
     result = tr.register(free, surface=tr.SurfacePoints(points, 0.05))
     # A block slides in its own skin by nothing, but its centre is not determined exactly.

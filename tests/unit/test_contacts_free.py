@@ -22,7 +22,8 @@ def registered(frame: RigidMotion) -> tr.Registration:
     markers = push().markers()
     observed = tr.Markers(markers.reference, frame.apply(markers.measured), 0.03)
     options: dict[str, Any] = {"material": MATERIAL, "element": ELEMENT, "threads": 1, "targets": INNER}
-    return doors.registered(tr.Mesh(push().mesh.nodes, push().mesh.tets), observed, **options)
+    free = tr.Mesh(push().mesh.nodes, push().mesh.tets)
+    return doors.registered(free, observed, held="free", **options)
 
 
 @pytest.fixture(scope="module")

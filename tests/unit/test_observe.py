@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from tissuereg.body.markers import Markers
 from tissuereg.body.mesh import Mesh
 from tissuereg.body.observe import MarkerObservation, TargetObservation
 from tissuereg.errors import MarkerError
@@ -26,6 +27,55 @@ def test_a_marker_on_the_surface_is_linear_in_its_triangle(block_mesh):
     np.testing.assert_allclose(
         observation.predict(field[observation.nodes])[0], gradient @ [13.0, 7.0, 40.0], atol=1e-12
     )
+
+
+#: On the top, above it, in the middle, and little and less little below the top of the block, whose extent is 40 mm.
+MIXED = np.array([[13.0, 7.0, 40.0], [20.0, 10.0, 45.0], [14.0, 9.0, 21.0], [12.0, 8.0, 39.7], [12.0, 8.0, 39.4]])
+NAMES = ("top", "above", "deep", "skin", "below")
+
+
+@pytest.mark.parametrize("quadratic", [False, True])
+def test_a_marker_inside_moves_with_its_tet_and_others_as_without_it(block_mesh, quadratic):
+    rng = np.random.default_rng(2)
+    n_nodes = block_mesh.n_nodes + quadratic * len(block_mesh.edges)
+    field = rng.normal(size=(3, n_nodes, 3))
+    observation = MarkerObservation(block_mesh, MIXED, NAMES, quadratic=quadratic)
+    assert observation.inner.tolist() == [False, False, True, False, True]
+    moved = observation.predict(field[:, observation.nodes])
+    inner = {name: MIXED[NAMES.index(name)] for name in ("deep", "below")}
+    target = TargetObservation(block_mesh, inner, quadratic=quadratic)
+    np.testing.assert_allclose(moved[:, observation.inner], target.predict(field[:, target.nodes]))
+    skin = MarkerObservation(block_mesh, MIXED[~observation.inner], NAMES[:3], quadratic=quadratic)
+    np.testing.assert_allclose(moved[:, ~observation.inner], skin.predict(field[:, skin.nodes]))
+    points = observation.points(n_nodes) @ field[0]
+    np.testing.assert_allclose(observation.predict_points(points), moved[0], atol=1e-12)
+    variation = observation.variation(field[0][observation.nodes])
+    np.testing.assert_allclose(variation[~observation.inner], skin.variation(field[0][skin.nodes]))
+
+
+def test_the_derivative_of_inner_markers_is_that_of_their_motion(block_mesh):
+    rng = np.random.default_rng(3)
+    observation = MarkerObservation(block_mesh, MIXED, NAMES)
+    here, change = rng.normal(size=(2, len(observation.nodes), 3))
+    by_step = (observation.predict(here + 1e-5 * change) - observation.predict(here - 1e-5 * change)) / 2e-5
+    np.testing.assert_allclose(np.tensordot(observation.jacobian(here), change, 2), by_step, atol=1e-6)
+
+
+def test_a_noisy_marker_may_lie_deeper_and_still_be_on_the_skin(block_mesh):
+    by_noise = [MarkerObservation(block_mesh, MIXED, NAMES, std=std).inner.tolist() for std in (0.2, 0.4, 15.0)]
+    assert by_noise == [[False, False, True, False, True], [False, False, True, False, False], [False] * 5]
+    one = MarkerObservation.of(block_mesh, Markers(MIXED, None, [0.1, 0.1, 15.0, 0.1, 0.1], NAMES))
+    assert one.inner.tolist() == [False, False, False, False, True]
+
+
+def test_a_marker_stays_in_its_tet_where_the_mesh_is_moved(block_mesh):
+    first = MarkerObservation(block_mesh, MIXED, NAMES)
+    moved = Mesh(block_mesh.nodes + 0.2 * np.sin(block_mesh.nodes[:, ::-1]), block_mesh.tets, block_mesh.node_sets)
+    there = MarkerObservation(moved, MIXED, NAMES, like=first)
+    gradient = np.array([[0.1, 0.0, 0.2], [0.0, -0.1, 0.0], [0.3, 0.0, 0.05]])
+    field = moved.nodes @ gradient.T
+    np.testing.assert_allclose(there.predict(field[there.nodes])[2], gradient @ MIXED[2], atol=1e-9)
+    np.testing.assert_array_equal(there.inner, first.inner)
 
 
 def test_a_marker_far_off_the_body_is_refused(block_mesh):

@@ -1,12 +1,12 @@
 """Tracked markers: reference position on the undeformed body, measured position, and its standard deviation."""
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from tissuereg._base.arguments import found
+from tissuereg._base.arguments import found, named
 from tissuereg._base.arrays import FloatArray, IntArray, depth, float_array, frozen
 from tissuereg._base.provenance import derived
 from tissuereg.errors import MarkerError
@@ -21,7 +21,7 @@ class Markers:
     Parameters
     ----------
     reference : array_like of float, shape (n_markers, 3)
-        Place of each marker on or near the undeformed surface, in mm.
+        Place of each marker in mm: on or near the undeformed surface, or inside the body.
     measured : array_like of float, shape (n_markers, 3), optional
         Measured place of each marker in mm; NaN where the tracker did not measure a coordinate. If it is left out, no
         marker counts as measured.
@@ -103,6 +103,59 @@ class Markers:
         rows = _kept(keep, len(self))
         kept = Markers(self.reference[rows], self.measured[rows], self.axis_std[rows], [self.names[i] for i in rows])
         return derived(kept, self)
+
+    def with_seen(self, targets: Mapping[str, Any], seen: Mapping[str, Any], std: Any = 0.1) -> "Markers":
+        """Return these markers and, after them, targets that were seen, or corrected by hand, in the deformed body.
+
+        A registration attaches them like all others: inside the body, to the tissue around them.
+
+        Parameters
+        ----------
+        targets : mapping of str to array_like of float, shape (3,)
+            Inner points of the undeformed body by name, mm, as `register` takes them.
+        seen : mapping of str to array_like of float, shape (3,)
+            Where some of them are in the deformed body, by name, mm; NaN = not seen.
+        std : float or mapping of str to float
+            Standard deviation of a seen coordinate, mm: one for all, or one for each name in `seen`.
+
+        Returns
+        -------
+        Markers
+            With the seen targets under their own names.
+
+        Raises
+        ------
+        ShapeError
+            If a place is not three numbers.
+        MarkerError
+            If a name in `seen` is no target, has no `std` or is that of a marker, or a value is out of its range.
+
+        Examples
+        --------
+        >>> skin = Markers([[0.0, 0, 9]], [[0.0, 0, 8]])
+        >>> skin.with_seen({"lesion": (0.0, 0, 4)}, {"lesion": (0.0, 0, 3.5)}, std=0.5).names
+        ('M1', 'lesion')
+        """
+        known, places = (
+            named(word, given, error=MarkerError) for word, given in (("targets", targets), ("seen", seen))
+        )
+        spread = named("std", std, error=MarkerError) if isinstance(std, Mapping) else dict.fromkeys(places, std)
+        for word, given in (("targets", known), ("std", spread)):
+            strangers = [name for name in places if name not in given]
+            if strangers:
+                message = (
+                    f"every name in `seen` must be in `{word}` ({', '.join(given) or 'none'}), got '{strangers[0]}'"
+                )
+                raise MarkerError(message, where=strangers[0])
+        at = [float_array(f"targets[{name!r}]", known[name], (3,)) for name in places]
+        to = [float_array(f"seen[{name!r}]", place, (3,)) for name, place in places.items()]
+        own = [np.full(3, float_array(f"std[{name!r}]", spread[name], ())) for name in places]
+        return Markers(
+            np.concatenate([self.reference, np.reshape(at, (-1, 3))]),
+            np.concatenate([self.measured, np.reshape(to, (-1, 3))]),
+            np.concatenate([self.axis_std, np.reshape(own, (-1, 3))]),
+            [*self.names, *places],
+        )
 
 
 def _kept(keep: Any, n_markers: int) -> IntArray:

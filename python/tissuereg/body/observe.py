@@ -1,13 +1,17 @@
 r"""From displacement fields to tracked points: displacements of markers on the surface and of targets inside the body.
 
-A marker that does not lie on the triangles of the surface moves rigidly with the patch of surface around its foot,
+A marker inside the body (a seed, a coil, a vessel) moves with the tetrahedron that contains it, as a target does. It
+is inside if it lies deeper than the places of markers on the skin are known: than `SKIN_SHARE` of the body's extent and
+than twice its noise. Near the skin both ways to move agree up to the strain times the depth.
+
+Any other marker that does not lie on the triangles of the surface moves rigidly with the patch of surface around its
+foot,
 
     u(marker) = u(foot) + (R - I) offset,      offset = reference place - foot,
 
 where u is the displacement, the foot is the closest point of the surface, R the rotation that fits the motion of the
-patch's nodes best (Kabsch), and I the identity. An inner target moves with the tetrahedron that contains it. Fields are
-interpolated linearly between corner nodes, or quadratically where the mid-edge nodes of ten-node elements are given
-too.
+patch's nodes best (Kabsch), and I the identity. Fields are interpolated linearly between corner nodes, or quadratically
+where the mid-edge nodes of ten-node elements are given too.
 """
 
 from collections.abc import Iterator, Mapping
@@ -28,8 +32,12 @@ FARTHEST_SHARE = 0.5
 #: A target this far outside the body, as a share of its extent, is refused; nearer ones move with the closest tet.
 FARTHEST_TARGET_SHARE = 0.1
 
-#: No warning below this distance: the facets of a curved surface lie slightly inside it.
-WARN_TARGET_SHARE = 0.01
+#: A mesh has the skin no finer than this share of the body's extent: its facets lie off a curved surface. No target is
+#: warned of this little outside, and no marker this little below the skin is an inner one.
+SKIN_SHARE = 0.01
+
+#: A marker deeper than this many standard deviations of its noise is not on the skin.
+_DEEP_STD = 2.0
 
 #: Offsets below this many mm need no rotation.
 _ON_SURFACE_MM = 1e-3
@@ -46,7 +54,7 @@ class MarkerObservation:
     mesh : Mesh
         Mesh in the reference shape.
     reference : array_like of float, shape (n_markers, 3)
-        Places of the markers on or near the undeformed body, mm.
+        Places of the markers on, near or inside the undeformed body, mm.
     names : sequence of str
         Names of the markers, used in error messages.
     quadratic : bool
@@ -55,8 +63,11 @@ class MarkerObservation:
     like : MarkerObservation, optional
         Observation of the same markers on a mesh with the same tets and other coordinates. The foot of a marker (the
         closest point of the surface) then stays in the same triangle as there, or on the same edge or corner if the
-        marker lies beyond that edge or corner. This is needed for derivatives with respect to the shape of a mesh,
-        because the closest triangle of a marker on an edge may change with any step.
+        marker lies beyond that edge or corner; an inner marker stays in the same tet. This is needed for derivatives
+        with respect to the shape of a mesh, because the closest triangle of a marker on an edge may change with any
+        step.
+    std : float or array_like of float, shape (n_markers,)
+        Noise of the markers, mm, by which a marker may lie below the skin and still be on it.
 
     Raises
     ------
@@ -69,6 +80,8 @@ class MarkerObservation:
         Indices of the nodes whose displacement `predict` needs.
     distance : ndarray of float64, shape (n_markers,)
         Distance of every marker from the surface, mm.
+    inner : ndarray of bool, shape (n_markers,)
+        Whether each marker is inside the body, and moves with the tet around it.
     """
 
     def __init__(
@@ -79,6 +92,7 @@ class MarkerObservation:
         *,
         quadratic: bool = False,
         like: "MarkerObservation | None" = None,
+        std: Any = 0.0,
     ) -> None:
         places = float_array("reference", reference, (None, 3))
         if like is None:
@@ -90,23 +104,25 @@ class MarkerObservation:
         self._triangles: IntArray = triangles
         self.distance: FloatArray = np.linalg.norm(places - feet, axis=1)
         _check_distance(self.distance, names, mesh.extent)
-        patches = _patches(mesh, triangles)
-        feet_nodes, self._weights = _interpolation(mesh, mesh.surface[triangles], weights, quadratic)
-        self.nodes: IntArray = np.unique(np.concatenate([feet_nodes.ravel(), *patches]))
-        self._foot_nodes = np.searchsorted(self.nodes, feet_nodes)
-        self._offset = places - feet
-        corners = mesh.nodes[mesh.surface[triangles]]
-        edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
-        self._height = self.distance / edges
+        self._tets: IntArray = _tets_within(mesh, places, self.distance, std) if like is None else like._tets
+        self.inner: BoolArray = np.asarray(self._tets >= 0)
+        corners, weights = _cells(mesh, mesh.surface[triangles], weights, self._tets, places)
+        feet_nodes, self._weights = _interpolation(mesh, corners, weights, quadratic)
+        self._offset = np.where(self.inner[:, None], 0.0, places - feet)
+        edges = np.linalg.norm(_differences(mesh.nodes[corners]), axis=2).max(axis=1)
+        self._height = np.linalg.norm(self._offset, axis=1) / edges
         self._turned = np.flatnonzero(np.linalg.norm(self._offset, axis=1) > _ON_SURFACE_MM)
-        self._patches = [np.searchsorted(self.nodes, patches[marker]) for marker in self._turned]
+        patches = _patches(mesh, triangles[self._turned])
+        self.nodes: IntArray = np.unique(np.concatenate([feet_nodes.ravel(), *patches]))
+        self._foot_nodes, self._corners = np.searchsorted(self.nodes, feet_nodes), np.searchsorted(self.nodes, corners)
+        self._patches = [np.searchsorted(self.nodes, patch) for patch in patches]
         # Patches are of corner nodes alone.
         self._members, self._arms = _padded(self._patches, mesh.nodes[np.minimum(self.nodes, mesh.n_nodes - 1)])
 
     @classmethod
     def of(cls, mesh: Mesh, markers: Markers) -> "MarkerObservation":
         """Return the observation operator of `markers` on `mesh`, for displacement fields of four-node elements."""
-        return cls(mesh, markers.reference, markers.names)
+        return cls(mesh, markers.reference, markers.names, std=markers.std)
 
     @property
     def n_markers(self) -> int:
@@ -144,8 +160,9 @@ class MarkerObservation:
         -------
         scipy.sparse.csr_array, shape (n_points, n_nodes)
             Weights of the nodes. Its product with a field (n_nodes, 3) in mm has first one row per marker, the
-            displacement of its foot (the closest point of the surface), then three rows for each marker off the
-            surface: how the displacement varies along x, y and z across the patch of surface around the foot, in mm.
+            displacement of its foot (the closest point of the surface; of an inner marker its own place), then three
+            rows for each marker off the surface: how the displacement varies along x, y and z across the patch of
+            surface around the foot, in mm.
         """
         from scipy import sparse
 
@@ -189,7 +206,7 @@ class MarkerObservation:
         moved[..., self._turned, :] += np.einsum("...mxy,my->...mx", turned - np.eye(3), self._offset[self._turned])
 
     def variation(self, displacement: FloatArray) -> FloatArray:
-        """Return how much the displacement varies across the surface triangle under every marker.
+        """Return how much the displacement varies across the surface triangle under every marker, or the tet around it.
 
         Parameters
         ----------
@@ -199,12 +216,11 @@ class MarkerObservation:
         Returns
         -------
         ndarray of float64, shape (n_markers,)
-            Largest difference between the displacements of two corners of the closest triangle, mm, times 1 plus the
-            marker's distance from the surface over the longest edge of the triangle.
+            Largest difference between the displacements of two corners of the closest triangle or tet, mm, times 1 plus
+            the distance from the surface of a marker that is not inner over the longest edge of the triangle.
         """
-        corners = displacement[self._foot_nodes[:, :3]]
-        differences = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
-        return np.asarray((1.0 + self._height) * differences)
+        differences = _differences(displacement[self._corners])
+        return np.asarray((1.0 + self._height) * np.linalg.norm(differences, axis=2).max(axis=1))
 
     def jacobian(self, displacement: FloatArray) -> FloatArray:
         """Return the derivative of the displacement of every marker with respect to that of the nodes.
@@ -331,6 +347,48 @@ class TargetObservation:
         ]
 
 
+def _tets_within(mesh: Mesh, places: FloatArray, distance: FloatArray, std: Any) -> IntArray:
+    """Return the tet that contains each place (n,), by index; -1 outside, and no deeper than the skin is known.
+
+    `places` (n, 3): mm; `distance` (n,): distance from the surface, mm; `std`: noise, mm, one number or (n,).
+    """
+    tets = np.full(len(places), -1, np.int64)
+    deep = np.flatnonzero(distance > np.maximum(SKIN_SHARE * mesh.extent, _DEEP_STD * np.asarray(std)))
+    if len(deep):
+        locator = _locator(mesh)
+        for marker in deep:
+            found = locator.around(places[marker])
+            tets[marker] = -1 if found is None else found[0]
+    return tets
+
+
+def _cells(
+    mesh: Mesh, triangles: IntArray, weights: FloatArray, tets: IntArray, places: FloatArray
+) -> tuple[IntArray, FloatArray]:
+    """Return the corners and barycentric weights of the triangle of each foot, or of the tet around an inner place.
+
+    `triangles` int64 (n, 3), `weights` (n, 3): of the feet; `tets` int64 (n,): tets around inner places, -1 elsewhere;
+    `places` (n, 3): mm. Result: (n, 3) if no place is inside; else (n, 4), where a triangle's first corner is repeated
+    with a weight of zero.
+    """
+    inner = np.flatnonzero(tets >= 0)
+    if not len(inner):
+        return triangles, weights
+    corners, shares = np.zeros((len(tets), 4), np.int64), np.zeros((len(tets), 4))
+    corners[:, :3], corners[:, 3], shares[:, :3] = triangles, triangles[:, 0], weights
+    corners[inner] = mesh.tets[tets[inner]]
+    edges = np.moveaxis(mesh.nodes[corners[inner, 1:]] - mesh.nodes[corners[inner, :1]], 1, 2)
+    last = np.linalg.solve(edges, (places[inner] - mesh.nodes[corners[inner, 0]])[..., None])[..., 0]
+    shares[inner] = np.concatenate([1.0 - last.sum(axis=1, keepdims=True), last], axis=1)
+    return corners, shares
+
+
+def _differences(values: FloatArray) -> FloatArray:
+    """Return the differences (n, p, 3) between any two of the values (n, k, 3) at the corners of n cells."""
+    first, second = np.triu_indices(values.shape[1], 1)
+    return np.asarray(values[:, first] - values[:, second])
+
+
 def _interpolation(mesh: Mesh, corners: IntArray, weights: FloatArray, quadratic: bool) -> tuple[IntArray, FloatArray]:
     """Return the nodes and weights that interpolate a displacement at n points, from barycentric weights.
 
@@ -345,7 +403,9 @@ def _interpolation(mesh: Mesh, corners: IntArray, weights: FloatArray, quadratic
     a, b = corners[:, first], corners[:, second]
     # Edges are sorted by their lower, then their upper end.
     keys = mesh.edges[:, 0] * mesh.n_nodes + mesh.edges[:, 1]
-    middles = mesh.n_nodes + np.searchsorted(keys, np.minimum(a, b) * mesh.n_nodes + np.maximum(a, b))
+    found = np.searchsorted(keys, np.minimum(a, b) * mesh.n_nodes + np.maximum(a, b))
+    # A corner that is repeated has no edge with itself, and no weight.
+    middles = mesh.n_nodes + np.minimum(found, len(keys) - 1)
     at_corners, between = weights * (2.0 * weights - 1.0), 4.0 * weights[:, first] * weights[:, second]
     return np.concatenate([corners, middles], axis=1), np.concatenate([at_corners, between], axis=1)
 
@@ -518,6 +578,24 @@ class _Locator:
         if not np.isfinite(point).all():
             message = f"target '{name}' must be finite, got {point.tolist()}"
             raise MarkerError(message, where=name)
+        found = self.around(point)
+        if found is not None:
+            return found
+        weights = self._weights(np.arange(len(self._corners)), point)
+        clipped = np.clip(weights, 0.0, None)
+        clipped /= clipped.sum(axis=1, keepdims=True)
+        gap = np.linalg.norm(np.einsum("tc,tcx->tx", clipped, self._corners) - point, axis=1)
+        tet = int(np.argmin(gap))
+        if gap[tet] > FARTHEST_TARGET_SHARE * self._extent:
+            message = f"target '{name}' must lie in the undeformed body; {point.tolist()} is {gap[tet]:.1f} mm outside"
+            raise MarkerError(message, where=name)
+        if gap[tet] > SKIN_SHARE * self._extent:
+            text = f"target '{name}' lies {gap[tet]:.2g} mm outside the mesh; it moves with the closest tet"
+            warn(text)
+        return tet, weights[tet]
+
+    def around(self, point: FloatArray) -> tuple[int, FloatArray] | None:
+        """Return the index of the tet around a point (3,), mm, and barycentric weights (4,); None if it is outside."""
         near = 1e-6 * self._extent
         first, last = np.searchsorted(self._begins, (point[0] - self._widest - 2.0 * near, point[0] + 2.0 * near))
         tets = np.sort(self._by_x[first:last])
@@ -527,18 +605,7 @@ class _Locator:
         if len(tets) and weights.min(axis=1).max() >= -1e-9:
             best = int(np.argmax(weights.min(axis=1)))
             return int(tets[best]), weights[best]
-        weights = self._weights(np.arange(len(self._corners)), point)
-        clipped = np.clip(weights, 0.0, None)
-        clipped /= clipped.sum(axis=1, keepdims=True)
-        gap = np.linalg.norm(np.einsum("tc,tcx->tx", clipped, self._corners) - point, axis=1)
-        tet = int(np.argmin(gap))
-        if gap[tet] > FARTHEST_TARGET_SHARE * self._extent:
-            message = f"target '{name}' must lie in the undeformed body; {point.tolist()} is {gap[tet]:.1f} mm outside"
-            raise MarkerError(message, where=name)
-        if gap[tet] > WARN_TARGET_SHARE * self._extent:
-            text = f"target '{name}' lies {gap[tet]:.2g} mm outside the mesh; it moves with the closest tet"
-            warn(text)
-        return tet, weights[tet]
+        return None
 
     def _weights(self, tets: IntArray, point: FloatArray) -> FloatArray:
         """Return the barycentric weights (n, 4) of a point (3,), in mm, in the tets with indices `tets` (n,)."""

@@ -21,9 +21,10 @@ from tissuereg.cli.body_input import (
 from tissuereg.cli.common import UNTRUSTED, Outcome, Stopwatch, envelope, seconds_line
 from tissuereg.cli.options import Help, Parser, add_option, refuse, refuse_overwriting
 from tissuereg.cli.progress import Stages, stage_lines
-from tissuereg.report.words import counted, fallback_lines, silent, start_word, target_line, verdict
+from tissuereg.report.words import fallback_lines, markers_used, silent, start_word, target_line, verdict
 
 if TYPE_CHECKING:
+    from tissuereg.body.markers import Markers
     from tissuereg.registration.body import Body
     from tissuereg.registration.result import Registration
 
@@ -68,7 +69,8 @@ def run(args: argparse.Namespace) -> Outcome:
     from tissuereg.registration.register import register
     from tissuereg.report.files import DEFORMED, WRITTEN
 
-    given_files = [args.path, *args.markers, args.measured, args.simulation, args.variants, args.targets, args.surface]
+    more = [args.measured, args.simulation, args.variants, args.targets, args.seen, args.surface]
+    given_files = [args.path, *args.markers, *more]
     written = [Path(args.out) / name for name in (*WRITTEN, "report.html", DEFORMED)]
     refuse_overwriting(written, [*given_files, Path(args.path) / "targets.csv"])
     check_folder_target(args.out)
@@ -122,13 +124,15 @@ def _input(args: argparse.Namespace) -> dict[str, Any]:
     from tissuereg.io.tables import read_surface, read_targets
     from tissuereg.registration.inputs import SimulationVariants
 
-    frames = frames_of(args, [*args.markers, args.targets])
+    frames = frames_of(args, [*args.markers, args.targets, args.seen])
     given = _from_experiment(args) if is_experiment(args.path) else _from_files(args, frames)
     body: Body = given["mesh"]
     if frames["frame"] is not None:
         given["mesh"] = body = replace(body, mesh=body.mesh.in_frame(frames["frame"]))
     if args.targets is not None:
         given["targets"] = {**given["targets"], **read_targets(args.targets, **frames)}
+    if args.seen is not None:
+        given["markers"] = _with_seen(args, given, frames)
     if args.simulation is not None:
         given["simulation"] = read_simulation(args.simulation, body.mesh.n_nodes)
     if args.variants is not None:
@@ -142,9 +146,28 @@ def _input(args: argparse.Namespace) -> dict[str, Any]:
     return given
 
 
+def _with_seen(args: argparse.Namespace, given: dict[str, Any], frames: dict[str, str | None]) -> "Markers":
+    """Return the markers given, with the targets of ``--seen`` after them; errors name the file."""
+    from tissuereg.errors import MarkerError
+    from tissuereg.io.tables import read_seen
+    from tissuereg.registration.inputs import as_markers
+
+    places, std = read_seen(args.seen, args.std, **frames)
+    try:
+        return as_markers(given["markers"]).with_seen(given["targets"], places, std)
+    except MarkerError as error:
+        error.args = (f"{args.seen}: {error}",)
+        raise
+
+
 def _add_files(more: Any) -> None:
     text = "points of 3D Slicer where the markers of MARKERS, such points too, were seen; joined by label"
     more.add_argument("--measured", metavar="FILE", help=text)
+    text = (
+        "table target,x_mm,y_mm,z_mm[,std_mm], or points of 3D Slicer: targets that were seen in the deformed body, or "
+        "corrected by hand; they count as markers inside the body"
+    )
+    more.add_argument("--seen", metavar="FILE", help=text)
     text = "displacement_mm (n, 3) of this moment, predicted by any simulator"
     more.add_argument("--simulation", metavar="U.npz", help=text)
     text = "displacement_mm (k, n, 3): this moment simulated with other values of what is uncertain; with --model"
@@ -159,7 +182,7 @@ def _add_files(more: Any) -> None:
 def _from_files(args: argparse.Namespace, frames: dict[str, str | None]) -> dict[str, Any]:
     from tissuereg.io.tables import read_markers
 
-    if len(args.markers) > 1 or (not args.markers and args.surface is None):
+    if len(args.markers) > 1 or (not args.markers and args.surface is None and args.seen is None):
         found = f"got {len(args.markers)} files"
         refuse(f"one MARKERS must be given with a mesh file (only an experiment brings its own), {found}", "MARKERS")
     if args.measured is not None and not args.markers:
@@ -233,7 +256,7 @@ def _surface_line(surface: dict[str, Any]) -> str:
 
 def _marker_line(markers: dict[str, Any], start: str) -> str:
     lost = ", ".join(f"{item['marker']} ({item['reason']})" for item in markers["dropped"])
-    used = f"{counted(len(markers['used']), 'marker')} used{f'; dropped: {lost}' if lost else ''}"
+    used = f"{markers_used(markers['used'], markers['inner'])} used{f'; dropped: {lost}' if lost else ''}"
     if not markers["used"]:
         return used
     return f"{used}; rms distance {markers['before_rms_mm']:.3f} mm {start}, {markers['after_rms_mm']:.3f} mm after"

@@ -15,7 +15,7 @@ from tissuereg.body.mesh import PATIENT_FRAMES
 from tissuereg.errors import FormatError, MarkerError
 from tissuereg.io.bounds import FILES
 from tissuereg.io.csv import Row, read_table, write_table
-from tissuereg.io.point_files import is_point_file, markers_of, reference_of, targets_of
+from tissuereg.io.point_files import is_point_file, markers_of, read_points, reference_of, targets_of
 from tissuereg.io.points import turned
 
 _PLACE = ("x_mm", "y_mm", "z_mm")
@@ -154,6 +154,52 @@ def read_targets(
     names = _unique_names(rows, "target")
     places = turned(np.array([row.numbers(_PLACE) for row in rows]), table_frame, frame)
     return dict(zip(names, places, strict=True))
+
+
+@reads
+def read_seen(
+    path: str | os.PathLike[str],
+    std: float | None = None,
+    *,
+    frame: str | None = None,
+    table_frame: str | None = None,
+) -> tuple[dict[str, FloatArray], dict[str, float]]:
+    """Read where targets were seen, or were put by hand, in the deformed body; for `Markers.with_seen`.
+
+    Parameters
+    ----------
+    path : path-like
+        Table ``target,x_mm,y_mm,z_mm[,std_mm]`` with one target a row, empty (or ``nan``) if it was not seen; or a
+        point file of 3D Slicer (``.mrk.json``, ``.fcsv``).
+    std : float, optional
+        Standard deviation in mm of a coordinate, for targets that state none themselves; 0.1 by default.
+    frame, table_frame : {"LPS", "RAS"}, optional
+        As in `read_targets`.
+
+    Returns
+    -------
+    dict of str to ndarray of float64, shape (3,)
+        Deformed place of each target in mm by its name, in file order; NaN where it was not seen.
+    dict of str to float
+        Standard deviation of its coordinates, mm.
+
+    Raises
+    ------
+    FormatError
+        If the file cannot be read, or a target stands in it twice; the message names the place.
+    MarkerError
+        If a frame is none of the two, or `table_frame` is given without `frame`.
+    """
+    _check_frames(frame, table_frame)
+    usual = FILES.std_mm if std is None else std
+    if is_point_file(path):
+        points = read_points(path)
+        return dict(zip(points.names, points.places_in(frame), strict=True)), dict.fromkeys(points.names, usual)
+    rows = read_table(path, ("target", *_PLACE), ("std_mm",), most_rows=FILES.table_points)
+    names = _unique_names(rows, "target")
+    places = turned(np.array([row.numbers(_PLACE, may_miss=True) for row in rows]), table_frame, frame)
+    spread = [_own_std(row, usual)[0] for row in rows]
+    return dict(zip(names, places, strict=True)), dict(zip(names, spread, strict=True))
 
 
 @reads

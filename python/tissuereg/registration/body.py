@@ -1,5 +1,6 @@
 """The class `Body`: what is assumed of a body before a registration: its mesh, its material, its supports."""
 
+import warnings
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -12,7 +13,7 @@ from tissuereg.body.material import Material
 from tissuereg.body.mesh import Mesh
 from tissuereg.errors import ArgumentError, MaterialError, ShapeError
 from tissuereg.registration.contacts.graded import STIFFNESS
-from tissuereg.registration.contacts.supports import Supports
+from tissuereg.registration.contacts.supports import Supports, support_warnings
 from tissuereg.simulation.solve import ELEMENTS
 
 #: Meshes with at most this many nodes get averaged elements, and so do materials with a larger Poisson's ratio.
@@ -30,7 +31,8 @@ class Body:
     mesh : Mesh or (nodes, tets, fixed_nodes)
         Undeformed body in mm. The nodes of its set ``fixed`` are held in place; those of its set ``perhaps_fixed`` may
         or may not be held. A mesh without either set, or with empty ones, can move freely: a rigid motion is then
-        unknown as well.
+        unknown as well. A registration warns of that unless `held` is ``"free"``, and of sets such as ``Fixed``, which
+        hold nothing.
     material : Material, optional
         The assumed material, by default ``Material()``. Without a load its stiffness affects only the estimated forces,
         not the shape.
@@ -52,7 +54,7 @@ class Body:
     ShapeError, MeshError
         If `mesh` is not a mesh, or `held_nodes` are not whole numbers.
     SupportError
-        If `held` is not one of these words, or `held_nodes` are no nodes of the mesh.
+        If `held` is not one of these words, `held_nodes` are no nodes of the mesh, or no node of its surface is free.
     MaterialError, ArgumentError
         If `stiffness` or `element` is not one of these words, or `material` is not a material.
 
@@ -93,6 +95,22 @@ class Body:
     def of(cls, given: Any) -> "Body":
         """Return `given` if it is a `Body`, otherwise the body of this mesh, or of (nodes, tets, fixed_nodes) in mm."""
         return given if isinstance(given, Body) else cls(given)
+
+    @cached_property
+    def supports(self) -> Supports:
+        """Nodes that are held, for sure or perhaps."""
+        return Supports.of(self.mesh, self.held, self.held_nodes)
+
+    def warn_of_supports(self) -> None:
+        """Warn if nothing holds the body though it is not stated to be free, or if a set such as ``Fixed`` does not."""
+        for sentence in support_warnings(self.mesh, self.supports, self.held):
+            warnings.warn(sentence, stacklevel=3)
+
+    @cached_property
+    def held_mesh(self) -> Mesh:
+        """The mesh; without the nodes of its set ``fixed`` if these are free to move."""
+        unheld = self.held == "free" and len(self.mesh.node_sets.get("fixed", ()))
+        return self.mesh.with_node_set("fixed", []) if unheld else self.mesh
 
     @cached_property
     def fitting_element(self) -> str:

@@ -175,7 +175,7 @@ class Attachment:
             observed = MarkerObservation.of(body.mesh, places)
         except MarkerError as error:
             # Refused; state which other reading would fit.
-            found = suspect(body.mesh, places)
+            found = suspect(body.held_mesh, places)
             if found:
                 error.args = (f"{error}; {found[0].sentence}",)
             raise
@@ -190,7 +190,7 @@ class Attachment:
         """
         if not len(markers):
             return ()
-        found = suspect(self.mesh, markers, self.observed)
+        found = suspect(self.body.held_mesh, markers, self.observed)
         return tuple(one.sentence for one in found if self.body.held == "sure" or one.kind != "held")
 
     @cached_property
@@ -221,7 +221,7 @@ class Attachment:
             message = f"at least one marker must have been seen; all {len(markers)} are missing"
             raise MarkerError(message, where="markers")
         if surface is not None:
-            suspicions = (*suspicions, *_points_suspected(self.mesh, surface, self.body.held))
+            suspicions = (*suspicions, *_points_suspected(self.mesh, surface, free=self.body.supports.moves))
         return RegisterInput(
             self.body,
             markers,
@@ -234,13 +234,12 @@ class Attachment:
         )
 
 
-def _points_suspected(mesh: Mesh, surface: SurfacePoints, held: str) -> tuple[str, ...]:
+def _points_suspected(mesh: Mesh, surface: SurfacePoints, *, free: bool) -> tuple[str, ...]:
     """Return sentences that say why points of the surface may be misread; raise `SurfaceError` if they lie far away.
 
-    `mesh`: undeformed body; `surface`: measured points, mm; `held`: how surely the node set ``fixed`` is held, "sure",
-    "perhaps" or "free". Points in another unit raise the error as well.
+    `mesh`: undeformed body; `surface`: measured points, mm; `free`: whether nothing holds the body. Points in another
+    unit raise the error as well.
     """
-    free = held == "free" or not any(len(mesh.node_sets.get(name, ())) for name in ("fixed", "perhaps_fixed"))
     found = suspect_points(mesh, surface.places, free=free)
     if found and found[0].kind in ("unit", "far from the surface"):
         raise SurfaceError(found[0].sentence, where="surface")

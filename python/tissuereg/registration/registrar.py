@@ -47,7 +47,7 @@ class Registrar:
     mesh : Mesh, Body or (nodes, tets, fixed_nodes)
         Undeformed body in mm; a `Body` also states the assumed material, elements and how surely it is held.
     reference_mm : array_like of float, shape (n_markers, 3), or Markers
-        Places of the markers on or near the undeformed body, mm; of `Markers` their noise and names are taken as well.
+        Places of the markers on, near or inside the undeformed body, mm; of `Markers` their noise and names are taken as well.
     model : path-like or LatentModel, optional
         Folder of a trained model for this mesh, or ``"phantom"`` or ``"phantom-graph"``: shipped ones. Without it the
         load is unknown, and the answer is the equilibrium under the load that fits the markers.
@@ -105,6 +105,7 @@ class Registrar:
         body = Body.of(mesh)
         if model is None:
             _refuse_of_models(how)
+            body.warn_of_supports()
         else:
             _refuse_with_model(body, self._load, how)
         self._examines = model is None or how.readings == "always"
@@ -354,7 +355,7 @@ class Registrar:
     @cached_property
     def _elastic(self) -> ElasticFallback | None:
         own = self._attached
-        if not len(own.mesh.node_sets.get("fixed", ())) or own.mesh.n_nodes > LARGEST:
+        if not len(own.body.held_mesh.node_sets.get("fixed", ())) or own.mesh.n_nodes > LARGEST:
             return None
         try:
             return ElasticFallback.of(own.mesh, own.body.material, own.places, own.targets, own.settings.threads)

@@ -137,6 +137,9 @@ class MarkerFit:
         (or at rest), and to the registered place, mm.
     residual_mm : dict of str to ndarray of float64, shape (3,)
         Measured minus registered place of each used marker, by name, mm; NaN = not seen.
+    inner : tuple of str
+        Names of the markers inside the body, which move with the tissue around them; the others are attached to the
+        skin.
     """
 
     used: tuple[str, ...]
@@ -144,6 +147,7 @@ class MarkerFit:
     before_rms_mm: float
     after_rms_mm: float
     residual_mm: dict[str, FloatArray]
+    inner: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -320,6 +324,7 @@ class Registration:
                 "before_rms_mm": fit.before_rms_mm,
                 "after_rms_mm": fit.after_rms_mm,
                 "residual_mm": {name: _row_json(row) for name, row in fit.residual_mm.items()},
+                "inner": list(fit.inner),
             },
             "surface": own["surface"],
             "targets": {name: target.to_json() for name, target in self.targets.items()},

@@ -12,7 +12,7 @@ from tissuereg.io.atomic import atomic_file
 from tissuereg.report.markup import document, escape, table
 from tissuereg.report.provenance import provenance_section
 from tissuereg.report.scene import Surface, contact_verb, contacts_of, surface_of
-from tissuereg.report.words import counted, fallback_lines, silent, start_word, verdict
+from tissuereg.report.words import fallback_lines, markers_used, silent, start_word, verdict
 
 if TYPE_CHECKING:
     from tissuereg.registration.result import Registration
@@ -67,7 +67,7 @@ def _met(result: "Registration") -> str:
     fit, surface, words = result.markers, surface_of(result), []
     if fit.used:
         words.append(
-            f"{counted(len(fit.used), 'marker')}: {fit.after_rms_mm:.2f} mm (rms) from the registered body, "
+            f"{markers_used(fit.used, fit.inner)}: {fit.after_rms_mm:.2f} mm (rms) from the registered body, "
             f"{fit.before_rms_mm:.2f} mm {start_word(result.starts_simulated)}."
         )
     if surface is not None:
@@ -150,8 +150,12 @@ def _dropped(result: "Registration") -> str:
 
 
 def _markers(result: "Registration") -> str:
-    rows = [(escape(name), _triple(row), _norm(row)) for name, row in result.markers.residual_mm.items()]
-    return _section("Markers", ("marker", "measured - registered, mm", "length, mm"), rows)
+    fit = result.markers
+    rows = [
+        (escape(name), "inside" if name in fit.inner else "to the skin", _triple(row), _norm(row))
+        for name, row in fit.residual_mm.items()
+    ]
+    return _section("Markers", ("marker", "attached", "measured - registered, mm", "length, mm"), rows)
 
 
 def _surface(result: "Registration") -> str:

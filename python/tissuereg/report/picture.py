@@ -12,7 +12,7 @@ from tissuereg.report import scene
 from tissuereg.report.inset import draw_panels, round_length
 from tissuereg.report.labels import on_page, place_labels, ratio
 from tissuereg.report.style import STYLE
-from tissuereg.report.words import counted, silent, start_word, verdict
+from tissuereg.report.words import counted, markers_used, silent, start_word, verdict
 
 if TYPE_CHECKING:
     from tissuereg.registration.result import Registration
@@ -202,7 +202,7 @@ def _met(result: "Registration") -> list[str]:
     fit, surface, words, start = result.markers, scene.surface_of(result), [], start_word(result.starts_simulated)
     if fit.used:
         words.append(
-            f"{counted(len(fit.used), 'marker')}: {fit.before_rms_mm:.2f} mm {start}, "
+            f"{markers_used(fit.used, fit.inner)}: {fit.before_rms_mm:.2f} mm {start}, "
             f"{fit.after_rms_mm:.2f} mm after (rms)"
         )
     if surface is not None:

@@ -25,6 +25,17 @@ def counted(number: int, thing: str) -> str:
     return f"{number} {thing}{'' if number == 1 else 's'}"
 
 
+def markers_used(used: Iterable[str], inner: Iterable[str]) -> str:
+    """Return how many markers were used, and how many of these are inside the body, given the names of either.
+
+    >>> markers_used(["M1", "M2", "S1"], ["S1", "S2"])
+    '3 markers (1 inside the body)'
+    """
+    names = list(used)
+    deep = len(set(names) & set(inner))
+    return counted(len(names), "marker") + (f" ({deep} inside the body)" if deep else "")
+
+
 def start_word(simulated: bool) -> str:
     """Return the words for the state that distances are compared with: the simulation, or the body before."""
     return "in the simulation" if simulated else "before"

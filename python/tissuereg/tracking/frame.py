@@ -9,7 +9,7 @@ import numpy as np
 from tissuereg._base.arrays import FloatArray
 from tissuereg.body.mesh import det_f
 from tissuereg.registration.inputs import Attachment, rms_length
-from tissuereg.registration.result import MarkerFit, Registration, Target
+from tissuereg.registration.result import Registration, Target
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,13 +141,8 @@ class Layout:
         shift = dict(zip(names, of_markers, strict=True))
         residual = {name: row - shift[name] for name, row in result.markers.residual_mm.items()}
         ratios = det_f(result.mesh, field)
-        fit = MarkerFit(
-            result.markers.used,
-            result.markers.dropped,
-            result.markers.before_rms_mm,
-            rms_length(np.array(list(residual.values())).reshape(-1, 3)),
-            residual,
-        )
+        after = rms_length(np.array(list(residual.values())).reshape(-1, 3))
+        fit = replace(result.markers, after_rms_mm=after, residual_mm=residual)
         targets = zip(self.attached.targets.names, of_targets, strict=True)
         return replace(
             result,

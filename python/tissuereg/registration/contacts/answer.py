@@ -105,6 +105,7 @@ class Answer:
                 before_rms_mm=rms_length(markers.displacement[used] - start_displacement[used]),
                 after_rms_mm=rms_length(markers.displacement[used] - fitted[used]),
                 residual_mm={names[i]: markers.displacement[i] - fitted[i] for i in used},
+                inner=tuple(names[i] for i in np.flatnonzero(given.observed.inner)),
             ),
             all_markers=markers,
             start_markers=markers.reference + start_displacement,

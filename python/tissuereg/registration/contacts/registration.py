@@ -66,8 +66,7 @@ def register_by_contacts(
         # Misread input is not worth many passes: the answer will not be trusted.
         settings = replace(settings, max_passes=1)
     with clock.stage("body"):
-        supports = Supports.of(given.mesh, given.body.held, given.body.held_nodes)
-        body = ContactBody.of(given.mesh, supports, given.body.fitting_element)
+        body = ContactBody.of(given.mesh, given.body.supports, given.body.fitting_element)
     points = None if given.surface is None else PointData.of(given.mesh, given.surface, settings.model_error)
     observed = ObservedData.of(MarkerData(given.observed, given.markers, settings.model_error), points)
     announce(body, observed, given, clock)

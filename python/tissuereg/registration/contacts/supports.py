@@ -51,16 +51,17 @@ class Supports:
 
         `mesh`: its node sets ``fixed`` and ``perhaps_fixed`` are used; a mesh without either is free; `held` {"sure",
         "perhaps", "free"}: whether the nodes ``fixed`` are surely held, perhaps held or not held; `held_nodes`: node
-        numbers instead of the set ``fixed``. Raises `SupportError` if `held` is none of these or a node does not exist.
+        numbers instead of the set ``fixed``. Raises `SupportError` if `held` is none of these, a node does not exist,
+        or no node of the surface is free to move.
         """
         check_choice("held", held, HELD, SupportError)
         none = np.empty(0, np.int64)
         fixed = mesh.node_sets.get("fixed", none) if held_nodes is None else _held(mesh, held_nodes)
         perhaps = mesh.node_sets.get(PERHAPS, none)
-        if held == "perhaps":
-            return cls(none, np.union1d(fixed, perhaps))
-        sure = fixed if held == "sure" else none
-        return cls(np.asarray(sure, np.int64), np.setdiff1d(perhaps, sure))
+        sure = np.asarray(fixed if held == "sure" else none, np.int64)
+        doubtful = np.union1d(fixed, perhaps) if held == "perhaps" else np.setdiff1d(perhaps, sure)
+        _check_free(mesh, np.union1d(sure, doubtful))
+        return cls(sure, doubtful)
 
 
 def _held(mesh: Mesh, nodes: Any) -> IntArray:
@@ -71,6 +72,42 @@ def _held(mesh: Mesh, nodes: Any) -> IntArray:
         message = f"`held_nodes` must name nodes 0 to {mesh.n_nodes - 1}, got {bad}"
         raise SupportError(message, where="held_nodes")
     return held
+
+
+def _check_free(mesh: Mesh, nodes: IntArray) -> None:
+    """Raise `SupportError` if `nodes`, surely or perhaps held, are the whole surface: nothing could move the body."""
+    if len(nodes) and np.isin(mesh.surface_nodes, nodes).all():
+        message = (
+            f"some of the surface must be free to move; all its {len(mesh.surface_nodes)} nodes are held "
+            f"({len(nodes)} of the {mesh.n_nodes} nodes of the mesh)"
+        )
+        raise SupportError(message, where="fixed")
+
+
+def support_warnings(mesh: Mesh, supports: Supports, held: str) -> list[str]:
+    """Return sentences on a body that nothing holds, or that is not held at a set whose name is almost ``fixed``.
+
+    `mesh`: undeformed body; `supports`: its supports; `held` {"sure", "perhaps", "free"}: as stated.
+    """
+    if held == "free":
+        return []
+    all_held = np.union1d(supports.sure, supports.perhaps)
+    alike = [
+        name
+        for name, nodes in mesh.node_sets.items()
+        if name.strip().lower() in ("fixed", PERHAPS) and not np.isin(nodes, all_held).all()
+    ]
+    found = [
+        f"the nodes of the set {name!r} are not held: the set that is held is named {name.strip().lower()!r}"
+        for name in alike
+    ]
+    if supports.moves:
+        known = ", ".join(sorted(mesh.node_sets)) or "none"
+        found.append(
+            "the body is taken to move freely, since no node is held: the mesh should have a node set named 'fixed' "
+            f"(it has: {known}); where nothing holds the body, say so by held='free'"
+        )
+    return found
 
 
 def springs_of(mesh: Mesh, supports: Supports) -> list[tuple[IntArray, FloatArray]]:

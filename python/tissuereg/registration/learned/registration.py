@@ -159,6 +159,7 @@ def _result(
             before_rms_mm=rms_length(markers.displacement[seen] - start[seen]),
             after_rms_mm=rms_length(residual),
             residual_mm={markers.names[i]: row for i, row in zip(seen, residual, strict=True)},
+            inner=tuple(markers.names[i] for i in np.flatnonzero(observed.inner)),
         ),
         all_markers=markers,
         start_markers=markers.reference + start,

@@ -77,9 +77,10 @@ def scattered(distance: FloatArray, extent: float) -> list[Suspicion]:
     """Return the suspicion that the reference places of markers are those on another body.
 
     `distance` (n_markers,): signed distances of the reference places from the surface, negative inside, mm; `extent`:
-    largest extent of the body along an axis, mm. Result: a list with at most one suspicion. There is one where two
-    assumptions are both improbable by chi-squares of the distances: that all markers were mounted on the surface at one
-    height, each with an error, and that all were placed inside the body.
+    largest extent of the body along an axis, mm. Result: a list with at most one suspicion. There is one where three
+    assumptions are all improbable by chi-squares of the distances: that all markers were mounted on the surface at one
+    height, each with an error; that all were placed inside the body; and that those below the surface were, and all
+    others mounted at one height with a small error.
     """
     from scipy.stats import chi2
 
@@ -88,8 +89,12 @@ def scattered(distance: FloatArray, extent: float) -> list[Suspicion]:
         return []
     height = float(np.clip(distance.mean(), 0.0, standoff(extent)))
     mounted = np.sum((distance - height) ** 2) / (CHECKS.mounted * standoff(extent)) ** 2
-    inside = np.sum(np.maximum(distance, 0.0) ** 2) / (CHECKS.inside_mm + CHECKS.inside_share * extent) ** 2
-    if max(chi2.sf(mounted, n - 1), chi2.sf(inside, n)) >= CHECKS.level:
+    fine = CHECKS.inside_mm + CHECKS.inside_share * extent
+    inside = np.sum(np.maximum(distance, 0.0) ** 2) / fine**2
+    skin = distance[distance > -2.0 * fine]
+    some = np.sum((skin - np.clip(skin.mean(), 0.0, standoff(extent))) ** 2) / fine**2 if len(skin) else 0.0
+    chances = (chi2.sf(mounted, n - 1), chi2.sf(inside, n), chi2.sf(some, max(len(skin) - 1, 1)))
+    if max(chances) >= CHECKS.level:
         return []
     low, high = float(distance.min()), float(distance.max())
     text = (

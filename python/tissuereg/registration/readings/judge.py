@@ -117,13 +117,13 @@ def _other_reading(given: Given) -> list[Suspicion]:
 
 
 def _lost(markers: Markers, distance: FloatArray, extent: float) -> list[Suspicion]:
-    """Return the suspicion that markers lie farther from the surface than any marker is plausibly mounted or placed.
+    """Return the suspicion that markers lie farther above the surface than any marker is plausibly mounted.
 
     `distance` (n_markers,): signed distance of the reference places from the surface, negative inside, mm; `extent`:
     largest extent of the body along an axis, mm. Result: a list with at most one suspicion.
     """
     outside = 1.5 * standoff(extent) + 0.03 * extent + 4.0 * markers.std
-    rows = np.flatnonzero((distance > outside) | (-distance > np.maximum(outside, CHECKS.deepest_share * extent)))
+    rows = np.flatnonzero(distance > outside)
     return [far([markers.names[i] for i in rows], np.abs(distance[rows]).tolist(), extent)] if len(rows) else []
 
 

@@ -6,7 +6,8 @@ thirty may lie anywhere:
     p(d_i | s, t) = 0.97 N(d_i; s, t^2) + 0.03 N(d_i; 0, (extent / 5)^2),      d_i: distance from the surface, signed,
 
 averaged over four s and three t. Alternatively all were placed inside the body, at depths up to one or two tenths of
-its extent. A layout much smaller or larger than the body is unlikely in itself, and so are markers on held surface.
+its extent, or each one was mounted or placed inside. A layout much smaller or larger than the body is unlikely in
+itself, and so are markers on held surface.
 
 Motion. The displacements v (n,) of the seen coordinates are a sample of a Gaussian field that fades towards held nodes,
 
@@ -39,8 +40,12 @@ def places_likelihood(distance: FloatArray, extent: float) -> FloatArray:
     (n_readings,), up to a constant that all readings share.
     """
     highest = standoff(extent)
+    depths = extent * np.array(PLACES.depths)
+    # Half of a normal density, on the inner side of the surface, has twice its height.
+    deep = 2.0 * np.mean(np.exp(-0.5 * (distance[..., None] / depths) ** 2) / depths, axis=-1)
+    deep = np.where(distance < 0.0, deep, 0.0)
     finest = 0.3 * highest / PLACES.standoff_mm + 0.003 * extent
-    parts = []
+    parts, mixed = [], []
     for height in highest * np.array([0.0, 0.25, 0.5, 0.9]):
         for error in (finest, 2.0 * finest, 0.4 * highest):
             wide = np.where(distance < height, min(error, 2.0 * finest), error)
@@ -48,12 +53,12 @@ def places_likelihood(distance: FloatArray, extent: float) -> FloatArray:
             anywhere = np.exp(-0.5 * (distance / (0.2 * extent)) ** 2) / (0.2 * extent)
             # The cost is bounded: beyond the body's own size a marker is wrong in any case.
             anywhere = np.maximum(anywhere, np.exp(-8.0) / (0.2 * extent))
-            parts.append(np.log((1 - PLACES.wrong_share) * good + PLACES.wrong_share * anywhere).sum(axis=1))
-    deep = np.exp(-0.5 * (distance / PLACES.depth / extent) ** 2) / (PLACES.depth * extent)
-    inside = np.log((1 - PLACES.wrong_share) * np.where(distance < 0.0, deep, 0.0) + PLACES.wrong_share * anywhere).sum(
-        axis=1
-    )
-    return np.asarray(np.logaddexp(log_mean_exp(np.array(parts)), PLACES.inside_odds + inside))
+            wrong = PLACES.wrong_share * anywhere
+            parts.append(np.log((1 - PLACES.wrong_share) * good + wrong).sum(axis=1))
+            mixed.append(np.log((1 - PLACES.wrong_share) * 0.5 * (good + deep) + wrong).sum(axis=1))
+    inside = np.log((1 - PLACES.wrong_share) * deep + wrong).sum(axis=1)
+    some = np.logaddexp(inside, log_mean_exp(np.array(mixed)))
+    return np.asarray(np.logaddexp(log_mean_exp(np.array(parts)), PLACES.inside_odds + some))
 
 
 def nowhere_likelihood(distance: FloatArray, extent: float) -> float:

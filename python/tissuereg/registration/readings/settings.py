@@ -73,10 +73,11 @@ class PlacesLaw:
         The same as a share of the extent; the smaller height counts.
     wrong_share : float
         Share of markers that may lie anywhere, so that one wrong marker condemns no reading.
-    depth : float
-        Standard deviation of the depth of markers that were placed inside the body, share of the extent.
+    depths : tuple of float
+        Scales of the depth of markers that were placed inside the body, shares of the extent: near the surface, or
+        anywhere.
     inside_odds : float
-        Log-odds that all markers were placed inside.
+        Log-odds that all markers were placed inside; the same again that some were, and the others mounted.
     held_odds : float
         Log-odds of a marker on held surface: hardly anybody measures what cannot move.
     speck, sprawl : float
@@ -88,7 +89,7 @@ class PlacesLaw:
     standoff_mm: float = 6.0
     standoff_share: float = 0.06
     wrong_share: float = 0.03
-    depth: float = 0.1
+    depths: tuple[float, ...] = (0.1, 0.2)
     inside_odds: float = -5.0
     held_odds: float = -1.5
     speck: float = 0.12
@@ -209,8 +210,6 @@ class MarkerChecks:
     ----------
     near_share : float
         Places nearer to the surface than this share of the extent (root mean square) need no rigid motion onto it.
-    deepest_share : float
-        A marker deeper inside the body than this share of its extent was not placed there on purpose.
     held_mm : float
         A marker on held surface that moves by more than this and its noise is suspicious, mm.
     held_share : float
@@ -230,7 +229,6 @@ class MarkerChecks:
     """
 
     near_share: float = 0.01
-    deepest_share: float = 0.2
     held_mm: float = 3.0
     held_share: float = 0.02
     mounted: float = 0.4
