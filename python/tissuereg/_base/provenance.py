@@ -176,8 +176,11 @@ def keep_with(made: Any, record: Record) -> None:
 
 
 def _parts(made: Any) -> Iterable[Any]:
-    """Return the objects that records are kept with: of a dict its values, which may go on to another one."""
-    return made.values() if isinstance(made, Mapping) else (made,)
+    """Return the objects that records are kept with: of a dict or tuple its parts, which may go on to another one."""
+    inner = made.values() if isinstance(made, Mapping) else made if isinstance(made, tuple) else None
+    if inner is None:
+        return () if isinstance(made, float | int | str) or made is None else (made,)
+    return (part for one in inner for part in _parts(one))
 
 
 def _forget(key: int, _: Any) -> None:

@@ -150,12 +150,13 @@ class Markers:
         at = [float_array(f"targets[{name!r}]", known[name], (3,)) for name in places]
         to = [float_array(f"seen[{name!r}]", place, (3,)) for name, place in places.items()]
         own = [np.full(3, float_array(f"std[{name!r}]", spread[name], ())) for name in places]
-        return Markers(
+        together = Markers(
             np.concatenate([self.reference, np.reshape(at, (-1, 3))]),
             np.concatenate([self.measured, np.reshape(to, (-1, 3))]),
             np.concatenate([self.axis_std, np.reshape(own, (-1, 3))]),
             [*self.names, *places],
         )
+        return derived(together, self, targets, seen)
 
 
 def _kept(keep: Any, n_markers: int) -> IntArray:

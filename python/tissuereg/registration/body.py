@@ -1,6 +1,5 @@
 """The class `Body`: what is assumed of a body before a registration: its mesh, its material, its supports."""
 
-import warnings
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -9,6 +8,7 @@ import numpy as np
 
 from tissuereg._base.arguments import check_choice, maybe
 from tissuereg._base.arrays import IntArray, frozen, index_array
+from tissuereg._base.provenance import warn
 from tissuereg.body.material import Material
 from tissuereg.body.mesh import Mesh
 from tissuereg.errors import ArgumentError, MaterialError, ShapeError
@@ -104,7 +104,7 @@ class Body:
     def warn_of_supports(self) -> None:
         """Warn if nothing holds the body though it is not stated to be free, or if a set such as ``Fixed`` does not."""
         for sentence in support_warnings(self.mesh, self.supports, self.held):
-            warnings.warn(sentence, stacklevel=3)
+            warn(sentence)
 
     @cached_property
     def held_mesh(self) -> Mesh:
