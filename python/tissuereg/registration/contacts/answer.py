@@ -101,7 +101,7 @@ class Answer:
             unseen={names[i]: target for i, target in zip(lost, unseen, strict=True)},
             markers=MarkerFit(
                 used=tuple(names[i] for i in used),
-                dropped=tuple((names[i], "wrong" if some[i] else "not seen") for i in lost),
+                dropped=tuple((names[i], "wrong" if some[i] else self.given.why_unseen(int(i))) for i in lost),
                 before_rms_mm=rms_length(markers.displacement[used] - start_displacement[used]),
                 after_rms_mm=rms_length(markers.displacement[used] - fitted[used]),
                 residual_mm={names[i]: markers.displacement[i] - fitted[i] for i in used},
@@ -195,7 +195,7 @@ class Answer:
     def _trust(self, unseen: list[Target], min_det_f: float) -> Trust:
         used = self.known.used
         given, fit, markers, surface = self.given, self.fit, self.given.markers, self.surface
-        notes = [*given.suspicions, *self._wrong(unseen)]
+        notes = [*given.notes, *self._wrong(unseen)]
         notes += [] if surface is None else surface.reasons(given.settings.contacts.report)
         points = (0.0, 0) if surface is None else (surface.misfit, surface.used)
         residual = markers.displacement[used] - self._of_markers(self.known.displacement)[used]
