@@ -258,7 +258,7 @@ class Attachment:
         suspicions = tuple(one.sentence for one in found)
         if surface is None and not np.isfinite(markers.measured).any():
             message = f"at least one marker must have been seen; all {len(markers)} are missing"
-            message += "".join(f"; {name} is {why}" for name, why in lost.items())
+            message += "".join(f"; {name} ({why})" for name, why in [*lost.items()][:3])
             raise MarkerError(message, where="markers")
         if surface is not None:
             suspicions = (*suspicions, *_points_suspected(self.mesh, surface, self.body.held))

@@ -9,7 +9,7 @@ from typing import Any
 
 from threadpoolctl import ThreadpoolController
 
-from tissuereg._base.arguments import called, check_running, found, maybe
+from tissuereg._base.arguments import called, check_running, found, maybe, named
 from tissuereg._base.arrays import FloatArray, float_array
 from tissuereg._base.clock import Clock, Listener
 from tissuereg.body.load import Load
@@ -154,6 +154,7 @@ class Registrar:
         simulation: Any = None,
         *,
         after: Registration | None = None,
+        lost: Mapping[str, str] | None = None,
         progress: Listener | None = None,
     ) -> Registration:
         """Register the body at one moment to the measured places of its markers.
@@ -170,6 +171,9 @@ class Registrar:
             Registration of a moment shortly before, by this registrar; without a model only. The search for contacts
             begins with its contacts, and the fitted stiffness of doubtful supports and of a graded body is kept and not
             fitted again.
+        lost : mapping of str to str, optional
+            Names of markers whose measured places are no measurements, each with the reason, which is that of the
+            result's `markers.dropped`. Those that can be told from this moment alone are found without it.
         progress : callable of Progress, optional
             Called when a stage begins and when an iteration is finished, as in `register`.
 
@@ -204,7 +208,8 @@ class Registrar:
         clock = Clock(progress)
         with clock.stage("total"):
             before = maybe("after", after, Registration)
-            return self.registered(MomentInput(measured_mm, None, simulation, before), clock)
+            gone = _lost(lost, places)
+            return self.registered(MomentInput(measured_mm, None, simulation, before, gone), clock)
 
     def made_for(self, markers: Markers) -> "Registrar":
         """Return a registrar for `markers` on the same body; itself if names and reference places are its own."""
@@ -324,6 +329,16 @@ class Registrar:
             return ElasticFallback.of(own.mesh, own.body.material, own.places, own.targets, own.settings.threads)
         except SupportError:
             return None
+
+
+def _lost(lost: Any, places: Markers) -> Mapping[str, str]:
+    """Return reasons by marker after checking that all are of `places`; raise `MarkerError` if one is not."""
+    given = named("lost", lost, error=MarkerError)
+    for name in given:
+        if name not in places.names:
+            message = f"`lost` must name markers that the registrar was made for, got {found(name)}"
+            raise MarkerError(message, where="lost")
+    return given
 
 
 @dataclass(frozen=True, eq=False)

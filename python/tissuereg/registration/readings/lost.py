@@ -51,7 +51,8 @@ def _away(markers: Markers, extent: float) -> dict[int, str]:
     # If most are there, the input is in another unit or frame.
     if 2 * len(rows) >= int(np.isfinite(moved).any(axis=1).sum()):
         return {}
-    return {int(row): f"lost: {apart[row]:.2g} mm from where the others say" for row in rows}
+    times = f"{CHECKS.farthest:g} times the body's extent"
+    return {int(row): f"lost: more than {times} from where the others say" for row in rows}
 
 
 def _together(markers: Markers, extent: float) -> dict[int, str]:
