@@ -234,11 +234,11 @@ def _contact_line(contact: dict[str, Any]) -> str:
     place = ", ".join(f"{x:.0f}" for x in contact["centre_mm"])
     towards = ", ".join(f"{x:.2f}" for x in contact["direction"])
     pulls = contact["pull_probability"]
-    known = "" if min(pulls, 1.0 - pulls) <= 0.05 else f", pull or push not known (pull {pulls:.2f})"
+    sense = "" if min(pulls, 1.0 - pulls) <= 0.05 else f"; pull or push is not known (pull {pulls:.2f})"
     return (
-        f"contact about ({place}) mm, give or take {contact['place_std_mm']:.0f} mm: surface moved by "
-        f"{contact['size_mm']:.1f} mm, {contact['force_mN']:.0f} mN at the believed modulus towards ({towards}){known}, "
-        f"probability {contact['probability']:.2f} of one somewhere there"
+        f"contact at ({place}) mm: surface moved by {contact['size_mm']:.1f} mm, {contact['force_mN']:.0f} mN at the "
+        f"believed modulus towards ({towards}), probability {contact['probability']:.2f} of one somewhere there, "
+        f"give or take {contact['place_std_mm']:.0f} mm{sense}"
     )
 
 

@@ -92,7 +92,8 @@ def _next(fit: ContactFit, slots: Any, left: BoolArray, drawn: FloatArray) -> tu
     """Return the contact around the most frequent patch among samples that remain, and which of them belong to it.
 
     `fit`: the fit; `slots` int64 (n_samples, n_slots): patch of each contact of each sample, -1 for none; `left` bool,
-    same shape: which of them belong to no found contact yet; `drawn`: as in `find_contacts`. Second result: bool, same shape.
+    same shape: which of them belong to no found contact yet; `drawn`: as in `find_contacts`. Second
+    result: bool, same shape.
     """
     patches = fit.columns.body.patches
     count = np.bincount(slots[left], minlength=patches.n_patches)
