@@ -157,6 +157,10 @@ class UnitWarning(UserWarning):
     """A number is implausible in its unit, and plausible in another."""
 
 
+class LostMarkerWarning(UserWarning):
+    """A measured place is no measurement, such as 0, 0, 0 or an old pose: the marker counts as not seen."""
+
+
 class LargeBodyWarning(UserWarning):
     """The memory that a mesh needs is more than half of the memory that the process may still take."""
 

@@ -41,9 +41,18 @@ def test_the_push_is_found_at_its_place_with_its_force(result):
     assert found.size_mm == pytest.approx(np.linalg.norm(truth.displacement[node]), rel=0.25)
 
 
+def test_the_place_of_the_push_is_stated_with_its_spread_and_that_it_pushes(result):
+    found, truth = result.contacts[0], push()
+    off = np.linalg.norm(found.centre_mm - truth.centre)
+    assert max(off / 2.0, 0.5 * found.radius_mm) < found.place_std_mm < 2.0 * found.radius_mm
+    assert found.sense == ("pull" if truth.force[2] > 0.0 else "push")
+    assert replace(found, pull_probability=0.3).sense == "pull or push"
+
+
 def test_contacts_are_plain_numbers_in_the_json(result):
     record = json.loads(json.dumps(result.to_json()))["contacts"]
-    assert set(record[0]) == {"centre_mm", "radius_mm", "direction", "size_mm", "force_mN", "probability"}
+    keys = {"centre_mm", "radius_mm", "direction", "size_mm", "force_mN", "probability"}
+    assert set(record[0]) == keys | {"place_std_mm", "pull_probability"}
     assert [entry["probability"] for entry in record] == sorted((e["probability"] for e in record), reverse=True)
 
 

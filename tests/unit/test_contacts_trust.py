@@ -68,6 +68,17 @@ def test_the_misfit_is_that_of_the_innovation_where_the_prior_has_a_part_in_it(r
     assert trust.chi_square == pytest.approx(misfit)
 
 
+def test_noise_that_is_stated_ten_times_too_small_is_named() -> None:
+    markers = push().markers()
+    places = markers.reference, markers.measured
+    assert not any(reason.startswith("noise: ") for reason in registered(tr.Markers(*places, 0.03)).trust.reasons)
+    rng = np.random.default_rng(3)
+    rough = markers.measured + 0.3 * rng.standard_normal(markers.measured.shape)
+    found = registered(tr.Markers(markers.reference, rough, 0.03))
+    assert any(reason.startswith("noise: ") for reason in found.trust.reasons)
+    assert registered(tr.Markers(markers.reference, rough, 0.3)).trust.ok
+
+
 def test_a_push_that_the_prior_of_contacts_cannot_make_takes_trust_though_markers_are_met() -> None:
     believed = tr.RegisterSettings().contacts
     narrow = replace(believed, sizes=believed.sizes[:1], background=(1e-6, 0.1), weight=(1e-6, 0.1), wrong_odds=1e-30)

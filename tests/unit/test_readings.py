@@ -166,3 +166,16 @@ def test_sets_of_points_that_are_remembered_are_as_those_that_are_new(event, mon
         assert np.array_equal(np.array([getattr(one, name) for one in alone]), getattr(again, name))
     foot = again.foot - sets
     assert np.allclose(np.abs(again.distance), np.linalg.norm(foot, axis=2), atol=1e-12)
+
+
+def test_exchanged_markers_are_put_back_and_said_once(event):
+    settings = tr.RegisterSettings(threads=1)
+    right = tr.register(event.mesh(), event.markers(), settings=settings)
+    measured = event.measured.copy()
+    measured[[1, 4]] = measured[[4, 1]]
+    found = tr.register(event.mesh(), event.but(measured=measured).markers(), settings=settings)
+    assert np.array_equal(found.displacement, right.displacement)
+    assert found.markers.dropped == right.markers.dropped
+    new = [reason for reason in found.trust.reasons if reason not in right.trust.reasons]
+    assert [reason[:9] for reason in new] == ["swapped: "]
+    assert new[0].endswith("they were put back")

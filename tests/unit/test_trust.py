@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from tissuereg.registration.trust import judge, judge_by_rehearsal
+from tissuereg.registration.trust import judge, judge_by_rehearsal, lone_motion
 
 NAMES = tuple(f"P{i}" for i in range(8))
 
@@ -66,6 +66,16 @@ def test_one_percent_is_shared_out_among_markers(share, trusted):
     trust = verdict(residual)
     assert trust.ok == trusted
     assert all(reason.startswith("wrong marker: P5 ") for reason in trust.reasons)
+
+
+@pytest.mark.parametrize(("alone", "near", "said"), [(15.0, 40.0, True), (7.0, 40.0, False), (15.0, 5.0, False)])
+def test_a_large_motion_that_one_marker_alone_reports_is_said_unless_a_neighbour_can_confirm_it(alone, near, said):
+    places = np.array([[0.0, 0.0, 0.0], [near, 0.0, 0.0], [0.0, 60.0, 0.0], [50.0, 50.0, 0.0]])
+    moved, std = np.array([alone, 2.0, 0.5, 1.0]), np.full(4, 0.1)
+    found = lone_motion(("A", "B", "C", "D"), places, moved, std, 100.0)
+    assert [reason[:13] for reason in found] == (["lone motion: "] if said else [])
+    assert lone_motion(("A", "B", "C", "D"), places, moved, 20.0 * std, 100.0) == []
+    assert lone_motion(("A",), places[:1], moved[:1], std[:1], 100.0) == []
 
 
 def test_components_that_were_not_seen_are_no_observations():

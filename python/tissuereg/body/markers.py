@@ -87,6 +87,13 @@ class Markers:
         """Measured minus reference place of each marker in mm, NaN where not measured, shape (n_markers, 3)."""
         return np.asarray(self.measured - self.reference)
 
+    def without(self, lost: Iterable[str]) -> "Markers":
+        """Return the markers with those of the names `lost` counted as not seen; itself if there are none."""
+        gone = np.isin(self.names, list(lost))
+        if not gone.any():
+            return self
+        return Markers(self.reference, np.where(gone[:, None], np.nan, self.measured), self.axis_std, self.names)
+
     def only(self, keep: Any) -> "Markers":
         """Return the markers selected by a mask or by indices.
 

@@ -265,9 +265,12 @@ def _marker_line(markers: dict[str, Any], start: str) -> str:
 def _contact_line(contact: dict[str, Any]) -> str:
     place = ", ".join(f"{x:.0f}" for x in contact["centre_mm"])
     towards = ", ".join(f"{x:.2f}" for x in contact["direction"])
+    pulls = contact["pull_probability"]
+    sense = "" if min(pulls, 1.0 - pulls) <= 0.05 else f"; pull or push is not known (pull {pulls:.2f})"
     return (
         f"contact at ({place}) mm: surface moved by {contact['size_mm']:.1f} mm, {contact['force_mN']:.0f} mN at the "
-        f"believed modulus towards ({towards}), probability {contact['probability']:.2f}"
+        f"believed modulus towards ({towards}), probability {contact['probability']:.2f} of one somewhere there, "
+        f"give or take {contact['place_std_mm']:.0f} mm{sense}"
     )
 
 

@@ -211,6 +211,7 @@ class _Tracked:
                 "targets": {name: target.to_json() for name, target in result.targets.items()},
                 "markers_rms_mm": result.markers.after_rms_mm,
                 "markers_used": len(result.markers.used),
+                "dropped": [{"marker": name, "reason": reason} for name, reason in result.markers.dropped],
                 "trust": {"ok": trust.ok, "p_value": trust.p_value, "reasons": list(trust.reasons)},
                 "latency_ms": 1e3 * frame.latency_s,
                 "skipped": frame.skipped,

@@ -1,7 +1,7 @@
 """Input of a registration, checked once: body, markers, surface points, targets, simulation and settings."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -16,8 +16,9 @@ from tissuereg.body.surface import SurfacePoints
 from tissuereg.errors import MarkerError, ShapeError, SurfaceError
 from tissuereg.registration.body import Body
 from tissuereg.registration.learned.variants import checked_variants
-from tissuereg.registration.readings import suspect
+from tissuereg.registration.readings import Suspicion, suspect
 from tissuereg.registration.readings.clouds import scattered, suspect_points
+from tissuereg.registration.readings.lost import lost as lost_markers
 from tissuereg.registration.readings.skin import skin_of
 from tissuereg.registration.settings import RegisterSettings
 
@@ -72,13 +73,15 @@ class MomentInput:
     `surface`: points measured on the surface, mm, or None, without a trained model only; `simulation`: displacement of
     the nodes at this moment by a simulation, (n_nodes, 3), mm, or `SimulationVariants`, or None; `after`: registration
     of a moment shortly before, whose contacts are the start of this one's search, or None, without a trained model
-    only.
+    only; `lost`: name of each marker whose measured place is no measurement, as the moments before tell, with the
+    reason.
     """
 
     markers: Markers
     surface: SurfacePoints | None = None
     simulation: Any = None
     after: "Registration | None" = None
+    lost: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,6 +106,12 @@ class RegisterInput:
         Sentences that say why the input may be misread, such as in other units or axes; empty if it is plausible.
     surface : SurfacePoints or None
         Points measured on the deformed surface, mm; None if there are none.
+    lost : mapping of str to str
+        Name of each marker whose measured place is no measurement, so that it counts as not seen, with the reason.
+    swap : Suspicion or None
+        A suspicion, among `suspicions`, that markers are exchanged, which is certain enough to put them back.
+    put_back : tuple of str
+        Sentence on markers that were exchanged in the input and are put back in `markers`.
     """
 
     body: Body
@@ -113,11 +122,39 @@ class RegisterInput:
     seed: int
     suspicions: tuple[str, ...]
     surface: SurfacePoints | None = None
+    lost: Mapping[str, str] = field(default_factory=dict)
+    swap: Suspicion | None = None
+    put_back: tuple[str, ...] = ()
 
     @property
     def mesh(self) -> Mesh:
         """Mesh of the undeformed body."""
         return self.body.mesh
+
+    @property
+    def notes(self) -> list[str]:
+        """Reasons against the answer that are known before anything is fitted."""
+        return [*self.put_back, *self.suspicions]
+
+    def why_unseen(self, marker: int) -> str:
+        """Return the reason why the marker of this number counts as not seen."""
+        return self.lost.get(self.markers.names[marker], "not seen")
+
+    def in_order(self) -> "RegisterInput":
+        """Return the input with the markers of `swap` put back; itself without one."""
+        if self.swap is None:
+            return self
+        markers, names, measured = self.markers, self.swap.markers, self.markers.measured.copy()
+        rows = [markers.names.index(name) for name in names]
+        measured[rows] = self.swap.measured
+        said = self.swap.sentence
+        return replace(
+            self,
+            markers=Markers(markers.reference, measured, markers.axis_std, markers.names),
+            suspicions=tuple(one for one in self.suspicions if one != said),
+            swap=None,
+            put_back=(f"{said}; they were put back",),
+        )
 
     @property
     def threads(self) -> int:
@@ -182,16 +219,14 @@ class Attachment:
         inner = TargetObservation(body.mesh, named("targets", targets, error=MarkerError))
         return cls(body, places, observed, inner, settings, seed)
 
-    def suspicions(self, markers: Markers) -> tuple[str, ...]:
-        """Return sentences that say why the input may be misread, such as in other units or axes; empty if plausible.
+    def suspicions(self, markers: Markers) -> list[Suspicion]:
+        """Return suspicions that the input is misread, such as in other units or axes; empty if it is plausible.
 
         `markers`: reference and measured places, mm. A motion of markers on held surface counts only if the body is
         surely held. See `tissuereg.registration.readings.suspect` for the cost.
         """
-        if not len(markers):
-            return ()
-        found = suspect(self.body.held_mesh, markers, self.observed)
-        return tuple(one.sentence for one in found if self.body.held == "sure" or one.kind != "held")
+        found = suspect(self.body.held_mesh, markers, self.observed) if len(markers) else []
+        return [one for one in found if self.body.held == "sure" or one.kind != "held"]
 
     @cached_property
     def astray(self) -> tuple[str, ...]:
@@ -204,11 +239,11 @@ class Attachment:
         """Whether `markers` have the names and reference places of the attached ones, so that it is valid for them."""
         return self.places.names == markers.names and np.array_equal(self.places.reference, markers.reference)
 
-    def measured(self, markers: Markers, surface: SurfacePoints | None = None, suspects: bool = True) -> RegisterInput:
-        """Return the checked input of the registration of one moment.
+    def measured(self, moment: MomentInput, *, suspects: bool = True) -> RegisterInput:
+        """Return the checked input of the registration of one moment, without markers that are lost.
 
-        `markers`: reference and measured places, mm; `surface`: points measured on the surface, mm, or None;
-        `suspects`: whether to examine the markers for misreadings, such as other units or axes.
+        `moment`: reference and measured places of markers, and points of the surface; `suspects`: whether to examine
+        the markers for misreadings, such as other units or axes.
 
         Raises
         ------
@@ -216,9 +251,14 @@ class Attachment:
             If no coordinate of a marker was seen and there are no points of the surface, or such points are in another
             unit or lie far from the body.
         """
-        suspicions = self.suspicions(markers) if suspects else ()
+        surface, lost = moment.surface, dict(moment.lost)
+        lost |= lost_markers(moment.markers.without(lost), self.mesh.extent)
+        markers = moment.markers.without(lost)
+        found = self.suspicions(markers) if suspects else []
+        suspicions = tuple(one.sentence for one in found)
         if surface is None and not np.isfinite(markers.measured).any():
             message = f"at least one marker must have been seen; all {len(markers)} are missing"
+            message += "".join(f"; {name} ({why})" for name, why in [*lost.items()][:3])
             raise MarkerError(message, where="markers")
         if surface is not None:
             suspicions = (*suspicions, *_points_suspected(self.mesh, surface, free=self.body.supports.moves))
@@ -231,6 +271,8 @@ class Attachment:
             self.seed,
             suspicions,
             surface,
+            lost,
+            next((one for one in found if one.measured is not None), None),
         )
 
 

@@ -1,6 +1,7 @@
 """Repeated registration of one body with the same markers and targets; what does not change is computed once."""
 
 import os
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -8,14 +9,14 @@ from typing import Any
 
 from threadpoolctl import ThreadpoolController
 
-from tissuereg._base.arguments import called, check_running, found, maybe
+from tissuereg._base.arguments import called, check_running, found, maybe, named
 from tissuereg._base.arrays import FloatArray, float_array
 from tissuereg._base.clock import Clock, Listener
 from tissuereg._base.provenance import call_text, note_origins, note_record, provenance_now, recorded
 from tissuereg.body.load import Load
 from tissuereg.body.markers import Markers
 from tissuereg.body.mesh import Mesh
-from tissuereg.errors import ArgumentError, MarkerError, ModelError, SupportError
+from tissuereg.errors import ArgumentError, LostMarkerWarning, MarkerError, ModelError, SupportError
 from tissuereg.registration.body import Body
 from tissuereg.registration.contacts.registration import ContactInput, register_by_contacts
 from tissuereg.registration.fallback import LARGEST, ElasticFallback
@@ -158,6 +159,7 @@ class Registrar:
         simulation: Any = None,
         *,
         after: Registration | None = None,
+        lost: Mapping[str, str] | None = None,
         progress: Listener | None = None,
     ) -> Registration:
         """Register the body at one moment to the measured places of its markers.
@@ -174,6 +176,9 @@ class Registrar:
             Registration of a moment shortly before, by this registrar; without a model only. The search for contacts
             begins with its contacts, and the fitted stiffness of doubtful supports and of a graded body is kept and not
             fitted again.
+        lost : mapping of str to str, optional
+            Names of markers whose measured places are no measurements, each with the reason, which is that of the
+            result's `markers.dropped`. Those that can be told from this moment alone are found without it.
         progress : callable of Progress, optional
             Called when a stage begins and when an iteration is finished, as in `register`.
 
@@ -208,7 +213,8 @@ class Registrar:
         clock = Clock(progress)
         with clock.stage("total"):
             before = maybe("after", after, Registration)
-            return self.registered(MomentInput(measured_mm, None, simulation, before), clock)
+            gone = _lost(lost, places)
+            return self.registered(MomentInput(measured_mm, None, simulation, before, gone), clock)
 
     def made_for(self, markers: Markers) -> "Registrar":
         """Return a registrar for `markers` on the same body; itself if names and reference places are its own."""
@@ -247,7 +253,7 @@ class Registrar:
             result, start = self._answer(moment, clock)
             made = provenance_now()
         # Not the moment itself: it holds the one before, and so on to the first.
-        markers, used = moment.markers, result.markers.used
+        markers, used = result.all_markers, result.markers.used
         return replace(result, linear=lambda: self._linear(markers, used, start), provenance=made)
 
     def _call(self, moment: MomentInput) -> str:
@@ -306,42 +312,33 @@ class Registrar:
         with clock.stage("attach"):
             always = self._examines and (moment.after is None or self._points is not None)
             examined = always or not self._plausible
-            given = self._attached.measured(moment.markers, moment.surface, examined)
+            given = self._attached.measured(moment, suspects=examined)
             self._plausible = self._plausible or not given.suspicions
-        if self._points is None:
-            result: Registration = register_by_contacts(given, ContactInput(self._load, field), clock, moment.after)
-            return result if examined else self._judged(result, moment.markers, clock)
-        if not given.suspicions and self._attached.astray:
-            given = replace(given, suspicions=self._attached.astray)
-        return self._by_model(self._points, given, field, varied, clock, examined=examined)
+        for name, why in given.lost.items():
+            warnings.warn(f"marker {name} counts as not seen: {why}", LostMarkerWarning, stacklevel=2)
 
-    def _by_model(
-        self,
-        points: PointModel,
-        given: RegisterInput,
-        field: FloatArray | None,
-        varied: Variants | None,
-        clock: Clock,
-        *,
-        examined: bool,
-    ) -> Registration:
-        """Return the registration of one moment with a trained model.
+        def fitted(given: RegisterInput) -> Registration:
+            if self._points is None:
+                return register_by_contacts(given, ContactInput(self._load, field), clock, moment.after)
+            if not given.suspicions and self._attached.astray:
+                given = replace(given, suspicions=self._attached.astray)
+            return register_by_model(given, self._points, field, clock, varied)
 
-        `points`: the model restricted to markers and targets; `given`: checked input; `field` (n_nodes, 3) or None:
-        simulated displacement, mm; `varied`: variants of the simulation, or None; `clock`: records the times of stages;
-        `examined`: whether the markers were examined for misreadings, such as other units. If they were not, they are
-        now if the result is not trusted.
-        """
-        result = register_by_model(given, points, field, clock, varied)
-        return result if examined else self._judged(result, given.markers, clock)
-
-    def _judged(self, result: Registration, markers: Markers, clock: Clock) -> Registration:
-        """Return `result`; if it is not trusted, suspicions that `markers` are misread precede its reasons."""
-        if result.trust.ok:
+        result = None if given.swap else fitted(given)
+        if result is not None and (examined or result.trust.ok):
             return result
-        with clock.stage("judge"):
-            reasons = [*self._attached.suspicions(markers), *result.trust.reasons]
-            return replace(result, trust=replace(result.trust, reasons=reasons))
+        if not examined:
+            with clock.stage("judge"):
+                given = self._attached.measured(moment)
+        if given.swap is not None:
+            # The exchange is certain if mechanics agree: the markers fit where they were put back.
+            again = fitted(given.in_order())
+            if set(given.swap.markers) <= set(again.markers.used):
+                return again
+        if result is None:
+            return fitted(given)
+        new = [one for one in given.suspicions if one not in result.trust.reasons]
+        return replace(result, trust=replace(result.trust, reasons=[*new, *result.trust.reasons]))
 
     def _linear(self, markers: Markers, used: tuple[str, ...], start: FloatArray | None) -> Fallback | None:
         """Return the linear elastic estimate of displacement and target places, in mm, at one moment.
@@ -362,6 +359,16 @@ class Registrar:
             return ElasticFallback.of(own.mesh, own.body.material, own.places, own.targets, own.settings.threads)
         except SupportError:
             return None
+
+
+def _lost(lost: Any, places: Markers) -> Mapping[str, str]:
+    """Return reasons by marker after checking that all are of `places`; raise `MarkerError` if one is not."""
+    given = named("lost", lost, error=MarkerError)
+    for name in given:
+        if name not in places.names:
+            message = f"`lost` must name markers that the registrar was made for, got {found(name)}"
+            raise MarkerError(message, where="lost")
+    return given
 
 
 @dataclass(frozen=True, eq=False)

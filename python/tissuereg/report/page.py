@@ -94,6 +94,7 @@ def _contacts(result: "Registration") -> str:
             (
                 contact_verb(contact, surface.normals[node]),
                 _triple(contact.centre_mm, 1),
+                f"{contact.place_std_mm:.0f}",
                 f"{contact.radius_mm:.1f}",
                 _triple(contact.direction),
                 f"{contact.size_mm:.1f}",
@@ -104,11 +105,12 @@ def _contacts(result: "Registration") -> str:
     head = (
         "",
         "centre on the undeformed surface, mm",
+        "its standard deviation, mm",
         "radius, mm",
         "direction of the force on the body",
         "surface moved, mm",
         "force at the believed modulus, mN",
-        "probability",
+        "probability of one somewhere there",
     )
     return _section("Contacts", head, rows)
 

@@ -240,7 +240,7 @@ def _signs(result: "Registration") -> list[tuple[str, str, dict[str, Any]]]:
     reasons = {reason for _, reason in result.markers.dropped}
     if "wrong" in reasons:
         signs.append(("wrong marker, not used", scene.WRONG, {"marker": "X", "ms": 8}))
-    if "not seen" in reasons:
+    if reasons - {"wrong"}:
         signs.append(("not seen: where it must be", "dimgray", {"marker": "$?$", "ms": 7}))
     if scene.contacts_of(result):
         signs.append(("contact: force on the body", scene.CONTACT, {"marker": r"$\rightarrow$", "ms": 12}))

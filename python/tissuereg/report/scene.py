@@ -81,7 +81,12 @@ def surface_of(result: "Registration") -> "SurfaceFit | None":
 
 
 def contact_verb(contact: "FoundContact", normal: FloatArray) -> str:
-    """Return "pull", "push" or "sideways" by the angle between a contact's force and the outward normal (3,)."""
+    """Return "pull", "push" or "sideways" by the angle between a contact's force and the outward normal (3,).
+
+    "pull or push" where that is not known.
+    """
+    if contact.sense == "pull or push":
+        return contact.sense
     along = float(contact.direction @ normal)
     return "pull" if along > 0.5 else "push" if along < -0.5 else "sideways"
 
@@ -176,7 +181,7 @@ def draw_contacts(view: View, result: "Registration", surface: Surface) -> None:
         if faint == 1.0:
             text = (
                 f"{contact_verb(contact, normal)}: {contact.size_mm:.1f} mm, {contact.force_mN:,.0f} mN\n"
-                f"probability {contact.probability:.2f}"
+                f"probability {contact.probability:.2f} within about {contact.place_std_mm:.0f} mm"
             )
             view.labels.append(Label(centre, text, CONTACT))
         view.keep_clear += [tail + share * arrow for share in np.linspace(0.0, 1.0, 7)]

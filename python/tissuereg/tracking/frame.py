@@ -113,6 +113,15 @@ class Layout:
         targets = [result.targets[name].mean - result.targets[name].reference for name in self.attached.targets.names]
         return np.concatenate([self._of_markers(field).ravel(), np.ravel(targets), field.ravel()])
 
+    def on_body(self, result: Registration) -> tuple[FloatArray, FloatArray]:
+        """Return the registered places of all markers (n_markers, 3), and the spread of those not used (n_markers,).
+
+        Both in mm; of the markers that were used the spread is zero.
+        """
+        names = result.all_markers.names
+        spread = [np.sqrt(np.trace(result.unseen[name].covariance)) if name in result.unseen else 0.0 for name in names]
+        return result.all_markers.reference + self._of_markers(result.displacement), np.array(spread)
+
     def change(self, field: FloatArray) -> FloatArray:
         """Return a field (n_nodes, 3), mm, as the displacement of markers, targets and nodes, flat (n_values,), mm."""
         inner = self.attached.targets

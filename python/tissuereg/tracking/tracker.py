@@ -9,6 +9,7 @@ import numpy as np
 
 from tissuereg._base.arguments import called, check_choice, each, flag, found, real
 from tissuereg._base.arrays import FloatArray, float_array
+from tissuereg.body.markers import Markers
 from tissuereg.body.mesh import Mesh
 from tissuereg.errors import ArgumentError, ConvergenceError, EnsembleError, MarkerError, TissueRegError
 from tissuereg.registration.body import Body
@@ -19,6 +20,7 @@ from tissuereg.tracking.frame import Inbox, Layout, MeasuredFrame, TrackedFrame
 from tissuereg.tracking.physics import Physics, as_physics
 from tissuereg.tracking.restart import RESTARTS, Lineage, Restart, SimulatedFrame
 from tissuereg.tracking.temporal import TemporalPrior
+from tissuereg.tracking.watch import Watch
 
 #: Errors of one frame that leave the tracker as it was: no marker was seen, or no equilibrium or ensemble was found.
 CANNOT_BE_REGISTERED = (MarkerError, ConvergenceError, EnsembleError)
@@ -135,6 +137,7 @@ class Tracker:
         """Forget all frames, so that the next one is a first one; the count of dropped frames stays."""
         self._prior = TemporalPrior(self._noise_mm**2)
         self._lineage = Lineage(self._noise_mm)
+        self._watch = Watch(self._registrar.markers)
         self._last: TrackedFrame | None = None
         if self._restart is not None:
             self._restart.reset()
@@ -275,7 +278,12 @@ class Tracker:
         simulated = self._simulated(actuator)
         field = None if simulated is None else finite_field(simulated.field, self._registrar.mesh)
         after = self._last.alone if self._last is not None and self._registrar.by_contacts else None
-        alone = self._registrar.register(frame.measured_mm, self._varied(actuator, field), after=after)
+        measured, lost = self._measured(frame), dict[str, str]()
+        if measured is not None:
+            lost = self._watch.lost(measured, time_s)
+        alone = self._registrar.register(frame.measured_mm, self._varied(actuator, field), after=after, lost=lost)
+        if measured is not None:
+            self._watch.registered(measured, time_s, lost, alone.all_markers, self._layout.on_body(alone))
         result, gain = self._combined(alone, simulated, elapsed)
         widening = self._lineage.widening(self._layout.variance(alone), simulated)
         result = self._layout.widened(result, widening)
@@ -286,6 +294,12 @@ class Tracker:
             if moved_on and not self._lineage.goes_on(self._layout.variance(alone), simulated):
                 self._restart.renew()
         return self._last
+
+    def _measured(self, frame: MeasuredFrame) -> FloatArray | None:
+        """Return the measured places (n_markers, 3) of a frame, mm; None if they are not those of these markers."""
+        given = frame.measured_mm
+        places = given.measured if isinstance(given, Markers) else float_array("measured_mm", given, (None, 3))
+        return places if len(places) == len(self._registrar.markers) else None
 
     def _varied(self, actuator: Any, field: FloatArray | None) -> SimulationVariants | FloatArray | None:
         """Return a frame's simulated `field` (n_nodes, 3), mm, with those by variants of the simulator, if any."""

@@ -8,6 +8,7 @@ from tissuereg._base.arrays import FloatArray, IntArray
 from tissuereg._base.clock import Clock
 from tissuereg.body.mesh import det_f
 from tissuereg.registration.contacts.draws import Draws, NodesOfContacts
+from tissuereg.registration.contacts.evidence import log_noise_odds
 from tissuereg.registration.contacts.fit import ContactFit
 from tissuereg.registration.contacts.found import find_contacts
 from tissuereg.registration.contacts.measured import MarkerData
@@ -18,7 +19,7 @@ from tissuereg.registration.contacts.surface_fit import SurfaceFit
 from tissuereg.registration.contacts.surface_points import PointData
 from tissuereg.registration.inputs import RegisterInput, rms_length
 from tissuereg.registration.result import NO_MARKER, MarkerFit, Target
-from tissuereg.registration.trust import LEVEL, Trust, judge
+from tissuereg.registration.trust import LEVEL, NOISY, Trust, judge, lone_motion
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,6 +81,10 @@ class Answer:
     draw: Draws
     surface: SurfaceFit | None
 
+    def drawn(self) -> FloatArray:
+        """Return coefficients of the causes drawn from the posterior, one draw a sample, (n_samples, n_columns), mm."""
+        return self.draw.spread.coefficients(np.random.default_rng([self.given.seed, 10]), len(self.fit.samples[0]))
+
     def registration(self, clock: Clock) -> ContactRegistration:
         """Return the result that a user receives: registered displacement, uncertainty, contacts and tests of trust.
 
@@ -101,7 +106,7 @@ class Answer:
             unseen={names[i]: target for i, target in zip(lost, unseen, strict=True)},
             markers=MarkerFit(
                 used=tuple(names[i] for i in used),
-                dropped=tuple((names[i], "wrong" if some[i] else "not seen") for i in lost),
+                dropped=tuple((names[i], "wrong" if some[i] else self.given.why_unseen(int(i))) for i in lost),
                 before_rms_mm=rms_length(markers.displacement[used] - start_displacement[used]),
                 after_rms_mm=rms_length(markers.displacement[used] - fitted[used]),
                 residual_mm={names[i]: markers.displacement[i] - fitted[i] for i in used},
@@ -117,7 +122,7 @@ class Answer:
             seconds=clock.seconds,
             settings=given.settings,
             seed=given.seed,
-            contacts=find_contacts(fit, given.settings.contacts.report),
+            contacts=find_contacts(fit, given.settings.contacts.report, self.drawn()),
             work=dict(fit.counters),
             forces=_forces(fit),
             draw=self.draw,
@@ -193,15 +198,33 @@ class Answer:
         model = (settings.model_error * moved) ** 2 + (settings.local_error * local) ** 2
         return np.asarray(self.given.markers.axis_std**2 + model[:, None])
 
+    def _scatter(self) -> list[str]:
+        """Return a list with the sentence that the noise is larger than stated, if the markers surely say so.
+
+        Where there are so many observations that they are projected, the misfit tells it.
+        """
+        markers, problem = self.given.markers, self.fit.observations
+        marker, axis = np.nonzero(np.isfinite(markers.measured))
+        if not problem.groups or len(marker) != len(problem.innovation):
+            return []
+        kept = np.isin(marker, self.known.used)
+        tracker = (markers.axis_std**2)[marker, axis][kept]
+        evidence = self.given.settings.contacts.evidence
+        odds = log_noise_odds(self.fit, problem.only(kept), tracker, evidence) if kept.any() else 0.0
+        return [NOISY] if odds > -np.log(LEVEL) else []
+
     def _trust(self, unseen: list[Target], min_det_f: float) -> Trust:
         used = self.known.used
         given, fit, markers, surface = self.given, self.fit, self.given.markers, self.surface
-        notes = [*given.suspicions, *self._wrong(unseen)]
-        notes += [] if surface is None else surface.reasons(given.settings.contacts.report)
+        notes = [*given.notes, *self._wrong(unseen)]
+        notes += self._scatter() if surface is None else surface.reasons(given.settings.contacts.report)
         points = (0.0, 0) if surface is None else (surface.misfit, surface.used)
         residual = markers.displacement[used] - self._of_markers(self.known.displacement)[used]
         moved = MarkerData(given.observed, markers, given.settings.contacts.model_error).moved(fit.state.frame)
         variance = self._residual_variance(moved)[used].ravel()
+        if surface is None:
+            places, std = markers.reference[used], markers.std[used]
+            notes += lone_motion(tuple(markers.names[i] for i in used), places, moved[used], std, given.mesh.extent)
         # Wrong markers were detected with the contacts; here each residual is compared with its noise alone.
         spread = np.zeros((3 * len(used), 3 * len(used)))
         names = tuple(markers.names[i] for i in used)

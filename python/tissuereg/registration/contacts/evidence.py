@@ -12,9 +12,11 @@ import numpy as np
 from tissuereg._base.arrays import FloatArray
 from tissuereg.registration.contacts.columns import Columns
 from tissuereg.registration.contacts.condensed import Condensed
-from tissuereg.registration.contacts.fit import Passes, start_of
+from tissuereg.registration.contacts.fit import ContactFit, Passes, start_of
+from tissuereg.registration.contacts.observations import LinearObservations
 from tissuereg.registration.contacts.settings import EvidenceSettings
 from tissuereg.registration.contacts.state import RigidMotion
+from tissuereg.registration.trust import NOISE_FACTORS
 
 
 def log_evidence(passes: Passes, frame: RigidMotion) -> float:
@@ -28,6 +30,30 @@ def log_evidence(passes: Passes, frame: RigidMotion) -> float:
     settings = passes.settings.evidence
     parts = _parts(passes.columns, problem.responses, settings)
     return _best_over_sizes(problem.innovation, np.diag(problem.variances), parts, settings)
+
+
+def log_noise_odds(
+    fit: ContactFit, problem: LinearObservations, tracker: FloatArray, settings: EvidenceSettings
+) -> float:
+    """Return by how much the markers speak for larger noise than stated: the largest log ratio of evidences.
+
+    `fit`: the contacts that were found; `problem`: observations of markers about the body that was found, mm; `tracker`
+    (n_obs,): the tracker's part of their variances, mm^2, which is compared with `NOISE_FACTORS`^2 times as much;
+    `settings`: sizes that are tried. Less the logarithm of the number of factors, so that it exceeds x with a chance of
+    at most exp(-x) if the noise is as stated (A. A. Markov). Contacts, those found and others anywhere, are the rival
+    explanation: where loads can explain the markers it is negative.
+    """
+    slots = np.asarray(fit.samples[0])[:, :, 0]
+    count = np.bincount(slots[slots >= 0], minlength=fit.columns.n_patches) / max(len(slots), 1)
+    own = problem.responses[:, : 3 * len(count)]
+    parts = _parts(fit.columns, problem.responses, settings)
+    if count.any():
+        parts.append(((own * np.repeat(count, 3)) @ own.T, *parts[0][1:]))
+    logs = [
+        _best_over_sizes(problem.innovation, np.diag(problem.variances + (factor**2 - 1.0) * tracker), parts, settings)
+        for factor in (1.0, *NOISE_FACTORS)
+    ]
+    return max(logs[1:]) - logs[0] - float(np.log(len(NOISE_FACTORS)))
 
 
 @dataclass(frozen=True)
@@ -113,23 +139,29 @@ def _best_over_sizes(
     mm^2; `parts`: for each part its covariance (n_obs, n_obs), mm^2, candidate factors on it and log priors (n_sizes,).
     """
     levels = [int(np.argmin(np.abs(np.log(factors)))) for _, factors, _ in parts]
-    total = noise + sum(part[0] * part[1][level] for part, level in zip(parts, levels, strict=True))
-    best = -np.inf
+    best = last = -np.inf
     for _ in range(settings.rounds):
         before = best
         for index, (covariance, factors, log_prior) in enumerate(parts):
-            rest = total - factors[levels[index]] * covariance
-            values = np.array([_log_normal(innovation, rest + factor * covariance) for factor in factors]) + log_prior
-            levels[index] = int(np.argmax(values))
-            total = rest + factors[levels[index]] * covariance
-        best = _log_normal(innovation, total) + sum(float(p[2][i]) for p, i in zip(parts, levels, strict=True))
+            others = [f[i] * c for k, ((c, f, _), i) in enumerate(zip(parts, levels, strict=True)) if k != index]
+            values = _log_normals(innovation, noise + sum(others), covariance, factors)
+            levels[index] = int(np.argmax(values + log_prior))
+            last = float(values[levels[index]])
+        best = last + sum(float(p[2][i]) for p, i in zip(parts, levels, strict=True))
         if best - before < settings.least_gain:
             break
     return best
 
 
-def _log_normal(innovation: FloatArray, covariance: FloatArray) -> float:
-    """Return log N(innovation; 0, covariance) up to a constant, of an innovation (n_obs,), mm, and covariance, mm^2."""
-    factor = np.linalg.cholesky(covariance)
-    white = np.linalg.solve(factor, innovation)
-    return -0.5 * float(white @ white) - float(np.log(np.diag(factor)).sum())
+def _log_normals(innovation: FloatArray, rest: FloatArray, covariance: FloatArray, factors: FloatArray) -> FloatArray:
+    """Return log N(innovation; 0, rest + factor covariance) up to a constant for each of some factors, (n_factors,).
+
+    `innovation` (n_obs,), mm; `rest`, `covariance` (n_obs, n_obs), mm^2. One decomposition serves all factors.
+    """
+    factor = np.linalg.cholesky(rest)
+    half = np.linalg.solve(factor, covariance)
+    values, vectors = np.linalg.eigh(np.linalg.solve(factor, half.T))
+    white = vectors.T @ np.linalg.solve(factor, innovation)
+    spread = 1.0 + np.multiply.outer(factors, np.maximum(values, 0.0))
+    logs = (white**2 / spread + np.log(spread)).sum(axis=1)
+    return np.asarray(-0.5 * logs - np.log(np.diag(factor)).sum())

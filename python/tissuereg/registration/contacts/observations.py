@@ -11,11 +11,11 @@ than sqrt(s) standard deviations. The projection has the identity as noise covar
 reused in later passes with the same points, so that only the sensitivities of the projection are needed there.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tissuereg._base.arrays import FloatArray, IntArray
+from tissuereg._base.arrays import BoolArray, FloatArray, IntArray
 from tissuereg.registration.contacts.columns import Columns, contact_sizes
 from tissuereg.registration.contacts.measured import Observations
 from tissuereg.registration.contacts.settings import MATCHING, ContactSettings
@@ -39,6 +39,18 @@ class LinearObservations:
     groups: list[list[int]]
     rows: list[tuple[IntArray, FloatArray]]
     dropped_signal: float = 0.0
+
+    def only(self, kept: BoolArray) -> "LinearObservations":
+        """Return those observations that are kept, bool (n_obs,), without groups."""
+        rows = [row for row, one in zip(self.rows, kept, strict=True) if one]
+        return replace(
+            self,
+            responses=self.responses[kept],
+            innovation=self.innovation[kept],
+            variances=self.variances[kept],
+            groups=[],
+            rows=rows,
+        )
 
 
 @dataclass(frozen=True, eq=False)

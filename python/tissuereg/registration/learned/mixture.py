@@ -20,15 +20,13 @@ import numpy as np
 from tissuereg import _core
 from tissuereg._base.arrays import FloatArray, IntArray
 from tissuereg.registration.learned.components import probabilities
+from tissuereg.registration.trust import NOISE_FACTORS
 
 #: Pairs of component and scale that are less probable than this share of the most probable one are left out of a mean.
 _NEGLIGIBLE = 1e-4
 
 #: Share of the most probable pair below which another linearisation makes no pair count.
 HOPELESS = 1e-12
-
-#: Standard deviations of the tracker's noise over the stated ones, with which the stated ones are compared.
-NOISE_FACTORS = (3.0, 10.0)
 
 
 @dataclass(frozen=True, eq=False)

@@ -116,7 +116,7 @@ def _result(
     start = observed.predict(before[observed.nodes])
     residual = markers.displacement[seen] - posterior.marker_mean[seen]
     ratios = posterior.ratios
-    notes = list(given.suspicions)
+    notes = given.notes
     for i, chance in surely.items():
         notes.append(f"wrong marker: {markers.names[i]} does not fit the others (p = {chance:.1g}) and was left out")
     if simulation is not None:
@@ -155,7 +155,7 @@ def _result(
         },
         markers=MarkerFit(
             used=tuple(markers.names[i] for i in seen),
-            dropped=tuple((markers.names[i], "wrong" if i in wrong else "not seen") for i in unseen),
+            dropped=tuple((markers.names[i], "wrong" if i in wrong else given.why_unseen(int(i))) for i in unseen),
             before_rms_mm=rms_length(markers.displacement[seen] - start[seen]),
             after_rms_mm=rms_length(residual),
             residual_mm={markers.names[i]: row for i, row in zip(seen, residual, strict=True)},

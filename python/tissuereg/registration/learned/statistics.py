@@ -6,8 +6,9 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.registration.learned.calibration import Calibration
-from tissuereg.registration.learned.mixture import HOPELESS, NOISE_FACTORS, Component, Evidence, log_noise_odds
+from tissuereg.registration.learned.mixture import HOPELESS, Component, Evidence, log_noise_odds
 from tissuereg.registration.learned.smoother import Screening
+from tissuereg.registration.trust import NOISE_FACTORS
 
 #: Markers whose fit to the others is found anew without a simulation: those that fit worst at first.
 _CANDIDATES = 3

@@ -51,9 +51,16 @@ def repeated(markers: Markers, extent: float) -> list[tuple[int, int, str]]:
 
 
 def _step(markers: Markers) -> float:
-    """Return the coarsest step of 10, 1, 0.1, ... mm of which all coordinates are multiples; at least `finest_mm`."""
-    values: FloatArray = np.concatenate([markers.reference.ravel(), markers.measured.ravel()])
-    values = values[np.isfinite(values)]
+    """Return the step of all coordinates of the markers, reference and measured, mm; see `step_of`."""
+    return step_of(np.concatenate([markers.reference, markers.measured]))
+
+
+def step_of(places: FloatArray) -> float:
+    """Return the coarsest step of 10, 1, 0.1, ... mm of which all coordinates are multiples; at least `finest_mm`.
+
+    `places` (n, 3): mm; NaN is ignored.
+    """
+    values = places[np.isfinite(places)]
     step = 10.0
     while step > CHECKS.finest_mm * 1.5:
         if np.all(np.abs(values / step - np.round(values / step)) < 1e-7 * np.maximum(np.abs(values / step), 1.0)):

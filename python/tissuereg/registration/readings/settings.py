@@ -226,6 +226,14 @@ class MarkerChecks:
         Fewest markers whose distances from the surface are tested.
     finest_mm : float
         Finest step of numbers that came through text or single precision, mm.
+    at_rest : float
+        Standard deviations of the noise within which a marker is where it was.
+    farthest : float
+        Extents that no body brings a marker away from the middle of all.
+    fewest_moving : int
+        Fewest markers of which the middle is meaningful.
+    fewest_together : int
+        Markers at one measured place that are lost; two are a marker that is listed twice.
     """
 
     near_share: float = 0.01
@@ -237,6 +245,10 @@ class MarkerChecks:
     level: float = 1e-3
     fewest: int = 5
     finest_mm: float = 1e-6
+    at_rest: float = 4.0
+    farthest: float = 10.0
+    fewest_moving: int = 3
+    fewest_together: int = 3
 
 
 @dataclass(frozen=True)

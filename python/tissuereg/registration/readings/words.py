@@ -13,7 +13,7 @@ from tissuereg.registration.readings.weigh import Weighed
 _MOST_DIGITS = 9
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Suspicion:
     """One reason to suspect that the input is misread.
 
@@ -26,11 +26,14 @@ class Suspicion:
         The reason; it starts with the kind.
     markers : tuple of str
         Names of the markers concerned; empty = all.
+    measured : ndarray of float64, shape (n, 3), or None
+        Measured places of these markers in their right order, mm, if that they were exchanged is certain.
     """
 
     kind: str
     sentence: str
     markers: tuple[str, ...] = ()
+    measured: FloatArray | None = None
 
 
 def explained(plain: Weighed, best: Weighed, others: Sequence[Weighed], names: tuple[str, ...]) -> Suspicion:
@@ -48,13 +51,18 @@ def explained(plain: Weighed, best: Weighed, others: Sequence[Weighed], names: t
         )
     if reading.places is plain.reading.places or best.of_motion > plain.of_motion + 3.0:
         facts.append(f"the markers then move by {_size(best.motion)} mm instead of {_size(plain.motion)} mm")
+    rivals = [w for w in others if not np.array_equal(w.reading.motion, reading.motion, equal_nan=True)]
     ties = sorted(
-        (w for w in others if w.total > best.total - COSTS.tie and w is not best and w.reading.kind == reading.kind),
+        (w for w in rivals if w.total > best.total - COSTS.tie and w.reading.kind == reading.kind),
         key=lambda w: -w.total,
     )
     also = f"; as good: {ties[0].reading.words}" if ties else ""
     sentence = f"{reading.kind}: {reading.words} fit better: {' and '.join(facts)} ({_odds(best, plain)}){also}"
-    return Suspicion(reading.kind, sentence, tuple(names[i] for i in reading.rows))
+    rows, measured = list(reading.rows), None
+    next_best = max([plain.total + COSTS.margin, *(w.total for w in rivals)])
+    if reading.kind == "swapped" and best.total > next_best + COSTS.margin:
+        measured = (reading.places + reading.motion)[rows]
+    return Suspicion(reading.kind, sentence, tuple(names[i] for i in rows), measured)
 
 
 def far(names: Sequence[str], distance: Sequence[float], extent: float) -> Suspicion:
