@@ -1,7 +1,6 @@
 """Repeated registration of one body with the same markers and targets; what does not change is computed once."""
 
 import os
-import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -12,7 +11,7 @@ from threadpoolctl import ThreadpoolController
 from tissuereg._base.arguments import called, check_running, found, maybe, named
 from tissuereg._base.arrays import FloatArray, float_array
 from tissuereg._base.clock import Clock, Listener
-from tissuereg._base.provenance import call_text, note_origins, note_record, provenance_now, recorded
+from tissuereg._base.provenance import call_text, note_origins, note_record, provenance_now, recorded, warn
 from tissuereg.body.load import Load
 from tissuereg.body.markers import Markers
 from tissuereg.body.mesh import Mesh
@@ -315,7 +314,7 @@ class Registrar:
             given = self._attached.measured(moment, suspects=examined)
             self._plausible = self._plausible or not given.suspicions
         for name, why in given.lost.items():
-            warnings.warn(f"marker {name} counts as not seen: {why}", LostMarkerWarning, stacklevel=2)
+            warn(f"marker {name} counts as not seen: {why}", LostMarkerWarning)
 
         def fitted(given: RegisterInput) -> Registration:
             if self._points is None:
