@@ -8,7 +8,7 @@ import numpy as np
 
 from tissuereg._base.arguments import check_choice
 from tissuereg._base.arrays import FloatArray, IntArray, index_array
-from tissuereg.body.mesh import Mesh
+from tissuereg.body.mesh import Mesh, free_triangles
 from tissuereg.errors import SupportError
 from tissuereg.registration.contacts.settings import DISCRETISATION
 
@@ -51,16 +51,20 @@ class Supports:
 
         `mesh`: its node sets ``fixed`` and ``perhaps_fixed`` are used; a mesh without either is free; `held` {"sure",
         "perhaps", "free"}: whether the nodes ``fixed`` are surely held, perhaps held or not held; `held_nodes`: node
-        numbers instead of the set ``fixed``. Raises `SupportError` if `held` is none of these or a node does not exist.
+        numbers instead of the set ``fixed``. Raises `SupportError` if `held` is none of these or a node does not exist;
+        `MeshError` if no part of the surface is left that can move.
         """
         check_choice("held", held, HELD, SupportError)
         none = np.empty(0, np.int64)
         fixed = mesh.node_sets.get("fixed", none) if held_nodes is None else _held(mesh, held_nodes)
         perhaps = mesh.node_sets.get(PERHAPS, none)
         if held == "perhaps":
-            return cls(none, np.union1d(fixed, perhaps))
-        sure = fixed if held == "sure" else none
-        return cls(np.asarray(sure, np.int64), np.setdiff1d(perhaps, sure))
+            found = cls(none, np.union1d(fixed, perhaps))
+        else:
+            sure = fixed if held == "sure" else none
+            found = cls(np.asarray(sure, np.int64), np.setdiff1d(perhaps, sure))
+        free_triangles(mesh, np.union1d(found.sure, found.perhaps))  # refuses a body that cannot move
+        return found
 
 
 def _held(mesh: Mesh, nodes: Any) -> IntArray:
