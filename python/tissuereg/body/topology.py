@@ -26,6 +26,7 @@ def sound_mesh(
     nodes: Any,
     tets: Any,
     node_sets: Mapping[str, Any],
+    frame: str | None = None,
     *,
     coincident: str = "certain",
     pieces: IntArray | None = None,
@@ -44,6 +45,8 @@ def sound_mesh(
         Node indices of every tet.
     node_sets : mapping of str to array_like of int
         Node indices by name.
+    frame : {"LPS", "RAS"}, optional
+        Declared patient frame of the coordinates.
     coincident : {"certain", "join", "keep"}
         Whether nodes at one place are joined where that is certain, all of them, or none.
     pieces : ndarray of int64, shape (n,), optional
@@ -67,7 +70,7 @@ def sound_mesh(
     """
     check_choice("coincident", coincident, COINCIDENT, MeshError)
     points, cells = float_array("nodes", nodes, (None, 3)), index_array("tets", tets, (None, 4))
-    mesh = Mesh(points, _right_handed(points, cells, place), node_sets)
+    mesh = Mesh(points, _right_handed(points, cells, place), node_sets, frame)
     rows = np.arange(mesh.n_nodes)
     if coincident != "keep":
         mesh, rows = _joined(mesh, coincident == "join", pieces, place)

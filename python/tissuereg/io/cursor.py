@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from tissuereg.errors import FormatError
 
-_BLANK = b" \t\r\n\f\v"
+_IS_BLANK = np.isin(np.arange(256), np.frombuffer(b" \t\r\n\f\v", np.uint8))
 _WORD = re.compile(rb"\s*(\S*)")
 
 
@@ -73,7 +73,7 @@ class Cursor:
 
     def _text(self, dtype: str, count: int) -> npt.NDArray[Any]:
         if self._starts is None:  # of every word, once
-            blank = np.isin(np.frombuffer(b" " + self.data, np.uint8), np.frombuffer(_BLANK, np.uint8))
+            blank = _IS_BLANK[np.frombuffer(b" " + self.data, np.uint8)]
             self._starts = np.flatnonzero(blank[:-1] & ~blank[1:])
         first = int(np.searchsorted(self._starts, self.at))
         left = len(self._starts) - first

@@ -80,6 +80,9 @@ class _Reader:
             "Elements": self._elements_4 if self._version >= 4 else self._elements_2,
             "NodeData": self._node_data,
         }
+        if name == "ParametricNodes":
+            message = "nodes must have no parameters of curves and surfaces: save the file without them"
+            raise FormatError(message)
         return self._entities if name == "Entities" and self._version >= 4 else known.get(name)
 
     def _skip_to_end(self, name: str) -> None:
@@ -164,47 +167,44 @@ class _Reader:
             self._elements.append((self._groups.get((dimension, entity), []), number, rows[:, 1:].astype(np.int64)))
 
     def _elements_2(self) -> None:
-        count = _count(self._file.words())
-        self._binary_elements(count) if self._file.binary else self._text_elements(count)
+        """Read elements, one after another in text and for the most part in binary files too: runs of them at a time.
 
-    def _binary_elements(self, count: int) -> None:
-        while count > 0:
-            number, following, n_tags = self._ints(3)
-            width = 1 + n_tags + _type(number)[1]
-            if n_tags < 0 or not 0 < following <= count:
+        In text they begin with number, type and number of tags, in binary files with type, number of elements that
+        follow, and number of tags; then come a number in binary files, the tags and the nodes.
+        """
+        left, file = _count(self._file.words()), self._file
+        end = file.data.find(b"$EndElements", file.at)
+        if file.binary:
+            values = np.frombuffer(file.data, file.order + "i4", (len(file.data) - file.at) // 4, file.at)
+        else:
+            table = Cursor(file.data[file.at : max(end, file.at)])
+            values = table.numbers("i8", len(table.data.split()))
+        at, run, head = 0, 1, 4 if file.binary else 3
+        while left > 0:
+            if at + 3 > len(values):
+                message = f"{left} more elements must follow; the section ends"
+                raise FormatError(message)
+            mark = values[at : at + 3].tolist()
+            number, n_tags, following = mark[0] if file.binary else mark[1], mark[2], mark[1] if file.binary else 1
+            width = head + n_tags + _type(number)[1]
+            if following > 1:
+                head, width, run, at = 1, width - 3, 1, at + 3
+            run = following if following > 1 else min(run, left, (len(values) - at) // width if n_tags >= 0 else 0)
+            if n_tags < 0 or not 0 < run <= left or at + run * width > len(values):
                 message = (
-                    f"elements must follow in groups of 1 to {count} with 0 tags or more, got {following}, {n_tags}"
+                    f"{left} more elements must follow, each whole; one of type {number} with {n_tags} tags is not"
                 )
                 raise FormatError(message)
-            self._rows(number, n_tags, self._file.numbers("i4", width * following).reshape(-1, width)[:, 1:])
-            count -= following
-
-    def _text_elements(self, count: int) -> None:
-        """Read lines of number, type, number of tags, tags and nodes: runs of lines of one type at a time."""
-        end = self._file.data.find(b"$EndElements", self._file.at)
-        table = Cursor(self._file.data[self._file.at : max(end, self._file.at)])
-        values = table.numbers("i8", len(table.data.split()))
-        at, run = 0, 1
-        while count > 0:
-            if at + 3 > len(values):
-                message = f"{count} more elements must follow; the section ends"
-                raise FormatError(message)
-            number, n_tags = int(values[at + 1]), int(values[at + 2])
-            width = 3 + n_tags + _type(number)[1]
-            run = min(run, count, (len(values) - at) // width if n_tags >= 0 else 0)
-            if run == 0:
-                message = f"an element of type {number} must have {width} numbers on its line; it has not"
-                raise FormatError(message)
             rows = values[at : at + run * width].reshape(run, width)
-            alike = (rows[:, 1] == number) & (rows[:, 2] == n_tags)
-            same = run if alike.all() else int(np.argmin(alike))
-            self._rows(number, n_tags, rows[:same, 3:])
-            at, count = at + same * width, count - same
-            run = 2 * run if same == run else 1
-        self._file.at = max(end, self._file.at)
+            alike = (rows[:, 1:3] == mark[1:]).all(axis=1) & ((rows[:, 0] == number) | (head == 3))
+            same = run if following > 1 or alike.all() else int(np.argmin(alike))
+            self._rows(number, n_tags, rows[:same, head:])
+            at, left = at + same * width, left - same
+            run, head = 2 * run if same == run and following == 1 else 1, 4 if file.binary else 3
+        file.at = file.at + 4 * at if file.binary else max(end, file.at)
 
     def _rows(self, number: int, n_tags: int, rows: IntArray) -> None:
-        """Keep elements of version 2: rows of tags, the first being the physical group, and nodes."""
+        """Keep elements of version 2, rows of tags, the first being the physical group, and nodes."""
         groups = np.abs(rows[:, 0]) if n_tags else np.zeros(len(rows), np.int64)
         for group in np.unique(groups).tolist():
             chosen = rows[groups == group, n_tags:].astype(np.int64)
@@ -261,11 +261,15 @@ class _Numbers:
     def __init__(self, tags: IntArray) -> None:
         self._order = np.argsort(tags, kind="stable")
         self._sorted = tags[self._order]
+        n = len(tags)
+        self._first = int(self._sorted[0]) if n and self._sorted[-1] - self._sorted[0] == n - 1 else None
 
     def of(self, tags: IntArray) -> IntArray:
         """Return the indices of nodes; raise `FormatError` if one is not in the file."""
         if not len(self._sorted) or not tags.size:
             place = np.zeros(tags.shape, np.int64)
+        elif self._first is not None:  # as in most files
+            place = np.clip(tags - self._first, 0, len(self._sorted) - 1)
         else:
             place = np.minimum(np.searchsorted(self._sorted, tags), len(self._sorted) - 1)
         if tags.size and (not len(self._sorted) or (self._sorted[place] != tags).any()):

@@ -87,8 +87,11 @@ def without_repeats(blocks: list[Block]) -> list[Block]:
     once = []
     for (kind, curved, _), parts in found.items():
         rows = np.concatenate(parts)
-        _, first = np.unique(np.sort(rows, axis=1), axis=0, return_index=True)
-        once.append(Block(kind, rows[np.sort(first)], curved))
+        ascending = np.sort(rows, axis=1)
+        order = np.lexsort(ascending.T)
+        repeats = np.zeros(len(rows), bool)
+        repeats[order[1:]] = (ascending[order[1:]] == ascending[order[:-1]]).all(axis=1)
+        once.append(Block(kind, rows[~repeats], curved))
     return once
 
 

@@ -25,7 +25,7 @@ def mesh_of_grid(file: Path, grid: Grid, coincident: str = "certain") -> tuple[M
         frame = frame_in(grid.notes)
     _refuse_other_cells(file, grid)
     tets = grid.of_kind("tetra")
-    used = np.unique(tets)
+    used = np.flatnonzero(np.bincount(tets.ravel(), minlength=len(grid.points)))
     sets = _node_sets(file, grid)
     if len(used) < len(grid.points):
         curved = any(block.kind == "tetra" and block.curved for block in grid.blocks)
@@ -35,8 +35,8 @@ def mesh_of_grid(file: Path, grid: Grid, coincident: str = "certain") -> tuple[M
     sets = {name: kept[kept >= 0] for name, kept in ((name, new_from_old[old]) for name, old in sets.items())}
     nodes = grid.points[used] * UNITS_MM[unit_in(grid.notes) or "mm"]
     pieces = None if grid.pieces is None else grid.pieces[used]
-    mesh, rows = placed_mesh(file, nodes, new_from_old[tets], sets, coincident, pieces)
-    return mesh.in_frame(frame), used[rows]
+    mesh, rows = placed_mesh(file, nodes, new_from_old[tets], sets, coincident, frame, pieces)
+    return mesh, used[rows]
 
 
 def _refuse_other_cells(file: Path, grid: Grid) -> None:
@@ -74,18 +74,19 @@ def placed_mesh(
     tets: IntArray,
     sets: Mapping[str, Any],
     coincident: str,
+    frame: str | None = None,
     pieces: IntArray | None = None,
 ) -> tuple[Mesh, IntArray]:
     """Return the sound mesh of nodes (n, 3) in mm, tets (m, 4) and node sets by name, and the rows of its nodes.
 
-    `file`: its name, for messages; `coincident`: as in `read_mesh`; `pieces` (n,): the piece of the file of each node.
-    Raises `MeshError`, `ShapeError` or `UnitError` if it is no body; they name the file.
+    `file`: its name, for messages; `coincident`, `frame`: as in `read_mesh`; `pieces` (n,): the piece of the file of
+    each node. Raises `MeshError`, `ShapeError` or `UnitError` if it is no body; they name the file.
     """
     if len(nodes) and np.isfinite(nodes).all():
         extent = float(np.ptp(nodes, axis=0).max())
         check_extent(extent, "mm", str(file), "multiply its lengths by {factor:g}")
     try:
-        return sound_mesh(nodes, tets, sets, coincident=coincident, pieces=pieces, place=str(file))
+        return sound_mesh(nodes, tets, sets, frame, coincident=coincident, pieces=pieces, place=str(file))
     except (MeshError, ShapeError) as error:
         error.args = (f"{file}: {error}",)
         raise

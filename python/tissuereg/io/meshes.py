@@ -80,7 +80,8 @@ def read_mesh(
         mesh = MESH_READERS[suffix](file, coincident)
     else:
         raise _unknown_format(file)
-    mesh = mesh.in_frame(agreed_frame(file, mesh.frame, frame))
+    if agreed_frame(file, mesh.frame, frame) != mesh.frame:
+        mesh = mesh.in_frame(frame)
     return mesh if fixed is None else mesh.with_node_set("fixed", nodes_by_rule(mesh, fixed))
 
 
@@ -109,12 +110,10 @@ def mesh_from_archive(archive: Archive, coincident: str = "keep") -> Mesh:
         for name in archive.names
         if name == "fixed_nodes" or (name.endswith("_nodes") and _holds_indices(archive.raw(name)))
     }
-    mesh, _ = placed_mesh(archive.path, nodes, tets, sets, coincident)
-    stated = archive.raw("frame") if "frame" in archive else None
-    if stated is None:
-        return mesh
-    check_choice("frame", str(stated), PATIENT_FRAMES, FormatError)
-    return mesh.in_frame(str(stated))
+    frame = str(archive.raw("frame")) if "frame" in archive else None
+    if frame is not None:
+        check_choice("frame", frame, PATIENT_FRAMES, FormatError)
+    return placed_mesh(archive.path, nodes, tets, sets, coincident, frame)[0]
 
 
 def write_vtu(

@@ -30,8 +30,13 @@ def vtu_bytes(
     """
     ends = 4 * np.arange(1, len(tets) + 1, dtype=np.int64)
     types = np.full(len(tets), TETRA, np.uint8)
-    cells: dict[str, npt.NDArray[Any]] = {"connectivity": np.asarray(tets, np.int64), "offsets": ends, "types": types}
-    fields = [_array(name, np.ones(1, np.int8)) for name in flags]
+    cells: dict[str, npt.NDArray[Any]] = {
+        "connectivity": np.asarray(tets, np.int64).ravel(),
+        "offsets": ends,
+        "types": types,
+    }
+    one = '<DataArray type="Int8" Name={} NumberOfTuples="1" format="ascii">1</DataArray>'
+    fields = [one.format(quoteattr(name)) for name in flags]
     fields += [_text(name, text) for name, text in texts.items()]
     lines = [
         '<?xml version="1.0"?>',
@@ -44,7 +49,7 @@ def vtu_bytes(
         _array("Points", points),
         "</Points>",
         "<Cells>",
-        *(_array(name, array, 1) for name, array in cells.items()),
+        *(_array(name, array) for name, array in cells.items()),
         "</Cells>",
         "<PointData>",
         *(_array(name, array) for name, array in point_data.items()),
@@ -57,15 +62,11 @@ def vtu_bytes(
     return "\n".join(lines).encode("utf-8")
 
 
-def _array(name: str, array: npt.NDArray[Any], width: int | None = None) -> str:
+def _array(name: str, array: npt.NDArray[Any]) -> str:
     kind = f"{_TYPES[array.dtype.kind]}{8 * array.dtype.itemsize}"
-    width = width or (array.shape[1] if array.ndim == 2 else 1)
-    more = f' NumberOfTuples="{len(array)}"' if width == 1 and len(array) == 1 else ""
+    width = f' NumberOfComponents="{array.shape[1]}"' if array.ndim == 2 else ""
     content = np.ascontiguousarray(array, array.dtype.newbyteorder("<")).tobytes()
-    return (
-        f'<DataArray type="{kind}" Name={quoteattr(name)} NumberOfComponents="{width}"{more} format="binary">\n'
-        f"{_packed(content)}\n</DataArray>"
-    )
+    return f'<DataArray type="{kind}" Name={quoteattr(name)}{width} format="binary">\n{_packed(content)}\n</DataArray>'
 
 
 def _text(name: str, text: str) -> str:
