@@ -4,6 +4,7 @@ Physical groups become node sets: by their names, or else as ``surface_7`` for t
 """
 
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ import numpy.typing as npt
 from tissuereg._base.arrays import IntArray
 from tissuereg.errors import FormatError
 from tissuereg.io.cursor import Cursor
-from tissuereg.io.grid import CELLS, Grid, checked_corners, without_repeats
+from tissuereg.io.grid import CELLS, Block, Grid, checked_corners
 
 _DIMENSIONS = ("point", "curve", "surface", "volume")
 
@@ -237,14 +238,15 @@ class _Reader:
     def _together(self) -> Grid:
         points = np.concatenate([np.empty((0, 3)), *self._points])
         numbers = _Numbers(np.concatenate([np.empty(0, np.int64), *self._tags]))
-        blocks, sets = [], dict[str, list[IntArray]]()
+        blocks: list[Block] = []
+        sets: dict[str, list[IntArray]] = {}
         for groups, number, tags in self._elements:
             kind, n_nodes = _type(number)
             block = checked_corners(kind, numbers.of(tags.reshape(-1, n_nodes)), len(points))
-            blocks.append(block)
             dimension = CELLS.get(kind, (0, 3))[1]
-            for group in groups:
-                name = self._names.get((dimension, group)) or f"{_DIMENSIONS[dimension]}_{group}"
+            names = [self._names.get((dimension, group)) or f"{_DIMENSIONS[dimension]}_{group}" for group in groups]
+            blocks.append(replace(block, groups=tuple(names)))
+            for name in names:
                 sets.setdefault(name, []).append(block.corners.ravel())
         node_sets = {name: np.unique(np.concatenate(parts)) for name, parts in sets.items()}
         data = {}
@@ -252,7 +254,7 @@ class _Reader:
             column = np.full((len(points), values.shape[1]), np.nan)
             column[numbers.of(tags)] = values
             data[name] = column if values.shape[1] > 1 else column[:, 0]
-        return Grid(points, blocks if self._version >= 4 else without_repeats(blocks), data, node_sets, self._notes)
+        return Grid(points, blocks, data, node_sets, self._notes)
 
 
 class _Numbers:

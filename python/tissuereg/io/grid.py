@@ -30,12 +30,13 @@ class Block:
     """Cells of one kind.
 
     `kind`: its name, such as ``tetra``; `corners` (n_cells, n_corners): indices of points; `curved`: whether the file
-    has further points on the edges of these cells.
+    has further points on the edges of these cells; `groups`: names of the groups of which all of them are.
     """
 
     kind: str
     corners: IntArray
     curved: bool = False
+    groups: tuple[str, ...] = ()
 
 
 @dataclass
@@ -60,14 +61,16 @@ class Grid:
         return sorted({block.kind for block in self.blocks if len(block.corners)})
 
     def of_kind(self, kind: str) -> IntArray:
-        """Return the corners (n, k) of all cells of one kind that `CELLS` lists, in the order of the file."""
-        none = np.empty((0, CELLS[kind][0]), np.int64)
-        return np.concatenate([none, *(block.corners for block in self.blocks if block.kind == kind)])
+        """Return the corners (n, k) of all cells of a kind of `CELLS`, in the order of the file, each once."""
+        found = [block.corners for block in self.blocks if block.kind == kind]
+        return _once(found) if found else np.empty((0, CELLS[kind][0]), np.int64)
 
     def triangles(self) -> IntArray:
         """Return all faces as triangles (n, 3); quads and polygons are cut."""
-        faces = [b.corners for b in self.blocks if b.kind in ("triangle", "quad", "polygon") and len(b.corners)]
-        return np.concatenate([np.empty((0, 3), np.int64), *(_fans(self.points, face) for face in faces)])
+        flat = [b.corners for b in self.blocks if b.kind in ("triangle", "quad", "polygon") and len(b.corners)]
+        sizes = sorted({faces.shape[1] for faces in flat})
+        faces = [_once([one for one in flat if one.shape[1] == size]) for size in sizes]
+        return np.concatenate([np.empty((0, 3), np.int64), *(_fans(self.points, each) for each in faces)])
 
 
 def checked_corners(kind: str, rows: npt.NDArray[Any], n_points: int) -> Block:
@@ -79,20 +82,16 @@ def checked_corners(kind: str, rows: npt.NDArray[Any], n_points: int) -> Block:
     return Block(kind, np.ascontiguousarray(corners, np.int64), rows.shape[1] > corners.shape[1])
 
 
-def without_repeats(blocks: list[Block]) -> list[Block]:
-    """Return blocks of which each cell stands once, by kind: some formats repeat a cell for each of its groups."""
-    found: dict[tuple[str, bool, int], list[IntArray]] = {}
-    for block in blocks:
-        found.setdefault((block.kind, block.curved, block.corners.shape[1]), []).append(block.corners)
-    once = []
-    for (kind, curved, _), parts in found.items():
-        rows = np.concatenate(parts)
-        ascending = np.sort(rows, axis=1)
-        order = np.lexsort(ascending.T)
-        repeats = np.zeros(len(rows), bool)
-        repeats[order[1:]] = (ascending[order[1:]] == ascending[order[:-1]]).all(axis=1)
-        once.append(Block(kind, rows[~repeats], curved))
-    return once
+def _once(parts: list[IntArray]) -> IntArray:
+    """Return cells (n, k) of several blocks, each once: some formats repeat a cell for each of its groups."""
+    rows = np.concatenate(parts)
+    if len(parts) < 2:
+        return rows
+    ascending = np.sort(rows, axis=1)
+    order = np.lexsort(ascending.T)
+    repeats = np.zeros(len(rows), bool)
+    repeats[order[1:]] = (ascending[order[1:]] == ascending[order[:-1]]).all(axis=1)
+    return rows[~repeats]
 
 
 def _fans(points: FloatArray, faces: IntArray) -> IntArray:

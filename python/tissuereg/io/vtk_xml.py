@@ -9,6 +9,7 @@ import re
 import xml.etree.ElementTree as ElementTree
 import zlib
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -113,7 +114,7 @@ def _together(pieces: list[Grid], notes: list[str]) -> Grid:
         return pieces[0]
     offsets = np.cumsum([0, *(len(piece.points) for piece in pieces)])
     blocks = [
-        Block(block.kind, block.corners + offset, block.curved)
+        replace(block, corners=block.corners + offset)
         for piece, offset in zip(pieces, offsets[:-1].tolist(), strict=True)
         for block in piece.blocks
     ]

@@ -14,7 +14,7 @@ from tissuereg._base.arrays import FloatArray, IntArray
 from tissuereg.errors import FormatError
 from tissuereg.io.bounds import FILES, existing_file, too_large
 from tissuereg.io.cursor import text_numbers
-from tissuereg.io.grid import Block, Grid, checked_corners, without_repeats
+from tissuereg.io.grid import Block, Grid, checked_corners
 
 #: Kind of a topology and its points a cell (0: the file says it), by its name in lower case and its number if mixed.
 _KINDS = {
@@ -61,7 +61,6 @@ def _together(items: "_Items", grids: list[Any]) -> Grid:
             grid.blocks += last[0]
         for attribute in one.findall("Attribute"):
             _attribute(items, attribute, grid, last)
-    grid.blocks = without_repeats(grid.blocks)  # tags and steps in time repeat the cells
     return grid
 
 
