@@ -10,7 +10,7 @@ import numpy.typing as npt
 from tissuereg._base.arguments import check_choice
 from tissuereg._base.arrays import FloatArray, IntArray, float_array, index_array
 from tissuereg._core import tet_volumes
-from tissuereg.body.mesh import Mesh
+from tissuereg.body.mesh import Mesh, per_mesh
 from tissuereg.errors import MeshError
 
 #: What becomes of nodes at one place: joined where that is certain, all joined, or all kept apart.
@@ -171,9 +171,15 @@ def _components(pairs: npt.NDArray[Any], n: int) -> tuple[int, IntArray]:
     return int(count), np.asarray(label, np.int64)
 
 
+@per_mesh
+def parts_of(mesh: Mesh) -> IntArray:
+    """Return the part of the body that each node is in, (n_nodes,), from 0 on; parts share no node."""
+    return _components(mesh.tets[:, [0, 1, 0, 2, 0, 3]].reshape(-1, 2), mesh.n_nodes)[1]
+
+
 def _tell_of_parts(mesh: Mesh, place: str) -> None:
-    pairs = mesh.tets[:, [0, 1, 0, 2, 0, 3]].reshape(-1, 2)
-    n_parts, label = _components(pairs, mesh.n_nodes)
+    label = parts_of(mesh)
+    n_parts = int(label.max()) + 1
     if n_parts > 1:
         sizes = ", ".join(str(size) for size in np.sort(np.bincount(label[mesh.tets[:, 0]]))[::-1][:_MOST_NAMED])
         more = ", ..." if n_parts > _MOST_NAMED else ""

@@ -94,5 +94,9 @@ def text_numbers(text: bytes | str, dtype: str) -> npt.NDArray[Any]:
     """Return the numbers in a text, int64 where `dtype` is one of whole numbers and float64 otherwise."""
     if not text or text.isspace():
         return np.empty(0, np.int64 if dtype[0] in "iu" else np.float64)
-    found: npt.NDArray[Any] = np.fromstring(text, np.int64 if dtype[0] in "iu" else np.float64, sep=" ")
+    try:
+        found: npt.NDArray[Any] = np.fromstring(text, np.int64 if dtype[0] in "iu" else np.float64, sep=" ")
+    except (DeprecationWarning, ValueError) as error:  # a warning is an error while a file is read
+        message = f"numbers must stand, got {text[:60]!r}"
+        raise FormatError(message) from error
     return found

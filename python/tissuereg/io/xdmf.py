@@ -188,7 +188,7 @@ class _Items:
         if name not in self._open:
             self._open[name] = h5py.File(existing_file(self._file.parent / name, FILES.mesh_mb), "r", locking=False)
         found = self._open[name].get(path)
-        if not isinstance(found, h5py.Dataset) or found.dtype.kind not in "iuf":
+        if not isinstance(found, h5py.Dataset) or found.dtype.kind not in "biuf":
             message = f"{name} must hold numbers at '{path}', which {self._file} names; it does not"
             raise FormatError(message)
         size = int(np.prod(np.array(found.shape, object))) * found.dtype.itemsize

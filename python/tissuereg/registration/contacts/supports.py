@@ -9,6 +9,7 @@ import numpy as np
 from tissuereg._base.arguments import check_choice
 from tissuereg._base.arrays import FloatArray, IntArray, index_array
 from tissuereg.body.mesh import Mesh, free_triangles
+from tissuereg.body.topology import parts_of
 from tissuereg.errors import SupportError
 from tissuereg.registration.contacts.settings import DISCRETISATION
 
@@ -51,8 +52,8 @@ class Supports:
 
         `mesh`: its node sets ``fixed`` and ``perhaps_fixed`` are used; a mesh without either is free; `held` {"sure",
         "perhaps", "free"}: whether the nodes ``fixed`` are surely held, perhaps held or not held; `held_nodes`: node
-        numbers instead of the set ``fixed``. Raises `SupportError` if `held` is none of these or a node does not exist;
-        `MeshError` if no part of the surface is left that can move.
+        numbers instead of the set ``fixed``. Raises `SupportError` if `held` is none of these, a node does not exist,
+        or a part of several is not held; `MeshError` if no part of the surface is left that can move.
         """
         check_choice("held", held, HELD, SupportError)
         none = np.empty(0, np.int64)
@@ -63,8 +64,24 @@ class Supports:
         else:
             sure = fixed if held == "sure" else none
             found = cls(np.asarray(sure, np.int64), np.setdiff1d(perhaps, sure))
-        free_triangles(mesh, np.union1d(found.sure, found.perhaps))  # refuses a body that cannot move
+        held_nodes = np.union1d(found.sure, found.perhaps)
+        free_triangles(mesh, held_nodes)  # refuses a body that cannot move
+        _refuse_loose_parts(mesh, held_nodes)
         return found
+
+
+def _refuse_loose_parts(mesh: Mesh, held: IntArray) -> None:
+    """Raise `SupportError` if the body has several parts, and one of them no held node: how it moves is unknown."""
+    part = parts_of(mesh)
+    size = np.bincount(part)
+    loose = np.setdiff1d(np.arange(len(size)), part[held])
+    if len(size) > 1 and len(loose):
+        message = (
+            f"each part of a body must have held nodes, unless it is one part; it has {len(size)} parts that share no "
+            f"node, and nothing holds that of {size[loose[0]]} nodes (node {np.argmax(part == loose[0])} is one). If "
+            "the parts touch, join their nodes; otherwise register each alone"
+        )
+        raise SupportError(message, where="mesh")
 
 
 def _held(mesh: Mesh, nodes: Any) -> IntArray:
