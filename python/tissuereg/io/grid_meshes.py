@@ -1,7 +1,8 @@
 """From the content of a mesh file to a body: its tetrahedra, node sets, unit, frame and topology."""
 
+import contextlib
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -85,8 +86,15 @@ def placed_mesh(
     if len(nodes) and np.isfinite(nodes).all():
         extent = float(np.ptp(nodes, axis=0).max())
         check_extent(extent, "mm", str(file), "multiply its lengths by {factor:g}")
-    try:
+    with named_errors(file):
         return sound_mesh(nodes, tets, sets, frame, coincident=coincident, pieces=pieces, place=str(file))
+
+
+@contextlib.contextmanager
+def named_errors(file: Path | str) -> Iterator[None]:
+    """Put the name of a file before the message of an error of a mesh that is made in the block."""
+    try:
+        yield
     except (MeshError, ShapeError) as error:
         error.args = (f"{file}: {error}",)
         raise

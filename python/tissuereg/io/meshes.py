@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tissuereg._base.arguments import check_choice
-from tissuereg._base.arrays import float_array
+from tissuereg._base.arrays import FloatArray, IntArray, float_array
 from tissuereg.body.mesh import PATIENT_FRAMES, Mesh
 from tissuereg.body.topology import COINCIDENT
 from tissuereg.errors import FormatError, MeshError, ShapeError
@@ -21,7 +21,7 @@ from tissuereg.io.atomic import atomic_file
 from tissuereg.io.bounds import existing_file
 from tissuereg.io.fields import Archive, open_npz
 from tissuereg.io.foreign import GRID_READERS, read_grid
-from tissuereg.io.grid_meshes import how_to_fill, mesh_of_grid, placed_mesh
+from tissuereg.io.grid_meshes import how_to_fill, mesh_of_grid, named_errors, placed_mesh
 from tissuereg.io.node_rules import NodeRule, nodes_by_rule
 from tissuereg.io.surfaces import SURFACE_READERS
 from tissuereg.io.vtk_xml_out import vtu_bytes
@@ -96,13 +96,17 @@ def agreed_frame(file: str | os.PathLike[str], stated: str | None, given: str | 
     return given or stated
 
 
-def mesh_from_archive(archive: Archive, coincident: str = "keep") -> Mesh:
-    """Return the mesh that an open .npz file holds, with nodes in mm and its node sets.
+def mesh_from_archive(archive: Archive) -> Mesh:
+    """Return the mesh that an open .npz file of this package holds, as it stands, with nodes in mm and its node sets.
 
     `archive`: the file, with ``nodes_mm`` (n, 3), ``tets`` (m, 4) and integer arrays ``<name>_nodes``; each of these
-    becomes a node set with the name before ``_nodes``. A text ``frame`` states its frame; `coincident`: as in
-    `read_mesh`.
+    becomes a node set with the name before ``_nodes``. A text ``frame`` states its frame.
     """
+    with named_errors(archive.path):
+        return Mesh(*_of_archive(archive))
+
+
+def _of_archive(archive: Archive) -> tuple[FloatArray, IntArray, dict[str, IntArray], str | None]:
     nodes = archive.floats("nodes_mm", None, 3, finite=False)  # `Mesh` names the node that is not
     tets = archive.indices("tets", None, 4)
     sets = {
@@ -113,7 +117,7 @@ def mesh_from_archive(archive: Archive, coincident: str = "keep") -> Mesh:
     frame = str(archive.raw("frame")) if "frame" in archive else None
     if frame is not None:
         check_choice("frame", frame, PATIENT_FRAMES, FormatError)
-    return placed_mesh(archive.path, nodes, tets, sets, coincident, frame)[0]
+    return nodes, tets, sets, frame
 
 
 def write_vtu(
@@ -157,7 +161,8 @@ def _holds_indices(array: npt.NDArray[Any]) -> bool:
 
 def _from_npz(file: Path, coincident: str) -> Mesh:
     with open_npz(file) as archive:
-        return mesh_from_archive(archive, coincident)
+        nodes, tets, sets, frame = _of_archive(archive)
+        return placed_mesh(file, nodes, tets, sets, coincident, frame)[0]
 
 
 def _from_grid(file: Path, coincident: str) -> Mesh:
