@@ -29,6 +29,11 @@ def by_vtk():
     grid = pyvista.UnstructuredGrid({vtk.VTK_TETRA: MESH.tets}, MESH.nodes)
     for kind in NUMBERS:
         grid.point_data[f"held by {kind}"] = (MESH.nodes[:, 2] == 0).astype(kind)
+    bits = vtk.vtkBitArray()
+    bits.SetName("held by bits")
+    for held in MESH.nodes[:, 2] == 0:
+        bits.InsertNextValue(int(held))
+    grid.GetPointData().AddArray(bits)
     grid.point_data["displacement"] = 0.1 * MESH.nodes
     grid.field_data["SPACE"] = ["RAS"]
     return vtk, grid
@@ -39,7 +44,9 @@ def holds_all(path):
     mesh, content = tr.read_mesh(path), read_grid(path, "mesh")
     assert np.allclose(mesh.nodes, MESH.nodes, rtol=1e-6)
     assert np.array_equal(mesh.tets, MESH.tets)
-    assert {name: len(nodes) for name, nodes in mesh.node_sets.items()} == {f"held by {k}": 6 for k in NUMBERS}
+    assert {name: len(nodes) for name, nodes in mesh.node_sets.items()} == {
+        f"held by {k}": 6 for k in (*NUMBERS, "bits")
+    }
     assert np.allclose(content.point_data["displacement"], 0.1 * MESH.nodes, rtol=1e-6)
     assert mesh.frame == "RAS"
 

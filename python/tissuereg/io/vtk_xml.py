@@ -25,7 +25,7 @@ from tissuereg.io.vtk_cells import flat_blocks, vtk_blocks
 
 _TYPES = {
     "Int8": "i1", "UInt8": "u1", "Int16": "i2", "UInt16": "u2", "Int32": "i4", "UInt32": "u4", "Int64": "i8",
-    "UInt64": "u8", "Float32": "f4", "Float64": "f8", "String": "u1",
+    "UInt64": "u8", "Float32": "f4", "Float64": "f8", "String": "u1", "Bit": "u1",
 }  # fmt: skip
 _KINDS = ("UnstructuredGrid", "PolyData")
 #: The lists of cells of polygonal data, and VTK's type for cells of any size.
@@ -71,7 +71,7 @@ def _piece(arrays: "_Arrays", piece: Any) -> Grid:
     cells = piece.find("Cells")
     blocks = _flat(arrays, piece, len(points)) if cells is None else _cells(arrays, cells, hidden, len(points))
     data = {}
-    for name, array in arrays.within(piece.find("PointData")):
+    for name, array in arrays.within(piece.find("PointData"), rows=len(points)):
         if len(array) != len(points):
             message = f"point data '{name}' must have {len(points)} rows, got {len(array)}"
             raise FormatError(message)
@@ -151,12 +151,16 @@ class _Arrays:
         offsets = (_whole(e.get("offset", "0")) for e in root.iter() if e.get("format") == "appended")
         self._ends = sorted({*offsets, len(data) - self._begin})
 
-    def within(self, parent: Any, only: str | None = None) -> Iterator[tuple[str, npt.NDArray[Any]]]:
-        """Yield names and arrays of numbers of an element, (n,) or (n, components); all, or one of a name."""
+    def within(self, parent: Any, only: str | None = None, rows: int = 0) -> Iterator[tuple[str, npt.NDArray[Any]]]:
+        """Yield names and arrays of numbers of an element, (n,) or (n, components); all, or those of one name.
+
+        `rows`: how many there are of single bits, whose last byte may hold more.
+        """
         for element in () if parent is None else parent:
             name = element.get("Name", "")
             if element.get("type") != "String" and only in (None, name):
                 array, n = self.array(element), _whole(element.get("NumberOfComponents") or "1")
+                array = array[: rows * n] if element.get("type") == "Bit" else array
                 if n > 1 or parent.tag == "Points":
                     if n < 1 or array.size % n:
                         message = f"'{name}' must have {n} numbers a row, got {array.size} numbers"
@@ -186,7 +190,8 @@ class _Arrays:
                 f"'{element.get('Name')}' must be whole numbers of {dtype.itemsize} bytes, got {len(content)} bytes"
             )
             raise FormatError(message)
-        return np.frombuffer(content, dtype).astype(dtype.newbyteorder("="))
+        found = np.frombuffer(content, dtype).astype(dtype.newbyteorder("="))
+        return np.unpackbits(found) if element.get("type") == "Bit" else found
 
     def _content(self, stream: bytes) -> bytes:
         """Return the bytes of an array: unpacked, without the sizes that stand before them."""
