@@ -31,10 +31,12 @@ import tissuereg as tr
 from tissuereg.diagnosis.answer import Diagnosis
 from tissuereg.io.cases import write_histories
 from tissuereg.io.experiment_keys import ACTUATORS_CSV, FORCES_CSV, MARKERS_CSV
+from tissuereg.io.foreign import read_grid
 from tissuereg.io.toml_text import write_toml
 from tissuereg.simulation.experiment import simulate_plain
 
 THICKNESS_MM, POISSON = 4.0, 0.4
+PADS = ("moving_pad", "fixed_pad")
 
 #: Edges of elements in mm: between the pads, growth for every mm away from there, and the longest.
 EDGES_MM = {"fine": (1.8, 0.25, 9.0), "coarse": (2.7, 0.4, 12.0)}
@@ -88,20 +90,12 @@ def read_recording(path: Path) -> Recording:
 
 def read_plane(path: Path, recording: Recording) -> Plane:
     """Return the skin with x = 0 at the moving pad's edge that faces the fixed pad, and y = 0 amid it."""
-    import meshio
-
-    read = meshio.read(path)
-    lines, triangles = read.cells_dict["line"], read.cells_dict["triangle"]
-    groups = {kind: read.cell_data_dict["gmsh:physical"][kind] for kind in ("line", "triangle")}
-    names = {(int(number), int(dimension)): name for name, (number, dimension) in read.field_data.items()}
-    pads = {
-        pad: np.unique(lines[[names[int(group), 1].startswith(pad) for group in groups["line"]]])
-        for pad in ("moving_pad", "fixed_pad")
-    }
-    regions = {
-        name: triangles[groups["triangle"] == number] for (number, dimension), name in names.items() if dimension == 2
-    }
-    points = np.asarray(read.points[:, :2], float)
+    read = read_grid(path, "mesh")
+    edges = {pad: [nodes for name, nodes in read.node_sets.items() if name.startswith(pad)] for pad in PADS}
+    pads = {pad: np.unique(np.concatenate(nodes)) for pad, nodes in edges.items()}
+    named = [(name, block.corners) for block in read.blocks if block.kind == "triangle" for name in block.groups]
+    regions = {name: np.concatenate([rows for other, rows in named if other == name]) for name, _ in named}
+    points, triangles = read.points[:, :2], read.of_kind("triangle")
     at = points[pads["moving_pad"]]
     edge = at[:, 0].max() if recording.fixed_pad[0] > 0 else at[:, 0].min()
     return Plane(points - [edge, 0.5 * (at[:, 1].min() + at[:, 1].max())], triangles, pads, regions)

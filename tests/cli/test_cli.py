@@ -79,7 +79,6 @@ def test_help_is_quick_to_import():
     heavy = (
         "torch",
         "onnxruntime",
-        "meshio",
         "scipy",
         "trimesh",
         "matplotlib",

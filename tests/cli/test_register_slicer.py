@@ -4,7 +4,6 @@ import contextlib
 import io
 import json
 
-import meshio
 import numpy as np
 import pytest
 
@@ -14,6 +13,7 @@ from support.meshes import block
 from support.slicer import fcsv_text, other_frame, write_mrk
 from tissuereg.cli import build_parser, main
 from tissuereg.cli.options import UsageError
+from tissuereg.io.foreign import read_grid
 from tissuereg.io.meshes import write_vtu
 from tissuereg.io.mrk_json import read_mrk_json
 from tissuereg.io.tables import write_markers, write_points
@@ -159,9 +159,9 @@ def test_a_frame_of_an_experiment_takes_targets_of_slicer(capsys, tmp_path):
 
 def test_fields_say_whether_the_displacement_warps_them(folder, plain):
     out = folder / "plain"
-    body, moved = (meshio.read(out / f"{name}.vtu") for name in ("registered", "registered_deformed"))
-    assert list(body.field_data) == ["points_are_undeformed_warp_by_displacement_mm"]
-    assert list(moved.field_data) == ["points_are_warped_by_displacement_mm_already"]
+    body, moved = (read_grid(out / f"{name}.vtu", "mesh") for name in ("registered", "registered_deformed"))
+    assert b'Name="points_are_undeformed_warp_by_displacement_mm"' in (out / "registered.vtu").read_bytes()
+    assert b'Name="points_are_warped_by_displacement_mm_already"' in (out / "registered_deformed.vtu").read_bytes()
     assert np.array_equal(body.points, block().nodes)
     assert np.array_equal(moved.points, body.points + body.point_data["displacement_mm"])
     assert set(body.point_data) == set(moved.point_data) >= {"displacement_mm", "std_mm", "fixed"}
@@ -172,7 +172,7 @@ def test_fields_say_whether_the_displacement_warps_them(folder, plain):
 def test_a_body_that_is_inside_out_can_be_written_where_it_is(tmp_path):
     mesh = block()
     write_vtu(tmp_path / "b.vtu", mesh, places=mesh.nodes * (1.0, 1.0, -1.0))
-    assert np.array_equal(meshio.read(tmp_path / "b.vtu").points, mesh.nodes * (1.0, 1.0, -1.0))
+    assert np.array_equal(read_grid(tmp_path / "b.vtu", "mesh").points, mesh.nodes * (1.0, 1.0, -1.0))
     with pytest.raises(tr.errors.ShapeError, match="places"):
         write_vtu(tmp_path / "b.vtu", mesh, places=mesh.nodes[1:])
 

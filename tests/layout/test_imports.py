@@ -17,7 +17,6 @@ PACKAGE = Path(tissuereg.__file__).parent
 HEAVY = (
     "torch",
     "onnxruntime",
-    "meshio",
     "scipy",
     "trimesh",
     "pyvista",

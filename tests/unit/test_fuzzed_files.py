@@ -5,7 +5,6 @@ import json
 import shutil
 from pathlib import Path
 
-import meshio
 import numpy as np
 import pytest
 import trimesh
@@ -14,6 +13,7 @@ from hypothesis import strategies as st
 
 import tissuereg as tr
 from support.files import EXPERIMENT, FIDUCIALS, GOOD_MARKERS, GOOD_RECORDING, TABLES, write_experiment, write_problem
+from support.grids import write_appended_vtu, write_grid, write_modern_vtk, write_xdmf
 from support.meshes import block
 from support.spoilt import CHANGES, FUZZED, reads_or_refuses, spoilt
 from tissuereg.io.cache import keep_entry, read_entry
@@ -37,6 +37,10 @@ SURFACES = (
     "body.vtk",
     "body.msh",
 )
+
+GRIDS = (
+    "bytes.vtk", "modern.vtk", "zlib.vtu", "lzma.vtu", "lz4.vtu", "two.msh", "four.msh", "eight.msh", "mesh.xdmf",
+)  # fmt: skip
 
 ENTRY = bytes(range(200))
 
@@ -138,12 +142,7 @@ def good(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("good")
     mesh = block(cells=(1, 1, 2))
     write_vtu(folder / "mesh.vtu", mesh)
-    content = meshio.Mesh(
-        mesh.nodes, [("tetra", mesh.tets)], point_data={"fixed": (mesh.nodes[:, 2] == 0.0).astype(float)}
-    )
-    content.write(folder / "ascii.vtu", binary=False)
-    content.write(folder / "mesh.vtk", binary=False)
-    meshio.Mesh(mesh.nodes, [("tetra", mesh.tets)]).write(folder / "mesh.msh", file_format="gmsh22", binary=False)
+    write_grids(folder, mesh)
     np.savez(folder / "mesh.npz", nodes_mm=mesh.nodes, tets=mesh.tets, fixed_nodes=mesh.fixed_nodes)
     write_problem(folder / "problem.npz")
     np.savez(folder / "simulation.npz", displacement_mm=np.zeros((3, 3)))
@@ -160,12 +159,8 @@ def good(tmp_path_factory) -> Path:
         body.export(folder / f"body.{suffix}", **({"encoding": "ascii"} if suffix == "ply" else {}))
     body.export(folder / "letters.stl", file_type="stl_ascii")
     body.export(folder / "bytes.ply")
-    skin = meshio.Mesh(mesh.nodes, [("triangle", mesh.surface)])
-    for suffix in ("vtu", "vtk"):
-        skin.write(folder / f"body.{suffix}", binary=False)
-    skin.write(folder / "body.msh", file_format="gmsh22", binary=False)
-    content.write(folder / "bytes.vtk")
-    meshio.Mesh(mesh.nodes, [("tetra", mesh.tets)]).write(folder / "four.msh", file_format="gmsh", binary=False)
+    for suffix in ("vtu", "vtk", "msh"):
+        write_grid(folder / f"body.{suffix}", mesh.nodes, [("triangle", mesh.surface)])
     (folder / "wide.csv").write_text(WIDE_MARKERS)
     write_model(folder, mesh)
     write_cached(folder)
@@ -183,6 +178,27 @@ def good(tmp_path_factory) -> Path:
     rows = "".join(f"a,tension,,,{1 + 0.1 * i:.1f},{0.2 * i:.1f}\n" for i in range(1, 6))
     (test / "test.csv").write_text("specimen,mode,rate_per_s,time_s,stretch_or_shear,stress_kPa\n" + rows)
     return folder
+
+
+def write_grids(folder, mesh):
+    """A body in the forms that other programs write."""
+    cells = [("triangle", mesh.surface), ("tetra", mesh.tets)]
+    held = {"fixed": (mesh.nodes[:, 2] == 0.0).astype(float)}
+    write_grid(folder / "ascii.vtu", mesh.nodes, cells[1:], held)
+    write_grid(folder / "mesh.vtk", mesh.nodes, cells[1:], held)
+    write_grid(folder / "bytes.vtk", mesh.nodes, cells[1:], held, binary=True)
+    write_modern_vtk(folder / "modern.vtk", mesh.nodes, mesh.tets)
+    for packed in ("zlib", "lzma", "lz4"):
+        write_appended_vtu(folder / f"{packed}.vtu", mesh.nodes, mesh.tets, packed)
+    for name, version, binary in (
+        ("mesh", "2.2", False),
+        ("two", "2.2", True),
+        ("four", "4.1", False),
+        ("eight", "4.1", True),
+    ):
+        how = {"version": version, "binary": binary, "groups": (7, 1), "names": '1\n2 7 "fixed"'}
+        write_grid(folder / f"{name}.msh", mesh.nodes, cells, held, **how)
+    write_xdmf(folder / "mesh.xdmf", mesh.nodes, cells, (np.arange(len(mesh.surface)) % 3))
 
 
 def write_model(folder, mesh):
@@ -247,8 +263,7 @@ READERS = [
     pytest.param(tr.read_surface, "surface.csv", id="surface.csv"),
     pytest.param(tr.read_targets, "sit.fcsv", id="sit.fcsv"),
     pytest.param(tr.read_targets, "targets.mrk.json", id="targets.mrk.json"),
-    pytest.param(tr.read_mesh, "bytes.vtk", id="bytes.vtk"),
-    pytest.param(tr.read_mesh, "four.msh", id="four.msh"),
+    *(pytest.param(tr.read_mesh, name, id=name) for name in GRIDS),
     pytest.param(tr.read_markers, "wide.csv", id="wide.csv"),
     *(pytest.param(read_triangles, name, id=name) for name in SURFACES),
     pytest.param(read_recipe, "recipe.toml", id="recipe.toml"),

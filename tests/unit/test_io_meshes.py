@@ -1,11 +1,12 @@
 """Meshes from files: what comes in, what is dropped, what is refused."""
 
-import meshio
 import numpy as np
 import pytest
 
 import tissuereg as tr
+from support.grids import write_grid
 from tissuereg.errors import FormatError, MeshError, ShapeError
+from tissuereg.io.foreign import read_grid
 from tissuereg.io.meshes import write_vtu
 
 MID_EDGES = [(0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3)]
@@ -25,7 +26,7 @@ def test_node_sets_come_from_zero_one_point_data_of_any_name(block_mesh, tmp_pat
     top = (block_mesh.nodes[:, 2] == 40).astype(np.int32)
     height = block_mesh.nodes[:, 2]
     point_data = {"fixed": held, "top": top, "height": height}
-    meshio.Mesh(block_mesh.nodes, [("tetra", block_mesh.tets)], point_data=point_data).write(tmp_path / f"b.{suffix}")
+    write_grid(tmp_path / f"b.{suffix}", block_mesh.nodes, [("tetra", block_mesh.tets)], point_data)
     mesh = tr.read_mesh(tmp_path / f"b.{suffix}")
     assert sorted(mesh.node_sets) == ["fixed", "top"]
     assert np.array_equal(mesh.node_set("top"), np.flatnonzero(top))
@@ -35,7 +36,7 @@ def test_node_sets_come_from_zero_one_point_data_of_any_name(block_mesh, tmp_pat
 def test_what_is_written_is_read_back_bit_for_bit(block_mesh, tmp_path):
     moved = np.linspace(0.0, 1.0, 3 * block_mesh.n_nodes).reshape(-1, 3)
     write_vtu(tmp_path / "out.vtu", block_mesh, {"displacement_mm": moved, "std_mm": moved[:, 0]})
-    back = meshio.vtu.read(tmp_path / "out.vtu")
+    back = read_grid(tmp_path / "out.vtu", "mesh")
     assert np.array_equal(back.point_data["displacement_mm"], moved)
     assert np.array_equal(back.point_data["std_mm"], moved[:, 0])
     assert np.array_equal(tr.read_mesh(tmp_path / "out.vtu").nodes, block_mesh.nodes)
@@ -50,14 +51,8 @@ def test_values_of_another_length_are_not_written(block_mesh, tmp_path):
 def test_physical_groups_of_gmsh_are_node_sets(block_mesh, tmp_path):
     base = block_mesh.surface[(block_mesh.nodes[block_mesh.surface][:, :, 2] == 0).all(axis=1)]
     cells = [("triangle", base), ("tetra", block_mesh.tets)]
-    tags = [np.full(len(base), 7), np.full(block_mesh.n_tets, 1)]
-    content = meshio.Mesh(
-        block_mesh.nodes,
-        cells,
-        cell_data={"gmsh:physical": tags, "gmsh:geometrical": tags},
-        field_data={"fixed": np.array([7, 2]), "body": np.array([1, 3])},
-    )
-    meshio.gmsh.write(tmp_path / "b.msh", content, fmt_version="2.2", binary=False)
+    names = '2\n2 7 "fixed"\n3 1 "body"'
+    write_grid(tmp_path / "b.msh", block_mesh.nodes, cells, groups=(7, 1), names=names)
     mesh = tr.read_mesh(tmp_path / "b.msh")
     assert np.array_equal(mesh.fixed_nodes, block_mesh.fixed_nodes)
     assert len(mesh.node_set("body")) == block_mesh.n_nodes
@@ -66,7 +61,7 @@ def test_physical_groups_of_gmsh_are_node_sets(block_mesh, tmp_path):
 def test_ten_node_tets_lose_their_mid_edge_nodes_with_a_warning(block_mesh, tmp_path):
     nodes, tets = second_order(block_mesh)
     fixed = (nodes[:, 2] == 0).astype(int)
-    meshio.Mesh(nodes, [("tetra10", tets)], point_data={"fixed": fixed}).write(tmp_path / "b.vtu")
+    write_grid(tmp_path / "b.vtu", nodes, [("tetra10", tets)], {"fixed": fixed})
     with pytest.warns(UserWarning, match=rf"{len(nodes) - block_mesh.n_nodes} mid-edge nodes .* were dropped"):
         mesh = tr.read_mesh(tmp_path / "b.vtu")
     assert mesh.digest() == block_mesh.digest()
@@ -74,9 +69,7 @@ def test_ten_node_tets_lose_their_mid_edge_nodes_with_a_warning(block_mesh, tmp_
 
 def test_nodes_of_no_tet_are_dropped_with_a_warning(block_mesh, tmp_path):
     nodes = np.vstack([[[99.0, 99.0, 99.0]], block_mesh.nodes])
-    meshio.Mesh(nodes, [("tetra", block_mesh.tets + 1)], point_data={"fixed": (nodes[:, 2] == 0) * 1}).write(
-        tmp_path / "b.vtu"
-    )
+    write_grid(tmp_path / "b.vtu", nodes, [("tetra", block_mesh.tets + 1)], {"fixed": (nodes[:, 2] == 0) * 1})
     with pytest.warns(UserWarning, match="1 nodes that belong to no tetrahedron"):
         mesh = tr.read_mesh(tmp_path / "b.vtu")
     assert mesh.digest() == block_mesh.digest()
@@ -178,7 +171,7 @@ def test_a_surface_file_points_to_the_mesher(shared_data):
 
 
 def test_a_mesh_file_of_triangles_alone_points_to_the_mesher(block_mesh, tmp_path):
-    meshio.Mesh(block_mesh.nodes, [("triangle", block_mesh.surface)]).write(tmp_path / "skin.vtu")
+    write_grid(tmp_path / "skin.vtu", block_mesh.nodes, [("triangle", block_mesh.surface)])
     with pytest.raises(FormatError, match=r"holds triangle only.*tissuereg mesh \S*skin\.vtu --size MM"):
         tr.read_mesh(tmp_path / "skin.vtu")
 
@@ -190,14 +183,14 @@ def test_a_planar_mesh_is_named_for_what_it_holds(shared_data):
 
 def test_cells_that_are_no_tets_are_refused(tmp_path):
     cube = np.array([[0, 0, 0], [9, 0, 0], [9, 9, 0], [0, 9, 0], [0, 0, 9], [9, 0, 9], [9, 9, 9], [0, 9, 9]], float)
-    meshio.Mesh(cube, [("hexahedron", [list(range(8))])]).write(tmp_path / "b.vtu")
+    write_grid(tmp_path / "b.vtu", cube, [("hexahedron", [list(range(8))])])
     with pytest.raises(FormatError, match="made of tetrahedra; it also holds cells of kind hexahedron"):
         tr.read_mesh(tmp_path / "b.vtu")
 
 
 def test_fixed_point_data_must_be_zero_or_one(block_mesh, tmp_path):
     values = {"fixed": np.linspace(0, 1, block_mesh.n_nodes)}
-    meshio.Mesh(block_mesh.nodes, [("tetra", block_mesh.tets)], point_data=values).write(tmp_path / "b.vtu")
+    write_grid(tmp_path / "b.vtu", block_mesh.nodes, [("tetra", block_mesh.tets)], values)
     with pytest.raises(FormatError, match=r"'fixed'.*one 0 or 1 per node"):
         tr.read_mesh(tmp_path / "b.vtu")
 

@@ -7,6 +7,7 @@ from typing import Any, TypeVar
 from weakref import WeakKeyDictionary
 
 import numpy as np
+import numpy.typing as npt
 
 from tissuereg._base.arguments import check_choice, named, real, text
 from tissuereg._base.arrays import FloatArray, IntArray, float_array, frozen, index_array
@@ -228,11 +229,23 @@ def node_normals(mesh: Mesh, areas: FloatArray) -> FloatArray:
     return np.asarray(total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), np.finfo(float).tiny))
 
 
+def free_triangles(mesh: Mesh, held: IntArray) -> npt.NDArray[np.bool_]:
+    """Return which surface triangles (n_triangles,) are free: those of which not all three corners are `held` nodes.
+
+    Raises `MeshError` if none is: such a body cannot move.
+    """
+    free: npt.NDArray[np.bool_] = np.logical_not(np.isin(mesh.surface, held).all(axis=1))
+    if not free.any():
+        message = (
+            f"a body must have a part of its surface that can move; every boundary triangle is held, all {len(free)}"
+        )
+        raise MeshError(message, where="fixed")
+    return free
+
+
 def free_surface(mesh: Mesh) -> tuple[IntArray, FloatArray]:
     """Return the surface triangles (k, 3) not held at all three corners, and each one's share (k,) in their area."""
-    held = np.zeros(mesh.n_nodes, dtype=bool)
-    held[mesh.fixed_nodes] = True
-    free = mesh.surface[~held[mesh.surface].all(axis=1)]
+    free = mesh.surface[free_triangles(mesh, mesh.fixed_nodes)]
     corners = mesh.nodes[free]
     areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     return free, areas / areas.sum()

@@ -27,7 +27,7 @@ def add_body_options(more: Any, tables: str) -> None:
     """Add options for frames, targets, held nodes and noise; `tables` names the tables of ``--tables-frame``."""
     text = (
         "LPS or RAS: frame of MESH, of tables and of the answer; points of 3D Slicer in the other one are converted "
-        "(default: numbers as they are, and the frame of the first such file)"
+        "(default: that which MESH states, or else numbers as they are, and the frame of the first such file)"
     )
     add_option(more, "--frame", choice(("LPS", "RAS"), text, default=None))
     text = f"frame of the tables {tables}, where it is not --frame"
@@ -39,6 +39,8 @@ def add_body_options(more: Any, tables: str) -> None:
         "within r mm), or the name of a node set"
     )
     more.add_argument("--fixed", metavar="RULE", help=text)
+    text = "nodes of MESH at one place that no tets share: joined where whole faces coincide, all joined, or kept apart"
+    add_option(more, "--coincident", choice(("certain", "join", "keep"), text, default=None, otherwise="certain"))
     text = "noise of a marker coordinate without its own std_mm"
     add_option(more, "--std", number(text, unit="mm", above=0.0, default=None, otherwise="0.1"), "MM")
 
@@ -100,18 +102,21 @@ def believed_body(args: argparse.Namespace, mesh: "Mesh", material: "Material | 
     return Body(mesh, material, args.element, **only_given(held=args.held, stiffness=args.stiffness))
 
 
-def frames_of(args: argparse.Namespace, files: Sequence[str | Path | None]) -> dict[str, str | None]:
+def frames_of(args: argparse.Namespace, files: Sequence[str | Path | None], mesh: "Mesh") -> dict[str, str | None]:
     """Return the patient frames of the answer (``frame``) and of tables (``table_frame``): LPS, RAS, None if unknown.
 
-    Without ``--frame`` it is that of the first of `files` that holds points of 3D Slicer, which a note on standard
-    error states. Raises UsageError where options clash.
+    The answer's is that of `mesh`, which its file or ``--frame`` states, or else that of the first of `files` that
+    holds points of 3D Slicer, which a note on standard error states. Raises UsageError where options clash, FormatError
+    where ``--frame`` is not that of the mesh.
     """
+    from tissuereg.io.meshes import agreed_frame
     from tissuereg.io.point_files import frame_of_files
 
-    if args.tables_frame is not None and args.frame is None:
-        refuse("--tables-frame must come with --frame", "--tables-frame")
-    if args.frame is not None:
-        return {"frame": args.frame, "table_frame": args.tables_frame}
+    frame = agreed_frame("MESH", mesh.frame, args.frame)
+    if args.tables_frame is not None and frame is None:
+        refuse("--tables-frame must come with --frame, or with a mesh that states its frame", "--tables-frame")
+    if frame is not None:
+        return {"frame": frame, "table_frame": args.tables_frame}
     chosen = frame_of_files([path for path in files if path is not None])
     if chosen is None:
         return {"frame": None, "table_frame": None}
@@ -123,7 +128,7 @@ def read_body(args: argparse.Namespace, path: str) -> "Mesh":
     """Return the mesh of a file; raise MeshError if no node is held though the options need held nodes."""
     from tissuereg.io.meshes import read_mesh
 
-    mesh = read_mesh(path, fixed=args.fixed)
+    mesh = read_mesh(path, args.fixed, frame=args.frame, **only_given(coincident=args.coincident))
     if args.model is None and (args.held == "free" or "perhaps_fixed" in mesh.node_sets):
         return mesh
     try:

@@ -121,12 +121,15 @@ def _input(args: argparse.Namespace) -> dict[str, Any]:
     from tissuereg.body.surface import SurfacePoints
     from tissuereg.io.experiments import is_experiment
     from tissuereg.io.problems import read_simulation, read_variants
-    from tissuereg.io.tables import read_surface, read_targets
+    from tissuereg.io.tables import read_markers, read_surface, read_targets
     from tissuereg.registration.inputs import SimulationVariants
 
-    frames = frames_of(args, [*args.markers, args.targets, args.seen])
-    given = _from_experiment(args) if is_experiment(args.path) else _from_files(args, frames)
+    from_files = not is_experiment(args.path)
+    given = _from_files(args) if from_files else _from_experiment(args)
     body: Body = given["mesh"]
+    frames = frames_of(args, [*args.markers, args.targets, args.seen], body.mesh)
+    if from_files and args.markers:
+        given["markers"] = read_markers(args.markers[0], args.std, measured=args.measured, **frames)
     if frames["frame"] is not None:
         given["mesh"] = body = replace(body, mesh=body.mesh.in_frame(frames["frame"]))
     if args.targets is not None:
@@ -179,9 +182,7 @@ def _add_files(more: Any) -> None:
     add_body_options(more, "MARKERS, --targets and --surface")
 
 
-def _from_files(args: argparse.Namespace, frames: dict[str, str | None]) -> dict[str, Any]:
-    from tissuereg.io.tables import read_markers
-
+def _from_files(args: argparse.Namespace) -> dict[str, Any]:
     if len(args.markers) > 1 or (not args.markers and args.surface is None and args.seen is None):
         found = f"got {len(args.markers)} files"
         refuse(f"one MARKERS must be given with a mesh file (only an experiment brings its own), {found}", "MARKERS")
@@ -192,15 +193,14 @@ def _from_files(args: argparse.Namespace, frames: dict[str, str | None]) -> dict
             refuse(f"--{name} must be left out with a mesh file; it chooses a frame of an experiment", f"--{name}")
     material, load = beliefs_of(args, "--simulation")
     body = believed_body(args, read_body(args, args.path), material)
-    markers = read_markers(args.markers[0], args.std, measured=args.measured, **frames) if args.markers else None
-    return {"mesh": body, "markers": markers, "targets": {}, "load": load}
+    return {"mesh": body, "markers": None, "targets": {}, "load": load}
 
 
 def _from_experiment(args: argparse.Namespace) -> dict[str, Any]:
     from tissuereg.io.experiments import read_experiment
     from tissuereg.registration.frame import frame_input
 
-    for name in ("markers", "measured", "fixed", "std", "young", "poisson", "gravity", "density"):
+    for name in ("markers", "measured", "fixed", "coincident", "std", "young", "poisson", "gravity", "density"):
         if getattr(args, name) not in (None, []):
             option = "MARKERS" if name == "markers" else f"--{name}"
             refuse(f"{option} must be left out with an experiment, which states its own", option)

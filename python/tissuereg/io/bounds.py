@@ -1,7 +1,7 @@
 """Checks of a file before it is read: it exists, is not too large for its format, and begins as its format requires.
 
 The largest sizes bound memory and time; ``docs/files.md`` lists them. While it is read, a table takes up to forty times
-its size in memory, a mesh up to ten times. The size to which a compressed .vtu, .vtk or .vtp unpacks is not bounded.
+its size in memory, a mesh up to ten times.
 """
 
 import io
@@ -27,6 +27,8 @@ class FileLimits:
         Largest size of a list of points, a TOML file or a model's description, MB.
     mesh_mb : int
         Largest size of a mesh, a surface or a numpy archive, MB.
+    unpacked_mb : int
+        Largest size to which the arrays of a mesh or surface unpack, MB.
     head_bytes : int
         Number of bytes at a file's beginning by which its format is recognised.
     table_points : int
@@ -46,7 +48,9 @@ class FileLimits:
     draft_tries : int
         Number of names that are tried for a draft: another writer may remove a new draft before it is locked.
     least_extent_mm, most_extent_mm : float
-        Smallest and largest extent of a surface that may be a body, mm; outside, the unit must be wrong.
+        Smallest and largest extent of a mesh or surface that may be a body, mm; outside, the unit must be wrong.
+    usual_least_mm, usual_most_mm : float
+        Smallest and largest extent of nearly all bodies, mm; outside, the unit may be wrong.
     typical_extent_mm : float
         Typical extent of a body, mm. Where both cm and m are possible units, the likelier one brings the extent closer
         to this, by ratio.
@@ -55,6 +59,7 @@ class FileLimits:
     table_mb: int = 64
     text_mb: int = 16
     mesh_mb: int = 256
+    unpacked_mb: int = 2048
     head_bytes: int = 4096
     table_points: int = 10_000
     std_mm: float = 0.1
@@ -66,6 +71,8 @@ class FileLimits:
     draft_tries: int = 100
     least_extent_mm: float = 5.0
     most_extent_mm: float = 2000.0
+    usual_least_mm: float = 20.0
+    usual_most_mm: float = 600.0
     typical_extent_mm: float = 150.0
 
 
@@ -78,6 +85,7 @@ _HEADS = {
     ".vtp": (b"<?xml", b"<VTKFile", b"<!--"),
     ".vtk": (b"# vtk DataFile",),
     ".msh": (b"$MeshFormat", b"$Comments"),
+    ".xdmf": (b"<?xml", b"<Xdmf", b"<!DOCTYPE Xdmf", b"<!--"),
     ".ply": (b"ply",),
 }
 _TEXT = (".obj", ".off")

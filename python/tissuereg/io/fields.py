@@ -6,6 +6,7 @@ Arrays of an archive are checked when they are read: pickled objects are refused
 import contextlib
 import io
 import os
+import warnings
 import zipfile
 import zlib
 from collections.abc import Iterator, Mapping
@@ -18,10 +19,13 @@ import numpy.typing as npt
 from tissuereg._base.arguments import text
 from tissuereg._base.arrays import FloatArray, IntArray, float_array, index_array
 from tissuereg.body.mesh import Mesh
-from tissuereg.errors import FormatError, ShapeError
+from tissuereg.errors import FormatError, ShapeError, TissueRegError
 from tissuereg.io.atomic import atomic_file
 from tissuereg.io.bounds import FILES, existing_file, mesh_file, too_large
-from tissuereg.io.foreign import MESHIO_MODULES, meshio_content
+from tissuereg.io.extents import UNITS_MM
+from tissuereg.io.foreign import GRID_READERS, read_grid
+from tissuereg.io.grid import Grid, unit_in
+from tissuereg.io.grid_meshes import mesh_of_grid
 
 #: What numpy and zipfile raise on spoilt archives.
 _SPOILT = (
@@ -198,23 +202,26 @@ def read_pairs(folder: str | os.PathLike[str], n_nodes: int) -> tuple[FloatArray
 def read_displacement(path: str | os.PathLike[str], mesh: Mesh, name: str = "displacement") -> FloatArray:
     """Read the displacement (n_nodes, 3), in mm, that another solver found at the nodes of a mesh.
 
-    `path`: a .vtu, .vtk or .msh file with the undeformed mesh and vectors at its points; or an .npz with the array
-    ``displacement_mm``. Lengths in mm; `mesh`: the mesh whose nodes the file has, in the same order. Further points
-    after them, such as middles of edges, are left out; `name`: name of the vectors in the point data; not used for an
-    .npz. Raises `FormatError` if the file cannot be read, has no such data, is of another mesh or of the deformed one,
-    or holds numbers that are not finite.
+    `path`: a .vtu, .vtk, .msh or .xdmf file with the undeformed mesh and vectors at its points; or an .npz with the
+    array ``displacement_mm``. Lengths in mm; `mesh`: the mesh whose nodes the file has, in the same order, or which
+    `read_mesh` made of them. Further points after them, such as middles of edges, are left out; `name`: name of the
+    vectors in the point data; not used for an .npz. Raises `FormatError` if the file cannot be read, has no such data,
+    is of another mesh or of the deformed one, or holds numbers that are not finite.
     """
     text("name", name)
     file = mesh_file(path, "mesh")
-    if file.suffix.lower() not in MESHIO_MODULES:
+    if file.suffix.lower() not in GRID_READERS:
         with open_npz(file) as archive:
             return archive.floats("displacement_mm", mesh.n_nodes, 3)
-    content = meshio_content(file, "a mesh with displacements")
-    points = np.asarray(content.points, np.float64)
-    if len(points) < mesh.n_nodes:
-        message = f"{file} must have the {mesh.n_nodes} nodes of the mesh, it has {len(points)} points"
+    grid = read_grid(file, "mesh")
+    factor = UNITS_MM[unit_in(grid.notes) or "mm"]
+    if len(grid.points) < mesh.n_nodes:
+        message = f"{file} must have the {mesh.n_nodes} nodes of the mesh, it has {len(grid.points)} points"
         raise FormatError(message, where=str(file))
-    away = np.linalg.norm(points[: mesh.n_nodes] - mesh.nodes, axis=1)
+    away = np.linalg.norm(factor * grid.points[: mesh.n_nodes] - mesh.nodes, axis=1)
+    rows: IntArray = np.arange(mesh.n_nodes)
+    if not away.max() <= FILES.same_place * mesh.extent:
+        rows, away = _as_joined(file, grid, mesh, away)
     if not away.max() <= FILES.same_place * mesh.extent:
         node = int(np.argmax(away))
         message = (
@@ -222,10 +229,23 @@ def read_displacement(path: str | os.PathLike[str], mesh: Mesh, name: str = "dis
             f"point {node} is {away[node]:.3g} mm away from its node"
         )
         raise FormatError(message, where=str(file))
-    return _vectors(str(file), name, content.point_data, mesh.n_nodes)
+    return factor * _vectors(str(file), name, grid.point_data, rows)
 
 
-def _vectors(file: str, name: str, data: Any, n_nodes: int) -> FloatArray:
+def _as_joined(file: Path, grid: Grid, mesh: Mesh, away: FloatArray) -> tuple[IntArray, FloatArray]:
+    """Return the points that `read_mesh` would keep of a file, if they are those of the mesh, and how far they are."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of the file, which was told when the mesh was read
+        try:
+            own, rows = mesh_of_grid(file, grid)
+        except TissueRegError:
+            return np.arange(mesh.n_nodes), away
+    if own.n_nodes != mesh.n_nodes:
+        return np.arange(mesh.n_nodes), away
+    return rows, np.linalg.norm(own.nodes - mesh.nodes, axis=1)
+
+
+def _vectors(file: str, name: str, data: Any, rows: IntArray) -> FloatArray:
     if name not in data:
         message = f"{file} must have the point data '{name}'; it has {', '.join(sorted(data)) or 'none'}"
         raise FormatError(message, where=file)
@@ -233,7 +253,7 @@ def _vectors(file: str, name: str, data: Any, n_nodes: int) -> FloatArray:
     if found.ndim != 2 or found.shape[1] != 3 or found.dtype.kind not in "fiu":
         message = f"'{name}' in {file} must be three numbers a point, got an array of shape {found.shape}"
         raise FormatError(message, where=file)
-    field = np.ascontiguousarray(found[:n_nodes], np.float64)
+    field = np.ascontiguousarray(found[rows], np.float64)
     if not np.isfinite(field).all():
         message = f"'{name}' in {file} must be finite at every node"
         raise FormatError(message, where=file)

@@ -1,7 +1,7 @@
-"""Reading and writing of tetrahedral meshes: .vtu, .vtk and .msh through meshio, .npz directly.
+"""Reading and writing of tetrahedral meshes: .vtu, .vtk, .msh and .xdmf of other programs, .npz of our own.
 
 Node sets come from 0/1 point data of any name, from named sets or physical groups of cells, and in an .npz from integer
-arrays ``<name>_nodes``.
+arrays ``<name>_nodes``. Frame and unit are those that a file states.
 """
 
 import os
@@ -12,37 +12,50 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from tissuereg._base.arrays import IntArray, float_array
-from tissuereg._base.provenance import reads, warn
-from tissuereg.body.mesh import Mesh
+from tissuereg._base.arguments import check_choice
+from tissuereg._base.arrays import FloatArray, IntArray, float_array
+from tissuereg._base.provenance import reads
+from tissuereg.body.mesh import PATIENT_FRAMES, Mesh
+from tissuereg.body.topology import COINCIDENT
 from tissuereg.errors import FormatError, MeshError, ShapeError
 from tissuereg.io.atomic import atomic_file
-from tissuereg.io.bounds import existing_file, mesh_file
+from tissuereg.io.bounds import existing_file
 from tissuereg.io.fields import Archive, open_npz
-from tissuereg.io.foreign import MESHIO_MODULES, hushed, meshio_content
+from tissuereg.io.foreign import GRID_READERS, read_grid
+from tissuereg.io.grid_meshes import how_to_fill, mesh_of_grid, named_errors, placed_mesh
 from tissuereg.io.node_rules import NodeRule, nodes_by_rule
 from tissuereg.io.surfaces import SURFACE_READERS
-
-_SURFACE_CELLS = {"vertex", "line", "line3", "triangle", "triangle6", "quad", "quad8", "quad9", "polygon"}
-_TET_CELLS = {"tetra": 4, "tetra10": 10}
+from tissuereg.io.vtk_xml_out import vtu_bytes
 
 
 @reads
-def read_mesh(path: str | os.PathLike[str], fixed: NodeRule | None = None, *, frame: str | None = None) -> Mesh:
+def read_mesh(
+    path: str | os.PathLike[str],
+    fixed: NodeRule | None = None,
+    *,
+    frame: str | None = None,
+    coincident: str = "certain",
+) -> Mesh:
     """Read a tetrahedral mesh with its node sets.
+
+    Tets that are all left-handed are turned, with a warning.
 
     Parameters
     ----------
     path : path-like
-        A .vtu, .vtk or .msh file, or an .npz with ``nodes_mm (n, 3)``, ``tets (m, 4)`` and integer arrays
-        ``fixed_nodes``, ``<name>_nodes``. Lengths in mm.
+        A .vtu, .vtk, .msh or .xdmf file, or an .npz with ``nodes_mm (n, 3)``, ``tets (m, 4)`` and integer arrays
+        ``fixed_nodes``, ``<name>_nodes``. Lengths in mm, or in the unit that the file states.
     fixed : str or sequence of float, optional
         Rule that chooses the held nodes: ``"plane nx ny nz d [tol]"`` or those numbers (the nodes within `tol` mm of
         the plane ``n . x = d``, where n is the normal (nx, ny, nz) brought to length 1 and d its distance from the
         origin in mm), ``"ball x y z r"`` (the surface nodes within r mm of the point x, y, z), or the name of another
         node set of the file. By default the nodes of the file's set ``fixed`` are held.
     frame : {"LPS", "RAS"}, optional
-        Patient frame of the coordinates, which the mesh then states; the coordinates themselves are not changed.
+        Patient frame of the coordinates, by default that which the file states; the coordinates themselves are not
+        changed.
+    coincident : {"certain", "join", "keep"}
+        What becomes of nodes at one place that tets do not share: joined, with a warning, where that is certain (whole
+        faces coincide node by node, or pieces of the file meet), all joined, or all kept apart.
 
     Returns
     -------
@@ -52,26 +65,50 @@ def read_mesh(path: str | os.PathLike[str], fixed: NodeRule | None = None, *, fr
     Raises
     ------
     FormatError
-        If the file is missing, spoilt, of another kind, or holds no tetrahedra; or if `fixed` is no such rule.
+        If the file is missing, spoilt, of another kind, or holds no tetrahedra; if `fixed` is no such rule; or if
+        `frame` is not the frame that the file states.
     MeshError
-        If the mesh itself cannot carry a simulation, the plane or ball catches no node, or `frame` is none of the two.
+        If the mesh itself cannot carry a simulation, the plane or ball catches no node, or `frame` or `coincident` is
+        none of its words.
+    UnitError
+        If the largest extent of the body is outside 5 to 2000 mm; outside 20 to 600 mm there is a `UnitWarning`.
     """
-    file = existing_file(path)
-    reader = MESH_READERS.get(file.suffix.lower())
-    if reader is None:
-        raise _unknown_format(file)
-    mesh = reader(file)
+    check_choice("coincident", coincident, COINCIDENT, MeshError)
     if frame is not None:
+        check_choice("frame", frame, PATIENT_FRAMES, MeshError)
+    file = existing_file(path)
+    suffix = file.suffix.lower()
+    if suffix in MESH_READERS:
+        mesh = MESH_READERS[suffix](file, coincident)
+    else:
+        raise _unknown_format(file)
+    if agreed_frame(file, mesh.frame, frame) != mesh.frame:
         mesh = mesh.in_frame(frame)
     return mesh if fixed is None else mesh.with_node_set("fixed", nodes_by_rule(mesh, fixed))
 
 
+def agreed_frame(file: str | os.PathLike[str], stated: str | None, given: str | None) -> str | None:
+    """Return the frame of a file's coordinates, which it states or which is given; None if neither is.
+
+    `file`: its name, for the message; `stated`, `given` {"LPS", "RAS"}. Raises `FormatError` if they differ.
+    """
+    if None not in (stated, given) and stated != given:
+        message = f"--frame (`frame`) must be the frame that {file} states, {stated}, or be left out; got {given}"
+        raise FormatError(message, where=str(file))
+    return given or stated
+
+
 def mesh_from_archive(archive: Archive) -> Mesh:
-    """Return the mesh that an open .npz file holds, with nodes in mm and its node sets.
+    """Return the mesh that an open .npz file of this package holds, as it stands, with nodes in mm and its node sets.
 
     `archive`: the file, with ``nodes_mm`` (n, 3), ``tets`` (m, 4) and integer arrays ``<name>_nodes``; each of these
-    becomes a node set with the name before ``_nodes``.
+    becomes a node set with the name before ``_nodes``. A text ``frame`` states its frame.
     """
+    with named_errors(archive.path):
+        return Mesh(*_of_archive(archive))
+
+
+def _of_archive(archive: Archive) -> tuple[FloatArray, IntArray, dict[str, IntArray], str | None]:
     nodes = archive.floats("nodes_mm", None, 3, finite=False)  # `Mesh` names the node that is not
     tets = archive.indices("tets", None, 4)
     sets = {
@@ -79,7 +116,10 @@ def mesh_from_archive(archive: Archive) -> Mesh:
         for name in archive.names
         if name == "fixed_nodes" or (name.endswith("_nodes") and _holds_indices(archive.raw(name)))
     }
-    return _placed(archive.path, nodes, tets, sets)
+    frame = str(archive.raw("frame")) if "frame" in archive else None
+    if frame is not None:
+        check_choice("frame", frame, PATIENT_FRAMES, FormatError)
+    return nodes, tets, sets, frame
 
 
 def write_vtu(
@@ -93,15 +133,13 @@ def write_vtu(
     """Write a mesh with values at its nodes as a .vtu file, whole or not at all.
 
     `path`: the file; its name should end in .vtu; `mesh`: nodes in mm; its node sets are written as 0/1 point data, so
-    that `read_mesh` finds them; `point_data`: values at the nodes by name, which should end in the unit, each
-    (n_nodes,) or (n_nodes, 3); `says`: a note for viewers about the whole file, in words joined by underscores, written
-    as the name of an array of field data; `places` (n_nodes, 3): coordinates in mm to write in place of the mesh's own,
-    for which tets may be inside out. Raises `ShapeError` if an array does not have one row per node.
+    that `read_mesh` finds them, its frame as 3D Slicer states it (field data ``SPACE``); `point_data`: values at the
+    nodes by name, which should end in the unit, each (n_nodes,) or (n_nodes, 3); `says`: a note for viewers about the
+    whole file, in words joined by underscores, written as the name of an array of field data; `places` (n_nodes, 3):
+    coordinates in mm to write in place of the mesh's own, for which tets may be inside out. Raises `ShapeError` if an
+    array does not have one row per node.
     """
-    import meshio
-
     points = mesh.nodes if places is None else float_array("places", places, (mesh.n_nodes, 3))
-
     values: dict[str, npt.NDArray[Any]] = {}
     for name, indices in mesh.node_sets.items():
         flags = np.zeros(mesh.n_nodes, dtype=np.int8)
@@ -113,136 +151,34 @@ def write_vtu(
             message = f"`{name}` must have shape ({mesh.n_nodes},) or ({mesh.n_nodes}, 3), got {numbers.shape}"
             raise ShapeError(message, where=name)
         values[name] = numbers if numbers.dtype.kind in "iu" else float_array(name, numbers, numbers.shape)
-    content = meshio.Mesh(points.copy(), [("tetra", mesh.tets.copy())], point_data=values)
-    with atomic_file(path) as temporary, hushed():
-        meshio.vtu.write(temporary, content)
-        if says:
-            _add_field_data(temporary, says)
-
-
-def _add_field_data(file: Path, name: str) -> None:
-    """Add an array of field data called `name`, with a single 1, to a .vtu file.
-
-    It is added as text, since meshio writes no such array, and cannot read a file with one that holds text.
-    """
-    array = (
-        f'<FieldData><DataArray type="Int8" Name="{name}" NumberOfTuples="1" format="ascii">1</DataArray></FieldData>'
-    )
-    grid = b"<UnstructuredGrid>"
-    file.write_bytes(file.read_bytes().replace(grid, grid + array.encode("ascii"), 1))
+    texts = {} if mesh.frame is None else {"SPACE": mesh.frame}
+    content = vtu_bytes(points, mesh.tets, values, texts, (says,) if says else ())
+    with atomic_file(path) as temporary:
+        temporary.write_bytes(content)
 
 
 def _holds_indices(array: npt.NDArray[Any]) -> bool:
     return array.ndim == 1 and array.dtype.kind in "iu"
 
 
-def _from_npz(file: Path) -> Mesh:
+def _from_npz(file: Path, coincident: str) -> Mesh:
     with open_npz(file) as archive:
-        return mesh_from_archive(archive)
+        nodes, tets, sets, frame = _of_archive(archive)
+        return placed_mesh(file, nodes, tets, sets, coincident, frame)[0]
 
 
-def _from_meshio(file: Path) -> Mesh:
-    content = meshio_content(mesh_file(file, "mesh"), "a mesh")
-    _refuse_other_cells(file, [block.type for block in content.cells], np.asarray(content.points))
-    corners = [_corners(block) for block in content.cells if block.type in _TET_CELLS]
-    tets = np.concatenate(corners).astype(np.int64)
-    nodes = np.asarray(content.points)
-    if tets.size == 0 or tets.min() < 0 or tets.max() >= len(nodes):
-        return _placed(file, nodes, tets, {})  # which raises the error
-    used = np.unique(tets)
-    sets = _node_sets(file, content, len(nodes))
-    if len(used) < len(nodes):
-        _warn_of_dropped(file, len(nodes) - len(used), any(block.type == "tetra10" for block in content.cells))
-        new_from_old = np.full(len(nodes), -1, dtype=np.int64)
-        new_from_old[used] = np.arange(len(used))
-        nodes, tets = nodes[used], new_from_old[tets]
-        sets = {name: kept[kept >= 0] for name, kept in ((name, new_from_old[old]) for name, old in sets.items())}
-    return _placed(file, nodes, tets, sets)
-
-
-def _refuse_other_cells(file: Path, kinds: list[str], points: npt.NDArray[Any]) -> None:
-    others = sorted({kind for kind in kinds if kind not in _TET_CELLS and kind not in _SURFACE_CELLS})
-    if others:
-        message = f"{file} must be made of tetrahedra; it also holds cells of kind {', '.join(others)}"
-        raise FormatError(message, where=str(file))
-    if not any(kind in _TET_CELLS for kind in kinds):
-        found = ", ".join(sorted(set(kinds))) or "no cells"
-        flat = len(points) == 0 or np.ptp(points, axis=0).min() == 0
-        advice = "It is flat: a mesh of a body is needed" if flat else _how_to_fill(file)
-        message = f"{file} must hold tetrahedra; it holds {found} only. {advice}"
-        raise FormatError(message, where=str(file))
-
-
-def _node_sets(file: Path, content: Any, n_nodes: int) -> dict[str, IntArray]:
-    sets = {str(name): np.asarray(nodes, dtype=np.int64) for name, nodes in content.point_sets.items()}
-    sets |= _sets_of_cells(content)
-    for name, values in content.point_data.items():
-        flags = np.asarray(values).reshape(len(values), -1)
-        if flags.shape == (n_nodes, 1) and flags.dtype.kind in "biuf" and np.isin(flags, (0, 1)).all():
-            sets[str(name)] = np.flatnonzero(flags[:, 0]).astype(np.int64)
-        elif name == "fixed":
-            message = f"point data 'fixed' in {file} must be one 0 or 1 per node, got other values"
-            raise FormatError(message, where=f"{file}:fixed")
-    return sets
-
-
-def _sets_of_cells(content: Any) -> dict[str, IntArray]:
-    """Return the node indices, sorted int64 (n,), of each named set of cells or Gmsh physical group, by its name.
-
-    `content`: the file as a `meshio.Mesh`.
-    """
-    found: dict[str, list[npt.NDArray[Any]]] = {}
-    for name, rows in content.cell_sets.items():
-        if not str(name).startswith("gmsh:"):
-            pairs = [pair for pair in zip(content.cells, rows, strict=True) if pair[1] is not None]
-            found.setdefault(str(name), []).extend(_corners(block)[chosen].ravel() for block, chosen in pairs)
-    tags = content.cell_data.get("gmsh:physical", [])
-    for name, (tag, dimension) in _physical_groups(content):
-        for block, block_tags in zip(content.cells, tags, strict=False):
-            if block.dim == dimension:
-                found.setdefault(name, []).append(_corners(block)[np.asarray(block_tags) == tag].ravel())
-    return {name: np.unique(np.concatenate(parts)).astype(np.int64) for name, parts in found.items() if parts}
-
-
-def _physical_groups(content: Any) -> list[tuple[str, tuple[int, int]]]:
-    pairs = ((str(name), np.asarray(value).ravel()) for name, value in content.field_data.items())
-    return [(name, (int(value[0]), int(value[1]))) for name, value in pairs if value.size == 2]
-
-
-def _corners(block: Any) -> npt.NDArray[Any]:
-    data = np.asarray(block.data)
-    return data[:, :4] if block.type in _TET_CELLS else data
-
-
-def _warn_of_dropped(file: Path, n_dropped: int, second_order: bool) -> None:
-    what = "mid-edge nodes of the ten-node tetrahedra" if second_order else "nodes that belong to no tetrahedron"
-    warn(f"{file}: {n_dropped} {what} were dropped; the corner nodes keep their order")
-
-
-def _placed(file: Path | str, nodes: Any, tets: Any, sets: Mapping[str, Any]) -> Mesh:
-    """Return the mesh of nodes (n, 3) in mm, tets (m, 4) and node sets by name; errors name the file that held them."""
-    try:
-        return Mesh(nodes, tets, sets)
-    except (MeshError, ShapeError) as error:
-        error.args = (f"{file}: {error}",)
-        raise
+def _from_grid(file: Path, coincident: str) -> Mesh:
+    return mesh_of_grid(file, read_grid(file, "mesh"), coincident)[0]
 
 
 def _unknown_format(file: Path) -> FormatError:
     if file.suffix.lower() in SURFACE_READERS:
-        message = f"a mesh must be made of tetrahedra; {file} holds a surface only. {_how_to_fill(file)}"
+        message = f"a mesh must be made of tetrahedra; {file} holds a surface only. {how_to_fill(file)}"
     else:
         known = ", ".join(MESH_READERS)
         message = f"a mesh file must be one of {known}, got '{file.name}'"
     return FormatError(message, where=str(file))
 
 
-def _how_to_fill(file: Path) -> str:
-    return (
-        f"Fill the surface with tetrahedra first: tissuereg mesh {file} --size MM --out BODY.vtu "
-        "(by pytetwild: pip install 'tissuereg[mesh]')"
-    )
-
-
-#: Reader by the ending of a file's name, in lower case: a mesh in mm with its node sets.
-MESH_READERS: dict[str, Callable[[Path], Mesh]] = {**dict.fromkeys(MESHIO_MODULES, _from_meshio), ".npz": _from_npz}
+#: Reader by the ending of a file's name, in lower case: a mesh in mm with its node sets and frame.
+MESH_READERS: dict[str, Callable[[Path, str], Mesh]] = {**dict.fromkeys(GRID_READERS, _from_grid), ".npz": _from_npz}

@@ -11,6 +11,7 @@ from tissuereg._base.arrays import IntArray, frozen, index_array
 from tissuereg._base.provenance import warn
 from tissuereg.body.material import Material
 from tissuereg.body.mesh import Mesh
+from tissuereg.body.topology import sound_mesh
 from tissuereg.errors import ArgumentError, MaterialError, ShapeError
 from tissuereg.registration.contacts.graded import STIFFNESS
 from tissuereg.registration.contacts.supports import Supports, support_warnings
@@ -141,7 +142,8 @@ def as_mesh(mesh: Any) -> Mesh:
     if not isinstance(mesh, tuple) or len(mesh) != 3:
         message = f"`mesh` must be a Mesh, a Body or (nodes, tets, fixed_nodes), got {type(mesh).__name__}"
         raise ShapeError(message, where="mesh")
-    return Mesh(mesh[0], mesh[1], {"fixed": mesh[2]})
+    # Answers have one row a node given: none are joined.
+    return sound_mesh(mesh[0], mesh[1], {"fixed": mesh[2]}, coincident="keep")[0]
 
 
 def fitting_element(mesh: Mesh, material: Material) -> str:

@@ -16,8 +16,8 @@ import numpy as np
 from tissuereg._base.arrays import FloatArray, IntArray
 from tissuereg.body.load import Load
 from tissuereg.body.material import Material
-from tissuereg.body.mesh import Mesh
-from tissuereg.errors import EnsembleError, MeshError
+from tissuereg.body.mesh import Mesh, free_triangles
+from tissuereg.errors import EnsembleError
 from tissuereg.simulation.settings import DATA_SET
 from tissuereg.simulation.solve import Simulator
 
@@ -59,13 +59,8 @@ class EventSampler:
     def __init__(self, mesh: Mesh, settings: EventSettings | None = None, held_nodes: Any = None) -> None:
         self.mesh = mesh
         self.settings = settings or EventSettings()
-        held = np.zeros(mesh.n_nodes, dtype=bool)
-        held[mesh.fixed_nodes if held_nodes is None else held_nodes] = True
+        free = free_triangles(mesh, mesh.fixed_nodes if held_nodes is None else held_nodes)
         corners = mesh.nodes[mesh.surface]
-        free = ~held[mesh.surface].all(axis=1)
-        if not free.any():
-            message = "the body must have a free surface to load; every boundary triangle is held"
-            raise MeshError(message, where="fixed")
         normal = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         self._triangles = mesh.surface[free]
         self._centres = corners.mean(axis=1)[free]

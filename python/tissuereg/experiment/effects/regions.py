@@ -9,7 +9,7 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray, IntArray
 from tissuereg._base.fields import number, numbers
-from tissuereg.body.mesh import Mesh
+from tissuereg.body.mesh import Mesh, free_triangles
 from tissuereg.experiment.effects.base import Effect, Vector
 from tissuereg.experiment.experiment import Experiment
 
@@ -117,8 +117,7 @@ class _FreeSurface:
     def __init__(self, mesh: Mesh) -> None:
         from scipy.spatial import KDTree
 
-        held = np.isin(mesh.surface, mesh.fixed_nodes).all(axis=1)
-        self._triangles = mesh.nodes[mesh.surface[~held]]
+        self._triangles = mesh.nodes[mesh.surface[free_triangles(mesh, mesh.fixed_nodes)]]
         rows = range(_TRIANGLE_ROWS + 1)
         weights = np.array([(a, b, _TRIANGLE_ROWS - a - b) for a in rows for b in rows if a + b <= _TRIANGLE_ROWS])
         samples = np.einsum("sc,tcx->tsx", weights / _TRIANGLE_ROWS, self._triangles).reshape(-1, 3)

@@ -8,7 +8,8 @@ import numpy as np
 
 from tissuereg._base.arguments import check_choice
 from tissuereg._base.arrays import FloatArray, IntArray, index_array
-from tissuereg.body.mesh import Mesh
+from tissuereg.body.mesh import Mesh, free_triangles
+from tissuereg.body.topology import parts_of
 from tissuereg.errors import SupportError
 from tissuereg.registration.contacts.settings import DISCRETISATION
 
@@ -52,16 +53,35 @@ class Supports:
         `mesh`: its node sets ``fixed`` and ``perhaps_fixed`` are used; a mesh without either is free; `held` {"sure",
         "perhaps", "free"}: whether the nodes ``fixed`` are surely held, perhaps held or not held; `held_nodes`: node
         numbers instead of the set ``fixed``. Raises `SupportError` if `held` is none of these, a node does not exist,
-        or no node of the surface is free to move.
+        or a part of several is not held; `MeshError` if no part of the surface is left that can move.
         """
         check_choice("held", held, HELD, SupportError)
         none = np.empty(0, np.int64)
         fixed = mesh.node_sets.get("fixed", none) if held_nodes is None else _held(mesh, held_nodes)
         perhaps = mesh.node_sets.get(PERHAPS, none)
-        sure = np.asarray(fixed if held == "sure" else none, np.int64)
-        doubtful = np.union1d(fixed, perhaps) if held == "perhaps" else np.setdiff1d(perhaps, sure)
-        _check_free(mesh, np.union1d(sure, doubtful))
-        return cls(sure, doubtful)
+        if held == "perhaps":
+            found = cls(none, np.union1d(fixed, perhaps))
+        else:
+            sure = fixed if held == "sure" else none
+            found = cls(np.asarray(sure, np.int64), np.setdiff1d(perhaps, sure))
+        held_nodes = np.union1d(found.sure, found.perhaps)
+        free_triangles(mesh, held_nodes)  # refuses a body that cannot move
+        _refuse_loose_parts(mesh, held_nodes)
+        return found
+
+
+def _refuse_loose_parts(mesh: Mesh, held: IntArray) -> None:
+    """Raise `SupportError` if the body has several parts, and one of them no held node: how it moves is unknown."""
+    part = parts_of(mesh)
+    size = np.bincount(part)
+    loose = np.setdiff1d(np.arange(len(size)), part[held])
+    if len(size) > 1 and len(loose):
+        message = (
+            f"each part of a body must have held nodes, unless it is one part; it has {len(size)} parts that share no "
+            f"node, and nothing holds that of {size[loose[0]]} nodes (node {np.argmax(part == loose[0])} is one). If "
+            "the parts touch, join their nodes; otherwise register each alone"
+        )
+        raise SupportError(message, where="mesh")
 
 
 def _held(mesh: Mesh, nodes: Any) -> IntArray:
@@ -72,16 +92,6 @@ def _held(mesh: Mesh, nodes: Any) -> IntArray:
         message = f"`held_nodes` must name nodes 0 to {mesh.n_nodes - 1}, got {bad}"
         raise SupportError(message, where="held_nodes")
     return held
-
-
-def _check_free(mesh: Mesh, nodes: IntArray) -> None:
-    """Raise `SupportError` if `nodes`, surely or perhaps held, are the whole surface: nothing could move the body."""
-    if len(nodes) and np.isin(mesh.surface_nodes, nodes).all():
-        message = (
-            f"some of the surface must be free to move; all its {len(mesh.surface_nodes)} nodes are held "
-            f"({len(nodes)} of the {mesh.n_nodes} nodes of the mesh)"
-        )
-        raise SupportError(message, where="fixed")
 
 
 def support_warnings(mesh: Mesh, supports: Supports, held: str) -> list[str]:
