@@ -47,6 +47,11 @@ WIDE_MARKERS = (
     "P1,30,10,40,31,10,40,0.1,,,0.3\nP2,0,10,40,1,10,40,,0.1,0.1,0.1\nP3,15,0,20,,0,20,0.2,,,\n"
 )
 
+#: Points as 3D Slicer exports them to a table.
+CONTROL_POINTS = (
+    'label\tr\ta\ts\tdefined\tdescription\nP1\t30\t10\t40\t1\t"at the rim"\nP2\t\t\t\t0\t\nP3\t15\t0\t20\t1\t\n'
+)
+
 #: All tables that a recipe may have.
 RECIPE = """\
 seed = 3
@@ -154,6 +159,7 @@ def good(tmp_path_factory) -> Path:
     (folder / "targets.csv").write_text("target,x_mm,y_mm,z_mm\nlesion,1,2,3\ndeep,4,5,6\n")
     (folder / "surface.csv").write_text("x_mm,y_mm,z_mm\n1,2,3\n4,5,6\n7,8,9\n")
     (folder / "sit.fcsv").write_text(FIDUCIALS)
+    (folder / "points.tsv").write_text(CONTROL_POINTS)
     write_mrk_json(folder / "targets.mrk.json", {"lesion": ((1, 2, 3), "found"), "deep": ((4, 5, 6), "")}, "RAS")
     body = trimesh.Trimesh(mesh.nodes, mesh.surface, process=False)
     for suffix in ("stl", "ply", "obj", "off"):
@@ -246,6 +252,7 @@ READERS = [
     pytest.param(tr.read_targets, "targets.csv", id="targets.csv"),
     pytest.param(tr.read_surface, "surface.csv", id="surface.csv"),
     pytest.param(tr.read_targets, "sit.fcsv", id="sit.fcsv"),
+    pytest.param(tr.read_surface, "points.tsv", id="points.tsv"),
     pytest.param(tr.read_targets, "targets.mrk.json", id="targets.mrk.json"),
     pytest.param(tr.read_mesh, "bytes.vtk", id="bytes.vtk"),
     pytest.param(tr.read_mesh, "four.msh", id="four.msh"),

@@ -11,6 +11,7 @@ from tissuereg._base.fields import choice, number, whole
 from tissuereg.cli.common import note
 from tissuereg.cli.options import ELEMENTS, add_option, option_type, refuse
 from tissuereg.errors import MeshError
+from tissuereg.io.matching import MATCHES
 
 if TYPE_CHECKING:
     from tissuereg.body.load import Load
@@ -41,6 +42,14 @@ def add_body_options(more: Any, tables: str) -> None:
     more.add_argument("--fixed", metavar="RULE", help=text)
     text = "noise of a marker coordinate without its own std_mm"
     add_option(more, "--std", number(text, unit="mm", above=0.0, default=None, otherwise="0.1"), "MM")
+
+
+def add_match_option(more: Any, what: str) -> None:
+    """Add the option ``--match``: how the two lists of markers that `what` names are joined."""
+    text = (
+        f"how {what} are joined: by their labels, by order, or by the last number in each label, such as F-3 and F_1-3"
+    )
+    add_option(more, "--match", choice(MATCHES, text, default=None, otherwise="label"))
 
 
 def add_belief_options(what: Any) -> None:

@@ -10,6 +10,7 @@ from tissuereg._base.fields import number
 from tissuereg.cli.body_input import (
     add_belief_options,
     add_body_options,
+    add_match_option,
     add_method_options,
     beliefs_of,
     believed_body,
@@ -32,8 +33,8 @@ HELP = Help(
     "known of what pushed or pulled: contacts on the surface that explain the markers are found, and the body is "
     "brought to equilibrium under them. Input: MESH (tetrahedra in mm, .vtu .vtk .msh .npz, held nodes in the node set "
     "'fixed') and MARKERS (csv: marker,x_mm,y_mm,z_mm,moved_x_mm,moved_y_mm,moved_z_mm[,std_mm], empty = not seen; or "
-    "points of 3D Slicer, .mrk.json or .fcsv, with those where they were seen in --measured), "
-    "points of the deformed surface (--surface), or both; or one frame of an experiment folder. DIR gets "
+    "points of 3D Slicer, .mrk.json, .fcsv or a table of them, with those where they were seen in --measured), points "
+    " of the deformed surface (--surface), or both; or one frame of an experiment folder. DIR gets "
     "registered.vtu (undeformed nodes; displacement_mm warps them, its standard deviation, forces of the contacts), "
     "targets.csv, targets.mrk.json (for 3D Slicer), registration.json, registered.png and report.html, all or none. "
     "The last line says whether to trust the answer. Exit code 0: there is one, and nothing speaks against it; 4: it "
@@ -120,7 +121,7 @@ def _input(args: argparse.Namespace) -> dict[str, Any]:
     from tissuereg.io.tables import read_surface, read_targets
     from tissuereg.registration.inputs import SimulationVariants
 
-    frames = frames_of(args, [*args.markers, args.targets])
+    frames = frames_of(args, [*args.markers, args.targets, args.surface])
     given = _from_experiment(args) if is_experiment(args.path) else _from_files(args, frames)
     body: Body = given["mesh"]
     if frames["frame"] is not None:
@@ -141,13 +142,14 @@ def _input(args: argparse.Namespace) -> dict[str, Any]:
 
 
 def _add_files(more: Any) -> None:
-    text = "points of 3D Slicer where the markers of MARKERS, such points too, were seen; joined by label"
+    text = "points of 3D Slicer where the markers of MARKERS, such points too, were seen"
     more.add_argument("--measured", metavar="FILE", help=text)
+    add_match_option(more, "MARKERS and --measured")
     text = "displacement_mm (n, 3) of this moment, predicted by any simulator"
     more.add_argument("--simulation", metavar="U.npz", help=text)
     text = "displacement_mm (k, n, 3): this moment simulated with other values of what is uncertain; with --model"
     more.add_argument("--variants", metavar="U.npz", help=text)
-    text = "table x_mm,y_mm,z_mm of points on the deformed surface, or on a part of it, without labels"
+    text = "table x_mm,y_mm,z_mm (or Slicer's points) on the deformed surface, or on a part of it, without labels"
     more.add_argument("--surface", metavar="FILE", help=text)
     text = "noise of such a point along the surface's normal"
     add_option(more, "--surface-std", number(text, unit="mm", above=0.0, default=None, otherwise="0.1"), "MM")
@@ -167,7 +169,8 @@ def _from_files(args: argparse.Namespace, frames: dict[str, str | None]) -> dict
             refuse(f"--{name} must be left out with a mesh file; it chooses a frame of an experiment", f"--{name}")
     material, load = beliefs_of(args, "--simulation")
     body = believed_body(args, read_body(args, args.path), material)
-    markers = read_markers(args.markers[0], args.std, measured=args.measured, **frames) if args.markers else None
+    joined = {**frames, **only_given(measured=args.measured, match=args.match)}
+    markers = read_markers(args.markers[0], args.std, **joined) if args.markers else None
     return {"mesh": body, "markers": markers, "targets": {}, "load": load}
 
 
@@ -175,7 +178,7 @@ def _from_experiment(args: argparse.Namespace) -> dict[str, Any]:
     from tissuereg.io.experiments import read_experiment
     from tissuereg.registration.frame import frame_input
 
-    for name in ("markers", "measured", "fixed", "std", "young", "poisson", "gravity", "density"):
+    for name in ("markers", "measured", "match", "fixed", "std", "young", "poisson", "gravity", "density"):
         if getattr(args, name) not in (None, []):
             option = "MARKERS" if name == "markers" else f"--{name}"
             refuse(f"{option} must be left out with an experiment, which states its own", option)
