@@ -33,6 +33,7 @@ SURFACES = (
     "bytes.ply",
     "body.obj",
     "body.off",
+    "hollow.off",
     "body.vtu",
     "body.vtk",
     "body.msh",
@@ -46,6 +47,9 @@ WIDE_MARKERS = (
     "marker,x_mm,y_mm,z_mm,moved_x_mm,moved_y_mm,moved_z_mm,std_mm,std_x_mm,std_y_mm,std_z_mm\n"
     "P1,30,10,40,31,10,40,0.1,,,0.3\nP2,0,10,40,1,10,40,,0.1,0.1,0.1\nP3,15,0,20,,0,20,0.2,,,\n"
 )
+
+#: A surface with a hollow face of five corners.
+HOLLOW = "OFF\n6 3 0\n0 0 0\n30 0 0\n15 10 0\n30 20 0\n0 20 0\n9 9 9\n5 4 3 2 1 0\n3 0 1 5\n4 1 2 3 5\n"
 
 #: Points as 3D Slicer exports them to a table.
 CONTROL_POINTS = (
@@ -166,6 +170,7 @@ def good(tmp_path_factory) -> Path:
         body.export(folder / f"body.{suffix}", **({"encoding": "ascii"} if suffix == "ply" else {}))
     body.export(folder / "letters.stl", file_type="stl_ascii")
     body.export(folder / "bytes.ply")
+    (folder / "hollow.off").write_text(HOLLOW)
     skin = meshio.Mesh(mesh.nodes, [("triangle", mesh.surface)])
     for suffix in ("vtu", "vtk"):
         skin.write(folder / f"body.{suffix}", binary=False)
