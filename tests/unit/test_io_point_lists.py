@@ -146,7 +146,7 @@ def test_by_order_labels_may_repeat_and_by_number_some_may_be_missing(tmp_path):
         ("F_1-3", "F_1-2", "label", "'F_1-2' is at line 5 and line 6"),
         ("F_1-3", "F_2-2", "number", "each number must stand in .* once; 'F_1-2' and 'F_2-2' have the same"),
         ("F_1-3", "apex", "number", "must hold a number to be joined by it; 'apex' has none"),
-        ("F_1-3", "F_1-4", "number", "every number in .* 'F_1-4' does not .* joined by --match order"),
+        ("F_1-3", "F_1-4", "number", "every number in .* 'F_1-4' does not, at line 6 .* joined by --match order"),
         ("3,15.5,", "#", "order", "as many points as each other; .* has 3, .* has 2"),
         ("F_1-3", "F_1-3", "place", "`match` must be one of label, order, number, got 'place'"),
     ],

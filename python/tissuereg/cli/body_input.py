@@ -28,7 +28,7 @@ def add_body_options(more: Any, tables: str) -> None:
     """Add options for frames, targets, held nodes and noise; `tables` names the tables of ``--tables-frame``."""
     text = (
         "LPS or RAS: frame of MESH, of tables and of the answer; points of 3D Slicer in the other one are converted "
-        "(default: numbers as they are, and the frame of the first such file)"
+        "(default: that which MESH states, or else numbers as they are, and the frame of the first such file)"
     )
     add_option(more, "--frame", choice(("LPS", "RAS"), text, default=None))
     text = f"frame of the tables {tables}, where it is not --frame"
@@ -109,18 +109,21 @@ def believed_body(args: argparse.Namespace, mesh: "Mesh", material: "Material | 
     return Body(mesh, material, args.element, **only_given(held=args.held, stiffness=args.stiffness))
 
 
-def frames_of(args: argparse.Namespace, files: Sequence[str | Path | None]) -> dict[str, str | None]:
+def frames_of(args: argparse.Namespace, mesh: "Mesh", files: Sequence[str | Path | None]) -> dict[str, str | None]:
     """Return the patient frames of the answer (``frame``) and of tables (``table_frame``): LPS, RAS, None if unknown.
 
-    Without ``--frame`` it is that of the first of `files` that holds points of 3D Slicer, which a note on standard
-    error states. Raises UsageError where options clash.
+    Where neither `mesh` nor ``--frame`` states it, it is that of the first of `files` that holds points of 3D Slicer,
+    which a note on standard error states. Raises UsageError where options clash, FormatError if ``--frame`` contradicts
+    the mesh.
     """
+    from tissuereg.io.notes import agreed_frame
     from tissuereg.io.point_files import frame_of_files
 
-    if args.tables_frame is not None and args.frame is None:
+    frame = agreed_frame(mesh.frame, args.frame, args.path)
+    if args.tables_frame is not None and frame is None:
         refuse("--tables-frame must come with --frame", "--tables-frame")
-    if args.frame is not None:
-        return {"frame": args.frame, "table_frame": args.tables_frame}
+    if frame is not None:
+        return {"frame": frame, "table_frame": args.tables_frame}
     chosen = frame_of_files([path for path in files if path is not None])
     if chosen is None:
         return {"frame": None, "table_frame": None}

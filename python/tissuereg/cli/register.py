@@ -118,12 +118,15 @@ def _input(args: argparse.Namespace) -> dict[str, Any]:
     from tissuereg.body.surface import SurfacePoints
     from tissuereg.io.experiments import is_experiment
     from tissuereg.io.problems import read_simulation, read_variants
-    from tissuereg.io.tables import read_surface, read_targets
+    from tissuereg.io.tables import read_markers, read_surface, read_targets
     from tissuereg.registration.inputs import SimulationVariants
 
-    frames = frames_of(args, [*args.markers, args.targets, args.surface])
-    given = _from_experiment(args) if is_experiment(args.path) else _from_files(args, frames)
+    given = _from_experiment(args) if is_experiment(args.path) else _from_files(args)
     body: Body = given["mesh"]
+    frames = frames_of(args, body.mesh, [*args.markers, args.targets, args.surface])
+    if args.markers:
+        joined = {**frames, **only_given(measured=args.measured, match=args.match)}
+        given["markers"] = read_markers(args.markers[0], args.std, **joined)
     if frames["frame"] is not None:
         given["mesh"] = body = replace(body, mesh=body.mesh.in_frame(frames["frame"]))
     if args.targets is not None:
@@ -156,9 +159,7 @@ def _add_files(more: Any) -> None:
     add_body_options(more, "MARKERS, --targets and --surface")
 
 
-def _from_files(args: argparse.Namespace, frames: dict[str, str | None]) -> dict[str, Any]:
-    from tissuereg.io.tables import read_markers
-
+def _from_files(args: argparse.Namespace) -> dict[str, Any]:
     if len(args.markers) > 1 or (not args.markers and args.surface is None):
         found = f"got {len(args.markers)} files"
         refuse(f"one MARKERS must be given with a mesh file (only an experiment brings its own), {found}", "MARKERS")
@@ -169,9 +170,7 @@ def _from_files(args: argparse.Namespace, frames: dict[str, str | None]) -> dict
             refuse(f"--{name} must be left out with a mesh file; it chooses a frame of an experiment", f"--{name}")
     material, load = beliefs_of(args, "--simulation")
     body = believed_body(args, read_body(args, args.path), material)
-    joined = {**frames, **only_given(measured=args.measured, match=args.match)}
-    markers = read_markers(args.markers[0], args.std, **joined) if args.markers else None
-    return {"mesh": body, "markers": markers, "targets": {}, "load": load}
+    return {"mesh": body, "markers": None, "targets": {}, "load": load}
 
 
 def _from_experiment(args: argparse.Namespace) -> dict[str, Any]:

@@ -17,10 +17,11 @@ _NUMBER = re.compile(r"[0-9]+")
 
 @dataclass(frozen=True)
 class Labels:
-    """Labels of a list of points, in its order, and the file that holds it, for messages."""
+    """Labels of a list of points, in its order; for messages the file that holds it, and where in it each stands."""
 
     file: str
     labels: Sequence[str]
+    where: Sequence[str] = ()
 
 
 def partners(sit: Labels, seen: Labels, match: str) -> list[int]:
@@ -49,10 +50,12 @@ def partners(sit: Labels, seen: Labels, match: str) -> list[int]:
     index = {key: place for place, key in enumerate(keys[0])}
     strangers = [label for key, label in zip(keys[1], seen.labels, strict=True) if key not in index]
     if strangers:
+        first = seen.where[seen.labels.index(strangers[0])] if seen.where else "its place"
+        known = f"there are {_listed(sit.labels)}"
         others = [f"--match {other}" for other in ("order", "number") if other != match]
         message = (
-            f"every {match} in {seen.file} must stand in {sit.file} too; {_listed(strangers)} does not (there are "
-            f"{_listed(sit.labels)}). Lists whose labels differ are joined by {' or '.join(others)} (match= in Python)"
+            f"every {match} in {seen.file} must stand in {sit.file} too; {_listed(strangers)} does not, at "
+            f"{first} ({known}). Lists whose labels differ are joined by {' or '.join(others)} (match= in Python)"
         )
         raise FormatError(message, where=f"{seen.file}: {strangers[0]}")
     return [index[key] for key in keys[1]]

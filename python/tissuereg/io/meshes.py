@@ -13,14 +13,16 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from tissuereg._base.arguments import check_choice
 from tissuereg._base.arrays import IntArray, float_array
-from tissuereg.body.mesh import Mesh
+from tissuereg.body.mesh import PATIENT_FRAMES, Mesh
 from tissuereg.errors import FormatError, MeshError, ShapeError
 from tissuereg.io.atomic import atomic_file
 from tissuereg.io.bounds import existing_file, mesh_file
-from tissuereg.io.fields import Archive, open_npz
+from tissuereg.io.fields import Archive, open_npz, write_npz
 from tissuereg.io.foreign import MESHIO_MODULES, hushed, meshio_content
 from tissuereg.io.node_rules import NodeRule, nodes_by_rule
+from tissuereg.io.notes import agreed_frame
 from tissuereg.io.surfaces import SURFACE_READERS
 
 _SURFACE_CELLS = {"vertex", "line", "line3", "triangle", "triangle6", "quad", "quad8", "quad9", "polygon"}
@@ -33,15 +35,16 @@ def read_mesh(path: str | os.PathLike[str], fixed: NodeRule | None = None, *, fr
     Parameters
     ----------
     path : path-like
-        A .vtu, .vtk or .msh file, or an .npz with ``nodes_mm (n, 3)``, ``tets (m, 4)`` and integer arrays
-        ``fixed_nodes``, ``<name>_nodes``. Lengths in mm.
+        A .vtu, .vtk or .msh file, or an .npz with ``nodes_mm (n, 3)``, ``tets (m, 4)``, integer arrays ``fixed_nodes``,
+        ``<name>_nodes``, and ``frame``, a text. Lengths in mm.
     fixed : str or sequence of float, optional
         Rule that chooses the held nodes: ``"plane nx ny nz d [tol]"`` or those numbers (the nodes within `tol` mm of
         the plane ``n . x = d``, where n is the normal (nx, ny, nz) brought to length 1 and d its distance from the
         origin in mm), ``"ball x y z r"`` (the surface nodes within r mm of the point x, y, z), or the name of another
         node set of the file. By default the nodes of the file's set ``fixed`` are held.
     frame : {"LPS", "RAS"}, optional
-        Patient frame of the coordinates, which the mesh then states; the coordinates themselves are not changed.
+        Patient frame of the coordinates, which the mesh then states; the coordinates themselves are not changed. By
+        default that stated in the file, if one is.
 
     Returns
     -------
@@ -51,9 +54,10 @@ def read_mesh(path: str | os.PathLike[str], fixed: NodeRule | None = None, *, fr
     Raises
     ------
     FormatError
-        If the file is missing, spoilt, of another kind, or holds no tetrahedra; or if `fixed` is no such rule.
+        If the file is missing, spoilt, of another kind, or holds no tetrahedra; if `fixed` is no such rule, `frame`
+        none of the two, or not that which the file states.
     MeshError
-        If the mesh itself cannot carry a simulation, the plane or ball catches no node, or `frame` is none of the two.
+        If the mesh itself cannot carry a simulation, or the plane or ball catches no node.
     """
     file = existing_file(path)
     reader = MESH_READERS.get(file.suffix.lower())
@@ -61,7 +65,7 @@ def read_mesh(path: str | os.PathLike[str], fixed: NodeRule | None = None, *, fr
         raise _unknown_format(file)
     mesh = reader(file)
     if frame is not None:
-        mesh = mesh.in_frame(frame)
+        mesh = mesh.in_frame(agreed_frame(mesh.frame, frame, str(file)))
     return mesh if fixed is None else mesh.with_node_set("fixed", nodes_by_rule(mesh, fixed))
 
 
@@ -69,7 +73,7 @@ def mesh_from_archive(archive: Archive) -> Mesh:
     """Return the mesh that an open .npz file holds, with nodes in mm and its node sets.
 
     `archive`: the file, with ``nodes_mm`` (n, 3), ``tets`` (m, 4) and integer arrays ``<name>_nodes``; each of these
-    becomes a node set with the name before ``_nodes``.
+    becomes a node set with the name before ``_nodes``; ``frame``, if it is there, is the text LPS or RAS.
     """
     nodes = archive.floats("nodes_mm", None, 3, finite=False)  # `Mesh` names the node that is not
     tets = archive.indices("tets", None, 4)
@@ -78,7 +82,27 @@ def mesh_from_archive(archive: Archive) -> Mesh:
         for name in archive.names
         if name == "fixed_nodes" or (name.endswith("_nodes") and _holds_indices(archive.raw(name)))
     }
-    return _placed(archive.path, nodes, tets, sets)
+    return _placed(archive.path, nodes, tets, sets).in_frame(_stated_frame(archive))
+
+
+def mesh_arrays(mesh: Mesh) -> dict[str, npt.NDArray[Any]]:
+    """Return the arrays of an .npz that holds a mesh in mm: nodes, tets, node sets, and the frame that it states."""
+    frame = {} if mesh.frame is None else {"frame": np.array(mesh.frame)}
+    sets = {f"{name}_nodes": indices for name, indices in mesh.node_sets.items()}
+    return {"nodes_mm": mesh.nodes, "tets": mesh.tets, **sets, **frame}
+
+
+def write_mesh_npz(path: str | os.PathLike[str], mesh: Mesh) -> None:
+    """Write a mesh in mm as an .npz that `read_mesh` reads, whole or not at all."""
+    write_npz(path, mesh_arrays(mesh))
+
+
+def _stated_frame(archive: Archive) -> str | None:
+    if "frame" not in archive:
+        return None
+    stated = str(archive.raw("frame"))
+    check_choice(f"frame of {archive.path}", stated, PATIENT_FRAMES, FormatError)
+    return stated
 
 
 def write_vtu(

@@ -104,7 +104,7 @@ def markers_of(
     sit, seen = read_points(reference).labelled(), read_points(measured or "")
     if match == "label":
         seen = seen.labelled()
-    rows = partners(Labels(str(sit.file), sit.names), Labels(str(seen.file), seen.names), match)
+    rows = partners(Labels(str(sit.file), sit.names), Labels(str(seen.file), seen.names, seen.where), match)
     where = frame or sit.frame
     names = [sit.names[row] for row in rows]
     return _markers(sit, dict(zip(names, seen.places_in(where), strict=True)), std, where)

@@ -338,10 +338,10 @@ def _index(rows: list[Row], names: Sequence[str], match: str) -> dict[str, int]:
     """Return the place in `names` of each marker of a recording by its name there; by order, of the first frame's."""
     begin = rows[0].number("time_s")
     listed = [row for row in rows if match != "order" or row.number("time_s") == begin]
+    lines = {row.text("marker"): f"line {row.line}" for row in reversed(listed)}
     seen = list(dict.fromkeys(row.text("marker") for row in listed))
-    return dict(
-        zip(seen, partners(Labels("the reference", names), Labels(str(rows[0].file), seen), match), strict=True)
-    )
+    found = Labels(str(rows[0].file), seen, [lines[name] for name in seen])
+    return dict(zip(seen, partners(Labels("the reference", names), found, match), strict=True))
 
 
 def _at(row: Row) -> str:
