@@ -19,6 +19,7 @@ import numpy as np
 from simple import copied, rigid, spline
 
 import tissuereg as tr
+from tissuereg.io.surfaces import read_triangles
 
 FITTED, HELD_OUT, HOLDER = ("Tip-1", "Tip-2"), "Tip-3", ("Base-1", "Base-2", "Base-3")
 LOADS_N = {"own_weight": 0.0, "load_52g": 0.51012, "load_101g": 1.00062}
@@ -38,11 +39,10 @@ MARKER_STD_MM = 0.15
 def beam_mesh(stl: Path) -> tr.Mesh:
     """Return tetrahedra of the beam in the frame of the recordings, the clamped face held."""
     import pytetwild
-    import trimesh
 
-    surface = trimesh.load_mesh(stl)
-    extent = np.ptp(surface.bounds, axis=0)
-    points = np.asarray(surface.vertices) - surface.bounds[0]
+    surface = read_triangles(stl)
+    extent = np.ptp(surface.vertices, axis=0)
+    points = surface.vertices - surface.vertices.min(axis=0)
     points = points[:, [int(np.argmax(extent)), *(axis for axis in range(3) if axis != np.argmax(extent))]]
     points[:, 0] -= LENGTH_MM
     started_in = Path.cwd()
@@ -51,7 +51,7 @@ def beam_mesh(stl: Path) -> tr.Mesh:
         try:
             nodes, tets = pytetwild.tetrahedralize(
                 np.ascontiguousarray(points),
-                np.asarray(surface.faces, np.int32),
+                np.asarray(surface.triangles, np.int32),
                 edge_length_fac=EDGE_MM / float(np.linalg.norm(extent)),
                 quiet=True,
                 num_threads=1,

@@ -32,6 +32,7 @@ from tissuereg.experiment.experiment import Actuator, BodyWeight, Boundary, Case
 from tissuereg.io.cases import write_histories
 from tissuereg.io.experiment_keys import APPLIED_CSV, MARKERS_CSV
 from tissuereg.io.meshes import write_vtu
+from tissuereg.io.surfaces import read_triangles
 
 MARKERS = (*FITTED, HELD_OUT, *HOLDER)
 
@@ -112,9 +113,7 @@ def blocks(low: Sequence[float], high: Sequence[float]) -> tuple[np.ndarray, np.
 
 def beam_and_holder(stl: Path) -> tr.Mesh:
     """Return the beam in the frame of the recordings, and a plate behind its clamped face for the holder's markers."""
-    import trimesh
-
-    width, height, length = np.sort(np.ptp(trimesh.load_mesh(stl).bounds, axis=0))
+    width, height, length = np.sort(np.ptp(read_triangles(stl).vertices, axis=0))
     beam, beam_tets = blocks((-length, 0.0, 0.0), (0.0, width, height))
     plate = (-length - EDGE_MM, -HOLDER_MM, 0.0), (-length, width + HOLDER_MM, height)
     holder, holder_tets = blocks(*plate)

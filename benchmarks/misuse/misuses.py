@@ -7,6 +7,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from misuse.events import BODIES, Event, stored
+from tissuereg.body.closest import ClosestTriangles
 
 Change = Callable[[Event, np.random.Generator], Event]
 
@@ -235,8 +236,5 @@ def _other_places(before: Event, after: Event) -> bool:
 
 def off_surface(event: Event) -> np.ndarray:
     """Return unsigned distances of the reference places from the surface, mm."""
-    import trimesh
-
     mesh = event.mesh()
-    surface = trimesh.Trimesh(mesh.nodes, mesh.surface, process=False)
-    return np.asarray(trimesh.proximity.closest_point(surface, event.reference)[1])
+    return ClosestTriangles(mesh.nodes[mesh.surface]).find(event.reference).distances

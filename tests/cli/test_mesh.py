@@ -76,6 +76,33 @@ def test_without_json_mesh_prints_a_summary(tmp_path, capsys):
     assert tr.read_mesh(tmp_path / "ball.vtu").volumes.sum() == pytest.approx(volume(sphere(subdivisions=1)), rel=0.02)
 
 
+@needs_mesher
+def test_the_frame_that_a_surface_states_is_kept_with_the_body(tmp_path, capsys):
+    file = write_stl(tmp_path / "ball.stl", sphere(subdivisions=1), head=b"3D Slicer output. SPACE=RAS")
+    words = ["mesh", file, "--size", 15, "--threads", 1, "--set", "tip", "ball 0 0 20 8", "--out", tmp_path / "b.npz"]
+    code, said, err = run_json(capsys, *words)
+    assert (code, said["frame"], err) == (0, "RAS", "")
+    mesh = tr.read_mesh(tmp_path / "b.npz")
+    assert (mesh.frame, set(mesh.node_sets)) == ("RAS", {"tip"})
+    code, said, _ = run_json(capsys, *words, "--frame", "LPS")
+    assert (code, said["error"]) == (2, "FormatError")
+    assert "ball.stl is in RAS, --frame LPS" in said["message"]
+
+
+@needs_mesher
+def test_points_in_lps_meet_a_surface_in_ras(shared_data, tmp_path, capsys):
+    given = shared_data / "cases" / "frame-header"
+    body = tmp_path / "gel.npz"
+    words = ["mesh", given / "gel_ras.stl", "--size", 9, "--fixed", "plane 0 0 1 -48 18", "--out", body, "--threads", 1]
+    assert run(capsys, *words)[0] == 0
+    files = [body, given / "was.fcsv", "--measured", given / "now.fcsv", "--targets", given / "lesion_in_mesh.csv"]
+    code, said, _ = run_json(capsys, "register", *files, "--quiet", "--out", tmp_path / "out")
+    assert code == 0
+    lesion = said["targets"]["lesion"]
+    off = np.array(lesion["mean_mm"]) - (-24.05, -6.65, 12.65)
+    assert np.linalg.norm(off) < lesion["region90_radii_mm"][-1]
+
+
 @pytest.mark.parametrize(
     ("words", "error", "message"),
     [

@@ -14,7 +14,7 @@ from support.slicer import fcsv_text, other_frame, write_mrk
 from tissuereg.cli import build_parser, main
 from tissuereg.cli.options import UsageError
 from tissuereg.io.foreign import read_grid
-from tissuereg.io.meshes import write_vtu
+from tissuereg.io.meshes import mesh_arrays, write_mesh_npz, write_vtu
 from tissuereg.io.mrk_json import read_mrk_json
 from tissuereg.io.tables import write_markers, write_points
 
@@ -121,6 +121,29 @@ def test_without_a_frame_that_of_the_file_is_taken_and_said_in_one_line(capsys, 
     assert err == f"note: MESH is taken to be in RAS, the frame of {file}; set --frame to change that\n"
     assert said["targets"]["deep"]["reference_mm"] == list(other_frame(TARGETS)["deep"])
     assert read_mrk_json(tmp_path / "out" / "targets.mrk.json").frame == "RAS"
+
+
+def test_a_mesh_that_states_its_frame_needs_no_option_and_none_may_contradict_it(capsys, folder, tmp_path, plain):
+    for frame in ("lps", "ras"):
+        write_mesh_npz(tmp_path / f"{frame}.npz", tr.read_mesh(folder / f"{frame}.vtu", frame=frame.upper()))
+    words = ["ras_sit.mrk.json", "--measured", "ras_seen.fcsv", "--targets", "lps_targets.csv", "--std", 0.05]
+    code, said, err = register(capsys, folder, tmp_path / "out", tmp_path / "lps.npz", *words)
+    assert (code, err, said["frame"]) == (0, "", "LPS")
+    assert said["targets"] == plain["targets"]
+    words = ["lps.csv", "--tables-frame", "LPS", "--targets", "lps_targets.mrk.json"]
+    code, said, err = register(capsys, folder, tmp_path / "out", tmp_path / "ras.npz", *words)
+    assert (code, err, said["frame"]) == (0, "", "RAS")
+    turned = np.array(said["targets"]["deep"]["mean_mm"]) * (-1, -1, 1)
+    np.testing.assert_allclose(turned, plain["targets"]["deep"]["mean_mm"], atol=1e-6)
+    code, said, _ = register(capsys, folder, tmp_path / "no", tmp_path / "ras.npz", "ras.csv", "--frame", "LPS")
+    assert (code, said["error"]) == (2, "FormatError")
+    assert "ras.npz is in RAS, --frame LPS (frame= in Python) contradicts it" in said["message"]
+
+
+def test_a_frame_of_an_archive_must_be_one(tmp_path):
+    np.savez(tmp_path / "bad.npz", **{**mesh_arrays(block()), "frame": "IJK"})
+    with pytest.raises(tr.errors.FormatError, match="must be one of LPS, RAS, got 'IJK'"):
+        tr.read_mesh(tmp_path / "bad.npz")
 
 
 def test_a_wrong_frame_is_refused_with_the_right_one_named(capsys, folder, tmp_path):

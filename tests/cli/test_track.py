@@ -240,7 +240,7 @@ def test_a_recording_in_the_other_frame_is_turned(inputs, capsys):
     ("rows", "message"),
     [
         ([], "at least one row below its header"),
-        (["0,P1,1,2,3\n", "0,Q,1,2,3\n"], "got 'Q' at"),
+        (["0,P1,1,2,3\n", "0,Q,1,2,3\n"], "'Q' does not, at line 3"),
         (["1,P1,1,2,3\n", "0.5,P1,1,2,3\n"], "time must not go back; 0.5 s at"),
         (["0,P1,1,2,3\n", "0,P2,1,2,3\n", "0,P1,1,2,3\n"], "'P1' at"),
         (["0,P1,1,2,three\n"], "must hold a finite number or empty"),

@@ -33,6 +33,7 @@ SURFACES = (
     "bytes.ply",
     "body.obj",
     "body.off",
+    "hollow.off",
     "body.vtu",
     "body.vtk",
     "body.msh",
@@ -49,6 +50,14 @@ ENTRY = bytes(range(200))
 WIDE_MARKERS = (
     "marker,x_mm,y_mm,z_mm,moved_x_mm,moved_y_mm,moved_z_mm,std_mm,std_x_mm,std_y_mm,std_z_mm\n"
     "P1,30,10,40,31,10,40,0.1,,,0.3\nP2,0,10,40,1,10,40,,0.1,0.1,0.1\nP3,15,0,20,,0,20,0.2,,,\n"
+)
+
+#: A surface with a hollow face of five corners.
+HOLLOW = "OFF\n6 3 0\n0 0 0\n30 0 0\n15 10 0\n30 20 0\n0 20 0\n9 9 9\n5 4 3 2 1 0\n3 0 1 5\n4 1 2 3 5\n"
+
+#: Points as 3D Slicer exports them to a table.
+CONTROL_POINTS = (
+    'label\tr\ta\ts\tdefined\tdescription\nP1\t30\t10\t40\t1\t"at the rim"\nP2\t\t\t\t0\t\nP3\t15\t0\t20\t1\t\n'
 )
 
 #: All tables that a recipe may have.
@@ -153,12 +162,14 @@ def good(tmp_path_factory) -> Path:
     (folder / "targets.csv").write_text("target,x_mm,y_mm,z_mm\nlesion,1,2,3\ndeep,4,5,6\n")
     (folder / "surface.csv").write_text("x_mm,y_mm,z_mm\n1,2,3\n4,5,6\n7,8,9\n")
     (folder / "sit.fcsv").write_text(FIDUCIALS)
+    (folder / "points.tsv").write_text(CONTROL_POINTS)
     write_mrk_json(folder / "targets.mrk.json", {"lesion": ((1, 2, 3), "found"), "deep": ((4, 5, 6), "")}, "RAS")
     body = trimesh.Trimesh(mesh.nodes, mesh.surface, process=False)
     for suffix in ("stl", "ply", "obj", "off"):
         body.export(folder / f"body.{suffix}", **({"encoding": "ascii"} if suffix == "ply" else {}))
     body.export(folder / "letters.stl", file_type="stl_ascii")
     body.export(folder / "bytes.ply")
+    (folder / "hollow.off").write_text(HOLLOW)
     for suffix in ("vtu", "vtk", "msh"):
         write_grid(folder / f"body.{suffix}", mesh.nodes, [("triangle", mesh.surface)])
     (folder / "wide.csv").write_text(WIDE_MARKERS)
@@ -262,6 +273,7 @@ READERS = [
     pytest.param(tr.read_targets, "targets.csv", id="targets.csv"),
     pytest.param(tr.read_surface, "surface.csv", id="surface.csv"),
     pytest.param(tr.read_targets, "sit.fcsv", id="sit.fcsv"),
+    pytest.param(tr.read_surface, "points.tsv", id="points.tsv"),
     pytest.param(tr.read_targets, "targets.mrk.json", id="targets.mrk.json"),
     *(pytest.param(tr.read_mesh, name, id=name) for name in GRIDS),
     pytest.param(tr.read_markers, "wide.csv", id="wide.csv"),

@@ -137,7 +137,9 @@ def test_a_marker_that_sits_nowhere_is_left_out_and_said(tmp_path):
 def test_a_measured_label_that_no_marker_has_is_refused(tmp_path):
     sit = write_mrk(tmp_path / "sit.mrk.json", SIT)
     seen = write_mrk(tmp_path / "seen.mrk.json", {"F1": (1.0, 2.0, 3.0), **SEEN})
-    with pytest.raises(FormatError, match=r"every label in .*seen\.mrk\.json must stand in .*'F1' does not") as caught:
+    with pytest.raises(
+        FormatError, match=r"label in .*seen\.mrk\.json must .*'F1' does not, at control point 1"
+    ) as caught:
         tr.read_markers(sit, measured=seen)
     assert caught.value.where == f"{seen}: F1"
 

@@ -12,7 +12,7 @@ from typing import Any
 from tissuereg.errors import ArgumentError
 
 #: Packages whose versions are reported if they were imported.
-_PACKAGES = ("scipy", "onnxruntime", "h5py", "trimesh", "matplotlib", "torch")
+_PACKAGES = ("scipy", "onnxruntime", "h5py", "matplotlib", "torch")
 
 #: Name in the environment of the memory in GB (1e9 bytes) that a process may take, in place of what the system states.
 LIMIT = "TISSUEREG_MEMORY_GB"

@@ -22,6 +22,7 @@ import numpy as np
 
 from tissuereg._base.arrays import BoolArray, FloatArray, IntArray, float_array
 from tissuereg._base.provenance import warn
+from tissuereg.body.closest import ClosestTriangles, barycentric
 from tissuereg.body.markers import Markers
 from tissuereg.body.mesh import Mesh, per_mesh
 from tissuereg.errors import MarkerError
@@ -411,25 +412,14 @@ def _interpolation(mesh: Mesh, corners: IntArray, weights: FloatArray, quadratic
 
 
 @per_mesh
-def _surface(mesh: Mesh) -> Any:
-    """Return the surface of the mesh as a `trimesh.Trimesh`, which keeps its tree for searches of closest points."""
-    import trimesh
-
-    return trimesh.Trimesh(mesh.nodes, mesh.surface, process=False)
+def _surface(mesh: Mesh) -> ClosestTriangles:
+    return ClosestTriangles(mesh.nodes[mesh.surface])
 
 
 def _closest_triangles(mesh: Mesh, places: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
-    if not len(places):
-        return np.empty(0, np.int64), np.empty((0, 3)), np.empty((0, 3))
-    import trimesh
-
-    surface = _surface(mesh)
-    proximity: Any = trimesh.proximity  # trimesh leaves these functions without annotations
-    feet, _, triangles = proximity.closest_point(surface, places)
-    corners = mesh.nodes[mesh.surface[triangles]]
-    weights = np.clip(_barycentric(corners, feet), 0.0, None)
-    weights /= weights.sum(axis=1, keepdims=True)
-    return np.asarray(triangles, np.int64), np.asarray(weights), np.asarray(feet)
+    found = _surface(mesh).find(places)
+    weights = np.clip(barycentric(found.feet, mesh.nodes[mesh.surface[found.triangles]]), 0.0, None)
+    return found.triangles, np.asarray(weights / weights.sum(axis=1, keepdims=True)), found.feet
 
 
 def _free_corners(corners: FloatArray, places: FloatArray, weights: FloatArray) -> BoolArray:
@@ -438,7 +428,7 @@ def _free_corners(corners: FloatArray, places: FloatArray, weights: FloatArray) 
     `corners` (n, 3, 3), `places` (n, 3): corners of the closest triangle of each place, and places, mm; `weights` (n,
     3): barycentric weights of the foot, the closest point. All corners are marked unless the place lies beyond an edge.
     """
-    beyond = (_barycentric(corners, places) < -_BEYOND).any(axis=1, keepdims=True)
+    beyond = (barycentric(places, corners) < -_BEYOND).any(axis=1, keepdims=True)
     return np.logical_or(~beyond, weights > 0.0)
 
 
@@ -448,7 +438,7 @@ def _feet_in(corners: FloatArray, places: FloatArray, free: BoolArray) -> tuple[
     `corners` (n, 3, 3), `places` (n, 3): mm; `free` (n, 3): mask of the corners to use. Result: barycentric weights (n,
     3) and closest points (n, 3) in mm.
     """
-    weights = _barycentric(corners, places)
+    weights = barycentric(places, corners)
     for marker in np.flatnonzero(~free.all(axis=1)):
         ends = np.flatnonzero(free[marker])
         first, last = corners[marker, ends[0]], corners[marker, ends[-1]]
@@ -457,16 +447,6 @@ def _feet_in(corners: FloatArray, places: FloatArray, free: BoolArray) -> tuple[
         weights[marker] = 0.0
         weights[marker, ends] = (1.0 - share, share) if len(ends) == 2 else 1.0
     return weights, np.einsum("nc,ncx->nx", weights, corners)
-
-
-def _barycentric(corners: FloatArray, places: FloatArray) -> FloatArray:
-    """Return barycentric weights (n, 3) of places (n, 3) projected onto planes of triangles (n, 3, 3), all in mm."""
-    if not len(places):
-        return np.empty((0, 3))
-    import trimesh
-
-    to_barycentric: Any = trimesh.triangles.points_to_barycentric
-    return np.asarray(to_barycentric(corners, places), np.float64)
 
 
 def _patches(mesh: Mesh, triangles: IntArray) -> list[IntArray]:

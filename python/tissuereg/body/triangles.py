@@ -4,7 +4,9 @@ from typing import Any
 
 import numpy as np
 
+from tissuereg._base.arguments import check_choice
 from tissuereg._base.arrays import FloatArray, IntArray, float_array, frozen, index_array
+from tissuereg.body.mesh import PATIENT_FRAMES
 from tissuereg.errors import MeshError
 
 
@@ -17,13 +19,15 @@ class Triangles:
         Coordinates of the vertices in mm.
     triangles : array_like of int, shape (n_triangles, 3)
         Vertex indices of each triangle, counter-clockwise seen from outside if the surface has no defects.
+    frame : {"LPS", "RAS"}, optional
+        Declared patient frame of the coordinates. Nothing is computed from it.
 
     Raises
     ------
     ShapeError
         If an array has another shape or dtype.
     MeshError
-        If a coordinate is not finite, an index is out of range, or there is no triangle.
+        If a coordinate is not finite, an index is out of range, there is no triangle, or `frame` is none of the two.
 
     Examples
     --------
@@ -34,7 +38,9 @@ class Triangles:
     121.5
     """
 
-    def __init__(self, vertices: Any, triangles: Any) -> None:
+    def __init__(self, vertices: Any, triangles: Any, frame: str | None = None) -> None:
+        if frame is not None:
+            check_choice("frame", frame, PATIENT_FRAMES, MeshError)
         points = float_array("vertices", vertices, (None, 3))
         corners = index_array("triangles", triangles, (None, 3))
         if not len(corners):
@@ -50,6 +56,7 @@ class Triangles:
             raise MeshError(message, where="vertices")
         self.vertices: FloatArray = frozen(points.copy() if points is vertices else points)
         self.triangles: IntArray = frozen(corners.copy() if corners is triangles else corners)
+        self.frame = frame
 
     def __repr__(self) -> str:
         return f"Triangles({len(self.vertices)} vertices, {len(self.triangles)} triangles)"

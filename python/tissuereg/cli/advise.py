@@ -71,9 +71,11 @@ def run(args: argparse.Namespace) -> Outcome:
     )
     check_folder_target(out)
     clock = Stopwatch()
-    targets = read_targets(args.targets)
-    candidates, placed = (None if f is None else read_surface(f) for f in (args.candidates, args.placed))
-    mesh, fields = _what_may_happen(args)
+    mesh = _mesh(args)
+    targets = read_targets(args.targets, frame=mesh.frame)
+    tables = (args.candidates, args.placed)
+    candidates, placed = (None if f is None else read_surface(f, frame=mesh.frame) for f in tables)
+    fields = _what_may_happen(args, mesh)
     clock.lap("fields")
     advice = advise_markers(
         mesh,
@@ -116,27 +118,36 @@ def _check(args: argparse.Namespace) -> None:
         refuse("--largest must be left out with --data and --model, whose fields have their sizes", "--largest")
 
 
-def _what_may_happen(args: argparse.Namespace) -> "tuple[Mesh, FloatArray]":
+def _mesh(args: argparse.Namespace) -> "Mesh":
+    from tissuereg.io.datasets import open_dataset
+    from tissuereg.io.meshes import read_mesh
+    from tissuereg.phantom import phantom_mesh
+
+    if args.data is not None:
+        return open_dataset(args.data).mesh
+    return phantom_mesh() if args.path is None else read_mesh(args.path, fixed=args.fixed)
+
+
+def _what_may_happen(args: argparse.Namespace, mesh: "Mesh") -> "FloatArray":
+    """Return displacement fields (members, n_nodes, 3), mm, of a data set, of a model or of random pushes."""
     if args.data is not None:
         return _of_data(args)
-    return _of_model(args) if args.model is not None else _of_pushes(args)
+    return _of_model(args, mesh) if args.model is not None else _of_pushes(args, mesh)
 
 
-def _of_pushes(args: argparse.Namespace) -> "tuple[Mesh, FloatArray]":
+def _of_pushes(args: argparse.Namespace, mesh: "Mesh") -> "FloatArray":
     import numpy as np
 
     from tissuereg.body.material import Material
-    from tissuereg.io.meshes import read_mesh
     from tissuereg.simulation.sampling import random_changes
 
-    mesh = read_mesh(args.path, fixed=args.fixed)
     largest = _LARGEST_MM if args.largest is None else args.largest
     rng = np.random.default_rng(args.seed or 0)
     how = {"largest_mm": largest, "n_events": args.members, "rng": rng, "threads": args.threads}
-    return mesh, random_changes(mesh, Material(), **how)
+    return random_changes(mesh, Material(), **how)
 
 
-def _of_data(args: argparse.Namespace) -> "tuple[Mesh, FloatArray]":
+def _of_data(args: argparse.Namespace) -> "FloatArray":
     import numpy as np
 
     from tissuereg.io.datasets import open_dataset
@@ -145,21 +156,18 @@ def _of_data(args: argparse.Namespace) -> "tuple[Mesh, FloatArray]":
     members = data.split["train"]
     rng = np.random.default_rng(args.seed or 0)
     drawn = np.sort(rng.choice(members, min(args.members, len(members)), replace=False))
-    return data.mesh, np.asarray(data.displacement[drawn], np.float64)
+    return np.asarray(data.displacement[drawn], np.float64)
 
 
-def _of_model(args: argparse.Namespace) -> "tuple[Mesh, FloatArray]":
+def _of_model(args: argparse.Namespace, mesh: "Mesh") -> "FloatArray":
     import numpy as np
 
-    from tissuereg.io.meshes import read_mesh
-    from tissuereg.phantom import phantom_mesh
     from tissuereg.registration.learned.registration import as_model
 
-    mesh = phantom_mesh() if args.path is None else read_mesh(args.path, fixed=args.fixed)
     model = as_model(args.model, mesh, args.threads)
     family = model.prior()
     draws = np.random.default_rng(args.seed or 0).multivariate_normal(family.mean, family.covariance, args.members)
-    return mesh, np.asarray(model.decode(draws.T), np.float64)
+    return np.asarray(model.decode(draws.T), np.float64)
 
 
 def _write(out: Path, advice: "MarkerAdvice", content: dict[str, Any]) -> None:

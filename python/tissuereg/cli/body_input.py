@@ -11,6 +11,7 @@ from tissuereg._base.fields import choice, number, whole
 from tissuereg.cli.common import note
 from tissuereg.cli.options import ELEMENTS, add_option, option_type, refuse
 from tissuereg.errors import MeshError
+from tissuereg.io.matching import MATCHES
 
 if TYPE_CHECKING:
     from tissuereg.body.load import Load
@@ -43,6 +44,14 @@ def add_body_options(more: Any, tables: str) -> None:
     add_option(more, "--coincident", choice(("certain", "join", "keep"), text, default=None, otherwise="certain"))
     text = "noise of a marker coordinate without its own std_mm"
     add_option(more, "--std", number(text, unit="mm", above=0.0, default=None, otherwise="0.1"), "MM")
+
+
+def add_match_option(more: Any, what: str) -> None:
+    """Add the option ``--match``: how the two lists of markers that `what` names are joined."""
+    text = (
+        f"how {what} are joined: by their labels, by order, or by the last number in each label, such as F-3 and F_1-3"
+    )
+    add_option(more, "--match", choice(MATCHES, text, default=None, otherwise="label"))
 
 
 def add_belief_options(what: Any) -> None:
@@ -102,17 +111,17 @@ def believed_body(args: argparse.Namespace, mesh: "Mesh", material: "Material | 
     return Body(mesh, material, args.element, **only_given(held=args.held, stiffness=args.stiffness))
 
 
-def frames_of(args: argparse.Namespace, files: Sequence[str | Path | None], mesh: "Mesh") -> dict[str, str | None]:
+def frames_of(args: argparse.Namespace, mesh: "Mesh", files: Sequence[str | Path | None]) -> dict[str, str | None]:
     """Return the patient frames of the answer (``frame``) and of tables (``table_frame``): LPS, RAS, None if unknown.
 
-    The answer's is that of `mesh`, which its file or ``--frame`` states, or else that of the first of `files` that
-    holds points of 3D Slicer, which a note on standard error states. Raises UsageError where options clash, FormatError
-    where ``--frame`` is not that of the mesh.
+    Where neither `mesh` nor ``--frame`` states it, it is that of the first of `files` that holds points of 3D Slicer,
+    which a note on standard error states. Raises UsageError where options clash, FormatError if ``--frame`` contradicts
+    the mesh.
     """
-    from tissuereg.io.meshes import agreed_frame
+    from tissuereg.io.notes import agreed_frame
     from tissuereg.io.point_files import frame_of_files
 
-    frame = agreed_frame("MESH", mesh.frame, args.frame)
+    frame = agreed_frame(mesh.frame, args.frame, args.path)
     if args.tables_frame is not None and frame is None:
         refuse("--tables-frame must come with --frame, or with a mesh that states its frame", "--tables-frame")
     if frame is not None:

@@ -13,11 +13,11 @@ if TYPE_CHECKING:
 
 HELP = Help(
     "SURFACE is a .stl, .ply, .obj, .off, .vtp, .vtu, .vtk or .msh of triangles. Its vertices are merged, holes closed "
-    "and normals turned outwards; whatever was done is listed. BODY.vtu gets tetrahedra in mm and the node sets, and "
-    "'tissuereg register', 'simulate' and 'tr.read_mesh' take it. A rule is 'plane nx ny nz d [tol]' (nodes within tol "
-    "mm of n . x = d mm), 'ball x y z r' (nodes of the surface within r mm) or the name of another set; all in mm. The "
-    "mesher (pytetwild: pip install 'tissuereg[mesh]') uses random numbers and takes no seed: its answer differs from "
-    "run to run.",
+    "and normals turned outwards; whatever was done is listed. BODY.vtu (or .npz) gets tetrahedra in mm, the node sets "
+    "and the patient frame, and 'tissuereg register', 'simulate' and 'tr.read_mesh' take it. A rule is 'plane nx ny nz "
+    "d [tol]' (nodes within tol mm of n . x = d mm), 'ball x y z r' (nodes of the surface within r mm) or the name of "
+    "another set; all in mm. The mesher (pytetwild: pip install 'tissuereg[mesh]') uses random numbers and takes no "
+    "seed: its answer differs from run to run.",
     example="tissuereg mesh liver.stl --size 6 --out liver.vtu --json -",
     threads="threads of the mesher (default: all cores)",
 )
@@ -35,6 +35,9 @@ def options(parser: Parser) -> None:
     usual = "that stated in the file, or else mm"
     unit = choice(("mm", "cm", "m"), "unit of SURFACE's coordinates", default=None, otherwise=usual)
     add_option(parser, "--unit", unit)
+    text = "LPS or RAS: patient frame of SURFACE's coordinates, which BODY then states; no number is turned"
+    usual = "that stated in the file, if one is"
+    add_option(parser, "--frame", choice(("LPS", "RAS"), text, default=None, otherwise=usual))
     usual = "5 % of the size, at most 0.1 % of the diagonal"
     deviation = number("how far faces may lie from the surface", unit="mm", above=0.0, default=None, otherwise=usual)
     add_option(parser, "--deviation", deviation, "MM")
@@ -48,11 +51,12 @@ def options(parser: Parser) -> None:
 def run(args: argparse.Namespace) -> Outcome:
     """Run ``tissuereg mesh``: fill a surface, write the mesh; JSON schema ``tissuereg.mesh/1``."""
     from tissuereg.io.atomic import check_file_target
-    from tissuereg.io.meshes import write_vtu
+    from tissuereg.io.meshes import write_mesh_npz, write_vtu
     from tissuereg.meshing import tetrahedralize
 
-    if Path(args.out).suffix.lower() != ".vtu":
-        refuse(f"--out must end in .vtu, got '{args.out}'", "--out")
+    writer = {".vtu": write_vtu, ".npz": write_mesh_npz}.get(Path(args.out).suffix.lower())
+    if writer is None:
+        refuse(f"--out must end in .vtu or .npz, got '{args.out}'", "--out")
     refuse_overwriting([Path(args.out)], [args.surface])
     check_file_target(args.out)
     clock = Stopwatch()
@@ -60,13 +64,14 @@ def run(args: argparse.Namespace) -> Outcome:
         args.surface,
         args.size,
         unit=args.unit,
+        frame=args.frame,
         fixed=args.fixed,
         node_sets=_sets(args.set),
         deviation_mm=args.deviation,
         threads=args.threads,
     )
     clock.lap("mesh")
-    write_vtu(args.out, mesh)
+    writer(args.out, mesh)
     writing = clock.lap("write")
     seconds = {**mesh.seconds, "write": writing, "total": clock.seconds["total"]}
     content = {
@@ -75,6 +80,7 @@ def run(args: argparse.Namespace) -> Outcome:
         "tets": mesh.n_tets,
         **mesh.quality,
         "repaired": mesh.repaired,
+        "frame": mesh.frame,
         "node_sets": {name: len(nodes) for name, nodes in mesh.node_sets.items()},
         **mesh.settings,
         "repeatable": False,
@@ -112,6 +118,7 @@ def _summary(mesh: "FilledMesh", spent: str, out: str) -> str:
         f"{found['surface_distance_mm']:.2g} mm from it, the surface at most {found['missed_mm']:.2g} mm from them",
         *_of_deviation(mesh),
         *(f"repaired: {sentence}" for sentence in mesh.repaired),
+        *([f"patient frame: {mesh.frame}"] if mesh.frame else []),
         "node sets: " + (", ".join(f"{name} ({len(nodes)})" for name, nodes in mesh.node_sets.items()) or "none"),
         spent,
         f"written: {out}",

@@ -10,6 +10,7 @@ from tissuereg._base.fields import number
 from tissuereg.cli.body_input import (
     add_belief_options,
     add_body_options,
+    add_match_option,
     add_method_options,
     beliefs_of,
     believed_body,
@@ -33,8 +34,8 @@ HELP = Help(
     "known of what pushed or pulled: contacts on the surface that explain the markers are found, and the body is "
     "brought to equilibrium under them. Input: MESH (tetrahedra in mm, .vtu .vtk .msh .npz, held nodes in the node set "
     "'fixed') and MARKERS (csv: marker,x_mm,y_mm,z_mm,moved_x_mm,moved_y_mm,moved_z_mm[,std_mm], empty = not seen; or "
-    "points of 3D Slicer, .mrk.json or .fcsv, with those where they were seen in --measured), "
-    "points of the deformed surface (--surface), or both; or one frame of an experiment folder. DIR gets "
+    "points of 3D Slicer, .mrk.json, .fcsv or a table of them, with those where they were seen in --measured), points "
+    " of the deformed surface (--surface), or both; or one frame of an experiment folder. DIR gets "
     "registered.vtu (undeformed nodes; displacement_mm warps them, its standard deviation, forces of the contacts), "
     "targets.csv, targets.mrk.json (for 3D Slicer), registration.json, registered.png and report.html, all or none. "
     "The last line says whether to trust the answer. Exit code 0: there is one, and nothing speaks against it; 4: it "
@@ -124,12 +125,12 @@ def _input(args: argparse.Namespace) -> dict[str, Any]:
     from tissuereg.io.tables import read_markers, read_surface, read_targets
     from tissuereg.registration.inputs import SimulationVariants
 
-    from_files = not is_experiment(args.path)
-    given = _from_files(args) if from_files else _from_experiment(args)
+    given = _from_experiment(args) if is_experiment(args.path) else _from_files(args)
     body: Body = given["mesh"]
-    frames = frames_of(args, [*args.markers, args.targets, args.seen], body.mesh)
-    if from_files and args.markers:
-        given["markers"] = read_markers(args.markers[0], args.std, measured=args.measured, **frames)
+    frames = frames_of(args, body.mesh, [*args.markers, args.targets, args.seen, args.surface])
+    if args.markers:
+        joined = {**frames, **only_given(measured=args.measured, match=args.match)}
+        given["markers"] = read_markers(args.markers[0], args.std, **joined)
     if frames["frame"] is not None:
         given["mesh"] = body = replace(body, mesh=body.mesh.in_frame(frames["frame"]))
     if args.targets is not None:
@@ -164,18 +165,19 @@ def _with_seen(args: argparse.Namespace, given: dict[str, Any], frames: dict[str
 
 
 def _add_files(more: Any) -> None:
-    text = "points of 3D Slicer where the markers of MARKERS, such points too, were seen; joined by label"
+    text = "points of 3D Slicer where the markers of MARKERS, such points too, were seen"
     more.add_argument("--measured", metavar="FILE", help=text)
     text = (
         "table target,x_mm,y_mm,z_mm[,std_mm], or points of 3D Slicer: targets that were seen in the deformed body, or "
         "corrected by hand; they count as markers inside the body"
     )
     more.add_argument("--seen", metavar="FILE", help=text)
+    add_match_option(more, "MARKERS and --measured")
     text = "displacement_mm (n, 3) of this moment, predicted by any simulator"
     more.add_argument("--simulation", metavar="U.npz", help=text)
     text = "displacement_mm (k, n, 3): this moment simulated with other values of what is uncertain; with --model"
     more.add_argument("--variants", metavar="U.npz", help=text)
-    text = "table x_mm,y_mm,z_mm of points on the deformed surface, or on a part of it, without labels"
+    text = "table x_mm,y_mm,z_mm (or Slicer's points) on the deformed surface, or on a part of it, without labels"
     more.add_argument("--surface", metavar="FILE", help=text)
     text = "noise of such a point along the surface's normal"
     add_option(more, "--surface-std", number(text, unit="mm", above=0.0, default=None, otherwise="0.1"), "MM")
@@ -200,7 +202,18 @@ def _from_experiment(args: argparse.Namespace) -> dict[str, Any]:
     from tissuereg.io.experiments import read_experiment
     from tissuereg.registration.frame import frame_input
 
-    for name in ("markers", "measured", "fixed", "coincident", "std", "young", "poisson", "gravity", "density"):
+    for name in (
+        "markers",
+        "measured",
+        "match",
+        "fixed",
+        "coincident",
+        "std",
+        "young",
+        "poisson",
+        "gravity",
+        "density",
+    ):
         if getattr(args, name) not in (None, []):
             option = "MARKERS" if name == "markers" else f"--{name}"
             refuse(f"{option} must be left out with an experiment, which states its own", option)

@@ -10,11 +10,13 @@ from typing import TYPE_CHECKING, Any
 from tissuereg.cli.body_input import (
     add_belief_options,
     add_body_options,
+    add_match_option,
     add_method_options,
     beliefs_of,
     believed_body,
     frames_of,
     method_of,
+    only_given,
     read_body,
 )
 from tissuereg.cli.common import UNTRUSTED, Outcome, Stopwatch, seconds_line
@@ -61,6 +63,7 @@ def options(parser: Parser) -> None:
     more = parser.add_argument_group("more input")
     text = "times_s (k,), displacement_mm (k, n, 3), predicted by any simulator; linear in time between them"
     more.add_argument("--simulations", metavar="U.npz", help=text)
+    add_match_option(more, "--reference and MARKERS")
     add_body_options(more, "MARKERS, --reference and --targets")
     add_belief_options(parser.add_argument_group("what is believed"))
     add_method_options(parser.add_argument_group("method"))
@@ -121,11 +124,11 @@ def _read(args: argparse.Namespace) -> "tuple[Tracker, Recording, TablePhysics |
 
     material, load = beliefs_of(args, "--simulations")
     mesh = read_body(args, args.path)
-    frames = frames_of(args, [args.reference, args.targets], mesh)
+    frames = frames_of(args, mesh, [args.reference, args.targets])
     if frames["frame"] is not None:
         mesh = mesh.in_frame(frames["frame"])
     markers = read_reference(args.reference, args.std, **frames)
-    recording = read_recording(args.recording, markers.names, **frames)
+    recording = read_recording(args.recording, markers.names, **{**frames, **only_given(match=args.match)})
     targets = None if args.targets is None else read_targets(args.targets, **frames)
     simulations = None if args.simulations is None else _simulations(args, mesh.n_nodes, recording)
     body = believed_body(args, mesh, material)

@@ -157,6 +157,16 @@ def read_text(file: Path, most_mb: int = FILES.text_mb) -> str:
         return stream.read().decode("utf-8-sig")
 
 
+def text_lines(file: Path) -> list[str]:
+    """Return the lines of a text file in UTF-8, without their ends.
+
+    A line ends at a line feed; carriage returns before it, or alone within the line, are left out. Only where there is
+    no line feed at all do lines end at carriage returns. Raises as `read_text` does.
+    """
+    text = read_text(file)
+    return [line.replace("\r", "") for line in text.split("\n" if "\n" in text else "\r")]
+
+
 def too_large(file: Path | str, most_mb: int, found: str) -> FormatError:
     """Return the error for a file that is larger than files of its format may be.
 

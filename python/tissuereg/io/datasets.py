@@ -25,7 +25,7 @@ from tissuereg.io.bounds import FILES
 from tissuereg.io.chunks import Fields, check_chunk, read_parameters
 from tissuereg.io.fields import check_pairs, npz_of_bytes
 from tissuereg.io.hdf5 import OpenFile, array_of, checked, opened, spoilt_is_said
-from tissuereg.io.meshes import mesh_from_archive
+from tissuereg.io.meshes import mesh_arrays, mesh_from_archive
 from tissuereg.io.stores import Store, store_of
 
 CARD_NAME = "dataset.json"
@@ -396,7 +396,8 @@ MESH_NAME = "mesh.npz"
 def pack_mesh(mesh: Mesh) -> bytes:
     """Return a mesh as the bytes of an .npz file, with nodes in mm; they are the same for the same mesh."""
     whole = io.BytesIO()
-    np.savez(whole, nodes_mm=mesh.nodes, tets=mesh.tets, fixed_nodes=mesh.fixed_nodes)
+    kept: dict[str, Any] = mesh_arrays(Mesh(mesh.nodes, mesh.tets, {"fixed": mesh.fixed_nodes}, mesh.frame))
+    np.savez(whole, **kept)
     return whole.getvalue()
 
 

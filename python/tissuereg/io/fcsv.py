@@ -1,14 +1,13 @@
 """Fiducials of 3D Slicer as text (``.fcsv``): comment lines with frame and columns, then one point per line, mm."""
 
 import csv
-import io
 import math
 import os
 import re
 from pathlib import Path
 
 from tissuereg.errors import FormatError
-from tissuereg.io.bounds import FILES, existing_file, read_text
+from tissuereg.io.bounds import FILES, existing_file, text_lines
 from tissuereg.io.points import NamedPoints
 
 _COLUMNS = "id,x,y,z,ow,ox,oy,oz,vis,sel,lock,label,desc,associatedNodeID"
@@ -31,7 +30,7 @@ def read_fcsv(path: str | os.PathLike[str]) -> NamedPoints:
     """
     file = existing_file(path, FILES.text_mb)
     try:
-        lines = [line.rstrip("\r\n") for line in io.StringIO(read_text(file), newline="")]
+        lines = text_lines(file)
     except (UnicodeDecodeError, OSError) as error:
         message = f"{file} must be fiducials in UTF-8 text; it cannot be read: {error}"
         raise FormatError(message, where=str(file)) from error

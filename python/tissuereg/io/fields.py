@@ -24,8 +24,9 @@ from tissuereg.io.atomic import atomic_file
 from tissuereg.io.bounds import FILES, existing_file, mesh_file, too_large
 from tissuereg.io.extents import UNITS_MM
 from tissuereg.io.foreign import GRID_READERS, read_grid
-from tissuereg.io.grid import Grid, unit_in
+from tissuereg.io.grid import Grid
 from tissuereg.io.grid_meshes import mesh_of_grid
+from tissuereg.io.notes import unit_in
 
 #: What numpy and zipfile raise on spoilt archives.
 _SPOILT = (

@@ -14,7 +14,8 @@ from tissuereg.body.topology import sound_mesh
 from tissuereg.errors import FormatError, MeshError, ShapeError
 from tissuereg.io.extents import UNITS_MM, check_extent
 from tissuereg.io.foreign import reading
-from tissuereg.io.grid import FLAT_KINDS, Grid, frame_in, unit_in
+from tissuereg.io.grid import FLAT_KINDS, Grid
+from tissuereg.io.notes import frame_in, unit_in
 
 
 def mesh_of_grid(file: Path, grid: Grid, coincident: str = "certain") -> tuple[Mesh, IntArray]:

@@ -20,10 +20,11 @@ from tissuereg.body.topology import COINCIDENT
 from tissuereg.errors import FormatError, MeshError, ShapeError
 from tissuereg.io.atomic import atomic_file
 from tissuereg.io.bounds import existing_file
-from tissuereg.io.fields import Archive, open_npz
+from tissuereg.io.fields import Archive, open_npz, write_npz
 from tissuereg.io.foreign import GRID_READERS, read_grid
 from tissuereg.io.grid_meshes import how_to_fill, mesh_of_grid, named_errors, placed_mesh
 from tissuereg.io.node_rules import NodeRule, nodes_by_rule
+from tissuereg.io.notes import agreed_frame
 from tissuereg.io.surfaces import SURFACE_READERS
 from tissuereg.io.vtk_xml_out import vtu_bytes
 
@@ -43,8 +44,8 @@ def read_mesh(
     Parameters
     ----------
     path : path-like
-        A .vtu, .vtk, .msh or .xdmf file, or an .npz with ``nodes_mm (n, 3)``, ``tets (m, 4)`` and integer arrays
-        ``fixed_nodes``, ``<name>_nodes``. Lengths in mm, or in the unit that the file states.
+        A .vtu, .vtk, .msh or .xdmf file, or an .npz with ``nodes_mm (n, 3)``, ``tets (m, 4)``, integer arrays
+        ``fixed_nodes``, ``<name>_nodes``, and ``frame``, a text. Lengths in mm, or in the unit that the file states.
     fixed : str or sequence of float, optional
         Rule that chooses the held nodes: ``"plane nx ny nz d [tol]"`` or those numbers (the nodes within `tol` mm of
         the plane ``n . x = d``, where n is the normal (nx, ny, nz) brought to length 1 and d its distance from the
@@ -78,31 +79,20 @@ def read_mesh(
         check_choice("frame", frame, PATIENT_FRAMES, MeshError)
     file = existing_file(path)
     suffix = file.suffix.lower()
-    if suffix in MESH_READERS:
-        mesh = MESH_READERS[suffix](file, coincident)
-    else:
+    if suffix not in MESH_READERS:
         raise _unknown_format(file)
-    if agreed_frame(file, mesh.frame, frame) != mesh.frame:
-        mesh = mesh.in_frame(frame)
+    mesh = MESH_READERS[suffix](file, coincident)
+    stated = agreed_frame(mesh.frame, frame, str(file))
+    if stated != mesh.frame:
+        mesh = mesh.in_frame(stated)
     return mesh if fixed is None else mesh.with_node_set("fixed", nodes_by_rule(mesh, fixed))
-
-
-def agreed_frame(file: str | os.PathLike[str], stated: str | None, given: str | None) -> str | None:
-    """Return the frame of a file's coordinates, which it states or which is given; None if neither is.
-
-    `file`: its name, for the message; `stated`, `given` {"LPS", "RAS"}. Raises `FormatError` if they differ.
-    """
-    if None not in (stated, given) and stated != given:
-        message = f"--frame (`frame`) must be the frame that {file} states, {stated}, or be left out; got {given}"
-        raise FormatError(message, where=str(file))
-    return given or stated
 
 
 def mesh_from_archive(archive: Archive) -> Mesh:
     """Return the mesh that an open .npz file of this package holds, as it stands, with nodes in mm and its node sets.
 
     `archive`: the file, with ``nodes_mm`` (n, 3), ``tets`` (m, 4) and integer arrays ``<name>_nodes``; each of these
-    becomes a node set with the name before ``_nodes``. A text ``frame`` states its frame.
+    becomes a node set with the name before ``_nodes``; ``frame``, if it is there, is the text LPS or RAS.
     """
     with named_errors(archive.path):
         return Mesh(*_of_archive(archive))
@@ -118,8 +108,20 @@ def _of_archive(archive: Archive) -> tuple[FloatArray, IntArray, dict[str, IntAr
     }
     frame = str(archive.raw("frame")) if "frame" in archive else None
     if frame is not None:
-        check_choice("frame", frame, PATIENT_FRAMES, FormatError)
+        check_choice(f"frame of {archive.path}", frame, PATIENT_FRAMES, FormatError)
     return nodes, tets, sets, frame
+
+
+def mesh_arrays(mesh: Mesh) -> dict[str, npt.NDArray[Any]]:
+    """Return the arrays of an .npz that holds a mesh in mm: nodes, tets, node sets, and the frame that it states."""
+    frame = {} if mesh.frame is None else {"frame": np.array(mesh.frame)}
+    sets = {f"{name}_nodes": indices for name, indices in mesh.node_sets.items()}
+    return {"nodes_mm": mesh.nodes, "tets": mesh.tets, **sets, **frame}
+
+
+def write_mesh_npz(path: str | os.PathLike[str], mesh: Mesh) -> None:
+    """Write a mesh in mm as an .npz that `read_mesh` reads, whole or not at all."""
+    write_npz(path, mesh_arrays(mesh))
 
 
 def write_vtu(

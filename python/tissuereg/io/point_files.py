@@ -10,7 +10,9 @@ from tissuereg._base.arrays import FloatArray
 from tissuereg._base.provenance import warn
 from tissuereg.body.markers import Markers
 from tissuereg.errors import FormatError, MarkerError
+from tissuereg.io.control_points import is_control_point_table, read_control_points
 from tissuereg.io.fcsv import read_fcsv
+from tissuereg.io.matching import Labels, partners
 from tissuereg.io.mrk_json import read_mrk_json
 from tissuereg.io.points import NamedPoints
 
@@ -23,21 +25,24 @@ POINT_READERS: dict[str, Callable[[str | os.PathLike[str]], NamedPoints]] = {
 
 
 def is_point_file(path: str | os.PathLike[str]) -> bool:
-    """Return whether a file's name ends as files of labelled points do: in ``.mrk.json``, ``.json`` or ``.fcsv``."""
-    return _ending(path) is not None
+    """Return whether a file holds labelled points: by the ending of its name, or the header of a table of Slicer."""
+    return _ending(path) is not None or is_control_point_table(path)
 
 
 def read_points(path: str | os.PathLike[str]) -> NamedPoints:
     """Read the named points in a file of 3D Slicer, with their places in mm in the file's frame.
 
-    `path`: a file whose name ends in ``.mrk.json``, ``.json`` or ``.fcsv``. Raises `FormatError` if the file is
-    missing, spoilt or of another kind; the message names the place in it.
+    `path`: a file whose name ends in ``.mrk.json``, ``.json`` or ``.fcsv``, or a table of control points. Labels may be
+    empty or stand twice. Raises `FormatError` if the file is missing, spoilt or of another kind; the message names the
+    place in it.
     """
     ending = _ending(path)
-    if ending is None:
-        message = f"a file of points must be one of {', '.join(POINT_READERS)}, got {path}"
-        raise FormatError(message, where=str(path))
-    return POINT_READERS[ending](path)
+    if ending is not None:
+        return POINT_READERS[ending](path)
+    if is_control_point_table(path):
+        return read_control_points(path)
+    message = f"a file of points must be one of {', '.join(POINT_READERS)} or a table of control points, got {path}"
+    raise FormatError(message, where=str(path))
 
 
 def _ending(path: str | os.PathLike[str]) -> str | None:
@@ -50,7 +55,7 @@ def targets_of(path: str | os.PathLike[str], frame: str | None) -> dict[str, Flo
     `path`: a file of 3D Slicer; `frame`: ``"LPS"`` or ``"RAS"``, the frame of the result; None for that of the file.
     Result: in file order. Raises `FormatError` if the file cannot be read, or a target has no place.
     """
-    points = read_points(path)
+    points = read_points(path).labelled()
     if not points.defined.all():
         name = points.names[int(np.argmin(points.defined))]
         message = f"every target must have a place; that of '{name}' in {points.file} is not defined"
@@ -58,17 +63,34 @@ def targets_of(path: str | os.PathLike[str], frame: str | None) -> dict[str, Flo
     return dict(zip(points.names, points.places_in(frame), strict=True))
 
 
+def places_of(path: str | os.PathLike[str], frame: str | None) -> FloatArray:
+    """Read the places (n, 3), in mm, of the points in a file of points, whatever their labels, in file order.
+
+    `path`: a file of 3D Slicer; `frame`: ``"LPS"`` or ``"RAS"``, the frame of the result; None for that of the file.
+    Points that are not defined are left out. Raises `FormatError` if the file cannot be read, or defines no point.
+    """
+    points = read_points(path)
+    if not points.defined.any():
+        message = f"{points.file} must hold at least one point with a place; none is defined"
+        raise FormatError(message, where=str(points.file))
+    return points.places_in(frame)[points.defined]
+
+
 def markers_of(
-    reference: str | os.PathLike[str], measured: str | os.PathLike[str] | None, std: float, frame: str | None
+    reference: str | os.PathLike[str],
+    measured: str | os.PathLike[str] | None,
+    std: float,
+    frame: str | None,
+    match: str = "label",
 ) -> Markers:
     """Read markers from two files of points: their places on the undeformed body, and their measured places.
 
-    `reference`, `measured`: files of points of the two, in which points of the same label belong together. They may
-    have frames and units of their own; `std`: standard deviation of a measured coordinate, mm; `frame`: ``"LPS"`` or
-    ``"RAS"``, the frame of the result; None for that of `reference`. Result: in the order of `reference`. A marker that
-    `measured` lacks, or does not define, counts as not measured; one that `reference` does not define is left out, with
-    a warning. Raises `FormatError` if there are not two such files, one cannot be read, or `measured` has a label that
-    `reference` lacks; `MarkerError` if `std` is not positive.
+    `reference`, `measured`: files of points of the two, which may have frames and units of their own; `std`: standard
+    deviation of a measured coordinate, mm; `frame`: ``"LPS"`` or ``"RAS"``, the frame of the result; None for that of
+    `reference`; `match`: which points belong together, as of `partners`. Result: in the order of `reference`. A marker
+    that `measured` lacks, or does not define, counts as not measured; one that `reference` does not define is left out,
+    with a warning. Raises `FormatError` if there are not two such files, one cannot be read, or `measured` has a point
+    without a partner in `reference`; `MarkerError` if `std` is not positive.
     """
     files = {"reference": reference, "measured": measured}
     for role, path in files.items():
@@ -79,10 +101,13 @@ def markers_of(
                 f"with {other} the {role} one is {'missing' if path is None else path}"
             )
             raise FormatError(message, where=str(other if path is None else path))
-    sit, seen = read_points(reference), read_points(measured or "")
-    _refuse_strangers(sit, seen)
+    sit, seen = read_points(reference).labelled(), read_points(measured or "")
+    if match == "label":
+        seen = seen.labelled()
+    rows = partners(Labels(str(sit.file), sit.names), Labels(str(seen.file), seen.names, seen.where), match)
     where = frame or sit.frame
-    return _markers(sit, dict(zip(seen.names, seen.places_in(where), strict=True)), std, where)
+    names = [sit.names[row] for row in rows]
+    return _markers(sit, dict(zip(names, seen.places_in(where), strict=True)), std, where)
 
 
 def reference_of(path: str | os.PathLike[str], std: float, frame: str | None) -> Markers:
@@ -92,7 +117,7 @@ def reference_of(path: str | os.PathLike[str], std: float, frame: str | None) ->
     ``"RAS"``, the frame of the result; None for that of the file. A marker without a place is left out, with a warning.
     Raises `FormatError` if the file cannot be read; `MarkerError` if `std` is not positive.
     """
-    sit = read_points(path)
+    sit = read_points(path).labelled()
     return _markers(sit, {}, std, frame or sit.frame)
 
 
@@ -121,17 +146,3 @@ def frame_of_files(paths: list[str | Path]) -> tuple[str, str] | None:
     """
     first = next((path for path in paths if is_point_file(path)), None)
     return None if first is None else (read_points(first).frame, str(first))
-
-
-def _refuse_strangers(sit: NamedPoints, seen: NamedPoints) -> None:
-    """Raise `FormatError` if a measured point has a label that no marker has: a misspelt label would lose a marker.
-
-    `sit`: the markers' places on the undeformed body; `seen`: the measured points.
-    """
-    strangers = [name for name in seen.names if name not in sit.names]
-    if strangers:
-        message = (
-            f"every label in {seen.file} must stand in {sit.file} too; {', '.join(map(repr, strangers))} does not "
-            f"(there are {', '.join(map(repr, sit.names))})"
-        )
-        raise FormatError(message, where=f"{seen.file}: {strangers[0]}")

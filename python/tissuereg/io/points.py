@@ -24,7 +24,9 @@ class NamedPoints:
     frame : {"LPS", "RAS"}
         Patient frame of the file.
     names : tuple of str
-        Name of each point, without repeats.
+        Name of each point, as it stands in the file.
+    where : tuple of str
+        Where each point stands in the file, in words ("line 4").
     places : ndarray of float64, shape (n_points, 3)
         Place of each point in mm, in `frame`; NaN where the file does not define it.
     """
@@ -32,29 +34,35 @@ class NamedPoints:
     file: Path
     frame: str
     names: tuple[str, ...]
+    where: tuple[str, ...]
     places: FloatArray
 
     @classmethod
     def of(cls, file: Path, frame: str, points: Sequence[tuple[str, str, tuple[float, float, float]]]) -> "NamedPoints":
-        """Make the named points of a file from a list, after checking their names.
+        """Make the named points of a file from a list.
 
         `file`: the file from which they were read; `frame`: ``"LPS"`` or ``"RAS"``; `points`: for each point, where it
         stands in the file in words ("line 4"), its name, and its place in mm, which is NaN if it is not defined. The
-        order is kept. Raises `FormatError` if there is none, or a name is empty or stands twice.
+        order is kept. Raises `FormatError` if there is none.
         """
         if not points:
             message = f"{file} must hold at least one point; its list is empty"
             raise FormatError(message, where=str(file))
+        where, names, places = zip(*points, strict=True)
+        return cls(file, frame, names, where, np.array(places, dtype=np.float64))
+
+    def labelled(self) -> "NamedPoints":
+        """Return the points after checking that each has a name of its own; raise `FormatError` otherwise."""
         first: dict[str, str] = {}
-        for where, name, _ in points:
+        for where, name in zip(self.where, self.names, strict=True):
             if not name:
-                message = f"every point must have a label, the one at {where} of {file} has none"
-                raise FormatError(message, where=f"{file}: {where}")
+                message = f"every point must have a label, the one at {where} of {self.file} has none"
+                raise FormatError(message, where=f"{self.file}: {where}")
             if name in first:
-                message = f"each label must stand in {file} once; '{name}' is at {first[name]} and {where}"
-                raise FormatError(message, where=f"{file}: {where}")
+                message = f"each label must stand in {self.file} once; '{name}' is at {first[name]} and {where}"
+                raise FormatError(message, where=f"{self.file}: {where}")
             first[name] = where
-        return cls(file, frame, tuple(first), np.array([place for _, _, place in points], dtype=np.float64))
+        return self
 
     @property
     def defined(self) -> "np.ndarray[tuple[int, ...], np.dtype[np.bool_]]":

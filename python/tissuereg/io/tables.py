@@ -15,7 +15,8 @@ from tissuereg.body.mesh import PATIENT_FRAMES
 from tissuereg.errors import FormatError, MarkerError
 from tissuereg.io.bounds import FILES
 from tissuereg.io.csv import Row, read_table, write_table
-from tissuereg.io.point_files import is_point_file, markers_of, read_points, reference_of, targets_of
+from tissuereg.io.matching import Labels, partners
+from tissuereg.io.point_files import is_point_file, markers_of, places_of, read_points, reference_of, targets_of
 from tissuereg.io.points import turned
 
 _PLACE = ("x_mm", "y_mm", "z_mm")
@@ -31,6 +32,7 @@ def read_markers(
     measured: str | os.PathLike[str] | None = None,
     frame: str | None = None,
     table_frame: str | None = None,
+    match: str = "label",
 ) -> Markers:
     """Read the markers of one moment: their places on the undeformed body and their measured places.
 
@@ -40,18 +42,21 @@ def read_markers(
         Table ``marker,x_mm,y_mm,z_mm,moved_x_mm,moved_y_mm,moved_z_mm[,std_mm]``: the name of a marker, its place on or
         off the undeformed surface, then the place where it was measured; empty (or ``nan``) if it was not measured.
         Columns ``std_x_mm,std_y_mm,std_z_mm`` may follow where the noise differs between axes; an empty cell takes the
-        value of the marker's ``std_mm``, or of `std`. Or a point file of 3D Slicer (``.mrk.json``, ``.fcsv``) with the
-        places on the undeformed body.
+        value of the marker's ``std_mm``, or of `std`. Or a point file of 3D Slicer (``.mrk.json``, ``.fcsv``, a table
+        of control points) with the places on the undeformed body.
     std : float, optional
         Standard deviation in mm of a measured coordinate, for markers that state none themselves; 0.1 by default.
     measured : path-like, optional
-        Only if `path` is a point file of 3D Slicer: point file with the measured places, under the same labels. A
-        marker that is missing in it, or whose status is not ``defined``, counts as not measured.
+        Only if `path` is a point file of 3D Slicer: point file with the measured places. A marker that is missing in
+        it, or whose status is not ``defined``, counts as not measured.
     frame : {"LPS", "RAS"}, optional
         Patient frame of the mesh, into which the markers are converted. By default, markers of point files are in the
         frame of the file `path`, and a table's numbers are not converted.
     table_frame : {"LPS", "RAS"}, optional
         Patient frame of the numbers in a table, if it is not `frame`.
+    match : {"label", "order", "number"}
+        Which points of `path` and `measured` belong together: those of the same label, the first of each and so on, or
+        those with the same last number in their labels (``F-3`` and ``F_1-3``).
 
     Returns
     -------
@@ -62,7 +67,7 @@ def read_markers(
     ------
     FormatError
         If a file cannot be read, or a marker stands in it twice; the message names the line. If `measured` does not go
-        with `path`, or has a label that `path` lacks.
+        with `path`, or has a point without a partner in it; if `match` is given with a table, which joins by itself.
     MarkerError
         If a standard deviation is not positive, a frame none of the two, or `table_frame` given without `frame`.
     """
@@ -71,10 +76,13 @@ def read_markers(
     measured = None if measured is None else place("measured", measured, error=FormatError)
     usual = FILES.std_mm if std is None else std
     if is_point_file(path) or (measured is not None and is_point_file(measured)):
-        return markers_of(path, measured, usual, frame)
+        return markers_of(path, measured, usual, frame, match)
     if measured is not None:
         message = f"a table of markers holds where they were seen itself; {measured} must be left out with {path}"
         raise FormatError(message, where=str(measured))
+    if match != "label":
+        message = f"a table of markers joins where they sit and were seen itself; `match` must be left out with {path}"
+        raise FormatError(message, where=str(path))
     rows = read_table(path, ("marker", *_PLACE, *_MOVED), ("std_mm", *_STD), most_rows=FILES.table_points)
     names = _unique_names(rows, "marker")
     spread = [_own_std(row, usual) for row in rows]
@@ -98,7 +106,7 @@ def read_reference(
     """Read markers with their places on the undeformed body only; none of them counts as measured.
 
     `path`: table ``marker,x_mm,y_mm,z_mm[,std_mm]``; columns with measured places may be there and are ignored. Or a
-    point file of 3D Slicer (``.mrk.json``, ``.fcsv``); `std`: standard deviation in mm of a coordinate to be measured,
+    point file of 3D Slicer; `std`: standard deviation in mm of a coordinate to be measured,
     for markers that state none themselves; 0.1 for None; `frame` {"LPS", "RAS"}: patient frame of the mesh, into which
     the places are converted; None for no conversion; `table_frame` {"LPS", "RAS"}: frame of the numbers in a table, if
     it is not `frame`. Result: in file order. Raises `FormatError` if the file cannot be read, or a marker stands in it
@@ -128,7 +136,8 @@ def read_targets(
     Parameters
     ----------
     path : path-like
-        Table ``target,x_mm,y_mm,z_mm`` with one target a row, or a point file of 3D Slicer (``.mrk.json``, ``.fcsv``).
+        Table ``target,x_mm,y_mm,z_mm`` with one target a row, or a point file of 3D Slicer (``.mrk.json``, ``.fcsv``, a
+        table of control points).
     frame : {"LPS", "RAS"}, optional
         Patient frame of the mesh, into which the places are converted. By default, Slicer's points stay in the frame of
         their file, and a table's numbers are not converted.
@@ -211,7 +220,7 @@ def read_surface(
     Parameters
     ----------
     path : path-like
-        Table ``x_mm,y_mm,z_mm`` with one point per row.
+        Table ``x_mm,y_mm,z_mm`` with one point per row, or a point file of 3D Slicer, whose labels do not count.
     frame : {"LPS", "RAS"}, optional
         Patient frame of the mesh, into which the points are converted. By default nothing is converted.
     table_frame : {"LPS", "RAS"}, optional
@@ -225,11 +234,13 @@ def read_surface(
     Raises
     ------
     FormatError
-        If the table cannot be read; the message names the line.
+        If the file cannot be read; the message names the line.
     MarkerError
         If a frame is none of the two, or `table_frame` is given without `frame`.
     """
     _check_frames(frame, table_frame)
+    if is_point_file(path):
+        return places_of(path, frame)
     return turned(np.array([row.numbers(_PLACE) for row in read_table(path, _PLACE)]), table_frame, frame)
 
 
@@ -338,31 +349,34 @@ def read_recording(
     *,
     frame: str | None = None,
     table_frame: str | None = None,
+    match: str = "label",
 ) -> Recording:
     """Read the measured places of markers at many times, one frame for each time in the table.
 
     `path`: table ``time_s,marker,x_mm,y_mm,z_mm``, with a row for each marker that was measured, in the order of time.
     A marker without a row at some time, or with empty cells, counts as not measured then; `names`: the markers, in the
     order of the result; `frame` {"LPS", "RAS"}: patient frame of the mesh, into which the places are converted; None
-    for no conversion; `table_frame` {"LPS", "RAS"}: frame of the table, if it is not `frame`. Raises `FormatError` if
-    the table cannot be read, has a marker that is not among `names` or twice at one time, or if time goes back; the
-    message names the line.
+    for no conversion; `table_frame` {"LPS", "RAS"}: frame of the table, if it is not `frame`; `match`: which markers
+    of the table are those of `names`, as of `read_markers`; by order, the first frame must list all. Raises
+    `FormatError` if the table cannot be read, has a marker that is not among `names` or twice at one time, or if time
+    goes back; the message names the line.
     """
-    index = {name: i for i, name in enumerate(names)}
+    rows = read_table(path, ("time_s", "marker", *_PLACE))
+    index = _index(rows, names, match)
     times: list[float] = []
     frames: list[FloatArray] = []
     first: dict[str, int] = {}
-    for row in read_table(path, ("time_s", "marker", *_PLACE)):
+    for row in rows:
         time_s, name = row.number("time_s"), row.text("marker")
         if name not in index:
-            message = f"every marker must be one of the reference ({', '.join(index)}), got '{name}' at {_at(row)}"
+            message = f"every marker must be one of the first frame ({', '.join(index)}), got '{name}' at {_at(row)}"
             raise FormatError(message, where=row.where)
         if times and time_s < times[-1]:
             message = f"time must not go back; {time_s:.9g} s at {_at(row)} follows {times[-1]:.9g} s"
             raise FormatError(message, where=row.where)
         if not times or time_s > times[-1]:
             times.append(time_s)
-            frames.append(np.full((len(index), 3), np.nan))
+            frames.append(np.full((len(names), 3), np.nan))
             first = {}
         if name in first:
             message = f"each marker must stand once at one time; '{name}' at {_at(row)} is at line {first[name]} too"
@@ -370,6 +384,16 @@ def read_recording(
         first[name] = row.line
         frames[-1][index[name]] = row.numbers(_PLACE, may_miss=True)
     return Recording(np.array(times), turned(np.array(frames), table_frame, frame))
+
+
+def _index(rows: list[Row], names: Sequence[str], match: str) -> dict[str, int]:
+    """Return the place in `names` of each marker of a recording by its name there; by order, of the first frame's."""
+    begin = rows[0].number("time_s")
+    listed = [row for row in rows if match != "order" or row.number("time_s") == begin]
+    lines = {row.text("marker"): f"line {row.line}" for row in reversed(listed)}
+    seen = list(dict.fromkeys(row.text("marker") for row in listed))
+    found = Labels(str(rows[0].file), seen, [lines[name] for name in seen])
+    return dict(zip(seen, partners(Labels("the reference", names), found, match), strict=True))
 
 
 def _at(row: Row) -> str:

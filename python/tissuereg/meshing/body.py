@@ -10,6 +10,7 @@ from tissuereg._base.arguments import check_running, found, named, real
 from tissuereg._base.arrays import FloatArray, IntArray
 from tissuereg._base.clock import Clock
 from tissuereg._base.provenance import warn
+from tissuereg.body.closest import ClosestTriangles
 from tissuereg.body.mesh import Mesh
 from tissuereg.body.triangles import Triangles
 from tissuereg.errors import FormatError, MeshError, MeshingError
@@ -61,6 +62,7 @@ def tetrahedralize(
     size_mm: float,
     *,
     unit: str | None = None,
+    frame: str | None = None,
     fixed: NodeRules | None = None,
     node_sets: Mapping[str, NodeRules] | None = None,
     deviation_mm: float | None = None,
@@ -79,6 +81,9 @@ def tetrahedralize(
         the body's diagonal the mesher makes edges shorter than the target.
     unit : {"mm", "cm", "m"}, optional
         Unit of the surface's coordinates. By default the unit stated in the file's header, or else mm.
+    frame : {"LPS", "RAS"}, optional
+        Patient frame of the surface's coordinates, which the mesh then states. By default that stated in the file's
+        header, if one is. No coordinate is turned.
     fixed : str, sequence of float, or list of them, optional
         Rule that selects the held nodes, or a list of rules whose nodes are united: ``"plane nx ny nz d [tol]"`` (nodes
         within `tol` of a plane), ``"ball x y z r"`` (surface nodes in a ball) or the name of one of `node_sets`;
@@ -101,7 +106,7 @@ def tetrahedralize(
     Raises
     ------
     FormatError
-        If the file, the unit or a rule cannot be read.
+        If the file, the unit or a rule cannot be read, or the file states another frame.
     UnitError
         If the largest extent is not that of an organ, 5 to 2,000 mm; this is checked first.
     MeshError
@@ -122,7 +127,7 @@ def tetrahedralize(
     if deviation_mm is not None:
         deviation_mm = real("deviation_mm", deviation_mm, unit="mm", error=MeshError)
     with clock.stage("read"):
-        given = read_triangles(surface, unit)
+        given = read_triangles(surface, unit, frame=frame)
         rules = {**named("node_sets", node_sets, error=MeshError), **({} if fixed is None else {"fixed": fixed})}
         _check_rules(rules)
         _check_lengths(given, size_mm, deviation_mm)
@@ -133,7 +138,7 @@ def tetrahedralize(
     wanted = deviation_mm or min(MESHING.deviation_of_size * size_mm, MESHING.deviation_of_diagonal * _diagonal(body))
     with clock.stage("fill"):
         nodes, tets, mesher = filled(body, size_mm, wanted, threads)
-        mesh = _with_sets(nodes, tets, rules)
+        mesh = _with_sets(nodes, tets, rules, given.frame)
     with clock.stage("measure"):
         mesh.quality = _quality(mesh, body)
     mesh.repaired, mesh.seconds = repairs, clock.seconds
@@ -171,15 +176,15 @@ def _check_rules(rules: Mapping[str, NodeRules]) -> None:
         made.append(name)
 
 
-def _with_sets(nodes: FloatArray, tets: IntArray, rules: Mapping[str, NodeRules]) -> FilledMesh:
+def _with_sets(nodes: FloatArray, tets: IntArray, rules: Mapping[str, NodeRules], frame: str | None) -> FilledMesh:
     try:
-        mesh = FilledMesh(nodes, tets)
+        mesh = FilledMesh(nodes, tets, frame=frame)
     except MeshError as error:
         message = f"the mesher must make a mesh that can be simulated: {error}; try another size"
         raise MeshingError(message, where="surface") from error
     for name, several in rules.items():
         chosen = [nodes_by_rule(mesh, rule, name) for rule in _listed(several, name)]
-        mesh = FilledMesh(mesh.nodes, mesh.tets, {**mesh.node_sets, name: np.unique(np.concatenate(chosen))})
+        mesh = FilledMesh(mesh.nodes, mesh.tets, {**mesh.node_sets, name: np.unique(np.concatenate(chosen))}, frame)
     return mesh
 
 
@@ -239,12 +244,7 @@ def largest_distance(measured: Triangles, to: Triangles) -> float:
     >>> largest_distance(Triangles([[0, 0, 2], [9, 0, 0], [0, 9, 0]], [[0, 1, 2]]), flat)
     2.0
     """
-    import trimesh
-
-    proximity: Any = trimesh.proximity  # trimesh leaves these functions without annotations
-    target = trimesh.Trimesh(to.vertices, to.triangles, process=False)
-    _, distance, _ = proximity.closest_point(target, _points(measured))
-    return float(np.max(distance))
+    return float(np.max(ClosestTriangles(to.corners).find(_points(measured)).distances))
 
 
 def _points(surface: Triangles) -> FloatArray:

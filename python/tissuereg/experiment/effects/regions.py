@@ -3,12 +3,13 @@
 import math
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any, ClassVar, Protocol
+from typing import ClassVar, Protocol
 
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray, IntArray
 from tissuereg._base.fields import number, numbers
+from tissuereg.body.closest import closest_on_triangles
 from tissuereg.body.mesh import Mesh, free_triangles
 from tissuereg.experiment.effects.base import Effect, Vector
 from tissuereg.experiment.experiment import Experiment
@@ -128,14 +129,10 @@ class _FreeSurface:
 
     def distance(self, points: FloatArray) -> FloatArray:
         """Return the distance (...), mm, of points (..., 3), mm, from the triangles of the nearest surface samples."""
-        import trimesh
-
-        closest: Any = trimesh.triangles.closest_point  # trimesh leaves this function without annotations
         flat = points.reshape(-1, 3)
         _, nearest = self._tree.query(flat, k=_CANDIDATES)
-        candidates = self._triangles[self._owner[nearest]]
-        feet = [closest(candidates[:, i], flat) for i in range(_CANDIDATES)]
-        distance = np.min([np.linalg.norm(foot - flat, axis=1) for foot in feet], axis=0)
+        feet = closest_on_triangles(flat[:, None], self._triangles[self._owner[nearest]])
+        distance = np.linalg.norm(feet - flat[:, None], axis=2).min(axis=1)
         return np.asarray(distance.reshape(points.shape[:-1]))
 
 

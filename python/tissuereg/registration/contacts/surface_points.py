@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray, IntArray
+from tissuereg.body.closest import closest_on_triangles
 from tissuereg.body.mesh import Mesh
 from tissuereg.body.surface import SurfacePoints, evenly
 from tissuereg.registration.contacts.measured import Observations, tail_cost, tail_variance
 from tissuereg.registration.contacts.settings import MATCHING
 from tissuereg.registration.contacts.state import BodyState, RigidMotion
-from tissuereg.registration.readings.skin import closest_on_triangles
 
 
 @dataclass(frozen=True, eq=False)

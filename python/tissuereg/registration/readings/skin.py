@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tissuereg._base.arrays import BoolArray, FloatArray, IntArray
+from tissuereg.body.closest import closest_on_triangles
 from tissuereg.body.mesh import Mesh, per_mesh
 from tissuereg.registration.readings.settings import MOTION, PROPOSALS
 
@@ -108,27 +109,3 @@ def skin_of(mesh: Mesh) -> Skin:
 
 
 _skin = per_mesh(Skin)
-
-
-def closest_on_triangles(points: FloatArray, corners: FloatArray) -> FloatArray:
-    """Return the closest points (..., 3), mm, of triangles with corners (..., 3, 3), mm, to points (..., 3), mm."""
-    a, b, c = corners[..., 0, :], corners[..., 1, :], corners[..., 2, :]
-    ab, ac, ap = b - a, c - a, points - a
-    normal = np.cross(ab, ac)
-    size = np.einsum("...x,...x->...", normal, normal)
-    size = np.where(size > 0.0, size, 1.0)
-    second = np.einsum("...x,...x->...", np.cross(ap, ac), normal) / size
-    third = np.einsum("...x,...x->...", np.cross(ab, ap), normal) / size
-    within = (second >= 0.0) & (third >= 0.0) & (second + third <= 1.0)
-    best = a + second[..., None] * ab + third[..., None] * ac
-    gap = np.where(within, 0.0, np.inf)
-    for start, end in ((a, b), (b, c), (c, a)):
-        along = end - start
-        length = np.maximum(np.einsum("...x,...x->...", along, along), 1e-300)
-        share = np.clip(np.einsum("...x,...x->...", points - start, along) / length, 0.0, 1.0)
-        foot = start + share[..., None] * along
-        off = np.einsum("...x,...x->...", points - foot, points - foot)
-        closer = off < gap
-        best = np.where(closer[..., None], foot, best)
-        gap = np.where(closer, off, gap)
-    return np.asarray(best)

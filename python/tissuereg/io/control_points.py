@@ -1,0 +1,96 @@
+"""Tables of control points that 3D Slicer exports (.csv, .tsv): a point a line, the frame by the columns' names."""
+
+import csv
+import math
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+from tissuereg.errors import FormatError
+from tissuereg.io.bounds import FILES, existing_file, text_lines
+from tissuereg.io.points import NamedPoints
+
+#: Columns of the coordinates, in mm, and the frame that they state.
+_FRAMES = {("r", "a", "s"): "RAS", ("l", "p", "s"): "LPS"}
+_ENDINGS = (".csv", ".tsv", ".txt")
+_DEFINED = {"1": True, "true": True, "0": False, "false": False}
+
+
+def is_control_point_table(path: str | os.PathLike[str]) -> bool:
+    """Return whether a file is a table of control points: its header has ``label`` and ``r,a,s`` or ``l,p,s``.
+
+    Only the head of a file that ends in ``.csv``, ``.tsv`` or ``.txt`` is read: what is no file, such as a pipe, can be
+    read but once.
+    """
+    file = Path(path)
+    if file.suffix.lower() not in _ENDINGS or not file.is_file() or not os.access(file, os.R_OK):
+        return False
+    with file.open("rb") as stream:
+        head = stream.read(FILES.head_bytes).decode("utf-8-sig", errors="replace")
+    first = next((line for line in head.splitlines() if line.strip()), "")
+    columns = _columns(first.split(_delimiter(first)))
+    return "label" in columns and any(set(axes) <= set(columns) for axes in _FRAMES)
+
+
+def read_control_points(path: str | os.PathLike[str]) -> NamedPoints:
+    """Read the named points in a table of control points of 3D Slicer, with their places in mm in the table's frame.
+
+    `path`: text, its cells parted by commas, or by tabs if its header is, with the columns ``label`` and ``r,a,s`` or
+    ``l,p,s``, in any order; others are passed over. A point whose coordinates are empty, or whose cell of a column
+    ``defined`` is 0, gets NaN as its place. Raises `FormatError` if the file is no such table; the message names the
+    line.
+    """
+    file = existing_file(path, FILES.text_mb)
+    try:
+        lines = text_lines(file)
+        delimiter = _delimiter(next((line for line in lines if line.strip()), ""))
+        reader = csv.reader((f"{line}\n" for line in lines), delimiter=delimiter, strict=True)
+        rows = [(reader.line_num, [cell.strip() for cell in cells]) for cells in reader]
+    except (UnicodeDecodeError, csv.Error, OSError) as error:
+        message = f"{file} must be a table of control points in UTF-8 text; it cannot be read: {error}"
+        raise FormatError(message, where=str(file)) from error
+    (_, first), *below = [row for row in rows if any(row[1])] or [(1, [])]
+    columns = _columns(first)
+    axes = _axes(file, columns)
+    return NamedPoints.of(file, _FRAMES[axes], [_point(file, line, columns, axes, cells) for line, cells in below])
+
+
+def _delimiter(header: str) -> str:
+    return "\t" if "\t" in header else ","
+
+
+def _columns(cells: Sequence[str]) -> list[str]:
+    return [cell.strip().strip('"').lower() for cell in cells]
+
+
+def _axes(file: Path, columns: list[str]) -> tuple[str, str, str]:
+    found = [axes for axes in _FRAMES if set(axes) <= set(columns)]
+    if len(found) != 1 or columns.count("label") != 1 or any(columns.count(name) != 1 for name in found[0]):
+        message = f"{file} must have the columns label and either r,a,s or l,p,s, once each, got '{','.join(columns)}'"
+        raise FormatError(message, where=f"{file}:1")
+    return found[0]
+
+
+def _point(
+    file: Path, line: int, columns: list[str], axes: tuple[str, str, str], cells: list[str]
+) -> tuple[str, str, tuple[float, float, float]]:
+    where = f"{file} line {line}"
+    if len(cells) != len(columns):
+        message = f"every row must have {len(columns)} cells, got {len(cells)} at {where}"
+        raise FormatError(message, where=f"{file}:{line}")
+    row = dict(zip(columns, cells, strict=True))
+    defined = _DEFINED.get(row.get("defined", "1").lower())
+    if defined is None:
+        message = f"column 'defined' must hold 1 or 0, got '{row['defined']}' at {where}"
+        raise FormatError(message, where=f"{file}:{line}")
+    texts = [row[name] for name in axes]
+    if not defined or not any(texts):
+        return f"line {line}", row["label"], (math.nan, math.nan, math.nan)
+    try:
+        x, y, z = (float(text) for text in texts)
+    except ValueError:
+        x = y = z = math.nan
+    if not math.isfinite(x + y + z):
+        message = f"{','.join(axes)} must be finite numbers, got '{','.join(texts)}' at {where}"
+        raise FormatError(message, where=f"{file}:{line}")
+    return f"line {line}", row["label"], (x, y, z)

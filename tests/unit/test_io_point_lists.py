@@ -1,0 +1,226 @@
+"""Tables of control points, carriage returns inside rows, and how two lists of points are joined."""
+
+import numpy as np
+import pytest
+
+import tissuereg as tr
+from support.files import run, run_json
+from support.meshes import block
+from support.slicer import fcsv_text, other_frame
+from tissuereg.errors import FormatError
+from tissuereg.io.meshes import write_vtu
+from tissuereg.io.tables import read_recording, read_reference
+
+SIT = {"F-1": (30.0, 10.0, 40.0), "F-2": (0.0, 10.0, 40.0), "F-3": (15.0, 0.0, 20.0)}
+SEEN = {"F_1-1": (31.0, 10.5, 40.25), "F_1-2": (1.0, 10.5, 40.25), "F_1-3": (15.5, 0.25, 20.0)}
+
+
+def table_text(points, axes="lps", cell=",", not_defined=(), more=True):
+    """Return places by label as 3D Slicer exports them to a table; places in LPS."""
+    head = ["label", *axes, "defined", *(["selected", "visible", "locked", "description"] if more else [])]
+    places = points if axes == "lps" else other_frame(points)
+    rows = [
+        [label, *map(repr, place), "0" if label in not_defined else "1", *(["1", "1", "0", ""] if more else [])]
+        for label, place in places.items()
+    ]
+    return "\n".join(cell.join(row) for row in [head, *rows]) + "\n"
+
+
+def write(folder, **texts):
+    """Write files by name, the dot of whose ending is a double underscore; return their paths."""
+    paths = [folder / name.replace("__", ".") for name in texts]
+    for path, text in zip(paths, texts.values(), strict=True):
+        path.write_bytes(text.encode())
+    return paths
+
+
+# --- tables of control points ---
+
+
+@pytest.mark.parametrize("axes", ["lps", "ras"])
+@pytest.mark.parametrize(("suffix", "cell"), [("csv", ","), ("tsv", "\t"), ("csv", "\t")])
+def test_a_table_of_control_points_is_read_in_the_frame_of_its_columns(tmp_path, axes, suffix, cell):
+    (file,) = write(tmp_path, **{f"t__{suffix}": table_text(SIT, axes, cell)})
+    assert {name: tuple(place) for name, place in tr.read_targets(file, frame="LPS").items()} == SIT
+    own = SIT if axes == "lps" else other_frame(SIT)
+    assert {name: tuple(place) for name, place in tr.read_targets(file).items()} == own
+    assert tr.read_surface(file, frame="LPS").tolist() == [list(place) for place in SIT.values()]
+    assert read_reference(file, frame="LPS").names == tuple(SIT)
+
+
+def test_columns_may_stand_in_any_order_quoted_and_with_others_between(tmp_path):
+    text = '"S";"Label";"note";"P";"L"\n3;a;"one, two\nlines";-2;1\n'.replace(";", ",")
+    (file,) = write(tmp_path, t__csv=text)
+    assert tr.read_targets(file)["a"].tolist() == [1.0, -2.0, 3.0]
+
+
+def test_what_a_table_does_not_define_was_not_seen(tmp_path):
+    empty = table_text(SIT).replace("15.0,0.0,20.0", ",,")
+    sit, seen, other = write(
+        tmp_path, s__csv=table_text(SIT), m__csv=table_text(SIT, not_defined=["F-2"]), o__csv=empty
+    )
+    assert tr.read_markers(sit, measured=seen).seen.tolist() == [True, False, True]
+    assert tr.read_markers(sit, measured=other).seen.tolist() == [True, True, False]
+    assert len(tr.read_surface(seen)) == 2
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("15.0,0.0", "15.0,none", r"l,p,s must be finite numbers, got '15\.0,none,20\.0' at .*t\.csv line 4"),
+        ("15.0,0.0", "inf,0.0", "finite numbers, got 'inf,0.0,20.0'"),
+        ("15.0,0.0", ",0.0", "finite numbers, got ',0.0,20.0'"),
+        ("20.0,1,1", "20.0,perhaps,1", "column 'defined' must hold 1 or 0, got 'perhaps' at .* line 4"),
+        ("20.0,1,1", "20.0,1", "every row must have 9 cells, got 8 at .* line 4"),
+        ("F-3", "F-2", "'F-2' is at line 3 and line 4"),
+        ("F-3", "", "must have a label, the one at line 4"),
+        ("selected,visible", "r,a", "either r,a,s or l,p,s, once each, got"),
+        ("visible", "label", "once each, got"),
+    ],
+)
+def test_a_faulty_table_is_refused_by_line(tmp_path, old, new, words):
+    (file,) = write(tmp_path, t__csv=table_text(SIT).replace(old, new))
+    with pytest.raises(FormatError, match=words) as caught:
+        tr.read_targets(file)
+    assert caught.value.where.startswith(str(file))
+
+
+def test_a_table_without_points_is_refused(tmp_path):
+    (file,) = write(tmp_path, t__csv=table_text({}))
+    with pytest.raises(FormatError, match="at least one point"):
+        tr.read_targets(file)
+
+
+# --- carriage returns ---
+
+
+@pytest.mark.parametrize("where", [",,vtk", "\r\n", "\r"])
+def test_rows_end_at_line_feeds_wherever_carriage_returns_stand(tmp_path, where):
+    text = fcsv_text(SIT, beyond=",2,0")
+    text = text.replace("vtkMRMLScalarVolumeNode1", "\r") if where == ",,vtk" else text.replace("\n", where)
+    (file,) = write(tmp_path, s__fcsv=text)
+    assert {name: tuple(place) for name, place in tr.read_targets(file).items()} == SIT
+
+
+def test_a_fault_beside_a_carriage_return_is_named_by_its_row(tmp_path):
+    text = fcsv_text(SIT, beyond=",2,0").replace("vtkMRMLScalarVolumeNode1", "\r").replace("15.0,", "far,")
+    (file,) = write(tmp_path, s__fcsv=text)
+    with pytest.raises(FormatError, match=r"got 'far,0\.0,20\.0' at .* line 6"):
+        tr.read_targets(file)
+
+
+# --- two lists ---
+
+
+def test_two_lists_with_other_labels_are_joined_by_order_or_by_number(tmp_path):
+    turned = dict(reversed(SEEN.items()))
+    sit, seen, back = write(tmp_path, s__fcsv=fcsv_text(SIT), m__csv=table_text(SEEN), b__fcsv=fcsv_text(turned))
+    expected = [list(place) for place in SEEN.values()]
+    for measured, match in ((seen, "order"), (seen, "number"), (back, "number")):
+        markers = tr.read_markers(sit, measured=measured, match=match)
+        assert markers.names == tuple(SIT)
+        assert markers.measured.tolist() == expected
+    assert tr.read_markers(sit, measured=back, match="order").measured.tolist() == expected[::-1]
+
+
+def test_labels_that_differ_name_the_option(tmp_path):
+    sit, seen = write(tmp_path, s__fcsv=fcsv_text(SIT), m__fcsv=fcsv_text(SEEN))
+    with pytest.raises(FormatError, match=r"joined by --match order or --match number \(match= in Python\)") as caught:
+        tr.read_markers(sit, measured=seen)
+    assert caught.value.where == f"{seen}: F_1-1"
+
+
+def test_by_order_labels_may_repeat_and_by_number_some_may_be_missing(tmp_path):
+    same = fcsv_text(SEEN).replace("F_1-2", "F_1-1").replace("F_1-3", "")
+    fewer = {label: SEEN[label] for label in ("F_1-3", "F_1-1")}
+    sit, seen, less = write(tmp_path, s__fcsv=fcsv_text(SIT), m__fcsv=same, l__fcsv=fcsv_text(fewer))
+    assert tr.read_markers(sit, measured=seen, match="order").seen.all()
+    markers = tr.read_markers(sit, measured=less, match="number")
+    assert markers.seen.tolist() == [True, False, True]
+    assert markers.measured[2].tolist() == list(SEEN["F_1-3"])
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "match", "words"),
+    [
+        ("F_1-3", "F_1-2", "label", "'F_1-2' is at line 5 and line 6"),
+        ("F_1-3", "F_2-2", "number", "each number must stand in .* once; 'F_1-2' and 'F_2-2' have the same"),
+        ("F_1-3", "apex", "number", "must hold a number to be joined by it; 'apex' has none"),
+        ("F_1-3", "F_1-4", "number", "every number in .* 'F_1-4' does not, at line 6 .* joined by --match order"),
+        ("3,15.5,", "#", "order", "as many points as each other; .* has 3, .* has 2"),
+        ("F_1-3", "F_1-3", "place", "`match` must be one of label, order, number, got 'place'"),
+    ],
+)
+def test_lists_that_do_not_go_together_are_refused(tmp_path, old, new, match, words):
+    sit, seen = write(tmp_path, s__fcsv=fcsv_text(SIT), m__fcsv=fcsv_text(SEEN).replace(old, new))
+    with pytest.raises(FormatError, match=words):
+        tr.read_markers(sit, measured=seen, match=match)
+
+
+def test_a_table_that_joins_by_itself_takes_no_other_way(tmp_path):
+    (file,) = write(tmp_path, m__csv="marker,x_mm,y_mm,z_mm,moved_x_mm,moved_y_mm,moved_z_mm\nA,1,2,3,1,2,3\n")
+    with pytest.raises(FormatError, match=r"`match` must be left out with .*m\.csv"):
+        tr.read_markers(file, match="order")
+
+
+def test_a_recording_is_joined_to_its_reference_the_same_ways(tmp_path):
+    head = "time_s,marker,x_mm,y_mm,z_mm\n"
+    whole, late = write(
+        tmp_path,
+        w__csv=f"{head}0,R_2,1,0,0\n0,R_1,,,\n1,R_1,2,0,0\n",
+        l__csv=f"{head}0,R_1,1,0,0\n1,R_1,2,0,0\n1,R_2,3,0,0\n",
+    )
+    names = ("F-1", "F-2")
+    by_number = read_recording(whole, names, match="number").measured[..., 0]
+    assert np.array_equal(by_number, [[np.nan, 1.0], [2.0, np.nan]], equal_nan=True)
+    by_order = read_recording(whole, names, match="order").measured[..., 0]
+    assert np.array_equal(by_order, [[1.0, np.nan], [np.nan, 2.0]], equal_nan=True)
+    with pytest.raises(FormatError, match=r"every label in .*w\.csv must stand in the reference too"):
+        read_recording(whole, names)
+    with pytest.raises(FormatError, match=r"the reference has 2, .*l\.csv has 1"):
+        read_recording(late, names, match="order")
+    with pytest.raises(FormatError, match="one of the first frame"):
+        read_recording(late, names[:1], match="order")
+
+
+def test_a_list_joined_in_the_wrong_order_is_found_out(capsys, tmp_path):
+    """The labels no longer hold the points together: the geometry has to."""
+    mesh = block()
+    nodes = np.setdiff1d(mesh.surface_nodes, mesh.fixed_nodes)[::8]
+    places = {f"F-{i}": tuple(map(float, place)) for i, place in enumerate(mesh.nodes[nodes], 1)}
+    moved = {f"G-{i}": (x + 0.03 * z, y, z) for i, (x, y, z) in enumerate(places.values(), 1)}
+    names = list(moved)
+    names[2], names[4] = names[4], names[2]
+    write_vtu(tmp_path / "b.vtu", mesh)
+    sit, right, wrong = write(
+        tmp_path,
+        s__fcsv=fcsv_text(places),
+        r__fcsv=fcsv_text(moved),
+        w__fcsv=fcsv_text({name: moved[name] for name in names}),
+    )
+    words = ["register", tmp_path / "b.vtu", sit, "--quiet", "--out", tmp_path / "out", "--frame", "LPS"]
+    assert run(capsys, *words, "--measured", right, "--match", "order")[0] == 0
+    code, said, _ = run_json(capsys, *words, "--measured", wrong, "--match", "order")
+    assert code in (2, 4)
+    assert "swapped" in (said["message"] if code == 2 else said["trust"]["reasons"][0])
+    assert run(capsys, *words, "--measured", wrong, "--match", "number")[0] == 0
+
+
+# --- small inputs that went wrong before ---
+
+
+@pytest.mark.parametrize(
+    ("folder", "was", "now", "match"),
+    [
+        ("slicer-table", "was_table.csv", "now_table.csv", "label"),
+        ("fcsv-cr", "was.fcsv", "now.fcsv", "label"),
+        ("default-labels", "was_default.fcsv", "now_default.fcsv", "order"),
+        ("default-labels", "was_default.fcsv", "now_default.fcsv", "number"),
+    ],
+)
+def test_lists_as_slicer_writes_them_are_the_markers_of_the_table(shared_data, folder, was, now, match):
+    cases = shared_data / "cases"
+    table = tr.read_markers(cases / "markers.csv")
+    markers = tr.read_markers(cases / folder / was, measured=cases / folder / now, match=match)
+    np.testing.assert_allclose(markers.reference, table.reference, atol=1e-4)
+    np.testing.assert_allclose(markers.measured, table.measured, atol=1e-4)
