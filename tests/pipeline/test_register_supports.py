@@ -5,6 +5,7 @@ import pytest
 
 import tissuereg as tr
 from support.meshes import block
+from tissuereg.body.observe import TargetObservation
 from tissuereg.errors import ArgumentError, MaterialError
 from tissuereg.registration.contacts.state import RigidMotion
 
@@ -83,6 +84,22 @@ def held_where(body, inside):
 def coverage(result, places):
     """Return the share of targets, named by their node, whose 90 % region holds the truth."""
     return np.mean([target.region(0.90).contains(places[int(name)]) for name, target in result.targets.items()])
+
+
+@pytest.mark.parametrize("reach", [12.0, 22.0])
+def test_the_edge_of_a_sure_support_is_uncertain_by_an_element(body, reach):
+    """The support truly ends an element (5 mm) before or behind the edge that is stated, at x = 17 mm."""
+    x, _, z = body.nodes.T
+    places = body.nodes + pulled(body, np.flatnonzero((z == 0.0) & (x < reach)))
+    stated = np.flatnonzero((z == 0.0) & (x < 17.0))
+    near = {str(i): (at, 15.0 + i % 3, 1.5) for i, at in enumerate(np.linspace(12.0, 21.0, 10))}
+    inner = TargetObservation(body, near)
+    moved = inner.reference + inner.predict((places - body.nodes)[inner.nodes])
+    result = tr.register(
+        tr.Body(body.with_node_set("fixed", stated), SILICONE, element="tet4"), seen(body, places), targets=near
+    )
+    held = [result.target(name).region(0.90).contains(place) for name, place in zip(inner.names, moved, strict=True)]
+    assert np.mean(held) >= 0.7
 
 
 def test_supports_that_hold_at_the_rim_alone_are_found(body):

@@ -175,6 +175,10 @@ CALLS = {
         {"reference": markers().reference, "measured": markers().measured, "std": 0.1, "names": ["a", "b", "c"]},
     ),
     "Markers.only": (markers().only, {"keep": [0, 1]}),
+    "Markers.with_seen": (
+        lambda **given: markers().with_seen(**{"targets": DEEP, "seen": DEEP, **given}),
+        {"targets": DEEP, "seen": DEEP, "std": 0.5},
+    ),
     "Material": (
         tr.Material,
         {
@@ -536,6 +540,7 @@ READERS = {
     "read_mesh": tr.read_mesh,
     "read_markers": tr.read_markers,
     "read_targets": tr.read_targets,
+    "read_seen": tr.read_seen,
     "read_surface": tr.read_surface,
     "read_experiment": tr.read_experiment,
     "read_material_experiment": tr.read_material_experiment,
@@ -580,14 +585,16 @@ def test_options_of_a_reader_that_are_wrong_are_refused(tmp_path):
     (tmp_path / "m.csv").write_text(GOOD_MARKERS)
     (tmp_path / "read_markers.csv").write_text(GOOD_MARKERS)
     (tmp_path / "read_targets.csv").write_text("target,x_mm,y_mm,z_mm\nlesion,1,2,3\n")
+    (tmp_path / "read_seen.csv").write_text("target,x_mm,y_mm,z_mm\nlesion,1,2,3\n")
     (tmp_path / "read_surface.csv").write_text("x_mm,y_mm,z_mm\n1,2,3\n")
     (tmp_path / "sit.fcsv").write_text(FIDUCIALS)
     np.savez(tmp_path / "m.npz", nodes_mm=mesh().nodes, tets=mesh().tets, fixed_nodes=mesh().fixed_nodes)
     for wrong in WRONG.values():
         ends_well(tr.read_markers, "std", {}, path=tmp_path / "m.csv", std=wrong)
         for frame in ("frame", "table_frame"):
-            for read in (tr.read_markers, tr.read_targets, tr.read_surface):
+            for read in (tr.read_markers, tr.read_targets, tr.read_seen, tr.read_surface):
                 ends_well(read, frame, {}, path=tmp_path / f"{read.__name__}.csv", **{"frame": "LPS", frame: wrong})
+        ends_well(tr.read_seen, "std", {}, path=tmp_path / "read_seen.csv", std=wrong)
         ends_well(tr.read_mesh, "fixed", {}, path=tmp_path / "m.npz", fixed=wrong)
         ends_well(tr.read_mesh, "frame", {}, path=tmp_path / "m.npz", frame=wrong)
         ends_well(tr.read_markers, "measured", {}, path=tmp_path / "sit.fcsv", measured=wrong)

@@ -23,7 +23,7 @@ from tissuereg.io.cache import keep_entry, read_entry
 from tissuereg.io.json import dumps
 
 #: To be increased when columns change their meaning, so that older files are not read.
-SCHEMA = 10
+SCHEMA = 11
 
 #: Causes whose columns are closed forms: computed at each call, never cached.
 CLOSED_FORM = tuple(name for name in CAUSES if issubclass(EFFECTS[name], ChainEffect))

@@ -94,8 +94,8 @@ def advise_markers(
     n : int
         Number of markers to choose.
     candidates_mm : array_like of float, shape (n_candidates, 3), optional
-        Places where a marker may sit, on, near or inside the undeformed body, mm; by default every surface node
-        outside the node set ``fixed``.
+        Places where a marker may sit, on, near or inside the undeformed body, mm; by default every surface node outside
+        the node set ``fixed``.
     placed_mm : array_like of float, shape (n_placed, 3), optional
         Places of markers that are attached already, mm; they are taken as measured.
     std : float

@@ -47,8 +47,8 @@ class Registrar:
     mesh : Mesh, Body or (nodes, tets, fixed_nodes)
         Undeformed body in mm; a `Body` also states the assumed material, elements and how surely it is held.
     reference_mm : array_like of float, shape (n_markers, 3), or Markers
-        Places of the markers on, near or inside the undeformed body, mm; of `Markers` their noise and names are
-        taken as well.
+        Places of the markers on, near or inside the undeformed body, mm; of `Markers` their noise and names are taken
+        as well.
     model : path-like or LatentModel, optional
         Folder of a trained model for this mesh, or ``"phantom"`` or ``"phantom-graph"``: shipped ones. Without it the
         load is unknown, and the answer is the equilibrium under the load that fits the markers.

@@ -2,8 +2,9 @@
 
 The covariance of a point has three parts. The first, from the contacts, is the mixture over samples. The second is the
 effect of errors in stiffness and Poisson's ratio on the answer: such an error moves the point and the markers, and the
-fit's reaction to the markers moves the point once more, through the gain. The third allows for one more contact,
-anywhere, that no sample contains because no marker detected it: its variance given the markers, times a probability.
+fit's reaction to the markers moves the point once more, through the gain; so does an error of where a sure support
+ends. The third allows for one more contact, anywhere, that no sample contains because no marker detected it: its
+variance given the markers, times a probability.
 """
 
 from collections.abc import Iterator, Sequence
@@ -13,6 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray, IntArray
+from tissuereg.body.load import Load
 from tissuereg.body.material import Material
 from tissuereg.registration.contacts.fit import ContactFit
 from tissuereg.registration.contacts.patches import Patches
@@ -57,6 +59,7 @@ class Spread:
         scales = np.array([1.0] * len(errors) + [scale for _, scale in further])
         causes = [*errors, *(cause for cause, _ in further)]
         self._model_forces = _forces_of_errors(fit, (causes, scales), _support_errors(fit, settings))
+        self._edges = edge_errors(fit)
         self._model_at_data = self._by_model(self._compliance(fit.observations.rows))
         self._suggested: FloatArray | None = None
         self._unseen_variances = unseen_variances(fit.columns.body.patches, settings, fit.columns.n_columns)
@@ -85,10 +88,9 @@ class Spread:
 
         The unit is mm. `compliance`: derivatives of the observations by nodal forces.
         """
-        n_errors = len(self._model_forces)
-        return np.asarray(
-            compliance.forces.reshape(len(compliance.forces), self._model_forces[0].size)
-            @ self._model_forces.reshape(n_errors, -1).T
+        parts = [(compliance.forces, self._model_forces), (compliance.prescribed, self._edges)]
+        return np.concatenate(
+            [np.einsum("rnx,enx->re", rates, errors, optimize=True) for rates, errors in parts], axis=1
         )
 
     def points(self, rows: Sequence[tuple[IntArray, FloatArray]], places: FloatArray) -> Points:
@@ -105,7 +107,7 @@ class Spread:
         off = means - (responses @ fit.state.coefficients).reshape(-1, 3)
         covariance = covariance + np.einsum("pa,pb->pab", off, off)
         remaining = self._by_model(compliance) - responses @ suggested
-        remaining = remaining.reshape(len(places), 3, len(self._model_forces))
+        remaining = remaining.reshape(len(places), 3, remaining.shape[1])
         covariance = covariance + np.einsum("pak,pbk->pab", remaining, remaining)
         unseen, constrained = self._unseen(responses)
         turn = fit.state.frame.rotation
@@ -155,7 +157,8 @@ class Spread:
         drawn = np.zeros((self._settings.n_draws, fit.columns.n_columns))
         if fields is None:
             drawn = self.coefficients(rng, self._settings.n_draws) - fit.state.coefficients
-        errors = rng.standard_normal((len(drawn), len(self._model_forces)))
+        n_forces = len(self._model_forces)
+        errors = rng.standard_normal((len(drawn), n_forces + len(self._edges)))
         suggested = self._suggested
         if suggested is None:
             suggested = self._moments(np.zeros((0, fit.columns.n_columns)))[2]
@@ -164,7 +167,9 @@ class Spread:
         n_nodes = fit.columns.body.mesh.n_nodes
         spread = np.zeros((n_nodes, 3, 3))
         for some in _in_parts(len(drawn)):
-            moved = linear_fields(fit, drawn[some], np.tensordot(errors[some], self._model_forces, 1))
+            forces = np.tensordot(errors[some, :n_forces], self._model_forces, 1)
+            edges = np.tensordot(errors[some, n_forces:], self._edges, 1) if len(self._edges) else None
+            moved = linear_fields(fit, drawn[some], forces, edges)
             moved = moved[:, :n_nodes] @ turn.T
             spread += np.einsum("dna,dnb->nab", moved, moved)
         spread /= len(drawn)
@@ -217,15 +222,21 @@ def unseen_variances(patches: Patches, settings: ContactSettings, n_columns: int
     return variances
 
 
-def linear_fields(fit: ContactFit, change: FloatArray, forces: FloatArray) -> FloatArray:
+def linear_fields(
+    fit: ContactFit, change: FloatArray, forces: FloatArray, held: FloatArray | None = None
+) -> FloatArray:
     """Return the displacement fields (n, n_element_nodes, 3), mm, that changes of the load cause, to first order.
 
     `fit`: the fit, with the linearised equilibrium; `change` (n, n_columns): changes of coefficients; `forces` (n,
-    n_element_nodes, 3): further nodal forces, mN.
+    n_element_nodes, 3): further nodal forces, mN; `held` (n, n_held, 3): motions of the held nodes, mm; None for none.
     """
-    columns = fit.columns
-    total = forces + columns.forces(change)
-    fields = fit.tangent.linearised.responses(np.ascontiguousarray(total))
+    columns, linearised = fit.columns, fit.tangent.linearised
+    total = np.ascontiguousarray(forces + columns.forces(change))
+    if held is None:
+        fields = linearised.responses(total)
+    else:
+        causes = [Load(forces=one, prescribed=moved) for one, moved in zip(total, held, strict=True)]
+        fields = linearised.derivatives(causes).all_displacement
     if columns.moves:
         places = columns.body.simulator.body.nodes + fit.state.displacement
         rigid = columns.rigid_field(places)
@@ -261,6 +272,37 @@ def _support_errors(fit: ContactFit, settings: ContactSettings) -> FloatArray:
     fields = np.zeros((len(smooth), simulator.body.n_nodes))
     fields[:, nodes] = smooth
     return np.asarray(settings.support_log_std * fields[:, :, None] * forces)
+
+
+def edge_errors(fit: ContactFit) -> FloatArray:
+    """Return motions (n_fields, n_held, 3), mm, of the surely held nodes by errors of where their support ends.
+
+    Each is one standard deviation along a smooth field and a principal axis: where the edge lies about an element
+    elsewhere, the nodes at it move as their free neighbours do. There are none if no node is surely held.
+    """
+    mesh, held = fit.columns.body.mesh, fit.columns.body.supports.sure
+    none = np.zeros((0, len(held), 3))
+    if not len(held):
+        return none
+    is_held = np.zeros(mesh.n_nodes, dtype=bool)
+    is_held[held] = True
+    ends = mesh.edges[is_held[mesh.edges].sum(axis=1) == 1]
+    inner = is_held[ends[:, 0]]
+    at, free = np.where(inner, ends[:, 0], ends[:, 1]), np.where(inner, ends[:, 1], ends[:, 0])
+    rim = np.intersect1d(at, mesh.surface[~is_held[mesh.surface].all(axis=1)])
+    moved = fit.state.displacement[free]
+    if not len(rim) or not moved.any():
+        return none
+    square = np.zeros((mesh.n_nodes, 3, 3))
+    np.add.at(square, at, moved[:, :, None] * moved[:, None])
+    values, ways = np.linalg.eigh(square[rim] / np.bincount(at, minlength=mesh.n_nodes)[rim, None, None])
+    ways *= np.sqrt(np.maximum(values, 0.0))[:, None]
+    smooth = smooth_fields(mesh.nodes[rim], DISCRETISATION.support_fields)
+    fields = np.zeros((3 * len(smooth), len(rim) + 1, 3))  # the last column is of all nodes off the rim
+    fields[:, :-1] = np.einsum("fn,nxk->fknx", smooth, ways).reshape(-1, len(rim), 3)
+    column = np.full(mesh.n_nodes, len(rim))
+    column[rim] = np.arange(len(rim))
+    return np.asarray(fields[:, column[held]])
 
 
 __all__ = ["Points", "Spread", "linear_fields", "unseen_variances"]
