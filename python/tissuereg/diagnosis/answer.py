@@ -8,6 +8,7 @@ from typing import Any
 
 from tissuereg._base.arguments import place
 from tissuereg.diagnosis.causes import Values
+from tissuereg.diagnosis.readings import RecordingSuspicion
 from tissuereg.experiment.experiment import Experiment
 
 SCHEMA = "tissuereg.diagnosis/1"
@@ -98,6 +99,9 @@ class Diagnosis:
         Seed of all random draws.
     versions : dict of str to str
         Versions of the package, numpy and Python.
+    suspicions : tuple of RecordingSuspicion
+        Reason to suspect that the recording is misread, such as forces in N; empty if it is plausible. No cause is then
+        looked for, and the verdict is ``unexplained``.
     details : dict
         Objects that the report draws: ``search``, ``layout``, ``noise``, ``target``, ``nuisances``, ``thresholds``.
     """
@@ -112,6 +116,7 @@ class Diagnosis:
     seed: int
     versions: dict[str, str]
     left: dict[str, Any] | None = None
+    suspicions: tuple[RecordingSuspicion, ...] = ()
     details: dict[str, Any] = field(default_factory=dict)
 
     def __repr__(self) -> str:
@@ -133,6 +138,7 @@ class Diagnosis:
             "causes": [finding.to_json() for finding in self.findings],
             "candidates": list(self.candidates),
             "p_misfit": self.p_misfit,
+            "suspicions": [one.to_json() for one in self.suspicions],
             "left": self.left,
             "discrepancy": self.discrepancy,
             "extended_model": "experiment.extended.toml",

@@ -1,13 +1,14 @@
 """Diagnosis of a body: the sequence of steps from measurements to verdict.
 
-Input is an `Experiment` (believed model and measurements), output a `Diagnosis`. The steps: noise model, bank of
-hypotheses, correction of the discretisation error, nuisance parameters, linear evidence of all causes, thresholds from
-data drawn without any effect, search with nonlinear fits and held-out proof, test of the residual, verdict and advice.
+Input is an `Experiment` (believed model and measurements), output a `Diagnosis`. The steps: other readings of the
+recording, noise model, bank of hypotheses, correction of the discretisation error, nuisance parameters, linear evidence
+of all causes, thresholds from data drawn without any effect, search with nonlinear fits and held-out proof, test of the
+residual, verdict and advice.
 Each is a module of this package; ``docs/diagnose.md`` describes them in this order.
 """
 
 import platform
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -29,6 +30,7 @@ from tissuereg.diagnosis.misfit import Battery, Misfit, smooth_subspaces
 from tissuereg.diagnosis.noise import Noise, estimate_noise
 from tissuereg.diagnosis.nuisances import Nuisances, make_nuisances
 from tissuereg.diagnosis.nulls import draw_nulls
+from tissuereg.diagnosis.readings import RecordingSuspicion, suspect_recording
 from tissuereg.diagnosis.refined import entry_of, refined_predictions
 from tissuereg.diagnosis.screen import Screen
 from tissuereg.diagnosis.search import Search, search
@@ -68,6 +70,11 @@ def diagnose_body(
     element = element or (simulated.element if simulated is not None and plain else "tet4")
     layout = SignalLayout(experiment)
     noise = estimate_noise(experiment, layout)
+    if progress is not None:
+        progress("units and axes")
+    suspicions = suspect_recording(experiment, layout, element=element, threads=threads)
+    if suspicions:
+        return _misread(experiment, suspicions, seed)
     bench = Bench(experiment, layout, element=element, threads=threads)
     bank = make_bank(bench, keep=keep, progress=progress)
     believed = make_believed(bench, noise, keep=keep, progress=progress)
@@ -108,7 +115,7 @@ def diagnose_body(
         extended=extended,
         next_experiment=following,
         seed=seed,
-        versions={"tissuereg": __version__, "numpy": np.__version__, "python": platform.python_version()},
+        versions=_versions(),
         details={
             "search": found,
             "layout": layout,
@@ -118,6 +125,34 @@ def diagnose_body(
             "thresholds": nulls.thresholds,
         },
     )
+
+
+def _misread(experiment: Experiment, suspicions: Sequence[RecordingSuspicion], seed: int) -> Diagnosis:
+    """Return the answer for a recording that is probably misread: what to write, and no cause."""
+    first = suspicions[0]
+    check = {"kind": "input", "name": ", ".join(first.files)}
+    return Diagnosis(
+        verdict="unexplained",
+        findings=(),
+        candidates=(),
+        # No other recording of this body would misfit as much: the odds of the other reading say how much.
+        p_misfit=0.0 if first.log_odds is None else float(np.exp(-first.log_odds)),
+        discrepancy={},
+        extended=experiment,
+        next_experiment={
+            "action": f"{first.write}, then diagnose again",
+            "separates": [],
+            "separability": None,
+            "check": check,
+        },
+        seed=seed,
+        versions=_versions(),
+        suspicions=tuple(suspicions),
+    )
+
+
+def _versions() -> dict[str, str]:
+    return {"tissuereg": __version__, "numpy": np.__version__, "python": platform.python_version()}
 
 
 @dataclass(frozen=True, eq=False)
