@@ -72,12 +72,19 @@ def test_one_pad_with_a_wrong_sign_is_named_alone(right):
     assert "forces.csv of top read as (-x, -y, -z)" in found.sentence
 
 
-def test_forces_below_their_noise_are_silent_and_give_no_modulus(right):
-    found = tr.diagnose(turned(right, 0.0, "forces"), threads=1, keep=False)
-    assert [one.kind for one in found.suspicions] == ["silent"]
-    assert found.verdict == "unexplained"
-    assert found.extended.effects == ()
-    assert "forces.csv" in found.to_json()["next_experiment"]["action"]
+def test_forces_of_noise_alone_are_silent_and_no_unit_is_blamed(right):
+    (found,) = suspected(turned(right, 0.0, "forces"))
+    assert (found.kind, found.log_odds) == ("silent", None)
+    assert "top, side" in found.sentence
+
+
+def test_a_misread_recording_is_answered_without_causes(right, tmp_path):
+    found = tr.diagnose(turned(right, 1e-3, "forces"), threads=1, keep=False)
+    assert (found.verdict, found.findings, found.extended.effects) == ("unexplained", (), ())
+    told = found.to_json()
+    assert told["suspicions"][0]["files"] == ["forces.csv"]
+    assert told["next_experiment"]["action"].startswith("multiply the columns x_mN, y_mN, z_mN by 1000 in forces.csv")
+    assert "probably misread" in found.report(tmp_path / "report.html").read_text(encoding="utf-8")
 
 
 def test_the_shared_case_in_newtons_is_told_so(shared_data):

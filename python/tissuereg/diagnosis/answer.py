@@ -100,8 +100,9 @@ class Diagnosis:
     versions : dict of str to str
         Versions of the package, numpy and Python.
     suspicions : tuple of RecordingSuspicion
-        Reason to suspect that the recording is misread, such as forces in N; empty if it is plausible. No cause is then
-        looked for, and the verdict is ``unexplained``.
+        Reason to suspect that the recording is misread; empty if it is plausible. Where it is in another unit, frame or
+        sign, no cause is looked for and the verdict is ``unexplained``; where forces are below their noise, no modulus
+        is found.
     details : dict
         Objects that the report draws: ``search``, ``layout``, ``noise``, ``target``, ``nuisances``, ``thresholds``.
     """

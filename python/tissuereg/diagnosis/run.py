@@ -8,6 +8,7 @@ Each is a module of this package; ``docs/diagnose.md`` describes them in this or
 """
 
 import platform
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -35,7 +36,7 @@ from tissuereg.diagnosis.refined import entry_of, refined_predictions
 from tissuereg.diagnosis.screen import Screen
 from tissuereg.diagnosis.search import Search, search
 from tissuereg.diagnosis.signals import SignalLayout
-from tissuereg.errors import TissueRegError
+from tissuereg.errors import LockingWarning, TissueRegError, UnitWarning
 from tissuereg.experiment.effects import Effect, Stiffness
 from tissuereg.experiment.experiment import Experiment
 from tissuereg.simulation.experiment import simulate_plain
@@ -67,15 +68,38 @@ def diagnose_body(
     experiment = _own_modulus(experiment)
     simulated = experiment.simulated
     plain = simulated is not None and simulated.model == "plain"
+    if plain and simulated is not None and simulated.tables_sha256 is None:
+        text = (
+            "[simulated] has no `tables_sha256`, so that nothing tells whether it is about these tables; delete it if "
+            "they were measured"
+        )
+        warnings.warn(text, stacklevel=3)
     element = element or (simulated.element if simulated is not None and plain else "tet4")
     layout = SignalLayout(experiment)
     noise = estimate_noise(experiment, layout)
     if progress is not None:
         progress("units and axes")
     suspicions = suspect_recording(experiment, layout, element=element, threads=threads)
-    if suspicions:
+    if any(one.log_odds is not None for one in suspicions):
         return _misread(experiment, suspicions, seed)
     bench = Bench(experiment, layout, element=element, threads=threads)
+    _ = bench.base  # warnings of the believed model are the user's; those of trials are not
+    with warnings.catch_warnings():
+        for kind in (UnitWarning, LockingWarning):
+            warnings.simplefilter("ignore", kind)
+        found = _searched(bench, noise, silent=bool(suspicions), seed=seed, keep=keep, progress=progress)
+    return replace(found, suspicions=tuple(suspicions))
+
+
+def _searched(
+    bench: Bench, noise: Noise, *, silent: bool, seed: int, keep: bool, progress: Callable[[str], None] | None
+) -> Diagnosis:
+    """Return the diagnosis of a recording that is read rightly; arguments as for `diagnose_body`.
+
+    `silent`: whether forces are below their noise, so that no modulus follows from them.
+    """
+    experiment, layout = bench.experiment, bench.layout
+    element, threads = bench.predictor.element, bench.predictor.threads
     bank = make_bank(bench, keep=keep, progress=progress)
     believed = make_believed(bench, noise, keep=keep, progress=progress)
     target, nuisances, null = believed.target, believed.nuisances, believed.null
@@ -89,14 +113,15 @@ def diagnose_body(
     before = target.null.reduced(found.base.residual)
     misfit = battery.judge(before, found.reduced, nulls.residuals)
     findings = findings_of(target, screen, found, nulls.thresholds)
+    findings = [finding for finding in findings if not (silent and finding.id == "stiffness")]
     withdrawn = bool(findings) and not _explains_enough(misfit, found)
     if withdrawn:
         # At best the findings are the causes most similar to the true one.
         findings, found = [], found.withdrawn(target)
         misfit = battery.judge(before, found.reduced, nulls.residuals)
-    verdict = _verdict(findings, misfit.p, withdrawn=withdrawn)
+    verdict = _verdict(findings, misfit.p, withdrawn=withdrawn or silent)
     effects: tuple[Effect, ...] = found.final.effects(bench.young)
-    if abs(found.final.x[0]) > 1e-6 and found.final.covariance[0, 0] < (0.5 * bench.young_spread) ** 2:
+    if not silent and abs(found.final.x[0]) > 1e-6 and found.final.covariance[0, 0] < (0.5 * bench.young_spread) ** 2:
         young = found.final.young(bench.young)
         if not any(isinstance(effect, Stiffness) for effect in effects):
             effects = (Stiffness(young_kpa=young), *effects)

@@ -28,6 +28,11 @@ class FileLimits:
         Largest size of a mesh, a surface or a numpy archive, MB.
     head_bytes : int
         Number of bytes at a file's beginning by which its format is recognised.
+    toml_depth : int
+        Most parts of a dotted key, and most brackets in each other, of a TOML file: its reader takes time and memory
+        with the square of them.
+    toml_word : int
+        Most characters of a key of a TOML file.
     table_points : int
         Largest number of markers or targets of one state that a table may hold; more points must be given as a surface.
     std_mm : float
@@ -55,6 +60,8 @@ class FileLimits:
     text_mb: int = 16
     mesh_mb: int = 256
     head_bytes: int = 4096
+    toml_depth: int = 32
+    toml_word: int = 1000
     table_points: int = 10_000
     std_mm: float = 0.1
     same_time: float = 0.01
@@ -84,10 +91,10 @@ _BINARY_STL_HEAD, _BINARY_STL_ROW = 84, 50
 
 
 def existing_file(path: str | os.PathLike[str], most_mb: int | None = None) -> Path:
-    """Return `path` as a `Path` after checking that it is a file that can be read.
+    """Return `path` as a `Path` after checking that it is a regular file that can be read.
 
-    `most_mb`: largest size, MB; None for no limit. Raises `FormatError` if it does not exist, is a folder, may not be
-    read or is larger.
+    `most_mb`: largest size, MB; None for no limit. Raises `FormatError` if it does not exist, is a folder, a pipe or a
+    device (opening one may wait for ever, and its size is not known), may not be read or is larger.
     """
     file = place("path", path, error=FormatError)
     if file.is_dir():
@@ -95,6 +102,9 @@ def existing_file(path: str | os.PathLike[str], most_mb: int | None = None) -> P
         raise FormatError(message, where=str(file))
     if not file.exists():
         message = f"no such file: {file}"
+        raise FormatError(message, where=str(file))
+    if not file.is_file():
+        message = f"{file} must be a regular file; it is a pipe, a socket or a device: save its content in a file first"
         raise FormatError(message, where=str(file))
     if not os.access(file, os.R_OK):
         message = f"{file} must be readable; permission was denied"
@@ -129,7 +139,7 @@ def mesh_file(path: str | os.PathLike[str], what: str) -> Path:
 
 
 def bounded_stream(file: Path, most_mb: int) -> BinaryIO:
-    """Open a file whose size cannot be known beforehand, such as a pipe, for reading up to a bound.
+    """Open a file for reading up to a bound, for it may grow after its size was checked.
 
     `file`: path of a file that exists; `most_mb`: largest size, MB. Result: a binary stream that raises `FormatError`
     when more than this is read.

@@ -89,6 +89,8 @@ def proposals(moved: Sequence[str], pulled: Sequence[str], felt: Sequence[str]) 
         for turn, title in _turns():
             signs = np.diag(turn)
             exchanged = not signs.all()
+            if exchanged and group[0] in parts:
+                continue  # one pad alone has no axes of its own
             one = not exchanged and int((signs < 0).sum()) in (1, 3)
             kind = "sign" if one and group[0].pads and len(group) == 1 else _kind(turn)
             cost = (COSTS.axes if exchanged else COSTS.flip) + own

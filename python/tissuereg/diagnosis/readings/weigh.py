@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import logsumexp
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.body.observe import MarkerObservation
@@ -101,7 +100,7 @@ class Weigher:
         believed = float(experiment.material.young_array.mean())
         spread = max((experiment.young_std or 0.0) / believed, _SPREAD)
         self._factors = np.exp(spread * _FACTORS)
-        self._prior = -0.5 * _FACTORS**2 - logsumexp(-0.5 * _FACTORS**2)
+        self._prior = -0.5 * _FACTORS**2 - np.logaddexp.reduce(-0.5 * _FACTORS**2)
         self._seen: dict[bytes, tuple[float, list[FloatArray] | None]] = {}
 
     def weigh(self, reading: RecordingReading) -> WeighedReading:
@@ -123,15 +122,19 @@ class Weigher:
         ones, noise = np.ones_like(self._factors), self._experiment.marker_std
         if markers:
             # A stiffer body moves less under given forces, and needs larger forces for a given motion.
-            nats += logsumexp(sum(one.log_likelihood(noise, ones, 1.0 / self._factors) for one in markers), axis=1)
+            nats += np.logaddexp.reduce(
+                sum(one.log_likelihood(noise, ones, 1.0 / self._factors) for one in markers), axis=1
+            )
         if forces:
             felt = [one for parts in forces.values() for one in parts]
-            nats += logsumexp(sum(one.log_likelihood(self._force_std, self._factors, ones) for one in felt), axis=1)
+            nats += np.logaddexp.reduce(
+                sum(one.log_likelihood(self._force_std, self._factors, ones) for one in felt), axis=1
+            )
         best = int(np.argmax(nats))
         factor = float(self._factors[best])
         return WeighedReading(
             reading,
-            float(logsumexp(nats)) + near + self._resting(reading) - reading.cost,
+            float(np.logaddexp.reduce(nats)) + near + self._resting(reading) - reading.cost,
             _agreement(markers, self._experiment.marker_std, 1.0, 1.0 / factor) if markers else None,
             {pad: _agreement(parts, self._force_std, factor, 1.0) for pad, parts in forces.items()},
         )
