@@ -85,8 +85,8 @@ def check_files(folder: Path, card: dict[str, Any]) -> None:
         if name.endswith(".onnx"):
             content = (folder / name).read_bytes()
             others = {found[2][: found[1][0]].decode("utf-8", "replace") for found in _LOCATIONS.finditer(content)}
-            if others - card["files"].keys():
-                message = f"{folder / name} must take tables from files of its card alone, got {min(others)[:60]!r}"
+            if unlisted := others - card["files"].keys():
+                message = f"{folder / name} must take tables from files of its card alone, got {min(unlisted)[:60]!r}"
                 raise ModelError(message, where=str(folder / name))
 
 
