@@ -7,6 +7,7 @@ import pytest
 
 import tissuereg as tr
 from support.rigs import rig
+from tissuereg.cli import main
 from tissuereg.diagnosis.readings import suspect_recording
 from tissuereg.diagnosis.signals import SignalLayout
 from tissuereg.simulation.experiment import simulate_plain, with_noise
@@ -94,3 +95,11 @@ def test_the_shared_case_in_newtons_is_told_so(shared_data):
     found = tr.diagnose(tr.read_experiment(folder), threads=1, keep=False)
     assert found.findings == ()
     assert "forces.csv read in N (times 1000)" in found.suspicions[0].sentence
+
+
+@pytest.mark.parametrize(("options", "code"), [([], 0), (["--exit-code"], 4)])
+def test_the_exit_code_speaks_of_the_verdict_only_if_asked(right, tmp_path, monkeypatch, options, code):
+    wrong = turned(right, 1e-3, "forces")
+    monkeypatch.setattr("tissuereg.io.experiments.read_experiment", lambda path: wrong)
+    (tmp_path / "experiment.toml").write_text("")
+    assert main(["diagnose", str(tmp_path), "--quiet", "--threads", "1", *options]) == code
