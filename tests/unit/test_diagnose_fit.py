@@ -15,7 +15,7 @@ from tissuereg.diagnosis.causes import CAUSES
 from tissuereg.diagnosis.causes.base import free_parameters
 from tissuereg.diagnosis.correction import make_correction
 from tissuereg.diagnosis.evidence import LOOK_ALIKE, Null
-from tissuereg.diagnosis.findings import _chances, group_of
+from tissuereg.diagnosis.findings import group_of
 from tissuereg.diagnosis.fit import FitTarget, FittedCause, at_believed_modulus, best_start, fit
 from tissuereg.diagnosis.modulus import _pinned, modulus_finding
 from tissuereg.diagnosis.nuisances import FORM_ERROR, other_forms
@@ -375,7 +375,7 @@ def test_a_group_holds_what_passes_the_threshold_or_is_a_tenth_as_likely():
 def test_a_share_of_every_causes_probability_is_assigned_to_effects_that_look_like_it():
     screened = {name: Screened(gain, None, np.empty(0)) for name, gain in (("layer", 1.0), (UNKNOWN, 0.0))}
     found = Candidate("mooney", None, 300.0, None)
-    chances = _chances(Step(screened, [found], None, None))
+    chances = Step(screened, [found], None, None).chances()
     assert sum(chances.values()) == pytest.approx(1.0)
     assert chances["mooney"] == pytest.approx(1.0 - LOOK_ALIKE)
     assert chances[UNKNOWN] == pytest.approx(LOOK_ALIKE)

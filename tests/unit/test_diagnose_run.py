@@ -40,5 +40,7 @@ def test_an_extended_model_is_diagnosed_with_a_modulus_that_may_move():
     # Forces of noise alone fit a softer body.
     assert found.x[0] < -0.01
     assert np.abs(found.jacobian[0]).max() > 0.0
-    stated = [effect for effect in diagnosis.extended.effects if isinstance(effect, Stiffness)]
-    assert len(stated) <= 1
+    # They are no larger than their noise: no modulus follows.
+    assert [one.kind for one in diagnosis.suspicions] == ["silent"]
+    assert not [effect for effect in diagnosis.extended.effects if isinstance(effect, Stiffness)]
+    assert "stiffness" not in [finding.id for finding in diagnosis.findings]

@@ -66,7 +66,7 @@ def write_model(
     weights : dict of str to ndarray
         Content of ``decoder_weights.npz``.
     card : dict
-        Content of ``model.json``; the files' SHA-256 is added.
+        Content of ``model.json``; the files' SHA-256 and sizes in bytes are added.
     pages : mapping of str to bytes, optional
         Further files by their names, for people.
 
@@ -95,7 +95,7 @@ def write_model(
             for name, content in (pages or {}).items():
                 (new / name).write_bytes(content)
             files = {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in sorted(new.iterdir())}
-            card = {**card, "files": files}
+            card = {**card, "files": files, "sizes": {name: (new / name).stat().st_size for name in files}}
             (new / CARD).write_text(json.dumps(card, indent=1, allow_nan=False) + "\n", encoding="utf-8")
             new.chmod(0o755)
             _put_in_place(new, out)

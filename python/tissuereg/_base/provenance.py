@@ -27,10 +27,10 @@ from tissuereg._version import __version__
 
 @dataclass(frozen=True)
 class InputFile:
-    """A file that was read: `path`, its name, and `sha256`, hexadecimal; None of a pipe, which is read but once."""
+    """A file that was read: `path`, its name, and `sha256`, hexadecimal."""
 
     path: str
-    sha256: str | None
+    sha256: str
 
 
 @dataclass(frozen=True)
@@ -133,7 +133,7 @@ def note_file(file: Path, sha256: str | None = None) -> None:
         return
     key = str(file.absolute())
     known = next((record.files[key] for record in records if key in record.files), None)
-    known = known or InputFile(file.name, sha256 or _sha256(file))
+    known = known or InputFile(file.name, sha256 or sha256_of(file))
     for record in records:
         record.files[key] = known
 
@@ -231,8 +231,7 @@ def _shown(value: Any) -> str:
     return said if len(said) <= _SHOWN and said[0] != "<" else type(value).__name__
 
 
-def _sha256(file: Path) -> str | None:
-    if not file.is_file():
-        return None
+def sha256_of(file: Path) -> str:
+    """Return the SHA-256 of a file, in hexadecimal digits."""
     with file.open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()

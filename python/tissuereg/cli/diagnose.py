@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from tissuereg._base.fields import choice
-from tissuereg.cli.common import Outcome, Stopwatch, envelope, seconds_line
+from tissuereg.cli.common import UNTRUSTED, Outcome, Stopwatch, envelope, seconds_line
 from tissuereg.cli.options import ELEMENTS, Help, Parser, add_option, refuse, refuse_overwriting
 
 HELP = Help(
@@ -27,6 +27,9 @@ def options(parser: Parser) -> None:
     parser.add_argument("--out", metavar="OUT", help="folder for the results; without it nothing is written")
     elements = choice(ELEMENTS, "elements of the believed model of a body", default=None, otherwise="tet4")
     add_option(parser, "--element", elements)
+    parser.add_argument(
+        "--exit-code", action="store_true", help="end with 4 for any verdict but `consistent` (otherwise with 0)"
+    )
     parser.add_argument("--no-cache", action="store_true", help="make the bank of causes anew, keep nothing")
 
 
@@ -73,6 +76,7 @@ def run(args: argparse.Namespace) -> Outcome:
 def _outcome(answer: dict[str, Any], clock: Stopwatch, args: argparse.Namespace) -> Outcome:
     provisional = ", provisional" if answer.get("provisional") else ""
     lines = [f"{answer['verdict']}{provisional} (p_misfit {answer['p_misfit']:.2g})"]
+    lines += [f"  {one['sentence']}" for one in answer.get("suspicions", ())]
     for cause in answer["causes"]:
         tied = f" (or {', '.join(cause['group'][1:])})" if len(cause["group"]) > 1 else ""
         lines.append(f"  {cause['id']}{tied}, P = {cause['probability']:.2f}: {cause['sentence']}")
@@ -83,4 +87,5 @@ def _outcome(answer: dict[str, Any], clock: Stopwatch, args: argparse.Namespace)
     lines.append(seconds_line(clock.seconds, verbose=args.verbose))
     if args.out is not None:
         lines.append(f"written: {args.out}")
-    return Outcome({**answer, "seconds": clock.seconds}, "\n".join(lines), args.threads)
+    code = UNTRUSTED if args.exit_code and answer["verdict"] != "consistent" else 0
+    return Outcome({**answer, "seconds": clock.seconds}, "\n".join(lines), args.threads, code)

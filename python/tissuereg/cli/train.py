@@ -37,6 +37,7 @@ def options(parser: Parser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run the training package, calibrate what it made, and return its exit code; MissingPackageError without it."""
     from tissuereg.io.atomic import check_folder_target
+    from tissuereg.io.toml import read_toml
 
     if importlib.util.find_spec("tissuereg_training") is None:
         message = (
@@ -45,6 +46,7 @@ def run(args: argparse.Namespace) -> int:
         )
         raise MissingPackageError(message, where="tissuereg_training")
     check_folder_target(args.out)
+    read_toml(args.recipe)  # bounds its size and depth
     training = importlib.import_module("tissuereg_training.cli")
     code = int(training.main(_words(args)))
     if code == 0:

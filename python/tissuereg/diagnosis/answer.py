@@ -9,6 +9,7 @@ from typing import Any
 from tissuereg._base.arguments import place
 from tissuereg._base.provenance import Provenance
 from tissuereg.diagnosis.causes import Values
+from tissuereg.diagnosis.readings import RecordingSuspicion
 from tissuereg.experiment.experiment import Experiment
 
 SCHEMA = "tissuereg.diagnosis/1"
@@ -99,6 +100,10 @@ class Diagnosis:
         Seed of all random draws.
     versions : dict of str to str
         Versions of the package, numpy and Python.
+    suspicions : tuple of RecordingSuspicion
+        Reason to suspect that the recording is misread; empty if it is plausible. Where it is in another unit, frame or
+        sign, no cause is looked for and the verdict is ``unexplained``; where forces are below their noise, no modulus
+        is found.
     details : dict
         Objects that the report draws: ``search``, ``layout``, ``noise``, ``target``, ``nuisances``, ``thresholds``.
     provenance : Provenance
@@ -117,6 +122,7 @@ class Diagnosis:
     seed: int
     versions: dict[str, str]
     left: dict[str, Any] | None = None
+    suspicions: tuple[RecordingSuspicion, ...] = ()
     details: dict[str, Any] = field(default_factory=dict)
     provenance: Provenance = field(default_factory=Provenance)
     settings: dict[str, Any] = field(default_factory=dict)
@@ -140,6 +146,7 @@ class Diagnosis:
             "causes": [finding.to_json() for finding in self.findings],
             "candidates": list(self.candidates),
             "p_misfit": self.p_misfit,
+            "suspicions": [one.to_json() for one in self.suspicions],
             "left": self.left,
             "discrepancy": self.discrepancy,
             "extended_model": "experiment.extended.toml",

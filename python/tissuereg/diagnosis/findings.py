@@ -11,10 +11,10 @@ import numpy as np
 from tissuereg.diagnosis.answer import Finding
 from tissuereg.diagnosis.candidates import required_thresholds
 from tissuereg.diagnosis.causes import CAUSES
-from tissuereg.diagnosis.evidence import LOOK_ALIKE, TEMPER, probabilities
+from tissuereg.diagnosis.evidence import TEMPER
 from tissuereg.diagnosis.fit import FitTarget
 from tissuereg.diagnosis.modulus import modulus_finding
-from tissuereg.diagnosis.proof import GENERIC, NAMED, held_out_figures
+from tissuereg.diagnosis.proof import held_out_figures
 from tissuereg.diagnosis.screen import UNKNOWN, Screen
 from tissuereg.diagnosis.search import SEPARABLE, Search, Step
 
@@ -42,7 +42,7 @@ def findings_of(target: FitTarget, screen: Screen, found: Search, thresholds: Ma
         assert top is not None  # of those steps
         # Parameters are those of the model with all causes found.
         values, deviations = found.final.values(part, young)
-        chances = _chances(step)
+        chances = step.chances()
         earlier = (before.found.id for before in rounds[:part] if before.found is not None)
         required = required_thresholds(thresholds, earlier)
         assert step.proof is not None  # found causes were proved
@@ -85,7 +85,7 @@ def candidates_of(screen: Screen, first: Step) -> tuple[dict[str, Any], ...]:
     ``log_bayes_factor`` in nats, and ``detectability``, the norm of the change that the cause makes, in noise
     deviations.
     """
-    chances, gains = _chances(first), _gains(first)
+    chances, gains = first.chances(), first.gains()
     rows: list[dict[str, Any]] = []
     for name in [*CAUSES, UNKNOWN]:
         if name in gains:
@@ -100,30 +100,3 @@ def candidates_of(screen: Screen, first: Step) -> tuple[dict[str, Any], ...]:
                 }
             )
     return tuple(sorted(rows, key=lambda row: -float(row["log_bayes_factor"])))
-
-
-def _gains(step: Step) -> dict[str, float]:
-    """Return the log Bayes factor of every cause in a round, in nats, by id.
-
-    It is that of the nonlinear fit where the cause was fitted, else that of the linear screening.
-    """
-    screened = {name: screened.log_bayes_factor for name, screened in step.screened.items()}
-    return screened | {candidate.id: candidate.gain for candidate in step.candidates}
-
-
-def _chances(step: Step) -> dict[str, float]:
-    """Return the posterior probability, by id, of every cause in a round, of the generic rival and of no cause."""
-    gains = _gains(step)
-    if step.found is not None:
-        # The held-out proof has distinguished the cause from the generic rival.
-        gains[UNKNOWN] = min(gains[UNKNOWN], step.found.gain - float(_margin(step)))
-    chances = probabilities(gains)
-    own = {name: chances[name] for name in CAUSES if name in chances}
-    unknown = chances[UNKNOWN] + LOOK_ALIKE * sum(own.values())
-    return {**chances, **{name: (1.0 - LOOK_ALIKE) * chance for name, chance in own.items()}, UNKNOWN: unknown}
-
-
-def _margin(step: Step) -> float:
-    assert step.proof is not None  # found causes were proved
-    density = step.proof.log_density.sum(axis=1)
-    return float(density[NAMED] - density[GENERIC])

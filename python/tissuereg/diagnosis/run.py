@@ -1,18 +1,21 @@
 """Diagnosis of a body: the sequence of steps from measurements to verdict.
 
-Input is an `Experiment` (believed model and measurements), output a `Diagnosis`. The steps: noise model, bank of
-hypotheses, correction of the discretisation error, nuisance parameters, linear evidence of all causes, thresholds from
-data drawn without any effect, search with nonlinear fits and held-out proof, test of the residual, verdict and advice.
+Input is an `Experiment` (believed model and measurements), output a `Diagnosis`. The steps: other readings of the
+recording, noise model, bank of hypotheses, correction of the discretisation error, nuisance parameters, linear evidence
+of all causes, thresholds from data drawn without any effect, search with nonlinear fits and held-out proof, test of the
+residual, verdict and advice.
 Each is a module of this package; ``docs/diagnose.md`` describes them in this order.
 """
 
 import platform
-from collections.abc import Callable
+import warnings
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray
+from tissuereg._base.provenance import warn
 from tissuereg._version import __version__
 from tissuereg.diagnosis.advice import advise
 from tissuereg.diagnosis.answer import Diagnosis, Finding
@@ -29,11 +32,12 @@ from tissuereg.diagnosis.misfit import Battery, Misfit, smooth_subspaces
 from tissuereg.diagnosis.noise import Noise, estimate_noise
 from tissuereg.diagnosis.nuisances import Nuisances, make_nuisances
 from tissuereg.diagnosis.nulls import draw_nulls
+from tissuereg.diagnosis.readings import RecordingSuspicion, suspect_recording
 from tissuereg.diagnosis.refined import entry_of, refined_predictions
 from tissuereg.diagnosis.screen import Screen
 from tissuereg.diagnosis.search import Search, search
 from tissuereg.diagnosis.signals import SignalLayout
-from tissuereg.errors import TissueRegError
+from tissuereg.errors import LockingWarning, TissueRegError, UnitWarning
 from tissuereg.experiment.effects import Effect, Stiffness
 from tissuereg.experiment.experiment import Experiment
 from tissuereg.simulation.experiment import simulate_plain
@@ -65,10 +69,38 @@ def diagnose_body(
     experiment = _own_modulus(experiment)
     simulated = experiment.simulated
     plain = simulated is not None and simulated.model == "plain"
+    if plain and simulated is not None and simulated.tables_sha256 is None:
+        text = (
+            "[simulated] has no `tables_sha256`, so that nothing tells whether it is about these tables; delete it if "
+            "they were measured"
+        )
+        warn(text)
     element = element or (simulated.element if simulated is not None and plain else "tet4")
     layout = SignalLayout(experiment)
     noise = estimate_noise(experiment, layout)
+    if progress is not None:
+        progress("units and axes")
+    suspicions = suspect_recording(experiment, layout, element=element, threads=threads)
+    if any(one.log_odds is not None for one in suspicions):
+        return _misread(experiment, suspicions, seed)
     bench = Bench(experiment, layout, element=element, threads=threads)
+    _ = bench.base  # warnings of the believed model are the user's; those of trials are not
+    with warnings.catch_warnings():
+        for kind in (UnitWarning, LockingWarning):
+            warnings.simplefilter("ignore", kind)
+        found = _searched(bench, noise, silent=bool(suspicions), seed=seed, keep=keep, progress=progress)
+    return replace(found, suspicions=tuple(suspicions))
+
+
+def _searched(
+    bench: Bench, noise: Noise, *, silent: bool, seed: int, keep: bool, progress: Callable[[str], None] | None
+) -> Diagnosis:
+    """Return the diagnosis of a recording that is read rightly; arguments as for `diagnose_body`.
+
+    `silent`: whether forces are below their noise, so that no modulus follows from them.
+    """
+    experiment, layout = bench.experiment, bench.layout
+    element, threads = bench.predictor.element, bench.predictor.threads
     bank = make_bank(bench, keep=keep, progress=progress)
     believed = make_believed(bench, noise, keep=keep, progress=progress)
     target, nuisances, null = believed.target, believed.nuisances, believed.null
@@ -82,14 +114,15 @@ def diagnose_body(
     before = target.null.reduced(found.base.residual)
     misfit = battery.judge(before, found.reduced, nulls.residuals)
     findings = findings_of(target, screen, found, nulls.thresholds)
+    findings = [finding for finding in findings if not (silent and finding.id == "stiffness")]
     withdrawn = bool(findings) and not _explains_enough(misfit, found)
     if withdrawn:
         # At best the findings are the causes most similar to the true one.
         findings, found = [], found.withdrawn(target)
         misfit = battery.judge(before, found.reduced, nulls.residuals)
-    verdict = _verdict(findings, misfit.p, withdrawn=withdrawn)
+    verdict = _verdict(findings, misfit.p, withdrawn=withdrawn or silent)
     effects: tuple[Effect, ...] = found.final.effects(bench.young)
-    if abs(found.final.x[0]) > 1e-6 and found.final.covariance[0, 0] < (0.5 * bench.young_spread) ** 2:
+    if not silent and abs(found.final.x[0]) > 1e-6 and found.final.covariance[0, 0] < (0.5 * bench.young_spread) ** 2:
         young = found.final.young(bench.young)
         if not any(isinstance(effect, Stiffness) for effect in effects):
             effects = (Stiffness(young_kpa=young), *effects)
@@ -108,7 +141,7 @@ def diagnose_body(
         extended=extended,
         next_experiment=following,
         seed=seed,
-        versions={"tissuereg": __version__, "numpy": np.__version__, "python": platform.python_version()},
+        versions=_versions(),
         details={
             "search": found,
             "layout": layout,
@@ -118,6 +151,34 @@ def diagnose_body(
             "thresholds": nulls.thresholds,
         },
     )
+
+
+def _misread(experiment: Experiment, suspicions: Sequence[RecordingSuspicion], seed: int) -> Diagnosis:
+    """Return the answer for a recording that is probably misread: what to write, and no cause."""
+    first = suspicions[0]
+    check = {"kind": "input", "name": ", ".join(first.files)}
+    return Diagnosis(
+        verdict="unexplained",
+        findings=(),
+        candidates=(),
+        # No other recording of this body would misfit as much: the odds of the other reading say how much.
+        p_misfit=0.0 if first.log_odds is None else float(np.exp(-first.log_odds)),
+        discrepancy={},
+        extended=experiment,
+        next_experiment={
+            "action": f"{first.write}, then diagnose again",
+            "separates": [],
+            "separability": None,
+            "check": check,
+        },
+        seed=seed,
+        versions=_versions(),
+        suspicions=tuple(suspicions),
+    )
+
+
+def _versions() -> dict[str, str]:
+    return {"tissuereg": __version__, "numpy": np.__version__, "python": platform.python_version()}
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,7 +14,7 @@ import numpy as np
 from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.candidates import Candidate, refitted, required_thresholds
 from tissuereg.diagnosis.causes import CAUSES
-from tissuereg.diagnosis.evidence import Null, fit_amplitudes
+from tissuereg.diagnosis.evidence import LOOK_ALIKE, Null, fit_amplitudes, probabilities
 from tissuereg.diagnosis.fit import Fit, FitTarget, fit
 from tissuereg.diagnosis.nuisances import effect_nuisances, other_forms
 from tissuereg.diagnosis.proof import (
@@ -29,7 +29,7 @@ from tissuereg.diagnosis.proof import (
     proof_blocks,
 )
 from tissuereg.diagnosis.revise import exchanged, without, without_redundant
-from tissuereg.diagnosis.screen import Screen, Screened
+from tissuereg.diagnosis.screen import UNKNOWN, Screen, Screened
 
 #: Number of causes in an answer, at most.
 MOST_CAUSES = 3
@@ -40,6 +40,9 @@ SEPARABLE = 4.0
 
 #: Gain in log predictive density that the held-out proof requires, nats.
 PROVED = 4.0
+
+#: A cause less probable than this, given the rivals that failed the proof, is not named.
+LEAST_PROBABILITY = 0.005
 
 #: A cause with this gain, in nats, that predicts held-out data better than all rivals may be named despite a misfit.
 CLEAR = 100.0
@@ -74,6 +77,26 @@ class Step:
         if self.found is None or self.proof is None:
             return False
         return self.found.gain >= CLEAR and float(self.proof.log_density[NAMED].sum()) > self.rivals
+
+    def gains(self) -> dict[str, float]:
+        """Return the log Bayes factor of every cause in the round, in nats, by id.
+
+        It is that of the nonlinear fit where the cause was fitted, else that of the linear screening.
+        """
+        screened = {name: screened.log_bayes_factor for name, screened in self.screened.items()}
+        return screened | {candidate.id: candidate.gain for candidate in self.candidates}
+
+    def chances(self) -> dict[str, float]:
+        """Return the posterior probability, by id, of every cause in the round, the generic rival and no cause."""
+        gains = self.gains()
+        if self.found is not None and self.proof is not None:
+            # The held-out proof has distinguished the cause from the generic rival.
+            density = self.proof.log_density.sum(axis=1)
+            gains[UNKNOWN] = min(gains[UNKNOWN], self.found.gain - float(density[NAMED] - density[GENERIC]))
+        chances = probabilities(gains)
+        own = {name: chances[name] for name in CAUSES if name in chances}
+        unknown = chances[UNKNOWN] + LOOK_ALIKE * sum(own.values())
+        return {**chances, **{name: (1.0 - LOOK_ALIKE) * chance for name, chance in own.items()}, UNKNOWN: unknown}
 
     def close(self, nats: float) -> list[Candidate]:
         """Return the other candidates, likeliest first, within `nats` of the accepted one's log Bayes factor."""
@@ -157,7 +180,9 @@ def _round(
         if density[NAMED] > density[BEFORE] + least_gain and density[NAMED] > density[GENERIC]:
             rivals = max(float(density[GENERIC]), _best_rival(target, current, candidates, candidate))
             figures = _figures(target, references, current, candidate)
-            return replace(step, found=candidate, proof=tried, figures=figures, rivals=rivals)
+            accepted = replace(step, found=candidate, proof=tried, figures=figures, rivals=rivals)
+            if accepted.chances().get(candidate.id, 0.0) >= LEAST_PROBABILITY:
+                return accepted
     return step
 
 

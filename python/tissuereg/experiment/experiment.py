@@ -32,10 +32,13 @@ class Simulated:
         The fine model (`tissuereg.FineModel`, which refines the mesh at the pads), or the mesh as it is.
     element : {"tet4", "tet4-averaged", "tet10"}
         Finite elements of the plain model; the fine one always has ten-node elements.
+    tables_sha256 : str, optional
+        SHA-256 of mesh and tables that the statement is about; None if the file does not state it.
     """
 
     model: str
     element: str
+    tables_sha256: str | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -31,6 +31,11 @@ class FileLimits:
         Largest size to which the arrays of a mesh or surface unpack, MB.
     head_bytes : int
         Number of bytes at a file's beginning by which its format is recognised.
+    toml_depth : int
+        Most parts of a dotted key, and most brackets in each other, of a TOML file: its reader takes time and memory
+        with the square of them.
+    toml_word : int
+        Most characters of a key of a TOML file.
     table_points : int
         Largest number of markers or targets of one state that a table may hold; more points must be given as a surface.
     std_mm : float
@@ -61,6 +66,8 @@ class FileLimits:
     mesh_mb: int = 256
     unpacked_mb: int = 2048
     head_bytes: int = 4096
+    toml_depth: int = 32
+    toml_word: int = 1000
     table_points: int = 10_000
     std_mm: float = 0.1
     same_time: float = 0.01
@@ -93,10 +100,17 @@ _BINARY_STL_HEAD, _BINARY_STL_ROW = 84, 50
 
 
 def existing_file(path: str | os.PathLike[str], most_mb: int | None = None) -> Path:
-    """Return `path` as a `Path` after checking that it is a file that can be read; it counts as read from now on.
+    """Return `path` as `regular_file` does; the file counts as read from now on."""
+    file = regular_file(path, most_mb)
+    note_file(file)
+    return file
 
-    `most_mb`: largest size, MB; None for no limit. Raises `FormatError` if it does not exist, is a folder, may not be
-    read or is larger.
+
+def regular_file(path: str | os.PathLike[str], most_mb: int | None = None) -> Path:
+    """Return `path` as a `Path` after checking that it is a regular file that can be read.
+
+    `most_mb`: largest size, MB; None for no limit. Raises `FormatError` if it does not exist, is a folder, a pipe or a
+    device (opening one may wait for ever, and its size is not known), may not be read or is larger.
     """
     file = place("path", path, error=FormatError)
     if file.is_dir():
@@ -105,12 +119,14 @@ def existing_file(path: str | os.PathLike[str], most_mb: int | None = None) -> P
     if not file.exists():
         message = f"no such file: {file}"
         raise FormatError(message, where=str(file))
+    if not file.is_file():
+        message = f"{file} must be a regular file; it is a pipe, a socket or a device: save its content in a file first"
+        raise FormatError(message, where=str(file))
     if not os.access(file, os.R_OK):
         message = f"{file} must be readable; permission was denied"
         raise FormatError(message, where=str(file))
     if most_mb is not None and file.stat().st_size > most_mb * 1_000_000:
         raise too_large(file, most_mb, f"it has {file.stat().st_size / 1e6:.0f} MB")
-    note_file(file)
     return file
 
 
@@ -139,7 +155,7 @@ def mesh_file(path: str | os.PathLike[str], what: str) -> Path:
 
 
 def bounded_stream(file: Path, most_mb: int) -> BinaryIO:
-    """Open a file whose size cannot be known beforehand, such as a pipe, for reading up to a bound.
+    """Open a file for reading up to a bound, for it may grow after its size was checked.
 
     `file`: path of a file that exists; `most_mb`: largest size, MB. Result: a binary stream that raises `FormatError`
     when more than this is read.

@@ -172,12 +172,16 @@ class TargetKeys(Keys):
 class SimulatedKeys(Keys):
     """Written by `simulate`: the model that made the data, so that `diagnose` compares with the same one.
 
-    Experiments that were measured do not have it.
+    Experiments that were measured do not have it. It is ignored, with a warning, where mesh or tables are not those
+    that it is about.
     """
 
     heading: ClassVar[str] = "[simulated]"
     model: str = choice(MODELS, "the fine model, or the mesh as it is")
     element: str = choice(ELEMENTS, "its elements")
+    tables_sha256: str | None = text(
+        "of the mesh and the tables that it made, targets left out", default=None, otherwise="not checked"
+    )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,6 +24,7 @@ from tissuereg.io.experiment_keys import (
     material_table,
 )
 from tissuereg.io.fields import write_npz
+from tissuereg.io.simulated import tables_sha256
 from tissuereg.io.toml_text import toml_text, write_toml
 
 if TYPE_CHECKING:
@@ -119,7 +120,8 @@ def _of_rig(experiment: Experiment, folder: Path) -> dict[str, Any]:
         content["forces"] = {"std_mN": experiment.force_std}
     content["markers"] = _markers(experiment)
     if experiment.simulated is not None:
-        content["simulated"] = {"model": experiment.simulated.model, "element": experiment.simulated.element}
+        stated = asdict(experiment.simulated)
+        content["simulated"] = {key: value for key, value in stated.items() if value is not None}
     content["boundary"] = [_patch(boundary) for boundary in experiment.boundaries]
     content["actuator"] = [{**_patch(actuator), "contact": actuator.contact} for actuator in experiment.actuators]
     content["target"] = [{"name": name, "reference": place.tolist()} for name, place in experiment.targets.items()]
@@ -172,11 +174,12 @@ def write_simulated(
     the experiment cannot stand in an experiment file; `OutputError` if the folder cannot be written.
     """
     with atomic_folder(out) as folder:
-        # Paths are those seen from where the folder will be.
-        described = replace(experiment, folder=out, simulated=model)
-        write_experiment(described, folder / "experiment.toml", seen_from=out)
         for table, histories in simulated_tables(experiment, answers):
             write_histories(folder / table.file, table, histories)
+        stated = replace(model, tables_sha256=tables_sha256(folder, experiment.mesh_file))
+        # Paths are those seen from where the folder will be.
+        described = replace(experiment, folder=out, simulated=stated)
+        write_experiment(described, folder / "experiment.toml", seen_from=out)
         for number, (case, answer) in enumerate(answers.items()):
             arrays = {"time_s": answer.times, "displacement_mm": answer.displacement}
             write_npz(folder / f"case_{_file_word(case, number)}.npz", arrays)

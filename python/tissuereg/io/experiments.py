@@ -11,7 +11,7 @@ import numpy as np
 
 from tissuereg._base.arguments import flag, real, reals
 from tissuereg._base.arrays import FloatArray, IntArray
-from tissuereg._base.provenance import reads
+from tissuereg._base.provenance import reads, warn
 from tissuereg.body.mesh import Mesh
 from tissuereg.errors import ExperimentError, MeshError
 from tissuereg.experiment.effects import Effect, check_effects, effect_from_table
@@ -35,6 +35,7 @@ from tissuereg.io.experiment_keys import (
 )
 from tissuereg.io.meshes import read_mesh
 from tissuereg.io.node_rules import nodes_by_rule
+from tissuereg.io.simulated import tables_sha256
 from tissuereg.io.toml import Table, experiment_file, read_toml
 
 
@@ -79,7 +80,7 @@ def read_experiment(path: str | os.PathLike[str], *, measured: bool = True) -> E
     targets = _targets(top)
     tabled = _tabled(top, tables, actuators, targets, flag("measured", measured, error=ExperimentError))
     effects = top.tables("effect")
-    simulated = _simulated(top)
+    simulated = _simulated(top, tables, mesh_file)
     top.finish()
     experiment = Experiment(
         name=name,
@@ -179,9 +180,19 @@ def _gravity(top: Table) -> BodyWeight | None:
     return None if given is None else BodyWeight(np.array(given.direction), given.in_reference, given.g_mm_per_s2)
 
 
-def _simulated(top: Table) -> Simulated | None:
+def _simulated(top: Table, tables: Path, mesh_file: Path) -> Simulated | None:
+    """Return what ``[simulated]`` states; None, with a warning, where it is about another mesh or other tables."""
     given = SimulatedKeys.alone(top)
-    return None if given is None else Simulated(given.model, given.element)
+    if given is None:
+        return None
+    if given.tables_sha256 is not None and given.tables_sha256 != tables_sha256(tables, mesh_file):
+        text = (
+            f"[simulated] of {top.file} is ignored: mesh and tables are not those that it is about, so that they count "
+            "as measured; delete it"
+        )
+        warn(text)
+        return None
+    return Simulated(given.model, given.element, given.tables_sha256)
 
 
 def _boundary(table: Table, mesh: Mesh) -> Boundary:

@@ -50,6 +50,11 @@ class Archive:
         return name in self._arrays
 
     @property
+    def arrays(self) -> Mapping[str, Any]:
+        """The arrays by their names, each read on access and unchecked."""
+        return self._arrays
+
+    @property
     def names(self) -> list[str]:
         """Names of the arrays in the file, in file order."""
         return list(self._arrays)
@@ -152,6 +157,22 @@ def _loaded(file: Path | str, handle: BinaryIO) -> "np.lib.npyio.NpzFile":
         message = f"{file} must be a numpy archive (.npz) with named arrays, got a single array (.npy)"
         raise FormatError(message, where=str(file))
     return arrays
+
+
+def read_npy(path: str | os.PathLike[str], *shape: int | None) -> FloatArray:
+    """Return the finite numbers of an .npy file as float64.
+
+    `path`: the file; `*shape`: wanted shape, in which None stands for any length. Raises `FormatError` if there is no
+    such file, it is too large or no array, or its numbers are of another shape or not finite.
+    """
+    file = existing_file(path, FILES.mesh_mb)
+    try:
+        with file.open("rb") as handle:
+            array = np.lib.format.read_array(handle, allow_pickle=False)
+    except _SPOILT as error:
+        message = f"{file} must be an array of plain numbers (.npy): {error or type(error).__name__}"
+        raise FormatError(message, where=str(file)) from error
+    return Archive(file, {file.stem: array}).floats(file.stem, *shape)
 
 
 def write_npz(path: str | os.PathLike[str], arrays: Mapping[str, Any]) -> None:

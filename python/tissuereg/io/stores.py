@@ -14,6 +14,7 @@ from typing import Any, BinaryIO, Protocol
 from tissuereg._base.arguments import place
 from tissuereg.errors import ArgumentError, FormatError, MissingPackageError, TissueRegError
 from tissuereg.io.atomic import OutputError, atomic_file, check_folder_target
+from tissuereg.io.bounds import existing_file
 from tissuereg.io.drafts import DRAFT_PREFIX, remove_stale_drafts
 
 #: Protocols whose put makes the whole object visible at once, and that have no rename.
@@ -103,12 +104,12 @@ class LocalStore:
     def read(self, name: str) -> bytes:
         """Return the bytes of the file of this name; raise `FormatError` if there is none or it cannot be read."""
         with _as_format_error(self.where(name)):
-            return (self.folder / name).read_bytes()
+            return existing_file(self.folder / name).read_bytes()
 
     def source(self, name: str) -> BinaryIO:
         """Return the file of this name, opened for reading without a buffer; the caller closes it."""
         with _as_format_error(self.where(name)):
-            return (self.folder / name).open("rb", buffering=0)
+            return existing_file(self.folder / name).open("rb", buffering=0)
 
     def where(self, name: str) -> str:
         """Return the path of a file of this name as text, for messages."""
@@ -222,6 +223,8 @@ def _as_output_error(where: str) -> Iterator[None]:
 def _as_format_error(where: str) -> Iterator[None]:
     try:
         yield
+    except FormatError:
+        raise
     except FileNotFoundError as error:
         message = f"no such file: {where}"
         raise FormatError(message, where=where) from error

@@ -1,6 +1,7 @@
 """Checked reading of TOML tables: the reader takes each key that it knows, and a key that was not taken is refused."""
 
 import os
+import re
 import tomllib
 from collections.abc import Callable, Iterable
 from dataclasses import MISSING, dataclass
@@ -300,10 +301,46 @@ def experiment_file(path: str | os.PathLike[str]) -> Path:
 def parsed_toml(text: str) -> dict[str, Any]:
     """Return the content of a TOML text as a dict of Python values by key.
 
-    Raises `ValueError` if it is no TOML, or holds a number of thousands of digits.
+    Raises `ValueError` if it is no TOML, is nested too deeply (`FILES.toml_depth`), or holds a key of more characters
+    than `FILES.toml_word` or a number of thousands of digits.
     """
+    _refuse_depth(text)
     content: dict[str, Any] = tomllib.loads(text)
     return content
+
+
+#: Parts of a TOML text by which its nesting is counted; what stands in a text or a comment does not count.
+_PARTS = re.compile(
+    r"""
+    "{3}(?:[^\\]|\\.)*?"{3} | '{3}.*?'{3}         # texts of several lines
+    | "(?:[^"\\\n]|\\.)*" | '[^'\n]*' | \#[^\n]*  # texts, comments
+    | [.\[\]{}=,\n] | [^"'\#.\[\]{}=,\n]+ | .
+    """,
+    re.DOTALL | re.VERBOSE,
+)
+
+
+def _refuse_depth(text: str) -> None:
+    """Raise `ValueError` if a TOML text is nested more deeply than `FILES` allows, before any of it is parsed."""
+    dots, depth, line, word = 0, 0, 1, 0
+    for found in _PARTS.finditer(text):
+        part = found[0]
+        if part == ".":
+            dots += 1
+        elif part in ("[", "{"):
+            dots, depth = 0, depth + 1
+        elif part in ("]", "}"):
+            dots, depth = 0, max(depth - 1, 0)
+        elif part in ("=", ",", "\n"):
+            dots = 0
+        word = len(part.strip()) if part[0] not in "\"'#" else 0
+        if dots >= FILES.toml_depth or depth > FILES.toml_depth or word > FILES.toml_word:
+            message = (
+                f"keys must have at most {FILES.toml_depth} parts of {FILES.toml_word} characters, and brackets be "
+                f"nested {FILES.toml_depth} deep at most (line {line})"
+            )
+            raise ValueError(message)
+        line += part.count("\n")
 
 
 def read_toml(path: str | os.PathLike[str]) -> Table:

@@ -61,6 +61,9 @@ def read_jobs(path: str) -> tuple[str, dict[str, Any], int, int]:
     """
     import yaml
 
+    if Path(path).exists() and not Path(path).is_file():
+        message = f"{path} must be a regular YAML file; it is a folder, a pipe or a device"
+        raise FormatError(message, where=path)
     try:
         content = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:

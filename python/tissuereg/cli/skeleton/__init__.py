@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +35,7 @@ from tissuereg.io.experiment_out import TABLES, path_from, simulated_tables
 from tissuereg.io.experiments import read_experiment
 from tissuereg.io.meshes import read_mesh
 from tissuereg.io.node_rules import NodeRule, nodes_by_rule, rule_for_file
+from tissuereg.io.simulated import tables_sha256
 from tissuereg.io.toml import Keys
 from tissuereg.io.toml_text import commented_toml
 from tissuereg.simulation.experiment import CaseSimulation, simulate_plain, with_noise
@@ -98,7 +99,8 @@ def new_experiment(
         experiment, answers = _simulated(draft, tables, mesh_file, rig, threads, progress)
         for table, histories in simulated_tables(experiment, with_noise(experiment, answers, seed=seed)):
             write_histories(draft / table.file, table, histories)
-        _write_text(draft, _text(tables, path_from(target, mesh_file), True))
+        model = Simulated("plain", "tet4", tables_sha256(draft, mesh_file))
+        _write_text(draft, _text(tables, path_from(target, mesh_file), model))
         files = tuple(file for file in TABLES if (draft / file).exists())
         _check_empty(target)
     return Begun(files, guessed)
@@ -123,7 +125,7 @@ def _simulated(
     progress: Callable[[int, int], None] | None,
 ) -> tuple[Experiment, dict[str, CaseSimulation]]:
     """Return the experiment and its simulated load cases, with pushes halved until all cases have an equilibrium."""
-    _write_text(draft, _text(tables, mesh_file.absolute().as_posix(), False))
+    _write_text(draft, _text(tables, mesh_file.absolute().as_posix(), None))
     for halved in range(_HALVINGS + 1):
         _write_frames(draft, rig, 0.5**halved)
         experiment = read_experiment(draft, measured=False)
@@ -184,7 +186,7 @@ def _tables(name: str, rule: Any, rig: MadeUpRig) -> _Tables:
     ]
 
 
-def _text(tables: _Tables, mesh: str, simulated: bool) -> str:
+def _text(tables: _Tables, mesh: str, simulated: Simulated | None) -> str:
     head = [
         "An experiment to begin with, made by `tissuereg new`: replace pads, markers and tables by your own.",
         "Every key is here; those behind # may be left out. Lengths mm, forces mN, stresses kPa, times s.",
@@ -192,8 +194,7 @@ def _text(tables: _Tables, mesh: str, simulated: bool) -> str:
         "measured, delete [simulated] at the end.",
     ]
     filled = [(each, {"file": mesh} if each is MeshKeys else values) for each, values in tables]
-    model = Simulated("plain", "tet4")
-    last = [(SimulatedKeys, {"model": model.model, "element": model.element})] if simulated else []
+    last = [] if simulated is None else [(SimulatedKeys, asdict(simulated))]
     return commented_toml(head, [*filled, *last])
 
 

@@ -20,6 +20,8 @@ def verdict_sentence(found: "Diagnosis") -> str:
     """Return the verdict of a diagnosis in one sentence, plain text."""
     if found.verdict == "consistent":
         return "The measurements are consistent with the simulation, within noise and nuisance parameters."
+    if found.suspicions and not found.candidates:
+        return "The recording is probably misread, so that no cause was looked for."
     if found.verdict == "unexplained":
         return "The simulation does not explain the measurements, and no cause in the catalogue accounts for it."
     names = [_either([plain_name(name) for name in finding.group]) for finding in found.findings]
@@ -41,8 +43,10 @@ def summary(found: "Diagnosis") -> str:
     parts = [
         f"<h1>What the simulation of {escape(found.extended.name)} gets wrong</h1>",
         f"<p class='verdict'><b class='{tone}'>{escape(verdict_sentence(found))}</b></p>",
-        f"<p>{escape(_discrepancy(found))} {escape(_left(found))}</p>",
     ]
+    parts += [f"<p>{escape(one.sentence)}.</p>" for one in found.suspicions]
+    if found.candidates or not found.suspicions:
+        parts.append(f"<p>{escape(_discrepancy(found))} {escape(_left(found))}</p>")
     if found.verdict == "unexplained" and found.next_experiment is not None:
         parts.append(f"<p><b>Next:</b> {escape(found.next_experiment['action'])}.</p>")
     if found.provisional:

@@ -16,6 +16,7 @@ from tissuereg._base.arrays import FloatArray, IntArray
 from tissuereg.errors import FormatError
 from tissuereg.io.fields import Archive, open_npz
 from tissuereg.registration.learned.calibration_set import STATISTICS, CalibrationSet
+from tissuereg.registration.learned.card import is_covariance
 from tissuereg.registration.learned.components import Components
 from tissuereg.registration.learned.mixture import Component
 
@@ -30,6 +31,9 @@ LEAST_SIZE_MM = 0.3
 
 #: Probability that a simulation is not of this event at all.
 UNRELATED = 0.02
+
+#: By how much probabilities in a file may miss a sum of one.
+_ROUNDING = 1e-3
 
 #: Share of the variance of changes from simulations in general that stays where variants of the simulation are given.
 BESIDE_VARIANTS = 0.25
@@ -184,7 +188,8 @@ class Calibration:
     def read(cls, path: object, n_latent: int, n_nodes: int) -> "Calibration":
         """Return the calibration in the file `path` of a model with `n_latent` latents on a mesh of `n_nodes` nodes.
 
-        Raises `FormatError` if it is of another version, or an array is missing or of another shape.
+        Raises `FormatError` if it is of another version, or an array is missing, of another shape, or holds numbers
+        that cannot be what they stand for, such as variances of 0.
         """
         with open_npz(str(path)) as file:
             version = int(file.indices("version").item()) if "version" in file else 1
@@ -201,7 +206,10 @@ class Calibration:
                 file.floats("kind_means", n_kinds, n_latent),
                 file.floats("kind_covariances", n_kinds, n_latent, n_latent),
             )
+            _must(file, "kind_weights", "probabilities that sum to one", _is_distribution(weights))
+            _must(file, "kind_covariances", "positive definite", all(map(_is_definite, kinds.covariances)))
             errors = _errors_in(file, "error", None, n_nodes)
+            _must(file, "error_covariances", "some for every kind", len(errors.covariances) >= n_kinds > 0)
             alone = _rehearsal_in(file, "alone", len(errors.covariances) // n_kinds)
             if "change_factors" not in file:
                 return cls(kinds, errors, alone)
@@ -209,6 +217,9 @@ class Calibration:
                 file.floats("change_factors", None),
                 file.floats("change_covariances", None, n_latent, n_latent),
             )
+            _must(file, "change_factors", "variances, one at least", len(factors) > 0 and bool((factors >= 0.0).all()))
+            known = len(covariances) > 0 and all(map(is_covariance, covariances))
+            _must(file, "change_covariances", "covariances, one at least", known)
             change = Change(factors, covariances, _errors_in(file, "change_error", len(covariances), n_nodes))
             return cls(kinds, errors, alone, change, _rehearsal_in(file, "anchored", len(factors) * len(covariances)))
 
@@ -314,7 +325,28 @@ def _error_arrays(name: str, errors: FieldErrors) -> dict[str, FloatArray]:
 def _errors_in(file: Archive, name: str, n_kinds: int | None, n_nodes: int) -> FieldErrors:
     basis = file.floats(f"{name}_patterns", None, n_nodes, 3)
     covariances = file.floats(f"{name}_covariances", n_kinds, len(basis), len(basis))
-    return FieldErrors(basis, covariances, file.floats(f"{name}_rest_mm", n_nodes, 3))
+    _must(file, f"{name}_covariances", "covariances", all(map(is_covariance, covariances)) if len(basis) else True)
+    rest = file.floats(f"{name}_rest_mm", n_nodes, 3)
+    _must(file, f"{name}_rest_mm", "standard deviations of at least 0", bool((rest >= 0.0).all()))
+    return FieldErrors(basis, covariances, rest)
+
+
+def _must(file: Archive, name: str, rule: str, holds: bool) -> None:
+    if not holds:
+        message = f"array '{name}' in {file.path} must hold {rule}; it holds other numbers"
+        raise FormatError(message, where=f"{file.path}:{name}")
+
+
+def _is_distribution(weights: FloatArray) -> bool:
+    return bool((weights >= 0.0).all() and abs(float(weights.sum()) - 1.0) < _ROUNDING)
+
+
+def _is_definite(matrix: FloatArray) -> bool:
+    try:
+        np.linalg.cholesky(matrix)
+    except np.linalg.LinAlgError:
+        return False
+    return is_covariance(matrix)
 
 
 def _rehearsal_arrays(name: str, rehearsal: Rehearsal) -> dict[str, Any]:
@@ -331,10 +363,15 @@ def _rehearsal_arrays(name: str, rehearsal: Rehearsal) -> dict[str, Any]:
 def _rehearsal_in(file: Archive, name: str, n_forms: int) -> Rehearsal:
     scales = file.floats(f"{name}_scales", None)
     statistics, tail = file.floats(f"{name}_signs", None, len(STATISTICS)), float(file.floats(f"{name}_tail"))
+    weights, widening = file.floats(f"{name}_scale_weights", n_forms, len(scales)), file.floats(f"{name}_widening")
+    _must(file, f"{name}_scales", "positive, one at least", len(scales) > 0 and bool((scales > 0.0).all()))
+    _must(file, f"{name}_scale_weights", "probabilities that sum to one", _is_distribution(weights))
+    _must(file, f"{name}_widening", "a positive factor", bool(widening > 0.0))
+    _must(file, f"{name}_tail", "degrees of freedom, or 0 for none", tail >= 0.0)
     return Rehearsal(
         scales,
-        file.floats(f"{name}_scale_weights", n_forms, len(scales)),
-        float(file.floats(f"{name}_widening")),
+        weights,
+        float(widening),
         tail or None,
         CalibrationSet(statistics, file.indices(f"{name}_groups", len(statistics))),
     )

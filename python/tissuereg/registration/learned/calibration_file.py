@@ -1,15 +1,13 @@
 """Writes a calibration into the folder of its model, and reads it after a comparison of its checksum."""
 
-import hashlib
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from tissuereg.errors import ModelError
 from tissuereg.io.atomic import atomic_file
 from tissuereg.registration.learned.calibration import Calibration
-from tissuereg.registration.learned.card import card_text, read_card
+from tissuereg.registration.learned.card import card_text, check_file, list_file, read_card
 
 CALIBRATION_NAME = "calibration.npz"
 
@@ -18,7 +16,7 @@ _WORTH = "## Beside registration without a model"
 
 
 def write_calibration(folder: Path, calibration: Calibration, worth: str | None = None) -> None:
-    """Write a calibration as ``calibration.npz`` into the folder of its model, and its SHA-256 into the model's card.
+    """Write a calibration as ``calibration.npz`` into the folder of its model, and list it in the model's card.
 
     The card is the file ``model.json``. `worth`: text that becomes the last section of ``MODEL.md``, in the place of an
     older one. Raises `ModelError` if there is no card; `OutputError` if a file cannot be
@@ -28,13 +26,13 @@ def write_calibration(folder: Path, calibration: Calibration, worth: str | None 
     path = folder / CALIBRATION_NAME
     with atomic_file(path) as draft, draft.open("wb") as stream:
         np.savez_compressed(stream, **calibration.save())  # type: ignore[arg-type]
-    card["files"][CALIBRATION_NAME] = _sha256(path)
+    list_file(card, path)
     if worth is not None:
         page = folder / "MODEL.md"
         before = page.read_text(encoding="utf-8").split(_WORTH)[0] if page.exists() else ""
         with atomic_file(page) as draft:
             draft.write_text(f"{before.rstrip()}\n\n{_WORTH}\n\n{worth}".lstrip(), encoding="utf-8")
-        card["files"][page.name] = _sha256(page)
+        list_file(card, page)
     with atomic_file(folder / "model.json") as draft:
         draft.write_text(card_text(card), encoding="utf-8")
 
@@ -43,17 +41,9 @@ def read_calibration(folder: Path, card: dict[str, Any]) -> Calibration | None:
     """Return the calibration in the folder of a model, or None if the model's card (``model.json``) lists none.
 
     `card` is the content of that file. Raises `FormatError` if an array is missing or of another shape; `ModelError` if
-    the calibration's file is missing, or differs from its SHA-256 in the card.
+    the calibration's file is missing, or differs from its size or SHA-256 in the card.
     """
-    wanted = card["files"].get(CALIBRATION_NAME)
-    if wanted is None:
+    if CALIBRATION_NAME not in card["files"]:
         return None
-    path = folder / CALIBRATION_NAME
-    if not path.is_file() or _sha256(path) != wanted:
-        message = f"{path} must be the file its card describes (SHA-256 {str(wanted)[:12]}); it is missing or another"
-        raise ModelError(message, where=str(path))
+    path = check_file(folder, card, CALIBRATION_NAME)
     return Calibration.read(path, card["n_latent"], card["n_nodes"])
-
-
-def _sha256(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()

@@ -13,7 +13,7 @@ earlier level keeps the nodes on which these depend. Linear steps that follow ea
 the linear layer with the first level, and the last level with P.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from functools import cached_property, partial
 from itertools import pairwise
@@ -23,9 +23,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from tissuereg._base.arrays import FloatArray, IntArray, float_array
+from tissuereg._base.arrays import FloatArray, IntArray
 from tissuereg.errors import FormatError, ModelError
-from tissuereg.io.fields import Archive, open_npz
+from tissuereg.io.fields import Archive, open_npz, read_npy
 from tissuereg.registration.learned.batches import together
 from tissuereg.registration.learned.onnx_bytes import OnnxGraph
 
@@ -345,21 +345,37 @@ def network_at(decoder: ClosureDecoder | GraphDecoder, rows: Any) -> tuple[bytes
     return graph.to_bytes(("z", decoder.n_latent), ("moved", 3 * rows.shape[0])), work
 
 
-def read_decoder(path: Path) -> ClosureDecoder | GraphDecoder | None:
+def read_decoder(path: Path, listed: Collection[str] | None = None) -> ClosureDecoder | GraphDecoder | None:
     """Return the decoder of whole fields in a file of weights, or None if it is neither a closure nor a graph network.
 
-    `path` is that of ``decoder_weights.npz`` of a model. Raises `ModelError` if arrays are missing, not finite, or do
+    `path` is that of ``decoder_weights.npz`` of a model; `listed`: names of the files that its card lists, for others
+    are not read; None for all. Raises `ModelError` if arrays are missing, not finite, or do
     not fit each other.
     """
     try:
-        with open_npz(path) as weights:
+        with open_npz(path) as archive:
+            weights = _Weights(archive, listed)
             closure = _closure(weights) if "activation" in weights else None
             return _graph_network(weights, closure) if "fully_connected.bias" in weights else closure
     except FormatError as error:
         raise ModelError(str(error), where=str(path)) from error
 
 
-def _closure(weights: Archive) -> ClosureDecoder:
+class _Weights(Archive):
+    """The arrays of ``decoder_weights.npz``, and the tables beside it that networks share, if the card lists them."""
+
+    def __init__(self, archive: Archive, listed: Collection[str] | None) -> None:
+        super().__init__(archive.path, archive.arrays)
+        self._listed = listed
+
+    def table(self, name: str, *shape: int | None) -> FloatArray:
+        """Return an array of finite numbers of the given shape from the weights, or from the file ``name.npy``."""
+        shared = Path(self.path).with_name(f"{name.replace('/', '.')}.npy")
+        known = shared.exists() if self._listed is None else shared.name in self._listed
+        return self.floats(name, *shape) if name in self or not known else read_npy(shared, *shape)
+
+
+def _closure(weights: _Weights) -> ClosureDecoder:
     activation = str(weights.raw("activation")).lower()
     if activation not in _ACTIVATED:
         message = f"`activation` in {weights.path} must be one of {', '.join(_ACTIVATED)}, got {activation!r}"
@@ -368,25 +384,17 @@ def _closure(weights: Archive) -> ClosureDecoder:
     layers: list[tuple[FloatArray, FloatArray]] = []
     while f"layer{len(layers)}/bias" in weights or not layers:
         name = f"layer{len(layers)}"
-        weight = _table(weights, f"{name}/weight", None, len(layers[-1][1]) if layers else None)
+        weight = weights.table(f"{name}/weight", None, len(layers[-1][1]) if layers else None)
         layers.append((weight, weights.floats(f"{name}/bias", len(weight))))
     n_components, n_latent = len(layers[-1][1]), layers[0][0].shape[1]
     skip = weights.floats("skip/weight", n_components, n_latent) if "skip/weight" in weights else None
-    components = _table(weights, "components_mm", n_components, len(mean), 3).astype(np.float32)
+    components = weights.table("components_mm", n_components, len(mean), 3).astype(np.float32)
     return ClosureDecoder(tuple(layers), skip, activation, components, mean)
 
 
-def _table(weights: Archive, name: str, *shape: int | None) -> FloatArray:
-    """Return an array of the given shape from a model's weights, or from the file ``name.npy`` that networks share."""
-    shared = Path(weights.path).with_name(f"{name.replace('/', '.')}.npy")
-    if name in weights or not shared.exists():
-        return weights.floats(name, *shape)
-    return float_array(name, np.load(shared, allow_pickle=False), shape)
-
-
-def _graph_network(weights: Archive, closure: ClosureDecoder | None) -> GraphDecoder:
+def _graph_network(weights: _Weights, closure: ClosureDecoder | None) -> GraphDecoder:
     sizes = weights.indices("levels", None)
-    weight = _table(weights, "fully_connected.weight", None, None)
+    weight = weights.table("fully_connected.weight", None, None)
     bias = weights.floats("fully_connected.bias", len(weight))
     levels: list[GraphLevel] = []
     n_in = len(weight) // max(1, int(sizes[0]))
@@ -405,12 +413,12 @@ def _graph_network(weights: Archive, closure: ClosureDecoder | None) -> GraphDec
     return GraphDecoder(weight, bias, tuple(levels), np.zeros_like(mean), scale, closure.activation, closure)
 
 
-def _level(weights: Archive, k: int, n_coarse: int, n_fine: int, n_in: int) -> GraphLevel:
+def _level(weights: _Weights, k: int, n_coarse: int, n_fine: int, n_in: int) -> GraphLevel:
     from scipy import sparse
 
     bases = weights.floats(f"conv{k}.bases", None, n_in, None)
     edges = weights.indices(f"conv{k}.edges", None, 2)
-    coefficients = _table(weights, f"conv{k}.coefficients", len(edges), len(bases))
+    coefficients = weights.table(f"conv{k}.coefficients", len(edges), len(bases))
     if len(edges) == 0 or edges.min() < 0 or (edges.max(axis=0) >= (n_fine, n_coarse)).any():
         message = f"edges of conv{k} in {weights.path} must lie between nodes of {n_fine} and {n_coarse}"
         raise ModelError(message, where=str(weights.path))

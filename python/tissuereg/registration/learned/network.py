@@ -17,7 +17,7 @@ from tissuereg.io.fields import open_npz
 from tissuereg.registration.learned.batches import in_batches
 from tissuereg.registration.learned.calibration import Calibration
 from tissuereg.registration.learned.calibration_file import read_calibration
-from tissuereg.registration.learned.card import MODEL_FILES, check_files, read_card
+from tissuereg.registration.learned.card import check_files, read_card
 from tissuereg.registration.learned.cut import CutDecoder, session
 from tissuereg.registration.learned.decoders import ClosureDecoder, GraphDecoder, read_decoder
 from tissuereg.registration.learned.model import Gaussian
@@ -171,7 +171,7 @@ class NetworkModel:
     @cached_property
     def tables(self) -> ClosureDecoder | GraphDecoder | None:
         """The decoder's weights; None if it is of no type that can be reduced to a few points."""
-        return read_decoder(self.folder / "decoder_weights.npz")
+        return read_decoder(self.folder / "decoder_weights.npz", self._card["files"].keys())
 
     def cut(self, rows: Any) -> CutDecoder | None:
         """Return the decoder reduced to given points, made once for them and checked against ``decoder.onnx``.
@@ -245,7 +245,7 @@ def kept_network(folder: Path, mesh: Mesh, threads: int, source: str | None = No
     `threads` is the number of batches decoded at once, 0 for all cores; `source` is the origin that a result states.
     """
     try:
-        stats = [(folder / name).stat() for name in ("model.json", *MODEL_FILES)]
+        stats = [one.stat() for one in sorted(folder.iterdir())]
     except OSError:
         return NetworkModel(folder, mesh, threads=threads, source=source)  # says what is missing
     key = (str(folder.resolve()), mesh.digest(), threads, source, *((one.st_mtime_ns, one.st_size) for one in stats))

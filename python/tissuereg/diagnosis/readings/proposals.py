@@ -1,0 +1,137 @@
+"""Readings (ways to interpret the recording): other units, axes and signs of its channels, each with its prior cost."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import permutations, product
+
+import numpy as np
+
+from tissuereg._base.arrays import FloatArray
+from tissuereg.registration.readings.settings import COSTS
+
+#: Factors that convert a force to mN and a length to mm, with the names of the units.
+FORCES = {1000.0: "N", 9.80665: "gf", 9806.65: "kgf", 4448.222: "lbf", 1e-3: "\u00b5N"}
+LENGTHS = {1000.0: "m", 10.0: "cm", 25.4: "inches", 1e-3: "\u00b5m"}
+
+_ONE: FloatArray = np.eye(3)
+
+
+@dataclass(frozen=True, eq=False)
+class Channel:
+    """A group of columns of the recording that can be misread alone.
+
+    `file`: file or table that holds them; `columns`: their names; `units`: other units of their numbers; `pads`: names
+    of the actuators whose rows they are; empty for markers.
+    """
+
+    file: str
+    columns: str
+    units: Mapping[float, str]
+    pads: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class RecordingReading:
+    """One way to interpret the recording: linear maps from the vectors as given to the true ones.
+
+    `kind`: ``unit``, ``frame``, ``mirrored`` or ``sign``, the first word of the sentence; ``""`` for the input as
+    given; `cost`: minus the logarithm of the prior odds of the mistake; `words`: the change of the input; `write`: what
+    to write in the files; `files`: those that are misread. Maps (3, 3): `places` of the reference places, `markers` of
+    measured places, `commands` and `forces` of those of an actuator, by its name; what is absent is as given.
+    """
+
+    kind: str
+    cost: float
+    words: str
+    write: str
+    files: tuple[str, ...]
+    places: FloatArray = field(default_factory=lambda: _ONE)
+    markers: FloatArray = field(default_factory=lambda: _ONE)
+    commands: Mapping[str, FloatArray] = field(default_factory=dict)
+    forces: Mapping[str, FloatArray] = field(default_factory=dict)
+
+
+AS_GIVEN = RecordingReading("", 0.0, "", "", ())
+
+
+def proposals(moved: Sequence[str], pulled: Sequence[str], felt: Sequence[str]) -> Iterator[RecordingReading]:
+    """Yield the readings of a recording other than that as given.
+
+    `moved`, `pulled`, `felt`: names of the actuators whose motion and whose force is prescribed, and of those whose
+    force was measured.
+    """
+    reference = Channel("[markers.reference]", "x, y, z", LENGTHS)
+    markers = Channel("markers.csv", "x_mm, y_mm, z_mm", LENGTHS)
+    channels = [
+        Channel("actuators.csv", "x_mm, y_mm, z_mm", LENGTHS, tuple(moved)),
+        Channel("forces_applied.csv", "x_mN, y_mN, z_mN", FORCES, tuple(pulled)),
+        Channel("forces.csv", "x_mN, y_mN, z_mN", FORCES, tuple(felt)),
+    ]
+    channels = [channel for channel in channels if channel.pads]
+    parts = [
+        Channel(channel.file, channel.columns, channel.units, (pad,))
+        for channel in channels
+        if len(channel.pads) > 1
+        for pad in channel.pads
+    ]
+    groups = [[markers], [reference, markers], [reference], *([channel] for channel in (*channels, *parts))]
+    for group in groups:
+        own = COSTS.alone + (np.log(len(parts)) if group[0] in parts else 0.0)
+        for factor, name in group[0].units.items():
+            text = f"read in {name} (times {factor:g})"
+            write = f"multiply the columns {group[0].columns} by {factor:g}"
+            yield _reading("unit", COSTS.unit + own, text, write, group, factor * _ONE)
+    together = [[markers, *channels], [reference, markers, *channels]]
+    if len(channels) > 1:
+        together.append(channels)
+    for group in (*groups, *together):
+        own = COSTS.alone + (np.log(len(parts)) if group[0] in parts else 0.0)
+        for turn, title in _turns():
+            signs = np.diag(turn)
+            exchanged = not signs.all()
+            if exchanged and group[0] in parts:
+                continue  # one pad alone has no axes of its own
+            one = not exchanged and int((signs < 0).sum()) in (1, 3)
+            kind = "sign" if one and group[0].pads and len(group) == 1 else _kind(turn)
+            cost = (COSTS.axes if exchanged else COSTS.flip) + own
+            write = f"write the columns {group[0].columns.split(',')[0]}, ... as {title}"
+            yield _reading(kind, cost, f"read as {title}", write, group, turn)
+
+
+def _reading(
+    kind: str, cost: float, text: str, write: str, group: Sequence[Channel], turn: FloatArray
+) -> RecordingReading:
+    files = tuple(channel.file for channel in group)
+    whose = f" of {group[0].pads[0]}" if len(group) == 1 and len(group[0].pads) == 1 else ""
+    commands = [pad for channel in group if channel.file != "forces.csv" for pad in channel.pads]
+    felt = [pad for channel in group if channel.file == "forces.csv" for pad in channel.pads]
+    return RecordingReading(
+        kind,
+        cost,
+        f"{_listed(files)}{whose} {text}",
+        f"{write} in {_listed(files)}{whose}",
+        files,
+        turn if "[markers.reference]" in files else _ONE,
+        turn if "markers.csv" in files else _ONE,
+        dict.fromkeys(commands, turn),
+        dict.fromkeys(felt, turn),
+    )
+
+
+def _kind(turn: FloatArray) -> str:
+    return "mirrored" if np.linalg.det(turn) < 0 else "frame"
+
+
+def _listed(names: Sequence[str]) -> str:
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+
+
+def _turns() -> Iterator[tuple[FloatArray, str]]:
+    """Yield the 47 matrices (3, 3) that exchange and negate axes, each with words such as "(y, -x, z)"."""
+    for order in permutations(range(3)):
+        for signs in product((1.0, -1.0), repeat=3):
+            turn = np.zeros((3, 3))
+            turn[range(3), order] = signs
+            if not (turn == _ONE).all():
+                words = ("-" * (sign < 0) + "xyz"[axis] for sign, axis in zip(signs, order, strict=True))
+                yield turn, f"({', '.join(words)})"

@@ -1,0 +1,245 @@
+"""The likelihood of a reading: how far the recording is then from the linear response of the believed model.
+
+A channel of a case (its markers, or the force on one pad) differs from the prediction by noise and by an error of the
+model, which is a share of the prediction's root mean square. The share is unknown and integrated out, as is the factor
+on the modulus, with its prior. Frames, and markers beyond a few, count as one: the model's error is the same in them.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tissuereg._base.arrays import FloatArray
+from tissuereg.body.observe import MarkerObservation
+from tissuereg.diagnosis.readings.proposals import RecordingReading
+from tissuereg.diagnosis.readings.recording import Recorded
+from tissuereg.errors import MarkerError
+from tissuereg.experiment.experiment import Experiment
+from tissuereg.registration.readings.likelihood import standoff
+from tissuereg.registration.readings.skin import skin_of
+
+#: Errors of the believed model, as shares of the prediction: from a good model to one without any relation.
+_SHARES = np.array([0.05, 0.1, 0.2, 0.4, 0.8])
+
+#: Least prior deviation of the modulus' logarithm, and the deviations about its mean that are tried.
+_SPREAD, _FACTORS = 0.3, np.linspace(-4.0, 4.0, 33)
+
+#: Markers that count, at most: what the model gets wrong is alike in neighbours.
+_MARKERS = 5
+
+#: How far places may be off without a command, as a share of the extent; and the largest penalty for it, nats: beyond,
+#: they are wrong for another reason.
+_PLACES, _MOST_NATS = 0.02, 30.0
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """Agreement of one kind of channel, over all cases, with the prediction under a reading.
+
+    `explained`: share of the squares beyond the noise that the prediction explains; 0 where they are not above it;
+    `off`: root mean square of measured minus predicted, over that of the prediction; `ratio`: factor by which the
+    measured numbers are those at the believed modulus, by least squares; `predicted`, `measured`: root mean squares, mm
+    or mN.
+    """
+
+    explained: float
+    off: float
+    ratio: float
+    predicted: float
+    measured: float
+
+
+@dataclass(frozen=True, eq=False)
+class WeighedReading:
+    """A reading with its log likelihood plus log prior odds (`total`, nats), and the agreement by kind of channel.
+
+    `markers` is None where no motion was measured; `forces` is by pad.
+    """
+
+    reading: RecordingReading
+    total: float
+    markers: Agreement | None
+    forces: dict[str, Agreement]
+
+
+@dataclass(frozen=True, eq=False)
+class _Compared:
+    """One channel of one case as sums: numbers, and products of measured (y), moved (m) and pulled (p) predictions."""
+
+    n: int
+    weight: float
+    log_factor: float
+    yy: float
+    ym: float
+    yp: float
+    mm: float
+    mp: float
+    pp: float
+
+    def at(self, moved: FloatArray, pulled: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return squares of measured minus predicted, and of predicted, for factors on both predictions."""
+        power = moved**2 * self.mm + 2.0 * moved * pulled * self.mp + pulled**2 * self.pp
+        return np.maximum(self.yy - 2.0 * (moved * self.ym + pulled * self.yp) + power, 0.0), power
+
+    def log_likelihood(self, noise: float, moved: FloatArray, pulled: FloatArray) -> FloatArray:
+        """Return the log likelihood (n_factors, n_shares); `noise`: standard deviation, mm or mN."""
+        rest, power = self.at(moved, pulled)
+        variance = noise**2 + _SHARES**2 * power[:, None] / self.n
+        nats = -0.5 * (rest[:, None] / self.n / variance + np.log(variance))
+        return np.asarray(self.weight * (nats + self.log_factor))
+
+
+class Weigher:
+    """Weighs readings of one experiment; `cases`: what was recorded in its cases."""
+
+    def __init__(self, experiment: Experiment, cases: Sequence[Recorded]) -> None:
+        self._experiment, self._cases = experiment, cases
+        self._extent = experiment.mesh.extent
+        self._force_std = experiment.force_std or 1.0
+        believed = float(experiment.material.young_array.mean())
+        spread = max((experiment.young_std or 0.0) / believed, _SPREAD)
+        self._factors = np.exp(spread * _FACTORS)
+        self._prior = -0.5 * _FACTORS**2 - np.logaddexp.reduce(-0.5 * _FACTORS**2)
+        self._seen: dict[bytes, tuple[float, list[FloatArray] | None]] = {}
+
+    def weigh(self, reading: RecordingReading) -> WeighedReading:
+        """Return a reading with its log likelihood, prior odds included, and the agreement of its channels."""
+        near, fields = self._at(reading.places)
+        markers: list[_Compared] = []
+        forces: dict[str, list[_Compared]] = {}
+        for number, case in enumerate(self._cases):
+            commands = np.stack(
+                [
+                    given @ reading.commands[pad].T if pad in reading.commands else given
+                    for pad, given in zip(case.response.pads, case.commands, strict=True)
+                ]
+            )
+            markers += _markers(case, commands, None if fields is None else fields[number], reading.markers)
+            for pad, one in _forces(case, commands, reading):
+                forces.setdefault(pad, []).append(one)
+        nats = self._prior.copy()
+        ones, noise = np.ones_like(self._factors), self._experiment.marker_std
+        if markers:
+            # A stiffer body moves less under given forces, and needs larger forces for a given motion.
+            nats += np.logaddexp.reduce(
+                sum(one.log_likelihood(noise, ones, 1.0 / self._factors) for one in markers), axis=1
+            )
+        if forces:
+            felt = [one for parts in forces.values() for one in parts]
+            nats += np.logaddexp.reduce(
+                sum(one.log_likelihood(self._force_std, self._factors, ones) for one in felt), axis=1
+            )
+        best = int(np.argmax(nats))
+        factor = float(self._factors[best])
+        return WeighedReading(
+            reading,
+            float(np.logaddexp.reduce(nats)) + near + self._resting(reading) - reading.cost,
+            _agreement(markers, self._experiment.marker_std, 1.0, 1.0 / factor) if markers else None,
+            {pad: _agreement(parts, self._force_std, factor, 1.0) for pad, parts in forces.items()},
+        )
+
+    def _at(self, turn: FloatArray) -> tuple[float, list[FloatArray] | None]:
+        """Return, for reference places turned by (3, 3), their log likelihood and the response at them, by case.
+
+        The response is (n_pads, 3, n_markers, 3); None where places are too far from the body to be on it.
+        """
+        key = turn.tobytes()
+        if key not in self._seen:
+            places = self._experiment.marker_reference @ turn.T
+            outside = np.maximum(skin_of(self._experiment.mesh).closest(places).distance, 0.0)
+            near = -min(0.5 * _counted(places) * float(np.mean((outside / standoff(self._extent)) ** 2)), _MOST_NATS)
+            self._seen[key] = near, self._observed(places) if near > -_MOST_NATS else None
+        return self._seen[key]
+
+    def _observed(self, places: FloatArray) -> list[FloatArray] | None:
+        try:
+            seen = MarkerObservation(self._experiment.mesh, places, self._experiment.marker_names)
+        except MarkerError:
+            return None
+        found = []
+        for case in self._cases:
+            fields = case.response.fields
+            # The motion of a marker off the surface is linear for small commands alone.
+            small = 1e-6 * self._extent / max(float(np.abs(fields).max()), 1e-300)
+            flat = (small * fields).reshape(-1, *fields.shape[2:])
+            found.append(seen.predict(flat[:, seen.nodes]).reshape(*fields.shape[:2], -1, 3) / small)
+        return found
+
+    def _resting(self, reading: RecordingReading) -> float:
+        """Return the log likelihood of the measured places without a command."""
+        size = _PLACES * self._extent
+        worst = 0.0
+        for case in self._cases:
+            seen = np.isfinite(case.rest).all(axis=1)
+            if seen.any():
+                off = case.rest @ reading.markers.T - self._experiment.marker_reference @ reading.places.T
+                mean = float(np.mean((off[seen] / size) ** 2))
+                worst = max(worst, 1.5 * _counted(off[seen]) * mean)
+        return -min(worst, _MOST_NATS)
+
+
+def _markers(case: Recorded, commands: FloatArray, field: FloatArray | None, turn: FloatArray) -> list[_Compared]:
+    measured = case.motion @ turn.T
+    seen = np.isfinite(measured)
+    if not seen.any():
+        return []
+    counted = 3.0 * _counted(measured[0][seen.any(axis=(0, 2))])
+    if field is None:
+        # Markers off the body move for no reason that the model knows.
+        power = float(measured[seen] @ measured[seen])
+        return [_Compared(int(seen.sum()), counted, _log_factor(turn), power, 0.0, 0.0, power, 0.0, 0.0)]
+    by_pad = np.einsum("pfa,pamx->pfmx", commands, field)
+    moved, pulled = by_pad[case.is_motion].sum(axis=0), by_pad[~case.is_motion].sum(axis=0)
+    return [_compared(measured[seen], moved[seen], pulled[seen], counted, turn)]
+
+
+def _forces(case: Recorded, commands: FloatArray, reading: RecordingReading) -> list[tuple[str, _Compared]]:
+    found = []
+    for i, pad in enumerate(case.felt):
+        turn = reading.forces.get(pad, np.eye(3))
+        measured = case.forces[:, i] @ turn.T
+        seen = np.isfinite(measured)
+        if seen.any():
+            by_pad = np.einsum("pfa,pax->pfx", commands, case.response.forces[pad])
+            moved, pulled = by_pad[case.is_motion].sum(axis=0), by_pad[~case.is_motion].sum(axis=0)
+            found.append((pad, _compared(measured[seen], moved[seen], pulled[seen], 3.0, turn)))
+    return found
+
+
+def _compared(
+    measured: FloatArray, moved: FloatArray, pulled: FloatArray, counted: float, turn: FloatArray
+) -> _Compared:
+    return _Compared(
+        measured.size, counted, _log_factor(turn),
+        *(float(a @ b) for a, b in (
+            (measured, measured), (measured, moved), (measured, pulled), (moved, moved), (moved, pulled),
+            (pulled, pulled),
+        )),
+    )  # fmt: skip
+
+
+def _agreement(parts: Sequence[_Compared], noise: float, moved: float, pulled: float) -> Agreement:
+    n = sum(one.n for one in parts)
+    measured = sum(one.yy for one in parts)
+    pairs = [one.at(np.array([moved]), np.array([pulled])) for one in parts]
+    rest, power = (float(sum(pair[i][0] for pair in pairs)) for i in (0, 1))
+    at_believed = float(sum(one.at(np.ones(1), np.ones(1))[1][0] for one in parts))
+    common = sum(one.ym + one.yp for one in parts)
+    beyond = measured - n * noise**2
+    above = measured > 4.0 * n * noise**2
+    return Agreement(
+        1.0 - max(rest - n * noise**2, 0.0) / beyond if above else 0.0,
+        float(np.sqrt(rest / power)) if power > 0.0 else np.inf,
+        common / at_believed if at_believed > 0.0 else np.inf,
+        float(np.sqrt(power / n)),
+        float(np.sqrt(measured / n)),
+    )
+
+
+def _log_factor(turn: FloatArray) -> float:
+    return float(np.log(abs(np.linalg.det(turn)))) / 3.0
+
+
+def _counted(places: FloatArray) -> float:
+    return float(min(len(places), _MARKERS))
