@@ -190,8 +190,8 @@ class _Arrays:
                 f"'{element.get('Name')}' must be whole numbers of {dtype.itemsize} bytes, got {len(content)} bytes"
             )
             raise FormatError(message)
-        found = np.frombuffer(content, dtype).astype(dtype.newbyteorder("="))
-        return np.unpackbits(found) if element.get("type") == "Bit" else found
+        numbers = np.frombuffer(content, dtype).astype(dtype.newbyteorder("="))
+        return np.unpackbits(numbers) if element.get("type") == "Bit" else numbers
 
     def _content(self, stream: bytes) -> bytes:
         """Return the bytes of an array: unpacked, without the sizes that stand before them."""
