@@ -212,7 +212,10 @@ REGISTRATIONS = {
         FormatError, r"must be a mesh of the kind", mesh="words.vtu", files={"words.vtu": "no mesh"}
     ),
     "the mesh is of an unknown kind": Registration(
-        FormatError, r"one of \.vtu, \.vtk, \.msh, \.npz, got 'm\.docx'", mesh="m.docx", files={"m.docx": "no mesh"}
+        FormatError,
+        r"one of \.vtu, \.vtk, \.msh, \.xdmf, \.npz, got 'm\.docx'",
+        mesh="m.docx",
+        files={"m.docx": "no mesh"},
     ),
     "the mesh is a surface": Registration(FormatError, r"holds a surface only", mesh="m.stl", files={"m.stl": "solid"}),
     "nothing is held": Registration(
