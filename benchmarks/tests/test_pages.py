@@ -7,6 +7,7 @@ import blind.page as blind
 import diagnosis.febio as febio
 import diagnosis.material_parts as material_parts
 import diagnosis.simulated_here as simulated_here
+import implanted.implanted as implanted
 import learned.__main__ as learned
 import learned.page as learned_page
 import misuse.__main__ as misuse
@@ -29,6 +30,12 @@ def _more(row, key, by=1.0):
 #: Name, archive, page, what is written from the archive, and a figure of it that is changed.
 WRITTEN = {
     "advise": (advice.ARCHIVE, advice.PAGE, advice.page, lambda a: _more(a["rows"][0], "advised_mm")),
+    "implanted": (
+        implanted.ARCHIVE,
+        implanted.PAGE,
+        implanted.page,
+        lambda a: _more(a["rows"][0]["both"], "error_mm"),
+    ),
     "febio": (febio.ARCHIVE, febio.PAGE, febio.page, lambda a: _more(a["rows"]["case_06b87d"], "p_misfit")),
     "simulated here": (
         simulated_here.ARCHIVE,

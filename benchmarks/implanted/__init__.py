@@ -1,0 +1,1 @@
+"""What markers inside the body are worth."""
