@@ -541,9 +541,10 @@ def test_train_hands_the_whole_line_to_the_training_package(tmp_path, capsys, mo
     monkeypatch.syspath_prepend(tmp_path)
     for name in ("tissuereg_training", "tissuereg_training.cli"):
         monkeypatch.delitem(sys.modules, name, raising=False)
+    (tmp_path / "r.toml").write_text("")
     words = [
         "train",
-        "r.toml",
+        tmp_path / "r.toml",
         "--out",
         tmp_path / "m",
         "--data",
@@ -560,7 +561,7 @@ def test_train_hands_the_whole_line_to_the_training_package(tmp_path, capsys, mo
     code, out, _ = run(capsys, *words)
     assert code == 3
     told = [
-        "r.toml",
+        str(tmp_path / "r.toml"),
         "--data=d",
         "--data=more",
         f"--out={tmp_path / 'm'}",

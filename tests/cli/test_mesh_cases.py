@@ -44,4 +44,4 @@ def test_a_frame_that_contradicts_the_file_is_refused(shared_data, capsys, tmp_p
     words = ["register", cases / "slicer-tets" / "liver_slicer.vtk", cases / "markers.csv", "--frame", "LPS"]
     code, _, err = run(capsys, *words, "--out", tmp_path / "out")
     assert code == 2
-    assert "states, RAS" in " ".join(err.split())
+    assert "is in RAS" in " ".join(err.split())

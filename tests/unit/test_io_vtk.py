@@ -185,10 +185,10 @@ def test_frame_and_unit_that_a_file_states_are_believed(tmp_path, head, frame, u
 def test_a_title_states_the_frame_and_another_one_is_refused(tmp_path):
     path = write_grid(tmp_path / "b.vtk", MESH.nodes, [("tetra", MESH.tets)], title="3D Slicer output. SPACE=RAS")
     assert tr.read_mesh(path, frame="RAS").frame == "RAS"
-    with pytest.raises(FormatError, match=r"the frame that .*b\.vtk states, RAS, or be left out; got LPS"):
+    with pytest.raises(FormatError, match=r"b\.vtk is in RAS, --frame LPS .* contradicts it"):
         tr.read_mesh(path, frame="LPS")
     path = write_grid(tmp_path / "b.vtk", MESH.nodes, [("tetra", MESH.tets)], title="SPACE=LAI")
-    with pytest.raises(FormatError, match="one frame, LPS or RAS; it states LAI"):
+    with pytest.raises(FormatError, match="must be LPS or RAS, got LAI"):
         tr.read_mesh(path)
 
 

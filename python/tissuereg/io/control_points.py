@@ -6,6 +6,7 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
+from tissuereg._base.arguments import place
 from tissuereg.errors import FormatError
 from tissuereg.io.bounds import FILES, existing_file, text_lines
 from tissuereg.io.points import NamedPoints
@@ -19,10 +20,9 @@ _DEFINED = {"1": True, "true": True, "0": False, "false": False}
 def is_control_point_table(path: str | os.PathLike[str]) -> bool:
     """Return whether a file is a table of control points: its header has ``label`` and ``r,a,s`` or ``l,p,s``.
 
-    Only the head of a file that ends in ``.csv``, ``.tsv`` or ``.txt`` is read: what is no file, such as a pipe, can be
-    read but once.
+    Only the head of a regular file that ends in ``.csv``, ``.tsv`` or ``.txt`` is read.
     """
-    file = Path(path)
+    file = place("path", path, error=FormatError)
     if file.suffix.lower() not in _ENDINGS or not file.is_file() or not os.access(file, os.R_OK):
         return False
     with file.open("rb") as stream:

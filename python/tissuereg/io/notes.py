@@ -51,7 +51,7 @@ def frame_in(notes: Iterable[str]) -> str | None:
     'RAS'
     """
     words = dict.fromkeys(found[1].lower() for note in notes for found in _SPACE.finditer(note))
-    stated = {_FRAMES.get(word, word) for word in words if word in _FRAMES or _OTHER_FRAME.fullmatch(word)}
+    stated = {_FRAMES.get(word, word.upper()) for word in words if word in _FRAMES or _OTHER_FRAME.fullmatch(word)}
     if len(stated) > 1 or not stated <= {"LPS", "RAS"}:
         message = f"the frame that a file states must be LPS or RAS, got {' and '.join(sorted(stated))}"
         raise FormatError(message)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from tissuereg._base.arguments import check_choice, place
+from tissuereg._base.arguments import check_choice, place, real
 from tissuereg._base.arrays import FloatArray
 from tissuereg._base.provenance import reads
 from tissuereg.body.markers import Markers
@@ -197,10 +197,10 @@ def read_seen(
     FormatError
         If the file cannot be read, or a target stands in it twice; the message names the place.
     MarkerError
-        If a frame is none of the two, or `table_frame` is given without `frame`.
+        If a frame is none of the two, `table_frame` is given without `frame`, or `std` is not positive.
     """
     _check_frames(frame, table_frame)
-    usual = FILES.std_mm if std is None else std
+    usual = FILES.std_mm if std is None else real("std", std, above=0.0, unit="mm", error=MarkerError)
     if is_point_file(path):
         points = read_points(path)
         return dict(zip(points.names, points.places_in(frame), strict=True)), dict.fromkeys(points.names, usual)
