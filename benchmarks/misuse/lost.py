@@ -1,8 +1,9 @@
 """Markers that are lost to a value of the tracker: python -m misuse.lost [--events N] [--swaps].
 
-On every body, in good events of 8 to 30 markers, one marker in five gets a value that trackers write for a marker which
-they do not see, and one good marker is held out. Printed for each value: events, answers that are trusted, trusted ones
-in which the held-out marker lies outside the region that holds it with 99.9 %, and the farthest it is off in those, mm.
+On every body, in good events of 8 to 30 markers, one marker (in every other event one in five) gets a value that
+trackers write for a marker which they do not see, and one good marker is held out. Printed for each value: events,
+answers that are trusted, trusted ones in which the held-out marker lies outside the region that holds it with 99.9 %,
+and the farthest it is off in those, mm.
 With ``--swaps`` two measured places are exchanged instead, and the answers that fit all others as without it counted.
 """
 
@@ -29,7 +30,8 @@ def lost(body: str, number: int, value: "tuple[float, ...] | None") -> tuple[boo
     """Return whether the answer is trusted, whether the held-out marker is outside its region, and how far off, mm."""
     event = misusable(body, number)
     rng = np.random.default_rng([22, 4, BODIES.index(body), number])
-    held_out, *rows = rng.permutation(len(event.measured))[: 1 + max(1, len(event.measured) // 5)]
+    n_lost = 1 if number % 4 == 1 else max(1, len(event.measured) // 5)
+    held_out, *rows = rng.permutation(len(event.measured))[: 1 + n_lost]
     measured = event.measured.copy()
     truth = measured[held_out].copy()
     measured[held_out] = np.nan

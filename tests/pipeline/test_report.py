@@ -60,7 +60,8 @@ def test_the_picture_states_the_verdict_and_names_markers_that_do_not_count(spoi
 def test_every_contact_in_sight_has_its_figures(spoilt, figure):
     assert spoilt.contacts
     first = spoilt.contacts[0]
-    summary = f"{first.size_mm:.1f} mm, {first.force_mN:,.0f} mN\nprobability {first.probability:.2f}"
+    summary = f"{first.size_mm:.1f} mm, {first.force_mN:,.0f} mN\nprobability {first.probability:.2f} "
+    summary += f"within about {first.place_std_mm:.0f} mm"
     assert sum(text.endswith(summary) for text in words(figure)) >= 1
 
 
