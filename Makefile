@@ -12,7 +12,7 @@ CARGO ?= cargo
 RUST_SOURCES := $(shell find crates -name '*.rs' -o -name 'Cargo.toml' | grep -v /target/) Cargo.toml Cargo.lock
 PACKAGE_FILES := $(shell find python -type f -not -name '*.pyc' -not -name '*.so')
 
-.PHONY: build-tools manylinux licences docs help demo test test-rust test-sturdy test-python test-slow test-training test-wheel crates lint wheel install install-dev training bench phantom-data phantom-model table2-model small-model demo-figures clean
+.PHONY: docs help demo test test-rust test-sturdy test-python test-slow test-training test-wheel crates lint wheel install install-dev training bench phantom-data phantom-model table2-model small-model demo-figures clean
 
 help:
 	@echo "make demo            build the wheel, install it, register the embedded phantom -> demo/"
@@ -21,8 +21,6 @@ help:
 	@echo "make test-training   set up training/ with torch and test it"
 	@echo "make docs            the documentation site, to be read from files -> build/site/index.html"
 	@echo "make crates          what would be published of each crate, built and run outside the repository (DIRTY=--allow-dirty)"
-	@echo "make manylinux       a wheel for Linux with glibc 2.28 or later, linked by zig -> target/manylinux"
-	@echo "make licences        the licences of the crates that the wheel holds, after a change of Cargo.lock"
 	@echo "make test-wheel      the wheel installed without a compiler, and another one built from the source archive"
 	@echo "make lint            formatters, linters, types"
 	@echo "make bench           times by stage of whole registrations; all other benches: benchmarks/README.md"
@@ -31,19 +29,22 @@ help:
 	@echo "make demo-figures    what the README shows of the demo, after a change of model or phantom"
 
 # What a build needs, said before anything is made.
-build-tools:
+define CHECK_TOOLS
 	@$(PYTHON) -c "import sys; sys.exit(sys.version_info < (3, 11))" || { \
 	  echo "error: Python 3.11 or later must be there; '$(PYTHON)' is not: make PYTHON=python3.12, or https://www.python.org/downloads" >&2; exit 1; }
 	@command -v $(CARGO) > /dev/null || { \
 	  echo "error: building needs Rust 1.89 or later, and '$(CARGO)' is not there: https://rustup.rs installs it" >&2; exit 1; }
+endef
 
-$(BIN)/python: | build-tools
+$(BIN)/python:
+	$(CHECK_TOOLS)
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --upgrade pip
 	$(BIN)/python -m pip install --quiet "maturin>=1.9,<2"
 
 # The wheel is rebuilt when a source changed; the stamp stands for what is installed.
-$(VENV)/.installed: $(BIN)/python $(RUST_SOURCES) $(PACKAGE_FILES) pyproject.toml README.md | build-tools
+$(VENV)/.installed: $(BIN)/python $(RUST_SOURCES) $(PACKAGE_FILES) pyproject.toml README.md
+	$(CHECK_TOOLS)
 	@echo "1 of 2: building the wheel, the first time about 3 minutes on two cores"
 	rm -rf target/wheels
 	$(BIN)/maturin build --release --interpreter $(BIN)/python --out target/wheels
@@ -57,17 +58,6 @@ $(VENV)/.installed-dev: $(VENV)/.installed
 	touch $@
 
 wheel install: $(VENV)/.installed
-
-# Linked by zig, so that it runs on older systems than the one it is built on.
-manylinux: $(BIN)/python
-	$(BIN)/python -m pip install --quiet ziglang
-	PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/maturin build --release --zig --compatibility manylinux_2_28 \
-	  --interpreter $(BIN)/python --out target/manylinux
-
-# After a change of Cargo.lock; `tests/layout` says when.
-licences:
-	$(PYTHON) tools/licences.py --write
-
 install-dev: $(VENV)/.installed-dev
 
 demo: $(VENV)/.installed

@@ -22,7 +22,6 @@ _KINDS = {
     68: "line", 69: "triangle", 70: "quad", 71: "tetra", 72: "hexahedron", 73: "wedge", 74: "pyramid",
     75: "line", 76: "triangle", 77: "quad", 78: "tetra", 79: "hexahedron", 80: "wedge", 81: "pyramid",
 }  # fmt: skip
-_EMPTY = 0
 
 
 def vtk_blocks(types: Any, ends: Any, joined: Any, n_points: int) -> list[Block]:
@@ -38,7 +37,7 @@ def vtk_blocks(types: Any, ends: Any, joined: Any, n_points: int) -> list[Block]
         raise FormatError(message)
     sizes, blocks = ends - begins, []
     for number, size in np.unique(np.stack([types, sizes], axis=1), axis=0).tolist():
-        if number == _EMPTY or size == 0:
+        if number == 0 or size == 0:  # VTK's empty cell
             continue
         kind = _KINDS.get(number, f"VTK type {number}")
         if size < CELLS.get(kind, (1,))[0]:

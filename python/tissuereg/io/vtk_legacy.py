@@ -27,7 +27,6 @@ _FLAT = {"VERTICES": 2, "LINES": 4, "TRIANGLE_STRIPS": 6, "POLYGONS": 7}
 _LISTS = ("CELLS", *_FLAT)
 #: Numbers a row of point data of each keyword; the others say it themselves.
 _WIDTHS = {"VECTORS": 3, "NORMALS": 3, "TENSORS": 9, "TENSORS6": 6, "GLOBAL_IDS": 1, "PEDIGREE_IDS": 1, "EDGE_FLAGS": 1}
-_HEAD_LINES = 3
 
 
 def read_vtk_legacy(file: Path) -> Grid:
@@ -41,7 +40,7 @@ def read_vtk_legacy(file: Path) -> Grid:
 class _Reader:
     def __init__(self, data: bytes) -> None:
         self._file = Cursor(data, order=">")
-        head = [self._file.line() for _ in range(_HEAD_LINES)]
+        head = [self._file.line() for _ in range(3)]
         if head[2].upper() not in ("ASCII", "BINARY"):
             message = f"line 3 must be ASCII or BINARY, got '{head[2][:40]}'"
             raise FormatError(message)
