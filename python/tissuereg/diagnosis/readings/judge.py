@@ -3,17 +3,12 @@
 from tissuereg.diagnosis.readings.proposals import AS_GIVEN, proposals
 from tissuereg.diagnosis.readings.recording import recorded
 from tissuereg.diagnosis.readings.response import responses
+from tissuereg.diagnosis.readings.settings import RECORDINGS
 from tissuereg.diagnosis.readings.weigh import Agreement, WeighedReading, Weigher
 from tissuereg.diagnosis.readings.words import RecordingSuspicion, misread, silent
 from tissuereg.diagnosis.signals import SignalLayout
 from tissuereg.experiment.experiment import Experiment
 from tissuereg.registration.readings.settings import COSTS
-
-#: Share of the squares beyond the noise that a reading must explain in every channel it changes.
-_EXPLAINED = 0.5
-
-#: A pad is silent where the believed model predicts so many times the noise (rms) and no more than twice is measured.
-_LOUD, _QUIET = 10.0, 2.0
 
 
 def suspect_recording(
@@ -42,7 +37,9 @@ def suspect_recording(
         return [misread(plain, best, others)]
     noise = experiment.force_std or 1.0
     quiet = [
-        pad for pad, one in plain.forces.items() if one.predicted > _LOUD * noise and one.measured < _QUIET * noise
+        pad
+        for pad, one in plain.forces.items()
+        if one.predicted > RECORDINGS.loud * noise and one.measured < RECORDINGS.quiet * noise
     ]
     return [silent(quiet, plain, noise)] if quiet else []
 
@@ -53,4 +50,4 @@ def _explains(one: WeighedReading) -> bool:
     moves = reading.commands or "markers.csv" in reading.files or "[markers.reference]" in reading.files
     if moves and one.markers is not None:
         changed.append(one.markers)
-    return bool(changed) and all(own.explained >= _EXPLAINED for own in changed)
+    return bool(changed) and all(own.explained >= RECORDINGS.explained for own in changed)

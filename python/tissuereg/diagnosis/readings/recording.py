@@ -6,11 +6,9 @@ import numpy as np
 
 from tissuereg._base.arrays import BoolArray, FloatArray
 from tissuereg.diagnosis.readings.response import Response, present
+from tissuereg.diagnosis.readings.settings import RECORDINGS
 from tissuereg.diagnosis.signals import CasePart, SignalLayout
 from tissuereg.experiment.experiment import Case, Experiment
-
-#: Frames of a case that are used, at most: readings differ in all of them alike.
-_FRAMES = 12
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +53,7 @@ def _case(
     frames = np.flatnonzero(acts)
     if not len(frames):
         return None
-    frames = frames[np.unique(np.linspace(0, len(frames) - 1, min(len(frames), _FRAMES)).round().astype(int))]
+    frames = frames[np.unique(np.linspace(0, len(frames) - 1, min(len(frames), RECORDINGS.frames)).round().astype(int))]
     measured = layout.measured
     motion, forces = part.markers(measured), part.forces(measured)
     rest = _mean(motion[~acts])

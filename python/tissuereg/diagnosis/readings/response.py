@@ -6,19 +6,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray
+from tissuereg.diagnosis.readings.settings import RECORDINGS
 from tissuereg.errors import TissueRegError
 from tissuereg.experiment.effects import extended
 from tissuereg.experiment.experiment import Case, Experiment
 from tissuereg.simulation.experiment import solve_cases
 from tissuereg.simulation.frames import FrameSettings
 from tissuereg.simulation.memory import goes_through_time
-
-#: Commands by which the response is computed: of a displacement as a share of the body's extent, of a force as a share
-#: of modulus times squared extent. Both are small enough to be linear, and far above the solver's tolerance.
-_MOTION, _FORCE = 1e-3, 1e-4
-
-#: Residual over load of the solutions.
-_TOLERANCE = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +41,9 @@ def responses(experiment: Experiment, *, element: str, threads: int) -> dict[tup
     cases = {str(i): _unit_case(plain, str(i), pads) for i, pads in enumerate(sets) if pads}
     try:
         worked = extended(replace(plain, cases=cases, rest_case=None), element)
-        solved = solve_cases(worked, list(worked.cases.values()), settings=FrameSettings(element, _TOLERANCE, threads))
+        solved = solve_cases(
+            worked, list(worked.cases.values()), settings=FrameSettings(element, RECORDINGS.tolerance, threads)
+        )
         if any(one.failed for one in solved.values()):
             return {}
     except TissueRegError:
@@ -76,8 +72,8 @@ def present(experiment: Experiment, case: Case) -> tuple[str, ...]:
 def _unit(experiment: Experiment, name: str) -> float:
     extent = experiment.mesh.extent
     if experiment.actuator(name).kind == "displacement":
-        return _MOTION * extent
-    return _FORCE * float(experiment.material.young_array.mean()) * extent**2
+        return RECORDINGS.motion * extent
+    return RECORDINGS.force * float(experiment.material.young_array.mean()) * extent**2
 
 
 def _unit_case(experiment: Experiment, name: str, pads: Sequence[str]) -> Case:

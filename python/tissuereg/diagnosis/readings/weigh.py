@@ -14,23 +14,11 @@ from tissuereg._base.arrays import FloatArray
 from tissuereg.body.observe import MarkerObservation
 from tissuereg.diagnosis.readings.proposals import RecordingReading
 from tissuereg.diagnosis.readings.recording import Recorded
+from tissuereg.diagnosis.readings.settings import RECORDINGS
 from tissuereg.errors import MarkerError
 from tissuereg.experiment.experiment import Experiment
 from tissuereg.registration.readings.likelihood import standoff
 from tissuereg.registration.readings.skin import skin_of
-
-#: Errors of the believed model, as shares of the prediction: from a good model to one without any relation.
-_SHARES = np.array([0.05, 0.1, 0.2, 0.4, 0.8])
-
-#: Least prior deviation of the modulus' logarithm, and the deviations about its mean that are tried.
-_SPREAD, _FACTORS = 0.3, np.linspace(-4.0, 4.0, 33)
-
-#: Markers that count, at most: what the model gets wrong is alike in neighbours.
-_MARKERS = 5
-
-#: How far places may be off without a command, as a share of the extent; and the largest penalty for it, nats: beyond,
-#: they are wrong for another reason.
-_PLACES, _MOST_NATS = 0.02, 30.0
 
 
 @dataclass(frozen=True)
@@ -85,7 +73,7 @@ class _Compared:
     def log_likelihood(self, noise: float, moved: FloatArray, pulled: FloatArray) -> FloatArray:
         """Return the log likelihood (n_factors, n_shares); `noise`: standard deviation, mm or mN."""
         rest, power = self.at(moved, pulled)
-        variance = noise**2 + _SHARES**2 * power[:, None] / self.n
+        variance = noise**2 + np.square(RECORDINGS.errors) * power[:, None] / self.n
         nats = -0.5 * (rest[:, None] / self.n / variance + np.log(variance))
         return np.asarray(self.weight * (nats + self.log_factor))
 
@@ -98,9 +86,10 @@ class Weigher:
         self._extent = experiment.mesh.extent
         self._force_std = experiment.force_std or 1.0
         believed = float(experiment.material.young_array.mean())
-        spread = max((experiment.young_std or 0.0) / believed, _SPREAD)
-        self._factors = np.exp(spread * _FACTORS)
-        self._prior = -0.5 * _FACTORS**2 - np.logaddexp.reduce(-0.5 * _FACTORS**2)
+        spread = max((experiment.young_std or 0.0) / believed, RECORDINGS.modulus_std)
+        steps = np.linspace(-RECORDINGS.moduli_within, RECORDINGS.moduli_within, RECORDINGS.n_moduli)
+        self._factors = np.exp(spread * steps)
+        self._prior = -0.5 * steps**2 - np.logaddexp.reduce(-0.5 * steps**2)
         self._seen: dict[bytes, tuple[float, list[FloatArray] | None]] = {}
 
     def weigh(self, reading: RecordingReading) -> WeighedReading:
@@ -148,8 +137,10 @@ class Weigher:
         if key not in self._seen:
             places = self._experiment.marker_reference @ turn.T
             outside = np.maximum(skin_of(self._experiment.mesh).closest(places).distance, 0.0)
-            near = -min(0.5 * _counted(places) * float(np.mean((outside / standoff(self._extent)) ** 2)), _MOST_NATS)
-            self._seen[key] = near, self._observed(places) if near > -_MOST_NATS else None
+            near = -min(
+                0.5 * _counted(places) * float(np.mean((outside / standoff(self._extent)) ** 2)), RECORDINGS.most_nats
+            )
+            self._seen[key] = near, self._observed(places) if near > -RECORDINGS.most_nats else None
         return self._seen[key]
 
     def _observed(self, places: FloatArray) -> list[FloatArray] | None:
@@ -168,7 +159,7 @@ class Weigher:
 
     def _resting(self, reading: RecordingReading) -> float:
         """Return the log likelihood of the measured places without a command."""
-        size = _PLACES * self._extent
+        size = RECORDINGS.places * self._extent
         worst = 0.0
         for case in self._cases:
             seen = np.isfinite(case.rest).all(axis=1)
@@ -176,7 +167,7 @@ class Weigher:
                 off = case.rest @ reading.markers.T - self._experiment.marker_reference @ reading.places.T
                 mean = float(np.mean((off[seen] / size) ** 2))
                 worst = max(worst, 1.5 * _counted(off[seen]) * mean)
-        return -min(worst, _MOST_NATS)
+        return -min(worst, RECORDINGS.most_nats)
 
 
 def _markers(case: Recorded, commands: FloatArray, field: FloatArray | None, turn: FloatArray) -> list[_Compared]:
@@ -242,4 +233,4 @@ def _log_factor(turn: FloatArray) -> float:
 
 
 def _counted(places: FloatArray) -> float:
-    return float(min(len(places), _MARKERS))
+    return float(min(len(places), RECORDINGS.markers))

@@ -6,11 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from tissuereg.diagnosis.readings.settings import RECORDINGS
 from tissuereg.diagnosis.readings.weigh import Agreement, WeighedReading
 from tissuereg.registration.readings.settings import COSTS
-
-#: Odds are stated up to this power of ten.
-_MOST_DIGITS = 9
 
 
 @dataclass(frozen=True)
@@ -54,7 +52,11 @@ def misread(plain: WeighedReading, best: WeighedReading, others: Sequence[Weighe
     facts = [fact for fact in facts if fact] or ["the places without a command are then those at rest"]
     gain = best.total - plain.total
     digits = int(gain / np.log(10.0))
-    odds = f"odds more than 10^{_MOST_DIGITS} to 1" if digits > _MOST_DIGITS else f"odds about 10^{digits} to 1"
+    odds = (
+        f"odds more than 10^{RECORDINGS.most_digits} to 1"
+        if digits > RECORDINGS.most_digits
+        else f"odds about 10^{digits} to 1"
+    )
     ties = sorted((one for one in others if one is not best and one.total > best.total - COSTS.tie), key=_total)
     also = f"; as good: {ties[-1].reading.words}" if ties else ""
     sentence = f"{reading.kind}: {reading.words} fits better: {'; '.join(facts)} ({odds}){also}"
