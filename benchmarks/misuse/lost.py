@@ -1,21 +1,27 @@
-"""Markers that are lost to a value of the tracker: python -m misuse.lost [--events N] [--swaps].
+"""Markers that are lost to a value of the tracker, and exchanged ones -> archive-lost/, RESULTS-lost.md.
+
+    python -m misuse.lost [--events N]
+    python -m misuse.lost --page
 
 On every body, in good events of 8 to 30 markers, one marker (in every other event one in five) gets a value that
-trackers write for a marker which they do not see, and one good marker is held out. Printed for each value: events,
-answers that are trusted, trusted ones in which the held-out marker lies outside the region that holds it with 99.9 %,
-and the farthest it is off in those, mm.
-With ``--swaps`` two measured places are exchanged instead, and the answers that fit all others as without it counted.
+trackers write for a marker which they do not see, and one good marker is held out; then two measured places are
+exchanged instead.
 """
 
 import argparse
-import sys
 import warnings
+from pathlib import Path
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 import tissuereg as tr
+from common import commit, read_archive, write_archive
 from misuse.events import BODIES, misusable
+from tissuereg._base.machine import machine
+
+HERE = Path(__file__).resolve().parent
+ARCHIVE, PAGE, TABLES = HERE / "archive-lost", HERE / "RESULTS-lost.md", ("rows/#", "swaps/#")
 
 VALUES = {
     "nothing lost": None,
@@ -56,25 +62,50 @@ def swapped(body: str, number: int) -> tuple[bool, bool]:
     return named, right and not {event.markers().names[i] for i in pair} - set(result.markers.used)
 
 
-def main() -> int:
+def page(content: dict) -> str:
+    """Return the page of an archive."""
+    lines = [
+        "# Markers that are no measurements",
+        "",
+        f"`{content['command']}`, load unknown, on five bodies. *Outside*: trusted answers in which a held-out marker "
+        "lies outside the region that holds it with 99.9 %.",
+        "",
+        "| measured place | events | trusted | outside | farthest off in those (mm) |",
+        "|---|---|---|---|---|",
+    ]
+    for name in VALUES:
+        rows = [row for row in content["rows"] if row["value"] == name]
+        bad = [row["off_mm"] for row in rows if row["trusted"] and row["outside"]]
+        trusted = sum(row["trusted"] for row in rows)
+        lines.append(f"| {name} | {len(rows)} | {trusted} | {len(bad)} | {f'{max(bad):.1f}' if bad else ''} |")
+    swaps = content["swaps"]
+    named, back = (sum(row[key] for row in swaps) for key in ("named", "back"))
+    lines += ["", f"Two exchanged: {len(swaps)} events, named once in {named}, put back and used in {back}."]
+    return "\n".join(lines) + "\n"
+
+
+def main() -> None:
+    """Run and write; `--page` writes the page alone."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--events", type=int, default=2, help="events of each body")
-    parser.add_argument("--swaps", action="store_true", help="exchange two markers instead")
+    parser.add_argument("--page", action="store_true")
     options = parser.parse_args()
-    numbers = range(1, 2 * options.events, 2)
-    with threadpool_limits(limits=1), warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)
-        if options.swaps:
-            found = np.array([swapped(body, number) for body in BODIES for number in numbers])
-            print(f"exchanged: {len(found)} events, named once {found[:, 0].sum()}, put back {found[:, 1].sum()}")
-            return 0
-        for name, value in VALUES.items():
-            rows = [lost(body, number, value) for body in BODIES for number in numbers]
-            bad = [off for trusted, outside, off in rows if trusted and outside]
-            trusted = sum(row[0] for row in rows)
-            print(f"{name}: {len(rows)} events, trusted {trusted}, outside {len(bad)}, {max(bad, default=0.0):.1f} mm")
-    return 0
+    if not options.page:
+        asked = [(body, number) for body in BODIES for number in range(1, 2 * options.events, 2)]
+        rows, swaps = [], []
+        with threadpool_limits(limits=1), warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)
+            for body, number in asked:
+                for name, value in VALUES.items():
+                    trusted, outside, off = lost(body, number, value)
+                    found = {"trusted": trusted, "outside": outside, "off_mm": off}
+                    rows.append({"value": name, "body": body, "event": number, **found})
+                named, back = swapped(body, number)
+                swaps.append({"body": body, "event": number, "named": named, "back": back})
+        content = {"command": f"python -m misuse.lost --events {options.events}", "machine": machine(), **commit()}
+        write_archive(ARCHIVE, {**content, "rows": rows, "swaps": swaps}, TABLES)
+    PAGE.write_text(page(read_archive(ARCHIVE)), encoding="utf-8")
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -11,6 +11,7 @@ import implanted.implanted as implanted
 import learned.__main__ as learned
 import learned.page as learned_page
 import misuse.__main__ as misuse
+import misuse.lost as lost
 import real.__main__ as real
 import speed.cluster as cluster
 import speed.esmda as esmda
@@ -55,6 +56,7 @@ WRITTEN = {
         misuse.page,
         lambda a: a["good"][0].update(found=not a["good"][0]["found"]),
     ),
+    "lost": (lost.ARCHIVE, lost.PAGE, lost.page, lambda a: a["rows"][0].update(trusted=not a["rows"][0]["trusted"])),
     "real": (real.ARCHIVE, real.PAGE, real.page, lambda a: _more(a["hydrogel"][0], "registered")),
     "cluster": (cluster.ARCHIVE, cluster.PAGE, cluster.page, lambda a: _more(a["chunk_s"], "local:1")),
     "large bodies": (
