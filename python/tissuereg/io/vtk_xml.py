@@ -21,6 +21,7 @@ from tissuereg.io.bounds import FILES, too_large
 from tissuereg.io.cursor import text_numbers
 from tissuereg.io.grid import Block, Grid
 from tissuereg.io.lz4 import unpacked_lz4
+from tissuereg.io.notes import COMMENT
 from tissuereg.io.vtk_cells import flat_blocks, vtk_blocks
 
 _TYPES = {
@@ -30,7 +31,6 @@ _TYPES = {
 _KINDS = ("UnstructuredGrid", "PolyData")
 #: The lists of cells of polygonal data, and VTK's type for cells of any size.
 _FLAT = {"Verts": 2, "Lines": 4, "Strips": 6, "Polys": 7}
-_COMMENT = re.compile(rb"<!--(.*?)-->", re.DOTALL)
 _APPENDED = re.compile(rb"<AppendedData\b([^>]*)>\s*_?")
 _PADDED = re.compile(rb"[^=]+=*")
 #: Bits of ``vtkGhostType`` of a cell that another piece owns, or that is hidden.
@@ -57,7 +57,7 @@ def read_vtk_xml(file: Path) -> Grid:
         raise FormatError(message)
     arrays = _Arrays(file, root, found, data)
     pieces = [_piece(arrays, piece) for piece in top.findall("Piece")]
-    notes = [one.decode("utf-8", "replace") for one in _COMMENT.findall(text)]
+    notes = [one.decode("utf-8", "replace") for one in COMMENT.findall(text)]
     notes += [note for fields in top.iter("FieldData") for note in _notes(arrays, fields)]
     return _together([piece for piece in pieces if len(piece.points)], notes)
 
