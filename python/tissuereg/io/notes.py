@@ -9,7 +9,7 @@ from tissuereg.errors import FormatError
 
 #: A comment in XML.
 COMMENT = re.compile(rb"<!--(.*?)-->", re.DOTALL)
-_KEY_OF_UNIT = r"(?:(?<![a-z])|lengths?|coordinates?)[ _]*units?[\s:=(\[\"'<]+(?:in\s+|is\s+)?"
+_KEY_OF_UNIT = r"(?:(?<![a-z])|(?:length|coordinate)s?[ _]?)units?[\s:=(\[\"'<]+(?:in\s+|is\s+)?"
 _UNIT = re.compile(
     _KEY_OF_UNIT
     + r"(?:(milli|centi)?(mm|cm|m|met(?:er|re)s?)|(dm|km|nm|um|\u00b5m|\u03bcm|(?:deci|kilo|nano|micro)\w+|"
