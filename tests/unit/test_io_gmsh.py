@@ -77,6 +77,26 @@ def test_comments_state_the_frame_and_unknown_sections_are_passed_over(tmp_path)
     assert np.allclose(mesh.nodes, 10.0 * MESH.nodes)
 
 
+def test_groups_of_a_mesh_that_was_cut_into_parts_are_kept(tmp_path):
+    path = write_grid(tmp_path / "b.msh", MESH.nodes, CELLS, groups=(0, 7, 0), version="4.1")
+    # A part of the surface is an entity of its own, with the group of the surface that it is a part of.
+    head, (word, section) = path.read_text(), ("$PartitionedEntities", "2\n1\n9 1\n0 0 1 0\n")
+    begin = head.index("$Entities")
+    rows = head[begin : head.index("$EndEntities")].splitlines()
+    surface = next(row for row in rows[2:] if row.split()[7:9] == ["1", "7"])
+    tag, *rest = surface.split()
+    more = f"{word}\n{section}{tag} 2 99 2 1 2 {' '.join(rest)}\n$EndPartitionedEntities\n"
+    path.write_text(head.replace(surface, " ".join([tag, *rest[:6], "0", "0"])).replace("$Nodes", more + "$Nodes", 1))
+    assert tr.read_mesh(path, fixed="surface_7").fixed_nodes.tolist() == np.unique(BASE).tolist()
+
+
+@pytest.mark.parametrize("spoil", [lambda text: b"\xef\xbb\xbf" + text, lambda text: text.replace(b"\n", b"\r")])
+def test_a_mark_at_the_beginning_and_other_ends_of_lines_do_not_matter(tmp_path, spoil):
+    path = write_grid(tmp_path / "b.msh", MESH.nodes, CELLS)
+    path.write_bytes(spoil(path.read_bytes()))
+    assert tr.read_mesh(path).n_tets == MESH.n_tets
+
+
 @pytest.mark.parametrize(
     ("version", "old", "new", "words"),
     [

@@ -67,6 +67,15 @@ def test_ten_node_tets_lose_their_mid_edge_nodes_with_a_warning(block_mesh, tmp_
     assert mesh.digest() == block_mesh.digest()
 
 
+def test_a_node_set_without_a_corner_of_a_tet_is_told(block_mesh, tmp_path):
+    nodes = np.vstack([block_mesh.nodes, [[1.0, 2.0, 3.0]]])
+    flags = {"fixed": (np.arange(len(nodes)) == block_mesh.n_nodes) * 1}
+    path = write_grid(tmp_path / "b.vtu", nodes, [("tetra", block_mesh.tets)], flags)
+    empty = pytest.warns(UserWarning, match="node set 'fixed' is empty: none of its 1 points is the corner")
+    with empty, pytest.warns(UserWarning, match="belong to no tetrahedron"):
+        assert len(tr.read_mesh(path).node_sets["fixed"]) == 0
+
+
 def test_nodes_of_no_tet_are_dropped_with_a_warning(block_mesh, tmp_path):
     nodes = np.vstack([[[99.0, 99.0, 99.0]], block_mesh.nodes])
     write_grid(tmp_path / "b.vtu", nodes, [("tetra", block_mesh.tets + 1)], {"fixed": (nodes[:, 2] == 0) * 1})

@@ -38,7 +38,7 @@ def write(folder, **texts):
 
 
 @pytest.mark.parametrize("axes", ["lps", "ras"])
-@pytest.mark.parametrize(("suffix", "cell"), [("csv", ","), ("tsv", "\t"), ("csv", "\t")])
+@pytest.mark.parametrize(("suffix", "cell"), [("csv", ","), ("tsv", "\t"), ("csv", "\t"), ("csv", ";"), ("csv", ", ")])
 def test_a_table_of_control_points_is_read_in_the_frame_of_its_columns(tmp_path, axes, suffix, cell):
     (file,) = write(tmp_path, **{f"t__{suffix}": table_text(SIT, axes, cell)})
     assert {name: tuple(place) for name, place in tr.read_targets(file, frame="LPS").items()} == SIT
@@ -54,13 +54,46 @@ def test_columns_may_stand_in_any_order_quoted_and_with_others_between(tmp_path)
     assert tr.read_targets(file)["a"].tolist() == [1.0, -2.0, 3.0]
 
 
+@pytest.mark.parametrize("head", ["", "sep=;\n", "\n"])
+def test_a_table_with_decimal_commas_is_read(tmp_path, head):
+    german = head + table_text(SIT, cell=";").replace(".", ",")
+    own = head + "target;x_mm;y_mm;z_mm\na;1,5;-2;3e0\n"
+    slicer, table = write(tmp_path, s__csv=german, t__csv=own)
+    assert {name: tuple(place) for name, place in tr.read_targets(slicer).items()} == SIT
+    assert tr.read_targets(table)["a"].tolist() == [1.5, -2.0, 3.0]
+
+
+def test_what_else_is_no_file_of_points_is_said(tmp_path):
+    sit, other = write(tmp_path, s__csv=table_text(SIT), m__csv=table_text(SIT).replace("l,p,s", "x,y,z"))
+    with pytest.raises(FormatError, match=r"m\.csv, which is no file of points \(.*columns label and r,a,s or l,p,s"):
+        tr.read_markers(sit, measured=other)
+
+
+def test_a_target_that_was_seen_twice_is_refused(tmp_path):
+    (file,) = write(tmp_path, s__fcsv=fcsv_text({**SIT, "F-4": (1.0, 2.0, 3.0)}).replace("F-4", "F-1"))
+    with pytest.raises(FormatError, match=r"each label must stand in .*s\.fcsv once; 'F-1'"):
+        tr.read_seen(file)
+
+
+@pytest.mark.parametrize(
+    "line",
+    ["#CoordinateSystem=ras", " # coordinatesystem = RAS,,,,", "# CoordinateSystem: 0"],
+)
+def test_the_frame_of_a_text_may_be_spelt_otherwise(tmp_path, line):
+    text = fcsv_text(SIT)
+    stated = next(row for row in text.splitlines() if "CoordinateSystem" in row)
+    one, two = write(tmp_path, a__fcsv=text.replace(stated, line), b__fcsv=f"{line}\n# CoordinateSystem = LPS\n{text}")
+    assert tr.read_targets(one, frame="LPS")["F-1"].tolist() == [-30.0, -10.0, 40.0]
+    with pytest.raises(FormatError, match="must be RAS, as it is stated before, got 'LPS'"):
+        tr.read_targets(two)
+
+
 def test_what_a_table_does_not_define_was_not_seen(tmp_path):
-    empty = table_text(SIT).replace("15.0,0.0,20.0", ",,")
-    sit, seen, other = write(
-        tmp_path, s__csv=table_text(SIT), m__csv=table_text(SIT, not_defined=["F-2"]), o__csv=empty
-    )
+    sit, seen = write(tmp_path, s__csv=table_text(SIT), m__csv=table_text(SIT, not_defined=["F-2"]))
     assert tr.read_markers(sit, measured=seen).seen.tolist() == [True, False, True]
-    assert tr.read_markers(sit, measured=other).seen.tolist() == [True, True, False]
+    for cells in (",,", "nan,NaN,nan"):
+        (other,) = write(tmp_path, o__csv=table_text(SIT).replace("15.0,0.0,20.0", cells))
+        assert tr.read_markers(sit, measured=other).seen.tolist() == [True, True, False]
     assert len(tr.read_surface(seen)) == 2
 
 

@@ -183,6 +183,11 @@ def test_all_solids_of_an_stl_in_text_are_read(tmp_path, end):
     assert len(found.vertices) == len(BOX[0]) + len(BALL[0])
 
 
+def test_a_mark_at_the_beginning_of_a_text_does_not_matter(tmp_path):
+    for name, content in (("a.stl", letters(BOX).encode()), ("a.ply", ply("ascii"))):
+        assert read(tmp_path, name, b"\xef\xbb\xbf" + content).volume > 0.0
+
+
 def test_a_binary_stl_may_begin_like_a_text(tmp_path):
     assert same_triangles(read_triangles(write_stl(tmp_path / "a.stl", BALL, head=b"solid of bytes")), *BALL)
 
@@ -240,6 +245,13 @@ def test_a_ply_holds_polygons_and_other_elements_in_any_order_of_bytes(tmp_path,
     assert read(tmp_path, "a.ply", ply(order, corners)).volume == pytest.approx(4500.0)
     cut_faces = [[f[0], f[i], f[i + 1]] for f in NOTCHED_FACES for i in range(1, len(f) - 1)]
     assert read(tmp_path, "b.ply", ply(order, corners, cut_faces)).volume == pytest.approx(4500.0)
+
+
+@pytest.mark.parametrize("order", ["ascii", "binary_big_endian"])
+def test_a_comment_of_a_ply_may_hold_any_words(tmp_path, order):
+    head = "comment before end_header of \u00c5lesund, SPACE=RAS\n"  # one of its bytes ends lines elsewhere
+    found = read(tmp_path, "a.ply", ply(order).replace(b"element vertex", head.encode() + b"element vertex"))
+    assert (found.volume, found.frame) == (pytest.approx(4500.0), "RAS")
 
 
 @pytest.mark.parametrize("order", ["ascii", "binary_big_endian"])

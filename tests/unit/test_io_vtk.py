@@ -151,10 +151,27 @@ def test_pieces_of_a_file_are_one_body_and_cells_of_others_are_left_out(tmp_path
     assert (mesh.n_nodes, mesh.n_tets) == (MESH.n_nodes, MESH.n_tets)
     assert mesh.volumes.sum() == pytest.approx(24000.0)
     assert np.unique(mesh.nodes[mesh.fixed_nodes, 0]).tolist() == [0.0, 15.0]  # of the piece that states it
-    ghost = f"<CellData>{array('vtkGhostType', (~left).astype(np.uint8))}</CellData></Piece>"
-    whole = piece(MESH.nodes, [("tetra", MESH.tets)], {}).replace("</Piece>", ghost)
-    with pytest.warns(UserWarning, match="nodes that belong to no tetrahedron"):
-        assert tr.read_mesh(write_pieces(tmp_path / "g.vtu", [whole])).n_tets == left.sum()
+    for name in ("vtkGhostType", "vtkGhostLevels"):
+        ghost = f"<CellData>{array(name, (~left).astype(np.uint8))}</CellData></Piece>"
+        whole = piece(MESH.nodes, [("tetra", MESH.tets)], {}).replace("</Piece>", ghost)
+        with pytest.warns(UserWarning, match="nodes that belong to no tetrahedron"):
+            assert tr.read_mesh(write_pieces(tmp_path / "g.vtu", [whole])).n_tets == left.sum()
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.int64])
+def test_pieces_that_overlap_count_once_and_one_may_lack_an_array(tmp_path, kind):
+    body = block()
+    middle = body.nodes[body.tets].mean(axis=1)[:, 0]
+    parts = []
+    for own in (middle < 16, middle > 8, np.ones(len(middle), bool)):
+        used, tets = np.unique(body.tets[own], return_inverse=True)
+        held = {"fixed": (body.nodes[used, 2] == 0).astype(kind)} if own.all() else {}
+        parts.append(piece(body.nodes[used], [("tetra", tets.reshape(-1, 4))], held))
+    joined, once = (pytest.warns(UserWarning, match=words) for words in ("pieces of the file meet", "they count once"))
+    with joined, once:
+        mesh = tr.read_mesh(write_pieces(tmp_path / "b.vtu", parts))
+    assert (mesh.n_nodes, mesh.n_tets, len(mesh.surface)) == (body.n_nodes, body.n_tets, len(body.surface))
+    assert len(mesh.fixed_nodes) == len(body.fixed_nodes)
 
 
 @pytest.mark.parametrize("kind", [24, 71, 78], ids=["quadratic", "Lagrange", "Bezier"])

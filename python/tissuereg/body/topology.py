@@ -93,7 +93,7 @@ def _right_handed(points: FloatArray, cells: IntArray, place: str) -> IntArray:
 
 def _joined(mesh: Mesh, every: bool, pieces: IntArray | None, place: str) -> tuple[Mesh, IntArray]:
     rows = np.arange(mesh.n_nodes)
-    first = _first_at_place(mesh)
+    first = _first_at_place(mesh, mesh.surface_nodes if pieces is None else rows)
     shared = np.flatnonzero(first != rows)
     if not len(shared):
         return mesh, rows
@@ -122,15 +122,26 @@ def _joined(mesh: Mesh, every: bool, pieces: IntArray | None, place: str) -> tup
         "--coincident keep (coincident='keep') keeps them apart"
     )
     warn(text)
-    return Mesh(mesh.nodes[rows], new[mesh.tets], sets, mesh.frame), rows
+    tets = new[mesh.tets] if pieces is None else _each_once(new[mesh.tets], place)
+    return Mesh(mesh.nodes[rows], tets, sets, mesh.frame), rows
 
 
-def _first_at_place(mesh: Mesh) -> IntArray:
-    """Return for every node the smallest node at its place, (n_nodes,); nodes inside share theirs with no other."""
+def _each_once(tets: IntArray, place: str) -> IntArray:
+    """Return tets (m, 4), those that stand in several pieces of a file once."""
+    _, first = np.unique(np.sort(tets, axis=1), axis=0, return_index=True)
+    if len(first) < len(tets):
+        warn(f"{place}: {len(tets) - len(first)} tetrahedra stand in another piece of the file too; they count once")
+    return tets[np.sort(first)]
+
+
+def _first_at_place(mesh: Mesh, own: IntArray) -> IntArray:
+    """Return for every node the smallest node at its place, (n_nodes,); nodes but `own` share theirs with no other.
+
+    Those inside share theirs with none, unless pieces overlap.
+    """
     from scipy.spatial import cKDTree
 
     at = np.arange(mesh.n_nodes)
-    own = mesh.surface_nodes
     places, of_own = np.unique(mesh.nodes[own], axis=0, return_inverse=True)
     corners = mesh.nodes[mesh.surface]
     shortest = float(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).min())

@@ -9,6 +9,7 @@ from pathlib import Path
 from tissuereg._base.arguments import place
 from tissuereg.errors import FormatError
 from tissuereg.io.bounds import FILES, existing_file, text_lines
+from tissuereg.io.csv import split_rows
 from tissuereg.io.points import NamedPoints
 
 #: Columns of the coordinates, in mm, and the frame that they state.
@@ -27,40 +28,36 @@ def is_control_point_table(path: str | os.PathLike[str]) -> bool:
         return False
     with file.open("rb") as stream:
         head = stream.read(FILES.head_bytes).decode("utf-8-sig", errors="replace")
-    first = next((line for line in head.splitlines() if line.strip()), "")
-    columns = _columns(first.split(_delimiter(first)))
+    try:
+        _, cells = next(split_rows(head.splitlines(keepends=True)), (1, []))
+    except csv.Error:
+        return False
+    columns = _columns(cells)
     return "label" in columns and any(set(axes) <= set(columns) for axes in _FRAMES)
 
 
 def read_control_points(path: str | os.PathLike[str]) -> NamedPoints:
     """Read the named points in a table of control points of 3D Slicer, with their places in mm in the table's frame.
 
-    `path`: text, its cells parted by commas, or by tabs if its header is, with the columns ``label`` and ``r,a,s`` or
-    ``l,p,s``, in any order; others are passed over. A point whose coordinates are empty, or whose cell of a column
-    ``defined`` is 0, gets NaN as its place. Raises `FormatError` if the file is no such table; the message names the
-    line.
+    `path`: text, its cells parted as `split_rows` has it, with the columns ``label`` and ``r,a,s`` or ``l,p,s``, in any
+    order; others are passed over. A point whose coordinates are empty, or whose cell of a column ``defined`` is 0, gets
+    NaN as its place. Raises `FormatError` if the file is no such table; the message names the line.
     """
     file = existing_file(path, FILES.text_mb)
     try:
         lines = text_lines(file)
-        delimiter = _delimiter(next((line for line in lines if line.strip()), ""))
-        reader = csv.reader((f"{line}\n" for line in lines), delimiter=delimiter, strict=True)
-        rows = [(reader.line_num, [cell.strip() for cell in cells]) for cells in reader]
+        rows = list(split_rows(f"{line}\n" for line in lines))
     except (UnicodeDecodeError, csv.Error, OSError) as error:
         message = f"{file} must be a table of control points in UTF-8 text; it cannot be read: {error}"
         raise FormatError(message, where=str(file)) from error
-    (_, first), *below = [row for row in rows if any(row[1])] or [(1, [])]
+    (_, first), *below = rows or [(1, [])]
     columns = _columns(first)
     axes = _axes(file, columns)
     return NamedPoints.of(file, _FRAMES[axes], [_point(file, line, columns, axes, cells) for line, cells in below])
 
 
-def _delimiter(header: str) -> str:
-    return "\t" if "\t" in header else ","
-
-
 def _columns(cells: Sequence[str]) -> list[str]:
-    return [cell.strip().strip('"').lower() for cell in cells]
+    return [cell.lower() for cell in cells]
 
 
 def _axes(file: Path, columns: list[str]) -> tuple[str, str, str]:
@@ -84,7 +81,7 @@ def _point(
         message = f"column 'defined' must hold 1 or 0, got '{row['defined']}' at {where}"
         raise FormatError(message, where=f"{file}:{line}")
     texts = [row[name] for name in axes]
-    if not defined or not any(texts):
+    if not defined or all(text.lower() in ("", "nan") for text in texts):
         return f"line {line}", row["label"], (math.nan, math.nan, math.nan)
     try:
         x, y, z = (float(text) for text in texts)

@@ -2,16 +2,48 @@
 
 import csv
 import io
+import itertools
 import math
 import os
-from collections.abc import Iterable, Sequence
+import re
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from tissuereg.errors import FormatError
 from tissuereg.io.atomic import atomic_file
 from tissuereg.io.bounds import FILES, bounded_stream, existing_file
+
+#: What spreadsheets write before the header to say how cells are parted.
+_SEPARATOR = re.compile(r"\s*\"?sep=(.)\"?\s*", re.IGNORECASE)
+_DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+(e[+-]?\d+)?", re.IGNORECASE)
+
+
+def split_rows(lines: Iterable[str]) -> Iterator[tuple[int, list[str]]]:
+    """Yield line number and cells of each row that is not empty; the first is the header.
+
+    `lines`: lines with their ends. Cells are parted by commas, tabs or semicolons, of which the header has most, and
+    stripped of white space. Where it is semicolons, numbers may have decimal commas, which become points. Raises
+    `csv.Error` at a row that is no such text.
+
+    >>> list(split_rows(["name;x_mm", "a;1,5"]))
+    [(1, ['name', 'x_mm']), (2, ['a', '1.5'])]
+    """
+    left, header = iter(lines), ""
+    begin: list[str] = []
+    while not header.strip() and (header := next(left, None) or ""):
+        begin.append(header)
+    stated = _SEPARATOR.fullmatch(header)
+    if stated:
+        begin[-1] = "\n"
+    delimiter = stated[1] if stated else max(",\t;", key=header.count)
+    reader = csv.reader(itertools.chain(begin, left), delimiter=delimiter, skipinitialspace=True, strict=True)
+    for row in reader:
+        cells = [cell.strip() for cell in row]
+        if delimiter == ";":
+            cells = [cell.replace(",", ".") if _DECIMAL_COMMA.fullmatch(cell) else cell for cell in cells]
+        if any(cells):
+            yield reader.line_num, cells
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,40 +103,43 @@ def read_table(
 ) -> list[Row]:
     """Return the rows of a comma-separated table with a header line, in file order; there is at least one.
 
-    `path`: UTF-8 text; empty lines are skipped; `columns`: columns that must be there, in any order; `optional`:
-    columns that may be there; `most_rows`: largest number of rows; reading stops with an error at the next; None for
-    any number. Raises `FormatError` if the file is missing, too large or too long, no text, has another header, a line
-    of another length, or no row at all.
+    `path`: UTF-8 text, its cells parted as `split_rows` has it; empty lines are skipped; `columns`: columns that must
+    be there, in any order; `optional`: columns that may be there; `most_rows`: largest number of rows; reading stops
+    with an error at the next; None for any number. Raises `FormatError` if the file is missing, too large or too long,
+    no text, has another header, a line of another length, or no row at all.
     """
     file = existing_file(path, FILES.table_mb)
     try:
         with io.TextIOWrapper(bounded_stream(file, FILES.table_mb), encoding="utf-8-sig", newline="") as handle:
-            return _rows(file, csv.reader(handle, strict=True), columns, optional, most_rows)
+            return _rows(file, split_rows(handle), columns, optional, most_rows)
     except (UnicodeDecodeError, csv.Error, OSError) as error:
         message = f"{file} must be a table in comma-separated UTF-8 text; it cannot be read: {error}"
         raise FormatError(message, where=str(file)) from error
 
 
-def _rows(file: Path, reader: Any, columns: Sequence[str], optional: Sequence[str], most_rows: int | None) -> list[Row]:
-    """Return the rows of a table from `reader`, which yields a list of cells per line; stop with an error at a fault.
+def _rows(
+    file: Path,
+    found: Iterable[tuple[int, list[str]]],
+    columns: Sequence[str],
+    optional: Sequence[str],
+    most_rows: int | None,
+) -> list[Row]:
+    """Return the rows of a table from the number and cells of each line; stop with an error at a fault.
 
     `file`: the table, for messages; `columns`, `optional`: columns that must and that may be there; `most_rows`:
     largest number of rows; None for any number. Raises `FormatError` at the first invalid line, or if there is no row.
     """
     header: list[str] | None = None
     rows: list[Row] = []
-    for line in reader:
-        cells = [cell.strip() for cell in line]
-        if not any(cells):
-            continue
+    for number, cells in found:
         if header is None:
             header = cells
             _check_header(file, header, columns, optional)
         elif len(rows) == most_rows:
-            message = f"{file} must hold at most {most_rows} rows; more follow at line {reader.line_num}"
-            raise FormatError(message, where=f"{file}:{reader.line_num}")
+            message = f"{file} must hold at most {most_rows} rows; more follow at line {number}"
+            raise FormatError(message, where=f"{file}:{number}")
         else:
-            rows.append(_row(file, reader.line_num, header, cells))
+            rows.append(_row(file, number, header, cells))
     if header is None:
         _check_header(file, [], columns, optional)
     if not rows:

@@ -20,7 +20,10 @@ class Cursor:
     """
 
     def __init__(self, data: bytes, binary: bool = False, order: str = "<") -> None:
-        self.data, self.binary, self.order, self.at = data, binary, order, 0
+        bare = data.removeprefix(b"\xef\xbb\xbf")
+        # Without any line feed, which no binary file lacks, lines end at carriage returns.
+        self.data = bare if b"\n" in bare else bare.replace(b"\r", b"\n")
+        self.binary, self.order, self.at = binary, order, 0
         self._starts: npt.NDArray[np.int64] | None = None
 
     def line(self) -> str:

@@ -17,7 +17,7 @@ _NEEDED = ("x", "y", "z", "label")
 _FRAMES = {"0": "RAS", "1": "LPS", "RAS": "RAS", "LPS": "LPS"}
 #: Numbers of a position's status in two unnamed cells at the end of a line; 2 is a defined one.
 _NOT_DEFINED = ("0", "1", "3")
-_SETTING = re.compile(r"#\s*(CoordinateSystem|columns)\s*=\s*(.*)$")
+_SETTING = re.compile(r"\s*#\s*(CoordinateSystem|columns)\s*[=:]\s*(.*)$", re.IGNORECASE)
 
 
 def read_fcsv(path: str | os.PathLike[str]) -> NamedPoints:
@@ -38,7 +38,7 @@ def read_fcsv(path: str | os.PathLike[str]) -> NamedPoints:
     points = [
         _point(file, number, columns, line)
         for number, line in enumerate(lines, 1)
-        if line.strip() and not line.startswith("#")
+        if line.strip() and not line.lstrip().startswith("#")
     ]
     return NamedPoints.of(file, frame, points)
 
@@ -50,18 +50,20 @@ def _head(file: Path, lines: list[str]) -> tuple[str, list[str]]:
         found = _SETTING.match(line)
         if found is None:
             continue
-        name, value = found.group(1), found.group(2).strip()
+        name, value = found.group(1).lower(), found.group(2).strip()
         if name == "columns":
             columns = [column.strip() for column in value.split(",")]
             missing = [column for column in _NEEDED if column not in columns]
             if missing:
                 message = f"the columns of {file} must be {_COLUMNS}; {', '.join(missing)} is missing at line {number}"
                 raise FormatError(message, where=f"{file}:{number}")
-        elif value not in _FRAMES:
-            message = f"CoordinateSystem must be LPS, RAS, 1 or 0, got '{value}' at {file} line {number}"
+            continue
+        stated = _FRAMES.get(value.rstrip(",").upper())  # a spreadsheet fills lines up with commas
+        if stated is None or frame not in (None, stated):
+            words = "LPS, RAS, 1 or 0" if stated is None else f"{frame}, as it is stated before"
+            message = f"CoordinateSystem must be {words}, got '{value}' at {file} line {number}"
             raise FormatError(message, where=f"{file}:{number}")
-        else:
-            frame = _FRAMES[value]
+        frame = stated
     if frame is None:
         message = f"{file} must state its frame in a line '# CoordinateSystem = LPS' (or RAS); there is none"
         raise FormatError(message, where=str(file))
@@ -87,7 +89,7 @@ def _point(file: Path, number: int, columns: list[str], line: str) -> tuple[str,
 
 
 def _place(file: Path, number: int, texts: list[str]) -> list[float]:
-    if not any(texts):
+    if all(text.lower() in ("", "nan") for text in texts):
         return [math.nan] * 3
     try:
         place = [float(text) for text in texts]

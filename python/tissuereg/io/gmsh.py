@@ -84,7 +84,9 @@ class _Reader:
         if name == "ParametricNodes":
             message = "nodes must have no parameters of curves and surfaces: save the file without them"
             raise FormatError(message)
-        return self._entities if name == "Entities" and self._version >= 4 else known.get(name)
+        if self._version >= 4:
+            known |= {"Entities": self._entities, "PartitionedEntities": self._partitioned}
+        return known.get(name)
 
     def _skip_to_end(self, name: str) -> None:
         end = self._file.data.find(f"$End{name}".encode(), self._file.at)
@@ -123,11 +125,20 @@ class _Reader:
     def _ints(self, n: int) -> list[int]:
         return [int(one) for one in self._file.numbers("i4", n)]
 
-    def _entities(self) -> None:
+    def _partitioned(self) -> None:
+        """Read the physical groups of the entities of a mesh that is cut into parts."""
+        self._sizes(1)
+        self._ints(2 * self._sizes(1)[0])  # ghosts: a number and a part each
+        self._entities(partitioned=True)
+
+    def _entities(self, partitioned: bool = False) -> None:
         """Read the physical groups of every entity; the rest is passed over."""
         for dimension, count in enumerate(self._sizes(4)):
             for _ in range(count):
                 tag = self._ints(1)[0]
+                if partitioned:  # the entity that it is a part of, and its parts
+                    self._ints(2)
+                    self._ints(self._sizes(1)[0])
                 self._file.numbers("f8", 6 if dimension else 3)
                 groups = self._ints(self._sizes(1)[0])
                 self._groups[dimension, tag] = [abs(group) for group in groups]

@@ -24,7 +24,7 @@ def mesh_of_grid(file: Path, grid: Grid, coincident: str = "certain") -> tuple[M
     `file`: its name, for messages; `grid`: its content; `coincident`: as in `read_mesh`. Raises the errors of that.
     """
     with reading(file, "a mesh"):
-        frame = frame_in(grid.notes)
+        frame, unit = frame_in(grid.notes), unit_in(grid.notes) or "mm"
     _refuse_other_cells(file, grid)
     tets = grid.of_kind("tetra")
     used = np.flatnonzero(np.bincount(tets.ravel(), minlength=len(grid.points)))
@@ -34,10 +34,12 @@ def mesh_of_grid(file: Path, grid: Grid, coincident: str = "certain") -> tuple[M
         _warn_of_dropped(file, len(grid.points) - len(used), curved)
     new_from_old = np.full(len(grid.points), -1, dtype=np.int64)
     new_from_old[used] = np.arange(len(used))
-    sets = {name: kept[kept >= 0] for name, kept in ((name, new_from_old[old]) for name, old in sets.items())}
-    nodes = grid.points[used] * UNITS_MM[unit_in(grid.notes) or "mm"]
+    kept = {name: (new := new_from_old[old])[new >= 0] for name, old in sets.items()}
+    for name in (name for name, old in sets.items() if len(old) and not len(kept[name])):
+        warn(f"{file}: node set '{name}' is empty: none of its {len(sets[name])} points is the corner of a tetrahedron")
+    nodes = grid.points[used] * UNITS_MM[unit]
     pieces = None if grid.pieces is None else grid.pieces[used]
-    mesh, rows = placed_mesh(file, nodes, new_from_old[tets], sets, coincident, frame, pieces)
+    mesh, rows = placed_mesh(file, nodes, new_from_old[tets], kept, coincident, frame, pieces)
     return mesh, used[rows]
 
 

@@ -7,25 +7,43 @@ from tissuereg._base.arguments import check_choice
 from tissuereg.body.mesh import PATIENT_FRAMES
 from tissuereg.errors import FormatError
 
-_UNIT = re.compile(r"\bunits?\b\s*[:= ]\s*(milli|centi)?(mm|cm|m|met(?:er|re)s?)\b", re.IGNORECASE)
-_SPACE = re.compile(r"\bSPACE\s*[:=]\s*[\"']?([a-z-]+)", re.IGNORECASE)
-#: How the frames are spelt; other words that mean axes of a patient are refused.
-_FRAMES = {"lps": "LPS", "ras": "RAS", "left-posterior-superior": "LPS", "right-anterior-superior": "RAS"}
-_OTHER_FRAME = re.compile(r"[rl][ap][si]|(right|left)-(anterior|posterior)-(superior|inferior)", re.IGNORECASE)
+#: A comment in XML.
+COMMENT = re.compile(rb"<!--(.*?)-->", re.DOTALL)
+_KEY_OF_UNIT = r"(?:(?<![a-z])|(?:length|coordinate)s?[ _]?)units?[\s:=(\[\"'<]+(?:in\s+|is\s+)?"
+_UNIT = re.compile(
+    _KEY_OF_UNIT
+    + r"(?:(milli|centi)?(mm|cm|m|met(?:er|re)s?)|(dm|km|nm|um|\u00b5m|\u03bcm|(?:deci|kilo|nano|micro)\w+|"
+    r"inch(?:es)?|foot|feet|(?<=[:=])in|(?<=[:=] )in))\b",
+    re.IGNORECASE,
+)
+_KEY_OF_FRAME = r"(?<![a-z])(?:space|coordinate[ _]*(?:system|frame)|frame|orientation)\b"
+_AXES = r"([rlapsi](?:[-_, ]{0,2}[rlapsi]){2}|(?:right|left)[-_ ]?(?:anterior|posterior)[-_ ]?(?:superior|inferior))"
+#: Behind a blank alone only LPS and RAS are no part of a sentence.
+_FRAME = re.compile(
+    _KEY_OF_FRAME + r"(?:\s*[:=]+\s*[\"'(\[<]*|[\s\"'(\[<]+(?=(?:ras|lps)\b))" + _AXES + "(?![a-z])", re.IGNORECASE
+)
 
 
 def unit_in(notes: Iterable[str]) -> str | None:
-    """Return the unit, ``mm``, ``cm`` or ``m``, that the first note that states one states; None if none does.
+    """Return the unit, ``mm``, ``cm`` or ``m``, that notes state; None if none does.
+
+    Raises `FormatError` if they state two, or another unit of length.
 
     >>> unit_in(["liver, unit: metres"])
     'm'
     """
-    for found in filter(None, map(_UNIT.search, notes)):
-        prefix, word = (found[1] or "").lower(), found[2].lower()
-        if word in ("mm", "cm"):
-            return None if prefix else word
-        return {"": "m", "milli": "mm", "centi": "cm"}[prefix]
-    return None
+    stated = {_unit(found) for note in notes for found in _UNIT.finditer(note)}
+    if len(stated) > 1 or not stated <= {"mm", "cm", "m"}:
+        message = f"the unit that a file states must be mm, cm or m, got {' and '.join(sorted(stated))}"
+        raise FormatError(message)
+    return stated.pop() if stated else None
+
+
+def _unit(found: "re.Match[str]") -> str:
+    prefix, word, other = ((group or "").lower() for group in found.groups())
+    if word in ("mm", "cm") or other:
+        return prefix + word + other
+    return {"": "m", "milli": "mm", "centi": "cm"}[prefix]
 
 
 def agreed_frame(stated: str | None, given: str | None, place: str) -> str | None:
@@ -50,9 +68,15 @@ def frame_in(notes: Iterable[str]) -> str | None:
     >>> frame_in(["3D Slicer output. SPACE=RAS"])
     'RAS'
     """
-    words = dict.fromkeys(found[1].lower() for note in notes for found in _SPACE.finditer(note))
-    stated = {_FRAMES.get(word, word.upper()) for word in words if word in _FRAMES or _OTHER_FRAME.fullmatch(word)}
+    stated = set(filter(None, (_axes(found[1]) for note in notes for found in _FRAME.finditer(note))))
     if len(stated) > 1 or not stated <= {"LPS", "RAS"}:
         message = f"the frame that a file states must be LPS or RAS, got {' and '.join(sorted(stated))}"
         raise FormatError(message)
     return stated.pop() if stated else None
+
+
+def _axes(words: str) -> str | None:
+    """Return the first letters of three axes of a patient, one of each, in capitals; None if they are no such three."""
+    bare = re.sub("[-_, ]", "", words.upper())
+    letters = bare if len(bare) == 3 else "".join(word[0] for word in re.findall("RIGHT|LEFT|ANT|POST|SUP|INF", bare))
+    return letters if all(set(letters) & set(pair) for pair in ("RL", "AP", "SI")) else None

@@ -1,5 +1,6 @@
 """Surfaces in ``.ply`` (polygon file format), text or binary of either byte order: vertices, faces, other elements."""
 
+import re
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,7 @@ _TYPES = {
 }  # fmt: skip
 _ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 _CORNERS = ("vertex_indices", "vertex_index")
-_END = b"end_header"
+_END = re.compile(rb"[\r\n][ \t]*end_header[ \t]*(?:\r\n|\n|\r)")
 
 
 @dataclass
@@ -42,7 +43,7 @@ def read_ply(file: Path) -> tuple[FloatArray, IntArray, list[str]]:
 
     `file`: an existing .ply. Raises `FormatError` if its header is spoilt, or it does not hold what its header says.
     """
-    data = file.read_bytes()
+    data = file.read_bytes().removeprefix(b"\xef\xbb\xbf")
     try:
         order, elements, notes, begin = _header(data)
         stream = _Stream(data[begin:], order)
@@ -76,14 +77,12 @@ def _indices(lists: Any) -> Any:
 
 def _header(data: bytes) -> tuple[str, list[_Element], list[str], int]:
     """Return byte order, empty for text, elements, comments, and where the content begins."""
-    stop = data.find(_END)
-    if stop < 0:
+    end = _END.search(data)
+    if end is None:
         message = "its header does not end"
         raise ValueError(message)
-    begin = stop + len(_END)
-    begin += 2 if data[begin : begin + 2] == b"\r\n" else 1
     order, elements, notes = None, [], []
-    for line in data[:stop].decode("latin-1").splitlines():
+    for line in re.split("\r\n|\n|\r", data[: end.start()].decode("latin-1")):
         match line.split():
             case ["format", name, _] if name in _ORDERS:
                 order = _ORDERS[name]
@@ -103,7 +102,7 @@ def _header(data: bytes) -> tuple[str, list[_Element], list[str], int]:
     if order is None or not all(element.properties for element in elements):
         message = "its header states no format, or an element without properties"
         raise ValueError(message)
-    return order, elements, notes, begin
+    return order, elements, notes, end.end()
 
 
 class _Stream:

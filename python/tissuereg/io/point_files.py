@@ -96,9 +96,11 @@ def markers_of(
     for role, path in files.items():
         if path is None or not is_point_file(path):
             other = next(file for file in files.values() if file is not None and is_point_file(file))
+            found = "missing" if path is None else f"{path}, which is no file of points"
             message = (
                 "markers of a file of points must come in two files, where they sit and, as `measured`, where seen; "
-                f"with {other} the {role} one is {'missing' if path is None else path}"
+                f"with {other} the {role} one is {found} "
+                f"({', '.join(POINT_READERS)}, or a table with the columns label and r,a,s or l,p,s)"
             )
             raise FormatError(message, where=str(other if path is None else path))
     sit, seen = read_points(reference).labelled(), read_points(measured or "")

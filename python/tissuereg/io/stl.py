@@ -34,7 +34,7 @@ def _of_text(file: Path, data: bytes) -> tuple[FloatArray, list[str]]:
     loop: list[list[float]] | None = None
     notes: list[str] = []
     is_open = False
-    for number, line in enumerate(re.split("\r\n|\n|\r", data.decode("latin-1")), 1):
+    for number, line in enumerate(re.split("\r\n|\n|\r", data.removeprefix(b"\xef\xbb\xbf").decode("latin-1")), 1):
         words = line.split()
         word = words[0].lower() if words else ""
         if word == "solid":

@@ -75,11 +75,12 @@ def _of_file(file: Path, unit: str | None, frame: str | None) -> Triangles:
             message = f"{file} must hold the faces of a surface; it holds {len(vertices)} points and no face"
             raise FormatError(message, where=str(file))
         found, stated = Triangles(vertices, triangles), frame_in(notes)
+        used = _unit_of(file, unit, notes)
     except (MeshError, ShapeError, FormatError) as error:
         if str(file) not in str(error):
             error.args = (f"{file}: {error}",)
         raise
-    return _in_mm(found, _unit_of(file, unit, notes), agreed_frame(stated, frame, str(file)), str(file))
+    return _in_mm(found, used, agreed_frame(stated, frame, str(file)), str(file))
 
 
 def _content(file: Path) -> SurfaceContent:

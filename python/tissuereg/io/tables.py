@@ -202,7 +202,7 @@ def read_seen(
     _check_frames(frame, table_frame)
     usual = FILES.std_mm if std is None else real("std", std, above=0.0, unit="mm", error=MarkerError)
     if is_point_file(path):
-        points = read_points(path)
+        points = read_points(path).labelled()
         return dict(zip(points.names, points.places_in(frame), strict=True)), dict.fromkeys(points.names, usual)
     rows = read_table(path, ("target", *_PLACE), ("std_mm",), most_rows=FILES.table_points)
     names = _unique_names(rows, "target")

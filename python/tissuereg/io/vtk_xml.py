@@ -21,6 +21,7 @@ from tissuereg.io.bounds import FILES, too_large
 from tissuereg.io.cursor import text_numbers
 from tissuereg.io.grid import Block, Grid
 from tissuereg.io.lz4 import unpacked_lz4
+from tissuereg.io.notes import COMMENT
 from tissuereg.io.vtk_cells import flat_blocks, vtk_blocks
 
 _TYPES = {
@@ -30,18 +31,17 @@ _TYPES = {
 _KINDS = ("UnstructuredGrid", "PolyData")
 #: The lists of cells of polygonal data, and VTK's type for cells of any size.
 _FLAT = {"Verts": 2, "Lines": 4, "Strips": 6, "Polys": 7}
-_COMMENT = re.compile(rb"<!--(.*?)-->", re.DOTALL)
 _APPENDED = re.compile(rb"<AppendedData\b([^>]*)>\s*_?")
 _PADDED = re.compile(rb"[^=]+=*")
-#: Bits of ``vtkGhostType`` of a cell that another piece owns, or that is hidden.
-_GHOST = 1 | 32
+#: Bits of cell data that tell of a cell that another piece owns, or that is hidden; older files count its layer.
+_GHOSTS = {"vtkGhostType": 1 | 32, "vtkGhostLevels": 255}
 
 
 def read_vtk_xml(file: Path) -> Grid:
     """Return the content of a .vtu or .vtp file; its pieces follow one another.
 
-    Point data that a piece lacks are 0 there, NaN where they are not whole numbers. Raises `FormatError` if the file is
-    another kind of VTK file, or spoilt.
+    Point data that a piece lacks are 0 there if they are whole numbers or flags, or else NaN. Raises `FormatError` if
+    the file is another kind of VTK file, or spoilt.
     """
     data = file.read_bytes()
     found = _APPENDED.search(data)
@@ -57,7 +57,7 @@ def read_vtk_xml(file: Path) -> Grid:
         raise FormatError(message)
     arrays = _Arrays(file, root, found, data)
     pieces = [_piece(arrays, piece) for piece in top.findall("Piece")]
-    notes = [one.decode("utf-8", "replace") for one in _COMMENT.findall(text)]
+    notes = [one.decode("utf-8", "replace") for one in COMMENT.findall(text)]
     notes += [note for fields in top.iter("FieldData") for note in _notes(arrays, fields)]
     return _together([piece for piece in pieces if len(piece.points)], notes)
 
@@ -67,9 +67,10 @@ def _piece(arrays: "_Arrays", piece: Any) -> Grid:
     if points.ndim != 2 or points.shape[1] != 3:
         message = f"points must have 3 coordinates, got an array of shape {points.shape}"
         raise FormatError(message)
-    hidden = dict(arrays.within(piece.find("CellData"), "vtkGhostType")).get("vtkGhostType")
+    owned = piece.find("CellData")
+    ghosts = [(mask, dict(arrays.within(owned, name)).get(name)) for name, mask in _GHOSTS.items()]
     cells = piece.find("Cells")
-    blocks = _flat(arrays, piece, len(points)) if cells is None else _cells(arrays, cells, hidden, len(points))
+    blocks = _flat(arrays, piece, len(points)) if cells is None else _cells(arrays, cells, ghosts, len(points))
     data = {}
     for name, array in arrays.within(piece.find("PointData"), rows=len(points)):
         if len(array) != len(points):
@@ -79,14 +80,15 @@ def _piece(arrays: "_Arrays", piece: Any) -> Grid:
     return Grid(points.astype(np.float64), blocks, data)
 
 
-def _cells(arrays: "_Arrays", cells: Any, hidden: npt.NDArray[Any] | None, n_points: int) -> list[Block]:
+def _cells(arrays: "_Arrays", cells: Any, ghosts: list[tuple[int, Any]], n_points: int) -> list[Block]:
     lists = dict(arrays.within(cells))
     if not {"types", "offsets", "connectivity"} <= set(lists):
         message = f"cells must have the arrays types, offsets and connectivity; got {', '.join(lists) or 'none'}"
         raise FormatError(message)
     types = lists["types"]
-    if hidden is not None and hidden.shape == types.shape and hidden.dtype.kind in "iu":
-        types = np.where(hidden & _GHOST, 0, types)
+    for mask, hidden in ghosts:
+        if hidden is not None and hidden.shape == types.shape and hidden.dtype.kind in "iu":
+            types = np.where(hidden & mask, 0, types)
     return vtk_blocks(types, lists["offsets"], lists["connectivity"], n_points)
 
 
@@ -127,12 +129,15 @@ def _together(pieces: list[Grid], notes: list[str]) -> Grid:
 
 
 def _column(parts: list[tuple[int, npt.NDArray[Any] | None]]) -> npt.NDArray[Any] | None:
-    """Join the rows of one name; pieces without it get 0 or NaN; None where the pieces have other shapes of row."""
+    """Join the rows of one name; None where the pieces have other shapes of row.
+
+    Pieces without it get NaN, or 0 where it is whole numbers or marks points by 0 and 1.
+    """
     given = [part for _, part in parts if part is not None]
     if len({part.shape[1:] for part in given}) != 1:
         return None
     kind, row = np.result_type(*given), given[0].shape[1:]
-    empty = np.nan if kind.kind == "f" else 0
+    empty = np.nan if kind.kind == "f" and not all(np.isin(part, (0, 1)).all() for part in given) else 0
     return np.concatenate([np.full((n, *row), empty, kind) if part is None else part for n, part in parts])
 
 

@@ -15,6 +15,7 @@ from tissuereg.errors import FormatError
 from tissuereg.io.bounds import FILES, existing_file, too_large
 from tissuereg.io.cursor import text_numbers
 from tissuereg.io.grid import Block, Grid, checked_corners
+from tissuereg.io.notes import COMMENT
 
 #: Kind of a topology and its points a cell (0: the file says it), by its name in lower case and its number if mixed.
 _KINDS = {
@@ -47,8 +48,12 @@ def read_xdmf(file: Path) -> Grid:
         raise FormatError(message)
     root = ElementTree.fromstring(text)
     grids = [grid for grid in root.iter("Grid") if grid.get("GridType", "Uniform") == "Uniform"]
+    notes = [one.decode("utf-8", "replace") for one in COMMENT.findall(text)]
+    notes += [f"{one.get('Name', '')}={one.get('Value') or one.text or ''}" for one in root.iter("Information")]
     with _Items(file) as items:
-        return _together(items, grids)
+        grid = _together(items, grids)
+    grid.notes = notes
+    return grid
 
 
 def _together(items: "_Items", grids: list[Any]) -> Grid:
