@@ -87,6 +87,15 @@ def test_points_and_markers_together_are_no_worse_than_either(block_mesh, leaned
     assert widths[0] < widths[1]
 
 
+def test_points_are_enough_where_no_marker_was_seen(block_mesh, leaned):
+    places = block_mesh.nodes[block_mesh.surface_nodes[-4:]]
+    points = cloud(block_mesh, leaned, 40, np.random.default_rng(5), 0.05)
+    unseen = tr.register(block_mesh, tr.Markers(places), surface=points, targets=INNER)
+    alone = tr.register(block_mesh, surface=points, targets=INNER)
+    assert np.array_equal(unseen.displacement, alone.displacement)
+    assert unseen.markers.dropped == tuple((name, "not seen") for name in ("M1", "M2", "M3", "M4"))
+
+
 def test_few_points_and_markers_are_sampled_without_a_projection(block_mesh, leaned):
     rng = np.random.default_rng(3)
     nodes = rng.choice(block_mesh.surface_nodes[block_mesh.nodes[block_mesh.surface_nodes, 2] > 8], 8, replace=False)

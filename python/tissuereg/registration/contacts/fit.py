@@ -397,8 +397,8 @@ class Passes:
         """
         markers = self.observed.markers
         if markers is None:
-            return np.zeros(0)
-        wrong = np.zeros(len(markers.markers))
+            return np.zeros(self.observed.n_markers)
+        wrong = np.zeros(self.observed.n_markers)
         found = samples[2].mean(axis=0)
         if self.observed.weighed:
             spread = self.settings.wrong_share * self.columns.body.mesh.extent

@@ -204,12 +204,13 @@ class ObservedData:
 
     `parts`: markers first; `weighed`: whether wrong markers get a small weight instead of an indicator that the sampler
     sets; many observations are then projected onto few; `rough`: whether these are the reduced data of first passes
-    (rounds of the fit).
+    (rounds of the fit); `n_markers`: number of the markers given, also where none was measured.
     """
 
     parts: tuple[DataPart, ...]
     weighed: bool
     rough: bool = False
+    n_markers: int = 0
 
     @classmethod
     def of(cls, *parts: DataPart | None) -> "ObservedData":
@@ -218,7 +219,8 @@ class ObservedData:
         They are weighed, and projected onto few, if there are more than `MATCHING.most_plain` of them.
         """
         kept = tuple(part for part in parts if part is not None and part.n_obs)
-        return cls(kept, sum(part.n_obs for part in kept) > MATCHING.most_plain)
+        n_markers = sum(len(part.markers) for part in parts if isinstance(part, MarkerData))
+        return cls(kept, sum(part.n_obs for part in kept) > MATCHING.most_plain, n_markers=n_markers)
 
     @property
     def markers(self) -> MarkerData | None:
@@ -252,7 +254,7 @@ class ObservedData:
         `width`: distance within which errors of matching points to the surface are correlated, as a share of the
         extent.
         """
-        return ObservedData(tuple(part.coarser(width) for part in self.parts), self.weighed, rough=True)
+        return replace(self, parts=tuple(part.coarser(width) for part in self.parts), rough=True)
 
 
 def tail_variance(squares: FloatArray | float, count: int) -> FloatArray:

@@ -5,7 +5,7 @@ zero, or equal up to their signs, are no measurement if the chance of it is belo
 of the marker; nor is a place that no body of this size can bring a marker to, while most markers say otherwise.
 """
 
-from math import e, exp, pi, sqrt
+from math import e, exp, hypot, pi, sqrt
 
 import numpy as np
 
@@ -23,10 +23,10 @@ def lost(markers: Markers, extent: float) -> dict[str, str]:
     found: dict[int, str] = {}
     moved = np.where(np.isfinite(markers.measured), markers.displacement, 0.0)
     rows = np.flatnonzero(markers.seen)
-    step = step_of(markers.measured[rows])
+    step = _step(markers)
     limit = exp(-COSTS.margin) / max(len(rows), 1)
     for row in rows:
-        place, size = markers.measured[row], float(np.linalg.norm(moved[row]))
+        place, size = markers.measured[row], hypot(*moved[row])
         if size <= CHECKS.at_rest * sqrt(3.0) * markers.std[row]:
             continue  # a plausible place: where the marker was
         # No Gaussian law of the motion has a larger density per axis at a motion of this size.
@@ -38,6 +38,13 @@ def lost(markers: Markers, extent: float) -> dict[str, str]:
     found |= {row: why for row, why in _away(markers, extent).items() if row not in found}
     found |= {row: why for row, why in _together(markers, extent).items() if row not in found}
     return {markers.names[row]: why for row, why in sorted(found.items())}
+
+
+def _step(markers: Markers) -> float:
+    """Return the step of the measured places, mm, by those whose numbers tell it, or else by the reference places."""
+    places, times = np.unique(markers.measured[markers.seen], axis=0, return_counts=True)
+    telling = places[(times == 1) & (np.ptp(np.abs(places), axis=1) > 0.0)]
+    return step_of(telling if len(telling) else markers.reference)
 
 
 def _away(markers: Markers, extent: float) -> dict[int, str]:
@@ -61,7 +68,7 @@ def _together(markers: Markers, extent: float) -> dict[int, str]:
     groups: dict[bytes, list[int]] = {}
     for row in rows:
         groups.setdefault((markers.measured[row] + 0.0).tobytes(), []).append(int(row))
-    chance = len(rows) ** 2 * (step_of(markers.measured[rows]) / (0.3 * extent)) ** 2
+    chance = len(rows) ** 2 * (_step(markers) / (0.3 * extent)) ** 2
     found: dict[int, str] = {}
     for group in groups.values():
         places = np.unique(markers.reference[group], axis=0)
