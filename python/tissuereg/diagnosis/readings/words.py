@@ -12,6 +12,9 @@ from tissuereg.registration.readings.settings import COSTS
 #: Odds are stated up to this power of ten.
 _MOST_DIGITS = 9
 
+#: Share of the prediction under another reading below which nothing is predicted as given.
+_NOTHING = 1e-6
+
 
 @dataclass(frozen=True)
 class RecordingSuspicion:
@@ -77,6 +80,8 @@ def _fact(what: str, before: Agreement, after: Agreement) -> str:
     if abs(before.off - after.off) < 0.05 * max(before.off, after.off):
         return ""
     told = f"{what} is then {after.off:.0%} off the believed model"
+    if before.predicted < _NOTHING * after.predicted:
+        return told  # as given, all places are about the origin
     if not -0.3 < before.ratio < 0.3 and not 0.3 < before.ratio < 3.0:
         return f"{told}, as given {before.ratio:.2g} times the believed one"
     scale = f", {before.ratio:.2g} times the believed one" if 0.0 < before.ratio < 0.3 else ""
