@@ -81,8 +81,8 @@ def proposals(moved: Sequence[str], pulled: Sequence[str], felt: Sequence[str]) 
     for group in lengths:
         yield from _in_units(group, COSTS.alone + (np.log(len(parts)) if group[0] in parts else 0.0))
     for group in [every, moving] if moving else [every]:
-        for one, other in product(_in_units(group, COSTS.alone), _in_units(pulling, COSTS.alone)):
-            yield _both(one, other)
+        for length, force in product(_in_units(group, COSTS.alone), _in_units(pulling, COSTS.alone)):
+            yield _both(length, force)
     together = [[markers, *channels], [reference, markers, *channels]]
     if len(channels) > 1:
         together.append(channels)
