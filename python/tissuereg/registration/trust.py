@@ -27,7 +27,7 @@ LEVEL = 0.01
 NOISE_FACTORS = (3.0, 10.0)
 
 #: Bound on the chance that markers with the stated noise speak so much for larger noise. A bound after Markov is far
-#: from reached: of 145 good events with up to 15 markers one exceeds it.
+#: from reached: of 208 good events with up to 15 markers one exceeds it.
 NOISE_LEVEL = 0.05
 
 #: The sentence on such noise.
