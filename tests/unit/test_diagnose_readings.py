@@ -66,6 +66,29 @@ def test_another_unit_frame_or_sign_is_named_with_what_to_write(right, turn, cha
     assert found.log_odds > np.log(1000.0)
 
 
+@pytest.mark.parametrize(
+    ("lengths", "files"),
+    [
+        (["displacements"], ("actuators.csv", "forces.csv")),
+        (["displacements", "markers"], ("[markers.reference]", "markers.csv", "actuators.csv", "forces.csv")),
+    ],
+)
+def test_metres_together_with_newtons_are_named(right, lengths, files):
+    wrong = turned(turned(right, 1e-3, *lengths), 1e-3, "forces")
+    if "markers" in lengths:
+        wrong = replace(wrong, marker_reference=1e-3 * wrong.marker_reference)
+    (found,) = suspected(wrong)
+    assert (found.kind, found.files) == ("unit", files)
+    assert "actuators.csv read in m (times 1000), forces.csv read in N (times 1000)" in found.sentence
+
+
+def test_all_lengths_in_another_unit_are_named(right):
+    wrong = turned(right, 0.1, "displacements", "markers")
+    (found,) = suspected(replace(wrong, marker_reference=0.1 * wrong.marker_reference))
+    assert (found.kind, found.files) == ("unit", ("[markers.reference]", "markers.csv", "actuators.csv"))
+    assert "e+" not in found.sentence  # no ratio to a prediction of nothing
+
+
 def test_one_pad_with_a_wrong_sign_is_named_alone(right):
     case = right.cases["down"]
     wrong = replace(case, forces={"top": -case.forces["top"]})

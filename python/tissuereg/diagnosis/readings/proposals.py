@@ -75,12 +75,14 @@ def proposals(moved: Sequence[str], pulled: Sequence[str], felt: Sequence[str]) 
         for pad in channel.pads
     ]
     groups = [[markers], [reference, markers], [reference], *([channel] for channel in (*channels, *parts))]
-    for group in groups:
-        own = COSTS.alone + (np.log(len(parts)) if group[0] in parts else 0.0)
-        for factor, name in group[0].units.items():
-            text = f"read in {name} (times {factor:g})"
-            write = f"multiply the columns {group[0].columns} by {factor:g}"
-            yield _reading("unit", COSTS.unit + own, text, write, group, factor * _ONE)
+    moving, pulling = ([one for one in channels if one.units is units] for units in (LENGTHS, FORCES))
+    every = [reference, markers, *moving]
+    lengths = [*groups, *([every, [markers, *moving]] if moving else [])]
+    for group in lengths:
+        yield from _in_units(group, COSTS.alone + (np.log(len(parts)) if group[0] in parts else 0.0))
+    for group in [every, moving] if moving else [every]:
+        for length, force in product(_in_units(group, COSTS.alone), _in_units(pulling, COSTS.alone)):
+            yield _both(length, force)
     together = [[markers, *channels], [reference, markers, *channels]]
     if len(channels) > 1:
         together.append(channels)
@@ -96,6 +98,29 @@ def proposals(moved: Sequence[str], pulled: Sequence[str], felt: Sequence[str]) 
             cost = (COSTS.axes if exchanged else COSTS.flip) + own
             write = f"write the columns {group[0].columns.split(',')[0]}, ... as {title}"
             yield _reading(kind, cost, f"read as {title}", write, group, turn)
+
+
+def _in_units(group: Sequence[Channel], cost: float) -> Iterator[RecordingReading]:
+    """Yield the readings of channels in each other unit; none without a channel. `cost`: beside that of a unit."""
+    for factor, name in group[0].units.items() if group else ():
+        text = f"read in {name} (times {factor:g})"
+        write = f"multiply the columns {group[0].columns} by {factor:g}"
+        yield _reading("unit", COSTS.unit + cost, text, write, group, factor * _ONE)
+
+
+def _both(one: RecordingReading, other: RecordingReading) -> RecordingReading:
+    """Return the reading that makes the changes of two, of different channels."""
+    return RecordingReading(
+        one.kind,
+        one.cost + other.cost,
+        f"{one.words}, {other.words}",
+        f"{one.write}, {other.write}",
+        (*one.files, *other.files),
+        one.places,
+        one.markers,
+        {**one.commands, **other.commands},
+        {**one.forces, **other.forces},
+    )
 
 
 def _reading(

@@ -33,6 +33,8 @@ class RecordingSettings:
     loud, quiet : float
         A pad is silent where the believed model predicts `loud` times the noise (rms) and no more than `quiet` times is
         measured.
+    nothing : float
+        Share of the prediction under another reading below which nothing is predicted as given.
     most_digits : int
         Odds are stated up to this power of ten.
     """
@@ -51,6 +53,7 @@ class RecordingSettings:
     explained: float = 0.5
     loud: float = 10.0
     quiet: float = 2.0
+    nothing: float = 1e-6
     most_digits: int = 9
 
 

@@ -79,6 +79,8 @@ def _fact(what: str, before: Agreement, after: Agreement) -> str:
     if abs(before.off - after.off) < 0.05 * max(before.off, after.off):
         return ""
     told = f"{what} is then {after.off:.0%} off the believed model"
+    if before.predicted < RECORDINGS.nothing * after.predicted:
+        return told  # as given, all places are about the origin
     if not -0.3 < before.ratio < 0.3 and not 0.3 < before.ratio < 3.0:
         return f"{told}, as given {before.ratio:.2g} times the believed one"
     scale = f", {before.ratio:.2g} times the believed one" if 0.0 < before.ratio < 0.3 else ""
