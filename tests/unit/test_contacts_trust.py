@@ -79,13 +79,6 @@ def test_noise_that_is_stated_ten_times_too_small_is_named() -> None:
     assert registered(tr.Markers(markers.reference, rough, 0.3)).trust.ok
 
 
-def test_ten_markers_are_enough_to_name_such_noise() -> None:
-    markers = push().markers().only(np.linspace(0, 15, 10).astype(int))
-    rough = markers.measured + 0.3 * np.random.default_rng(1).standard_normal((10, 3))
-    found = registered(tr.Markers(markers.reference, rough, 0.03))
-    assert any(reason.startswith("noise: ") for reason in found.trust.reasons)
-
-
 def test_a_push_that_the_prior_of_contacts_cannot_make_takes_trust_though_markers_are_met() -> None:
     believed = tr.RegisterSettings().contacts
     narrow = replace(believed, sizes=believed.sizes[:1], background=(1e-6, 0.1), weight=(1e-6, 0.1), wrong_odds=1e-30)

@@ -26,10 +26,6 @@ LEVEL = 0.01
 #: How many times larger than stated the noise may be, in standard deviations, to be told from the stated one.
 NOISE_FACTORS = (3.0, 10.0)
 
-#: Bound on the chance that markers with the stated noise speak so much for larger noise. A bound after Markov is far
-#: from reached: of 208 good events with up to 15 markers one exceeds it.
-NOISE_LEVEL = 0.05
-
 #: The sentence on such noise.
 NOISY = "noise: the markers scatter as if their noise was several times larger than stated"
 

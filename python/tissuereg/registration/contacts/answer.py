@@ -19,7 +19,7 @@ from tissuereg.registration.contacts.surface_fit import SurfaceFit
 from tissuereg.registration.contacts.surface_points import PointData
 from tissuereg.registration.inputs import RegisterInput, rms_length
 from tissuereg.registration.result import NO_MARKER, MarkerFit, Target
-from tissuereg.registration.trust import LEVEL, NOISE_LEVEL, NOISY, Trust, judge, lone_motion
+from tissuereg.registration.trust import LEVEL, NOISY, Trust, judge, lone_motion
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,7 +211,7 @@ class Answer:
         tracker = (markers.axis_std**2)[marker, axis][kept]
         evidence = self.given.settings.contacts.evidence
         odds = log_noise_odds(self.fit, problem.only(kept), tracker, evidence) if kept.any() else 0.0
-        return [NOISY] if odds > -np.log(NOISE_LEVEL) else []
+        return [NOISY] if odds > -np.log(LEVEL) else []
 
     def _trust(self, unseen: list[Target], min_det_f: float) -> Trust:
         used = self.known.used
