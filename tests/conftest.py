@@ -29,3 +29,16 @@ def shared_data() -> Path:
     if not folder.is_dir():
         pytest.skip("the folder `shared` next to the repository is absent: measured data and references")
     return folder
+
+
+@pytest.fixture
+def no_home(monkeypatch) -> None:
+    """Neither a home nor a folder for what is kept."""
+    for name in ("TISSUEREG_CACHE", "XDG_CACHE_HOME"):
+        monkeypatch.delenv(name, raising=False)
+
+    def home() -> Path:
+        message = "could not determine home directory"
+        raise RuntimeError(message)
+
+    monkeypatch.setattr("pathlib.Path.home", home)

@@ -39,14 +39,6 @@ def test_a_cache_that_is_no_folder_is_named(folder, capsys):
     assert "Traceback" not in err
 
 
-def test_a_user_without_home_is_told_what_to_set(monkeypatch, capsys):
-    for name in ("TISSUEREG_CACHE", "XDG_CACHE_HOME"):
-        monkeypatch.delenv(name, raising=False)
-
-    def no_home():
-        message = "could not determine home directory"
-        raise RuntimeError(message)
-
-    monkeypatch.setattr("pathlib.Path.home", no_home)
+def test_a_user_without_home_is_told_what_to_set(no_home, capsys):
     code, said, _ = run_json(capsys, "cache")
     assert (code, said["where"]) == (2, "TISSUEREG_CACHE")

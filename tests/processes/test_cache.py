@@ -56,15 +56,7 @@ def test_the_oldest_entries_of_a_kind_go(folder):
     assert sorted(file.stem for file in folder.iterdir()) == ["bank_3", "bank_4", "bank_9", "fine_0"]
 
 
-def test_a_user_without_home_and_cache_is_warned(monkeypatch):
-    for name in ("TISSUEREG_CACHE", "XDG_CACHE_HOME"):
-        monkeypatch.delenv(name, raising=False)
-
-    def no_home():
-        message = "could not determine home directory"
-        raise RuntimeError(message)
-
-    monkeypatch.setattr("pathlib.Path.home", no_home)
+def test_a_user_without_home_and_cache_is_warned(no_home, monkeypatch):
     monkeypatch.setattr(cache, "_WARNED", set())
     assert read_entry("bank_one") is None
     with pytest.warns(UserWarning, match="nothing is kept for the next run, the user has no home"):

@@ -247,6 +247,7 @@ def test_a_document_type_is_refused(tmp_path):
 
 def test_an_lz4_block_is_unpacked_or_refused():
     assert unpacked_lz4(b"\x13a\x01\x00\x50bcdef", 13) == b"a" * 8 + b"bcdef"
+    assert unpacked_lz4(b"\x1fa\x01\x00\xff\xff\x0a\x10b", 541) == b"a" * 540 + b"b"
     for spoilt in (b"\x13a\x02\x00\x50bcdef", b"\x13a\x00\x00\x50bcdef", b"\x13a", b"\xff\xff", b""):
         with pytest.raises(FormatError, match="LZ4 block must hold 13 bytes"):
             unpacked_lz4(spoilt, 13)

@@ -22,6 +22,7 @@ SENTINELS = {
     "negative zeros": (-0.0, 0.0, -0.0),
     "minus 9999.99": (-9999.99,) * 3,
     "the same in the other frame": (9999.99, 9999.99, -9999.99),
+    "the same near the body": (99.0, -99.0, 99.0),
     "a bad float": (-3.697314e28,) * 3,
     "minus one": (-1.0,) * 3,
     "one coordinate of them": (12.0, 8.0, -3.697314e28),
@@ -63,6 +64,12 @@ def test_one_place_for_several_markers_is_none_of_theirs(leaning):
     places[[2, 4, 7]] = 12.345, 6.789, 3.21
     assert set(lost(tr.Markers(PLACES, places, STD), MESH.extent)) == {"M3", "M5", "M8"}
     places[7] = PLACES[7]  # two are a marker that is listed twice, which is said elsewhere
+    assert lost(tr.Markers(PLACES, places, STD), MESH.extent) == {}
+
+
+def test_a_marker_that_is_found_beside_the_body_was_measured(leaning):
+    places = measured(leaning, 4)
+    places[0] += 60.0, 0.0, 0.0
     assert lost(tr.Markers(PLACES, places, STD), MESH.extent) == {}
 
 

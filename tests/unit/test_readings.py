@@ -9,6 +9,7 @@ from misuse.events import BODIES, good, misusable
 from misuse.misuses import MISUSES
 from tissuereg.body.observe import MarkerObservation
 from tissuereg.registration.readings import suspect
+from tissuereg.registration.readings.clouds import scattered
 from tissuereg.registration.readings.frames import _signed_permutations
 from tissuereg.registration.readings.skin import Skin
 
@@ -128,6 +129,12 @@ def test_beads_inside_the_body_are_markers_too(event):
     middle = event.nodes.mean(axis=0)
     inner = middle + 0.8 * (event.reference - middle)
     assert asked(event.but(reference=inner, measured=inner + (event.measured - event.reference))) == []
+
+
+def test_markers_of_any_depth_are_inner_ones_and_of_any_height_none_of_this_body():
+    depth = np.concatenate([np.full(40, 1.1), np.linspace(10.0, 30.0, 6)])
+    assert scattered(-depth, 100.0) == []
+    assert [s.kind for s in scattered(depth, 100.0)] == ["places"]
 
 
 def test_an_observation_gives_the_same_answer(event):

@@ -147,3 +147,8 @@ def test_an_unlikely_extent_is_told_with_the_unit_that_would_be_likely(tmp_path,
 def test_an_extent_that_no_body_has_is_refused(tmp_path, scale, words):
     with pytest.raises(UnitError, match=words):
         tr.read_mesh(write(tmp_path / "b.vtu", scale * MESH.nodes, MESH.tets))
+
+
+def test_nodes_a_hundredth_of_a_mm_apart_are_not_at_one_place(tmp_path):
+    with pytest.warns(UserWarning, match="2 parts that share no node"):
+        assert tr.read_mesh(write(tmp_path / "b.vtu", *apart(shift=0.01))).n_nodes > MESH.n_nodes

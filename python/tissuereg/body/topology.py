@@ -21,6 +21,9 @@ COINCIDENT = ("certain", "join", "keep")
 _SAME_PLACE = 1e-6
 _SHARE_OF_EDGE = 0.01
 
+#: Parts whose sizes a message names.
+_MOST_NAMED = 5
+
 
 def sound_mesh(
     nodes: Any,
@@ -32,7 +35,7 @@ def sound_mesh(
     pieces: IntArray | None = None,
     place: str = "the mesh",
 ) -> tuple[Mesh, IntArray]:
-    """Return the mesh of given tets, with its topology put right where that is certain, and said by a warning.
+    """Return the mesh of given tets, with its topology corrected where that is certain, and said by a warning.
 
     Tets that are all left-handed are turned. Nodes at one place that are not shared are joined where whole faces
     coincide node by node, or where pieces of one file meet.
@@ -198,7 +201,3 @@ def _tell_of_parts(mesh: Mesh, place: str) -> None:
             f"{place}: the body has {n_parts} parts that share no node, of {sizes}{more} tetrahedra: each moves alone"
         )
         warn(text)
-
-
-#: Parts whose sizes a message names.
-_MOST_NAMED = 5

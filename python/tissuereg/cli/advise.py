@@ -11,6 +11,7 @@ from tissuereg.cli.options import Help, Parser, add_option, refuse, refuse_overw
 if TYPE_CHECKING:
     from tissuereg._base.arrays import FloatArray
     from tissuereg.body.mesh import Mesh
+    from tissuereg.io.datasets import Dataset
     from tissuereg.registration.advise import MarkerAdvice
 
 HELP = Help(
@@ -61,6 +62,7 @@ def options(parser: Parser) -> None:
 def run(args: argparse.Namespace) -> Outcome:
     """Run ``tissuereg advise``: choose marker places and write them; JSON schema ``tissuereg.advise/1``."""
     from tissuereg.io.atomic import check_folder_target
+    from tissuereg.io.datasets import open_dataset
     from tissuereg.io.tables import read_surface, read_targets
     from tissuereg.registration.advise import advise_markers
 
@@ -71,11 +73,12 @@ def run(args: argparse.Namespace) -> Outcome:
     )
     check_folder_target(out)
     clock = Stopwatch()
-    mesh = _mesh(args)
+    data = None if args.data is None else open_dataset(args.data)
+    mesh = _mesh(args) if data is None else data.mesh
     targets = read_targets(args.targets, frame=mesh.frame)
     tables = (args.candidates, args.placed)
     candidates, placed = (None if f is None else read_surface(f, frame=mesh.frame) for f in tables)
-    fields = _what_may_happen(args, mesh)
+    fields = _what_may_happen(args, mesh) if data is None else _of_data(args, data)
     clock.lap("fields")
     advice = advise_markers(
         mesh,
@@ -119,19 +122,14 @@ def _check(args: argparse.Namespace) -> None:
 
 
 def _mesh(args: argparse.Namespace) -> "Mesh":
-    from tissuereg.io.datasets import open_dataset
     from tissuereg.io.meshes import read_mesh
     from tissuereg.phantom import phantom_mesh
 
-    if args.data is not None:
-        return open_dataset(args.data).mesh
     return phantom_mesh() if args.path is None else read_mesh(args.path, fixed=args.fixed)
 
 
 def _what_may_happen(args: argparse.Namespace, mesh: "Mesh") -> "FloatArray":
-    """Return displacement fields (members, n_nodes, 3), mm, of a data set, of a model or of random pushes."""
-    if args.data is not None:
-        return _of_data(args)
+    """Return displacement fields (members, n_nodes, 3), mm, of a model or of random pushes."""
     return _of_model(args, mesh) if args.model is not None else _of_pushes(args, mesh)
 
 
@@ -147,12 +145,9 @@ def _of_pushes(args: argparse.Namespace, mesh: "Mesh") -> "FloatArray":
     return random_changes(mesh, Material(), **how)
 
 
-def _of_data(args: argparse.Namespace) -> "FloatArray":
+def _of_data(args: argparse.Namespace, data: "Dataset") -> "FloatArray":
     import numpy as np
 
-    from tissuereg.io.datasets import open_dataset
-
-    data = open_dataset(args.data)
     members = data.split["train"]
     rng = np.random.default_rng(args.seed or 0)
     drawn = np.sort(rng.choice(members, min(args.members, len(members)), replace=False))

@@ -14,28 +14,15 @@ def unpacked_lz4(block: bytes, size: int) -> bytes:
         while at < end:
             token = block[at]
             at += 1
-            literals = token >> 4
-            if literals == 15:
-                while True:
-                    more = block[at]
-                    at += 1
-                    literals += more
-                    if more < 255:
-                        break
+            literals, at = _length(block, at, token >> 4)
             out += block[at : at + literals]
             at += literals
             if at >= end:
                 break
             back = block[at] | block[at + 1] << 8
             at += 2
-            length = (token & 15) + 4
-            if length == 19:
-                while True:
-                    more = block[at]
-                    at += 1
-                    length += more
-                    if more < 255:
-                        break
+            length, at = _length(block, at, token & 15)
+            length += 4
             start = len(out) - back
             if back == 0 or start < 0 or len(out) + length > size:
                 break
@@ -50,3 +37,13 @@ def unpacked_lz4(block: bytes, size: int) -> bytes:
         message = f"an LZ4 block must hold {size} bytes; it is spoilt after {len(out)}"
         raise FormatError(message)
     return bytes(out)
+
+
+def _length(block: bytes, at: int, short: int) -> tuple[int, int]:
+    """Return a length that begins with four bits, `short`, and goes on in bytes from `at`; and where these end."""
+    more = 255 if short == 15 else 0
+    while more == 255:
+        more = block[at]
+        at += 1
+        short += more
+    return short, at

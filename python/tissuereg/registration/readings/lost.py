@@ -23,17 +23,17 @@ def lost(markers: Markers, extent: float) -> dict[str, str]:
     found: dict[int, str] = {}
     moved = np.where(np.isfinite(markers.measured), markers.displacement, 0.0)
     rows = np.flatnonzero(markers.seen)
-    step = _step(markers)
     limit = exp(-COSTS.margin) / max(len(rows), 1)
-    for row in rows:
+    for row in rows[np.ptp(np.abs(markers.measured[rows]), axis=1) == 0.0]:
         place, size = markers.measured[row], hypot(*moved[row])
         if size <= CHECKS.at_rest * sqrt(3.0) * markers.std[row]:
             continue  # a plausible place: where the marker was
         # No Gaussian law of the motion has a larger density per axis at a motion of this size.
         density = exp(-0.5) / (sqrt(2.0 * pi) * size / sqrt(3.0))
+        step = _step(markers)
         if not place.any() and (density * step) ** 3 < limit:
             found[int(row)] = "lost: measured at exactly 0, 0, 0"
-        elif len(np.unique(np.abs(place))) == 1 and 4.0 * (density * step) ** 2 < limit:
+        elif 4.0 * (density * step) ** 2 < limit:
             found[int(row)] = f"lost: the same number along every axis, {abs(place[0]):g}"
     found |= {row: why for row, why in _away(markers, extent).items() if row not in found}
     found |= {row: why for row, why in _together(markers, extent).items() if row not in found}
@@ -68,11 +68,12 @@ def _together(markers: Markers, extent: float) -> dict[int, str]:
     groups: dict[bytes, list[int]] = {}
     for row in rows:
         groups.setdefault((markers.measured[row] + 0.0).tobytes(), []).append(int(row))
-    chance = len(rows) ** 2 * (_step(markers) / (0.3 * extent)) ** 2
+    large = [group for group in groups.values() if len(group) >= CHECKS.fewest_together]
+    if not large or len(rows) ** 2 * (_step(markers) / (0.3 * extent)) ** 2 >= exp(-COSTS.margin):
+        return {}
     found: dict[int, str] = {}
-    for group in groups.values():
-        places = np.unique(markers.reference[group], axis=0)
-        if len(places) >= CHECKS.fewest_together and chance < exp(-COSTS.margin):
+    for group in large:
+        if len(np.unique(markers.reference[group], axis=0)) >= CHECKS.fewest_together:
             found |= dict.fromkeys(group, f"lost: one place for {len(group)} markers, to the last digit")
     return found
 
