@@ -13,6 +13,7 @@ import numpy as np
 from tissuereg._base.arrays import FloatArray
 from tissuereg.io.fields import open_npz
 from tissuereg.registration.learned.card import read_card
+from tissuereg.registration.learned.digits import table_in
 from tissuereg.registration.learned.model import Gaussian, LatentModel, rms_displacement
 from tissuereg.registration.learned.network import NetworkModel
 
@@ -96,7 +97,7 @@ def errors_of(model: LatentModel, *, simulated: bool) -> FloatArray:
     """
     if simulated and isinstance(model, NetworkModel):
         with open_npz(model.folder / "decoder_weights.npz") as weights:
-            changes = weights.floats("change_error_fields_mm", None, model.n_nodes, 3)
+            changes = table_in(weights, "change_error_fields_mm", None, model.n_nodes, 3)
         if len(changes):
             return changes
     return model.errors()

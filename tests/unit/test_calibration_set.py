@@ -108,13 +108,29 @@ def test_markers_of_another_event_than_the_simulated_one_show_it(gaussian):
     for name, latents in (("own", [3.1, 0, 0, 0]), ("another", [-1.0, 1.5, 0, 0])):
         observed = linear.at[:12] + linear.slopes[:12] @ np.array(latents) + 0.2 * rng.standard_normal(12)
         prior = [about, other]
-        screening = Screening.of(decoder(linear), prior, observed, noise, np.zeros(4), np.ones(4))
+        screening = Screening.of(decoder(linear), prior, observed, noise, np.zeros(4), np.ones(4), simulated=True)
         found[name] = statistics_of(Nowhere(), prior, screening, observed, noise, 1).row
     simulation = STATISTICS.index("simulation")
     assert found["own"][simulation] == 0.0
     assert found["another"][simulation] > 10.0
     honest = CalibrationSet.none().beside(drawn(200, np.random.default_rng(5)) * [1, 1, 1, 0, 1])
     assert honest.p_value(found["another"]) < 0.01
+
+
+def test_about_a_simulation_one_linearisation_is_left_out_and_markers_are_compared_at_once(gaussian):
+    one, linear, noise, rng = gaussian
+    observed, calls = rng.standard_normal(12), []
+
+    def decode(latents):
+        calls.append(latents.shape[1])
+        return decoder(linear)(latents)
+
+    for simulated, rounds in ((False, 3), (True, 2)):
+        calls.clear()
+        found = Screening.of(decode, [one], observed, noise, np.zeros(4), np.ones(4), simulated=simulated)
+        assert len(calls) == rounds
+        assert found.first.misfits.shape[1] == (4 if simulated else 0)
+        assert found.under([one], observed, noise).first.misfits.shape == found.first.misfits.shape
 
 
 def test_noise_that_is_larger_than_stated_shows_and_smaller_noise_does_not(gaussian):

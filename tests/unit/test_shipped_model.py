@@ -15,8 +15,8 @@ from tissuereg.simulation.solve import simulate
 #: Kind, decoder, largest folder in MB, and largest motion of held nodes in mm, of each. What is held has zeros in all
 #: data: components keep them, a graph network learns them.
 WANTED = {
-    "phantom": ("closure", ClosureDecoder, 20.0, 1e-5),
-    "phantom-graph": ("graph-closure", GraphDecoder, 6.0, 1e-3),
+    "phantom": ("closure", ClosureDecoder, 13.0, 1e-5),
+    "phantom-graph": ("graph-closure", GraphDecoder, 5.0, 1e-3),
 }
 
 

@@ -18,6 +18,7 @@ from typing import Any, ClassVar
 import torch
 from torch import nn
 
+from tissuereg_training.digits import COMPONENTS_MM, WEIGHT_STEP, rounded, rounded_rows
 from tissuereg_training.network import Network
 from tissuereg_training.pca import Moments
 
@@ -85,7 +86,7 @@ class Closure(Network):
         about : Moments
             Mean field and scale.
         components : Tensor of float, shape (n_components, n_nodes, 3)
-            Orthonormal principal components. Kept in half precision, as they are stored.
+            Orthonormal principal components. Kept rounded, as they are stored (`digits`).
         std : Tensor of float, shape (n_components,)
             Standard deviation of the fields' coefficients, mm.
         """
@@ -94,7 +95,8 @@ class Closure(Network):
         # Coefficients in this unit have mean square one over all components, as normalised fields over all nodes.
         unit = about.scale * (3 * self.n_nodes / self.n_components) ** 0.5
         self.coefficient_scale_mm.fill_(unit)
-        self.components_mm.copy_((unit * components).half())
+        share = COMPONENTS_MM * (4.0 / self.n_components) ** 0.5  # of each coordinate; a step's variance is a twelfth
+        self.components_mm.copy_(rounded(unit * components, share * unit / std.clamp_min(1e-30)))
         spread = (std[: self.n_latent] / unit).float()
         self.encoder_skip.weight.zero_()
         self.decoder_skip.weight.zero_()
@@ -139,9 +141,9 @@ class Closure(Network):
 
     @torch.no_grad()
     def finish(self) -> None:
-        """Round the weights to half precision, as they are stored."""
+        """Round the weights, as they are stored."""
         for parameter in self.parameters():
-            parameter.copy_(parameter.half())
+            parameter.copy_(rounded_rows(parameter, WEIGHT_STEP) if parameter.ndim > 1 else parameter.half())
 
 
 def perceptron(widths: Sequence[int], activation: str, *, ends_linear: bool) -> nn.Sequential:

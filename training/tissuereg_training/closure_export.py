@@ -1,4 +1,4 @@
-"""The closure as two ONNX files and a table of weights; half precision in the files, single when it runs."""
+"""The closure as two ONNX files and a table of weights: digits or half precision in the files, single when it runs."""
 
 from typing import Any
 
@@ -9,6 +9,7 @@ from onnx import TensorProto, helper
 from torch import nn
 
 from tissuereg_training.closure import Closure
+from tissuereg_training.digits import stored
 from tissuereg_training.network import Network
 from tissuereg_training.onnx_graph import GraphBuilder
 
@@ -31,7 +32,7 @@ def encoder_onnx(model: Closure, facts: dict[str, Any]) -> onnx.ModelProto:
     graph = GraphBuilder("encoder")
     x = graph.node("Sub", ["displacement", graph.table("mean_mm", to_numpy(model.mean_mm))], "normalise/subtract_mean")
     x = graph.reshape(x, "normalise/flatten", 0, 3 * model.n_nodes)
-    components = graph.halved("components_mm", to_numpy(model.components_mm).reshape(model.n_components, -1))
+    components = graph.compact("components_mm", to_numpy(model.components_mm).reshape(model.n_components, -1))
     share = 1.0 / float(model.coefficient_scale_mm) ** 2
     x = given = graph.node("Gemm", [x, components], "normalise/coefficients", transB=1, alpha=share)
     for k, layer in enumerate(model.encoder_layers()):
@@ -74,7 +75,7 @@ def decoded_at(graph: GraphBuilder, model: Closure, nodes: str) -> str:
         if k < len(layers) - 1:
             x = activated(graph, x, f"layer{k}", model.activation)
     x = _with_skip(graph, "coefficients", model.decoder_skip, "z", x)
-    whole = graph.halved("components_mm", to_numpy(model.components_mm))
+    whole = graph.compact("components_mm", to_numpy(model.components_mm))
     columns = graph.node("Gather", [whole, nodes], "in_mm/components_at_nodes", axis=1)
     columns = graph.reshape(columns, "in_mm/components_by_number", model.n_components, -1)
     x = graph.node("Gemm", [x, columns], "in_mm/combine_components")
@@ -104,29 +105,29 @@ def decoder_weights(model: Closure) -> dict[str, npt.NDArray[Any]]:
     -------
     dict of str to ndarray
         ``mean_mm`` (n, 3) float32; ``components_mm`` (K, n, 3), ``skip/weight`` (K, q), ``layer{k}/weight``
-        (out, in) and ``layer{k}/bias`` (out,), float16; ``activation``, a text. Displacement = mean + sum over K of y
+        (out, in) and ``layer{k}/bias`` (out,), each in digits or float16 (`digits.stored`); ``activation``, a text.
+        Displacement = mean + sum over K of y
         times ``components_mm``; y = skip z + the last layer's output, after which there is no activation.
     """
     tables: dict[str, npt.NDArray[Any]] = {
         "mean_mm": to_numpy(model.mean_mm),
-        "components_mm": to_numpy(model.components_mm).astype(np.float16),
         "activation": np.array(model.activation),
-        "skip/weight": to_numpy(model.decoder_skip.weight).astype(np.float16),
+        **stored("components_mm", to_numpy(model.components_mm)),
+        **stored("skip/weight", to_numpy(model.decoder_skip.weight)),
     }
     for k, layer in enumerate(model.decoder_layers()):
-        tables[f"layer{k}/weight"] = to_numpy(layer.weight).astype(np.float16)
-        tables[f"layer{k}/bias"] = to_numpy(layer.bias).astype(np.float16)
+        tables |= stored(f"layer{k}/weight", to_numpy(layer.weight)) | stored(f"layer{k}/bias", to_numpy(layer.bias))
     return tables
 
 
 def fully_connected(graph: GraphBuilder, name: str, layer: nn.Linear, x: str) -> str:
-    """Add a linear layer with a bias, in half precision."""
-    weight, bias = (graph.halved(f"{name}/{part}", to_numpy(getattr(layer, part))) for part in ("weight", "bias"))
+    """Add a linear layer with a bias."""
+    weight, bias = (graph.compact(f"{name}/{part}", to_numpy(getattr(layer, part))) for part in ("weight", "bias"))
     return graph.node("Gemm", [x, weight, bias], f"{name}/fully_connected", transB=1)
 
 
 def _with_skip(graph: GraphBuilder, name: str, skip: nn.Linear, given: str, x: str) -> str:
-    weight = graph.halved(f"{name}/skip", to_numpy(skip.weight))
+    weight = graph.compact(f"{name}/skip", to_numpy(skip.weight))
     return graph.node("Gemm", [given, weight, x], f"{name}/add_linear_part", transB=1)
 
 

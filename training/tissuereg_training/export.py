@@ -170,7 +170,7 @@ def mixed_conv(
     nodes : str, optional
         Compute these alone.
     half : bool
-        Store tables in half precision, for weights that are rounded so.
+        Store tables compactly, for weights that are rounded so.
 
     Returns
     -------
@@ -180,7 +180,7 @@ def mixed_conv(
     edges, coefficients = conv.edge_table()
     neighbours, slots = padded_neighbours(edges, conv.n_nodes)
     n, degree = neighbours.shape
-    stored = graph.halved if half else graph.table
+    stored = graph.compact if half else graph.table
     table = graph.scattered(name, slots, coefficients, (n, degree, conv.n_bases), half=half)
     table = graph.node("Transpose", [table], f"{name}/coefficients_by_basis", perm=[0, 2, 1])
     near = (

@@ -1,4 +1,4 @@
-"""The decoder of a closure with a graph network as an ONNX file and a table of weights, in half precision.
+"""The decoder of a closure with a graph network as an ONNX file and a table of weights.
 
 The encoder is the closure's own (`closure_export`).
 """
@@ -11,6 +11,7 @@ import onnx
 
 from tissuereg_training import closure_export
 from tissuereg_training.closure_export import activated, built_decoder, fully_connected, to_numpy
+from tissuereg_training.digits import stored
 from tissuereg_training.export import conv_fact, conv_tables, mixed_conv
 from tissuereg_training.graph_closure import GraphClosure
 from tissuereg_training.onnx_graph import GraphBuilder, narrowest
@@ -45,17 +46,16 @@ def decoder_weights(model: GraphClosure) -> dict[str, npt.NDArray[Any]]:
     -------
     dict of str to ndarray
         Those of the closure (`closure_export.decoder_weights`) and of the graph network (`export.decoder_weights`), in
-        half precision; displacement = closure's + scale * graph network's output, `activation` is that of both.
+        digits or half precision; displacement = closure's + scale * graph network's output; both have the one
+        `activation`.
     """
     tables = closure_export.decoder_weights(model)
-    tables |= {
-        "levels": np.array(model.levels.sizes[::-1], np.int64),
-        "fully_connected.weight": to_numpy(model.fully_connected.weight),
-        "fully_connected.bias": to_numpy(model.fully_connected.bias),
-    }
+    tables["levels"] = np.array(model.levels.sizes[::-1], np.int64)
+    tables["scale_mm"] = to_numpy(model.scale_mm)
+    tables |= stored("fully_connected.weight", to_numpy(model.fully_connected.weight))
+    tables |= stored("fully_connected.bias", to_numpy(model.fully_connected.bias))
     for k, conv in enumerate(model.graph_layers(), start=1):
         edges, coefficients = conv.edge_table()
-        tables |= conv_tables(k, conv, narrowest(edges), coefficients)
-    exact = ("mean_mm", "scale_mm")
-    halved = {k: v.astype(np.float16) if v.dtype == np.float32 and k not in exact else v for k, v in tables.items()}
-    return {**halved, "scale_mm": to_numpy(model.scale_mm)}
+        for name, table in conv_tables(k, conv, narrowest(edges), coefficients).items():
+            tables |= stored(name, table) if table.dtype == np.float32 else {name: table}
+    return tables

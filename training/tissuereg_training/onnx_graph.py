@@ -8,6 +8,8 @@ import numpy.typing as npt
 import onnx
 from onnx import TensorProto, helper, numpy_helper
 
+from tissuereg_training.digits import split
+
 #: Understood by onnxruntime 1.18 and later.
 OPSET = 17
 IR_VERSION = 8
@@ -74,10 +76,18 @@ class GraphBuilder:
             self._tables[full] = numpy_helper.from_array(np.ascontiguousarray(array), full)
         return full
 
-    def halved(self, name: str, array: npt.NDArray[Any]) -> str:
-        """Add a constant that is stored in half precision and widened to single when the network is loaded."""
-        stored = self.table(f"{name}/half", array.astype(np.float16))
-        return self.node("Cast", [stored], name, to=TensorProto.FLOAT)
+    def compact(self, name: str, array: npt.NDArray[Any]) -> str:
+        """Add a constant that is stored in digits or half precision (`digits.split`) and widened when it is loaded."""
+        parts = split(array)
+        if parts is None:
+            stored = self.table(f"{name}/half", array.astype(np.float16))
+            return self.node("Cast", [stored], name, to=TensorProto.FLOAT)
+        digits, exponents = parts
+        places = np.ldexp(1.0, exponents.astype(int) + 8 * np.arange(len(digits))[:, None])
+        places = places.reshape(*places.shape, *(1,) * (array.ndim - 1))
+        x = self.node("Cast", [self.table(f"{name}/digits", digits)], f"{name}/single", to=TensorProto.FLOAT)
+        x = self.node("Mul", [x, self.table(f"{name}/places", places)], f"{name}/by_place")
+        return self.node("ReduceSum", [x, self.table("first_axis", np.array([0]))], name, keepdims=0)
 
     def indices(self, name: str, array: npt.NDArray[Any]) -> str:
         """Add whole numbers that are widened to 64 bits when the network is loaded."""
@@ -113,7 +123,7 @@ class GraphBuilder:
         shape : tuple of int
             Of the full table, (n_nodes, n_neighbours, ...).
         half : bool
-            Store coefficients in half precision, and edges in as few bits as they need.
+            Store coefficients compactly, and edges in as few bits as they need.
 
         Returns
         -------
@@ -122,7 +132,7 @@ class GraphBuilder:
         """
         index = self.indices(f"{name}/edges", narrowest(edges) if half else edges.astype(np.int32))
         zeros = self.node("ConstantOfShape", [self.shape(*shape)], f"{name}/zeros")
-        coefficients = (self.halved if half else self.table)(f"{name}/coefficients", values)
+        coefficients = (self.compact if half else self.table)(f"{name}/coefficients", values)
         return self.node("ScatterND", [zeros, index, coefficients], f"{name}/scatter_edges")
 
     def build(

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 
 from tissuereg_training.checkpoint import Checkpoint
 from tissuereg_training.curves import training_curves
@@ -21,6 +22,7 @@ from tissuereg_training.data import (
     read_dataset_recipe,
     read_origin,
 )
+from tissuereg_training.digits import ERROR_STEP, rounded_rows, stored
 from tissuereg_training.errors import CheckpointError
 from tissuereg_training.evaluate import (
     change_error_fields,
@@ -255,11 +257,15 @@ def _error_fields(
     unseen = (dataset.truths if len(dataset.truths) else dataset.fields[split.test])[:n_most]
     simulated, true = dataset.simulations[:n_most], dataset.truths[:n_most]
     return {
-        "error_fields_mm": error_fields(model, unseen).astype(np.float16),
+        **_stored_errors("error_fields_mm", error_fields(model, unseen)),
         "error_sizes_mm": root_mean_square(unseen),
-        "change_error_fields_mm": change_error_fields(model, simulated, true).astype(np.float16),
+        **_stored_errors("change_error_fields_mm", change_error_fields(model, simulated, true)),
         "change_sizes_mm": root_mean_square(true - simulated),
     }
+
+
+def _stored_errors(name: str, errors: FieldArray) -> dict[str, np.ndarray[Any, np.dtype[Any]]]:
+    return stored(name, rounded_rows(torch.from_numpy(errors), ERROR_STEP).numpy())
 
 
 def _facts(card: dict[str, Any], model: Network) -> dict[str, Any]:

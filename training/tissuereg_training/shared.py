@@ -14,7 +14,7 @@ import onnx
 from onnx import TensorProto
 
 #: Smaller tables stay where they are, bytes.
-_LARGE = 100_000
+_LARGE = 50_000
 
 
 def write_shared(

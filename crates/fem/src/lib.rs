@@ -111,6 +111,7 @@ mod mesh;
 mod rest_shape;
 mod resultant;
 mod rigid;
+mod rotation;
 mod scalar;
 mod sensitivity;
 mod solve;
@@ -130,6 +131,7 @@ pub use memory::{Behaviour, Drainage, Part, Relaxation, Set, Softening, Softenin
 pub use mesh::{DEGENERATE_LIMIT, Mesh, tet_volumes};
 pub use rest_shape::{RestShape, rest_shape};
 pub use resultant::{Resultant, resultant};
+pub use rotation::closest_rotations;
 pub use scalar::{ScalarFactor, ScalarScratch, ScalarSystem};
 pub use sensitivity::{
     Adjoint, Cause, Compliance, Derivative, Linearised, Observation, TangentReport,

@@ -22,6 +22,7 @@ import numpy as np
 
 from tissuereg._base.arrays import BoolArray, FloatArray, IntArray, float_array
 from tissuereg._base.provenance import warn
+from tissuereg._core import closest_rotations
 from tissuereg.body.closest import ClosestTriangles, barycentric
 from tissuereg.body.markers import Markers
 from tissuereg.body.mesh import Mesh, per_mesh
@@ -476,58 +477,10 @@ def _padded(patches: list[IntArray], places: FloatArray) -> tuple[IntArray, Floa
 def _rotations(correlation: FloatArray) -> FloatArray:
     """Return the rotation matrices R (..., 3, 3) closest to matrices C (..., 3, 3), one for each patch of surface.
 
-    C is the sum over a patch's nodes of (moved lever arm) (lever arm at rest)', where ' is the transpose. With l the
-    sum of the singular values, the last with the sign of det C, and k = (l^2 - |C|^2) / 2, R = ((k + |C|^2) C + l
-    adj(C)' - C C' C) / (k l - det C), where |C| is the Frobenius norm and adj the adjugate: F. L. Markley, "Attitude
-    determination using vector observations: a fast optimal matrix algorithm", Journal of the Astronautical Sciences 41,
-    261-280, 1993. This is several times as fast as a singular value decomposition in numpy, which is used only where
-    two singular values nearly vanish.
+    C is the sum over a patch's nodes of (moved lever arm) (lever arm at rest)', where ' is the transpose.
     """
-    # Components first: every product below runs over whole rows.
-    c = np.ascontiguousarray(np.moveaxis(correlation, (-2, -1), (0, 1)))
-    squares = np.einsum("ij...,ij...->...", c, c)
-    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-        cofactors = np.stack([_cross(c[1], c[2]), _cross(c[2], c[0]), _cross(c[0], c[1])])
-        det = np.einsum("i...,i...->...", c[0], cofactors[0])
-        of_cofactors = np.einsum("ij...,ij...->...", cofactors, cofactors)
-        total = np.sqrt(3.0 * squares)
-        for _ in range(_MOST_NEWTON):
-            off = total * total - squares
-            step = (off * off - 8.0 * total * det - 4.0 * of_cofactors) / (4.0 * off * total - 8.0 * det)
-            total = total - step
-            if not (np.abs(step) > 1e-14 * total).any():
-                break
-        half = 0.5 * (total * total - squares)
-        below = half * total - det
-        cubic = np.einsum("ik...,kl...->il...", np.einsum("ij...,kj...->ik...", c, c), c)
-        turned = ((half + squares) * c + total * cofactors - cubic) / below
-        # Rounding grows with the inverse of this: below the limit singular values are closer.
-        poor: BoolArray = np.asarray(~(below > _LEAST_BELOW * squares * total))
-    found: FloatArray = np.moveaxis(turned, (0, 1), (-2, -1))
-    if poor.any():
-        found[poor] = _rotations_by_svd(correlation[poor])
-    return found
-
-
-#: Newton steps from above to the sum of the singular values; it converges quadratically, and six are usual.
-_MOST_NEWTON = 30
-
-#: Least share of the largest possible value that the denominator of the closed form may have.
-_LEAST_BELOW = 1e-4
-
-
-def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return the cross products (3, ...) of two arrays of vectors (3, ...), whose first axis is the coordinate."""
-    return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
-
-
-def _rotations_by_svd(correlation: FloatArray) -> FloatArray:
-    # A failed member is rejected later; here it must not spoil the others' factorisation.
-    bad: BoolArray = np.asarray(~np.isfinite(correlation).all(axis=(-1, -2)))
-    u, _, vt = np.linalg.svd(np.where(bad[..., None, None], np.eye(3), correlation))
-    proper = np.sign(np.linalg.det(u @ vt))
-    u[..., :, 2] *= proper[..., None]
-    return np.where(bad[..., None, None], np.nan, u @ vt)
+    flat = np.ascontiguousarray(correlation, np.float64).reshape(-1, 9)
+    return np.asarray(closest_rotations(flat).reshape(correlation.shape))
 
 
 def _check_distance(distance: FloatArray, names: tuple[str, ...], extent: float) -> None:

@@ -159,20 +159,18 @@ def _loaded(file: Path | str, handle: BinaryIO) -> "np.lib.npyio.NpzFile":
     return arrays
 
 
-def read_npy(path: str | os.PathLike[str], *shape: int | None) -> FloatArray:
-    """Return the finite numbers of an .npy file as float64.
+def read_npy(path: str | os.PathLike[str]) -> npt.NDArray[Any]:
+    """Return the array of an .npy file, unchecked, with the shape and dtype that it has there.
 
-    `path`: the file; `*shape`: wanted shape, in which None stands for any length. Raises `FormatError` if there is no
-    such file, it is too large or no array, or its numbers are of another shape or not finite.
+    Raises `FormatError` if there is no such file, it is too large, or no array of plain numbers.
     """
     file = existing_file(path, FILES.mesh_mb)
     try:
         with file.open("rb") as handle:
-            array = np.lib.format.read_array(handle, allow_pickle=False)
+            return np.asarray(np.lib.format.read_array(handle, allow_pickle=False))
     except _SPOILT as error:
         message = f"{file} must be an array of plain numbers (.npy): {error or type(error).__name__}"
         raise FormatError(message, where=str(file)) from error
-    return Archive(file, {file.stem: array}).floats(file.stem, *shape)
 
 
 def write_npz(path: str | os.PathLike[str], arrays: Mapping[str, Any]) -> None:

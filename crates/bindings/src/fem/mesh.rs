@@ -38,3 +38,15 @@ pub(crate) fn tet_volumes<'py>(
     let volumes = tissuereg_fem::tet_volumes(nodes.rows::<3>(), &tets);
     Ok(volumes.map_err(|error| errors::from_fem(py, &error, None))?.into_pyarray(py))
 }
+
+/// Closest rotations, float64 (n, 9), of matrices, float64 (n, 9), row by row.
+#[pyfunction]
+pub(crate) fn closest_rotations<'py>(
+    py: Python<'py>,
+    matrices: &Bound<'py, PyAny>,
+) -> PyResult<Bound<'py, PyArray2<f64>>> {
+    let matrices = View::<f64>::new("matrices", matrices, &[&[None, Some(9)]])?;
+    let found = tissuereg_fem::closest_rotations(matrices.rows::<9>()).into_flattened();
+    let n = found.len() / 9;
+    arrays::from_vec(py, found, [n, 9])
+}

@@ -415,7 +415,8 @@ class _Rehearsing:
         def decode(latents: FloatArray) -> FloatArray:
             return decoded(latents) + anchor
 
-        screening = Screening.of(decode, prior, observed, noise, start, made.kinds.spread)
+        spread, simulated = made.kinds.spread, n_own < len(prior)
+        screening = Screening.of(decode, prior, observed, noise, start, spread, simulated=simulated)
         return _RegisteredEvent(made, prior, n_own, shares, decode, screening, observed, noise, rows)
 
     def expect(self, n_trials: int, n_varied: int) -> None:

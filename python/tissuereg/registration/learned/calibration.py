@@ -18,10 +18,11 @@ from tissuereg.io.fields import Archive, open_npz
 from tissuereg.registration.learned.calibration_set import STATISTICS, CalibrationSet
 from tissuereg.registration.learned.card import is_covariance
 from tissuereg.registration.learned.components import Components
+from tissuereg.registration.learned.digits import in_digits, table_in
 from tissuereg.registration.learned.mixture import Component
 
 #: Form of ``calibration.npz``.
-VERSION = 4
+VERSION = 5
 
 #: Fields (n_fields, n_nodes, 3) to their rows at markers and targets, (n_fields, n_rows).
 RowsOf = Callable[[FloatArray], FloatArray]
@@ -31,6 +32,9 @@ LEAST_SIZE_MM = 0.3
 
 #: Probability that a simulation is not of this event at all.
 UNRELATED = 0.02
+
+#: Step of the patterns that a file holds, as a share of their root mean square: adds a hundredth to variances.
+_PATTERN_STEP = 0.4
 
 #: By how much probabilities in a file may miss a sum of one.
 _ROUNDING = 1e-3
@@ -316,15 +320,18 @@ def _blocks(covariances: FloatArray, n_kinds: int) -> list[FloatArray]:
 
 def _error_arrays(name: str, errors: FieldErrors) -> dict[str, FloatArray]:
     return {
-        f"{name}_patterns": errors.basis.astype(np.float16),
-        f"{name}_covariances": errors.covariances.astype(np.float32),
+        **in_digits(f"{name}_patterns", errors.basis, _PATTERN_STEP),
+        f"{name}_covariances": errors.covariances[:, *np.tril_indices(len(errors.basis))].astype(np.float32),
         f"{name}_rest_mm": errors.rest.astype(np.float16),
     }
 
 
 def _errors_in(file: Archive, name: str, n_kinds: int | None, n_nodes: int) -> FieldErrors:
-    basis = file.floats(f"{name}_patterns", None, n_nodes, 3)
-    covariances = file.floats(f"{name}_covariances", n_kinds, len(basis), len(basis))
+    basis = table_in(file, f"{name}_patterns", None, n_nodes, 3)
+    rows, columns = np.tril_indices(len(basis))
+    triangles = file.floats(f"{name}_covariances", n_kinds, len(rows))
+    covariances = np.empty((len(triangles), len(basis), len(basis)))
+    covariances[:, rows, columns] = covariances[:, columns, rows] = triangles
     _must(file, f"{name}_covariances", "covariances", all(map(is_covariance, covariances)) if len(basis) else True)
     rest = file.floats(f"{name}_rest_mm", n_nodes, 3)
     _must(file, f"{name}_rest_mm", "standard deviations of at least 0", bool((rest >= 0.0).all()))

@@ -13,7 +13,7 @@ earlier level keeps the nodes on which these depend. Linear steps that follow ea
 the linear layer with the first level, and the last level with P.
 """
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property, partial
 from itertools import pairwise
@@ -27,6 +27,7 @@ from tissuereg._base.arrays import FloatArray, IntArray
 from tissuereg.errors import FormatError, ModelError
 from tissuereg.io.fields import Archive, open_npz, read_npy
 from tissuereg.registration.learned.batches import together
+from tissuereg.registration.learned.digits import table_in
 from tissuereg.registration.learned.onnx_bytes import OnnxGraph
 
 #: Activations, by their names in a closure's weights.
@@ -354,47 +355,63 @@ def read_decoder(path: Path, listed: Collection[str] | None = None) -> ClosureDe
     """
     try:
         with open_npz(path) as archive:
-            weights = _Weights(archive, listed)
+            weights = Archive(path, _Beside(Path(path), archive.arrays, listed))
             closure = _closure(weights) if "activation" in weights else None
             return _graph_network(weights, closure) if "fully_connected.bias" in weights else closure
     except FormatError as error:
         raise ModelError(str(error), where=str(path)) from error
 
 
-class _Weights(Archive):
-    """The arrays of ``decoder_weights.npz``, and the tables beside it that networks share, if the card lists them."""
+@dataclass(frozen=True)
+class _Beside(Mapping[str, Any]):
+    """The arrays of ``decoder_weights.npz``, and tables beside it that networks share, if the card lists them.
 
-    def __init__(self, archive: Archive, listed: Collection[str] | None) -> None:
-        super().__init__(archive.path, archive.arrays)
-        self._listed = listed
+    `path`: that file; `arrays`: what it holds; `listed`: names of the files that the card lists, None for all.
+    """
 
-    def table(self, name: str, *shape: int | None) -> FloatArray:
-        """Return an array of finite numbers of the given shape from the weights, or from the file ``name.npy``."""
-        shared = Path(self.path).with_name(f"{name.replace('/', '.')}.npy")
-        known = shared.exists() if self._listed is None else shared.name in self._listed
-        return self.floats(name, *shape) if name in self or not known else read_npy(shared, *shape)
+    path: Path
+    arrays: Mapping[str, Any]
+    listed: Collection[str] | None
+
+    def __getitem__(self, name: str) -> Any:
+        return self.arrays[name] if name in self.arrays else read_npy(self._file(name))
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.arrays or self._known(self._file(str(name)))
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.arrays)
+
+    def __len__(self) -> int:
+        return len(self.arrays)
+
+    def _file(self, name: str) -> Path:
+        return self.path.with_name(f"{name.replace('/', '.')}.npy")
+
+    def _known(self, file: Path) -> bool:
+        return file.exists() if self.listed is None else file.name in self.listed
 
 
-def _closure(weights: _Weights) -> ClosureDecoder:
+def _closure(weights: Archive) -> ClosureDecoder:
     activation = str(weights.raw("activation")).lower()
     if activation not in _ACTIVATED:
         message = f"`activation` in {weights.path} must be one of {', '.join(_ACTIVATED)}, got {activation!r}"
         raise ModelError(message, where=str(weights.path))
-    mean = weights.floats("mean_mm", None, 3)
+    mean = table_in(weights, "mean_mm", None, 3)
     layers: list[tuple[FloatArray, FloatArray]] = []
     while f"layer{len(layers)}/bias" in weights or not layers:
         name = f"layer{len(layers)}"
-        weight = weights.table(f"{name}/weight", None, len(layers[-1][1]) if layers else None)
+        weight = table_in(weights, f"{name}/weight", None, len(layers[-1][1]) if layers else None)
         layers.append((weight, weights.floats(f"{name}/bias", len(weight))))
     n_components, n_latent = len(layers[-1][1]), layers[0][0].shape[1]
-    skip = weights.floats("skip/weight", n_components, n_latent) if "skip/weight" in weights else None
-    components = weights.table("components_mm", n_components, len(mean), 3).astype(np.float32)
+    skip = table_in(weights, "skip/weight", n_components, n_latent) if "skip/weight" in weights else None
+    components = table_in(weights, "components_mm", n_components, len(mean), 3).astype(np.float32)
     return ClosureDecoder(tuple(layers), skip, activation, components, mean)
 
 
-def _graph_network(weights: _Weights, closure: ClosureDecoder | None) -> GraphDecoder:
+def _graph_network(weights: Archive, closure: ClosureDecoder | None) -> GraphDecoder:
     sizes = weights.indices("levels", None)
-    weight = weights.table("fully_connected.weight", None, None)
+    weight = table_in(weights, "fully_connected.weight", None, None)
     bias = weights.floats("fully_connected.bias", len(weight))
     levels: list[GraphLevel] = []
     n_in = len(weight) // max(1, int(sizes[0]))
@@ -404,7 +421,7 @@ def _graph_network(weights: _Weights, closure: ClosureDecoder | None) -> GraphDe
     if not levels or n_in != 3 or len(weight) != sizes[0] * levels[0].bases.shape[1]:
         message = f"the layers in {weights.path} must fit each other and end in 3 channels, they end in {n_in}"
         raise ModelError(message, where=str(weights.path))
-    mean, scale = weights.floats("mean_mm", int(sizes[-1]), 3), float(weights.floats("scale_mm"))
+    mean, scale = table_in(weights, "mean_mm", int(sizes[-1]), 3), float(weights.floats("scale_mm"))
     if closure is None:
         return GraphDecoder(weight, bias, tuple(levels), mean, scale)
     if closure.n_latent != weight.shape[1]:
@@ -413,12 +430,12 @@ def _graph_network(weights: _Weights, closure: ClosureDecoder | None) -> GraphDe
     return GraphDecoder(weight, bias, tuple(levels), np.zeros_like(mean), scale, closure.activation, closure)
 
 
-def _level(weights: _Weights, k: int, n_coarse: int, n_fine: int, n_in: int) -> GraphLevel:
+def _level(weights: Archive, k: int, n_coarse: int, n_fine: int, n_in: int) -> GraphLevel:
     from scipy import sparse
 
     bases = weights.floats(f"conv{k}.bases", None, n_in, None)
     edges = weights.indices(f"conv{k}.edges", None, 2)
-    coefficients = weights.table(f"conv{k}.coefficients", len(edges), len(bases))
+    coefficients = table_in(weights, f"conv{k}.coefficients", len(edges), len(bases))
     if len(edges) == 0 or edges.min() < 0 or (edges.max(axis=0) >= (n_fine, n_coarse)).any():
         message = f"edges of conv{k} in {weights.path} must lie between nodes of {n_fine} and {n_coarse}"
         raise ModelError(message, where=str(weights.path))

@@ -122,7 +122,8 @@ class CalibratedPosterior:
         def decode(latents: FloatArray) -> FloatArray:
             return model.decode(np.ascontiguousarray(latents))[:, rows]
 
-        screening = Screening.of(decode, prior, observed, noise, start, at.whole.kinds.spread)
+        spread = at.whole.kinds.spread
+        screening = Screening.of(decode, prior, observed, noise, start, spread, simulated=bool(forms))
         how, threads = given.settings.smoother, given.settings.threads or n_cores()
         draws = normals(given.seed, len(start), how.n_members)
         found = smooth(decode, prior, screening.kept(), observed, noise, draws, how.alphas(), threads)

@@ -20,6 +20,7 @@ from tissuereg.registration.learned.calibration_file import read_calibration
 from tissuereg.registration.learned.card import check_files, read_card
 from tissuereg.registration.learned.cut import CutDecoder, session
 from tissuereg.registration.learned.decoders import ClosureDecoder, GraphDecoder, read_decoder
+from tissuereg.registration.learned.digits import table_in
 from tissuereg.registration.learned.model import Gaussian
 from tissuereg.registration.learned.stated import stated
 
@@ -101,7 +102,7 @@ class NetworkModel:
 
     def _errors_in(self, name: str) -> FloatArray:
         with open_npz(self.folder / "decoder_weights.npz") as weights:
-            return weights.floats(name, None, self.n_nodes, 3)
+            return table_in(weights, name, None, self.n_nodes, 3)
 
     def _stated(self, known: dict[str, Any]) -> Calibration:
         """Return the calibration that the table `prior` of the card and the errors beside the weights state."""

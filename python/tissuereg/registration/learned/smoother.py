@@ -51,13 +51,13 @@ _MOST_PAIRS, _LEAST_SHARE = 3, 1e-3
 class Screening:
     """Evidence of all pairs of component and scale, by a decoder that is linear about the most probable latents.
 
-    `linear`: that decoder at markers and targets; `first`: the decoder that is linear about the start, which no
-    marker has moved; `found`: evidence of the pairs; `decode`: the decoder itself;
-    `spread` (n_latent,): standard deviation of the training set's codes.
+    `linear`: that decoder at markers and targets; `first`: evidence by the decoder that is linear about the start,
+    which no marker has moved; `found`: evidence of the pairs; `decode`: the decoder itself; `spread` (n_latent,):
+    standard deviation of the training set's codes.
     """
 
     linear: LinearDecoder
-    first: LinearDecoder
+    first: Evidence
     found: Evidence
     decode: Decode
     spread: FloatArray
@@ -71,29 +71,36 @@ class Screening:
         noise: FloatArray,
         start: FloatArray,
         spread: FloatArray,
+        *,
         rounds: int = _SCREENINGS,
+        simulated: bool = False,
     ) -> "Screening":
         """Return the evidence of the pairs.
 
         `observed` (n_obs,): measured displacements, mm, the first n_obs rows of what is decoded; `noise` (n_obs,
         n_obs): covariance of the tracker's noise, mm^2; `start` (n_latent,): where the first draws lie; `spread`
         (n_latent,): standard deviation of the training set's codes; `rounds`: linearisations, about the start and then
-        about the mean that the one before gave. Cost: a decode of about 2 n_latent columns each.
+        about the mean that the one before gave; `simulated`: whether the start is the code of a simulation: it is near
+        the answer then, so that one round less is enough, and every marker is compared with the others about it. Cost:
+        a decode of about 2 n_latent columns each.
         """
         n = len(start)
         draws, _ = normals(0, n, round(_DRAWS_A_LATENT * n) + 2)
-        point, made, pairs = start, list[LinearDecoder](), None
-        for _ in range(rounds):
+        point, made, pairs = start, list[Evidence](), None
+        for number in range(rounds - simulated):
             rows = decode(point[:, None] + _SPREAD * spread[:, None] * draws)
             slopes = (rows - rows.mean(axis=0)).T @ draws.T / (draws.shape[1] - 1) / (_SPREAD * spread)
-            made.append(LinearDecoder(point, rows.mean(axis=0), slopes))
-            found = Evidence.of(prior, made[-1], observed, noise, pairs=pairs)
-            point, pairs = found.mean_latents, found.likely
-        return cls(made[-1], made[0], found, decode, spread)
+            linear = LinearDecoder(point, rows.mean(axis=0), slopes)
+            every = simulated and number == 0
+            made.append(Evidence.of(prior, linear, observed, noise, compared="every" if every else "none", pairs=pairs))
+            point, pairs = made[-1].mean_latents, made[-1].likely
+        return cls(made[-1].model, made[0], made[-1], decode, spread)
 
     def under(self, prior: list[Component], observed: FloatArray, noise: FloatArray) -> "Screening":
         """Return the evidence of pairs with the same decoder under other weights; arguments as for `of`."""
-        return replace(self, found=Evidence.of(prior, self.linear, observed, noise))
+        every = self.first.misfits.size > 0
+        first = Evidence.of(prior, self.first.model, observed, noise, compared="every" if every else "none")
+        return replace(self, first=first, found=Evidence.of(prior, self.linear, observed, noise))
 
     def chance_of(self, marker: int, prior: list[Component], observed: FloatArray, noise: FloatArray) -> float:
         """Return the chance that a marker lies as far from its prediction by the others, linearised about their answer.
@@ -112,7 +119,7 @@ class Screening:
             among[:-3, :-3],
             self.found.mean_latents,
             self.spread,
-            _AGAIN,
+            rounds=_AGAIN,
         )
         pairs = without.found.likely
         found = Evidence.of(ordered, without.linear, there, among, compared="last", pairs=pairs)

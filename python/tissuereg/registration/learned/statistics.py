@@ -42,26 +42,29 @@ def statistics_of(
     """Return the test statistics of a registration.
 
     `calibration`: knows how far a code lies from the training set; `prior`: mixture, of which `screening` has the
-    evidence; `observed` (n_obs,): measured displacements, mm; `noise` (n_obs, n_obs): covariance of the tracker's
-    noise, mm^2; `n_own`: number of components of the simulated event, which come first; the others are those of an
-    event that was not simulated. Cost: a Cholesky factor of size n_obs for every pair of component and scale, and for
-    each of `NOISE_FACTORS`, and an inverse for every pair.
+    evidence, that of a simulated event with every marker compared; `observed` (n_obs,): measured displacements, mm;
+    `noise` (n_obs, n_obs): covariance of the tracker's noise, mm^2; `n_own`: number of components of the simulated
+    event, which come first; the others are those of an event that was not simulated. Cost: a Cholesky factor of size
+    n_obs for every pair of component and scale, and for each of `NOISE_FACTORS`, and without a simulation an inverse
+    for every pair.
     """
     from scipy.special import gammaincc
 
+    found, simulated = screening.found, n_own < len(prior)
     # About a simulation: a wrong marker pulls the answer to where the decoder's slopes are others.
-    linear, found = screening.first if n_own < len(prior) else screening.linear, screening.found
-    by_marker = Evidence.of(prior, linear, observed, noise, compared="every")
+    by_marker = (
+        screening.first if simulated else Evidence.of(prior, screening.linear, observed, noise, compared="every")
+    )
     misfits, chances = by_marker.chances()
     logs = -np.log(np.maximum(chances, _LEAST))
     # Fisher's method, as if predictions of different markers were independent: rehearsals say what they are.
     misfit = -np.log(max(float(gammaincc(len(logs), logs.sum())), _LEAST)) if len(logs) else 0.0
     unrelated = 0.0
-    if n_own == len(prior):
+    if not simulated:
         for number in np.argsort(-logs, kind="stable")[:_CANDIDATES]:
             logs[number] = -np.log(max(screening.chance_of(int(number), prior, observed, noise), _LEAST))
     markers = logs - np.log(max(len(logs), 1))
-    if n_own < len(prior):
+    if simulated:
         own, others = (np.logaddexp.reduce(part) for part in np.split(found.of_components, [n_own]))
         # A screening leaves out what is less probable than that.
         unrelated = min(max(float(others - own), 0.0), -np.log(HOPELESS))
