@@ -57,7 +57,7 @@ RUST_LAYERS: dict[str, tuple[tuple[str, str], ...]] = {
         ("loops over elements", "assembly"),
         ("elements, supports and what they leave free, systems of one unknown a node", "element rigid scalar supports"),
         ("meshes, laws, sparse systems", "material mesh system"),
-        ("plain data and checks", "check error groups resultant springs"),
+        ("plain data and checks, rotations", "check error groups resultant rotation springs"),
     ),
 }
 

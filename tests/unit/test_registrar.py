@@ -95,7 +95,7 @@ def ensembles(counts, n_members):
     return pairs
 
 
-def test_about_a_simulation_three_screenings_are_decoded_and_then_all_pairs_in_one_batch_a_step(
+def test_about_a_simulation_two_screenings_are_decoded_and_then_all_pairs_in_one_batch_a_step(
     event, simulation, counted
 ):
     registrar = tr.Registrar(event.mesh, event.markers, "phantom", TARGETS, settings=settings(n_steps=4))
@@ -105,9 +105,9 @@ def test_about_a_simulation_three_screenings_are_decoded_and_then_all_pairs_in_o
     assert not any(reason.startswith("simulation") for reason in result.trust.reasons)
     assert result.markers.dropped == ()
     # The simulation's code; screenings; four steps, and the answer.
-    assert counted["points"][:4] == [1, DRAWS, DRAWS, DRAWS]
-    assert len(counted["points"]) == 4 + 5
-    assert 1 <= ensembles(counted["points"][4:], 100) <= 4
+    assert counted["points"][:3] == [1, DRAWS, DRAWS]
+    assert len(counted["points"]) == 3 + 5
+    assert 1 <= ensembles(counted["points"][3:], 100) <= 4
     # The answer, as a change from the simulation.
     assert counted["fields"] == 1
     # The spread of nodes decodes 64 draws when it is first read.
@@ -134,8 +134,8 @@ def test_a_marker_that_is_left_out_costs_another_registration(event, simulation,
     counted["points"].clear()
     result = registrar.register(wrong, simulation)
     assert (event.markers.names[3], "wrong") in result.markers.dropped
-    assert counted["points"].count(DRAWS) == 3 * (1 + len(result.markers.dropped))
-    assert len(counted["points"]) == 1 + 5 * (1 + len(result.markers.dropped))
+    assert counted["points"].count(DRAWS) == 2 * (1 + len(result.markers.dropped))
+    assert len(counted["points"]) == 1 + 4 * (1 + len(result.markers.dropped))
 
 
 def test_members_and_steps_change_the_answer_by_less_than_its_spread(event, simulation):
