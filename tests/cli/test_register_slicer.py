@@ -123,6 +123,20 @@ def test_without_a_frame_that_of_the_file_is_taken_and_said_in_one_line(capsys, 
     assert read_mrk_json(tmp_path / "out" / "targets.mrk.json").frame == "RAS"
 
 
+@pytest.mark.parametrize("option", ["--targets", "--seen"])
+def test_a_frame_that_inner_points_alone_state_is_not_guessed_for_the_rest(capsys, folder, tmp_path, plain, option):
+    file = folder / "ras_targets.mrk.json"
+    code, said, err = register(capsys, folder, tmp_path / "out", "lps.vtu", "lps.csv", option, file)
+    assert (code, said["error"], said["where"]) == (2, "UsageError", "--frame")
+    wanted = f"--frame must be given: {file} is in RAS, and neither MESH nor the tables say what they are in"
+    assert (said["message"], err.count("frame must")) == (wanted, 1)
+    assert not (tmp_path / "out").exists()
+    if option == "--targets":
+        code, said, _ = register(capsys, folder, tmp_path / "out", "lps.vtu", "lps.csv", option, file, "--frame", "LPS")
+        assert code == 0
+        assert said["targets"] == plain["targets"]
+
+
 def test_a_mesh_that_states_its_frame_needs_no_option_and_none_may_contradict_it(capsys, folder, tmp_path, plain):
     for frame in ("lps", "ras"):
         write_mesh_npz(tmp_path / f"{frame}.npz", tr.read_mesh(folder / f"{frame}.vtu", frame=frame.upper()))

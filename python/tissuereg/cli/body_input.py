@@ -111,12 +111,15 @@ def believed_body(args: argparse.Namespace, mesh: "Mesh", material: "Material | 
     return Body(mesh, material, args.element, **only_given(held=args.held, stiffness=args.stiffness))
 
 
-def frames_of(args: argparse.Namespace, mesh: "Mesh", files: Sequence[str | Path | None]) -> dict[str, str | None]:
+def frames_of(
+    args: argparse.Namespace, mesh: "Mesh", files: Sequence[str | Path | None], inner: Sequence[str | Path | None]
+) -> dict[str, str | None]:
     """Return the patient frames of the answer (``frame``) and of tables (``table_frame``): LPS, RAS, None if unknown.
 
-    Where neither `mesh` nor ``--frame`` states it, it is that of the first of `files` that holds points of 3D Slicer,
-    which a note on standard error states. Raises UsageError where options clash, FormatError if ``--frame`` contradicts
-    the mesh.
+    Where neither `mesh` nor ``--frame`` states it, it is that of the first of `files`, of points on the surface, that
+    is one of 3D Slicer, which a note on standard error states: on the surface another frame would show. Raises
+    UsageError where options clash, or where of all files only one of `inner` points states a frame; FormatError if
+    ``--frame`` contradicts the mesh.
     """
     from tissuereg.io.notes import agreed_frame
     from tissuereg.io.point_files import frame_of_files
@@ -126,7 +129,12 @@ def frames_of(args: argparse.Namespace, mesh: "Mesh", files: Sequence[str | Path
         refuse("--tables-frame must come with --frame, or with a mesh that states its frame", "--tables-frame")
     if frame is not None:
         return {"frame": frame, "table_frame": args.tables_frame}
-    chosen = frame_of_files([path for path in files if path is not None])
+    chosen, alone = (frame_of_files([path for path in some if path is not None]) for some in (files, inner))
+    if chosen is None and alone is not None:
+        refuse(
+            f"--frame must be given: {alone[1]} is in {alone[0]}, and neither MESH nor the tables say what they are in",
+            "--frame",
+        )
     if chosen is None:
         return {"frame": None, "table_frame": None}
     note(f"MESH is taken to be in {chosen[0]}, the frame of {chosen[1]}; set --frame to change that")

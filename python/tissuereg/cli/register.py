@@ -127,7 +127,7 @@ def _input(args: argparse.Namespace) -> dict[str, Any]:
 
     given = _from_experiment(args) if is_experiment(args.path) else _from_files(args)
     body: Body = given["mesh"]
-    frames = frames_of(args, body.mesh, [*args.markers, args.targets, args.seen, args.surface])
+    frames = frames_of(args, body.mesh, [*args.markers, args.surface], [args.targets, args.seen])
     if args.markers:
         joined = {**frames, **only_given(measured=args.measured, match=args.match)}
         given["markers"] = read_markers(args.markers[0], args.std, **joined)

@@ -124,7 +124,7 @@ def _read(args: argparse.Namespace) -> "tuple[Tracker, Recording, TablePhysics |
 
     material, load = beliefs_of(args, "--simulations")
     mesh = read_body(args, args.path)
-    frames = frames_of(args, mesh, [args.reference, args.targets])
+    frames = frames_of(args, mesh, [args.reference], [args.targets])
     if frames["frame"] is not None:
         mesh = mesh.in_frame(frames["frame"])
     markers = read_reference(args.reference, args.std, **frames)
