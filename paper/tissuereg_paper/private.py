@@ -27,6 +27,8 @@ PRIVATE: dict[str, tuple[str, tuple[str, ...]]] = {
         (
             "registration.contacts.body",
             "registration.contacts.elastic",
+            "registration.contacts.patches",
+            "registration.contacts.places",
             "registration.contacts.supports",
             "registration.linear_prior",
         ),
@@ -36,6 +38,7 @@ PRIVATE: dict[str, tuple[str, tuple[str, ...]]] = {
         (
             "registration.learned.draws",
             "registration.learned.card",
+            "registration.learned.digits",
             "registration.learned.model",
             "registration.learned.network",
             "registration.learned.pca",

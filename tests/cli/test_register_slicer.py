@@ -128,7 +128,7 @@ def test_a_frame_that_inner_points_alone_state_is_not_guessed_for_the_rest(capsy
     file = folder / "ras_targets.mrk.json"
     code, said, err = register(capsys, folder, tmp_path / "out", "lps.vtu", "lps.csv", option, file)
     assert (code, said["error"], said["where"]) == (2, "UsageError", "--frame")
-    wanted = f"--frame must be given: {file} is in RAS, and neither MESH nor the tables say what they are in"
+    wanted = f"--frame must be given: {file} is in RAS, and nothing else says what frame it is in"
     assert (said["message"], err.count("frame must")) == (wanted, 1)
     assert not (tmp_path / "out").exists()
     if option == "--targets":

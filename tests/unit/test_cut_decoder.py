@@ -18,6 +18,7 @@ from tissuereg.phantom import phantom_mesh, shipped_model_folder
 from tissuereg.registration.learned import cut as cut_module
 from tissuereg.registration.learned.cut import CutDecoder
 from tissuereg.registration.learned.decoders import network_at, read_decoder
+from tissuereg.registration.learned.digits import in_digits, rounded
 from tissuereg.registration.learned.network import NetworkModel
 
 #: Single precision, relative to the largest displacement.
@@ -49,6 +50,34 @@ def decoder(request, tmp_path):
     tables = make(np.random.default_rng(3), **how)
     np.savez(tmp_path / "decoder_weights.npz", **tables)
     return read_decoder(tmp_path / "decoder_weights.npz"), lambda z: field(tables, z), len(tables["mean_mm"])
+
+
+@pytest.mark.parametrize("name", ["closure/linear part", "graph/three levels", "both/three levels"])
+def test_every_table_may_lie_in_digits_and_large_ones_in_files_of_their_own(name, tmp_path):
+    make, field, how = DECODERS[name]
+    tables = make(np.random.default_rng(3), **how)
+    coarse = {
+        key: rounded(table, 1e-3) if table.dtype.kind == "f" and key != "scale_mm" else table
+        for key, table in tables.items()
+    }
+    stored, beside = {}, "layer0/weight" if "layer0/weight" in tables else "conv1.edges"
+    for key, table in coarse.items():
+        stored |= {key: table} if table is tables[key] else in_digits(key, table)
+    assert sum(key.endswith(".exponents") for key in stored) >= 4
+    file = f"{beside.replace('/', '.')}.npy"
+    np.save(tmp_path / file, stored.pop(beside))
+    np.savez(tmp_path / "decoder_weights.npz", **stored)
+    latents = np.random.default_rng(5).standard_normal((4, 3))
+    for listed in (None, [file]):
+        found = read_decoder(tmp_path / "decoder_weights.npz", listed).decode(latents)
+        wanted = np.stack([field(coarse, z) for z in latents.T])
+        np.testing.assert_allclose(found, wanted, atol=1e-5 * np.abs(wanted).max())
+    # A file that the card does not list is not read, and one that is spoilt is named.
+    with pytest.raises(ModelError, match=f"must hold an array '{beside}'"):
+        read_decoder(tmp_path / "decoder_weights.npz", [])
+    (tmp_path / file).write_bytes(b"no array")
+    with pytest.raises(ModelError, match=rf"^\S*{file} must be an array of plain numbers"):
+        read_decoder(tmp_path / "decoder_weights.npz")
 
 
 def points(rng, n_points, n_nodes, corners=3):

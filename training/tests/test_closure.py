@@ -45,7 +45,7 @@ def test_coefficients_there_and_back_are_the_projection_on_the_components(model,
     given = torch.from_numpy(fields)
     missed = (model.in_mm(model.normalised(given)) - given).norm(dim=2).mean().item()
     about = moments([fields])
-    # Components are kept in half precision: 11 bits.
+    # Few components are kept in half precision: 11 bits.
     assert missed == pytest.approx(
         pca_error(principal_components([fields], about, 20)[0], about.mean, fields), rel=1e-3
     )

@@ -106,7 +106,7 @@ def test_the_best_validation_epoch_after_the_warm_up_is_kept(start, fields, sett
     allowed = {r["epoch"]: r["valid_mm"] for r in state.history if kl_share(int(r["epoch"]) - 1, 6, 0.3) == 1.0}
     assert state.best_epoch == min(allowed, key=allowed.get)
     assert min(allowed) == 2
-    # A finished closure has weights in half precision: 11 bits.
+    # A finished closure has small weights in half precision: 11 bits.
     near = 1e-6 if model.kind == "gnn-vae" else 1e-3
     assert mean_error(model, fields[split.valid]) == pytest.approx(allowed[state.best_epoch], rel=near)
 

@@ -119,7 +119,7 @@ def test_error_fields_are_what_the_model_misses_of_the_pairs_truths(trained):
     with np.load(folder / "decoder_weights.npz", allow_pickle=False) as weights:
         kept = weights["error_fields_mm"]
     assert kept.dtype == np.float16
-    # Half precision: 11 bits.
+    # Half precision, for a small table: 11 bits.
     np.testing.assert_allclose(kept, missed, rtol=1e-3, atol=1e-3 * np.abs(missed).max())
 
 

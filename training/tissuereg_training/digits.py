@@ -10,6 +10,8 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
+from tissuereg_training.errors import ParityError
+
 #: A table of fewer numbers is stored in half precision.
 LARGE = 20_000
 
@@ -17,7 +19,7 @@ LARGE = 20_000
 WEIGHT_STEP, ERROR_STEP = 0.03, 0.5
 
 #: What rounding the components may add to the error of a decoded field, mm (root mean square over nodes).
-COMPONENTS_MM = 0.0125
+COMPONENTS_MM = 0.0175
 
 _BASE, _MOST = 256, 127 * 256 + 127
 
@@ -84,9 +86,16 @@ def split(table: npt.NDArray[Any]) -> tuple[npt.NDArray[np.int8], npt.NDArray[np
     return digits, steps.astype(np.int8)
 
 
+def halved(table: npt.NDArray[Any]) -> npt.NDArray[np.float16]:
+    """Return a table in half precision; raise ParityError if that is not what it holds."""
+    half = table.astype(np.float16)
+    if not np.array_equal(half, table):
+        message = f"a table of shape {table.shape} must be rounded before it is stored, and holds more digits"
+        raise ParityError(message)
+    return half
+
+
 def stored(name: str, table: npt.NDArray[Any]) -> dict[str, npt.NDArray[Any]]:
     """Return a table as ``decoder_weights.npz`` holds it: digits and ``NAME.exponents``, or half precision."""
     parts = split(table)
-    if parts is None:
-        return {name: table.astype(np.float16)}
-    return {name: parts[0], f"{name}.exponents": parts[1]}
+    return {name: halved(table)} if parts is None else {name: parts[0], f"{name}.exponents": parts[1]}

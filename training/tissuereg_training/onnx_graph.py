@@ -8,7 +8,7 @@ import numpy.typing as npt
 import onnx
 from onnx import TensorProto, helper, numpy_helper
 
-from tissuereg_training.digits import split
+from tissuereg_training.digits import halved, split
 
 #: Understood by onnxruntime 1.18 and later.
 OPSET = 17
@@ -80,7 +80,7 @@ class GraphBuilder:
         """Add a constant that is stored in digits or half precision (`digits.split`) and widened when it is loaded."""
         parts = split(array)
         if parts is None:
-            stored = self.table(f"{name}/half", array.astype(np.float16))
+            stored = self.table(f"{name}/half", halved(array))
             return self.node("Cast", [stored], name, to=TensorProto.FLOAT)
         digits, exponents = parts
         places = np.ldexp(1.0, exponents.astype(int) + 8 * np.arange(len(digits))[:, None])

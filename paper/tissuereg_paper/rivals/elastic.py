@@ -14,13 +14,18 @@ from tissuereg_paper.rivals.rival import Estimate, Moment, Rival, Setting
 
 def elastic_body(setting: Setting) -> ElasticBody:
     """Return the body of a setting, linearised at rest with the elements that the package's own registration takes."""
-    return ElasticBody(
-        setting.mesh,
-        setting.material,
-        setting.markers(np.full_like(setting.reference_mm, np.nan)),
-        element=Body(setting.mesh, setting.material).fitting_element,
-        threads=setting.threads,
-    )
+    return ElasticBody(**believed(setting))
+
+
+def believed(setting: Setting) -> dict[str, Any]:
+    """Return the arguments of `ElasticBody` for a setting."""
+    return {
+        "mesh": setting.mesh,
+        "material": setting.material,
+        "markers": setting.markers(np.full_like(setting.reference_mm, np.nan)),
+        "element": Body(setting.mesh, setting.material).fitting_element,
+        "threads": setting.threads,
+    }
 
 
 def residual_of(body: ElasticBody, moment: Moment) -> FloatArray:

@@ -2,9 +2,41 @@
 
 from typing import Any, ClassVar
 
+import numpy as np
+
 from tissuereg._base.arguments import real, whole
-from tissuereg_paper.rivals.elastic import added, elastic_body, residual_of
+from tissuereg.registration.contacts.elastic import ElasticBody
+from tissuereg.registration.contacts.patches import surface_of_nodes
+from tissuereg.registration.contacts.places import gathered
+from tissuereg.registration.linear_prior import LinearPrior
+from tissuereg_paper.rivals.elastic import added, believed, residual_of
 from tissuereg_paper.rivals.rival import Estimate, Rival, Setting
+
+
+class ControlledBody(ElasticBody):
+    """A body at rest on whose surface unit loads act, cell by cell."""
+
+    def control_loads(self, n_cells: int) -> LinearPrior:
+        """Return the prior of the displacement field by unit loads on cells of the surface, weighted by strain energy.
+
+        ``P = F E^-1 F'`` with the responses F to the loads and their strain energies E: of all combinations of loads
+        those with the least strain energy are the most likely. `n_cells`: number of cells, into which the free nodes of
+        the surface are gathered; at most one per node.
+        """
+        areas, _ = surface_of_nodes(self.mesh)
+        cell = gathered(self.mesh.nodes[self._free], areas[self._free], whole("n_cells", n_cells, least=1))
+        count = int(cell.max()) + 1
+        share = areas[self._free] / np.bincount(cell, areas[self._free])[cell]
+        forces = np.zeros((3 * count, self._at_markers.shape[1], 3))
+        for axis in range(3):
+            forces[3 * cell + axis, self._free, axis] = share
+        responses = self._linearised.responses(forces)
+        flat = responses.reshape(3 * count, -1)
+        energies = forces.reshape(3 * count, -1) @ flat.T
+        moved = responses[:, : self.mesh.n_nodes]
+        seen = self.seen(moved)
+        best = np.linalg.solve(0.5 * (energies + energies.T), seen)
+        return LinearPrior(seen.T @ best, np.einsum("lnx,lo->nxo", moved, best, optimize=True), self._std)
 
 
 class Libr(Rival):
@@ -38,8 +70,8 @@ class Libr(Rival):
         self, setting: Setting, *, n_cells: int = 30, energy_weight: float | None = None, rigid: float = 1.0
     ) -> None:
         super().__init__(setting)
-        self.body = elastic_body(setting)
-        self._prior = self.body.given_way(self.body.control_loads(whole("n_cells", n_cells, least=1)), rigid)
+        self.body = ControlledBody(**believed(setting))
+        self._prior = self.body.given_way(self.body.control_loads(n_cells), rigid)
         self._scale = None if energy_weight is None else 1.0 / real("energy_weight", energy_weight, above=0.0)
 
     def register(self, measured_mm: Any, simulation_mm: Any = None) -> Estimate:

@@ -8,7 +8,6 @@ from typing import Any, Protocol
 from tissuereg._base.arguments import place
 from tissuereg._base.arrays import FloatArray, IntArray
 from tissuereg.errors import ModelError
-from tissuereg.io.fields import open_npz
 from tissuereg.phantom import shipped_model_folder
 from tissuereg.registration.learned.card import read_card
 from tissuereg.registration.learned.model import Gaussian
@@ -101,6 +100,6 @@ def subject_of(model: str | os.PathLike[str] | None = None) -> Subject:
     source = "shipped" if model is None else Path(folder).name
     network = NetworkModel(folder, held_out.mesh, threads=1, source=source)
     facts = {name: card[name] for name in ("kind", "n_nodes", "n_latent", "members", "errors_mm")}
-    with open_npz(Path(folder) / "decoder_weights.npz") as weights:
-        mean = weights.floats("mean_mm", card["n_nodes"], 3) if "mean_mm" in weights else None
+    tables = network.tables
+    mean = None if tables is None else (getattr(tables, "closure", None) or tables).mean
     return Subject(held_out, network, {**facts, "source": source}, layers_of(card), mean)

@@ -28,7 +28,8 @@ def add_body_options(more: Any, tables: str) -> None:
     """Add options for frames, targets, held nodes and noise; `tables` names the tables of ``--tables-frame``."""
     text = (
         "LPS or RAS: frame of MESH, of tables and of the answer; points of 3D Slicer in the other one are converted "
-        "(default: that which MESH states, or else numbers as they are, and the frame of the first such file)"
+        "(default: that which MESH states, or else that of the first such file of points on the surface; if none, "
+        "numbers as they are)"
     )
     add_option(more, "--frame", choice(("LPS", "RAS"), text, default=None))
     text = f"frame of the tables {tables}, where it is not --frame"
@@ -132,7 +133,7 @@ def frames_of(
     chosen, alone = (frame_of_files([path for path in some if path is not None]) for some in (files, inner))
     if chosen is None and alone is not None:
         refuse(
-            f"--frame must be given: {alone[1]} is in {alone[0]}, and neither MESH nor the tables say what they are in",
+            f"--frame must be given: {alone[1]} is in {alone[0]}, and nothing else says what frame it is in",
             "--frame",
         )
     if chosen is None:

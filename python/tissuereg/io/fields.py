@@ -92,6 +92,8 @@ class Archive:
             raise FormatError(message, where=where)
         try:
             array = np.asarray(self._arrays[name])
+        except FormatError:
+            raise  # of a file beside the archive, which it names
         except _SPOILT as error:
             pickled = "allow_pickle" in str(error)
             reason = "pickled objects, which are never loaded" if pickled else str(error) or type(error).__name__

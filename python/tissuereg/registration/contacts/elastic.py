@@ -6,8 +6,6 @@ markers, and the covariance P of the field, each method of `ElasticBody` returns
 * `least_energy`: ``P = K^-1``. The most probable field has the least strain energy ``u' K u / 2`` of all that explain
   the markers equally well; its forces act at the markers.
 * `patch_loads`: ``P = K^-1 B B' K^-1``, independent loads on patches of the surface that overlap: smooth tractions.
-* `control_loads`: ``P = F E^-1 F'`` with the responses F to unit loads on cells of the surface and their strain
-  energies E: the field of least strain energy among their combinations.
 
 A body whose support gives moves as a whole, too: `ElasticBody.given_way` adds that to any of them.
 """
@@ -23,8 +21,7 @@ from tissuereg.body.markers import Markers
 from tissuereg.body.material import Material
 from tissuereg.body.mesh import Mesh
 from tissuereg.body.observe import MarkerObservation
-from tissuereg.registration.contacts.patches import Patches, make_patches, surface_of_nodes
-from tissuereg.registration.contacts.places import gathered
+from tissuereg.registration.contacts.patches import Patches, make_patches
 from tissuereg.registration.linear_prior import LinearPrior
 from tissuereg.simulation.sensitivity import Linearised, Observation
 from tissuereg.simulation.solve import Simulator
@@ -115,27 +112,6 @@ class ElasticBody:
         moved = self._linearised.responses(forces)[:, : self.mesh.n_nodes]
         flat = by_patch.reshape(len(fields), -1)
         return LinearPrior(flat @ flat.T, np.moveaxis(moved, 0, -1), self._std)
-
-    def control_loads(self, n_cells: int) -> LinearPrior:
-        """Return the prior of the displacement field by unit loads on cells of the surface, weighted by strain energy.
-
-        `n_cells`: number of cells, into which the free nodes of the surface are gathered; at most one per node. Among
-        the combinations of loads those with the least strain energy are the most likely.
-        """
-        areas, _ = surface_of_nodes(self.mesh)
-        cell = gathered(self.mesh.nodes[self._free], areas[self._free], whole("n_cells", n_cells, least=1))
-        count = int(cell.max()) + 1
-        share = areas[self._free] / np.bincount(cell, areas[self._free])[cell]
-        forces = np.zeros((3 * count, self._at_markers.shape[1], 3))
-        for axis in range(3):
-            forces[3 * cell + axis, self._free, axis] = share
-        responses = self._linearised.responses(forces)
-        flat = responses.reshape(3 * count, -1)
-        energies = forces.reshape(3 * count, -1) @ flat.T
-        moved = responses[:, : self.mesh.n_nodes]
-        seen = self.seen(moved)
-        best = np.linalg.solve(0.5 * (energies + energies.T), seen)
-        return LinearPrior(seen.T @ best, np.einsum("lnx,lo->nxo", moved, best, optimize=True), self._std)
 
     def priors(self, smooth: bool = True, rigid: float = 1.0) -> dict[str, LinearPrior]:
         """Return several priors of the displacement field by name; the one of the highest evidence is to be taken.

@@ -21,15 +21,16 @@ def in_batches(run: Callable[[npt.NDArray[np.float32]], Any], latents: FloatArra
 
     `run` takes a batch of latents (n_batch, n_latent), float32 and contiguous, and returns an array (n_batch, ...);
     several threads call it at once. `latents` (n_latent, n_members), dimensionless, has one column per member. `most`
-    is the largest number of members in a batch; batches are of nearly one size, whatever the number of threads, so that
-    the bits do not depend on it. `threads` is the number of threads that run batches, the caller's included. The result
-    is float32, shape (n_members, ...), in the order of the members and in the unit of what `run` returns.
+    is the largest number of members in a batch. Batches are of nearly one size and, beyond one, even in number, which
+    two threads share fairly; they do not depend on the number of threads, and so neither do the bits. `threads` is the
+    number of threads that run batches, the caller's included. The result is float32, shape (n_members, ...), in the
+    order of the members and in the unit of what `run` returns.
     """
     rows = np.ascontiguousarray(latents.T, np.float32)
     count = -(-len(rows) // most)
     if count < 2:
         return run(rows)
-    batches = np.array_split(rows, count)
+    batches = np.array_split(rows, count + count % 2)
     return np.concatenate(together([partial(run, batch) for batch in batches], threads))
 
 

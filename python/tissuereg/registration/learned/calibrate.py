@@ -24,6 +24,7 @@ from tissuereg.registration.learned.calibration import (
     RowsOf,
 )
 from tissuereg.registration.learned.components import Components, probabilities
+from tissuereg.registration.learned.digits import rounded
 from tissuereg.registration.learned.mixture import Component, Evidence
 from tissuereg.registration.learned.model import LatentModel, rms_displacement
 from tissuereg.registration.learned.network import NetworkModel
@@ -47,8 +48,8 @@ _FOLDS = 5
 #: Least and most degrees of freedom of the law of targets; above the most it is a Gaussian.
 _TAILS = (1.5, 100.0)
 
-#: Errors by which those of a kind are mixed with those of all.
-_BORROWED = 20.0
+#: Errors by which those of a kind are mixed with those of all; steps of patterns as a share of their root mean square.
+_BORROWED, _PATTERN_STEP = 20.0, 0.2
 
 #: Fields coded at once.
 _BATCH = 50
@@ -206,9 +207,9 @@ def field_errors(errors: FloatArray, shares: FloatArray, n_patterns: int) -> Fie
     order = np.argsort(values)[::-1][:n_patterns]
     order = order[values[order] > 1e-9 * values.max()]
     basis = (vectors[:, order].T @ rows) / np.sqrt(values[order])[:, None]
-    # Patterns of root mean square one at a node, so that float16 holds them.
-    basis *= np.sqrt(errors.shape[1])
-    coefficients = rows @ basis.T / errors.shape[1]
+    # As the file will hold them, so that rehearsals are of what registrations find there.
+    basis = rounded(basis * np.sqrt(errors.shape[1]), _PATTERN_STEP)
+    coefficients = np.linalg.solve(basis @ basis.T, basis @ rows.T).T
     left = (rows - coefficients @ basis).reshape(errors.shape)
     rest = np.sqrt((left**2).mean(axis=0))
     pooled = coefficients.T @ coefficients / len(coefficients)

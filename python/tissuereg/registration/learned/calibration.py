@@ -33,9 +33,6 @@ LEAST_SIZE_MM = 0.3
 #: Probability that a simulation is not of this event at all.
 UNRELATED = 0.02
 
-#: Step of the patterns that a file holds, as a share of their root mean square: adds a hundredth to variances.
-_PATTERN_STEP = 0.4
-
 #: By how much probabilities in a file may miss a sum of one.
 _ROUNDING = 1e-3
 
@@ -66,11 +63,11 @@ class FieldErrors:
         return self.basis.reshape(len(self.basis), -1).astype(np.float32)
 
     def project(self, fields: FloatArray) -> FloatArray:
-        """Return the projection of `fields` (n_fields, n_nodes, 3), mm, on the patterns, which must be orthogonal."""
+        """Return the projection of `fields` (n_fields, n_nodes, 3), mm, on the patterns."""
         patterns = self.basis.reshape(len(self.basis), -1)
-        squares = np.einsum("pi,pi->p", patterns, patterns)
         rows = fields.reshape(len(fields), -1)
-        return np.asarray((((rows @ patterns.T) / squares) @ patterns).reshape(fields.shape))
+        found = np.linalg.solve(patterns @ patterns.T, patterns @ rows.T)
+        return np.asarray((found.T @ patterns).reshape(fields.shape))
 
     def at(self, rows_of: RowsOf) -> "RowErrors":
         """Return the covariances of the errors at the markers and targets of one registration.
@@ -320,7 +317,7 @@ def _blocks(covariances: FloatArray, n_kinds: int) -> list[FloatArray]:
 
 def _error_arrays(name: str, errors: FieldErrors) -> dict[str, FloatArray]:
     return {
-        **in_digits(f"{name}_patterns", errors.basis, _PATTERN_STEP),
+        **in_digits(f"{name}_patterns", errors.basis),
         f"{name}_covariances": errors.covariances[:, *np.tril_indices(len(errors.basis))].astype(np.float32),
         f"{name}_rest_mm": errors.rest.astype(np.float16),
     }
@@ -328,8 +325,8 @@ def _error_arrays(name: str, errors: FieldErrors) -> dict[str, FloatArray]:
 
 def _errors_in(file: Archive, name: str, n_kinds: int | None, n_nodes: int) -> FieldErrors:
     basis = table_in(file, f"{name}_patterns", None, n_nodes, 3)
+    triangles = file.floats(f"{name}_covariances", n_kinds, len(basis) * (len(basis) + 1) // 2)
     rows, columns = np.tril_indices(len(basis))
-    triangles = file.floats(f"{name}_covariances", n_kinds, len(rows))
     covariances = np.empty((len(triangles), len(basis), len(basis)))
     covariances[:, rows, columns] = covariances[:, columns, rows] = triangles
     _must(file, f"{name}_covariances", "covariances", all(map(is_covariance, covariances)) if len(basis) else True)

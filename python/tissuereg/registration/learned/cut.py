@@ -11,7 +11,7 @@ from tissuereg.registration.learned.batches import in_batches
 from tissuereg.registration.learned.decoders import ClosureDecoder, GraphDecoder, network_at
 
 #: Members run in one call: enough that the weights are read for many, few enough that their values stay in a cache.
-BATCH = 54
+BATCH = 60
 
 #: The cut decoder and the full one agree to this share of the largest displacement: single precision leaves 1e-6.
 TOLERANCE = 1e-4

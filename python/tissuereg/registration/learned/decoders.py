@@ -402,7 +402,7 @@ def _closure(weights: Archive) -> ClosureDecoder:
     while f"layer{len(layers)}/bias" in weights or not layers:
         name = f"layer{len(layers)}"
         weight = table_in(weights, f"{name}/weight", None, len(layers[-1][1]) if layers else None)
-        layers.append((weight, weights.floats(f"{name}/bias", len(weight))))
+        layers.append((weight, table_in(weights, f"{name}/bias", len(weight))))
     n_components, n_latent = len(layers[-1][1]), layers[0][0].shape[1]
     skip = table_in(weights, "skip/weight", n_components, n_latent) if "skip/weight" in weights else None
     components = table_in(weights, "components_mm", n_components, len(mean), 3).astype(np.float32)
@@ -412,7 +412,7 @@ def _closure(weights: Archive) -> ClosureDecoder:
 def _graph_network(weights: Archive, closure: ClosureDecoder | None) -> GraphDecoder:
     sizes = weights.indices("levels", None)
     weight = table_in(weights, "fully_connected.weight", None, None)
-    bias = weights.floats("fully_connected.bias", len(weight))
+    bias = table_in(weights, "fully_connected.bias", len(weight))
     levels: list[GraphLevel] = []
     n_in = len(weight) // max(1, int(sizes[0]))
     for k in range(1, len(sizes)):
@@ -433,7 +433,7 @@ def _graph_network(weights: Archive, closure: ClosureDecoder | None) -> GraphDec
 def _level(weights: Archive, k: int, n_coarse: int, n_fine: int, n_in: int) -> GraphLevel:
     from scipy import sparse
 
-    bases = weights.floats(f"conv{k}.bases", None, n_in, None)
+    bases = table_in(weights, f"conv{k}.bases", None, n_in, None)
     edges = weights.indices(f"conv{k}.edges", None, 2)
     coefficients = table_in(weights, f"conv{k}.coefficients", len(edges), len(bases))
     if len(edges) == 0 or edges.min() < 0 or (edges.max(axis=0) >= (n_fine, n_coarse)).any():
@@ -441,7 +441,7 @@ def _level(weights: Archive, k: int, n_coarse: int, n_fine: int, n_in: int) -> G
         raise ModelError(message, where=str(weights.path))
     # Coefficients that are zero stay, so that all bases have one pattern.
     tables = tuple(sparse.csr_array((one, (edges[:, 0], edges[:, 1])), (n_fine, n_coarse)) for one in coefficients.T)
-    return GraphLevel(tables, bases, weights.floats(f"conv{k}.bias", bases.shape[2]))
+    return GraphLevel(tables, bases, table_in(weights, f"conv{k}.bias", bases.shape[2]))
 
 
 def _dense(tables: list[Any], columns: IntArray) -> FloatArray:

@@ -101,8 +101,8 @@ class CalibratedPosterior:
 
         `given`: body, measured markers and seed; `model`: the model of this moment at markers and targets; `used` int64
         (n_used,): markers that are used; `simulation` (n_nodes, 3) or None: simulated displacement, mm; `variants`:
-        whose mean the simulation is. Cost: three decodes of about 2 n_latent columns at markers and targets, then one
-        of the ensembles of all pairs in every step and one more.
+        whose mean the simulation is. Cost: two decodes of about 2 n_latent columns at markers and targets (three
+        without a simulation), then one of the ensembles of all pairs in every step and one more.
         """
         markers, calibration = given.markers, model.calibration
         order = np.concatenate([used, np.setdiff1d(np.arange(len(markers)), used)])

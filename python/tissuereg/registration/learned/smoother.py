@@ -53,7 +53,8 @@ class Screening:
 
     `linear`: that decoder at markers and targets; `first`: evidence by the decoder that is linear about the start,
     which no marker has moved; `found`: evidence of the pairs; `decode`: the decoder itself; `spread` (n_latent,):
-    standard deviation of the training set's codes.
+    standard deviation of the training set's codes; `simulated`: whether the start is the code of a simulation, about
+    which `first` has compared every marker with the others.
     """
 
     linear: LinearDecoder
@@ -61,6 +62,7 @@ class Screening:
     found: Evidence
     decode: Decode
     spread: FloatArray
+    simulated: bool
 
     @classmethod
     def of(
@@ -94,12 +96,12 @@ class Screening:
             every = simulated and number == 0
             made.append(Evidence.of(prior, linear, observed, noise, compared="every" if every else "none", pairs=pairs))
             point, pairs = made[-1].mean_latents, made[-1].likely
-        return cls(made[-1].model, made[0], made[-1], decode, spread)
+        return cls(made[-1].model, made[0], made[-1], decode, spread, simulated)
 
     def under(self, prior: list[Component], observed: FloatArray, noise: FloatArray) -> "Screening":
         """Return the evidence of pairs with the same decoder under other weights; arguments as for `of`."""
-        every = self.first.misfits.size > 0
-        first = Evidence.of(prior, self.first.model, observed, noise, compared="every" if every else "none")
+        linear = self.first.model
+        first = Evidence.of(prior, linear, observed, noise, compared="every" if self.simulated else "none")
         return replace(self, first=first, found=Evidence.of(prior, self.linear, observed, noise))
 
     def chance_of(self, marker: int, prior: list[Component], observed: FloatArray, noise: FloatArray) -> float:

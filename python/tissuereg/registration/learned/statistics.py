@@ -50,7 +50,7 @@ def statistics_of(
     """
     from scipy.special import gammaincc
 
-    found, simulated = screening.found, n_own < len(prior)
+    found, simulated = screening.found, screening.simulated
     # About a simulation: a wrong marker pulls the answer to where the decoder's slopes are others.
     by_marker = (
         screening.first if simulated else Evidence.of(prior, screening.linear, observed, noise, compared="every")
