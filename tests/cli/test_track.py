@@ -221,6 +221,12 @@ def test_the_reference_may_be_points_of_slicer_or_the_table_of_register(inputs, 
         assert [frame["targets"] for frame in said["frames"]] == [frame["targets"] for frame in table["frames"]]
 
 
+def test_a_frame_that_targets_alone_state_is_asked_for(inputs, capsys):
+    write_mrk(inputs / "t.mrk.json", {"t": tuple(PLACES[0])}, "LPS")
+    code, said, _ = track(capsys, inputs, *with_model(inputs), "--targets", inputs / "t.mrk.json")
+    assert (code, said["where"]) == (2, "--frame")
+
+
 def test_a_recording_in_the_other_frame_is_turned(inputs, capsys):
     _, plain, _ = track(capsys, inputs, *with_model(inputs), "--frame", "LPS")
     for name in ("reference.csv", "recording.csv", "targets.csv"):

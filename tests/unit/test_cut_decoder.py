@@ -16,6 +16,7 @@ from support.networks import (
 from tissuereg.errors import ModelError
 from tissuereg.phantom import phantom_mesh, shipped_model_folder
 from tissuereg.registration.learned import cut as cut_module
+from tissuereg.registration.learned.batches import in_batches
 from tissuereg.registration.learned.cut import CutDecoder
 from tissuereg.registration.learned.decoders import network_at, read_decoder
 from tissuereg.registration.learned.digits import in_digits, rounded
@@ -201,3 +202,20 @@ def test_tables_that_do_not_fit_are_refused_by_name(tmp_path, make, name, value,
 def test_weights_of_no_known_kind_are_not_cut(tmp_path):
     np.savez(tmp_path / "decoder_weights.npz", error_sizes_mm=np.ones(3))
     assert read_decoder(tmp_path / "decoder_weights.npz") is None
+
+
+@pytest.mark.parametrize(
+    ("members", "sizes"), [(1, [1]), (60, [60]), (61, [31, 30]), (120, [60, 60]), (130, [33, 33, 32, 32])]
+)
+def test_members_are_run_in_batches_even_in_number_that_do_not_depend_on_threads(members, sizes):
+    latents = np.arange(2.0 * members).reshape(2, members)
+    for threads in (1, 2, 3):
+        seen = {}
+
+        def run(batch, seen=seen):
+            seen[float(batch[0, 0])] = len(batch)
+            return batch.sum(axis=1)
+
+        found = in_batches(run, latents, 60, threads)
+        assert [seen[start] for start in sorted(seen)] == sizes
+        np.testing.assert_array_equal(found, latents.sum(axis=0))

@@ -371,6 +371,17 @@ def test_a_calibration_is_the_same_after_it_was_written_and_read(calibrated, tmp
         Calibration.read(tmp_path / "older.npz", 6, mesh.n_nodes)
 
 
+def test_patterns_without_their_covariances_are_refused_before_anything_of_their_square_is_made(calibrated, tmp_path):
+    mesh, _, calibration = calibrated
+    many = 250_000  # their square would take 60 GB
+    arrays = calibration.save()
+    arrays["error_patterns"] = np.broadcast_to(np.int8(0), (1, many, mesh.n_nodes, 3))
+    arrays["error_patterns.exponents"] = np.zeros(many, np.int8)
+    np.savez_compressed(tmp_path / "c.npz", **arrays)
+    with pytest.raises(FormatError, match="error_covariances"):
+        Calibration.read(tmp_path / "c.npz", 6, mesh.n_nodes)
+
+
 def test_a_calibration_in_a_models_folder_is_used_and_one_that_was_altered_is_refused(tmp_path):
     folder = tmp_path / "model"
     shutil.copytree(SMALL_MODEL, folder)
