@@ -149,7 +149,7 @@ def test_the_command_takes_seen_targets_from_a_table_and_from_points_of_slicer(t
     given = ("register", tmp_path / "body.vtu", tmp_path / "skin.csv", "--targets", tmp_path / "targets.csv")
     for name, std, lost in (("seen.csv", 0.2, ["gone"]), ("seen.mrk.json", 0.1, [])):
         code, said, _ = run_json(
-            capsys, *given, "--seen", tmp_path / name, "--out", tmp_path / name[-4:], "--threads", 1
+            capsys, *given, "--seen", tmp_path / name, "--out", tmp_path / name[-4:], "--threads", 1, "--frame", "LPS"
         )
         assert code == 0
         assert said["markers"]["used"] == [*skin.names, "lesion"]
