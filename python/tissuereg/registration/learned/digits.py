@@ -13,11 +13,8 @@ from tissuereg._base.arrays import FloatArray
 from tissuereg.errors import FormatError
 from tissuereg.io.fields import Archive
 
-#: The base of the digits.
-_BASE = 256
-
 #: Largest number that two digits hold, and largest exponent: single precision holds all their products.
-_MOST, _FARTHEST = 127 * (_BASE + 1), 100
+_MOST, _FARTHEST = 127 * 257, 100
 
 
 def rounded(table: FloatArray, share: float) -> FloatArray:
@@ -48,8 +45,8 @@ def in_digits(name: str, table: FloatArray) -> dict[str, Any]:
     numbers = np.ldexp(rows, -exponents[:, None]).reshape(table.shape)
     if np.abs(numbers).max() > _MOST or np.abs(exponents).max() > _FARTHEST:
         return half
-    low = (numbers.astype(np.int64) + _BASE // 2) % _BASE - _BASE // 2
-    high = (numbers.astype(np.int64) - low) // _BASE
+    low = (numbers.astype(np.int64) + 128) % 256 - 128
+    high = (numbers.astype(np.int64) - low) // 256
     digits = np.stack([low, high] if high.any() else [low])
     return {name: digits.astype(np.int8), f"{name}.exponents": exponents.astype(np.int8)}
 
@@ -76,6 +73,6 @@ def table_in(archive: Archive, name: str, *shape: int | None) -> FloatArray:
         raise FormatError(message, where=f"{archive.path}:{name}.exponents")
     table = np.zeros(found.shape[1:])
     for place, digit in enumerate(found):
-        power = np.ldexp(float(_BASE**place), exponents)
+        power = np.ldexp(256.0**place, exponents)
         table += power.reshape(-1, *(1,) * (digit.ndim - 1)) * digit
     return table
