@@ -133,6 +133,27 @@ def test_about_a_simulation_one_linearisation_is_left_out_and_markers_are_compar
         assert found.under([one], observed, noise).first.misfits.shape == found.first.misfits.shape
 
 
+def test_about_a_simulation_a_wrong_marker_is_told_by_slopes_that_it_did_not_bend():
+    def decode(latents):
+        # Three markers follow the second latent; the last moves by the product of both.
+        rows = np.zeros((latents.shape[1], 12))
+        rows[:, [0, 3, 6]] = latents[1][:, None]
+        rows[:, 9] = latents[0] * latents[1]
+        return rows
+
+    one = Component(np.array([0.98]), np.ones(1), np.zeros(2), np.eye(2), 1e-4 * np.eye(12))
+    noise = np.diag(np.repeat([0.3, 0.3, 0.3, 0.1], 3) ** 2)
+    prior = [one, Component(np.array([0.02]), one.scales, one.mean, one.covariance, one.errors)]
+    observed = decode(np.array([[0.5], [0.1]]))[0]
+    observed[9] += 1.5
+    screening = Screening.of(decode, prior, observed, noise, np.zeros(2), np.ones(2), simulated=True)
+    _, about_answer = Evidence.of(prior, screening.linear, observed, noise, compared="every").chances()
+    shown = statistics_of(Nowhere(), prior, screening, observed, noise, 1)
+    assert np.argmax(shown.marker_rows) == 3
+    # Where it pulled the decoder to, it looks far likelier.
+    assert shown.marker_rows[3] + np.log(4.0) > 5.0 - np.log(about_answer[3])
+
+
 def test_noise_that_is_larger_than_stated_shows_and_smaller_noise_does_not(gaussian):
     one, linear, noise, rng = gaussian
     small = Component(one.weights, one.scales, one.mean, one.covariance, 0.1 * one.errors)

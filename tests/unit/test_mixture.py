@@ -371,6 +371,17 @@ def test_a_calibration_is_the_same_after_it_was_written_and_read(calibrated, tmp
         Calibration.read(tmp_path / "older.npz", 6, mesh.n_nodes)
 
 
+def test_fields_are_projected_on_patterns_that_rounding_left_not_quite_orthogonal():
+    rng = np.random.default_rng(0)
+    patterns = rng.standard_normal((3, 20, 3))
+    errors = FieldErrors(patterns, np.eye(3)[None], np.zeros((20, 3)))
+    inside = np.tensordot(rng.standard_normal((4, 3)), patterns, 1)
+    np.testing.assert_allclose(errors.project(inside), inside, atol=1e-10)
+    any_ = rng.standard_normal((4, 20, 3))
+    left = any_ - errors.project(any_)
+    np.testing.assert_allclose(np.einsum("pnx,fnx->pf", patterns, left), 0.0, atol=1e-10)
+
+
 def test_patterns_without_their_covariances_are_refused_before_anything_of_their_square_is_made(calibrated, tmp_path):
     mesh, _, calibration = calibrated
     many = 250_000  # their square would take 60 GB

@@ -51,18 +51,22 @@ _MOST_PAIRS, _LEAST_SHARE = 3, 1e-3
 class Screening:
     """Evidence of all pairs of component and scale, by a decoder that is linear about the most probable latents.
 
-    `linear`: that decoder at markers and targets; `first`: evidence by the decoder that is linear about the start,
-    which no marker has moved; `found`: evidence of the pairs; `decode`: the decoder itself; `spread` (n_latent,):
-    standard deviation of the training set's codes; `simulated`: whether the start is the code of a simulation, about
-    which `first` has compared every marker with the others.
+    `first`: evidence by the decoder that is linear about the start, which no marker has moved; `found`: evidence of the
+    pairs; `decode`: the decoder itself; `spread` (n_latent,): standard deviation of the training set's codes;
+    `simulated`: whether the start is the code of a simulation, about which `first` has compared every marker with the
+    others.
     """
 
-    linear: LinearDecoder
     first: Evidence
     found: Evidence
     decode: Decode
     spread: FloatArray
     simulated: bool
+
+    @property
+    def linear(self) -> LinearDecoder:
+        """The decoder that is linear about the most probable latents, at markers and targets."""
+        return self.found.model
 
     @classmethod
     def of(
@@ -96,7 +100,7 @@ class Screening:
             every = simulated and number == 0
             made.append(Evidence.of(prior, linear, observed, noise, compared="every" if every else "none", pairs=pairs))
             point, pairs = made[-1].mean_latents, made[-1].likely
-        return cls(made[-1].model, made[0], made[-1], decode, spread, simulated)
+        return cls(made[0], made[-1], decode, spread, simulated)
 
     def under(self, prior: list[Component], observed: FloatArray, noise: FloatArray) -> "Screening":
         """Return the evidence of pairs with the same decoder under other weights; arguments as for `of`."""
