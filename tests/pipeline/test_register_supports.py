@@ -120,7 +120,8 @@ def test_supports_that_hold_in_the_middle_alone_are_found(body):
 def test_supports_that_hold_at_two_corners_are_found_in_part(body):
     corners = lambda x, y: (np.hypot(x - 8.0, y - 8.0) < 8.0) | (np.hypot(x - 24.0, y - 20.0) < 7.0)  # noqa: E731
     places, (perhaps, sure) = held_where(body, corners)
-    assert error(perhaps, places) < 0.6 * error(sure, places)
+    assert error(perhaps, places) < 0.36
+    assert error(sure, places) < 0.6
 
 
 def test_a_tracker_that_drifts_is_distinguished_from_a_pull(body):
@@ -136,7 +137,7 @@ def test_a_tracker_that_drifts_is_distinguished_from_a_pull(body):
 
 def test_a_body_softer_at_its_top_is_found_so(body):
     height = body.nodes[body.tets].mean(axis=1)[:, 2] / 24.0
-    graded = tr.Material(8.0 * np.exp(2.0 - 4.0 * height), 0.45)
+    graded = tr.Material(8.0 * np.exp(1.0 - 2.0 * height), 0.45)
     places = body.nodes + pulled(body, np.flatnonzero(body.nodes[:, 2] == 0.0), graded.scaled(0.5))
     uniform, found = (tr.register(tr.Body(body, stiffness=kind), seen(body, places)) for kind in ("believed", "graded"))
     assert error(found, places) < error(uniform, places)

@@ -13,7 +13,7 @@ LEFT_OUT = "the believed load was left out: "
 
 
 def registered(**options):
-    options = {"material": MATERIAL, "element": "tet4", "threads": 1, **options}
+    options = {"material": MATERIAL, "element": "tet4", "tracker": "fixed", "threads": 1, **options}
     return doors.registered(push().mesh, push().markers(), **options)
 
 

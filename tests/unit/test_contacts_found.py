@@ -21,7 +21,8 @@ def result():
 
 
 def registered(markers, **options):
-    return doors.registered(push().mesh, markers, **{"material": MATERIAL, "element": ELEMENT, "threads": 1, **options})
+    known = {"material": MATERIAL, "element": ELEMENT, "tracker": "fixed", "threads": 1}
+    return doors.registered(push().mesh, markers, **{**known, **options})
 
 
 def moved():
@@ -57,7 +58,7 @@ def test_contacts_are_plain_numbers_in_the_json(result):
 
 
 def test_the_body_is_that_of_the_truth(result):
-    # Measured: 0.065 to 0.067 at six seeds. The push is smooth; at its size, 1.5 mm here, texture is expected with it.
+    # Measured: 0.068 to 0.070 at four seeds. The push is smooth; at its size, 1.5 mm here, texture is expected with it.
     assert push().errors(result).mean() < 0.075 * moved()
     assert result.markers.after_rms_mm < push().limit(push().markers())
     assert result.trust.ok, result.trust.reasons
@@ -178,7 +179,7 @@ def test_the_nodal_forces_hold_the_registered_body(result):
     fit = result.draw.fit
     simulator = fit.columns.body.simulator
     weight = fit.columns.weight_forces(np.asarray(fit.columns.load(fit.state.coefficients).body_force))
-    left = simulator.internal_forces(np.ascontiguousarray(result.displacement), MATERIAL) - result.forces - weight
+    left = simulator.internal_forces(fit.state.displacement, MATERIAL) - result.forces - weight
     free = np.setdiff1d(np.arange(push().mesh.n_nodes), simulator.held_nodes)
     assert np.linalg.norm(left[free]) < 1e-5 * np.linalg.norm(result.forces)
 
@@ -204,18 +205,19 @@ def test_targets_lie_in_their_regions(result):
 
 
 def test_draws_are_equilibria_under_their_loads(result):
-    fit, spread = result.draw.fit, result.draw.spread
-    draws = result.draws(6)
+    fit, draws = result.draw.fit, result.draws(6)
     assert np.array_equal(draws, result.draws(6))
     simulator = fit.columns.body.simulator
     free = np.setdiff1d(np.arange(push().mesh.n_nodes), simulator.held_nodes)
-    coefficients = spread.coefficients(np.random.default_rng([0, 8]), 6)
+    coefficients, beside = result.draw.drawn(6)
+    assert 0.0 < np.linalg.norm(beside, axis=2).mean() < 0.2 * moved()
+    draws = draws - beside
     for field, one in zip(draws, coefficients, strict=True):
         load = fit.columns.load(one)
         acts = np.asarray(load.forces) + fit.columns.weight_forces(np.asarray(load.body_force))
         left = simulator.internal_forces(np.ascontiguousarray(field), MATERIAL) - acts
         assert np.linalg.norm(left[free]) < 1e-5 * np.linalg.norm(acts[free])
-        assert not field[simulator.held_nodes].any()
+        assert np.abs(field[simulator.held_nodes]).max() < 1e-12
     # Inside the body nothing but the weight acts.
     inner = np.setdiff1d(free, push().mesh.surface_nodes)
     forces = simulator.internal_forces(np.ascontiguousarray(draws[0]), MATERIAL)[inner]

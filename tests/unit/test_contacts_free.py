@@ -75,11 +75,11 @@ def test_draws_of_a_free_body_move_as_a_whole_as_well(turned: tr.Registration) -
     draw: Any = turned.draw
     drawn = turned.draws(16)
     simulator, first = draw.fit.columns.body.simulator, turned.mesh.nodes
-    coefficients = draw.spread.coefficients(np.random.default_rng([0, 8]), 16)
-    for field, one in zip(drawn, coefficients, strict=True):
+    coefficients, beside = draw.drawn(16)
+    for field, one, apart in zip(drawn, coefficients, beside, strict=True):
         # Taken back by its own motion, a draw is the equilibrium under its load, in the body's frame.
         frame = draw.fit.state.frame.followed_by(draw.fit.columns.frame(one), draw.fit.columns.rigid)
-        back = frame.undo(places(turned, field)) - first
+        back = frame.undo(places(turned, field)) - first - apart
         found = simulator.solve(
             draw.fit.columns.load(one),
             MATERIAL,

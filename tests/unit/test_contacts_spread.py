@@ -47,7 +47,10 @@ def test_the_spread_of_nodes_is_the_covariance_of_points_there(result, spread):
     assert result.std[nodes] == pytest.approx(wanted, rel=0.12)
     assert np.mean(result.std[nodes] / wanted) == pytest.approx(1.0, abs=0.04)
     assert result.std[rim].all()
-    assert not result.std[np.setdiff1d(mesh.fixed_nodes, rim)].any()
+    # The tracker may have drifted: what is held moves as a whole; what no load explains leaves it where it is.
+    inner = np.setdiff1d(mesh.fixed_nodes, rim)
+    assert result.std[inner].max() < 0.7 * result.std[rim].max()
+    assert spread._rest[mesh.fixed_nodes].max() < 1e-3 * spread._rest.max()
 
 
 def test_errors_of_the_model_are_slopes_of_solves(spread):
@@ -58,15 +61,14 @@ def test_errors_of_the_model_are_slopes_of_solves(spread):
     exact = Spread(replace(fit, tangent=here), MATERIAL, spread._settings, 1)
     found = exact._by_model(here.compliance(rows_of(nodes))[0])
     assert np.abs(found - spread._by_model(fit.tangent.compliance(rows_of(nodes))[0])).max() < 0.1 * np.abs(found).max()
-    blobs, n_tets = fit.columns.body.blobs, simulator.mesh.n_tets
-    young, poisson, step = np.full(n_tets, 8.0), np.full(n_tets, 0.4), 0.02
+    step = 0.02
 
-    def moved(sign, by_young, by_poisson):
-        material = tr.Material(young + sign * step * by_young, poisson + sign * step * by_poisson)
+    def moved(sign):
+        material = tr.Material(8.0, 0.4 + sign * step * 0.02)
         return simulator.solve(load, material, start=fit.state.displacement, **TIGHT).displacement[nodes].ravel()
 
     edges = spread._edges
-    assert found.shape == (12, len(blobs) + 1 + len(edges))
+    assert found.shape == (12, 1 + len(edges))
     for k in (0, len(edges) // 2):
         ends = [
             simulator.solve(
@@ -78,16 +80,28 @@ def test_errors_of_the_model_are_slopes_of_solves(spread):
             for sign in (1, -1)
         ]
         slope = (ends[0] - ends[1]).ravel() / (2 * step)
-        assert np.abs(found[:, len(blobs) + 1 + k] - slope).max() < 2e-3 * np.abs(slope).max(), k
-    for k, by_young in [(0, 0.2 * 8.0 * blobs[0]), (7, 0.2 * 8.0 * blobs[7]), (len(blobs), np.zeros(n_tets))]:
-        by_poisson = np.full(n_tets, 0.02 if k == len(blobs) else 0.0)
-        slope = (moved(1, by_young, by_poisson) - moved(-1, by_young, by_poisson)) / (2 * step)
-        assert np.abs(found[:, k] - slope).max() < 2e-3 * np.abs(slope).max(), k
+        assert np.abs(found[:, 1 + k] - slope).max() < 2e-3 * np.abs(slope).max(), k
+    slope = (moved(1) - moved(-1)) / (2 * step)
+    assert np.abs(found[:, 0] - slope).max() < 2e-3 * np.abs(slope).max()
 
 
-def test_the_errors_of_the_model_have_one_standard_deviation_everywhere(spread):
-    blobs = spread._fit.columns.body.blobs
-    assert np.sum(blobs**2, axis=0) == pytest.approx(np.ones(blobs.shape[1]))
+def test_a_change_of_the_stiffness_is_the_slope_of_solves(spread):
+    fit, nodes = spread._fit, free_nodes(4)
+    body, load, step = fit.columns.body, fit.columns.load(fit.state.coefficients), 0.02
+    here, _ = tangent_at(fit.columns, MATERIAL, fit.state, 1)
+    rows = rows_of(nodes)
+    found = fit.columns.responses(here.compliance(rows)[0], places_of(fit, nodes), beside=(rows, here.stiffness_forces))
+    block = next(family.columns for family in fit.columns.families if family.name == "stiffness")
+    for k, profile in enumerate(body.profiles):
+        ends = [
+            body.simulator.solve(
+                load, MATERIAL.scaled(np.exp(sign * step * profile)), start=fit.state.displacement, **TIGHT
+            ).displacement[nodes]
+            for sign in (1, -1)
+        ]
+        slope = (ends[0] - ends[1]).ravel() / (2 * step)
+        assert np.abs(found[:, block][:, k] - slope).max() < 2e-3 * np.abs(slope).max(), k
+        assert here.by_stiffness[k][nodes].ravel() == pytest.approx(found[:, block][:, k], rel=1e-3, abs=1e-6)
 
 
 def test_the_model_is_part_of_the_covariance_and_markers_take_most_of_it_back(spread):
@@ -97,11 +111,16 @@ def test_the_model_is_part_of_the_covariance_and_markers_take_most_of_it_back(sp
     for nodes, most in ((push().nodes, 0.35), (free_nodes(10), 1.0)):
         rows = rows_of(nodes)
         compliance = fit.tangent.compliance(rows)[0]
-        responses = fit.columns.responses(compliance, places_of(fit, nodes))
+        responses = fit.columns.responses(
+            compliance, places_of(fit, nodes), beside=(rows, fit.tangent.stiffness_forces)
+        )
         _, gain, means, contacts, *_ = fit.sampler.moments(list(fit.samples), np.ascontiguousarray(responses))
         off = means - (responses @ fit.state.coefficients).reshape(-1, 3)
         contacts = contacts + np.einsum("pa,pb->pab", off, off)
-        model = alone.points(rows, places_of(fit, nodes)).covariance - contacts
+        # What no load explains and no marker sees is not the model's error.
+        contacts[:, [0, 1, 2], [0, 1, 2]] += alone._rest[nodes, None]
+        turn = fit.state.frame.rotation
+        model = turn.T @ alone.points(rows, places_of(fit, nodes)).covariance @ turn - contacts
         by_model = alone._by_model(compliance)
         # What the error does to a point, and what it does to the markers, through the gain.
         left = (by_model - responses @ gain @ at_data).reshape(len(nodes), 3, -1)
@@ -161,10 +180,9 @@ def test_drawn_coefficients_have_the_mean_and_the_gain_of_the_moments(spread):
     assert gain.shape == (fit.columns.n_columns, len(fit.observations.variances))
 
 
-@pytest.mark.parametrize("doubt", [{"held": "perhaps"}, {"stiffness": "graded"}])
-def test_what_was_sought_of_supports_or_stiffness_stays_uncertain_in_the_regions(doubt):
+def test_what_was_sought_of_supports_stays_uncertain_in_the_regions():
     target = {"deep": (40.0, 20.0, 9.0)}
-    body = tr.Body(push().mesh, MATERIAL, **doubt)
+    body = tr.Body(push().mesh, MATERIAL, held="perhaps")
     found = tr.register(body, push().markers(), targets=target, settings=tr.RegisterSettings(threads=1))
     draw = found.draw
     alone = Spread(draw.fit, draw.material, draw.spread._settings, 1)

@@ -75,7 +75,7 @@ def test_noise_that_is_stated_ten_times_too_small_is_named() -> None:
     rng = np.random.default_rng(3)
     rough = markers.measured + 0.3 * rng.standard_normal(markers.measured.shape)
     found = registered(tr.Markers(markers.reference, rough, 0.03))
-    assert any(reason.startswith("noise: ") for reason in found.trust.reasons)
+    assert any("noise" in reason for reason in found.trust.reasons)
     assert registered(tr.Markers(markers.reference, rough, 0.3)).trust.ok
 
 

@@ -13,12 +13,14 @@ from tissuereg.body.material import Material
 from tissuereg.body.mesh import Mesh
 from tissuereg.body.topology import sound_mesh
 from tissuereg.errors import ArgumentError, MaterialError, ShapeError
-from tissuereg.registration.contacts.graded import STIFFNESS
 from tissuereg.registration.contacts.supports import Supports, support_warnings
 from tissuereg.simulation.solve import ELEMENTS
 
 #: Meshes with at most this many nodes get averaged elements, and so do materials with a larger Poisson's ratio.
 COARSE_NODES, STIFF_POISSON = 3000, 0.475
+
+#: Values of `stiffness`.
+STIFFNESS = ("believed", "graded")
 
 _FIELDS = ("mesh", "material", "element", "held", "stiffness", "held_nodes")
 

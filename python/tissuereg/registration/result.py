@@ -218,6 +218,8 @@ class Registration:
         Date, version, call or command, hashes of the input files, warnings.
     linear : callable, optional
         Takes no argument and returns the estimate of the body by linear elasticity alone, or None; see `fallback`.
+    tracker : {"fixed", "drifts"}
+        Whether the tracker was taken to be fixed relative to the body, or may have drifted.
     """
 
     body: Body
@@ -237,6 +239,7 @@ class Registration:
     seed: int
     provenance: Provenance = field(default_factory=Provenance)
     linear: Callable[[], Fallback | None] | None = None
+    tracker: str = "fixed"
 
     @property
     def mesh(self) -> Mesh:
@@ -308,7 +311,7 @@ class Registration:
 
     def _found_json(self) -> dict[str, Any]:
         """Return the entries of ``registration.json`` that one method alone fills in, each empty here."""
-        return {"surface": None, "contacts": [], "work": {}, "dropped_members": []}
+        return {"surface": None, "contacts": [], "explained_mm": {}, "work": {}, "dropped_members": []}
 
     def to_json(self) -> dict[str, Any]:
         """Return the content of ``registration.json``: plain numbers, lists and strings."""
@@ -317,7 +320,7 @@ class Registration:
             "schema": "tissuereg.registration/1",
             "seed": self.seed,
             "frame": self.mesh.frame,
-            "tracker": self.settings.tracker,
+            "tracker": self.tracker,
             "markers": {
                 "used": list(fit.used),
                 "dropped": [{"marker": name, "reason": reason} for name, reason in fit.dropped],
@@ -346,6 +349,7 @@ class Registration:
             "fallback": None if self.fallback is None else self.fallback.to_json(),
             "model": dict(self.model),
             "contacts": own["contacts"],
+            "explained_mm": own["explained_mm"],
             "work": own["work"],
             "dropped_members": own["dropped_members"],
             "seconds": dict(self.seconds),

@@ -52,9 +52,10 @@ class RegisterSettings:
     ----------
     threads : int
         Threads to use; 0 takes all cores. The result does not depend on it.
-    tracker : {"fixed", "drifts"}
-        Without a model: whether the tracker stayed fixed relative to the body's supports, or may have drifted by a
-        small rigid motion. The answer is in the tracker's frame at the measurement.
+    tracker : {"fixed", "drifts"}, optional
+        Without a model: whether the tracker is known to have stayed fixed relative to the body's supports, or may have
+        drifted by a small rigid motion, of an amount that the markers tell. The answer is in the tracker's frame at the
+        measurement. By default it may have drifted where the supports are sure.
     contacts : ContactSettings
         Without a model: prior and sampling of unknown contacts.
     ensemble : int
@@ -76,12 +77,12 @@ class RegisterSettings:
 
     Examples
     --------
-    >>> RegisterSettings(tracker="drifts").smoother.n_members
+    >>> RegisterSettings(tracker="fixed").smoother.n_members
     40
     """
 
     threads: int = 0
-    tracker: str = "fixed"
+    tracker: str | None = None
     contacts: ContactSettings = field(default_factory=ContactSettings)
     ensemble: int = 0
     smoother: SmootherSettings = field(default_factory=SmootherSettings)
@@ -89,7 +90,8 @@ class RegisterSettings:
 
     def __post_init__(self) -> None:
         check_running(threads=self.threads)
-        check_choice("tracker", self.tracker, TRACKERS, ArgumentError)
+        if self.tracker is not None:
+            check_choice("tracker", self.tracker, TRACKERS, ArgumentError)
         of_kind("contacts", self.contacts, ContactSettings)
         whole("ensemble", self.ensemble, most=MOST_COUNTED)
         of_kind("smoother", self.smoother, SmootherSettings)

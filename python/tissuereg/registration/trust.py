@@ -47,7 +47,8 @@ class Trust:
         calibration events (trial registrations) that look at least as bad, or an estimate of it without calibration.
     reasons : list of str
         Reasons not to trust the result, in sentences that start with their kind: ``misfit``, ``few markers``, ``wrong
-        marker``, ``lone motion``, ``inverted tets``, ``simulation``, ``unfamiliar``, ``noise``, or a kind of
+        marker``, ``lone motion``, ``inverted tets``, ``simulation``, ``unfamiliar``, ``unexplained``, ``stiffness``,
+        ``noise``, or a kind of
         `tissuereg.registration.readings.Suspicion`.
     chi_square : float
         Misfit J: squared residuals over the noise, plus the squared distance from the prior mean over the prior

@@ -31,6 +31,7 @@ def write_page(result: "Registration", path: Path, *, picture: bool = True) -> P
         _summary(result),
         _picture(result) if picture else "",
         _contacts(result),
+        _explained(result),
         _targets(result),
         _dropped(result),
         _markers(result),
@@ -182,6 +183,12 @@ def _model(result: "Registration") -> str:
     return _section("Model", ("", ""), [*rows, ("seed", str(result.seed))])
 
 
+def _explained(result: "Registration") -> str:
+    parts: dict[str, float] = getattr(result, "explained_mm", {})
+    rows = [(name, f"{size:.2f}") for name, size in parts.items()]
+    return _section("What explains the motion", ("", "mm rms over the body"), rows)
+
+
 def _work(result: "Registration") -> str:
     counts: dict[str, int] = getattr(result, "work", {})
     rows = [(name.replace("_", " "), f"{count:,}") for name, count in counts.items()]
@@ -202,7 +209,7 @@ def _believed(result: "Registration") -> list[tuple[str, str]]:
     law = body.material
     return [
         ("noise (standard deviation)", "; ".join(noise) or "none"),
-        ("supports", f"{held} nodes in the set 'fixed', held: {body.held}; tracker: {result.settings.tracker}"),
+        ("supports", f"{held} nodes in the set 'fixed', held: {body.held}; tracker: {result.tracker}"),
         (
             "material",
             f"{law.law}, Young's modulus {_range(law.young_array, 'kPa')} ({body.stiffness}), Poisson's ratio "

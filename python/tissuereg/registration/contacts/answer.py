@@ -9,6 +9,7 @@ from tissuereg._base.clock import Clock
 from tissuereg.body.mesh import det_f
 from tissuereg.registration.contacts.draws import Draws, NodesOfContacts
 from tissuereg.registration.contacts.evidence import log_noise_odds
+from tissuereg.registration.contacts.explained import explained, reasons
 from tissuereg.registration.contacts.fit import ContactFit
 from tissuereg.registration.contacts.found import find_contacts
 from tissuereg.registration.contacts.measured import MarkerData
@@ -50,8 +51,8 @@ def known_of(given: RegisterInput, fit: ContactFit, spread: Spread) -> Known:
     measured = np.isfinite(given.markers.measured).any(axis=1)
     counts = np.asarray(measured & (fit.wrong < given.settings.contacts.report.wrong))
     used, lost = np.flatnonzero(counts), np.flatnonzero(~counts)
-    here = state.displacement[observed.nodes]
-    moved = np.concatenate([inner.predict(state.displacement[inner.nodes]), observed.predict(here)])
+    here = state.moved[observed.nodes]
+    moved = np.concatenate([inner.predict(state.moved[inner.nodes]), observed.predict(here)])
     reference = np.concatenate([inner.reference.reshape(-1, 3), given.markers.reference])
     of_markers = observed.rows(here) if len(lost) else []
     rows = [*inner.rows(), *(of_markers[3 * marker + axis] for marker in lost for axis in range(3))]
@@ -92,7 +93,7 @@ class Answer:
         """
         given, fit, markers = self.given, self.fit, self.given.markers
         mesh, state, names = given.mesh, fit.state, given.markers.names
-        body = state.displacement[: mesh.n_nodes]
+        body = state.moved[: mesh.n_nodes]
         fitted = self._of_markers(self.known.displacement)
         used, lost = self.known.used, self.known.lost
         some = np.asarray(np.isfinite(markers.measured).any(axis=1))
@@ -125,6 +126,8 @@ class Answer:
             contacts=find_contacts(fit, given.settings.contacts.report, self.drawn()),
             work=dict(fit.counters),
             forces=_forces(fit),
+            explained_mm=explained(fit),
+            tracker="drifts" if fit.columns.moves else "fixed",
             draw=self.draw,
         )
 
@@ -135,12 +138,12 @@ class Answer:
     def _start_displacement(self) -> FloatArray:
         """Return the markers' displacement under the believed load, (n_markers, 3), in the tracker's frame, mm."""
         observed, reference, start = self.given.observed, self.given.markers.reference, self.start
-        start_displacement = observed.predict(start.displacement[observed.nodes])
+        start_displacement = observed.predict(start.moved[observed.nodes])
         return start.frame.apply(reference + start_displacement) - reference
 
     def _targets(self) -> dict[str, Target]:
         inner, start = self.given.targets, self.start
-        predicted = start.frame.apply(inner.reference + inner.predict(start.displacement[inner.nodes]))
+        predicted = start.frame.apply(inner.reference + inner.predict(start.moved[inner.nodes]))
         covariance = self.known.points.covariance
         return {
             name: self._target(i, inner.reference[i], self.known.displacement[i], covariance[i], predicted[i])
@@ -194,7 +197,7 @@ class Answer:
         error is therefore enlarged there, in this test alone. `moved` (n_markers,): length of each marker's motion, mm.
         """
         settings, observed = self.given.settings.contacts, self.given.observed
-        local = observed.variation(self.fit.state.displacement[observed.nodes])
+        local = observed.variation(self.fit.state.moved[observed.nodes])
         model = (settings.model_error * moved) ** 2 + (settings.local_error * local) ** 2
         return np.asarray(self.given.markers.axis_std**2 + model[:, None])
 
@@ -217,6 +220,7 @@ class Answer:
         used = self.known.used
         given, fit, markers, surface = self.given, self.fit, self.given.markers, self.surface
         notes = [*given.notes, *self._wrong(unseen)]
+        notes += reasons(fit, given.settings.contacts.report)
         notes += self._scatter() if surface is None else surface.reasons(given.settings.contacts.report)
         points = (0.0, 0) if surface is None else (surface.misfit, surface.used)
         residual = markers.displacement[used] - self._of_markers(self.known.displacement)[used]

@@ -10,8 +10,7 @@ import numpy as np
 from tissuereg._base.arrays import FloatArray, IntArray
 from tissuereg.body.mesh import Mesh
 from tissuereg.registration.contacts.patches import Patches, make_patches
-from tissuereg.registration.contacts.places import smooth_fields
-from tissuereg.registration.contacts.settings import DISCRETISATION, EFFORT
+from tissuereg.registration.contacts.settings import EFFORT
 from tissuereg.registration.contacts.supports import Supports, springs_of
 from tissuereg.simulation.solve import Simulator
 
@@ -28,8 +27,7 @@ class ContactBody:
     parts of the free surface on which contacts may act; `base`: parts of the doubtful supports on which unknown
     tractions may act; None if no support is doubtful; `springs`: for each set of springs its surface triangles, int64
     (n, 3), and the factors (2,), 1/mm, by which Young's modulus in kPa is multiplied to get a unit of normal and of
-    tangential stiffness in kPa/mm; `blobs` (n_blobs, n_tets): smooth dimensionless fields along which the stiffness may
-    vary; their squares add up to one in every tet.
+    tangential stiffness in kPa/mm.
     """
 
     mesh: Mesh
@@ -38,7 +36,16 @@ class ContactBody:
     patches: Patches
     base: Patches | None
     springs: list[tuple[IntArray, FloatArray]] = field(repr=False)
-    blobs: FloatArray = field(repr=False)
+
+    @cached_property
+    def profiles(self) -> FloatArray:
+        """Coordinates of the tets' centroids along the principal axes, -1 to 1 across the body, (3, n_tets)."""
+        mesh = self.mesh
+        centred = mesh.nodes - mesh.nodes.mean(axis=0)
+        axes = np.linalg.eigh(centred.T @ centred)[1]
+        along = mesh.nodes @ axes
+        middle, half = 0.5 * (along.max(axis=0) + along.min(axis=0)), 0.5 * np.ptp(along, axis=0)
+        return np.asarray(((mesh.nodes[mesh.tets].mean(axis=1) @ axes - middle) / half).T)
 
     @cached_property
     def node_volumes(self) -> FloatArray:
@@ -94,7 +101,6 @@ class ContactBody:
             make_patches(mesh, free),
             base,
             springs,
-            smooth_fields(mesh.nodes[mesh.tets].mean(axis=1), DISCRETISATION.stiffness_fields),
         )
 
 

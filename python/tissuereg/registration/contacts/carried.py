@@ -77,7 +77,7 @@ class Carried:
         if _differ(columns, self.columns, coefficients) <= DISCRETISATION.same_load:
             return self.state
         try:
-            return BodyState(coefficients, solve(coefficients), self.state.frame)
+            return BodyState(coefficients, solve(coefficients), self.state.frame, self.state.beside)
         except ConvergenceError:
             return None
 

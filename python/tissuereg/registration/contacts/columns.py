@@ -2,8 +2,10 @@
 
 A cause acts in proportion to an unknown coefficient. Columns come in blocks. The first holds a force along each of
 three axes for each patch of the surface; a contact is a choice among these patches. Then follow a body force, the error
-of a believed load, the tractions of doubtful supports, and a rigid motion. The causes of a block share one unknown size
-(they are a family); that of the first block describes weak tractions on all patches at once, the background.
+of a believed load, the tractions of doubtful supports, a rigid motion, a stiffness that changes across the body, and a
+displacement that no load explains; the last two move the body beside its equilibrium. The causes of a block share one
+unknown size (they are a family); that of the first block describes weak tractions on all patches at once, the
+background.
 """
 
 from collections.abc import Sequence
@@ -12,14 +14,17 @@ from typing import Any
 
 import numpy as np
 
-from tissuereg._base.arrays import FloatArray
+from tissuereg._base.arrays import FloatArray, IntArray
 from tissuereg.body.load import Load
 from tissuereg.body.material import Material
 from tissuereg.registration.contacts.body import ContactBody
 from tissuereg.registration.contacts.patches import Patches
 from tissuereg.registration.contacts.settings import DISCRETISATION, ContactSettings
-from tissuereg.simulation.sensitivity import Compliance
+from tissuereg.registration.contacts.unexplained import Unexplained
+from tissuereg.simulation.sensitivity import Cause, Compliance, ModulusField
 from tissuereg.simulation.solve import LoadParts
+
+Rows = list[tuple[IntArray, FloatArray]]
 
 
 @dataclass(frozen=True)
@@ -77,6 +82,8 @@ class Columns:
     rigid : ndarray of float64, shape (2, 3)
         First row: pivot of rigid rotations, mm; second row, three times: the distance from it, mm, at which a unit
         rotation moves by 1 mm.
+    unexplained : Unexplained or None
+        Displacement that no load explains; None if there is none.
     """
 
     body: ContactBody
@@ -86,6 +93,7 @@ class Columns:
     believed: LoadParts
     families: tuple[Family, ...]
     rigid: FloatArray
+    unexplained: Unexplained | None
     _offsets: dict[str, slice] = field(repr=False)
 
     @classmethod
@@ -97,11 +105,15 @@ class Columns:
         settings: ContactSettings,
         *,
         drifts: bool = False,
+        stiffness: tuple[float, float] | None = None,
+        unexplained: Unexplained | None = None,
     ) -> "Columns":
         """Return the possible causes of motion of a body of some material under a believed load.
 
         `body`: prepared mesh; `material`: its material; `believed`: parts of the believed load, None where there is
-        none; `settings`: prior; `drifts`: whether a small rigid motion of the tracker is one of the causes.
+        none; `settings`: prior; `drifts`: whether a small rigid motion of the tracker is one of the causes;
+        `stiffness`: size of the change of ln E across the body, with Young's modulus E (median, standard deviation of
+        its logarithm), None for none; `unexplained`: displacement that no load explains, None for none.
         """
         n_patches = 3 * body.patches.n_patches
         extent = body.mesh.extent
@@ -118,6 +130,11 @@ class Columns:
         if body.supports.moves or drifts:
             moved = settings.frame if body.supports.moves else settings.drift
             blocks.append(("frame", 6, _in_mm(moved, extent)))
+        if stiffness is not None:
+            blocks.append(("stiffness", len(body.profiles), stiffness))
+        if unexplained is not None:
+            median, spread = settings.unexplained
+            blocks.append(("unexplained", unexplained.n_columns, (median * unexplained.motion, spread)))
         first = n_patches
         for name, count, size in blocks:
             families.append(Family.of(name, slice(first, first + count), 1.0, size))
@@ -126,7 +143,9 @@ class Columns:
         rigid = np.stack([nodes.mean(axis=0), np.full(3, 0.5 * body.mesh.extent)])
         offsets = {family.name: family.columns for family in families}
         springs = spring_stiffness(body, material, settings.support_stiffness)
-        return cls(body, _patch_young(body, material), mean, springs, believed, tuple(families), rigid, offsets)
+        return cls(
+            body, _patch_young(body, material), mean, springs, believed, tuple(families), rigid, unexplained, offsets
+        )
 
     @property
     def n_columns(self) -> int:
@@ -163,13 +182,21 @@ class Columns:
     def _body_force_unit(self) -> float:
         return 2.0 * float(np.mean(self.young)) / (0.5 * self.body.mesh.extent) ** 2
 
-    def responses(self, compliance: Compliance, places: FloatArray, rigid: FloatArray | None = None) -> FloatArray:
+    def responses(
+        self,
+        compliance: Compliance,
+        places: FloatArray,
+        rigid: FloatArray | None = None,
+        beside: tuple[Rows, FloatArray] | None = None,
+    ) -> FloatArray:
         """Return the displacement of observations by a unit coefficient of every cause, (n_rows, n_columns), in mm.
 
         `compliance`: derivatives of the observations by nodal forces; `places` (n_points, 3): deformed positions of the
         observed points, mm, with one row of the result for each axis of each point; only rigid motions need them;
         `rigid` (n_rows, 6): displacement of the observations by unit rigid motions, mm, given instead of `places` where
-        there are not three observations per point.
+        there are not three observations per point; `beside`: nodes (k,) and weights (k, 3) of the displacement in each
+        observation, and forces (n, n_element_nodes, 3), mN, that changes of the stiffness leave unbalanced; without
+        them causes beside the loads do nothing.
         """
         n_nodes = self.body.mesh.n_nodes
         out = np.zeros((len(compliance.forces), self.n_columns))
@@ -187,7 +214,45 @@ class Columns:
                 out[:, block.start + axis : block.stop : 3] = (self.base_young * (self.body.base.shapes @ along)).T
         if "frame" in self._offsets:
             out[:, self._offsets["frame"]] = self.rigid_field(places).reshape(6, -1).T if rigid is None else rigid
+        if beside is not None and "stiffness" in self._offsets:
+            out[:, self._offsets["stiffness"]] = np.einsum("onx,snx->os", compliance.forces, beside[1], optimize=True)
+        if beside is not None and self.unexplained is not None:
+            out[:, self._offsets["unexplained"]] = self.unexplained.responses(beside[0])
         return out
+
+    def stiffness_causes(self, material: Material) -> list[Cause]:
+        """Return the changes of Young's modulus by unit coefficients, in proportion to that of a material."""
+        if "stiffness" not in self._offsets:
+            return []
+        young = self.body.simulator.moduli(material)[0]
+        by_tet = young if young.ndim == 1 else young.mean(axis=1)
+        return [ModulusField("young", profile * by_tet) for profile in self.body.profiles]
+
+    def beside(self, coefficients: FloatArray, by_stiffness: FloatArray) -> dict[str, FloatArray]:
+        """Return the displacements (..., n_nodes, 3), mm, beside the equilibrium under the load, by block of causes.
+
+        `coefficients` (..., n_columns); `by_stiffness` (n, n_element_nodes, 3): by unit changes of the stiffness, mm.
+        """
+        found = {}
+        if "stiffness" in self._offsets:
+            by_nodes = by_stiffness[:, : self.body.mesh.n_nodes]
+            found["stiffness"] = np.tensordot(coefficients[..., self._offsets["stiffness"]], by_nodes, 1)
+        if self.unexplained is not None:
+            found["unexplained"] = self.unexplained.displacement(coefficients[..., self._offsets["unexplained"]])
+        return found
+
+    def slopes(self, coefficients: FloatArray) -> FloatArray:
+        """Return those of the coefficients (n_columns,) that change ln E across the body, (n,); none if it is known."""
+        return np.asarray(coefficients[self._offsets.get("stiffness", slice(0, 0))])
+
+    def rest_sizes(self, levels: IntArray) -> FloatArray:
+        """Return the variance, mm^2, of a displacement that no load explains, in each sample; zero if there is none.
+
+        `levels` int64 (n_samples, n_families): candidate size of each family in each sample.
+        """
+        found = [family.factors[own] for family, own in zip(self.families, levels.T, strict=True)]
+        named = [family.name for family in self.families]
+        return found[named.index("unexplained")] if "unexplained" in named else np.zeros(len(levels))
 
     def rigid_rows(self, places: FloatArray, directions: FloatArray) -> FloatArray:
         """Return the motions (n, 6), mm, of places along unit vectors by unit translations and rotations.

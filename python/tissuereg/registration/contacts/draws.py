@@ -39,8 +39,7 @@ class Draws:
         Raises `ConvergenceError` if a drawn load finds no equilibrium.
         """
         fit = self.fit
-        rng = np.random.default_rng([self.seed, 8])
-        coefficients = self.spread.coefficients(rng, count)
+        coefficients, beside = self.drawn(count)
         simulator, mesh = fit.columns.body.simulator, fit.columns.body.mesh
         found = simulator.solve_many(
             [fit.columns.load(one) for one in coefficients],
@@ -57,8 +56,18 @@ class Draws:
             )
             raise ConvergenceError(message, where=f"draw {index}")
         frames = [self._frame(one) for one in coefficients]
-        moved = mesh.nodes + found.displacement
+        moved = mesh.nodes + found.displacement + beside
         return np.stack([frame.apply(places) for frame, places in zip(frames, moved, strict=True)]) - mesh.nodes
+
+    def drawn(self, count: int) -> tuple[FloatArray, FloatArray]:
+        """Return `count` drawn coefficients of the causes, (count, n_columns), and what moves beside the equilibrium.
+
+        The latter is a displacement in the body's frame, (count, n_nodes, 3), in mm.
+        """
+        rng = np.random.default_rng([self.seed, 8])
+        coefficients = self.spread.coefficients(rng, count)
+        parts = self.fit.columns.beside(coefficients, self.fit.tangent.by_stiffness)
+        return coefficients, np.asarray(sum(parts.values(), self.spread.rest_draws(rng, count)))
 
     def _frame(self, coefficients: FloatArray) -> RigidMotion:
         columns = self.fit.columns

@@ -334,13 +334,15 @@ class Passes:
         self.counters["solves"] += 1
         self.counters["iterations"] += int(found.report["iterations"])
         turned = self.columns.frame(coefficients)
+        parts = self.columns.beside(coefficients, tangent.by_stiffness)
+        beside = sum(parts.values(), np.zeros((self.columns.body.mesh.n_nodes, 3)))
         if not self.columns.body.supports.moves:
             # A drift is small and keeps its prior: its coefficients are relative to no motion.
-            return BodyState(
-                coefficients, found.all_displacement, RigidMotion.still().followed_by(turned, self.columns.rigid)
-            )
+            frame = RigidMotion.still().followed_by(turned, self.columns.rigid)
+            return BodyState(coefficients, found.all_displacement, frame, beside)
         frame = state.frame.followed_by(turned, self.columns.rigid)
-        return BodyState(self.columns.without_frame(coefficients), found.all_displacement, frame)
+        kept = self.columns.without_frame(coefficients)
+        return BodyState(kept, found.all_displacement, frame, beside)
 
     def residual_rms(self, state: BodyState, samples: Samples, std: FloatArray | None = None) -> float:
         """Return the root mean square residual of a body, in standard deviations.

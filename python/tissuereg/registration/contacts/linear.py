@@ -108,7 +108,7 @@ class Linearisation:
         with self.clock.stage("sensitivities"):
             compliance, solved = tangent.compliance(rows, self._solved)
             self.counters["right_hand_sides"] += solved
-            return self.columns.responses(compliance, np.empty((0, 3)), rigid)
+            return self.columns.responses(compliance, np.empty((0, 3)), rigid, (rows, tangent.stiffness_forces))
 
     def _solved(self, done: int, in_all: int) -> None:
         self.clock.tell("stage", f"sensitivities {done} of {in_all}")

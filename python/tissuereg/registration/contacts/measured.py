@@ -137,6 +137,10 @@ class MarkerData:
         places = frame.apply(self.markers.reference)
         return np.asarray(np.linalg.norm(np.where(self.mask, self.markers.measured - places, 0.0), axis=1))
 
+    def motion(self, frame: RigidMotion) -> FloatArray:
+        """Return the motion of each marker that was seen beside the rigid motion `frame`, at least its noise, in mm."""
+        return np.asarray(np.maximum(self.moved(frame), self.markers.std)[self.mask.any(axis=1)])
+
     def std(self, frame: RigidMotion) -> FloatArray:
         """Return the standard deviation of each measured coordinate, (n_obs,), mm: tracker and model together.
 
@@ -152,7 +156,7 @@ class MarkerData:
         sampler.
         """
         observation, reference = self.observation, self.markers.reference
-        here = state.displacement[observation.nodes]
+        here = state.moved[observation.nodes]
         places = reference + observation.predict(here)
         residual = (self.markers.measured - state.frame.apply(places)).ravel()[self.rows]
         all_rows = _turned(observation.rows(here), state.frame.rotation)

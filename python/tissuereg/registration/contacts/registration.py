@@ -18,7 +18,6 @@ from tissuereg.registration.contacts.columns import Columns, spring_stiffness
 from tissuereg.registration.contacts.draws import Draws, NodesOfContacts
 from tissuereg.registration.contacts.evidence import support_stiffness
 from tissuereg.registration.contacts.fit import ContactFit, Passes, start_of
-from tissuereg.registration.contacts.graded import grade
 from tissuereg.registration.contacts.measured import MarkerData, ObservedData
 from tissuereg.registration.contacts.result import ContactRegistration
 from tissuereg.registration.contacts.settings import DISCRETISATION, ContactSettings
@@ -27,9 +26,10 @@ from tissuereg.registration.contacts.spread import Spread
 from tissuereg.registration.contacts.state import BodyState, RigidMotion
 from tissuereg.registration.contacts.supports import Supports
 from tissuereg.registration.contacts.surface_points import PointData, closest_frame
+from tissuereg.registration.contacts.unexplained import Unexplained
 from tissuereg.registration.inputs import RegisterInput
 from tissuereg.registration.result import Registration
-from tissuereg.simulation.sensitivity import Cause, ModulusField, Parameter
+from tissuereg.simulation.sensitivity import Cause, Parameter
 from tissuereg.simulation.solve import LoadParts
 
 
@@ -56,8 +56,8 @@ def register_by_contacts(
     """Register a body without a trained model: find the contacts that explain the data, and the equilibrium under them.
 
     `given`: checked input; `believed`: believed load; `clock`: records the times of the stages; `after`: registration
-    of a moment shortly before, with the same markers: its contacts are the start, and its estimates of supports and
-    graded stiffness are kept; or None. Result: the equilibrium under the posterior mean of the load, with its
+    of a moment shortly before, with the same markers: its contacts are the start, and its estimate of supports is kept;
+    or None. Result: the equilibrium under the posterior mean of the load, with its
     uncertainty. Raises `ConvergenceError` if no equilibrium is found; `SupportError`, `LoadError` or `MaterialError` if
     a believed quantity does not fit the body.
     """
@@ -90,8 +90,8 @@ def register_by_contacts(
 class _Found:
     """A fit, the body from which its search began, and the estimates that were made before it.
 
-    `fit`: contacts and equilibrium; `start`: the body under the believed load alone; `material`: material of the body,
-    with its graded stiffness if one was estimated; `further`: further uncertain parameters, each with its standard
+    `fit`: contacts and equilibrium; `start`: the body under the believed load alone; `material`: material of the body;
+    `further`: further uncertain parameters, each with its standard
     deviation in the parameter's unit; `moments`: number of moments through which the samples have been carried on.
     """
 
@@ -146,8 +146,7 @@ class _ContactSearch:
     def found(self, believed: ContactInput) -> _Found:
         """Return the fit under a believed load; it continues from the end of the moment before if that works.
 
-        Otherwise doubtful supports and a graded stiffness are estimated first, and the search begins under the load
-        alone.
+        Otherwise doubtful supports are estimated first, and the search begins under the load alone.
         """
         given, body, settings, clock, material = (
             self.given,
@@ -156,12 +155,20 @@ class _ContactSearch:
             self.clock,
             self.given.body.material,
         )
+        frame = _first_frame(given, body.supports)
         with clock.stage("simulate"):
             parts, field = _believed(body, material, believed, settings)
-            columns = Columns.of(body, material, parts, settings, drifts=given.settings.tracker == "drifts")
+            columns = Columns.of(
+                body,
+                material,
+                parts,
+                settings,
+                drifts=drifts(given.settings.tracker, body.supports),
+                stiffness=_stiffness(given, field),
+                unexplained=self._unexplained(frame),
+            )
         rng = np.random.default_rng([given.seed, 7])
         passes = Passes(columns, self.observed, material, settings, rng, given.threads, clock)
-        frame = _first_frame(given, body.supports)
         if self.carried is not None:
             gone_on = self._gone_on(self.carried, passes, field, frame)
             if gone_on is not None:
@@ -169,12 +176,20 @@ class _ContactSearch:
         further: list[tuple[Cause, float]] = []
         if body.base is not None and field is None:
             passes, further = _supported(passes, frame)
-        if given.body.stiffness == "graded":
-            passes, slopes = _graded(passes, frame, field)
-            further += slopes
         with clock.stage("simulate"):
             start = start_of(passes.columns, passes.material, field, frame, given.threads)
         return _Found(passes.run(start), start, passes.material, further)
+
+    def _unexplained(self, frame: RigidMotion) -> Unexplained | None:
+        """Return the displacement that no load explains; none where points without labels are matched to the surface.
+
+        There it could follow wrong matches, which loads cannot. `frame`: initial rigid motion.
+        """
+        data = self.observed.markers
+        if data is None or self.observed.rematches:
+            return None
+        motion = float(np.sqrt(np.mean(data.motion(frame) ** 2)))
+        return Unexplained.of(self.given.mesh, self.body.supports.sure, data.markers.reference, motion)
 
     def _gone_on(self, carried: Carried, passes: Passes, field: FloatArray | None, frame: RigidMotion) -> _Found | None:
         """Return the fit that continues from the end of the moment before; None if it leaves much larger residuals.
@@ -246,27 +261,27 @@ def _supported(passes: Passes, frame: RigidMotion) -> tuple[Passes, list[tuple[C
     return replace(passes, columns=columns), causes
 
 
-def _graded(
-    passes: Passes, frame: RigidMotion, simulation: FloatArray | None
-) -> tuple[Passes, list[tuple[Cause, float]]]:
-    """Return the loop of the fit with the graded stiffness of highest evidence, and its remaining uncertainty.
+def drifts(tracker: str | None, supports: Supports) -> bool:
+    """Return whether the tracker may have drifted, by its setting or by default: where supports are sure and none not.
 
-    `passes`: loop of the fit; `frame`: initial rigid motion; `simulation` (n_element_nodes, 3) or None: displacement
-    under the believed load, mm. Second result: change of Young's modulus along each principal axis, with the standard
-    deviation of its amount. Raises `MaterialError` if `simulation` is given, since its forces belong to the believed
-    stiffness.
+    On doubtful supports the body itself may move as a whole.
     """
-    if simulation is not None:
+    return tracker == "drifts" if tracker is not None else not len(supports.perhaps)
+
+
+def _stiffness(given: RegisterInput, simulation: FloatArray | None) -> tuple[float, float] | None:
+    """Return the size of changes of stiffness across the body: median and standard deviation of its logarithm.
+
+    `simulation` (n_element_nodes, 3) or None: displacement under the believed load, mm. Its forces belong to the
+    believed stiffness, which then does not change: None. Raises `MaterialError` if it is graded nevertheless.
+    """
+    graded, settings = given.body.stiffness == "graded", given.settings.contacts
+    if simulation is None:
+        return settings.graded if graded else settings.stiffness
+    if graded:
         message = "a graded stiffness needs a load or none: it would change the forces that hold a `simulation`"
         raise MaterialError(message, where="stiffness")
-    found = grade(passes, frame)
-    young = passes.columns.body.simulator.moduli(found.material)[0]
-    by_tet = young if young.ndim == 1 else young.mean(axis=1)
-    slopes: list[tuple[Cause, float]] = [
-        (ModulusField("young", profile * by_tet), float(std))
-        for std, profile in zip(found.std, found.profiles, strict=True)
-    ]
-    return replace(passes, material=found.material, columns=passes.columns.made_of(found.material)), slopes
+    return None
 
 
 def _believed(

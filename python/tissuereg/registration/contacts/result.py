@@ -28,6 +28,9 @@ class ContactRegistration(Registration):
         load but not its body force.
     work : dict of str to int
         Numbers of factorisations, right-hand sides, equilibrium solves, sweeps of the Markov chains, and other work.
+    explained_mm : dict of str to float
+        Root mean square motion of the nodes, mm, by each part of the answer: ``loads``, ``tracker`` (a rigid motion),
+        ``stiffness`` (its change across the body) and ``unexplained`` (what no load on the body explains).
     draw : callable of int
         Function of a number of draws that returns posterior displacement fields, (count, n_nodes, 3), mm; see `draws`.
     surface : SurfaceFit or None
@@ -37,6 +40,7 @@ class ContactRegistration(Registration):
     contacts: tuple[FoundContact, ...]
     forces: FloatArray
     work: dict[str, int]
+    explained_mm: dict[str, float]
     draw: Callable[[int], FloatArray]
     surface: SurfaceFit | None = None
 
@@ -87,5 +91,6 @@ class ContactRegistration(Registration):
             **super()._found_json(),
             "surface": None if self.surface is None else self.surface.to_json(),
             "contacts": [contact.to_json() for contact in self.contacts],
+            "explained_mm": dict(self.explained_mm),
             "work": dict(self.work),
         }

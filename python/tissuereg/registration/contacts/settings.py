@@ -110,7 +110,7 @@ class PassSettings(_Numbers):
 
 @dataclass(frozen=True)
 class EvidenceSettings(_Numbers):
-    """How the evidence of supports and of a graded stiffness is maximised.
+    """How the evidence of supports and of the noise is maximised.
 
     Parameters
     ----------
@@ -122,16 +122,12 @@ class EvidenceSettings(_Numbers):
         Largest number of rounds in which the sizes of all causes are varied in turn.
     least_gain : float
         The rounds end when one of them raises the log evidence by less than this.
-    first_step, last_step : float
-        First and shortest step of the search for gradients of stiffness, in standard deviations of their prior.
     """
 
     sizes_mm: tuple[float, float] = (0.01, 100.0)
     sizes_a_decade: int = 4
     rounds: int = 3
     least_gain: float = 1e-3
-    first_step: float = 1.0
-    last_step: float = 0.3
 
 
 @dataclass(frozen=True)
@@ -153,6 +149,11 @@ class ReportSettings(_Numbers):
         expected from their noise.
     most_outliers : float
         Share of surface points, as outliers, above which they are said to belong to something else.
+    most_unexplained : float
+        Size of a displacement that no load explains, over the motion of what was measured, above which it is a reason
+        not to trust the result.
+    most_slope : float
+        The same for the change of the logarithm of the stiffness from the middle of the body to its end.
     """
 
     least_constrained: float = 0.8
@@ -161,6 +162,8 @@ class ReportSettings(_Numbers):
     most_contacts: int = 4
     most_off: float = 2.0
     most_outliers: float = 0.3
+    most_unexplained: float = 0.2
+    most_slope: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -201,8 +204,11 @@ class ContactSettings(_Numbers):
         Size of a rigid motion of a body that nothing surely holds, over its extent: median, and standard deviation of
         its logarithm.
     drift : tuple of float
-        Size of a drift of the tracker relative to a body that is held (``tracker="drifts"``), over the body's extent:
-        median, and standard deviation of its logarithm.
+        Size of a drift of the tracker relative to a body that is held, over the body's extent: median, and standard
+        deviation of its logarithm; none with ``tracker="fixed"``.
+    unexplained : tuple of float
+        Size of a displacement that no load explains, over the root mean square motion of the markers: median, and
+        standard deviation of its logarithm.
     wrong_odds : float
         Prior odds that a marker is wrong.
     wrong_share : float
@@ -212,11 +218,12 @@ class ContactSettings(_Numbers):
     local_error : float
         Standard deviation of a further error of the model, over the variation of the motion across the element under
         the marker; used in tests of residuals only.
-    young_log_std, poisson_std : float
-        Standard deviation of the logarithm of the stiffness, along smooth fields, and of Poisson's ratio.
-    graded_log_std : float
-        Standard deviation of the logarithm of the stiffness at the ends of the body against its middle
-        (``stiffness="graded"``).
+    poisson_std : float
+        Standard deviation of Poisson's ratio.
+    stiffness, graded : tuple of float
+        Change of the logarithm of the stiffness from the middle of the body to its end along each principal axis, where
+        the stiffness is believed and where it is graded (``stiffness="graded"``): median of its size, and standard
+        deviation of the size's logarithm.
     unseen_chance, unseen_share : float
         Probability of one more contact that no marker detects, and its size over its radius.
     n_chains : int
@@ -247,7 +254,7 @@ class ContactSettings(_Numbers):
     steps : PassSettings
         When a step is accepted, and when the passes end.
     evidence : EvidenceSettings
-        The search for supports and graded stiffness.
+        The search for the stiffness of supports.
     report : ReportSettings
         Which contacts are listed, which targets flagged and which markers dropped.
     """
@@ -264,14 +271,15 @@ class ContactSettings(_Numbers):
     stiffness_tried: tuple[float, ...] = (0.1, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0)
     support_log_std: float = 1.0
     frame: tuple[float, float] = (0.008, 1.5)
-    drift: tuple[float, float] = (0.0025, 1.0)
+    drift: tuple[float, float] = (0.001, 1.0)
+    unexplained: tuple[float, float] = (0.03, 1.5)
     wrong_odds: float = 0.02
     wrong_share: float = 0.05
     model_error: float = 0.02
     local_error: float = 0.2
-    young_log_std: float = 0.2
     poisson_std: float = 0.02
-    graded_log_std: float = 1.0
+    stiffness: tuple[float, float] = (0.15, 0.5)
+    graded: tuple[float, float] = (0.5, 0.5)
     unseen_chance: float = 0.03
     unseen_share: float = 0.25
     n_chains: int = 16
@@ -309,18 +317,19 @@ class Discretisation:
         to the patch, and do not exclude other centres.
     levels : tuple of float
         Candidate sizes of a family of causes, as logarithms relative to the median, in standard deviations.
-    stiffness_fields : int
-        Largest number of smooth fields along which the stiffness of the body is uncertain.
     support_fields : int
         Largest number of smooth fields along which the stiffness of doubtful supports is uncertain.
     cells : int
         Number of cells of doubtful supports, by which springs of any stiffness are treated without a new factorisation.
     bed : float
         Stiffness of the bed around a free body, in Young's modulus over extent: too soft to hold it.
-    tolerance : float
-        Relative residual of an equilibrium that is linearised.
-    same_load : float
-        Relative difference of two loads below which they are taken for the same.
+    unexplained_length : float
+        Correlation length of a displacement that no load explains, over the extent of the body.
+    held_places, rest_places : int
+        Largest number of held nodes at which it is zero (smooth as it is, it is then nearly zero at all), and of nodes
+        between the markers by which draws of it are made.
+    jitter : float
+        Variance added to the diagonal of its covariance before it is factored, over its own.
     """
 
     radii_shares: tuple[float, ...] = (0.05, 0.083, 0.133, 0.208, 0.333)
@@ -328,10 +337,13 @@ class Discretisation:
     thinning: float = 0.7
     least_cosine: float = 0.1
     levels: tuple[float, ...] = tuple(0.5 * half for half in range(-6, 7))
-    stiffness_fields: int = 60
     support_fields: int = 12
     cells: int = 60
     bed: float = 0.1
+    unexplained_length: float = 0.3
+    held_places: int = 150
+    rest_places: int = 200
+    jitter: float = 1e-6
     tolerance: float = 3e-7
     same_load: float = 1e-9
 
@@ -376,7 +388,7 @@ class Matching:
     """
 
     tail: float = 5.0
-    most_plain: int = 120
+    most_plain: int = 200
     least_signal: float = 0.3
     most_kept: int = 80
     most_kept_coarse: int = 36

@@ -55,9 +55,9 @@ class Spread:
         further: Sequence[tuple[Cause, float]] = (),
     ) -> None:
         self._fit, self._settings, self._threads = fit, settings, threads
-        errors = _model_errors(fit, material, settings)
-        scales = np.array([1.0] * len(errors) + [scale for _, scale in further])
-        causes = [*errors, *(cause for cause, _ in further)]
+        poisson = ModulusField("poisson", np.full(fit.columns.body.mesh.n_tets, settings.poisson_std))
+        scales = np.array([1.0] + [scale for _, scale in further])
+        causes = [poisson, *(cause for cause, _ in further)]
         self._model_forces = _forces_of_errors(fit, (causes, scales), _support_errors(fit, settings))
         self._edges = edge_errors(fit)
         self._model_at_data = self._by_model(self._compliance(fit.observations.rows))
@@ -101,7 +101,7 @@ class Spread:
         """
         fit = self._fit
         compliance = self._compliance(rows)
-        responses = fit.columns.responses(compliance, places)
+        responses = fit.columns.responses(compliance, places, beside=(list(rows), fit.tangent.stiffness_forces))
         means, covariance, suggested = self._moments(responses)
         # Second moment about the answer, which is not quite the mean of the last linearisation.
         off = means - (responses @ fit.state.coefficients).reshape(-1, 3)
@@ -109,11 +109,30 @@ class Spread:
         remaining = self._by_model(compliance) - responses @ suggested
         remaining = remaining.reshape(len(places), 3, remaining.shape[1])
         covariance = covariance + np.einsum("pak,pbk->pab", remaining, remaining)
+        left = [self._rest[nodes] @ np.abs(weights[:, row % 3]) for row, (nodes, weights) in enumerate(rows)]
+        covariance[:, [0, 1, 2], [0, 1, 2]] += np.reshape(left, (-1, 3))
         unseen, constrained = self._unseen(responses)
         turn = fit.state.frame.rotation
         covariance = covariance + self._settings.unseen_chance * unseen
         std = np.sqrt(np.maximum(np.trace(unseen, axis1=1, axis2=2), 0.0))
         return Points(turn @ covariance @ turn.T, constrained, std)
+
+    @cached_property
+    def _rest(self) -> FloatArray:
+        """Variance at every node of what no load explains and no marker sees, (n_nodes,), mm^2."""
+        columns = self._fit.columns
+        if columns.unexplained is None:
+            return np.zeros(columns.body.mesh.n_nodes)
+        return np.asarray(columns.rest_sizes(self._fit.samples[1]).mean() * columns.unexplained.left)
+
+    def rest_draws(self, rng: np.random.Generator, count: int) -> FloatArray:
+        """Return drawn displacements (count, n_nodes, 3), mm, that no load explains and no marker sees."""
+        columns = self._fit.columns
+        if columns.unexplained is None:
+            return np.zeros((count, columns.body.mesh.n_nodes, 3))
+        fields = columns.unexplained.rest
+        sizes = np.sqrt(self._sizes(count))[:, None, None]
+        return np.asarray(sizes * (fields @ rng.standard_normal((count, fields.shape[1], 3))))
 
     @cached_property
     def _under_unseen(self) -> FloatArray:
@@ -173,7 +192,9 @@ class Spread:
             moved = moved[:, :n_nodes] @ turn.T
             spread += np.einsum("dna,dnb->nab", moved, moved)
         spread /= len(drawn)
-        if fields is not None:
+        if fields is None:
+            spread[:, [0, 1, 2], [0, 1, 2]] += self._rest[:, None]
+        else:
             off = fields - fields.mean(axis=0)
             spread += np.einsum("dna,dnb->nab", off, off) / max(1, len(fields) - 1)
         return np.asarray(spread)
@@ -181,13 +202,22 @@ class Spread:
     def coefficients(self, rng: np.random.Generator, count: int) -> FloatArray:
         """Return coefficients of the causes drawn from the posterior, shape (count, n_columns), in mm."""
         fit = self._fit
-        n_obs, n_samples = len(fit.observations.variances), len(fit.samples[0])
-        order = (
-            (np.arange(count) * max(1, n_samples // count)) % n_samples if count < n_samples else np.arange(n_samples)
-        )
+        n_obs, order = len(fit.observations.variances), self._order(count)
         chosen = [np.ascontiguousarray(part[order]) for part in fit.samples]
         normals = rng.standard_normal((count, fit.columns.n_columns + n_obs))
         return np.asarray(fit.sampler.draws(chosen, normals, threads=self._threads))
+
+    def _order(self, count: int) -> IntArray:
+        """Return the samples that drawn coefficients take in turn, int64 (n,): at most `count`, from all chains."""
+        n_samples = len(self._fit.samples[0])
+        if count >= n_samples:
+            return np.arange(n_samples)
+        return np.asarray((np.arange(count) * max(1, n_samples // count)) % n_samples)
+
+    def _sizes(self, count: int) -> FloatArray:
+        """Return the variance, mm^2, of a displacement that no load explains, in the sample of each draw, (count,)."""
+        sizes = self._fit.columns.rest_sizes(self._fit.samples[1])[self._order(count)]
+        return np.asarray(sizes[np.arange(count) % len(sizes)])
 
 
 def _in_parts(count: int) -> Iterator[slice]:
@@ -242,17 +272,9 @@ def linear_fields(
         rigid = columns.rigid_field(places)
         frames = np.stack([columns.frame(one) for one in change])
         fields = fields + np.tensordot(frames, rigid, 1)
+    for part in columns.beside(change, fit.tangent.by_stiffness).values():
+        fields[:, : columns.body.mesh.n_nodes] += part
     return np.asarray(fields)
-
-
-def _model_errors(fit: ContactFit, material: Material, settings: ContactSettings) -> list[Cause]:
-    """Return changes of Young's modulus along smooth fields and of Poisson's ratio, each by one standard deviation."""
-    simulator = fit.columns.body.simulator
-    young = simulator.moduli(material)[0]
-    by_tet = young if young.ndim == 1 else young.mean(axis=1)
-    fields = fit.columns.body.blobs * (settings.young_log_std * by_tet)
-    poisson = np.full(simulator.mesh.n_tets, settings.poisson_std)
-    return [*(ModulusField("young", one) for one in fields), ModulusField("poisson", poisson)]
 
 
 def _support_errors(fit: ContactFit, settings: ContactSettings) -> FloatArray:

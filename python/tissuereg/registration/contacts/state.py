@@ -75,9 +75,18 @@ class BodyState:
     """A body in equilibrium under some coefficients of the causes, with its rigid motion in the tracker's frame.
 
     `coefficients` (n_columns,): of all possible causes (forces on patches, body force, ...), mm; `displacement`
-    (n_element_nodes, 3): in the body's frame, mm; `frame`: rigid motion from the body's frame to the tracker's.
+    (n_element_nodes, 3): of the equilibrium, in the body's frame, mm; `frame`: rigid motion from the body's frame to
+    the tracker's; `beside` (n_nodes, 3): displacement beside the equilibrium, in the body's frame, mm; None for none.
     """
 
     coefficients: FloatArray
     displacement: FloatArray
     frame: RigidMotion
+    beside: FloatArray | None = None
+
+    @property
+    def moved(self) -> FloatArray:
+        """Displacement of the nodes, in the body's frame, in mm; (n_nodes, 3) where there is one beside equilibrium."""
+        if self.beside is None:
+            return self.displacement
+        return np.asarray(self.displacement[: len(self.beside)] + self.beside)

@@ -100,7 +100,7 @@ class PointData:
 
     def feet(self, state: BodyState) -> Feet:
         """Return the closest place of the deformed surface to each point, in the body's frame, mm."""
-        moved = self.mesh.nodes + state.displacement[: self.mesh.n_nodes]
+        moved = self.mesh.nodes + state.moved[: self.mesh.n_nodes]
         return closest_feet(moved, self.mesh.surface, state.frame.undo(self.places))
 
     def read(self, state: BodyState, *, weighed: bool = True) -> Observations:
@@ -131,7 +131,7 @@ class PointData:
         model and of the facets. Nearby points share the latter, so that their variance is multiplied by the number of
         such points.
         """
-        motion = state.displacement[feet.corners]
+        motion = state.moved[feet.corners]
         size = self.model_error * np.linalg.norm(np.einsum("pc,pcx->px", feet.weights, motion), axis=1)
         facet = self._facets[feet.triangles]
         return np.asarray(np.sqrt(self.noise**2 + self._alike * (size**2 + facet**2)))

@@ -3,6 +3,7 @@
 import sys
 import threading
 from collections.abc import Callable, Sequence
+from functools import cached_property
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from tissuereg.body.material import Material
 from tissuereg.registration.contacts.columns import Columns
 from tissuereg.registration.contacts.settings import EFFORT
 from tissuereg.registration.contacts.state import BodyState
-from tissuereg.simulation.sensitivity import Compliance, Linearised, Observation
+from tissuereg.simulation.sensitivity import Cause, Compliance, Linearised, Observation
 
 Row = tuple[IntArray, FloatArray]
 
@@ -20,17 +21,29 @@ Row = tuple[IntArray, FloatArray]
 class Tangent:
     """A linearised equilibrium, with a cache of the sensitivities of observations to nodal forces.
 
-    `linearised`: the equilibrium; `threads`: threads to use, 0 takes all cores.
+    `linearised`: the equilibrium; `threads`: threads to use, 0 takes all cores; `stiffness`: changes of the stiffness.
     """
 
-    def __init__(self, linearised: Linearised, threads: int = 0) -> None:
+    def __init__(self, linearised: Linearised, threads: int = 0, stiffness: Sequence[Cause] = ()) -> None:
         self.linearised = linearised
+        self._stiffness = stiffness
         body = linearised.simulator.body
         self._at_once = (
             EFFORT.block * (threads or n_cores()) if body.n_unknowns >= EFFORT.many_unknowns else sys.maxsize
         )
         self._known: dict[bytes, Compliance] = {}
         self._lock = threading.Lock()
+
+    @cached_property
+    def stiffness_forces(self) -> FloatArray:
+        """Forces that unit changes of the stiffness leave unbalanced, (n, n_element_nodes, 3), mN."""
+        return np.asarray(-self.linearised.unbalanced(self._stiffness))
+
+    @cached_property
+    def by_stiffness(self) -> FloatArray:
+        """Displacements (n, n_element_nodes, 3), mm, by unit changes of the stiffness, to first order."""
+        forces = self.stiffness_forces
+        return self.linearised.responses(forces) if forces.any() else np.zeros_like(forces)
 
     def compliance(
         self, rows: Sequence[Row], progress: Callable[[int, int], None] | None = None
@@ -118,7 +131,7 @@ def tangent_at(columns: Columns, material: Material, state: BodyState, threads: 
         precision="single",
         threads=threads,
     )
-    made = Tangent(linearised, threads)
+    made = Tangent(linearised, threads, columns.stiffness_causes(material))
     if key is not None and columns.body.simulator.body.factor_size[0] <= EFFORT.kept_entries:
         with _lock:
             _rest = (key, made)
