@@ -13,6 +13,7 @@ import learned.page as learned_page
 import misuse.__main__ as misuse
 import misuse.lost as lost
 import real.__main__ as real
+import regions.regions as regions
 import speed.cluster as cluster
 import speed.esmda as esmda
 import speed.large_bodies as large_bodies
@@ -57,6 +58,7 @@ WRITTEN = {
         lambda a: a["good"][0].update(found=not a["good"][0]["found"]),
     ),
     "lost": (lost.ARCHIVE, lost.PAGE, lost.page, lambda a: a["rows"][0].update(trusted=not a["rows"][0]["trusted"])),
+    "regions": (regions.ARCHIVE, regions.PAGE, regions.page, lambda a: _more(a["rows"][0], "crps_mm")),
     "real": (real.ARCHIVE, real.PAGE, real.page, lambda a: _more(a["hydrogel"][0], "registered")),
     "cluster": (cluster.ARCHIVE, cluster.PAGE, cluster.page, lambda a: _more(a["chunk_s"], "local:1")),
     "large bodies": (

@@ -114,6 +114,16 @@ def test_with_shared_data(copy):
     assert read_archive(copy / "solver")["solves"]
 
 
+def test_regions(copy):
+    run(copy, "regions.regions", "--quick")
+    rows = read_archive(copy / "benchmarks" / "regions" / "archive")["rows"]
+    own = {row["family"]: row for row in rows if row["method"] == "register"}
+    assert {"five bodies, markers spread", "five bodies, markers far"} <= own.keys()
+    assert sum(row["crps_mm"] for row in own.values()) < sum(
+        row["crps_mm"] for row in rows if row["method"] == "spline"
+    )
+
+
 @pytest.mark.skipif(not (SHARED / "data").is_dir(), reason="the recordings next to the repository are absent")
 def test_real(copy):
     run(copy, "real", "--quick", "--data", SHARED / "data")

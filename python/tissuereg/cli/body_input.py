@@ -59,9 +59,9 @@ def add_belief_options(what: Any) -> None:
     """Add the options for what the user believes of the body and its load to an argparse group."""
     text = "whether the node set 'fixed' is held for sure, perhaps, or not at all"
     add_option(what, "--held", choice(("sure", "perhaps", "free"), text, default=None, otherwise="sure"))
-    text = "whether the tracker kept its place relative to the supports, or may have drifted"
-    add_option(what, "--tracker", choice(("fixed", "drifts"), text, default=None, otherwise="fixed"))
-    text = "graded: softer towards one side, by an amount that is estimated from the markers"
+    text = "fixed: the tracker surely kept its place relative to the supports; it may have drifted a little"
+    add_option(what, "--tracker", choice(("fixed", "drifts"), text, default=None, otherwise="drifts"))
+    text = "graded: much softer towards one side, by an amount that the markers tell"
     add_option(what, "--stiffness", choice(("believed", "graded"), text, default=None, otherwise="believed"))
     text = "Young's modulus in kPa; it scales forces, and sets how far gravity bends the body"
     add_option(what, "--young", number(text, unit="kPa", above=0.0, default=None, otherwise="10"), "KPA")

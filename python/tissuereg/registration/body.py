@@ -47,8 +47,8 @@ class Body:
         Without a trained model: whether the nodes of the set ``fixed`` are surely held in place, may be held, or are
         free to move.
     stiffness : {"believed", "graded"}
-        Without a trained model: whether the stiffness is distributed as in `material`, or its logarithm has in addition
-        an unknown slope along each principal axis of the body, which is estimated from the markers.
+        Without a trained model: whether the stiffness is distributed as in `material`, up to a small slope of its
+        logarithm along each principal axis of the body, or that slope may be large; the markers tell how large.
     held_nodes : array_like of int, optional
         Numbers of the nodes whose displacement the load prescribes, if they differ from the set ``fixed``.
 

@@ -28,7 +28,7 @@ def explained(fit: ContactFit) -> dict[str, float]:
 def reasons(fit: ContactFit, settings: ReportSettings) -> list[str]:
     """Return the reasons not to trust the result that contradict what is believed of the body, in sentences.
 
-    They are rare where the belief is right (`docs/reliability.md`): the sizes are those of the posterior samples.
+    They are rare where the belief is right; how rare, the benches `loadfree` and `regions` count.
     """
     columns, found = fit.columns, list[str]()
     if columns.unexplained is not None:

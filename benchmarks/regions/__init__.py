@@ -1,0 +1,1 @@
+"""Whether regions hold, and are no wider than they must be, by family of truth."""

@@ -1,0 +1,121 @@
+"""The registrations of the bench, by family of truth: a body, markers, and targets whose motion is known."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+import tissuereg as tr
+from common import SHARED
+from loadfree.events import BODIES, events_of, read_body
+from loadfree.layouts import NOISE_MM, chosen
+from loadfree.reference import FOLDER, PROBLEMS, read_reference
+from real import hydrogel
+from support.meshes import kuhn
+
+#: Events of each body of `loadfree`, and layouts of markers.
+N_EVENTS, LAYOUTS = 8, ("spread", "far")
+
+#: Draws of markers of each recording. Draws 0 and 1 were used for development.
+N_DRAWS = 5
+
+#: The gel around a cell: its folder, noise of a bead, place of the cell, width of the view, all in um (read as mm).
+CELL, CELL_STD, CELL_MIDDLE, VIEW = (
+    SHARED / "data" / "cell-gel",
+    (0.037, 0.037, 0.18),
+    (76.0, 81.0, 76.0),
+    (150.0, 140.0),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """One registration: what is given, and the truth.
+
+    `body`: body, or its mesh; `markers`: markers; `targets`, `truth` (k, 3): places before and after; `noise` (3,):
+    standard deviation of the truth itself; `cluster`: cases that share it are not independent.
+    """
+
+    body: tr.Body | tr.Mesh
+    markers: tr.Markers
+    targets: np.ndarray
+    truth: np.ndarray
+    noise: tuple[float, float, float]
+    cluster: str
+
+
+Make = Callable[[], Case]
+
+
+def families() -> dict[str, list[Make]]:
+    """Return the cases of each family that can be made here, each as a function that makes it."""
+    found: dict[str, list[Make]] = {}
+    for count in (20, 60):
+        if (folder := SHARED / "data" / "hydrogel").is_dir():
+            found[f"gel under a ball, {count} beads"] = [partial(_gel, folder, count, seed) for seed in range(N_DRAWS)]
+        if CELL.is_dir():
+            found[f"gel around a cell, {count} beads"] = [partial(_cell, count, seed) for seed in range(N_DRAWS)]
+    if (folder := SHARED / "cases").is_dir():
+        found["organ of another solver"] = [partial(_organ, folder)]
+    if FOLDER.is_dir():
+        found["reference problems"] = [
+            partial(_event, read_reference, name, number, layout, ("tet4", True))
+            for name in PROBLEMS[:3]
+            for number in range(2)
+            for layout in ("spread", "random", "near")
+        ]
+    for layout in LAYOUTS:
+        found[f"five bodies, markers {layout}"] = list(_free(layout))
+    return found
+
+
+def _free(layout: str) -> Iterator[Make]:
+    for name in BODIES:
+        for event in events_of(read_body(name), "dev")[:N_EVENTS]:
+            yield partial(_event, read_body, name, event.number, layout, ("auto", False))
+
+
+def _event(read, name: str, number: int, layout: str, how: tuple[str, bool]) -> Case:
+    body = read(name)
+    event = next(event for event in body.events if event.number == number)
+    some, rng = chosen(body, event, layout), np.random.default_rng([43, number])
+    places = body.pool[some]
+    measured = places + event.pool[some] + NOISE_MM * rng.standard_normal(places.shape)
+    poisson = event.description["poisson"] if how[1] else 0.45
+    given = tr.Body(body.mesh, tr.Material(10.0, poisson), how[0])
+    return Case(
+        given, tr.Markers(places, measured, NOISE_MM), body.targets, body.targets + event.targets, (0.0,) * 3,
+        f"{name} {number}",
+    )  # fmt: skip
+
+
+def _gel(folder: Path, count: int, seed: int) -> Case:
+    beads = hydrogel.draw(folder, count, seed)
+    markers = tr.Markers(*beads.markers, np.tile(hydrogel.STD_MM, (count, 1)))
+    return Case(hydrogel.gel(), markers, *beads.targets, hydrogel.STD_MM, "gel")
+
+
+def _cell(count: int, seed: int) -> Case:
+    with np.load(CELL / "beads.npz") as beads:
+        before, after = (beads[name].astype(np.float64) for name in ("reference_um", "measured_um"))
+    away = np.linalg.norm(before - CELL_MIDDLE, axis=1)
+    rim = np.flatnonzero((away >= 30.0) & (away <= 60.0))
+    first = int(np.random.default_rng(seed).integers(len(rim)))
+    chosen_beads = rim[hydrogel.far_apart(before[rim], count, first)]
+    inner = np.flatnonzero(away < 25.0)
+    across, along = np.linspace(-1.0, VIEW[0] + 1.0, 13), np.linspace(-1.0, VIEW[1] + 1.0, 12)
+    body = tr.Body(tr.Mesh(*kuhn([across, across, along])), held="free")
+    markers = tr.Markers(before[chosen_beads], after[chosen_beads], np.tile(CELL_STD, (count, 1)))
+    return Case(body, markers, before[inner], after[inner], CELL_STD, "cell")
+
+
+def _organ(folder: Path) -> Case:
+    mesh, markers = tr.read_mesh(folder / "organ.vtu"), tr.read_markers(folder / "markers.csv", NOISE_MM)
+    targets, truth = (tr.read_targets(folder / f"{name}.csv") for name in ("targets", "truth"))
+    names = list(targets)
+    return Case(
+        mesh, markers, np.array([targets[name] for name in names]), np.array([truth[name] for name in names]),
+        (0.0,) * 3, "organ",
+    )  # fmt: skip
