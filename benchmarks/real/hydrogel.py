@@ -81,11 +81,10 @@ def run(folder: Path, n_markers: int, seed: int, n_targets: int = N_TARGETS) -> 
     before, after = beads.targets
     started = perf_counter()
     result = tr.register(
-        tr.Body(gel(), stiffness="graded", element="tet4-averaged", material=tr.Material(1.0, 0.45)),
+        gel(),
         markers,
         targets={f"{i}": place for i, place in enumerate(before)},
         seed=seed,
-        settings=tr.RegisterSettings(tracker="drifts"),
     )
     spent = perf_counter() - started
     found = list(result.targets.values())

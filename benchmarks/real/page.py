@@ -19,9 +19,8 @@ recordings are public and not part of this repository; the command finds them in
 
 Beads in a polyacrylamide gel, tracked before and after a ball was pressed into its top. The markers are beads at a
 height of 62 to 76 um, chosen by farthest-point sampling in five draws; the held-out targets are {n_targets} beads per
-draw at 10 to 50 um. Ball, load, stiffness and the drift of the microscope are unknown:
-`register(Body(gel, stiffness="graded", element="tet4-averaged"), markers,
-settings=RegisterSettings(tracker="drifts"))`. The mesh extends 130 um beyond
+draw at 10 to 50 um. Ball, load, stiffness and the drift of the microscope are unknown, and nothing
+is told: `register(gel, markers)`. The mesh extends 130 um beyond
 the field of view, as the gel does. Draws 0 and 1 were used for development.
 
 Root mean square 3-D error at the targets, um; about 0.3 um of it is the targets' own noise. Coverage: share of targets

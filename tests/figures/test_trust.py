@@ -15,7 +15,7 @@ def test_a_good_event_with_a_contact_smaller_than_an_element_is_trusted(body, nu
 
 
 def test_a_marker_dropped_inside_its_region_is_listed_and_takes_no_trust():
-    event = good("ellipsoid", 160)
+    event = good("dome", 84)
     answer = registered(event)
     assert answer["wrong"]
     assert answer["trusted"]

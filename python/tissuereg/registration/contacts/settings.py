@@ -271,14 +271,14 @@ class ContactSettings(_Numbers):
     stiffness_tried: tuple[float, ...] = (0.1, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0)
     support_log_std: float = 1.0
     frame: tuple[float, float] = (0.008, 1.5)
-    drift: tuple[float, float] = (0.001, 1.0)
+    drift: tuple[float, float] = (0.0007, 1.0)
     unexplained: tuple[float, float] = (0.03, 1.5)
     wrong_odds: float = 0.02
     wrong_share: float = 0.05
     model_error: float = 0.02
     local_error: float = 0.2
     poisson_std: float = 0.02
-    stiffness: tuple[float, float] = (0.15, 0.5)
+    stiffness: tuple[float, float] = (0.1, 0.5)
     graded: tuple[float, float] = (0.5, 0.5)
     unseen_chance: float = 0.03
     unseen_share: float = 0.25
