@@ -171,6 +171,37 @@ def test_room_for_an_unseen_contact_is_in_the_regions(spread):
     assert whole.constrained == pytest.approx(1.0 - wanted / before, abs=1e-6)
 
 
+def test_one_more_contact_widens_regions_where_markers_tell_little(spread):
+    rows, places = rows_of(free_nodes(80)), places_of(spread._fit, free_nodes(80))
+    whole = spread.points(rows, places)
+    without = Spread(spread._fit, MATERIAL, replace(spread._settings, unseen_chance=0.0), 1).points(rows, places)
+    wider = np.trace(whole.covariance, axis1=1, axis2=2) / np.trace(without.covariance, axis1=1, axis2=2)
+    least = np.argsort(whole.constrained)[:20]
+    assert wider.min() >= 1.0
+    assert np.median(wider[least]) > 1.02
+
+
+def test_an_answer_that_is_not_the_mean_of_the_samples_has_wider_regions(spread):
+    fit, nodes = spread._fit, free_nodes(12)
+    rows, places = rows_of(nodes), places_of(spread._fit, nodes)
+    responses = fit.columns.responses(
+        fit.tangent.compliance(rows)[0], places, beside=(rows, fit.tangent.stiffness_forces)
+    )
+    shift = np.zeros(fit.columns.n_columns)
+    shift[3 * push().patch + 2] = 0.7
+    away = replace(fit, state=replace(fit.state, coefficients=fit.state.coefficients + shift))
+    turn = fit.state.frame.rotation
+    here, there = (
+        turn.T @ Spread(one, MATERIAL, spread._settings, 1).points(rows, places).covariance @ turn
+        for one in (fit, away)
+    )
+    means = np.asarray(fit.sampler.moments(list(fit.samples), np.ascontiguousarray(responses))[2])
+    off, farther = (means - (responses @ one.state.coefficients).reshape(-1, 3) for one in (fit, away))
+    wanted = np.einsum("pa,pb->pab", farther, farther) - np.einsum("pa,pb->pab", off, off)
+    assert np.abs(wanted).max() > 1e-3
+    assert there - here == pytest.approx(wanted, rel=1e-6, abs=1e-9)
+
+
 def test_drawn_coefficients_have_the_mean_and_the_gain_of_the_moments(spread):
     fit = spread._fit
     drawn = spread.coefficients(np.random.default_rng(0), 4000)

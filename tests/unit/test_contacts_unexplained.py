@@ -75,6 +75,13 @@ def test_a_body_that_grows_is_covered_and_said_to_do_what_no_load_does():
     assert any(reason.startswith("unexplained: ") for reason in result.trust.reasons)
     assert result.explained_mm["unexplained"] > 0.1 * np.sqrt(np.mean(np.sum(moved**2, axis=1)))
     assert set(result.explained_mm) == {"loads", "tracker", "stiffness", "unexplained"}
+    # Between the markers the rest is most of the spread, of nodes and of draws as of targets.
+    nodes = np.array([int(name) for name in result.targets])
+    stated = np.array([np.sqrt(np.trace(target.covariance)) for target in result.targets.values()])
+    assert np.mean(result.std[nodes] / stated) == pytest.approx(1.0, abs=0.05)
+    draws = result.draws(40)[:, nodes]
+    drawn = np.sqrt(np.sum(draws.var(axis=0), axis=1))
+    assert 0.8 < np.sqrt(np.mean(drawn**2) / np.mean(stated**2)) < 1.1
     _, before = registered(mesh, moved, unexplained=(1e-6, 0.1))
     assert before < covered - 0.2
 
