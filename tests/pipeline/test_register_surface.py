@@ -103,6 +103,9 @@ def test_few_points_and_markers_are_sampled_without_a_projection(block_mesh, lea
     result = tr.register(block_mesh, markers, surface=cloud(block_mesh, leaned, 20, rng, 0.1), targets=INNER)
     assert off(result, leaned) < 0.2 * motion(leaned)
     assert len(result.markers.used) == 8
+    # Points without labels may be matched wrongly; what no load explains could follow them.
+    assert result.draw.fit.columns.unexplained is None
+    assert result.explained_mm["unexplained"] == 0.0
 
 
 def test_points_of_something_else_do_not_bend_the_body_and_are_listed(block_mesh, leaned):
