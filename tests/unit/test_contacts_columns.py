@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 import tissuereg as tr
-from support.pushes import MATERIAL, TIGHT, body, columns_of
+from support.pushes import MATERIAL, NOTHING, TIGHT, body, columns_of
 from tissuereg.body.observe import MarkerObservation
-from tissuereg.registration.contacts.columns import contact_sizes, log_filled
+from tissuereg.registration.contacts.columns import Columns, contact_sizes, log_filled
 from tissuereg.registration.contacts.settings import ContactSettings
 from tissuereg.registration.contacts.state import RigidMotion
 from tissuereg.simulation.sensitivity import Linearised, Observation
@@ -103,7 +103,7 @@ def test_zero_coefficients_are_the_believed_load():
 
 def test_young_cancels_from_all_but_the_forces():
     soft = columns_of()
-    stiff = soft.made_of(MATERIAL.scaled(10.0))
+    stiff = Columns.of(body(), MATERIAL.scaled(10.0), NOTHING, ContactSettings())
     coefficients = np.random.default_rng(2).normal(size=soft.n_columns) * 0.02
     one, two = soft.load(coefficients), stiff.load(coefficients)
     assert np.allclose(10 * one.forces, two.forces)

@@ -58,7 +58,7 @@ def test_errors_of_the_model_are_slopes_of_solves(spread):
     simulator, load = fit.columns.body.simulator, fit.columns.load(fit.state.coefficients)
     # At the end itself: the passes may have kept the tangent where the last step began.
     here, _ = tangent_at(fit.columns, MATERIAL, fit.state, 1)
-    exact = Spread(replace(fit, tangent=here), MATERIAL, spread._settings, 1)
+    exact = Spread(replace(fit, tangent=here), spread._settings, 1)
     found = exact._by_model(here.compliance(rows_of(nodes))[0])
     assert np.abs(found - spread._by_model(fit.tangent.compliance(rows_of(nodes))[0])).max() < 0.1 * np.abs(found).max()
     step = 0.02
@@ -106,7 +106,7 @@ def test_a_change_of_the_stiffness_is_the_slope_of_solves(spread):
 
 def test_the_model_is_part_of_the_covariance_and_markers_take_most_of_it_back(spread):
     fit = spread._fit
-    alone = Spread(fit, MATERIAL, replace(spread._settings, unseen_chance=0.0), 1)
+    alone = Spread(fit, replace(spread._settings, unseen_chance=0.0), 1)
     at_data = alone._by_model(fit.tangent.compliance(fit.observations.rows)[0])
     for nodes, most in ((push().nodes, 0.35), (free_nodes(10), 1.0)):
         rows = rows_of(nodes)
@@ -155,7 +155,7 @@ def test_room_for_an_unseen_contact_is_in_the_regions(spread):
     fit, nodes = spread._fit, free_nodes(40)
     rows, places = rows_of(nodes), places_of(spread._fit, nodes)
     whole = spread.points(rows, places)
-    without = Spread(fit, MATERIAL, replace(spread._settings, unseen_chance=0.0), 1).points(rows, places)
+    without = Spread(fit, replace(spread._settings, unseen_chance=0.0), 1).points(rows, places)
     room = np.trace(whole.covariance - without.covariance, axis1=1, axis2=2)
     assert room == pytest.approx(spread._settings.unseen_chance * whole.unseen_std**2)
     # The textbook's covariance of a linear Gaussian model.
@@ -174,7 +174,7 @@ def test_room_for_an_unseen_contact_is_in_the_regions(spread):
 def test_one_more_contact_widens_regions_where_markers_tell_little(spread):
     rows, places = rows_of(free_nodes(80)), places_of(spread._fit, free_nodes(80))
     whole = spread.points(rows, places)
-    without = Spread(spread._fit, MATERIAL, replace(spread._settings, unseen_chance=0.0), 1).points(rows, places)
+    without = Spread(spread._fit, replace(spread._settings, unseen_chance=0.0), 1).points(rows, places)
     wider = np.trace(whole.covariance, axis1=1, axis2=2) / np.trace(without.covariance, axis1=1, axis2=2)
     least = np.argsort(whole.constrained)[:20]
     assert wider.min() >= 1.0
@@ -192,8 +192,7 @@ def test_an_answer_that_is_not_the_mean_of_the_samples_has_wider_regions(spread)
     away = replace(fit, state=replace(fit.state, coefficients=fit.state.coefficients + shift))
     turn = fit.state.frame.rotation
     here, there = (
-        turn.T @ Spread(one, MATERIAL, spread._settings, 1).points(rows, places).covariance @ turn
-        for one in (fit, away)
+        turn.T @ Spread(one, spread._settings, 1).points(rows, places).covariance @ turn for one in (fit, away)
     )
     means = np.asarray(fit.sampler.moments(list(fit.samples), np.ascontiguousarray(responses))[2])
     off, farther = (means - (responses @ one.state.coefficients).reshape(-1, 3) for one in (fit, away))
@@ -216,7 +215,7 @@ def test_what_was_sought_of_supports_stays_uncertain_in_the_regions():
     body = tr.Body(push().mesh, MATERIAL, held="perhaps")
     found = tr.register(body, push().markers(), targets=target, settings=tr.RegisterSettings(threads=1))
     draw = found.draw
-    alone = Spread(draw.fit, draw.material, draw.spread._settings, 1)
+    alone = Spread(draw.fit, draw.spread._settings, 1)
     nodes = free_nodes(10)
     rows, places = rows_of(nodes), places_of(draw.fit, nodes)
     whole, without = (one.points(rows, places).covariance for one in (draw.spread, alone))

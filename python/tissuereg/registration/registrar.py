@@ -173,8 +173,7 @@ class Registrar:
             other values of uncertain parameters. It takes the place of the assumed load.
         after : Registration, optional
             Registration of a moment shortly before, by this registrar; without a model only. The search for contacts
-            begins with its contacts, and the fitted stiffness of doubtful supports and of a graded body is kept and not
-            fitted again.
+            begins with its contacts, and the fitted stiffness of doubtful supports is kept and not fitted again.
         lost : mapping of str to str, optional
             Names of markers whose measured places are no measurements, each with the reason, which is that of the
             result's `markers.dropped`. Those that can be told from this moment alone are found without it.

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from tissuereg._base.arrays import BoolArray, FloatArray
-from tissuereg.body.material import Material
 from tissuereg.errors import ConvergenceError
 from tissuereg.registration.contacts.columns import Columns
 from tissuereg.registration.contacts.draws import Draws
@@ -25,17 +24,15 @@ class Carried:
     equilibrium under the posterior mean of the load; `samples`: samples of the posterior as three int64 arrays: patch
     and size of each contact, (n_samples, n_slots, 2), -1 for none; candidate size of each family of causes, (n_samples,
     n_families); whether each marker that is seen at the next moment is wrong, (n_samples, n_seen), 0 or 1; `tangent`:
-    the linearised equilibrium near that state; `material`: material of the body, with the graded stiffness if one was
-    estimated; `further`: further uncertain parameters of the model, each with its standard deviation in the parameter's
-    unit; `residual`: root mean square residual that was left, in standard deviations; `moments`: number of moments
-    through which the samples have been carried on.
+    the linearised equilibrium near that state; `further`: further uncertain parameters of the model, each with its
+    standard deviation in the parameter's unit; `residual`: root mean square residual that was left, in standard
+    deviations; `moments`: number of moments through which the samples have been carried on.
     """
 
     columns: Columns
     state: BodyState
     samples: Samples
     tangent: Tangent
-    material: Material
     further: list[tuple[Cause, float]]
     residual: float
     moments: int
@@ -54,17 +51,17 @@ class Carried:
         every[:, before] = wrong
         samples = (slots, levels, np.ascontiguousarray(every[:, now]))
         left = min(fit.residual_rms)
-        return cls(fit.columns, fit.state, samples, fit.tangent, draw.material, list(draw.further), left, draw.moments)
+        return cls(fit.columns, fit.state, samples, fit.tangent, list(draw.further), left, draw.moments)
 
     def columns_for(self, columns: Columns) -> Columns | None:
-        """Return the next moment's causes with the material and spring stiffness that were found here.
+        """Return the next moment's causes with the spring stiffness that was found here.
 
         `columns`: possible causes of motion at the next moment. Result: None if their body or their number is another
         one.
         """
         if columns.body is not self.columns.body or columns.n_columns != self.columns.n_columns:
             return None
-        return columns.made_of(self.material).on(self.columns.springs)
+        return columns.on(self.columns.springs)
 
     def begin(self, columns: Columns, solve: Callable[[FloatArray], FloatArray]) -> BodyState | None:
         """Return the equilibrium under the contacts found here and the next moment's believed load.

@@ -20,11 +20,9 @@ from tissuereg.body.material import Material
 from tissuereg.registration.contacts.body import ContactBody
 from tissuereg.registration.contacts.patches import Patches
 from tissuereg.registration.contacts.settings import DISCRETISATION, ContactSettings
-from tissuereg.registration.contacts.unexplained import Unexplained
+from tissuereg.registration.contacts.unexplained import Rows, Unexplained
 from tissuereg.simulation.sensitivity import Cause, Compliance, ModulusField
 from tissuereg.simulation.solve import LoadParts
-
-Rows = list[tuple[IntArray, FloatArray]]
 
 
 @dataclass(frozen=True)
@@ -156,10 +154,6 @@ class Columns:
     def n_patches(self) -> int:
         """Number of patches of the free surface on which a contact may act."""
         return self.body.patches.n_patches
-
-    def made_of(self, material: Material) -> "Columns":
-        """Return the same causes on a body of another material, whose Young's modulus scales the patches' forces."""
-        return replace(self, young=_patch_young(self.body, material))
 
     def on_springs(self, stiffness: Sequence[float]) -> "Columns":
         """Return the same causes on springs of other stiffness.

@@ -1,8 +1,7 @@
-"""Evidence of a stiffness or of supports: how well a body explains the markers, before contacts are sampled.
+"""Evidence of supports and of the noise: how well a body explains the markers.
 
 The contacts of all radii are approximated by one Gaussian; its size and those of all families of causes are chosen for
-the highest evidence. The cost is one factorisation and one right-hand side per measured coordinate; for supports of any
-stiffness, three more per cell (a small part) of them.
+the highest evidence.
 """
 
 from dataclasses import dataclass
@@ -12,24 +11,11 @@ import numpy as np
 from tissuereg._base.arrays import FloatArray
 from tissuereg.registration.contacts.columns import Columns
 from tissuereg.registration.contacts.condensed import Condensed
-from tissuereg.registration.contacts.fit import ContactFit, Passes, start_of
+from tissuereg.registration.contacts.fit import ContactFit, Passes
 from tissuereg.registration.contacts.observations import LinearObservations
 from tissuereg.registration.contacts.settings import EvidenceSettings
 from tissuereg.registration.contacts.state import RigidMotion
 from tissuereg.registration.trust import NOISE_FACTORS
-
-
-def log_evidence(passes: Passes, frame: RigidMotion) -> float:
-    """Return the logarithm of the evidence of the observations for a body, up to a constant of the observations.
-
-    `passes`: holds the body, its material, causes and data, and counts the work; `frame`: initial rigid motion from the
-    body's frame to the tracker's. Each unknown size of the causes takes the value of the highest evidence times prior.
-    """
-    start = start_of(passes.columns, passes.material, None, frame, passes.threads)
-    problem = passes.observations(start)
-    settings = passes.settings.evidence
-    parts = _parts(passes.columns, problem.responses, settings)
-    return _best_over_sizes(problem.innovation, np.diag(problem.variances), parts, settings)
 
 
 def log_noise_odds(

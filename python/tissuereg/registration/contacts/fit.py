@@ -3,7 +3,8 @@
 One such round is called a pass: it takes the sensitivities of all observations at the present equilibrium, samples
 which contacts explain the residual, and solves the equilibrium under the mean load. Model error enters the sampling
 only as noise of the data: as unknowns of its own it would explain part of the motion, which the solved equilibrium
-would then lack. Points without labels are matched anew in every pass: first fewer of them, in more passes, then all.
+would then lack. What changes of the stiffness and unexplained displacements move is added to it. Points without labels
+are matched anew in every pass: first fewer of them, in more passes, then all.
 """
 
 from collections import Counter

@@ -57,9 +57,9 @@ def register_by_contacts(
 
     `given`: checked input; `believed`: believed load; `clock`: records the times of the stages; `after`: registration
     of a moment shortly before, with the same markers: its contacts are the start, and its estimate of supports is kept;
-    or None. Result: the equilibrium under the posterior mean of the load, with its
-    uncertainty. Raises `ConvergenceError` if no equilibrium is found; `SupportError`, `LoadError` or `MaterialError` if
-    a believed quantity does not fit the body.
+    or None. Result: the equilibrium under the posterior mean of the load, with its uncertainty. Raises
+    `ConvergenceError` if no equilibrium is found; `SupportError`, `LoadError` or `MaterialError` if a believed quantity
+    does not fit the body.
     """
     settings = given.settings.contacts
     if given.suspicions:
@@ -74,9 +74,9 @@ def register_by_contacts(
     if note:
         given = replace(given, suspicions=(*given.suspicions, note))
     with clock.stage("spread"):
-        spread = Spread(found.fit, found.material, settings, given.threads, found.further)
+        spread = Spread(found.fit, settings, given.threads, found.further)
         known = known_of(given, found.fit, spread)
-    draw = Draws(found.fit, spread, found.material, given.seed, given.threads, found.further, found.moments)
+    draw = Draws(found.fit, spread, given.body.material, given.seed, given.threads, found.further, found.moments)
     fields = None
     if given.settings.ensemble:
         with clock.stage("ensemble"):
@@ -90,14 +90,13 @@ def register_by_contacts(
 class _Found:
     """A fit, the body from which its search began, and the estimates that were made before it.
 
-    `fit`: contacts and equilibrium; `start`: the body under the believed load alone; `material`: material of the body;
-    `further`: further uncertain parameters, each with its standard
-    deviation in the parameter's unit; `moments`: number of moments through which the samples have been carried on.
+    `fit`: contacts and equilibrium; `start`: the body under the believed load alone; `further`: further uncertain
+    parameters, each with its standard deviation in the parameter's unit; `moments`: number of moments through which the
+    samples have been carried on.
     """
 
     fit: ContactFit
     start: BodyState
-    material: Material
     further: list[tuple[Cause, float]]
     moments: int = 1
 
@@ -163,7 +162,7 @@ class _ContactSearch:
                 material,
                 parts,
                 settings,
-                drifts=drifts(given.settings.tracker, body.supports),
+                drifts=_drifts(given.settings.tracker, body.supports),
                 stiffness=_stiffness(given, field),
                 unexplained=self._unexplained(frame),
             )
@@ -178,7 +177,7 @@ class _ContactSearch:
             passes, further = _supported(passes, frame)
         with clock.stage("simulate"):
             start = start_of(passes.columns, passes.material, field, frame, given.threads)
-        return _Found(passes.run(start), start, passes.material, further)
+        return _Found(passes.run(start), start, further)
 
     def _unexplained(self, frame: RigidMotion) -> Unexplained | None:
         """Return the displacement that no load explains; none where points without labels are matched to the surface.
@@ -203,9 +202,7 @@ class _ContactSearch:
             return None
         # Chains that go on do not repeat their random numbers: what they miss in one moment they find in a later one.
         rng = np.random.default_rng([self.given.seed, 7, carried.moments])
-        passes = replace(
-            passes, columns=columns, material=carried.material, rng=rng, before=carried.samples, kept=carried.tangent
-        )
+        passes = replace(passes, columns=columns, rng=rng, before=carried.samples, kept=carried.tangent)
 
         def solve(coefficients: FloatArray) -> FloatArray:
             near = carried.tangent.linearised
@@ -214,7 +211,7 @@ class _ContactSearch:
             ).all_displacement
 
         with self.clock.stage("simulate"):
-            start = start_of(columns, carried.material, field, frame, self.given.threads)
+            start = start_of(columns, passes.material, field, frame, self.given.threads)
             begin = carried.begin(columns, solve)
         if begin is None:
             return None
@@ -225,7 +222,7 @@ class _ContactSearch:
         if min(fit.residual_rms) > max(self.settings.fit_limit, self.settings.steps.much_more * carried.residual):
             # The contacts of the moment before lead nowhere: look everywhere.
             return None
-        return _Found(fit, start, carried.material, carried.further, carried.moments + 1)
+        return _Found(fit, start, carried.further, carried.moments + 1)
 
 
 def _carried(after: Registration | None, given: RegisterInput) -> Carried | None:
@@ -261,7 +258,7 @@ def _supported(passes: Passes, frame: RigidMotion) -> tuple[Passes, list[tuple[C
     return replace(passes, columns=columns), causes
 
 
-def drifts(tracker: str | None, supports: Supports) -> bool:
+def _drifts(tracker: str | None, supports: Supports) -> bool:
     """Return whether the tracker may have drifted, by its setting or by default: where supports are sure and none not.
 
     On doubtful supports the body itself may move as a whole.

@@ -330,6 +330,10 @@ class Discretisation:
         between the markers by which draws of it are made.
     jitter : float
         Variance added to the diagonal of its covariance before it is factored, over its own.
+    tolerance : float
+        Relative residual of an equilibrium that is linearised.
+    same_load : float
+        Relative difference of two loads below which they are taken for the same.
     """
 
     radii_shares: tuple[float, ...] = (0.05, 0.083, 0.133, 0.208, 0.333)

@@ -1,10 +1,10 @@
 """Uncertainty of a registration: covariance of points and nodes, and how much the markers constrain a point.
 
-The covariance of a point has three parts. The first, from the contacts, is the mixture over samples. The second is the
-effect of errors in stiffness and Poisson's ratio on the answer: such an error moves the point and the markers, and the
-fit's reaction to the markers moves the point once more, through the gain; so does an error of where a sure support
-ends. The third allows for one more contact, anywhere, that no sample contains because no marker detected it: its
-variance given the markers, times a probability.
+The covariance of a point has four parts. The first, from all causes, is the mixture over samples. The second is the
+effect of an error in Poisson's ratio on the answer: it moves the point and the markers, and the fit's reaction to the
+markers moves the point once more, through the gain; so does an error of where a sure support ends. The third is the
+rest of a displacement that no load explains. The fourth allows for one more contact, anywhere, that no sample contains
+because no marker detected it: its variance given the markers, times a probability.
 """
 
 from collections.abc import Iterator, Sequence
@@ -15,7 +15,6 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray, IntArray
 from tissuereg.body.load import Load
-from tissuereg.body.material import Material
 from tissuereg.registration.contacts.fit import ContactFit
 from tissuereg.registration.contacts.patches import Patches
 from tissuereg.registration.contacts.places import smooth_fields
@@ -41,15 +40,14 @@ class Points:
 class Spread:
     """Covariances of points and nodes for one fit.
 
-    `fit`: contacts and equilibrium that were found; `material`: material of the body; `settings`: uncertainty of the
-    model; `threads`: threads to use, 0 takes all cores; `further`: other uncertain parameters of the model, each with
-    its standard deviation in the parameter's unit.
+    `fit`: contacts and equilibrium that were found; `settings`: uncertainty of the model; `threads`: threads to use, 0
+    takes all cores; `further`: other uncertain parameters of the model, each with its standard deviation in the
+    parameter's unit.
     """
 
     def __init__(
         self,
         fit: ContactFit,
-        material: Material,
         settings: ContactSettings,
         threads: int,
         further: Sequence[tuple[Cause, float]] = (),

@@ -23,6 +23,8 @@ from tissuereg.body.mesh import Mesh
 from tissuereg.registration.contacts.places import far_apart
 from tissuereg.registration.contacts.settings import DISCRETISATION
 
+Rows = list[tuple[IntArray, FloatArray]]
+
 
 @dataclass(frozen=True, eq=False)
 class Unexplained:
@@ -91,7 +93,7 @@ class Unexplained:
         between = self.nodes[far_apart(self.nodes, min(len(self.nodes), DISCRETISATION.rest_places))]
         return np.ascontiguousarray(self._by(np.concatenate([known, between]))[len(known) :].T)
 
-    def responses(self, rows: list[tuple[IntArray, FloatArray]]) -> FloatArray:
+    def responses(self, rows: Rows) -> FloatArray:
         """Return the change of observations by unit coefficients, (n_rows, n_columns).
 
         `rows`: nodes int64 (k,) and weights (k, 3) of the displacement in each observation.
@@ -104,4 +106,4 @@ class Unexplained:
         return np.asarray(self.fields @ coefficients.reshape(*coefficients.shape[:-1], -1, 3))
 
 
-__all__ = ["Unexplained"]
+__all__ = ["Rows", "Unexplained"]
