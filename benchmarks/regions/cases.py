@@ -10,7 +10,7 @@ import numpy as np
 import tissuereg as tr
 from common import SHARED
 from loadfree.events import BODIES, events_of, read_body
-from loadfree.layouts import NOISE_MM, chosen
+from loadfree.layouts import NOISE_MM, markers
 from loadfree.reference import FOLDER, PROBLEMS, read_reference
 from real import hydrogel
 from support.meshes import kuhn
@@ -80,21 +80,16 @@ def _free(layout: str) -> Iterator[Make]:
 def _event(read, name: str, number: int, layout: str, how: tuple[str, bool]) -> Case:
     body = read(name)
     event = next(event for event in body.events if event.number == number)
-    some, rng = chosen(body, event, layout), np.random.default_rng([43, number])
-    places = body.pool[some]
-    measured = places + event.pool[some] + NOISE_MM * rng.standard_normal(places.shape)
     poisson = event.description["poisson"] if how[1] else 0.45
     given = tr.Body(body.mesh, tr.Material(10.0, poisson), how[0])
-    return Case(
-        given, tr.Markers(places, measured, NOISE_MM), body.targets, body.targets + event.targets, (0.0,) * 3,
-        f"{name} {number}",
-    )  # fmt: skip
+    truth = body.targets + event.targets
+    return Case(given, markers(body, event, layout), body.targets, truth, (0.0,) * 3, f"{name} {number}")
 
 
 def _gel(folder: Path, count: int, seed: int) -> Case:
     beads = hydrogel.draw(folder, count, seed)
-    markers = tr.Markers(*beads.markers, np.tile(hydrogel.STD_MM, (count, 1)))
-    return Case(hydrogel.gel(), markers, *beads.targets, hydrogel.STD_MM, "gel")
+    seen = tr.Markers(*beads.markers, np.tile(hydrogel.STD_MM, (count, 1)))
+    return Case(hydrogel.gel(), seen, *beads.targets, hydrogel.STD_MM, "gel")
 
 
 def _cell(count: int, seed: int) -> Case:
@@ -103,19 +98,19 @@ def _cell(count: int, seed: int) -> Case:
     away = np.linalg.norm(before - CELL_MIDDLE, axis=1)
     rim = np.flatnonzero((away >= 30.0) & (away <= 60.0))
     first = int(np.random.default_rng(seed).integers(len(rim)))
-    chosen_beads = rim[hydrogel.far_apart(before[rim], count, first)]
+    some = rim[hydrogel.far_apart(before[rim], count, first)]
     inner = np.flatnonzero(away < 25.0)
     across, along = np.linspace(-1.0, VIEW[0] + 1.0, 13), np.linspace(-1.0, VIEW[1] + 1.0, 12)
     body = tr.Body(tr.Mesh(*kuhn([across, across, along])), held="free")
-    markers = tr.Markers(before[chosen_beads], after[chosen_beads], np.tile(CELL_STD, (count, 1)))
-    return Case(body, markers, before[inner], after[inner], CELL_STD, "cell")
+    seen = tr.Markers(before[some], after[some], np.tile(CELL_STD, (count, 1)))
+    return Case(body, seen, before[inner], after[inner], CELL_STD, "cell")
 
 
 def _organ(folder: Path) -> Case:
-    mesh, markers = tr.read_mesh(folder / "organ.vtu"), tr.read_markers(folder / "markers.csv", NOISE_MM)
+    mesh, seen = tr.read_mesh(folder / "organ.vtu"), tr.read_markers(folder / "markers.csv", NOISE_MM)
     targets, truth = (tr.read_targets(folder / f"{name}.csv") for name in ("targets", "truth"))
     names = list(targets)
     return Case(
-        mesh, markers, np.array([targets[name] for name in names]), np.array([truth[name] for name in names]),
+        mesh, seen, np.array([targets[name] for name in names]), np.array([truth[name] for name in names]),
         (0.0,) * 3, "organ",
     )  # fmt: skip
