@@ -4,6 +4,7 @@ from collections import Counter
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 skfem = pytest.importorskip("skfem")
 
@@ -80,12 +81,15 @@ def test_events_hold_the_user_s_nodes_where_they_say(name):
 def test_doubted_supports_may_give_way_and_others_do_not():
     body = read_supports("phantom")
     event = next(event for event in body.events if event.description["support"]["kind"] == "patches")
-    moved = {
-        name: np.linalg.norm(SUPPORTS.methods[name](Case(body, event, "spread")).nodes[body.mesh.fixed_nodes], axis=1)
-        for name in ("perhaps", "sure")
-    }
-    assert np.all(moved["sure"] == 0.0)
-    assert moved["perhaps"].max() > 0.05
+    rest = body.mesh.nodes[body.mesh.fixed_nodes]
+    bent = {}
+    for name in ("perhaps", "sure"):
+        # The tracker may have drifted: what is held sure moves rigidly at most.
+        moved = rest + SUPPORTS.methods[name](Case(body, event, "spread")).nodes[body.mesh.fixed_nodes]
+        turn, _ = Rotation.align_vectors(moved - moved.mean(axis=0), rest - rest.mean(axis=0))
+        bent[name] = np.abs(turn.apply(rest - rest.mean(axis=0)) - (moved - moved.mean(axis=0))).max()
+    assert bent["sure"] < 1e-9
+    assert bent["perhaps"] > 0.05
 
 
 def test_runs_are_kept_beside_those_of_the_other_bench(tmp_path, monkeypatch):
