@@ -29,6 +29,7 @@ ARCHIVE, PAGE, TABLES = HERE / "archive-lost", HERE / "RESULTS-lost.md", ("rows/
 
 VALUES = {
     "nothing lost": None,
+    "left blank": (np.nan,) * 3,
     "0, 0, 0": (0.0, 0.0, 0.0),
     "-9999.99": (-9999.99,) * 3,
     "bad float": (-3.697314e28,) * 3,
