@@ -1,7 +1,7 @@
 """The registrations of the bench, by family of truth: a body, markers, and targets whose motion is known."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -9,11 +9,13 @@ import numpy as np
 
 import tissuereg as tr
 from common import SHARED
-from loadfree.events import BODIES, events_of, read_body
+from loadfree.events import BODIES, Event, events_of, read_body
+from loadfree.layouts import LAYOUTS as EVERY_LAYOUT
 from loadfree.layouts import NOISE_MM, markers
 from loadfree.reference import FOLDER, PROBLEMS, read_reference
 from real import hydrogel
 from support.meshes import kuhn
+from tissuereg.body.observe import TargetObservation
 
 #: Events of each body of `loadfree`, and layouts of markers.
 N_EVENTS, LAYOUTS = 8, ("spread", "far")
@@ -48,6 +50,12 @@ class Case:
 
 Make = Callable[[], Case]
 
+#: Pushes of the slab by this much, mm: more than its thickness.
+N_PUSHES, PUSH_MM = 4, 55.0
+
+#: Noise of markers that is stated as that of `loadfree`, mm, and events of each body.
+NOISIER_MM, N_NOISY = 1.0, 4
+
 
 def families() -> dict[str, list[Make]]:
     """Return the cases of each family that can be made here, each as a function that makes it."""
@@ -67,13 +75,17 @@ def families() -> dict[str, list[Make]]:
             for layout in ("spread", "random", "near")
         ]
     for layout in LAYOUTS:
-        found[f"five bodies, markers {layout}"] = list(_free(layout))
+        found[f"five bodies, markers {layout}"] = list(_free(layout, N_EVENTS))
+    noisier = list(_free("spread", N_NOISY))
+    found[f"the same, noise {NOISIER_MM:g} mm stated as {NOISE_MM:g}"] = [partial(_noisier, make) for make in noisier]
+    pushes = [(number, layout) for number in range(N_PUSHES) for layout in EVERY_LAYOUT]
+    found[f"slab pushed by {PUSH_MM:g} mm"] = [partial(_pushed, *push) for push in pushes]
     return found
 
 
-def _free(layout: str) -> Iterator[Make]:
+def _free(layout: str, n_events: int) -> Iterator[Make]:
     for name in BODIES:
-        for event in events_of(read_body(name), "dev")[:N_EVENTS]:
+        for event in events_of(read_body(name), "dev")[:n_events]:
             yield partial(_event, read_body, name, event.number, layout, ("auto", False))
 
 
@@ -114,3 +126,38 @@ def _organ(folder: Path) -> Case:
         mesh, seen, np.array([targets[name] for name in names]), np.array([truth[name] for name in names]),
         (0.0,) * 3, "organ",
     )  # fmt: skip
+
+
+def _noisier(make: Make) -> Case:
+    case, rng = make(), np.random.default_rng(43)
+    seen = case.markers
+    more = np.sqrt(NOISIER_MM**2 - NOISE_MM**2) * rng.standard_normal(seen.measured.shape)
+    return replace(case, markers=tr.Markers(seen.reference, seen.measured + more, NOISE_MM))
+
+
+def _pushed(number: int, layout: str) -> Case:
+    """Return the slab of `loadfree` under a dead traction; the truth is this package's own, on a finer mesh."""
+    known, rng = read_body("slab"), np.random.default_rng([43, number])
+    low, high = known.mesh.nodes.min(axis=0), known.mesh.nodes.max(axis=0)
+    nodes, tets = kuhn([np.linspace(a, b, n) for a, b, n in zip(low, high, (25, 19, 8), strict=True)])
+    mesh = tr.Mesh(nodes, tets, {"fixed": np.flatnonzero(nodes[:, 0] == low[0])})
+    centre = low + (high - low) * np.array([rng.uniform(0.4, 0.85), rng.uniform(0.2, 0.8), 1.0])
+    off = np.linalg.norm(nodes - centre, axis=1) / rng.uniform(12.0, 25.0)
+    shape = np.clip(1.0 - off**2, 0.0, None) * (nodes[:, 2] == high[2])
+    moved = _moved_by(mesh, np.outer(shape / shape.sum(), (0.0, 0.0, -1.0)))
+    inside = TargetObservation(mesh, {str(i): place for i, place in enumerate([*known.pool, *known.targets])})
+    pool, targets = np.split(inside.predict(moved[inside.nodes]), [len(known.pool)])
+    event = Event("slab", number, {"contacts": [{"centre": centre}]}, np.empty((0, 3)), pool, targets)
+    seen = markers(known, event, layout)
+    return Case(known.mesh, seen, known.targets, known.targets + targets, (0.0,) * 3, f"push {number}")
+
+
+def _moved_by(mesh: tr.Mesh, forces: np.ndarray) -> np.ndarray:
+    """Return the displacement, mm, under so many times `forces` that it is at most `PUSH_MM`, within a hundredth."""
+    solver, size = tr.Simulator(mesh), 200.0
+    while True:
+        moved = solver.solve(tr.Load(forces=size * forces), tr.Material(10.0, 0.45)).displacement
+        largest = float(np.linalg.norm(moved, axis=1).max())
+        if abs(largest - PUSH_MM) < 0.01 * PUSH_MM:
+            return moved
+        size *= min(2.0, PUSH_MM / largest)

@@ -12,6 +12,7 @@ import tissuereg as tr
 from support import doors
 from support.pushes import ELEMENT, MATERIAL, push
 from tissuereg.body.observe import MarkerObservation
+from tissuereg.registration.contacts import answer
 from tissuereg.registration.contacts.answer import Answer, _chance
 from tissuereg.registration.contacts.settings import ReportSettings
 
@@ -51,13 +52,13 @@ def test_a_dropped_marker_is_reported_below_one_percent_divided_among_all(share:
     places = np.random.default_rng(0).normal(size=(20, 3))
     size = np.sqrt(chi2.isf(share * 0.01 / 20, 3))
     lost = SimpleNamespace(mean=places[7] - size * np.linalg.cholesky(COVARIANCE)[:, 0], covariance=COVARIANCE)
-    answer: Any = SimpleNamespace(
+    one: Any = SimpleNamespace(
         given=SimpleNamespace(markers=tr.Markers(places, places)),
         known=SimpleNamespace(lost=np.array([7])),
         fit=SimpleNamespace(wrong=np.where(np.arange(20) == 7, 0.9, 0.0)),
     )
     unseen: Any = [lost]
-    found = Answer._wrong(answer, unseen)
+    found = Answer._wrong(one, unseen)
     assert [reason[: len("wrong marker: M8 ")] for reason in found] == (["wrong marker: M8 "] if reported else [])
 
 
@@ -77,6 +78,16 @@ def test_noise_that_is_stated_ten_times_too_small_is_named() -> None:
     found = registered(tr.Markers(markers.reference, rough, 0.03))
     assert any("noise" in reason for reason in found.trust.reasons)
     assert registered(tr.Markers(markers.reference, rough, 0.3)).trust.ok
+
+
+@pytest.mark.parametrize(("markers", "named"), [(8, True), (7, False)])
+def test_many_markers_need_only_find_larger_noise_more_probable(
+    monkeypatch: pytest.MonkeyPatch, markers: int, named: bool
+) -> None:
+    monkeypatch.setattr(answer, "log_noise_odds", lambda *_: 0.1)
+    seen = push().markers()
+    found = registered(tr.Markers(seen.reference[:markers], seen.measured[:markers], 0.03))
+    assert any(reason.startswith("noise: ") for reason in found.trust.reasons) == named
 
 
 def test_a_push_that_the_prior_of_contacts_cannot_make_takes_trust_though_markers_are_met() -> None:

@@ -213,8 +213,10 @@ class Answer:
         kept = np.isin(marker, self.known.used)
         tracker = (markers.axis_std**2)[marker, axis][kept]
         evidence = self.given.settings.contacts.evidence
-        odds = log_noise_odds(self.fit, problem.only(kept), tracker, evidence) if kept.any() else 0.0
-        return [NOISY] if odds > -np.log(LEVEL) else []
+        if not kept.any():
+            return []
+        least = 0.0 if kept.sum() >= evidence.many else -np.log(LEVEL)
+        return [NOISY] if log_noise_odds(self.fit, problem.only(kept), tracker, evidence) > least else []
 
     def _trust(self, unseen: list[Target], min_det_f: float) -> Trust:
         used = self.known.used

@@ -122,12 +122,16 @@ class EvidenceSettings(_Numbers):
         Largest number of rounds in which the sizes of all causes are varied in turn.
     least_gain : float
         The rounds end when one of them raises the log evidence by less than this.
+    many : int
+        From this number of observations on, markers speak against the stated noise if larger noise is more probable at
+        all: where it is as stated, that many are far from saying so.
     """
 
     sizes_mm: tuple[float, float] = (0.01, 100.0)
     sizes_a_decade: int = 4
     rounds: int = 3
     least_gain: float = 1e-3
+    many: int = 24
 
 
 @dataclass(frozen=True)
