@@ -53,6 +53,26 @@ def test_the_spread_of_nodes_is_the_covariance_of_points_there(result, spread):
     assert spread._rest[mesh.fixed_nodes].max() < 1e-3 * spread._rest.max()
 
 
+def test_many_points_have_the_regions_that_each_would_have_alone(spread):
+    fit, nodes = spread._fit, free_nodes(60)
+    rows, places = rows_of(nodes), places_of(fit, nodes)
+    one_by_one = spread.points(rows, places)
+    many = Spread(fit, replace(spread._settings, most_exact=59, n_draws_of_many=1000), 1).points(rows, places)
+    assert Spread(fit, replace(spread._settings, most_exact=60), 1).points(rows, places).covariance == pytest.approx(
+        one_by_one.covariance
+    )
+    wanted = np.trace(one_by_one.covariance, axis1=1, axis2=2)
+    ratio = np.trace(many.covariance, axis1=1, axis2=2) / wanted
+    assert np.abs(ratio - 1.0).max() < 0.3
+    assert ratio.mean() == pytest.approx(1.0, abs=0.06)
+    # Off the diagonal, too: a region's direction is that of the covariance.
+    off = np.linalg.norm(many.covariance - one_by_one.covariance, axis=(1, 2))
+    assert np.median(off / wanted) < 0.1
+    assert np.abs(many.constrained - one_by_one.constrained).max() < 0.15
+    assert many.unseen_std == pytest.approx(one_by_one.unseen_std, rel=0.3)
+    assert np.array_equal(spread.points(rows, places).covariance, one_by_one.covariance)
+
+
 def test_errors_of_the_model_are_slopes_of_solves(spread):
     fit, nodes = spread._fit, free_nodes(4)
     simulator, load = fit.columns.body.simulator, fit.columns.load(fit.state.coefficients)

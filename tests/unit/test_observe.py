@@ -99,6 +99,19 @@ def test_a_target_is_linear_in_its_tet(block_mesh):
     np.testing.assert_allclose(inside.predict(field[inside.nodes])[0], gradient @ [11.0, 9.0, 17.0], atol=1e-12)
 
 
+def test_many_targets_lie_in_the_tets_that_each_is_found_in(block_mesh):
+    rng = np.random.default_rng(5)
+    inside = block_mesh.nodes[block_mesh.tets[rng.integers(block_mesh.n_tets, size=40)]].mean(axis=1)
+    places = np.concatenate([inside, block_mesh.nodes[:5], block_mesh.nodes[block_mesh.tets[:5, :2]].mean(axis=1)])
+    named = {str(i): place for i, place in enumerate(places)}
+    field = rng.standard_normal((block_mesh.n_nodes, 3))
+    together = TargetObservation(block_mesh, named)
+    found = together.predict(field[together.nodes])
+    for i, (name, place) in enumerate(named.items()):
+        alone = TargetObservation(block_mesh, {name: place})
+        assert found[i] == pytest.approx(alone.predict(field[alone.nodes])[0], abs=1e-12)
+
+
 def test_a_target_outside_is_refused_a_close_one_warned_of(block_mesh):
     with pytest.raises(MarkerError, match=r"target 'out' must lie in the undeformed body; .* mm outside"):
         TargetObservation(block_mesh, {"out": (20.0, 10.0, 60.0)})

@@ -44,7 +44,7 @@ def known_of(given: RegisterInput, fit: ContactFit, spread: Spread) -> Known:
 
     `given`: checked input; `fit`: contacts and equilibrium that were found; `spread`: uncertainty of the fit. A marker
     is used if a coordinate of it was measured and it is wrong with less than the probability in the settings. Cost:
-    three right-hand sides for each target and each marker that is not used.
+    three right-hand sides for each target and each marker that is not used; no more for many targets than for some.
     """
     state, observed, inner = fit.state, given.observed, given.targets
     n_targets = len(inner.names)
@@ -57,7 +57,7 @@ def known_of(given: RegisterInput, fit: ContactFit, spread: Spread) -> Known:
     of_markers = observed.rows(here) if len(lost) else []
     rows = [*inner.rows(), *(of_markers[3 * marker + axis] for marker in lost for axis in range(3))]
     some = np.concatenate([np.arange(n_targets), n_targets + lost])
-    points = spread.points(rows, (reference + moved)[some])
+    points = spread.points(rows, (reference + moved)[some], given.seed)
     return Known(used, lost, state.frame.apply(reference + moved) - reference, points)
 
 

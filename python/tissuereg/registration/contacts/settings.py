@@ -253,6 +253,8 @@ class ContactSettings(_Numbers):
         deviations.
     n_draws : int
         Number of draws for the spread of nodes.
+    most_exact, n_draws_of_many : int
+        Largest number of targets whose covariances are computed one by one; those of more come from so many draws.
     background_share : float
         Standard deviation of the background on one patch, over that of all patches: neighbours overlap.
     steps : PassSettings
@@ -298,6 +300,8 @@ class ContactSettings(_Numbers):
     fit_limit: float = 1.3
     promise_margin: float = 0.4
     n_draws: int = 64
+    most_exact: int = 400
+    n_draws_of_many: int = 256
     background_share: float = 0.55
     steps: PassSettings = PassSettings()
     evidence: EvidenceSettings = EvidenceSettings()

@@ -10,6 +10,7 @@ because no marker detected it: its variance given the markers, times a probabili
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,6 +22,9 @@ from tissuereg.registration.contacts.places import smooth_fields
 from tissuereg.registration.contacts.settings import DISCRETISATION, EFFORT, ContactSettings
 from tissuereg.registration.contacts.tangent import Row
 from tissuereg.simulation.sensitivity import Cause, Compliance, ModulusField
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,13 +95,16 @@ class Spread:
             [np.einsum("rnx,enx->re", rates, errors, optimize=True) for rates, errors in parts], axis=1
         )
 
-    def points(self, rows: Sequence[tuple[IntArray, FloatArray]], places: FloatArray) -> Points:
+    def points(self, rows: Sequence[Row], places: FloatArray, seed: int = 0) -> Points:
         """Return the uncertainty of points: covariances, mm^2, and how much the markers constrain them.
 
         `rows`: nodes (k,) and weights (k, 3) of x, y and z of each point; `places` (n_points, 3): their positions in
-        the body's frame, mm. Cost: one right-hand side per row.
+        the body's frame, mm; `seed`: of the draws that stand for many points. Cost: one right-hand side per row, or
+        per draw.
         """
         fit = self._fit
+        if len(places) > self._settings.most_exact:
+            return self._points_by_draws(rows, np.random.default_rng([seed, 11]))
         compliance = self._compliance(rows)
         responses = fit.columns.responses(compliance, places, beside=(list(rows), fit.tangent.stiffness_forces))
         means, covariance, suggested = self._moments(responses)
@@ -107,13 +114,74 @@ class Spread:
         remaining = self._by_model(compliance) - responses @ suggested
         remaining = remaining.reshape(len(places), 3, remaining.shape[1])
         covariance = covariance + np.einsum("pak,pbk->pab", remaining, remaining)
+        return self._with_unseen(covariance, rows, *self._unseen(responses))
+
+    def _with_unseen(
+        self, covariance: FloatArray, rows: Sequence[Row], unseen: FloatArray, before: FloatArray
+    ) -> Points:
+        """Return the uncertainty of points with that by what no marker sees, from their covariances, mm^2.
+
+        `covariance` (n, 3, 3): by causes that were found and errors of the model; `unseen` (n, 3, 3), `before` (n,): by
+        one more contact given the markers, and its trace without them.
+        """
         left = [self._rest[nodes] @ np.abs(weights[:, row % 3]) for row, (nodes, weights) in enumerate(rows)]
         covariance[:, [0, 1, 2], [0, 1, 2]] += np.reshape(left, (-1, 3))
-        unseen, constrained = self._unseen(responses)
-        turn = fit.state.frame.rotation
+        turn = self._fit.state.frame.rotation
         covariance = covariance + self._settings.unseen_chance * unseen
-        std = np.sqrt(np.maximum(np.trace(unseen, axis1=1, axis2=2), 0.0))
-        return Points(turn @ covariance @ turn.T, constrained, std)
+        square = np.maximum(np.trace(unseen, axis1=1, axis2=2), 0.0)
+        return Points(turn @ covariance @ turn.T, 1.0 - square / np.maximum(before, 1e-300), np.sqrt(square))
+
+    def _points_by_draws(self, rows: Sequence[Row], rng: np.random.Generator) -> Points:
+        """Return the uncertainty of many points from draws: a standard deviation is within some per cent."""
+        count, n_nodes = self._settings.n_draws_of_many, self._fit.columns.body.mesh.n_nodes
+        read = _reader(rows, n_nodes)
+        change = self.coefficients(rng, count) - self._fit.state.coefficients
+        errors = rng.standard_normal((count, len(self._model_forces) + len(self._edges)))
+        # Fewer draws do for the rare contact that no marker detected.
+        unseen, anywhere = self._unseen_draws(rng, self._settings.n_draws)
+        # The fit's reaction to an error moves the points as a change of the coefficients does.
+        sources = [(change - errors @ self._reaction.T, errors), (unseen, None), (anywhere, None)]
+        squares = [np.zeros((len(rows) // 3, 3, 3)) for _ in sources]
+        for square, (drawn, of_model) in zip(squares, sources, strict=True):
+            for some in _in_parts(len(drawn)):
+                fields = self._fields(drawn[some], None if of_model is None else of_model[some])
+                moved = (fields.reshape(len(fields), -1) @ read.T).reshape(len(fields), -1, 3)
+                square += np.einsum("dpa,dpb->pab", moved, moved) / len(drawn)
+        return self._with_unseen(squares[0], rows, squares[1], np.trace(squares[2], axis1=1, axis2=2))
+
+    def _fields(self, change: FloatArray, errors: FloatArray | None) -> FloatArray:
+        """Return the displacement fields (n, n_nodes, 3), mm, by changes of coefficients (n, n_columns) and errors.
+
+        `errors` (n, n_errors): in standard deviations; None for none.
+        """
+        n_forces = len(self._model_forces)
+        forces = np.zeros((1, *self._model_forces.shape[1:]))
+        if errors is not None:
+            forces = np.tensordot(errors[:, :n_forces], self._model_forces, 1)
+        fields = linear_fields(self._fit, change, forces)[:, : self._fit.columns.body.mesh.n_nodes]
+        if errors is not None and len(self._edges):
+            fields = fields + np.tensordot(errors[:, n_forces:], self._edge_fields, 1)
+        return fields
+
+    @cached_property
+    def _edge_fields(self) -> FloatArray:
+        """Displacement by each error of where a sure support ends, (n_edges, n_nodes, 3), mm."""
+        columns = self._fit.columns
+        none = np.zeros((1, *self._model_forces.shape[1:]))
+        return np.concatenate(
+            [
+                linear_fields(self._fit, np.zeros((len(edges), columns.n_columns)), none, edges)[
+                    :, : columns.body.mesh.n_nodes
+                ]
+                for edges in (self._edges[some] for some in _in_parts(len(self._edges)))
+            ]
+        )
+
+    @cached_property
+    def _reaction(self) -> FloatArray:
+        """Change of the coefficients by which the fit answers each error of the model, (n_columns, n_errors)."""
+        suggested = self._suggested
+        return self._moments(np.zeros((0, self._fit.columns.n_columns)))[2] if suggested is None else suggested
 
     @cached_property
     def _rest(self) -> FloatArray:
@@ -144,23 +212,24 @@ class Spread:
         """Return how far one more contact, which no marker detected, may move points.
 
         `responses` (3 n, n_columns): displacement of the points by a unit coefficient of every cause, mm. Result:
-        covariance (n, 3, 3) given the markers, mm^2, and the share (n,) of the variance that the markers remove.
+        covariance (n, 3, 3) given the markers, and its trace (n,) without them, mm^2.
         """
         cross = (responses * self._unseen_variances) @ self._fit.observations.responses.T
         taken = np.linalg.solve(self._under_unseen, cross.T).T.reshape(len(cross) // 3, 3, cross.shape[1])
         scaled = (responses * np.sqrt(self._unseen_variances)).reshape(len(taken), 3, responses.shape[1])
         before, after = (np.matmul(part, np.moveaxis(part, 1, 2)) for part in (scaled, taken))
-        remaining = before - after
-        traces = [np.maximum(np.trace(part, axis1=1, axis2=2), 0.0) for part in (remaining, before)]
-        return remaining, np.asarray(1.0 - traces[0] / np.maximum(traces[1], 1e-300))
+        return before - after, np.trace(before, axis1=1, axis2=2)
 
-    def _unseen_draws(self, rng: np.random.Generator, count: int) -> FloatArray:
-        """Return drawn coefficients (count, n_columns), mm, of one more contact that the markers did not detect."""
+    def _unseen_draws(self, rng: np.random.Generator, count: int) -> tuple[FloatArray, FloatArray]:
+        """Return drawn coefficients, mm, of one more contact that the markers did not detect, and of one anywhere.
+
+        Both are of shape (count, n_columns).
+        """
         own, variances = self._fit.observations.responses, self._unseen_variances
         drawn = np.sqrt(variances) * rng.standard_normal((count, len(variances)))
         measured = drawn @ own.T + np.sqrt(self._fit.observations.variances) * rng.standard_normal((count, len(own)))
         half = np.linalg.solve(self._under_unseen, measured.T)
-        return np.asarray(drawn - (variances * (own.T @ np.linalg.solve(self._under_unseen.T, half)).T))
+        return np.asarray(drawn - (variances * (own.T @ np.linalg.solve(self._under_unseen.T, half)).T)), drawn
 
     def nodes(self, rng: np.random.Generator, fields: FloatArray | None = None) -> FloatArray:
         """Return the covariance of the place of every node, (n_nodes, 3, 3), in the tracker's frame, mm^2, from draws.
@@ -174,20 +243,12 @@ class Spread:
         drawn = np.zeros((self._settings.n_draws, fit.columns.n_columns))
         if fields is None:
             drawn = self.coefficients(rng, self._settings.n_draws) - fit.state.coefficients
-        n_forces = len(self._model_forces)
-        errors = rng.standard_normal((len(drawn), n_forces + len(self._edges)))
-        suggested = self._suggested
-        if suggested is None:
-            suggested = self._moments(np.zeros((0, fit.columns.n_columns)))[2]
-        drawn = drawn - errors @ suggested.T
-        drawn += np.sqrt(self._settings.unseen_chance) * self._unseen_draws(rng, len(drawn))
-        n_nodes = fit.columns.body.mesh.n_nodes
-        spread = np.zeros((n_nodes, 3, 3))
+        errors = rng.standard_normal((len(drawn), len(self._model_forces) + len(self._edges)))
+        drawn = drawn - errors @ self._reaction.T
+        drawn += np.sqrt(self._settings.unseen_chance) * self._unseen_draws(rng, len(drawn))[0]
+        spread = np.zeros((fit.columns.body.mesh.n_nodes, 3, 3))
         for some in _in_parts(len(drawn)):
-            forces = np.tensordot(errors[some, :n_forces], self._model_forces, 1)
-            edges = np.tensordot(errors[some, n_forces:], self._edges, 1) if len(self._edges) else None
-            moved = linear_fields(fit, drawn[some], forces, edges)
-            moved = moved[:, :n_nodes] @ turn.T
+            moved = self._fields(drawn[some], errors[some]) @ turn.T
             spread += np.einsum("dna,dnb->nab", moved, moved)
         spread /= len(drawn)
         if fields is None:
@@ -216,6 +277,16 @@ class Spread:
         """Return the variance, mm^2, of a displacement that no load explains, in the sample of each draw, (count,)."""
         sizes = self._fit.columns.rest_sizes(self._fit.samples[1])[self._order(count)]
         return np.asarray(sizes[np.arange(count) % len(sizes)])
+
+
+def _reader(rows: Sequence[Row], n_nodes: int) -> "csr_array":
+    """Return the matrix (n_rows, 3 n_nodes) that reads observations from a displacement field."""
+    from scipy.sparse import csr_array
+
+    nodes, weights = [nodes for nodes, _ in rows], np.concatenate([weights for _, weights in rows])
+    places = 3 * np.concatenate(nodes)[:, None] + np.arange(3)
+    numbers = np.repeat(np.arange(len(rows)), [3 * len(one) for one in nodes])
+    return csr_array((weights.ravel(), (numbers, places.ravel())), shape=(len(rows), 3 * n_nodes))
 
 
 def _in_parts(count: int) -> Iterator[slice]:
