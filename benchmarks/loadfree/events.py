@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 
@@ -80,6 +80,13 @@ def read_body(name: str) -> Body:
     with np.load(DATA / f"{name}.npz") as stored:
         mesh = Mesh(stored["nodes_mm"], stored["tets"], {"fixed": stored["fixed_nodes"]})
         return Body(name, mesh, stored["pool_mm"], stored["targets_mm"], read_events(stored, name))
+
+
+@cache
+def read_set(name: str, of: str) -> Body:
+    """Return a body of the archive with the events of a further set, ``supports`` or ``inner``."""
+    with np.load(DATA / f"{of}.npz") as stored:
+        return replace(read_body(name), events=read_events(stored, name, f"{name}_"))
 
 
 def read_events(stored: Mapping, name: str, prefix: str = "") -> tuple[Event, ...]:

@@ -1,12 +1,7 @@
 """Partly wrong supports: the user states that the whole base is held; in truth a part of it is, or more."""
 
-from dataclasses import replace
-from functools import cache
-
-import numpy as np
-
 from loadfree.bench import Bench
-from loadfree.events import DATA, Body, read_body, read_events
+from loadfree.events import Body, read_set
 from loadfree.rivals import METHODS, Answer, Case, registered
 
 BODIES = ("dome", "phantom", "hole")
@@ -15,11 +10,9 @@ BODIES = ("dome", "phantom", "hole")
 KINDS = ("ring", "middle", "patches", "band")
 
 
-@cache
 def read_supports(name: str) -> Body:
     """Return a body of the archive with the events of ``data/supports.npz``."""
-    with np.load(DATA / "supports.npz") as stored:
-        return replace(read_body(name), events=read_events(stored, name, f"{name}_"))
+    return read_set(name, "supports")
 
 
 def perhaps(case: Case) -> Answer:

@@ -9,7 +9,7 @@ import numpy as np
 
 import tissuereg as tr
 from common import SHARED
-from loadfree.events import BODIES, Event, events_of, read_body
+from loadfree.events import BODIES, Event, events_of, read_body, read_set, true_load
 from loadfree.layouts import LAYOUTS as EVERY_LAYOUT
 from loadfree.layouts import NOISE_MM, markers
 from loadfree.reference import FOLDER, PROBLEMS, read_reference
@@ -50,6 +50,12 @@ class Case:
 
 Make = Callable[[], Case]
 
+#: Events whose truth is four-node elements at a Poisson's ratio of 0.49 on the user's own mesh, of each body.
+N_LOCKED = 4
+
+#: What no load on the believed body explains, and the bodies of such events.
+INNER, INNER_BODIES = ("fibres", "growth"), ("dome", "slab", "beam")
+
 #: Pushes of the slab by this much, mm: more than its thickness.
 N_PUSHES, PUSH_MM = 4, 55.0
 
@@ -78,6 +84,17 @@ def families() -> dict[str, list[Make]]:
         found[f"five bodies, markers {layout}"] = list(_free(layout, N_EVENTS))
     noisier = list(_free("spread", N_NOISY))
     found[f"the same, noise {NOISIER_MM:g} mm stated as {NOISE_MM:g}"] = [partial(_noisier, make) for make in noisier]
+    found["coarse body near incompressible, locked"] = [
+        partial(_locked, name, number) for name in BODIES[:4] for number in range(0, 2 * N_LOCKED, 2)
+    ]
+    for kind in INNER:
+        found[f"three bodies, {kind}"] = [
+            partial(_inner, name, event.number, layout)
+            for name in INNER_BODIES
+            for event in events_of(read_set(name, "inner"), "dev")
+            if event.kind == kind
+            for layout in ("spread", "random")
+        ]
     pushes = [(number, layout) for number in range(N_PUSHES) for layout in EVERY_LAYOUT]
     found[f"slab pushed by {PUSH_MM:g} mm"] = [partial(_pushed, *push) for push in pushes]
     return found
@@ -145,11 +162,32 @@ def _pushed(number: int, layout: str) -> Case:
     off = np.linalg.norm(nodes - centre, axis=1) / rng.uniform(12.0, 25.0)
     shape = np.clip(1.0 - off**2, 0.0, None) * (nodes[:, 2] == high[2])
     moved = _moved_by(mesh, np.outer(shape / shape.sum(), (0.0, 0.0, -1.0)))
-    inside = TargetObservation(mesh, {str(i): place for i, place in enumerate([*known.pool, *known.targets])})
-    pool, targets = np.split(inside.predict(moved[inside.nodes]), [len(known.pool)])
-    event = Event("slab", number, {"contacts": [{"centre": centre}]}, np.empty((0, 3)), pool, targets)
-    seen = markers(known, event, layout)
-    return Case(known.mesh, seen, known.targets, known.targets + targets, (0.0,) * 3, f"push {number}")
+    return _seen(known, number, {"contacts": [{"centre": centre}]}, (mesh, moved), layout)
+
+
+def _locked(name: str, number: int) -> Case:
+    """Return an event as a plain solver has it: its true loads, elements too stiff, the user's mesh."""
+    body = read_body(name)
+    event = next(event for event in body.events if event.number == number)
+    moved = tr.simulate(body.mesh, true_load(body, event), tr.Material(10.0, 0.49), threads=1).displacement
+    return _seen(body, number, event.description, (body.mesh, moved), "spread")
+
+
+def _inner(name: str, number: int, layout: str) -> Case:
+    body = read_set(name, "inner")
+    event = next(event for event in body.events if event.number == number)
+    truth = body.targets + event.targets
+    return Case(body.mesh, markers(body, event, layout), body.targets, truth, (0.0,) * 3, f"inner {name} {number}")
+
+
+def _seen(body, number: int, description: dict, field: tuple[tr.Mesh, np.ndarray], layout: str) -> Case:
+    """Return what is measured of a displacement field of a mesh, with pool and targets of a body of `loadfree`."""
+    mesh, moved = field
+    inside = TargetObservation(mesh, {str(i): place for i, place in enumerate([*body.pool, *body.targets])})
+    pool, targets = np.split(inside.predict(moved[inside.nodes]), [len(body.pool)])
+    event = Event(body.name, number, description, np.empty((0, 3)), pool, targets)
+    truth = body.targets + targets
+    return Case(body.mesh, markers(body, event, layout), body.targets, truth, (0.0,) * 3, f"{body.name} {number}")
 
 
 def _moved_by(mesh: tr.Mesh, forces: np.ndarray) -> np.ndarray:

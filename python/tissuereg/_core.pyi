@@ -6,6 +6,8 @@ from numpy.typing import NDArray
 
 _Floats = NDArray[np.float64]
 _Integers = NDArray[np.int64]
+_Singles = NDArray[np.float32]
+_Bytes = NDArray[np.uint8]
 _Element = Literal["tet4", "tet4-averaged", "tet10"]
 
 __all__ = [
@@ -29,6 +31,7 @@ __all__ = [
     "check_schedule",
     "closest_rotations",
     "laws",
+    "rasterise",
     "schedule_geometric",
     "score_components",
     "screen_members",
@@ -42,6 +45,9 @@ def check_mesh(nodes: _Floats, tets: _Integers) -> None: ...
 def surface_triangles(nodes: _Floats, tets: _Integers) -> _Integers: ...
 def tet_volumes(nodes: _Floats, tets: _Integers) -> _Floats: ...
 def closest_rotations(matrices: _Floats) -> _Floats: ...
+def rasterise(
+    nodes: _Floats, tets: _Integers, values: _Floats, inner: int, shape: Sequence[int], threads: int
+) -> tuple[_Singles, _Bytes]: ...
 def laws() -> list[tuple[str, list[tuple[str, bool, float, float]], list[list[float]]]]: ...
 def schedule_geometric(n_steps: int, decrease: float) -> _Floats: ...
 def check_schedule(alphas: _Floats, *, total: float = 1.0) -> _Floats: ...

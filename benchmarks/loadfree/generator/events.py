@@ -36,8 +36,8 @@ class Bench:
         """Return the arrays of an event and what it is; draws again where it fails or moves no marker."""
         rng = np.random.default_rng(plan.seed)
         for draw in range(N_DRAWS):
-            contacts, weight, shares = acting(plan, self.skin, rng)
-            truth = physics(plan, self.skin, self.body, rng)
+            contacts, weight, shares = self.acting(plan, rng)
+            truth = self.physics(plan, rng)
             start = prepare(self.body_under(contacts), truth, contacts, tuple(weight), shares, largest_mm(rng))
             run, reader = start.run, self.reader(start.run.body)
             try:
@@ -52,6 +52,14 @@ class Bench:
                 run.factor.free()
         message = f"no draw of {plan} could be solved and moved the markers"
         raise FloatingPointError(message)
+
+    def acting(self, plan, rng):
+        """Return contacts, the direction of the weight and the shares of motion of an event's plan."""
+        return acting(plan, self.skin, rng)
+
+    def physics(self, plan, rng):
+        """Return the truth's physics; differences from the believed model are written to ``plan.truth``."""
+        return physics(plan, self.skin, self.body, rng)
 
     @staticmethod
     def moves_markers(fields):

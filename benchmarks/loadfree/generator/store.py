@@ -1,11 +1,11 @@
-"""The archive, ``data/<body>.npz`` and ``data/supports.npz``, packed from one file an event below ``build``."""
+"""The archive, ``data/<body>.npz``, ``supports.npz`` and ``inner.npz``, packed from one file an event in ``build``."""
 
 import json
 from pathlib import Path
 
 import numpy as np
 
-from loadfree.generator import supports
+from loadfree.generator import inner, supports
 from loadfree.generator.bodies import BODIES, DATA, read
 from loadfree.generator.draw import N_EVENTS, plans
 from loadfree.generator.events import Bench
@@ -13,8 +13,12 @@ from loadfree.generator.events import Bench
 #: Single events, not part of the repository.
 EVENTS = Path(__file__).resolve().parents[3] / "build" / "loadfree" / "events"
 
-#: Events of bodies that are held elsewhere than the user states; their meshes are those of ``data/<body>.npz``.
-SUPPORTS = DATA / "supports.npz"
+#: Further sets of events, on the meshes of ``data/<body>.npz``: bodies that are held elsewhere than the user states,
+#: and such as are not as believed inside. By name: module, and what solves a plan.
+SETS = {
+    "supports": (supports, supports.SupportBench),
+    "inner": (inner, lambda plan: inner.InnerBench(plan.body)),
+}
 
 #: Displacements are stored in steps of this size, as 16-bit numbers.
 STEP_MM = 1e-3
@@ -36,11 +40,11 @@ def make_events(limit=N_EVENTS, report=print):
         make_event(benches[plan.body], plan, report)
 
 
-def make_support_events(report=print):
-    """Solve every event of uncertain supports that is not solved."""
-    rows = zip(*(supports.plans(body) for body in supports.BODIES), strict=True)
-    for plan in _missing(rows):
-        make_event(supports.SupportBench(plan), plan, report)
+def make_set(name, report=print):
+    """Solve every event of a further set that is not solved."""
+    module, bench = SETS[name]
+    for plan in _missing(zip(*(module.plans(body) for body in module.BODIES), strict=True)):
+        make_event(bench(plan), plan, report)
 
 
 def _missing(rows):
@@ -80,10 +84,13 @@ def pack(body):
     return len(events["told"])
 
 
-def pack_supports():
-    """Write the archive of events of uncertain supports, keys by body; return how many they are by body."""
-    events = {body: _events(supports.plans(body)) for body in supports.BODIES}
-    _write(SUPPORTS, {f"{body}_{key}": value for body, some in events.items() for key, value in some.items()})
+def pack_set(name):
+    """Write the archive of a further set, keys by body; return how many events there are by body."""
+    module, _ = SETS[name]
+    events = {body: _events(module.plans(body)) for body in module.BODIES}
+    _write(
+        DATA / f"{name}.npz", {f"{body}_{key}": value for body, some in events.items() for key, value in some.items()}
+    )
     return {body: len(some["told"]) for body, some in events.items()}
 
 

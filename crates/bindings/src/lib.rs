@@ -24,7 +24,8 @@ mod _core {
     #[pymodule_export]
     use super::fem::{
         Adjoints, Behaviour, Body, Cause, Compliance, Law, Linearised, ManySolutions, Rig,
-        RigFrame, Solution, check_mesh, closest_rotations, laws, surface_triangles, tet_volumes,
+        RigFrame, Solution, check_mesh, closest_rotations, laws, rasterise, surface_triangles,
+        tet_volumes,
     };
 
     #[pymodule_export]

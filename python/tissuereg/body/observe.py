@@ -14,7 +14,7 @@ patch's nodes best (Kabsch), and I the identity. Fields are interpolated linearl
 where the mid-edge nodes of ten-node elements are given too.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from functools import cached_property
 from typing import Any
 
@@ -23,9 +23,10 @@ import numpy as np
 from tissuereg._base.arrays import BoolArray, FloatArray, IntArray, float_array
 from tissuereg._base.provenance import warn
 from tissuereg._core import closest_rotations
-from tissuereg.body.closest import ClosestTriangles, barycentric
+from tissuereg.body.closest import barycentric
+from tissuereg.body.locate import Locator, located_in, surface_of
 from tissuereg.body.markers import Markers
-from tissuereg.body.mesh import Mesh, per_mesh
+from tissuereg.body.mesh import Mesh
 from tissuereg.errors import MarkerError
 
 #: A marker farther from the surface than this share of the body's extent is refused: another frame or unit.
@@ -316,8 +317,12 @@ class TargetObservation:
         self.reference: FloatArray = np.array(
             [float_array(f"targets[{n!r}]", p, (3,)) for n, p in targets.items()]
         ).reshape(-1, 3)
-        locator = _locator(mesh)
-        located = locator.all(self.names, self.reference)
+        locator = located_in(mesh)
+        found = locator.inside(self.reference)
+        located = [
+            one or _closest_tet(locator, name, point)
+            for one, name, point in zip(found, self.names, self.reference, strict=True)
+        ]
         corners = np.array([mesh.tets[tet] for tet, _ in located], dtype=np.int64).reshape(-1, 4)
         weights = np.array([weights for _, weights in located]).reshape(-1, 4)
         nodes, self._weights = _interpolation(mesh, corners, weights, quadratic)
@@ -349,6 +354,21 @@ class TargetObservation:
         ]
 
 
+def _closest_tet(locator: Locator, name: str, point: FloatArray) -> tuple[int, FloatArray]:
+    """Return the tet closest to a target (3,), mm, outside the body, and barycentric weights (4,)."""
+    if not np.isfinite(point).all():
+        message = f"target '{name}' must be finite, got {point.tolist()}"
+        raise MarkerError(message, where=name)
+    tet, weights, gap = locator.closest(point)
+    if gap > FARTHEST_TARGET_SHARE * locator.extent:
+        message = f"target '{name}' must lie in the undeformed body; {point.tolist()} is {gap:.1f} mm outside"
+        raise MarkerError(message, where=name)
+    if gap > SKIN_SHARE * locator.extent:
+        text = f"target '{name}' lies {gap:.2g} mm outside the mesh; it moves with the closest tet"
+        warn(text)
+    return tet, weights
+
+
 def _tets_within(mesh: Mesh, places: FloatArray, distance: FloatArray, std: Any) -> IntArray:
     """Return the tet that contains each place (n,), by index; -1 outside, and no deeper than the skin is known.
 
@@ -357,7 +377,7 @@ def _tets_within(mesh: Mesh, places: FloatArray, distance: FloatArray, std: Any)
     tets = np.full(len(places), -1, np.int64)
     deep = np.flatnonzero(distance > np.maximum(SKIN_SHARE * mesh.extent, _DEEP_STD * np.asarray(std)))
     if len(deep):
-        locator = _locator(mesh)
+        locator = located_in(mesh)
         for marker in deep:
             found = locator.around(places[marker])
             tets[marker] = -1 if found is None else found[0]
@@ -412,13 +432,8 @@ def _interpolation(mesh: Mesh, corners: IntArray, weights: FloatArray, quadratic
     return np.concatenate([corners, middles], axis=1), np.concatenate([at_corners, between], axis=1)
 
 
-@per_mesh
-def _surface(mesh: Mesh) -> ClosestTriangles:
-    return ClosestTriangles(mesh.nodes[mesh.surface])
-
-
 def _closest_triangles(mesh: Mesh, places: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
-    found = _surface(mesh).find(places)
+    found = surface_of(mesh).find(places)
     weights = np.clip(barycentric(found.feet, mesh.nodes[mesh.surface[found.triangles]]), 0.0, None)
     return found.triangles, np.asarray(weights / weights.sum(axis=1, keepdims=True)), found.feet
 
@@ -491,75 +506,3 @@ def _check_distance(distance: FloatArray, names: tuple[str, ...], extent: float)
             f"away from a body of extent {extent:.1f} mm; check frame and units"
         )
         raise MarkerError(message, where=names[far])
-
-
-class _Locator:
-    """Search structure for the tet that contains a point: boxes of all tets sorted along x, inverses for weights."""
-
-    def __init__(self, mesh: Mesh) -> None:
-        self._corners = mesh.nodes[mesh.tets]
-        self._extent = mesh.extent
-        self._lowest, self._highest = self._corners.min(axis=1), self._corners.max(axis=1)
-        # Along x, a tet that contains a point begins at most the widest one's width before it.
-        self._by_x = np.argsort(self._lowest[:, 0], kind="stable")
-        self._begins = self._lowest[self._by_x, 0]
-        self._widest = float((self._highest[:, 0] - self._lowest[:, 0]).max())
-        self._inverse = np.linalg.inv(np.moveaxis(self._corners[:, 1:] - self._corners[:, :1], 1, 2))
-
-    def all(self, names: Sequence[str], points: FloatArray) -> list[tuple[int, FloatArray]]:
-        """Return what `locate` does for each of points (n, 3), mm: many are first looked for among tets nearby."""
-        found: dict[int, tuple[int, FloatArray]] = {}
-        nearby = min(16, len(self._corners))
-        if len(points) > nearby > 1 and np.isfinite(points).all():
-            from scipy.spatial import KDTree
-
-            near = np.asarray(KDTree(self._corners.mean(axis=1)).query(points, nearby)[1])
-            inner = np.einsum("ptij,ptj->pti", self._inverse[near], points[:, None] - self._corners[near, 0])
-            weights = np.concatenate([1.0 - inner.sum(axis=2, keepdims=True), inner], axis=2)
-            least = weights.min(axis=2)
-            best = least.argmax(axis=1)
-            for i in np.flatnonzero(least.max(axis=1) > 1e-9):
-                found[int(i)] = int(near[i, best[i]]), weights[i, best[i]]
-        return [found.get(i) or self.locate(name, points[i]) for i, name in enumerate(names)]
-
-    def locate(self, name: str, point: FloatArray) -> tuple[int, FloatArray]:
-        """Return the index of the tet around or closest to a point (3,), mm, and barycentric weights (4,)."""
-        if not np.isfinite(point).all():
-            message = f"target '{name}' must be finite, got {point.tolist()}"
-            raise MarkerError(message, where=name)
-        found = self.around(point)
-        if found is not None:
-            return found
-        weights = self._weights(np.arange(len(self._corners)), point)
-        clipped = np.clip(weights, 0.0, None)
-        clipped /= clipped.sum(axis=1, keepdims=True)
-        gap = np.linalg.norm(np.einsum("tc,tcx->tx", clipped, self._corners) - point, axis=1)
-        tet = int(np.argmin(gap))
-        if gap[tet] > FARTHEST_TARGET_SHARE * self._extent:
-            message = f"target '{name}' must lie in the undeformed body; {point.tolist()} is {gap[tet]:.1f} mm outside"
-            raise MarkerError(message, where=name)
-        if gap[tet] > SKIN_SHARE * self._extent:
-            text = f"target '{name}' lies {gap[tet]:.2g} mm outside the mesh; it moves with the closest tet"
-            warn(text)
-        return tet, weights[tet]
-
-    def around(self, point: FloatArray) -> tuple[int, FloatArray] | None:
-        """Return the index of the tet around a point (3,), mm, and barycentric weights (4,); None if it is outside."""
-        near = 1e-6 * self._extent
-        first, last = np.searchsorted(self._begins, (point[0] - self._widest - 2.0 * near, point[0] + 2.0 * near))
-        tets = np.sort(self._by_x[first:last])
-        lowest, highest = self._lowest[tets] - near, self._highest[tets] + near
-        tets = tets[((point >= lowest) & (point <= highest)).all(axis=1)]
-        weights = self._weights(tets, point)
-        if len(tets) and weights.min(axis=1).max() >= -1e-9:
-            best = int(np.argmax(weights.min(axis=1)))
-            return int(tets[best]), weights[best]
-        return None
-
-    def _weights(self, tets: IntArray, point: FloatArray) -> FloatArray:
-        """Return the barycentric weights (n, 4) of a point (3,), in mm, in the tets with indices `tets` (n,)."""
-        inner = np.einsum("tij,tj->ti", self._inverse[tets], point - self._corners[tets, 0])
-        return np.concatenate([1.0 - inner.sum(axis=1, keepdims=True), inner], axis=1)
-
-
-_locator = per_mesh(_Locator)

@@ -165,7 +165,11 @@ class _Moments:
         estimate are computed.
         """
         result = self.register(markers)
-        parts: dict[str, Any] = {"body": None, "nodes": _Computed(result.nodes()), "linear": _Computed(result.fallback)}
+        parts: dict[str, Any] = {
+            "body": None,
+            "deviations": _Computed(result.uncertainty),
+            "linear": _Computed(result.fallback),
+        }
         if isinstance(result, ContactRegistration):
             parts["draw"] = None
         return replace(result, **parts)

@@ -12,114 +12,18 @@ from typing import Any
 
 import numpy as np
 
-from tissuereg._base.arguments import flag, found, named, place, real, text
-from tissuereg._base.arrays import FloatArray, float_array
+from tissuereg._base.arguments import flag, found, named, place, text
+from tissuereg._base.arrays import FloatArray
 from tissuereg._base.provenance import Provenance
 from tissuereg.body.markers import Markers
 from tissuereg.body.mesh import Mesh
 from tissuereg.errors import MarkerError, ModelError
 from tissuereg.registration.body import Body
-from tissuereg.registration.learned.spread_law import squared_radius
+from tissuereg.registration.deviations import Deviations
+from tissuereg.registration.field import PointAnswer, RegisteredField
 from tissuereg.registration.settings import RegisterSettings
+from tissuereg.registration.target import Target
 from tissuereg.registration.trust import Trust
-
-#: Flag of a target of which the markers say too little.
-NO_MARKER = "no marker tells"
-
-
-@dataclass(frozen=True, eq=False)
-class Region:
-    """Ellipsoid that contains a point with a given probability.
-
-    Attributes
-    ----------
-    centre : ndarray of float64, shape (3,)
-        Centre of the ellipsoid, mm.
-    axes : ndarray of float64, shape (3, 3)
-        Unit half-axes, one per row, in the order of `radii`.
-    radii : ndarray of float64, shape (3,)
-        Half-axes in mm, largest last.
-    share : float
-        Probability that the point lies inside, 0 to 1.
-    """
-
-    centre: FloatArray
-    axes: FloatArray
-    radii: FloatArray
-    share: float
-
-    def contains(self, point: Any) -> bool:
-        """Return whether a point (3,), in mm, lies inside the ellipsoid or on its border."""
-        along = self.axes @ (float_array("point", point, (3,)) - self.centre)
-        return bool(np.sum((along / np.maximum(self.radii, 1e-300)) ** 2) <= 1.0)
-
-
-@dataclass(frozen=True, eq=False)
-class Target:
-    """An inner point after registration.
-
-    Attributes
-    ----------
-    reference : ndarray of float64, shape (3,)
-        Place in the undeformed body, mm.
-    mean : ndarray of float64, shape (3,)
-        Registered place, mm.
-    covariance : ndarray of float64, shape (3, 3)
-        Covariance of the place, mm^2, from the posterior and the model's own error. Where `tail` is not None, it is
-        that of the Gaussian that has the same 90 % region as the t law.
-    simulation : ndarray of float64, shape (3,), or None
-        Place by the simulation alone, mm; None if there was no simulation.
-    constrained : float or None
-        Share of the point's variance under unknown contacts that the markers remove, 0 to 1. With a trained model the
-        share of the expected squared error of the simulation (or of the undeformed body) that is removed. None for a
-        marker that was not used.
-    flag : str or None
-        ``"no marker tells"`` if that share is too small to rely on the region, or on the registered place being better
-        than the simulated one; otherwise None.
-    tail : float or None
-        Degrees of freedom of the t law of the true place about the mean, of a calibrated model; None for a Gaussian.
-    """
-
-    reference: FloatArray
-    mean: FloatArray
-    covariance: FloatArray
-    simulation: FloatArray | None
-    constrained: float | None = None
-    flag: str | None = None
-    tail: float | None = None
-
-    def region(self, share: float = 0.90) -> Region:
-        """Return the ellipsoid that contains the true place with probability `share`.
-
-        Parameters
-        ----------
-        share : float
-            Probability that the true place lies inside, in (0, 1).
-
-        Returns
-        -------
-        Region
-            The ellipsoid, with its centre and half-axes in mm, the largest last.
-        """
-        if not 0.0 < real("share", share, error=MarkerError) < 1.0:
-            message = f"`share` must lie in (0, 1), got {share}"
-            raise MarkerError(message, where="share")
-        values, vectors = np.linalg.eigh(self.covariance)
-        radii = np.sqrt(np.maximum(values, 0.0) * squared_radius(share, self.tail))
-        return Region(self.mean, vectors.T, radii, share)
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the target's entry in ``registration.json``: plain numbers, lists and strings; mm, mm^2."""
-        return {
-            "reference_mm": self.reference.tolist(),
-            "mean_mm": self.mean.tolist(),
-            "covariance_mm2": self.covariance.tolist(),
-            "region90_radii_mm": self.region(0.90).radii.tolist(),
-            "simulation_mm": None if self.simulation is None else self.simulation.tolist(),
-            "constrained": self.constrained,
-            "flag": self.flag,
-            "tail_degrees_of_freedom": self.tail,
-        }
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,9 +89,8 @@ class Registration:
     displacement : ndarray of float64, shape (n_nodes, 3)
         Displacement of each node in mm. Without a model it is that of the equilibrium under the mean of the posterior
         load, with one that decoded from the mean of the posterior latents.
-    nodes : callable
-        Takes no argument and returns the covariances of the nodes, (n_nodes, 3, 3), mm^2, without a model, and their
-        standard deviations, (n_nodes,), mm, with one; see `std`.
+    deviations : callable
+        Takes no argument and returns the uncertainty of the displacement field; see `uncertainty`.
     targets : dict of str to Target
         Inner points after registration, by name.
     unseen : dict of str to Target
@@ -224,7 +127,7 @@ class Registration:
 
     body: Body
     displacement: FloatArray
-    nodes: Callable[[], FloatArray]
+    deviations: Callable[[], Deviations]
     targets: dict[str, Target]
     unseen: dict[str, Target]
     markers: MarkerFit
@@ -258,9 +161,96 @@ class Registration:
         return None if self.trust.ok or self.linear is None else self.linear()
 
     @cached_property
+    def uncertainty(self) -> Deviations:
+        """Uncertainty of the displacement field, `Deviations`.
+
+        Cost: computed when it, `std` or `node_covariance` is first read, or points are first asked for: without a model
+        one right-hand side for each of 128 draws, with one 64 decoded fields.
+        """
+        return self.deviations()
+
+    @cached_property
     def std(self) -> FloatArray:
         """Root of the trace of the covariance of each node, ndarray of float64, shape (n_nodes,), in mm."""
-        return self.nodes()
+        return self.uncertainty.std
+
+    @cached_property
+    def field(self) -> RegisteredField:
+        """The displacement field with its uncertainty, for points that are thought of later."""
+        return RegisteredField(self.mesh, self.displacement, self.uncertainty)
+
+    def at(self, points: Any, covariance: bool = True) -> PointAnswer:
+        """Return where points of the undeformed body are now.
+
+        Parameters
+        ----------
+        points : array_like of float, shape (n, 3)
+            Places in the undeformed body, mm. Outside the body the displacement fades, harmonically, to nothing at a
+            distance of half the body's extent; such points are flagged.
+        covariance : bool
+            Whether the covariances are wanted.
+
+        Returns
+        -------
+        PointAnswer
+            Places, covariances, whether each point is inside, and flags.
+
+        Raises
+        ------
+        ShapeError, MarkerError
+            If the points are no finite places.
+
+        Notes
+        -----
+        Cost: that of `uncertainty`, once; then some microseconds a point. Covariances are those of draws, within some
+        per cent of a target's.
+        """
+        return self.field.at(points, covariance)
+
+    def transform(
+        self,
+        path: str | os.PathLike[str],
+        *,
+        like: Any = None,
+        spacing: Any = None,
+        direction: str | None = None,
+        std: str | os.PathLike[str] | None = None,
+    ) -> Path:
+        """Write the displacement field as a grid transform, for 3D Slicer, ITK and others.
+
+        Parameters
+        ----------
+        path : path-like
+            A ``.nrrd`` file: displacements in mm, LPS. Or an ``.h5`` or ``.tfm`` file, an ITK transform, which always
+            holds the direction that warps images.
+        like : path-like, optional
+            An image whose grid is taken, oblique and anisotropic ones included.
+        spacing : float, optional
+            Spacing of a grid over the body and its surroundings, mm, given instead.
+        direction : {"modeling", "resampling"}, optional
+            From places before the deformation to those after it, or the other way, as images are warped. By default
+            ``"modeling"`` in a ``.nrrd`` file.
+        std : path-like, optional
+            A ``.nrrd`` file for the standard deviation of every voxel, mm, NaN outside the body.
+
+        Returns
+        -------
+        Path
+            The file.
+
+        Raises
+        ------
+        ArgumentError, FormatError, OutputError
+            If neither or both of `like` and `spacing` are given, the image cannot be read, or a file cannot be written.
+        ImportError
+            If SimpleITK is not installed (``pip install 'tissuereg[images]'``).
+        """
+        return self.field.transform(path, like=like, spacing=spacing, direction=direction, std=std)
+
+    @property
+    def node_covariance(self) -> FloatArray:
+        """Covariance of every node, ndarray of float64, shape (n_nodes, 3, 3), mm^2."""
+        return self.uncertainty.covariance
 
     def draws(self, count: int) -> FloatArray:
         """Return `count` displacement fields drawn from the posterior, each in equilibrium, (count, n_nodes, 3), mm.

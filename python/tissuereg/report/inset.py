@@ -11,7 +11,8 @@ from tissuereg.report.labels import shortened
 from tissuereg.report.style import STYLE
 
 if TYPE_CHECKING:
-    from tissuereg.registration.result import Registration, Target
+    from tissuereg.registration.result import Registration
+    from tissuereg.registration.target import Target
 
 
 @dataclass(frozen=True, eq=False)

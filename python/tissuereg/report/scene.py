@@ -13,7 +13,8 @@ from tissuereg.report.style import STYLE
 if TYPE_CHECKING:
     from tissuereg.registration.contacts.found import FoundContact
     from tissuereg.registration.contacts.surface_fit import SurfaceFit
-    from tissuereg.registration.result import Region, Registration
+    from tissuereg.registration.result import Registration
+    from tissuereg.registration.target import Region
 
 #: Colours by meaning; they can be distinguished with any kind of colour vision, and signs differ in shape as well.
 BEFORE, FITTED, MEASURED, WRONG = "#e07b00", "#0072b2", "black", "#d6218f"

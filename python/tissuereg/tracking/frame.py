@@ -9,7 +9,8 @@ import numpy as np
 from tissuereg._base.arrays import FloatArray
 from tissuereg.body.mesh import det_f
 from tissuereg.registration.inputs import Attachment, rms_length
-from tissuereg.registration.result import Registration, Target
+from tissuereg.registration.result import Registration
+from tissuereg.registration.target import Target
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,15 +169,10 @@ class Layout:
         """Return a registration with the covariances of nodes, targets and unseen markers times `factor`."""
         if factor == 1.0:
             return result
-        nodes = result.nodes
-
-        def wider() -> FloatArray:
-            found = nodes()
-            return np.asarray(found * (factor if found.ndim == 3 else np.sqrt(factor)))
-
+        deviations = result.deviations
         return replace(
             result,
-            nodes=wider,
+            deviations=lambda: deviations().times(factor),
             targets={name: _wider(one, factor) for name, one in result.targets.items()},
             unseen={name: _wider(one, factor) for name, one in result.unseen.items()},
         )

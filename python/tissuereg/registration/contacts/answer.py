@@ -7,7 +7,7 @@ import numpy as np
 from tissuereg._base.arrays import FloatArray, IntArray
 from tissuereg._base.clock import Clock
 from tissuereg.body.mesh import det_f
-from tissuereg.registration.contacts.draws import Draws, NodesOfContacts
+from tissuereg.registration.contacts.draws import DeviationsOfContacts, Draws
 from tissuereg.registration.contacts.evidence import log_noise_odds
 from tissuereg.registration.contacts.explained import explained, reasons
 from tissuereg.registration.contacts.fit import ContactFit
@@ -19,7 +19,8 @@ from tissuereg.registration.contacts.state import BodyState
 from tissuereg.registration.contacts.surface_fit import SurfaceFit
 from tissuereg.registration.contacts.surface_points import PointData
 from tissuereg.registration.inputs import RegisterInput, rms_length
-from tissuereg.registration.result import NO_MARKER, MarkerFit, Target
+from tissuereg.registration.result import MarkerFit
+from tissuereg.registration.target import NO_MARKER, Target
 from tissuereg.registration.trust import LEVEL, NOISY, Trust, judge, lone_motion
 
 
@@ -68,8 +69,8 @@ class Answer:
     `given`: checked input: body, markers, targets and settings; `fit`: the contacts that were found, and the
     equilibrium under them; `start`: the body under the believed load alone (at rest without one), from which the search
     started; `knows`: whether a load is believed, so that the targets have a predicted place; `known`: registered
-    displacement of targets and markers, with its uncertainty; `nodes`: function without arguments that returns the
-    covariance of every node, (n_nodes, 3, 3), mm^2; `draw`: function of a number of draws that returns displacement
+    displacement of targets and markers, with its uncertainty; `deviations`: function without arguments that returns the
+    uncertainty of the displacement of every node; `draw`: function of a number of draws that returns displacement
     fields from the posterior, mm; `surface`: fit of the measured points of the surface; None if no points were given.
     """
 
@@ -78,7 +79,7 @@ class Answer:
     start: BodyState
     knows: bool
     known: Known
-    nodes: NodesOfContacts
+    deviations: DeviationsOfContacts
     draw: Draws
     surface: SurfaceFit | None
 
@@ -102,7 +103,7 @@ class Answer:
         return ContactRegistration(
             body=given.body,
             displacement=state.frame.apply(mesh.nodes + body) - mesh.nodes,
-            nodes=self.nodes,
+            deviations=self.deviations,
             targets=self._targets(),
             unseen={names[i]: target for i, target in zip(lost, unseen, strict=True)},
             markers=MarkerFit(

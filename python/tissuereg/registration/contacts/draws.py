@@ -1,4 +1,4 @@
-"""Displacement fields drawn from the posterior, each in equilibrium, and the covariance of every node."""
+"""Displacement fields drawn from the posterior, each in equilibrium, and the uncertainty of whole fields."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -11,6 +11,7 @@ from tissuereg.errors import ConvergenceError
 from tissuereg.registration.contacts.fit import ContactFit
 from tissuereg.registration.contacts.spread import Spread
 from tissuereg.registration.contacts.state import RigidMotion
+from tissuereg.registration.deviations import Deviations
 from tissuereg.simulation.sensitivity import Cause
 
 
@@ -76,8 +77,8 @@ class Draws:
 
 
 @dataclass(frozen=True, eq=False)
-class NodesOfContacts:
-    """A function without arguments that computes the covariance of every node.
+class DeviationsOfContacts:
+    """A function without arguments that computes the uncertainty of the displacement of every node.
 
     `spread`: uncertainty of the fit; `seed`: seed of the registration's random numbers; `fields` (n_draws, n_nodes, 3)
     or None: posterior displacement fields in equilibrium, mm, if they have been solved; otherwise fields are drawn from
@@ -88,9 +89,9 @@ class NodesOfContacts:
     seed: int
     fields: FloatArray | None = field(default=None, repr=False)
 
-    def __call__(self) -> FloatArray:
-        """Return the covariance of every node (n_nodes, 3, 3), mm^2, in the tracker's frame; the same at every call."""
-        return self.spread.nodes(np.random.default_rng([self.seed, 9]), self.fields)
+    def __call__(self) -> Deviations:
+        """Return the uncertainty in the tracker's frame; the same at every call."""
+        return self.spread.deviations(self.seed, self.fields)
 
 
-__all__ = ["Draws", "NodesOfContacts"]
+__all__ = ["DeviationsOfContacts", "Draws"]

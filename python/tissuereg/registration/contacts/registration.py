@@ -15,7 +15,7 @@ from tissuereg.registration.contacts.answer import Answer, known_of, surface_fit
 from tissuereg.registration.contacts.body import ContactBody
 from tissuereg.registration.contacts.carried import Carried
 from tissuereg.registration.contacts.columns import Columns, spring_stiffness
-from tissuereg.registration.contacts.draws import Draws, NodesOfContacts
+from tissuereg.registration.contacts.draws import DeviationsOfContacts, Draws
 from tissuereg.registration.contacts.evidence import support_stiffness
 from tissuereg.registration.contacts.fit import ContactFit, Passes, start_of
 from tissuereg.registration.contacts.measured import MarkerData, ObservedData
@@ -81,9 +81,9 @@ def register_by_contacts(
     if given.settings.ensemble:
         with clock.stage("ensemble"):
             fields = draw(given.settings.ensemble)
-    nodes = NodesOfContacts(spread, given.seed, fields)
+    deviations = DeviationsOfContacts(spread, given.seed, fields)
     fared = surface_fit(given, points, found.start, found.fit.state)
-    return Answer(given, found.fit, found.start, believed.any_load, known, nodes, draw, fared).registration(clock)
+    return Answer(given, found.fit, found.start, believed.any_load, known, deviations, draw, fared).registration(clock)
 
 
 @dataclass(frozen=True, eq=False)

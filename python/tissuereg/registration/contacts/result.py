@@ -2,10 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
-
-import numpy as np
 
 from tissuereg._base.arguments import MOST_COUNTED, whole
 from tissuereg._base.arrays import FloatArray
@@ -43,19 +40,6 @@ class ContactRegistration(Registration):
     explained_mm: dict[str, float]
     draw: Callable[[int], FloatArray]
     surface: SurfaceFit | None = None
-
-    @cached_property
-    def node_covariance(self) -> FloatArray:
-        """Covariance of every node, ndarray of float64, shape (n_nodes, 3, 3), mm^2.
-
-        Cost: computed when it, or `std`, is first read; one right-hand side for each of 64 draws.
-        """
-        return self.nodes()
-
-    @cached_property
-    def std(self) -> FloatArray:
-        """Root of the trace of every node's covariance, ndarray of float64, shape (n_nodes,), mm."""
-        return np.asarray(np.sqrt(np.trace(self.node_covariance, axis1=1, axis2=2)))
 
     def draws(self, count: int) -> FloatArray:
         """Return displacement fields drawn from the posterior, each in equilibrium.

@@ -253,8 +253,8 @@ class ContactSettings(_Numbers):
         deviations.
     n_draws : int
         Number of draws for the spread of nodes.
-    most_exact, n_draws_of_many : int
-        Largest number of targets whose covariances are computed one by one; those of more come from so many draws.
+    most_exact : int
+        Largest number of targets whose covariances are computed one by one; those of more are those of the nodes.
     background_share : float
         Standard deviation of the background on one patch, over that of all patches: neighbours overlap.
     steps : PassSettings
@@ -299,9 +299,8 @@ class ContactSettings(_Numbers):
     max_passes: int = 8
     fit_limit: float = 1.3
     promise_margin: float = 0.4
-    n_draws: int = 64
+    n_draws: int = 128
     most_exact: int = 400
-    n_draws_of_many: int = 256
     background_share: float = 0.55
     steps: PassSettings = PassSettings()
     evidence: EvidenceSettings = EvidenceSettings()

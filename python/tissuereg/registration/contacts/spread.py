@@ -21,6 +21,7 @@ from tissuereg.registration.contacts.patches import Patches
 from tissuereg.registration.contacts.places import smooth_fields
 from tissuereg.registration.contacts.settings import DISCRETISATION, EFFORT, ContactSettings
 from tissuereg.registration.contacts.tangent import Row
+from tissuereg.registration.deviations import Deviations
 from tissuereg.simulation.sensitivity import Cause, Compliance, ModulusField
 
 if TYPE_CHECKING:
@@ -64,6 +65,8 @@ class Spread:
         self._edges = edge_errors(fit)
         self._model_at_data = self._by_model(self._compliance(fit.observations.rows))
         self._suggested: FloatArray | None = None
+        self._known: dict[int, Deviations] = {}
+        self._unseen_known: dict[int, FloatArray] = {}
         self._unseen_variances = unseen_variances(fit.columns.body.patches, settings, fit.columns.n_columns)
 
     def _compliance(self, rows: Sequence[Row]) -> Compliance:
@@ -104,7 +107,7 @@ class Spread:
         """
         fit = self._fit
         if len(places) > self._settings.most_exact:
-            return self._points_by_draws(rows, np.random.default_rng([seed, 11]))
+            return self._points_by_draws(rows, seed)
         compliance = self._compliance(rows)
         responses = fit.columns.responses(compliance, places, beside=(list(rows), fit.tangent.stiffness_forces))
         means, covariance, suggested = self._moments(responses)
@@ -131,23 +134,28 @@ class Spread:
         square = np.maximum(np.trace(unseen, axis1=1, axis2=2), 0.0)
         return Points(turn @ covariance @ turn.T, 1.0 - square / np.maximum(before, 1e-300), np.sqrt(square))
 
-    def _points_by_draws(self, rows: Sequence[Row], rng: np.random.Generator) -> Points:
-        """Return the uncertainty of many points from draws: a standard deviation is within some per cent."""
-        count, n_nodes = self._settings.n_draws_of_many, self._fit.columns.body.mesh.n_nodes
+    def _points_by_draws(self, rows: Sequence[Row], seed: int) -> Points:
+        """Return the uncertainty of many points from that of nodes; standard deviations are within some per cent."""
+        n_nodes, drawn = self._fit.columns.body.mesh.n_nodes, self.deviations(seed)
         read = _reader(rows, n_nodes)
-        change = self.coefficients(rng, count) - self._fit.state.coefficients
-        errors = rng.standard_normal((count, len(self._model_forces) + len(self._edges)))
-        # Fewer draws do for the rare contact that no marker detected.
-        unseen, anywhere = self._unseen_draws(rng, self._settings.n_draws)
-        # The fit's reaction to an error moves the points as a change of the coefficients does.
-        sources = [(change - errors @ self._reaction.T, errors), (unseen, None), (anywhere, None)]
-        squares = [np.zeros((len(rows) // 3, 3, 3)) for _ in sources]
-        for square, (drawn, of_model) in zip(squares, sources, strict=True):
-            for some in _in_parts(len(drawn)):
-                fields = self._fields(drawn[some], None if of_model is None else of_model[some])
-                moved = (fields.reshape(len(fields), -1) @ read.T).reshape(len(fields), -1, 3)
-                square += np.einsum("dpa,dpb->pab", moved, moved) / len(drawn)
-        return self._with_unseen(squares[0], rows, squares[1], np.trace(squares[2], axis1=1, axis2=2))
+        covariance = np.zeros((len(rows) // 3, 3, 3))
+        for mode in drawn.modes:
+            moved = (read @ mode.ravel().astype(np.float64)).reshape(-1, 3)
+            covariance += moved[:, :, None] * moved[:, None]
+        # The variances of points between nodes, as those of the nodes around them.
+        around = abs(read)
+        covariance[:, [0, 1, 2], [0, 1, 2]] += (around @ drawn.rest.ravel().astype(np.float64)).reshape(-1, 3)
+        after, before = ((around @ np.repeat(one / 3.0, 3)).reshape(-1, 3).sum(axis=1) for one in self._unseen_of(seed))
+        return Points(covariance, 1.0 - after / np.maximum(before, 1e-300), np.sqrt(after))
+
+    def _unseen_of(self, seed: int) -> FloatArray:
+        """Return the variance of every node, mm^2, by one more contact: given the markers, and without them, (2, n)."""
+        if seed not in self._unseen_known:
+            rng = np.random.default_rng([seed, 11])
+            both = self._unseen_draws(rng, self._settings.n_draws // 2)
+            found = [np.sum(self._fields(drawn, None) ** 2, axis=(0, 2)) / len(drawn) for drawn in both]
+            self._unseen_known[seed] = np.array(found)
+        return self._unseen_known[seed]
 
     def _fields(self, change: FloatArray, errors: FloatArray | None) -> FloatArray:
         """Return the displacement fields (n, n_nodes, 3), mm, by changes of coefficients (n, n_columns) and errors.
@@ -231,32 +239,36 @@ class Spread:
         half = np.linalg.solve(self._under_unseen, measured.T)
         return np.asarray(drawn - (variances * (own.T @ np.linalg.solve(self._under_unseen.T, half)).T)), drawn
 
-    def nodes(self, rng: np.random.Generator, fields: FloatArray | None = None) -> FloatArray:
-        """Return the covariance of the place of every node, (n_nodes, 3, 3), in the tracker's frame, mm^2, from draws.
+    def deviations(self, seed: int, fields: FloatArray | None = None) -> Deviations:
+        """Return the uncertainty of the displacement of every node, in the tracker's frame, from draws.
 
-        `rng`: source of all random numbers; `fields` (n_draws, n_nodes, 3): posterior displacement fields in
-        equilibrium, in the tracker's frame, mm; if None, fields are drawn from the linear model. The covariance is that
-        by contacts and model errors. Cost: one right-hand side per draw.
+        `seed`: of all random numbers; `fields` (n_draws, n_nodes, 3): posterior displacement fields in equilibrium, in
+        the tracker's frame, mm; if None, fields are drawn from the linear model. It holds contacts and model errors.
+        Cost: one right-hand side per draw.
         """
-        fit = self._fit
-        turn = fit.state.frame.rotation
-        drawn = np.zeros((self._settings.n_draws, fit.columns.n_columns))
+        if fields is None and seed in self._known:
+            return self._known[seed]
+        fit, rng = self._fit, np.random.default_rng([seed, 9])
+        turn, count = fit.state.frame.rotation, self._settings.n_draws
+        drawn = np.zeros((count, fit.columns.n_columns))
         if fields is None:
-            drawn = self.coefficients(rng, self._settings.n_draws) - fit.state.coefficients
-        errors = rng.standard_normal((len(drawn), len(self._model_forces) + len(self._edges)))
+            drawn = self.coefficients(rng, count) - fit.state.coefficients
+        errors = rng.standard_normal((count, len(self._model_forces) + len(self._edges)))
+        # The fit's reaction to an error moves the nodes as a change of the coefficients does.
         drawn = drawn - errors @ self._reaction.T
-        drawn += np.sqrt(self._settings.unseen_chance) * self._unseen_draws(rng, len(drawn))[0]
-        spread = np.zeros((fit.columns.body.mesh.n_nodes, 3, 3))
-        for some in _in_parts(len(drawn)):
-            moved = self._fields(drawn[some], errors[some]) @ turn.T
-            spread += np.einsum("dna,dnb->nab", moved, moved)
-        spread /= len(drawn)
+        drawn += np.sqrt(self._settings.unseen_chance) * self._unseen_draws(rng, count)[0]
+        roots = np.concatenate([self._fields(drawn[some], errors[some]) @ turn.T for some in _in_parts(count)])
         if fields is None:
-            spread[:, [0, 1, 2], [0, 1, 2]] += self._rest[:, None]
+            roots = (roots + self.rest_draws(rng, count)) / np.sqrt(count)
         else:
-            off = fields - fields.mean(axis=0)
-            spread += np.einsum("dna,dnb->nab", off, off) / max(1, len(fields) - 1)
-        return np.asarray(spread)
+            off = (fields - fields.mean(axis=0)) / np.sqrt(max(1, len(fields) - 1))
+            roots = np.concatenate([roots / np.sqrt(count), off])
+        after, before = self._unseen_of(seed)
+        least = self._settings.report.least_constrained
+        found = Deviations.of(roots, np.asarray(after > (1.0 - least) * before))
+        if fields is None:
+            self._known[seed] = found
+        return found
 
     def coefficients(self, rng: np.random.Generator, count: int) -> FloatArray:
         """Return coefficients of the causes drawn from the posterior, shape (count, n_columns), in mm."""

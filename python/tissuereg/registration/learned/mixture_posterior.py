@@ -10,9 +10,10 @@ from functools import cached_property
 
 import numpy as np
 
-from tissuereg._base.arrays import FloatArray, IntArray
+from tissuereg._base.arrays import BoolArray, FloatArray, IntArray
 from tissuereg._base.machine import n_cores
 from tissuereg.body.mesh import Mesh
+from tissuereg.registration.deviations import Deviations
 from tissuereg.registration.inputs import RegisterInput
 from tissuereg.registration.learned.calibration import FieldErrors, PointCalibration, Rehearsal, RowErrors
 from tissuereg.registration.learned.mixture import Component
@@ -175,15 +176,16 @@ class CalibratedPosterior:
         """Volume ratio (n_tets,) of every tetrahedron, deformed over undeformed."""
         return self._whole[1]
 
-    def std(self) -> FloatArray:
-        """Return the root of the trace of every node's covariance, (n_nodes,), in mm, from 64 posterior fields."""
-        total, square = np.zeros_like(self.displacement), np.zeros(len(self.displacement))
-        for fields in self._drawn():
-            away = fields - self.displacement
-            total += away.sum(axis=0)
-            square += np.einsum("eni,eni->n", away, away)
-        variance = (square - np.einsum("ni,ni->n", total, total) / _DRAWS) / (_DRAWS - 1)
-        return np.asarray(np.sqrt(self.rehearsal.widening * np.maximum(variance, 0.0)))
+    def deviations(self, start: FloatArray) -> Deviations:
+        """Return the uncertainty of the displacement of every node, from 64 posterior fields.
+
+        `start` (n_nodes, 3): the displacement by the simulation, or zero, in mm.
+        """
+        away = np.concatenate(self._drawn()) - self.displacement
+        away -= away.mean(axis=0)
+        roots = np.sqrt(self.rehearsal.widening / (_DRAWS - 1)) * away
+        low = self._gains(self.displacement - start, np.einsum("eni,eni->n", roots, roots))[1]
+        return Deviations.of(roots, low, self.tail)
 
     @property
     def _n_markers(self) -> int:
@@ -223,10 +225,15 @@ class CalibratedPosterior:
         (|mean - start|^2 + trace C)``, with the posterior mean and covariance C of the target. It is low if it is less
         than half and trace C exceeds the tracker's noise variance, summed over the axes.
         """
-        removed = ((self.target_mean - start) ** 2).sum(axis=1)
         left = np.trace(self.target_covariance, axis1=1, axis2=2)
+        shares, low = self._gains(self.target_mean - start, left)
+        return [(float(share), bool(one)) for share, one in zip(shares, low, strict=True)]
+
+    def _gains(self, moved: FloatArray, left: FloatArray) -> tuple[FloatArray, BoolArray]:
+        """Return the shares (n,) of `gains`, and which are low, of points moved by (n, 3), mm, with variance (n,)."""
+        removed = (moved**2).sum(axis=1)
         noise = 3.0 * float(np.diag(self.noise).mean())
-        return [(float(a / max(a + b, 1e-300)), bool(a < b and b > noise)) for a, b in zip(removed, left, strict=True)]
+        return removed / np.maximum(removed + left, 1e-300), (removed < left) & (left > noise)
 
     @property
     def tail(self) -> float | None:

@@ -19,7 +19,8 @@ from tissuereg.registration.learned.network import kept_network
 from tissuereg.registration.learned.points import PointModel
 from tissuereg.registration.learned.result import LearnedRegistration
 from tissuereg.registration.learned.variants import Variants
-from tissuereg.registration.result import NO_MARKER, MarkerFit, Target
+from tissuereg.registration.result import MarkerFit
+from tissuereg.registration.target import NO_MARKER, Target
 from tissuereg.registration.trust import judge_by_rehearsal
 from tissuereg.registration.wrong_markers import most_wrong
 
@@ -130,7 +131,7 @@ def _result(
     return LearnedRegistration(
         body=given.body,
         displacement=posterior.displacement,
-        nodes=posterior.std,
+        deviations=lambda: posterior.deviations(before),
         targets={
             name: Target(
                 inner.reference[i],

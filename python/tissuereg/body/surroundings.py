@@ -1,0 +1,164 @@
+"""A displacement field around a body: the body's own inside, and outside one that fades smoothly to nothing.
+
+The space around is cut into tetrahedra between the nodes of the skin and a lattice of points. Out there every component
+of the displacement is harmonic: it equals that of the skin at the skin, is nowhere larger, and is zero at a distance of
+half the body's extent. The field is linear in each tetrahedron, of the body or around it, and so is its inverse.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from tissuereg._base.arrays import BoolArray, FloatArray, IntArray
+from tissuereg.body.locate import Locator, held_by, surface_of
+from tissuereg.body.mesh import Mesh, per_mesh
+
+
+@dataclass(frozen=True)
+class _Around:
+    """How finely space around a body is cut, in shares of its extent, and where the displacement ends."""
+
+    margin: float = 0.5
+    spacing: float = 1.0 / 14.0
+    clearance: float = 0.4  # of the spacing: no point of the lattice is closer to the skin
+    jitter: float = 0.1  # of the spacing: points that lie on one sphere are cut badly
+
+
+class Surroundings:
+    """Space around the body of a mesh, cut into tetrahedra; made once for a mesh. `mesh`: the body."""
+
+    def __init__(self, mesh: Mesh) -> None:
+        from scipy.spatial import Delaunay
+
+        how = _Around()
+        self.mesh, self.skin = mesh, mesh.surface_nodes
+        spacing = how.spacing * mesh.extent
+        low, high = mesh.nodes.min(axis=0) - how.margin * mesh.extent, mesh.nodes.max(axis=0) + how.margin * mesh.extent
+        counts = np.ceil((high - low) / spacing).astype(int) + 1
+        axes = [np.linspace(a, b, n) for a, b, n in zip(low, high, counts, strict=True)]
+        lattice = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+        self._ends = np.any((lattice == low) | (lattice == high), axis=1)
+        rng = np.random.default_rng(0)
+        lattice[~self._ends] += how.jitter * spacing * rng.uniform(-1.0, 1.0, (int((~self._ends).sum()), 3))
+        found = surface_of(mesh).find(lattice)
+        corners = mesh.nodes[mesh.surface[found.triangles]]
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        outside = np.einsum("nx,nx->n", lattice - found.feet, normals) > 0.0
+        kept = self._ends | (outside & (found.distances > how.clearance * spacing))
+        self.lattice, self._ends = lattice[kept], self._ends[kept]
+        self.cut: Any = Delaunay(np.concatenate([mesh.nodes[self.skin], self.lattice]))
+
+    @property
+    def tets(self) -> IntArray:
+        """Tetrahedra int64 (m, 4) between nodes of the skin and points of the lattice, numbered in this order."""
+        return np.asarray(self.cut.simplices, np.int64)
+
+    @cached_property
+    def _harmonic(self) -> tuple[Any, Any]:
+        """Factor of the Laplacian of the lattice's free points, and its part that couples them to the skin."""
+        from scipy.sparse import coo_array
+        from scipy.sparse.linalg import splu
+
+        places, tets = self.cut.points, self.tets
+        edges = places[tets[:, 1:]] - places[tets[:, :1]]
+        volumes = np.abs(np.linalg.det(edges))
+        # Slivers on the flat faces of the box couple nothing.
+        sound = volumes > 1e-9 * volumes.max()
+        slopes = np.moveaxis(np.linalg.inv(edges[sound]), 1, 2)
+        slopes = np.concatenate([-slopes.sum(axis=1, keepdims=True), slopes], axis=1)
+        blocks = np.einsum("tax,tbx,t->tab", slopes, slopes, volumes[sound])
+        rows, columns = np.repeat(tets[sound], 4, axis=1), np.tile(tets[sound], (1, 4))
+        n = len(places)
+        whole = coo_array((blocks.ravel(), (rows.ravel(), columns.ravel())), shape=(n, n)).tocsr()
+        free = len(self.skin) + np.flatnonzero(~self._ends)
+        return splu(whole[free][:, free].tocsc()), whole[free][:, : len(self.skin)]
+
+    def extended(self, field: FloatArray) -> FloatArray:
+        """Return a field of the body's nodes (n_nodes, 3), mm, at the lattice's points, (n_points, 3), mm."""
+        factor, coupling = self._harmonic
+        found = np.zeros_like(self.lattice)
+        found[~self._ends] = factor.solve(-(coupling @ field[self.skin]))
+        return np.asarray(found)
+
+
+surroundings = per_mesh(Surroundings)
+
+
+@dataclass(frozen=True, eq=False)
+class SpaceMap:
+    """A displacement of space: that of a body's nodes inside the body, extended around it.
+
+    Attributes
+    ----------
+    mesh : Mesh
+        The undeformed body.
+    displacement : ndarray of float64, shape (n_nodes, 3)
+        Of its nodes, mm.
+    """
+
+    mesh: Mesh
+    displacement: FloatArray
+
+    @cached_property
+    def _around(self) -> FloatArray:
+        return surroundings(self.mesh).extended(self.displacement)
+
+    def cells(self) -> tuple[FloatArray, FloatArray, IntArray, int]:
+        """Return nodes (n, 3) and their displacement (n, 3), mm, tets int64 (m, 4), and the number of the first inner.
+
+        The tets before that number are around the body; they reach into it a little where it is curved.
+        """
+        around, n_nodes = surroundings(self.mesh), self.mesh.n_nodes
+        numbers = np.concatenate([around.skin, n_nodes + np.arange(len(around.lattice))])
+        nodes = np.concatenate([self.mesh.nodes, around.lattice])
+        moved = np.concatenate([self.displacement, self._around])
+        return nodes, moved, np.concatenate([numbers[around.tets], self.mesh.tets]), len(around.tets)
+
+    def at(self, points: FloatArray) -> tuple[FloatArray, BoolArray]:
+        """Return the displacement of points (n, 3), mm, and whether each is inside the body, (n,)."""
+        nodes, weights, inside = held_by(self.mesh, points)
+        moved = np.einsum("pk,pkx->px", weights, self.displacement[nodes])
+        if not inside.all():
+            moved[~inside] = self._outside(points[~inside])
+        return moved, inside
+
+    def _outside(self, points: FloatArray) -> FloatArray:
+        around = surroundings(self.mesh)
+        field = np.concatenate([self.displacement[around.skin], self._around])
+        simplex = around.cut.find_simplex(points)
+        at = around.cut.transform[simplex]
+        shares = np.einsum("pij,pj->pi", at[:, :3], points - at[:, 3])
+        shares = np.concatenate([shares, 1.0 - shares.sum(axis=1, keepdims=True)], axis=1)
+        moved = np.einsum("pk,pkx->px", shares, field[around.cut.simplices[simplex]])
+        # Beyond the lattice, and in tetrahedra without a volume, where there are no shares.
+        return np.where((simplex[:, None] >= 0) & np.isfinite(moved), moved, 0.0)
+
+    @cached_property
+    def _deformed(self) -> tuple[FloatArray, list[tuple[Locator, IntArray]]]:
+        """Displacement of all nodes; search structures of the deformed tets, the body's first, with their corners."""
+        nodes, moved, tets, inner = self.cells()
+        places = nodes + moved
+        edges = places[tets[:, 1:]] - places[tets[:, :1]]
+        volumes = np.abs(np.linalg.det(edges))
+        sound = volumes > 1e-9 * volumes.max()
+        parts = [tets[inner:][sound[inner:]], tets[:inner][sound[:inner]]]
+        return moved, [(Locator(places, part), part) for part in parts]
+
+    def back(self, points: FloatArray) -> FloatArray:
+        """Return the displacement (n, 3), mm, of places that moved to points (n, 3), mm: zero beyond the lattice."""
+        moved, parts = self._deformed
+        found = np.zeros_like(points)
+        left = np.arange(len(points))
+        for locator, tets in parts:
+            cells = locator.inside(points[left])
+            held = np.array([cell is not None for cell in cells], dtype=bool)
+            for i, cell in zip(left, cells, strict=True):
+                if cell is not None:
+                    found[i] = cell[1] @ moved[tets[cell[0]]]
+            left = left[~held]
+        return found
+
+
+__all__ = ["SpaceMap", "Surroundings", "surroundings"]

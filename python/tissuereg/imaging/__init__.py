@@ -1,0 +1,1 @@
+"""Into the image world: grid transforms, and whatever a registered body moves."""

@@ -1,0 +1,88 @@
+"""A registered field at the voxels of an image, from places before the deformation to those after it or back.
+
+The field is linear in tetrahedra, of the body and around it, so that its inverse is exact: it is linear in the same
+tetrahedra, deformed.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from tissuereg import _core
+from tissuereg._base.arrays import FloatArray, IntArray
+from tissuereg.imaging.images import Grid
+from tissuereg.io.points import turned
+
+if TYPE_CHECKING:
+    from tissuereg.registration.field import RegisteredField
+
+Singles = npt.NDArray[np.float32]
+Bytes = npt.NDArray[np.uint8]
+
+#: Marks of voxels: beyond the field, around the body, inside it.
+BEYOND, AROUND, INSIDE = 0, 1, 2
+
+
+@dataclass(frozen=True, eq=False)
+class Sampled:
+    """The displacement at the voxels of a grid, mm, LPS.
+
+    `field`: a registered field; `grid`: of the image; `back`: whether voxels are places after the deformation, and the
+    displacement leads back; `threads`: threads to use, 0 takes all cores.
+    """
+
+    field: "RegisteredField"
+    grid: Grid
+    back: bool
+    threads: int = 0
+
+    @cached_property
+    def _cells(self) -> tuple[FloatArray, FloatArray, IntArray, int]:
+        nodes, moved, tets, inner = self.field.space.cells()
+        frame = self.field.mesh.frame
+        nodes, moved = (turned(one, frame, "LPS") for one in (nodes, moved))
+        if self.back:
+            nodes, moved = nodes + moved, -moved
+        return self.grid.indices(nodes), np.ascontiguousarray(moved), np.ascontiguousarray(tets), inner
+
+    def slices(self, first: int, count: int) -> tuple[Singles, Bytes]:
+        """Return the displacement at some slices, (count, rows, columns, 3), mm, and what each voxel lies in."""
+        columns, rows, _ = self.grid.size
+        at, moved, tets, inner = self._cells
+        return _core.rasterise(at, tets, moved, inner, (first, count, rows, columns), self.threads)
+
+    def std(self, first: int, count: int) -> Singles:
+        """Return the standard deviation at some slices, mm, NaN outside the body; interpolated from the nodes."""
+        columns, rows, _ = self.grid.size
+        at, _, tets, inner = self._cells
+        spread = np.zeros((len(at), 3))
+        spread[: self.field.mesh.n_nodes, 0] = self.field.uncertainty.std
+        found, by = _core.rasterise(at, tets[inner:].copy(), spread, 0, (first, count, rows, columns), self.threads)
+        return np.where(by == INSIDE, found[..., 0], np.float32(np.nan))
+
+    def residual_mm(self, most: int = 2000) -> float:
+        """Return by how much forward and back differ at most at some voxels inside the body, mm."""
+        slices = self.grid.size[2]
+        chosen = np.linspace(0, slices - 1, min(slices, 8)).astype(int)
+        places, moved = [], []
+        for slice_ in np.unique(chosen):
+            field, by = self.slices(int(slice_), 1)
+            inside = np.argwhere(by[0] == INSIDE)
+            places.append(np.column_stack([inside[:, ::-1], np.full(len(inside), slice_)]).astype(np.float64))
+            moved.append(field[0][by[0] == INSIDE].astype(np.float64))
+        at, by_grid = self.grid.places(np.concatenate(places)), np.concatenate(moved)
+        if not len(at):
+            return 0.0
+        some = np.random.default_rng(0).permutation(len(at))[:most]
+        frame = self.field.mesh.frame
+        ends = turned(at[some] + by_grid[some], "LPS", frame)
+        forward = turned(self.field.space.at(ends)[0], frame, "LPS")
+        off = np.linalg.norm(forward + by_grid[some], axis=1)
+        # A place at the skin may be on either side of it.
+        return float(np.quantile(off, 0.999))
+
+
+__all__ = ["AROUND", "BEYOND", "INSIDE", "Sampled"]

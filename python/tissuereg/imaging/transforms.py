@@ -1,0 +1,134 @@
+"""A registered field as a grid transform: NRRD as 3D Slicer reads it, and ITK's transform files.
+
+The displacements are in mm and LPS. ``modeling`` leads from places before the deformation to those after it,
+``resampling`` back, as images are warped and as ITK's files mean it.
+"""
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from tissuereg._base.arguments import check_choice, found, place, real
+from tissuereg.errors import ArgumentError, FormatError
+from tissuereg.imaging.images import Grid, itk, read_image, write_image
+from tissuereg.imaging.sampled import AROUND, INSIDE, Sampled
+from tissuereg.io.atomic import atomic_file
+from tissuereg.io.points import turned
+
+if TYPE_CHECKING:
+    from tissuereg.registration.field import RegisteredField
+
+DIRECTIONS = ("modeling", "resampling")
+
+#: Endings of ITK's transform files.
+OF_ITK = (".h5", ".tfm")
+
+#: Most voxels of a grid transform: 3.2 GB.
+MOST_VOXELS = 270_000_000
+
+#: Slices that are made at a time.
+AT_ONCE = 16
+
+
+@dataclass(frozen=True)
+class Written:
+    """A grid transform that was written.
+
+    `path`: its file; `moved_mm`: mean and largest displacement of voxels inside the body, mm; `outside`: number of
+    voxels around the body to which the field was extended; `residual_mm`: by how much forward and back differ at
+    voxels inside the body, mm; None for ``modeling``.
+    """
+
+    path: Path
+    moved_mm: tuple[float, float]
+    outside: int
+    residual_mm: float | None
+
+
+def grid_of(field: "RegisteredField", like: Any, spacing: Any) -> Grid:
+    """Return the grid of an image `like`, or one of a `spacing` in mm over the body and its surroundings."""
+    if (like is None) == (spacing is None):
+        message = f"one of `like` and `spacing` must be given, got {found(like)} and {found(spacing)}"
+        raise ArgumentError(message, where="like")
+    if like is not None:
+        return Grid.of(read_image(like))
+    step = real("spacing", spacing, unit="mm")
+    if not step > 0.0:
+        message = f"`spacing` must be above 0 mm, got {step:g}"
+        raise ArgumentError(message, where="spacing")
+    nodes = turned(field.space.cells()[0], field.mesh.frame, "LPS")
+    return Grid.over(nodes.min(axis=0), nodes.max(axis=0), step)
+
+
+def write_transform(
+    field: "RegisteredField",
+    path: str | os.PathLike[str],
+    *,
+    like: Any = None,
+    spacing: Any = None,
+    direction: str | None = None,
+    std: str | os.PathLike[str] | None = None,
+    threads: int = 0,
+) -> Written:
+    """Write a field as a grid transform; see `Registration.transform`."""
+    target = place("path", path, error=ArgumentError)
+    ending = target.suffix.lower()
+    if ending not in (*OF_ITK, ".nrrd"):
+        message = f"`path` must end in .nrrd, .h5 or .tfm, got '{target}'"
+        raise FormatError(message, where=str(target))
+    if direction is not None:
+        check_choice("direction", direction, DIRECTIONS, ArgumentError)
+    way = direction or ("resampling" if ending in OF_ITK else "modeling")
+    if ending in OF_ITK and way != "resampling":
+        message = f"`direction` must be 'resampling' in a {ending} file: ITK's transforms lead back; got '{way}'"
+        raise ArgumentError(message, where="direction")
+    if std is not None and Path(std).suffix.lower() != ".nrrd":
+        message = f"`std` must end in .nrrd, got '{std}'"
+        raise FormatError(message, where=str(std))
+    itk()
+    grid = grid_of(field, like, spacing)
+    columns, rows, slices = grid.size
+    if columns * rows * slices > MOST_VOXELS:
+        message = f"a grid transform may have {MOST_VOXELS} voxels, got {columns} x {rows} x {slices}"
+        raise ArgumentError(message, where="like" if spacing is None else "spacing")
+    sampled = Sampled(field, grid, way == "resampling", threads)
+    values = np.empty((slices, rows, columns, 3), np.float32)
+    total, most, inside, outside = 0.0, 0.0, 0, 0
+    for first in range(0, slices, AT_ONCE):
+        some = slice(first, min(first + AT_ONCE, slices))
+        values[some], by = sampled.slices(first, some.stop - first)
+        lengths = np.linalg.norm(values[some][by == INSIDE], axis=1)
+        total, most = total + float(lengths.sum(dtype=np.float64)), max(most, float(lengths.max(initial=0.0)))
+        inside, outside = inside + len(lengths), outside + int(np.count_nonzero(by == AROUND))
+    if not inside:
+        message = "the grid must reach into the body; none of its voxels lies there: check the frames"
+        raise ArgumentError(message, where="like" if spacing is None else "spacing")
+    _write(target, grid, values, way)
+    if std is not None:
+        parts = [sampled.std(first, min(AT_ONCE, slices - first)) for first in range(0, slices, AT_ONCE)]
+        image = grid.image(np.concatenate(parts))
+        image.SetMetaData("content", "standard deviation of the place, mm; NaN outside the body")
+        write_image(std, image)
+    residual = sampled.residual_mm() if way == "resampling" else None
+    return Written(target, (total / inside, most), outside, residual)
+
+
+def _write(target: Path, grid: Grid, values: Any, way: str) -> None:
+    sitk, ending = itk(), target.suffix.lower()
+    if ending == ".nrrd":
+        image = grid.image(values)
+        image.SetMetaData("displacement field type", way)
+        image.SetMetaData("intent_code", "1006")
+        write_image(target, image)
+        return
+    transform = sitk.CompositeTransform([sitk.DisplacementFieldTransform(grid.image(values.astype(np.float64)))])
+    with atomic_file(target) as draft:
+        there = draft.with_name(draft.name + ending)
+        sitk.WriteTransform(transform, str(there))
+        there.replace(draft)
+
+
+__all__ = ["DIRECTIONS", "Written", "grid_of", "write_transform"]

@@ -1,0 +1,132 @@
+"""What a registered body moves: points, surfaces, label maps and volumes, each as its kind does."""
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from tissuereg._base.arrays import FloatArray
+from tissuereg.body.triangles import Triangles
+from tissuereg.errors import ArgumentError
+from tissuereg.imaging.images import Grid, ending, itk, read_image, write_image
+from tissuereg.imaging.sampled import AROUND, INSIDE, Sampled
+from tissuereg.imaging.transforms import AT_ONCE
+from tissuereg.io.csv import write_table
+from tissuereg.io.mrk_json import write_mrk_json
+from tissuereg.io.surfaces import read_triangles
+from tissuereg.io.triangles_out import check_surface_target, write_triangles
+
+if TYPE_CHECKING:
+    from tissuereg.registration.field import PointAnswer, RegisteredField
+
+
+@dataclass(frozen=True)
+class Warped:
+    """What was moved and written.
+
+    `moved_mm`: mean and largest displacement of points, or of voxels inside the body, mm; `outside`: number of points
+    outside the body, or of voxels to which the field was extended; `residual_mm`: of images, by how much forward and
+    back differ at voxels inside the body, mm; None for points and surfaces.
+    """
+
+    moved_mm: tuple[float, float]
+    outside: int
+    residual_mm: float | None = None
+
+
+def warp_points(field: "RegisteredField", points: dict[str, FloatArray], out: Path) -> Warped:
+    """Write where named points (3,), mm, in the frame of the body, are now: a table, or .mrk.json for 3D Slicer."""
+    if not points:
+        message = "there must be at least one point, got none"
+        raise ArgumentError(message, where="points")
+    answer = field.at(np.array(list(points.values())))
+    if out.name.lower().endswith(".mrk.json"):
+        told = [
+            f"{std:.2f} mm" if flag is None else f"{std:.2f} mm; {flag}"
+            for std, flag in zip(answer.std, answer.flag, strict=True)
+        ]
+        places = zip(points, zip(answer.mean.tolist(), told, strict=True), strict=True)
+        write_mrk_json(out, dict(places), field.mesh.frame)
+    else:
+        header = ["point", "x_mm", "y_mm", "z_mm", "moved_x_mm", "moved_y_mm", "moved_z_mm", "std_mm", "flag"]
+        rows = [
+            [name, *answer.reference[i].tolist(), *answer.mean[i].tolist(), float(answer.std[i]), answer.flag[i]]
+            for i, name in enumerate(points)
+        ]
+        write_table(out, header, rows)
+    return _of(answer)
+
+
+def warp_surface(field: "RegisteredField", surface: Any, out: Path, *, unit: str | None = None) -> Warped:
+    """Write a surface with its vertices moved; `surface`: a file or `Triangles` in mm, in the frame of the body."""
+    check_surface_target(out)
+    given = surface if isinstance(surface, Triangles) else read_triangles(surface, unit, frame=field.mesh.frame)
+    answer = field.at(given.vertices, covariance=False)
+    write_triangles(out, Triangles(answer.mean, given.triangles, given.frame or field.mesh.frame))
+    return _of(answer)
+
+
+def _of(answer: "PointAnswer") -> Warped:
+    moved = np.linalg.norm(answer.mean - answer.reference, axis=1)
+    return Warped((float(moved.mean()), float(moved.max())), int((~answer.inside).sum()))
+
+
+def warp_image(
+    field: "RegisteredField",
+    image: str | os.PathLike[str],
+    out: Path,
+    *,
+    labels: bool,
+    like: str | os.PathLike[str] | None = None,
+    threads: int = 0,
+) -> Warped:
+    """Write an image as it is after the deformation, on its own grid or that of another image.
+
+    `image`: its file, of the body before the deformation; `labels`: whether values are labels, each voxel taking the
+    nearest one's, not the values of a volume, which are interpolated linearly. Voxels that come from outside the image
+    get its smallest value, labels zero. Names and colours of segments are kept.
+    """
+    ending(out)
+    sitk, source = itk(), read_image(image)
+    grid = Grid.of(source if like is None else read_image(like))
+    sampled, slices = Sampled(field, grid, back=True, threads=threads), grid.size[2]
+    how = sitk.sitkNearestNeighbor if labels else sitk.sitkLinear
+    empty = 0.0 if labels or source.GetNumberOfComponentsPerPixel() > 1 else _least(source)
+    parts, total, most, inside, outside = [], 0.0, 0.0, 0, 0
+    for first in range(0, slices, AT_ONCE):
+        count = min(AT_ONCE, slices - first)
+        moved, by = sampled.slices(first, count)
+        lengths = np.linalg.norm(moved[by == INSIDE], axis=1)
+        total, most = total + float(lengths.sum(dtype=np.float64)), max(most, float(lengths.max(initial=0.0)))
+        inside, outside = inside + len(lengths), outside + int(np.count_nonzero(by == AROUND))
+        parts.append(_resampled(source, grid, moved, first, (how, empty)))
+    if not inside:
+        message = "the image must show the body; none of its voxels lies there: check the frames"
+        raise ArgumentError(message, where=str(image))
+    found = grid.image(np.concatenate(parts))
+    for key in source.GetMetaDataKeys():
+        if key.startswith("Segment"):
+            found.SetMetaData(key, source.GetMetaData(key))
+    write_image(out, found)
+    return Warped((total / inside, most), outside, sampled.residual_mm())
+
+
+def _least(image: Any) -> float:
+    found = itk().MinimumMaximumImageFilter()
+    found.Execute(image)
+    return float(found.GetMinimum())
+
+
+def _resampled(source: Any, grid: Grid, moved: Any, first: int, how: tuple[Any, float]) -> Any:
+    """Return some slices (n, rows, columns) of an image whose voxels come from `moved` (n, rows, columns, 3) away."""
+    sitk = itk()
+    # The transform interpolates its field, which needs two slices at least; at voxels it is exact.
+    padded = np.concatenate([moved, moved[-1:]]) if len(moved) == 1 else moved
+    transform = sitk.DisplacementFieldTransform(grid.image(padded.astype(np.float64), first))
+    place = grid.image(np.zeros(moved.shape[:3], np.uint8), first)
+    return sitk.GetArrayFromImage(sitk.Resample(source, place, transform, *how, source.GetPixelID()))
+
+
+__all__ = ["Warped", "warp_image", "warp_points", "warp_surface"]

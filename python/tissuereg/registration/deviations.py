@@ -1,0 +1,74 @@
+"""The uncertainty of a registered displacement field, compactly: everywhere in the body, and for points asked later."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tissuereg._base.arrays import BoolArray, FloatArray, IntArray
+
+
+@dataclass(frozen=True, eq=False)
+class Deviations:
+    """Fields whose outer products add up to the covariance of a displacement field.
+
+    Attributes
+    ----------
+    modes : ndarray of float32, shape (n_modes, n_nodes, 3)
+        Displacements of the nodes, mm: the field deviates by their sum, with independent standard normal factors.
+    rest : ndarray of float32, shape (n_nodes, 3)
+        Variance along each axis that the modes leave out, mm^2.
+    untold : ndarray of bool, shape (n_nodes,)
+        Whether the markers say too little of a node to rely on it.
+    tail : float or None
+        Degrees of freedom of the t law of a point, of a calibrated model; None for a Gaussian.
+    """
+
+    modes: FloatArray
+    rest: FloatArray
+    untold: BoolArray
+    tail: float | None = None
+
+    @classmethod
+    def of(
+        cls, roots: FloatArray, untold: BoolArray, tail: float | None = None, left_out: float = 0.01
+    ) -> "Deviations":
+        """Return the uncertainty of which fields `roots` (n, n_nodes, 3), mm, are the roots, in as few modes as do.
+
+        `left_out`: share of the summed variance that need not be in modes; it is in `rest`.
+        """
+        flat = roots.reshape(len(roots), -1)
+        values, vectors = np.linalg.eigh(flat @ flat.T)
+        shares = np.cumsum(np.maximum(values[::-1], 0.0))
+        n_kept = 1 + int(np.searchsorted(shares, (1.0 - left_out) * shares[-1]))
+        kept = np.arange(len(values))[::-1][:n_kept]
+        modes = (vectors[:, kept].T @ flat).reshape(len(kept), *roots.shape[1:])
+        rest = np.maximum(np.sum(roots**2, axis=0) - np.sum(modes**2, axis=0), 0.0)
+        return cls(modes.astype(np.float32), rest.astype(np.float32), untold, tail)
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Covariance of every node, (n_nodes, 3, 3), mm^2."""
+        return self.at(np.arange(len(self.rest))[:, None], np.ones((len(self.rest), 1)))
+
+    @property
+    def std(self) -> FloatArray:
+        """Root of the trace of every node's covariance, (n_nodes,), mm."""
+        square = np.einsum("knx,knx->n", self.modes, self.modes, dtype=np.float64)
+        return np.asarray(np.sqrt(square + self.rest.sum(axis=1, dtype=np.float64)))
+
+    def at(self, nodes: IntArray, weights: FloatArray) -> FloatArray:
+        """Return the covariances (n, 3, 3), mm^2, of points interpolated from nodes (n, k) with weights (n, k)."""
+        found = np.zeros((len(nodes), 3, 3))
+        for mode in self.modes:
+            moved = np.einsum("pk,pkx->px", weights, mode[nodes].astype(np.float64))
+            found += moved[:, :, None] * moved[:, None]
+        found[:, [0, 1, 2], [0, 1, 2]] += np.einsum("pk,pkx->px", np.abs(weights), self.rest[nodes].astype(np.float64))
+        return found
+
+    def times(self, factor: float) -> "Deviations":
+        """Return the uncertainty with all covariances times `factor`."""
+        root = np.float32(np.sqrt(factor))
+        return Deviations(root * self.modes, np.float32(factor) * self.rest, self.untold, self.tail)
+
+
+__all__ = ["Deviations"]
