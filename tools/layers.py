@@ -20,6 +20,7 @@ LAYERS: tuple[tuple[str, str], ...] = (
     ("a body in motion", "tracking"),
     ("one state of a body", "registration"),
     ("equilibria, histories, data sets", "simulation"),
+    ("grid transforms, warped images", "imaging"),
     ("files, the only place of other units", "io"),
     ("many tasks, the only place of processes and Dask", "parallel"),
     ("a rig, what was measured, what may have happened", "experiment"),
@@ -57,7 +58,7 @@ RUST_LAYERS: dict[str, tuple[tuple[str, str], ...]] = {
         ("loops over elements", "assembly"),
         ("elements, supports and what they leave free, systems of one unknown a node", "element rigid scalar supports"),
         ("meshes, laws, sparse systems", "material mesh system"),
-        ("plain data and checks, rotations", "check error groups resultant rotation springs"),
+        ("plain data and checks, rotations", "check error groups raster resultant rotation springs"),
     ),
 }
 

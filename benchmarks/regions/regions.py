@@ -37,11 +37,10 @@ and layouts of one event, are not independent."""
 def answered(task: tuple[str, int, Make]) -> list[dict]:
     """Return the rows of one case, one a method."""
     family, number, make = task
-    case = make()
-    given = {"family": family, "case": number, "cluster": case.cluster}
-    begun = time.perf_counter()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
+        case = make()
+        begun = time.perf_counter()
         result = tr.register(
             case.body,
             case.markers,
@@ -49,6 +48,7 @@ def answered(task: tuple[str, int, Make]) -> list[dict]:
             settings=tr.RegisterSettings(threads=1),
         )
     seconds = time.perf_counter() - begun
+    given = {"family": family, "case": number, "cluster": case.cluster}
     found = list(result.targets.values())
     mean, covariance = np.array([one.mean for one in found]), np.array([one.covariance for one in found])
     own = {"trusted": bool(result.trust.ok), "seconds": round(seconds, 3), "reasons": list(result.trust.reasons)}

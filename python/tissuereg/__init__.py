@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     from tissuereg.registration.registrar import Registrar
     from tissuereg.registration.result import Registration
     from tissuereg.registration.settings import RegisterSettings, SmootherSettings
+    from tissuereg.registration.stored import StoredRegistration, read_registration
     from tissuereg.simulation import Simulation, Simulator, simulate
     from tissuereg.simulation.believed import simulate_experiment
     from tissuereg.simulation.fine import FineModel
@@ -92,6 +93,8 @@ _MODULES = {
     "register": "tissuereg.registration.register",
     "Registrar": "tissuereg.registration.registrar",
     "Registration": "tissuereg.registration.result",
+    "StoredRegistration": "tissuereg.registration.stored",
+    "read_registration": "tissuereg.registration.stored",
     "Simulation": "tissuereg.simulation",
     "Simulator": "tissuereg.simulation",
     "simulate": "tissuereg.simulation",
@@ -125,6 +128,7 @@ __all__ = [
     "SimulationVariants",
     "Simulator",
     "SmootherSettings",
+    "StoredRegistration",
     "SurfacePoints",
     "TissueRegError",
     "Tracker",
@@ -141,6 +145,7 @@ __all__ = [
     "read_markers",
     "read_material_experiment",
     "read_mesh",
+    "read_registration",
     "read_seen",
     "read_surface",
     "read_targets",

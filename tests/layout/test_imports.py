@@ -24,6 +24,7 @@ HEAVY = (
     "pytetwild",
     "tqdm",
     "h5py",
+    "SimpleITK",
     "fsspec",
     "distributed",
     "dask",

@@ -25,6 +25,9 @@ pub struct Slab {
 /// no point between two of them is left out.
 const ROUNDING: f64 = 1e-9;
 
+/// A slice by number: values and marks of its points, and the tetrahedra that reach it.
+type Slice<'a> = (usize, ((&'a mut [f32], &'a mut [u8]), &'a Vec<u32>));
+
 /// A tetrahedron of the grid: half spaces and a linear field.
 struct Cell {
     /// Barycentric coordinates: constant, then slopes along columns, rows and slices.
@@ -82,7 +85,7 @@ pub fn rasterise(
             through[slice].push(number as u32);
         }
     }
-    let one = |(slice, ((found, by), through)): (usize, ((&mut [f32], &mut [u8]), &Vec<u32>))| {
+    let one = |(slice, ((found, by), through)): Slice<'_>| {
         let z = (slab.first + slice) as f64;
         for &number in through {
             cells[number as usize].fill(z, slab, found, by);

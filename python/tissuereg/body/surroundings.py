@@ -33,7 +33,12 @@ class Surroundings:
         from scipy.spatial import Delaunay
 
         how = _Around()
-        self.mesh, self.skin = mesh, mesh.surface_nodes
+        # Middles of edges as well, so that tets outside meet the triangles of the skin as they are.
+        edges = np.sort(
+            np.concatenate([mesh.surface[:, [0, 1]], mesh.surface[:, [1, 2]], mesh.surface[:, [2, 0]]]), axis=1
+        )
+        single = np.repeat(mesh.surface_nodes[:, None], 2, axis=1)
+        self.mesh, self.skin = mesh, np.concatenate([single, np.unique(edges, axis=0)])
         spacing = how.spacing * mesh.extent
         low, high = mesh.nodes.min(axis=0) - how.margin * mesh.extent, mesh.nodes.max(axis=0) + how.margin * mesh.extent
         counts = np.ceil((high - low) / spacing).astype(int) + 1
@@ -48,11 +53,15 @@ class Surroundings:
         outside = np.einsum("nx,nx->n", lattice - found.feet, normals) > 0.0
         kept = self._ends | (outside & (found.distances > how.clearance * spacing))
         self.lattice, self._ends = lattice[kept], self._ends[kept]
-        self.cut: Any = Delaunay(np.concatenate([mesh.nodes[self.skin], self.lattice]))
+        self.cut: Any = Delaunay(np.concatenate([self.on_skin(mesh.nodes), self.lattice]))
+
+    def on_skin(self, values: FloatArray) -> FloatArray:
+        """Return values of the body's nodes (n_nodes, 3) at the points of the skin, nodes and middles of edges."""
+        return np.asarray(values[self.skin].mean(axis=1))
 
     @property
     def tets(self) -> IntArray:
-        """Tetrahedra int64 (m, 4) between nodes of the skin and points of the lattice, numbered in this order."""
+        """Tetrahedra int64 (m, 4) between points of the skin and of the lattice, numbered in this order."""
         return np.asarray(self.cut.simplices, np.int64)
 
     @cached_property
@@ -79,7 +88,7 @@ class Surroundings:
         """Return a field of the body's nodes (n_nodes, 3), mm, at the lattice's points, (n_points, 3), mm."""
         factor, coupling = self._harmonic
         found = np.zeros_like(self.lattice)
-        found[~self._ends] = factor.solve(-(coupling @ field[self.skin]))
+        found[~self._ends] = factor.solve(-(coupling @ self.on_skin(field)))
         return np.asarray(found)
 
 
@@ -103,7 +112,8 @@ class SpaceMap:
 
     @cached_property
     def _around(self) -> FloatArray:
-        return surroundings(self.mesh).extended(self.displacement)
+        around = surroundings(self.mesh)
+        return np.concatenate([around.on_skin(self.displacement), around.extended(self.displacement)])
 
     def cells(self) -> tuple[FloatArray, FloatArray, IntArray, int]:
         """Return nodes (n, 3) and their displacement (n, 3), mm, tets int64 (m, 4), and the number of the first inner.
@@ -111,14 +121,17 @@ class SpaceMap:
         The tets before that number are around the body; they reach into it a little where it is curved.
         """
         around, n_nodes = surroundings(self.mesh), self.mesh.n_nodes
-        numbers = np.concatenate([around.skin, n_nodes + np.arange(len(around.lattice))])
-        nodes = np.concatenate([self.mesh.nodes, around.lattice])
+        nodes = np.concatenate([self.mesh.nodes, around.cut.points])
         moved = np.concatenate([self.displacement, self._around])
-        return nodes, moved, np.concatenate([numbers[around.tets], self.mesh.tets]), len(around.tets)
+        return nodes, moved, np.concatenate([n_nodes + around.tets, self.mesh.tets]), len(around.tets)
 
     def at(self, points: FloatArray) -> tuple[FloatArray, BoolArray]:
         """Return the displacement of points (n, 3), mm, and whether each is inside the body, (n,)."""
-        nodes, weights, inside = held_by(self.mesh, points)
+        return self.of(points, held_by(self.mesh, points))
+
+    def of(self, points: FloatArray, held: tuple[IntArray, FloatArray, BoolArray]) -> tuple[FloatArray, BoolArray]:
+        """Return the same of points of which `held_by` has told where they are."""
+        nodes, weights, inside = held
         moved = np.einsum("pk,pkx->px", weights, self.displacement[nodes])
         if not inside.all():
             moved[~inside] = self._outside(points[~inside])
@@ -126,12 +139,11 @@ class SpaceMap:
 
     def _outside(self, points: FloatArray) -> FloatArray:
         around = surroundings(self.mesh)
-        field = np.concatenate([self.displacement[around.skin], self._around])
         simplex = around.cut.find_simplex(points)
         at = around.cut.transform[simplex]
         shares = np.einsum("pij,pj->pi", at[:, :3], points - at[:, 3])
         shares = np.concatenate([shares, 1.0 - shares.sum(axis=1, keepdims=True)], axis=1)
-        moved = np.einsum("pk,pkx->px", shares, field[around.cut.simplices[simplex]])
+        moved = np.einsum("pk,pkx->px", shares, self._around[around.cut.simplices[simplex]])
         # Beyond the lattice, and in tetrahedra without a volume, where there are no shares.
         return np.where((simplex[:, None] >= 0) & np.isfinite(moved), moved, 0.0)
 

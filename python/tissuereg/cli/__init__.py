@@ -36,6 +36,7 @@ COMMANDS = {
     "train": "train a network on a data set",
     "calibrate": "measure what a trained model's answers are worth",
     "register": "register a body to its markers, load unknown, with regions",
+    "warp": "move points, surfaces and images with a registered body, or write its grid transform",
     "track": "register a body frame after frame, from a recording of its markers",
     "advise": "say where the next markers should go",
     "diagnose": "find out what the simulation gets wrong",

@@ -44,16 +44,13 @@ def read_image(path: str | os.PathLike[str]) -> Any:
 def write_image(path: str | os.PathLike[str], image: Any) -> Path:
     """Write a SimpleITK image, whole or not at all, compressed where its format can be."""
     sitk, target = itk(), Path(path)
-    # The format is told by the name's ending, which the draft must share.
-    with atomic_file(target) as draft:
-        there = draft.with_name(draft.name + ending(target))
+    ending(target)
+    with atomic_file(target) as draft:  # of the same name, which tells the format
         try:
-            sitk.WriteImage(image, str(there), useCompression=True)
+            sitk.WriteImage(image, str(draft), useCompression=True)
         except RuntimeError as error:
-            there.unlink(missing_ok=True)
             message = f"{target} cannot be written as an image: {' '.join(str(error).split())[-300:]}"
             raise FormatError(message, where=str(target)) from error
-        there.replace(draft)
     return target
 
 

@@ -126,9 +126,7 @@ def _write(target: Path, grid: Grid, values: Any, way: str) -> None:
         return
     transform = sitk.CompositeTransform([sitk.DisplacementFieldTransform(grid.image(values.astype(np.float64)))])
     with atomic_file(target) as draft:
-        there = draft.with_name(draft.name + ending)
-        sitk.WriteTransform(transform, str(there))
-        there.replace(draft)
+        sitk.WriteTransform(transform, str(draft))
 
 
 __all__ = ["DIRECTIONS", "Written", "grid_of", "write_transform"]

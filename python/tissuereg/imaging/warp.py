@@ -84,16 +84,19 @@ def warp_image(
 ) -> Warped:
     """Write an image as it is after the deformation, on its own grid or that of another image.
 
-    `image`: its file, of the body before the deformation; `labels`: whether values are labels, each voxel taking the
-    nearest one's, not the values of a volume, which are interpolated linearly. Voxels that come from outside the image
+    `image`: its file, of the body before the deformation; `labels`: whether values are labels, of which a voxel takes
+    the one with the largest linear weight (with several components the nearest voxel's), not those of a volume, which
+    are interpolated linearly. Voxels that come from outside the image
     get its smallest value, labels zero. Names and colours of segments are kept.
     """
     ending(out)
     sitk, source = itk(), read_image(image)
     grid = Grid.of(source if like is None else read_image(like))
     sampled, slices = Sampled(field, grid, back=True, threads=threads), grid.size[2]
-    how = sitk.sitkNearestNeighbor if labels else sitk.sitkLinear
-    empty = 0.0 if labels or source.GetNumberOfComponentsPerPixel() > 1 else _least(source)
+    several = source.GetNumberOfComponentsPerPixel() > 1
+    of_labels = sitk.sitkNearestNeighbor if several else sitk.sitkLabelLinear
+    how = of_labels if labels else sitk.sitkLinear
+    empty = 0.0 if labels or several else _least(source)
     parts, total, most, inside, outside = [], 0.0, 0.0, 0, 0
     for first in range(0, slices, AT_ONCE):
         count = min(AT_ONCE, slices - first)

@@ -166,6 +166,23 @@ def read_targets(
 
 
 @reads
+def read_named_points(path: str | os.PathLike[str], *, frame: str | None = None) -> dict[str, FloatArray]:
+    """Read points with or without names, each (3,), in mm, in file order; without names they are 1, 2, 3 ...
+
+    `path`: a table with ``x_mm,y_mm,z_mm`` and perhaps a column of unique names, ``target``, ``marker`` or ``point``;
+    or a point file of 3D Slicer; `frame`: patient frame into which the latter's points are converted. Raises
+    `FormatError` if the file cannot be read.
+    """
+    if is_point_file(path):
+        return targets_of(path, frame)
+    named = ("target", "marker", "point")
+    rows = read_table(path, _PLACE, named)
+    column = next((name for name in named if name in rows[0].cells), None)
+    names = [str(1 + i) for i in range(len(rows))] if column is None else _unique_names(rows, column)
+    return {name: np.array(row.numbers(_PLACE)) for name, row in zip(names, rows, strict=True)}
+
+
+@reads
 def read_seen(
     path: str | os.PathLike[str],
     std: float | None = None,

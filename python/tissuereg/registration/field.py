@@ -98,8 +98,8 @@ class RegisteredField:
         if not np.isfinite(places).all():
             message = f"`points` must be finite, got row {int(np.argmin(np.isfinite(places).all(axis=1)))}"
             raise MarkerError(message, where="points")
-        nodes, weights, inside = held_by(self.mesh, places)
-        moved = self.space.at(places)[0]
+        nodes, weights, inside = held = held_by(self.mesh, places)
+        moved = self.space.of(places, held)[0]
         untold = self.uncertainty.untold[np.take_along_axis(nodes, weights.argmax(axis=1)[:, None], axis=1)[:, 0]]
         flags = tuple(
             OUTSIDE if not within else NO_MARKER if no else None for within, no in zip(inside, untold, strict=True)

@@ -356,9 +356,9 @@ class Registration:
     ) -> Path:
         """Write the result as files into a folder, all of them or none.
 
-        The files are ``registered.vtu``, ``targets.csv``, ``targets.mrk.json`` (registered places for 3D Slicer, in the
-        frame of the mesh; LPS, Slicer's default, if the mesh declares none), ``registration.json`` and
-        ``registered.png``.
+        The files are ``registered.vtu``, ``field.npz`` (what `tissuereg.read_registration` needs to answer later),
+        ``targets.csv``, ``targets.mrk.json`` (registered places for 3D Slicer, in the frame of the mesh; LPS, Slicer's
+        default, if the mesh declares none), ``registration.json`` and ``registered.png``.
 
         Parameters
         ----------

@@ -10,6 +10,7 @@ from tissuereg.io.json import write_json
 from tissuereg.io.meshes import write_vtu
 from tissuereg.io.mrk_json import write_mrk_json
 from tissuereg.io.tables import write_targets
+from tissuereg.registration.stored import FIELD, write_field
 
 if TYPE_CHECKING:
     from tissuereg.registration.result import Registration
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
 
 #: What `save_registration` writes.
 PICTURE = "registered.png"
-WRITTEN = ("registered.vtu", "targets.csv", "targets.mrk.json", "registration.json", PICTURE)
+WRITTEN = ("registered.vtu", "field.npz", "targets.csv", "targets.mrk.json", "registration.json", PICTURE)
 
 #: What it writes on request.
 DEFORMED = "registered_deformed.vtu"
@@ -47,6 +48,7 @@ def save_registration(
         if deformed:
             says = "points_are_warped_by_displacement_mm_already"
             write_vtu(draft / DEFORMED, mesh, values, says=says, places=mesh.nodes + result.displacement)
+        write_field(draft / FIELD, result.field)
         write_targets(draft / "targets.csv", content["targets"])
         write_mrk_json(draft / "targets.mrk.json", _labelled(content), mesh.frame)
         write_json(draft / "registration.json", {**content, **extra})
