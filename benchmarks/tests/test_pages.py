@@ -7,6 +7,7 @@ import blind.page as blind
 import diagnosis.febio as febio
 import diagnosis.material_parts as material_parts
 import diagnosis.simulated_here as simulated_here
+import images.images as images
 import implanted.implanted as implanted
 import learned.__main__ as learned
 import learned.page as learned_page
@@ -59,6 +60,7 @@ WRITTEN = {
     ),
     "lost": (lost.ARCHIVE, lost.PAGE, lost.page, lambda a: a["rows"][0].update(trusted=not a["rows"][0]["trusted"])),
     "regions": (regions.ARCHIVE, regions.PAGE, regions.page, lambda a: _more(a["rows"][0], "crps_mm")),
+    "images": (images.ARCHIVE, images.PAGE, images.page, lambda a: _more(a["rows"][0], "value")),
     "real": (real.ARCHIVE, real.PAGE, real.page, lambda a: _more(a["hydrogel"][0], "registered")),
     "cluster": (cluster.ARCHIVE, cluster.PAGE, cluster.page, lambda a: _more(a["chunk_s"], "local:1")),
     "large bodies": (
@@ -95,6 +97,10 @@ def test_the_table_of_trained_models_in_the_results_is_that_of_the_archive():
     answer, kept = read_archive(learned.ARCHIVE), table("learned", learned_page.RESULTS)
     assert learned_page.results_table(answer["rows"]) == kept
     assert learned_page.readme_table(answer["rows"]) == table("learned", learned_page.README)
+
+
+def test_the_table_of_images_in_the_results_is_that_of_the_archive():
+    assert images.table(read_archive(images.ARCHIVE)) == table("images", images.RESULTS)
 
 
 def test_the_page_of_unknown_loads_is_that_of_its_archives():

@@ -23,7 +23,7 @@ from tissuereg.io.problems import read_problem, read_simulation
 from tissuereg.io.tables import write_markers
 from tissuereg.phantom.event import make_event
 
-COMMANDS = ("mesh", "solve", "simulate", "train", "calibrate", "register", "track", "demo", "bench")
+COMMANDS = ("mesh", "solve", "simulate", "train", "calibrate", "register", "warp", "track", "demo", "bench")
 ENVELOPE = {"schema", "seconds", "threads", "machine", "versions"}
 
 
@@ -478,7 +478,8 @@ def test_register_writes_its_files_and_tells_all(inputs, capsys):
     assert said["markers"]["after_rms_mm"] < said["markers"]["before_rms_mm"] == pytest.approx(1.0)
     assert set(said["targets"]["deep"]) >= {"reference_mm", "mean_mm", "covariance_mm2", "region90_radii_mm"}
     assert said["seconds"]["total"] >= max(spent for name, spent in said["seconds"].items() if name != "total")
-    names = {"registered.vtu", "targets.csv", "targets.mrk.json", "registration.json", "registered.png", "report.html"}
+    names = {"registered.vtu", "field.npz", "targets.csv", "targets.mrk.json", "registration.json", "registered.png"}
+    names |= {"report.html"}
     assert {file.name for file in out.iterdir()} == names
     saved = json.loads((out / "registration.json").read_text())
     for key in ("markers", "targets", "body", "trust", "model", "machine", "threads", "seed"):

@@ -224,11 +224,11 @@ def test_markers_all_missing_are_refused(block_mesh, seen):
         tr.register(block_mesh, (seen.reference, np.full((12, 3), np.nan)))
 
 
-def test_saving_writes_five_files_with_finite_numbers(block_mesh, seen, tmp_path):
+def test_saving_writes_six_files_with_finite_numbers(block_mesh, seen, tmp_path):
     result = tr.register(block_mesh, seen, targets=INNER)
     result.save(tmp_path / "out")
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == [
-        "registered.png", "registered.vtu", "registration.json", "targets.csv", "targets.mrk.json",
+        "field.npz", "registered.png", "registered.vtu", "registration.json", "targets.csv", "targets.mrk.json",
     ]  # fmt: skip
     summary = json.loads(
         (tmp_path / "out" / "registration.json").read_text(encoding="utf-8"), parse_constant=pytest.fail

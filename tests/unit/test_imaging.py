@@ -14,7 +14,7 @@ from tissuereg._core import rasterise
 from tissuereg.errors import ArgumentError, FormatError, MissingPackageError
 from tissuereg.imaging import images
 from tissuereg.imaging.images import Grid, read_image, write_image
-from tissuereg.imaging.sampled import AROUND, BEYOND, INSIDE, Sampled
+from tissuereg.imaging.sampled import Mark, Sampled
 from tissuereg.imaging.transforms import write_transform
 from tissuereg.imaging.warp import warp_image, warp_points, warp_surface
 from tissuereg.io.points import turned
@@ -98,15 +98,15 @@ def test_voxels_are_where_the_field_says_and_forward_undoes_back():
     for back in (False, True):
         sampled = Sampled(field(), grid, back, threads=1)
         moved, by = sampled.slices(20, 3)
-        numbers = np.argwhere(by > BEYOND)[::37]
+        numbers = np.argwhere(by > Mark.BEYOND)[::37]
         places = grid.places(numbers[:, ::-1] + [0.0, 0.0, 20.0])
         wanted = field().space.back(places) if back else field().space.at(places)[0]
         found = moved[tuple(numbers.T)]
         assert np.abs(found - (-wanted if back else wanted)).max() < 1e-4
         if not back:
-            assert np.array_equal(by[tuple(numbers.T)] == INSIDE, field().space.at(places)[1])
+            assert np.array_equal(by[tuple(numbers.T)] == Mark.INSIDE, field().space.at(places)[1])
     assert Sampled(field(), grid, back=True).residual_mm() < 1e-5
-    assert {AROUND, INSIDE} <= set(np.unique(by))
+    assert {Mark.AROUND, Mark.INSIDE} <= set(np.unique(by))
 
 
 def test_rasterised_slices_do_not_depend_on_how_they_are_cut_or_on_threads():

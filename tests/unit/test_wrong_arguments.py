@@ -102,6 +102,11 @@ def filled(**given):
         return tr.tetrahedralize(**{"surface": (mesh().nodes, mesh().surface), "size_mm": 12.0, **given})
 
 
+def moved_grid(**given):
+    with tempfile.TemporaryDirectory() as folder:
+        registered().transform(Path(folder) / "field.nrrd", **given)
+
+
 def saved(**given):
     with tempfile.TemporaryDirectory() as folder:
         registered().save(Path(folder) / "out", **given)
@@ -403,6 +408,12 @@ CALLS = {
         {"surface": mesh().nodes[mesh().surface_nodes]},
     ),
     "Registration.draws": (lambda **given: registered().draws(**given), {"count": 2}),
+    "Registration.at": (lambda **given: registered().at(**given), {"points": [(15.0, 10.0, 20.0)], "covariance": True}),
+    "Registration.transform": (moved_grid, {"spacing": 9.0, "like": None, "direction": "modeling", "std": None}),
+    "PointAnswer.region": (
+        lambda **given: registered().at([(15.0, 10.0, 20.0)]).region(**given),
+        {"number": 0, "share": 0.9},
+    ),
     "Registration.save": (saved, {"extra": {"seed": 3}, "deformed": True}),
     "Registration.target": (lambda **given: registered().target(**given), {"name": "deep"}),
     "Target.region": (lambda **given: registered().target("deep").region(**given), {"share": 0.9}),
@@ -543,6 +554,7 @@ READERS = {
     "read_seen": tr.read_seen,
     "read_surface": tr.read_surface,
     "read_experiment": tr.read_experiment,
+    "read_registration": tr.read_registration,
     "read_material_experiment": tr.read_material_experiment,
     "open_dataset": tr.open_dataset,
 }
@@ -629,6 +641,7 @@ NO_ARGUMENTS = {
     "Progress",
     "Registration",
     "Simulation",
+    "StoredRegistration",
     "TissueRegError",
     "__version__",
     "effects",

@@ -5,6 +5,7 @@ tetrahedra, deformed.
 """
 
 from dataclasses import dataclass
+from enum import IntEnum
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -22,8 +23,24 @@ if TYPE_CHECKING:
 Singles = npt.NDArray[np.float32]
 Bytes = npt.NDArray[np.uint8]
 
-#: Marks of voxels: beyond the field, around the body, inside it.
-BEYOND, AROUND, INSIDE = 0, 1, 2
+
+class Mark(IntEnum):
+    """What a voxel lies in: beyond the field, around the body, inside it."""
+
+    BEYOND = 0
+    AROUND = 1
+    INSIDE = 2
+
+
+@dataclass(frozen=True)
+class Slabs:
+    """How much of a grid is made at a time, and at all: `at_once` slices; `most` voxels of a transform, 3.2 GB."""
+
+    at_once: int = 16
+    most: int = 270_000_000
+
+
+SLABS = Slabs()
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +78,7 @@ class Sampled:
         spread = np.zeros((len(at), 3))
         spread[: self.field.mesh.n_nodes, 0] = self.field.uncertainty.std
         found, by = _core.rasterise(at, tets[inner:].copy(), spread, 0, (first, count, rows, columns), self.threads)
-        return np.where(by == INSIDE, found[..., 0], np.float32(np.nan))
+        return np.where(by == Mark.INSIDE, found[..., 0], np.float32(np.nan))
 
     def residual_mm(self, most: int = 2000) -> float:
         """Return by how much forward and back differ at most at some voxels inside the body, mm."""
@@ -70,9 +87,9 @@ class Sampled:
         places, moved = [], []
         for slice_ in np.unique(chosen):
             field, by = self.slices(int(slice_), 1)
-            inside = np.argwhere(by[0] == INSIDE)
+            inside = np.argwhere(by[0] == Mark.INSIDE)
             places.append(np.column_stack([inside[:, ::-1], np.full(len(inside), slice_)]).astype(np.float64))
-            moved.append(field[0][by[0] == INSIDE].astype(np.float64))
+            moved.append(field[0][by[0] == Mark.INSIDE].astype(np.float64))
         at, by_grid = self.grid.places(np.concatenate(places)), np.concatenate(moved)
         if not len(at):
             return 0.0
@@ -85,4 +102,4 @@ class Sampled:
         return float(np.quantile(off, 0.999))
 
 
-__all__ = ["AROUND", "BEYOND", "INSIDE", "Sampled"]
+__all__ = ["SLABS", "Mark", "Sampled"]

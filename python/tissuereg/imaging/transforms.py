@@ -14,7 +14,7 @@ import numpy as np
 from tissuereg._base.arguments import check_choice, found, place, real
 from tissuereg.errors import ArgumentError, FormatError
 from tissuereg.imaging.images import Grid, itk, read_image, write_image
-from tissuereg.imaging.sampled import AROUND, INSIDE, Sampled
+from tissuereg.imaging.sampled import SLABS, Mark, Sampled
 from tissuereg.io.atomic import atomic_file
 from tissuereg.io.points import turned
 
@@ -25,12 +25,6 @@ DIRECTIONS = ("modeling", "resampling")
 
 #: Endings of ITK's transform files.
 OF_ITK = (".h5", ".tfm")
-
-#: Most voxels of a grid transform: 3.2 GB.
-MOST_VOXELS = 270_000_000
-
-#: Slices that are made at a time.
-AT_ONCE = 16
 
 
 @dataclass(frozen=True)
@@ -85,30 +79,30 @@ def write_transform(
     if ending in OF_ITK and way != "resampling":
         message = f"`direction` must be 'resampling' in a {ending} file: ITK's transforms lead back; got '{way}'"
         raise ArgumentError(message, where="direction")
-    if std is not None and Path(std).suffix.lower() != ".nrrd":
-        message = f"`std` must end in .nrrd, got '{std}'"
+    if std is not None and place("std", std).suffix.lower() != ".nrrd":
+        message = f"`std` must end in .nrrd, got {found(str(std))}"
         raise FormatError(message, where=str(std))
     itk()
     grid = grid_of(field, like, spacing)
     columns, rows, slices = grid.size
-    if columns * rows * slices > MOST_VOXELS:
-        message = f"a grid transform may have {MOST_VOXELS} voxels, got {columns} x {rows} x {slices}"
+    if columns * rows * slices > SLABS.most:
+        message = f"a grid transform may have {SLABS.most} voxels, got {columns} x {rows} x {slices}"
         raise ArgumentError(message, where="like" if spacing is None else "spacing")
     sampled = Sampled(field, grid, way == "resampling", threads)
     values = np.empty((slices, rows, columns, 3), np.float32)
     total, most, inside, outside = 0.0, 0.0, 0, 0
-    for first in range(0, slices, AT_ONCE):
-        some = slice(first, min(first + AT_ONCE, slices))
+    for first in range(0, slices, SLABS.at_once):
+        some = slice(first, min(first + SLABS.at_once, slices))
         values[some], by = sampled.slices(first, some.stop - first)
-        lengths = np.linalg.norm(values[some][by == INSIDE], axis=1)
+        lengths = np.linalg.norm(values[some][by == Mark.INSIDE], axis=1)
         total, most = total + float(lengths.sum(dtype=np.float64)), max(most, float(lengths.max(initial=0.0)))
-        inside, outside = inside + len(lengths), outside + int(np.count_nonzero(by == AROUND))
+        inside, outside = inside + len(lengths), outside + int(np.count_nonzero(by == Mark.AROUND))
     if not inside:
         message = "the grid must reach into the body; none of its voxels lies there: check the frames"
         raise ArgumentError(message, where="like" if spacing is None else "spacing")
     _write(target, grid, values, way)
     if std is not None:
-        parts = [sampled.std(first, min(AT_ONCE, slices - first)) for first in range(0, slices, AT_ONCE)]
+        parts = [sampled.std(first, min(SLABS.at_once, slices - first)) for first in range(0, slices, SLABS.at_once)]
         image = grid.image(np.concatenate(parts))
         image.SetMetaData("content", "standard deviation of the place, mm; NaN outside the body")
         write_image(std, image)

@@ -11,8 +11,7 @@ from tissuereg._base.arrays import FloatArray
 from tissuereg.body.triangles import Triangles
 from tissuereg.errors import ArgumentError
 from tissuereg.imaging.images import Grid, ending, itk, read_image, write_image
-from tissuereg.imaging.sampled import AROUND, INSIDE, Sampled
-from tissuereg.imaging.transforms import AT_ONCE
+from tissuereg.imaging.sampled import SLABS, Mark, Sampled
 from tissuereg.io.csv import write_table
 from tissuereg.io.mrk_json import write_mrk_json
 from tissuereg.io.surfaces import read_triangles
@@ -98,12 +97,12 @@ def warp_image(
     how = of_labels if labels else sitk.sitkLinear
     empty = 0.0 if labels or several else _least(source)
     parts, total, most, inside, outside = [], 0.0, 0.0, 0, 0
-    for first in range(0, slices, AT_ONCE):
-        count = min(AT_ONCE, slices - first)
+    for first in range(0, slices, SLABS.at_once):
+        count = min(SLABS.at_once, slices - first)
         moved, by = sampled.slices(first, count)
-        lengths = np.linalg.norm(moved[by == INSIDE], axis=1)
+        lengths = np.linalg.norm(moved[by == Mark.INSIDE], axis=1)
         total, most = total + float(lengths.sum(dtype=np.float64)), max(most, float(lengths.max(initial=0.0)))
-        inside, outside = inside + len(lengths), outside + int(np.count_nonzero(by == AROUND))
+        inside, outside = inside + len(lengths), outside + int(np.count_nonzero(by == Mark.AROUND))
         parts.append(_resampled(source, grid, moved, first, (how, empty)))
     if not inside:
         message = "the image must show the body; none of its voxels lies there: check the frames"

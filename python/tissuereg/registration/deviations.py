@@ -30,11 +30,17 @@ class Deviations:
 
     @classmethod
     def of(
-        cls, roots: FloatArray, untold: BoolArray, tail: float | None = None, left_out: float = 0.01
+        cls,
+        roots: FloatArray,
+        untold: BoolArray,
+        tail: float | None = None,
+        left_out: float = 0.01,
+        besides: FloatArray | float = 0.0,
     ) -> "Deviations":
         """Return the uncertainty of which fields `roots` (n, n_nodes, 3), mm, are the roots, in as few modes as do.
 
-        `left_out`: share of the summed variance that need not be in modes; it is in `rest`.
+        `left_out`: share of the summed variance that need not be in modes; it is in `rest`; `besides` (n_nodes,):
+        variance along each axis that no root has, mm^2.
         """
         flat = roots.reshape(len(roots), -1)
         values, vectors = np.linalg.eigh(flat @ flat.T)
@@ -42,7 +48,7 @@ class Deviations:
         n_kept = 1 + int(np.searchsorted(shares, (1.0 - left_out) * shares[-1]))
         kept = np.arange(len(values))[::-1][:n_kept]
         modes = (vectors[:, kept].T @ flat).reshape(len(kept), *roots.shape[1:])
-        rest = np.maximum(np.sum(roots**2, axis=0) - np.sum(modes**2, axis=0), 0.0)
+        rest = np.maximum(np.sum(roots**2, axis=0) - np.sum(modes**2, axis=0), 0.0) + np.reshape(besides, (-1, 1))
         return cls(modes.astype(np.float32), rest.astype(np.float32), untold, tail)
 
     @property

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from tissuereg._base.arguments import flag
+from tissuereg._base.arguments import flag, whole
 from tissuereg._base.arrays import BoolArray, FloatArray, float_array
 from tissuereg.body.locate import held_by
 from tissuereg.body.mesh import Mesh
@@ -61,12 +61,13 @@ class PointAnswer:
         Raises
         ------
         MarkerError
-            If the covariances were not wanted, or `share` is not in (0, 1).
+            If there is no such point, the covariances were not wanted, or `share` is not in (0, 1).
         """
+        point = whole("number", number, most=max(len(self) - 1, 0), error=MarkerError)
         if self.covariance is None:
             message = "`region` needs the covariances: ask with covariance=True"
             raise MarkerError(message, where="covariance")
-        return region_of(self.mean[number], self.covariance[number], share, self.tail)
+        return region_of(self.mean[point], self.covariance[point], share, self.tail)
 
 
 @dataclass(frozen=True, eq=False)

@@ -258,14 +258,17 @@ class Spread:
         drawn = drawn - errors @ self._reaction.T
         drawn += np.sqrt(self._settings.unseen_chance) * self._unseen_draws(rng, count)[0]
         roots = np.concatenate([self._fields(drawn[some], errors[some]) @ turn.T for some in _in_parts(count)])
+        missed = np.zeros(fit.columns.body.mesh.n_nodes)
         if fields is None:
             roots = (roots + self.rest_draws(rng, count)) / np.sqrt(count)
+            if fit.columns.unexplained is not None:
+                missed = fit.columns.rest_sizes(fit.samples[1]).mean() * fit.columns.unexplained.missed
         else:
             off = (fields - fields.mean(axis=0)) / np.sqrt(max(1, len(fields) - 1))
             roots = np.concatenate([roots / np.sqrt(count), off])
         after, before = self._unseen_of(seed)
         least = self._settings.report.least_constrained
-        found = Deviations.of(roots, np.asarray(after > (1.0 - least) * before))
+        found = Deviations.of(roots, np.asarray(after > (1.0 - least) * before), besides=missed)
         if fields is None:
             self._known[seed] = found
         return found

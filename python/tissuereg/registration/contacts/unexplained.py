@@ -93,6 +93,11 @@ class Unexplained:
         between = self.nodes[far_apart(self.nodes, min(len(self.nodes), DISCRETISATION.rest_places))]
         return np.ascontiguousarray(self._by(np.concatenate([known, between]))[len(known) :].T)
 
+    @property
+    def missed(self) -> FloatArray:
+        """Variance of the rest that these fields do not have, at every node, (n_nodes,), for a field of unit size."""
+        return np.asarray(np.maximum(self.left - np.sum(self.rest**2, axis=1), 0.0))
+
     def responses(self, rows: Rows) -> FloatArray:
         """Return the change of observations by unit coefficients, (n_rows, n_columns).
 

@@ -1,0 +1,1 @@
+"""Exactness and times of fields, grid transforms and warped images; thousands of targets."""
