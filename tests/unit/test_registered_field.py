@@ -91,6 +91,8 @@ def test_around_the_body_the_displacement_goes_on_and_fades_to_nothing():
     assert inside[1].all()
     assert not outside[1].any()
     assert np.abs(inside[0] - outside[0]).max() < 0.02 * np.abs(bent(MESH.nodes)).max()
+    # On the whole it goes the way that the skin goes.
+    assert np.sum(space.at(at + 8.0 * normal)[0] * inside[0]) > 0.3 * np.sum(inside[0] ** 2)
     most = np.abs(bent(MESH.nodes)).max(axis=0)
     sizes = [np.abs(space.at(at + out * normal)[0]).max(axis=0) for out in (1.0, 8.0, 16.0, 26.0, 200.0)]
     assert all(np.all(size <= most + 1e-9) for size in sizes)

@@ -12,13 +12,15 @@ if TYPE_CHECKING:
     from tissuereg.meshing import FilledMesh
 
 HELP = Help(
-    "SURFACE is a .stl, .ply, .obj, .off, .vtp, .vtu, .vtk or .msh of triangles. Its vertices are merged, holes closed "
+    "SURFACE is a .stl, .ply, .obj, .off, .vtp, .vtu, .vtk or .msh of triangles, or with --label a segmentation "
+    "(.seg.nrrd, .nrrd, .nii.gz, .mha; pip install 'tissuereg[images]'). Its vertices are merged, holes closed "
     "and normals turned outwards; whatever was done is listed. BODY.vtu (or .npz) gets tetrahedra in mm, the node sets "
     "and the patient frame, and 'tissuereg register', 'simulate' and 'tr.read_mesh' take it. A rule is 'plane nx ny nz "
     "d [tol]' (nodes within tol mm of n . x = d mm), 'ball x y z r' (nodes of the surface within r mm) or the name of "
     "another set; all in mm. The mesher (pytetwild: pip install 'tissuereg[mesh]') uses random numbers and takes no "
     "seed: its answer differs from run to run.",
-    example="tissuereg mesh liver.stl --size 6 --out liver.vtu --json -",
+    example="tissuereg mesh liver.stl --size 6 --out liver.vtu --json -\n"
+    "tissuereg mesh seg.nrrd --label liver --label tumour --size 6 --out liver.vtu",
     threads="threads of the mesher (default: all cores)",
 )
 
@@ -41,6 +43,8 @@ def options(parser: Parser) -> None:
     usual = "5 % of the size, at most 0.1 % of the diagonal"
     deviation = number("how far faces may lie from the surface", unit="mm", above=0.0, default=None, otherwise=usual)
     add_option(parser, "--deviation", deviation, "MM")
+    text = "label of a segmentation, by name or number; several make one body together"
+    parser.add_argument("--label", action="append", metavar="NAME-or-NUMBER", help=text)
     sets = parser.add_argument_group("node sets")
     text = "nodes that are held, by a rule; may be given several times"
     sets.add_argument("--fixed", action="append", metavar="RULE", help=text)
@@ -68,6 +72,7 @@ def run(args: argparse.Namespace) -> Outcome:
         fixed=args.fixed,
         node_sets=_sets(args.set),
         deviation_mm=args.deviation,
+        labels=args.label,
         threads=args.threads,
     )
     clock.lap("mesh")
@@ -80,6 +85,7 @@ def run(args: argparse.Namespace) -> Outcome:
         "tets": mesh.n_tets,
         **mesh.quality,
         "repaired": mesh.repaired,
+        "labels": mesh.labels,
         "frame": mesh.frame,
         "node_sets": {name: len(nodes) for name, nodes in mesh.node_sets.items()},
         **mesh.settings,
@@ -117,6 +123,7 @@ def _summary(mesh: "FilledMesh", spent: str, out: str) -> str:
         f"{found['volume_mm3']:.6g} mm^3, {found['volume_change_percent']:+.2g} % against the surface; faces at most "
         f"{found['surface_distance_mm']:.2g} mm from it, the surface at most {found['missed_mm']:.2g} mm from them",
         *_of_deviation(mesh),
+        *(f"{name}: {one['tets']} tets, {one['volume_mm3']:.6g} mm^3" for name, one in mesh.labels.items()),
         *(f"repaired: {sentence}" for sentence in mesh.repaired),
         *([f"patient frame: {mesh.frame}"] if mesh.frame else []),
         "node sets: " + (", ".join(f"{name} ({len(nodes)})" for name, nodes in mesh.node_sets.items()) or "none"),

@@ -1,6 +1,7 @@
 """`tetrahedralize` fills a surface with a tetrahedral mesh for simulations and measures the quality of this mesh."""
 
 import math
+import os
 from collections.abc import Mapping, Sequence
 from typing import Any, cast
 
@@ -18,6 +19,7 @@ from tissuereg.io.node_rules import NodeRule, nodes_by_rule, parsed_rule
 from tissuereg.io.surfaces import SurfaceInput, read_triangles
 from tissuereg.meshing.fill import check_mesher, filled
 from tissuereg.meshing.repair import repaired
+from tissuereg.meshing.segmentation import Segmentation, is_segmentation
 from tissuereg.meshing.settings import MESHING
 from tissuereg.meshing.topology import components
 from tissuereg.simulation.fine.bisection import shape_quality
@@ -47,10 +49,14 @@ class FilledMesh(Mesh):
     settings : dict
         Target edge length ``size_mm``, largest deviation from the surface ``deviation_mm``, and ``mesher``, the
         mesher's name and version.
+    labels : dict of str to dict
+        Of each label of a segmentation: number of ``tets`` whose middle lies in it, and their ``volume_mm3``; empty for
+        a surface.
     seconds : dict of str to float
         Wall time in s of the stages ``read``, ``repair``, ``fill``, ``measure``.
     """
 
+    labels: dict[str, dict[str, float]]
     repaired: list[str]
     quality: dict[str, Any]
     settings: dict[str, Any]
@@ -66,6 +72,7 @@ def tetrahedralize(
     fixed: NodeRules | None = None,
     node_sets: Mapping[str, NodeRules] | None = None,
     deviation_mm: float | None = None,
+    labels: Sequence[str | int] | None = None,
     threads: int = 0,
 ) -> FilledMesh:
     """Fill a surface with tetrahedra.
@@ -74,7 +81,7 @@ def tetrahedralize(
     ----------
     surface : path-like, pair of arrays, or Triangles
         A .stl, .ply, .obj, .off, .vtp, .vtu, .vtk or .msh file; or vertices (n, 3) in `unit` and triangles (m, 3) as
-        vertex indices.
+        vertex indices. Or, with `labels`, a segmentation: .nrrd, .nii, .nii.gz or .mha.
     size_mm : float
         Target edge length in mm, whatever `unit` is; at most half of the largest extent. Three or more elements across
         the thinnest part that bends is a good start. Details of the surface get shorter edges, and above a twelfth of
@@ -93,7 +100,10 @@ def tetrahedralize(
         it.
     deviation_mm : float, optional
         Largest distance of the faces of the tetrahedra from the surface, mm. By default the smaller of 5 % of the size
-        and 0.1 % of the diagonal of the bounding box.
+        and 0.1 % of the diagonal of the bounding box; for labels a quarter of the longest edge of a voxel.
+    labels : sequence of str or int, optional
+        Names (of a .seg.nrrd's segments) or numbers of the labels that together make the body. Its surface is that of
+        their voxels without the steps; coordinates are those of the image, LPS.
     threads : int
         Number of threads of the mesher; 0 stands for all cores. The mesh differs from run to run for any number.
 
@@ -127,7 +137,13 @@ def tetrahedralize(
     if deviation_mm is not None:
         deviation_mm = real("deviation_mm", deviation_mm, unit="mm", error=MeshError)
     with clock.stage("read"):
-        given = read_triangles(surface, unit, frame=frame)
+        segmented = None if labels is None else _segmented(surface, labels, unit, frame)
+        mended: list[str] = []
+        if segmented is not None:
+            given, mended = segmented.surface()
+            deviation_mm = deviation_mm or MESHING.deviation_of_voxel * float(segmented.grid.spacing.max())
+        else:
+            given = read_triangles(surface, unit, frame=frame)
         rules = {**named("node_sets", node_sets, error=MeshError), **({} if fixed is None else {"fixed": fixed})}
         _check_rules(rules)
         _check_lengths(given, size_mm, deviation_mm)
@@ -141,12 +157,24 @@ def tetrahedralize(
         mesh = _with_sets(nodes, tets, rules, given.frame)
     with clock.stage("measure"):
         mesh.quality = _quality(mesh, body)
-    mesh.repaired, mesh.seconds = repairs, clock.seconds
+        mesh.labels = {} if segmented is None else segmented.of_tets(mesh.nodes, mesh.tets, mesh.volumes)
+    mesh.repaired, mesh.seconds = [*mended, *repairs], clock.seconds
     mesh.settings = {"size_mm": float(size_mm), "deviation_mm": float(wanted), "mesher": mesher}
     if mesh.quality["parts"] > 1:
         text = f"the body is in {mesh.quality['parts']} parts that share no node: each must be held on its own"
         warn(text)
     return mesh
+
+
+def _segmented(surface: Any, labels: Any, unit: str | None, frame: str | None) -> Segmentation:
+    """Return the labels of a segmentation; raise `FormatError` where `surface` is none, or cannot be as it is said."""
+    if not isinstance(surface, str | os.PathLike) or not is_segmentation(surface):
+        message = f"`surface` must be an image (.nrrd, .nii.gz ...) where `labels` are given, got {found(surface)}"
+        raise FormatError(message, where="surface")
+    if unit not in (None, "mm") or frame not in (None, "LPS"):
+        message = f"`unit` and `frame` must be left out with `labels`: images are in mm, LPS; got {unit}, {frame}"
+        raise FormatError(message, where="frame" if frame not in (None, "LPS") else "unit")
+    return Segmentation.read(surface, labels)
 
 
 def _listed(rules: NodeRules, name: str) -> Sequence[NodeRule]:

@@ -11,7 +11,8 @@ class MeshingRules:
     these shares; `same_place`: distance of vertices that are merged, over the extent; `least_filled`: share of its
     bounding box that a shell must fill; `nought`: relative volume taken as zero; `most_tets`, `most_pairs`,
     `most_strips`, `longest_table`, `points`, `probes`: largest numbers of tets, pairs, strips, corners of a rim, points
-    where a distance is measured, test points of a shell; `strip`, `block`: width of strips in mean boxes, and pairs
+    where a distance is measured, test points of a shell; `least_island`, `most_cavity`, `deviation_of_voxel`: of labels
+    in images; `strip`, `block`: width of strips in mean boxes, and pairs
     tested at a time.
     """
 
@@ -27,6 +28,10 @@ class MeshingRules:
     # Vertices closer than this share of the extent are merged: the precision of single-precision coordinates.
     same_place: float = 1e-6
     points: int = 20_000  # of a surface whose distance is measured, taken evenly from its list
+    # Islands of a label below the first share of its volume are left out, cavities below the second filled.
+    least_island: float = 0.05
+    most_cavity: float = 0.01
+    deviation_of_voxel: float = 0.25  # default deviation from the surface of a label, over the longest voxel edge
     # A shell that fills less than this share of its bounding box is a sheet, which encloses nothing.
     least_filled: float = 1e-6
     # So many of a shell's triangles are tested for lying in another shell; crossing shells do not lie in it.

@@ -1,0 +1,127 @@
+"""Segmentations become bodies: no steps, the right volume, on any grid; islands and cavities are told."""
+
+import json
+
+import numpy as np
+import pytest
+
+import tissuereg as tr
+from tissuereg.cli import main
+from tissuereg.errors import FormatError, MeshingError
+from tissuereg.imaging.images import Grid, write_image
+from tissuereg.meshing import fill
+from tissuereg.meshing.segmentation import Segmentation
+
+needs_mesher = pytest.mark.skipif(
+    fill.importlib.util.find_spec("pytetwild") is None, reason="the extra `mesh` is not installed"
+)
+pytest.importorskip("pyvista")
+
+#: Half axes of the organ and radius of the tumour in it, mm, and where they are.
+AXES, RADIUS, MIDDLE, OFF = np.array([35.0, 28.0, 22.0]), 9.0, np.array([10.0, -20.0, 30.0]), np.array([10.0, 5.0, 0.0])
+
+TURN = np.linalg.qr(np.array([[0.9, 0.2, -0.1], [-0.3, 0.8, 0.2], [0.1, -0.3, 1.0]]))[0]
+
+
+def segmented(path, *, turn=TURN, spacing=(1.0, 1.0, 2.5), size=(90, 90, 40), spoilt=True):
+    """Write an ellipsoid with a ball in it, with an island and a cavity of one voxel each."""
+    steps = turn * np.array(spacing)
+    grid = Grid(size, MIDDLE - steps @ (0.5 * (np.array(size) - 1)), steps)
+    numbers = np.stack(np.meshgrid(*[np.arange(n) for n in size[::-1]], indexing="ij"), axis=-1)
+    off = grid.places(numbers[..., ::-1].reshape(-1, 3).astype(float)) - MIDDLE
+    organ, tumour = np.linalg.norm(off / AXES, axis=1) < 1.0, np.linalg.norm(off - OFF, axis=1) < RADIUS
+    values = np.where(tumour, 5, np.where(organ, 1, 0)).astype(np.uint8).reshape(size[::-1])
+    if spoilt:
+        values[2, 2, 2], values[size[2] // 2 - 3, 45, 45] = 1, 0
+    image = grid.image(values)
+    for number, (name, value) in enumerate({"organ": 1, "tumour": 5}.items()):
+        image.SetMetaData(f"Segment{number}_Name", name)
+        image.SetMetaData(f"Segment{number}_LabelValue", str(value))
+    return write_image(path, image)
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_the_surface_is_that_of_the_organ_without_steps(tmp_path, mirrored):
+    turn = TURN * (np.array([1.0, -1.0, 1.0]) if mirrored else 1.0)
+    path = segmented(tmp_path / "s.seg.nrrd", turn=turn)
+    surface, said = Segmentation.read(path, ["organ", "tumour"]).surface()
+    assert surface.frame == "LPS"
+    share = np.linalg.norm((surface.vertices - MIDDLE) / AXES, axis=1)
+    # A step of a voxel would be 2.5 of 22 mm.
+    assert share.min() > 0.95
+    assert share.max() < 1.03
+    assert share.std() < 0.012
+    assert surface.volume == pytest.approx(4.0 / 3.0 * np.pi * AXES.prod(), rel=0.05)
+    assert [words.split()[1] for words in said] == ["islands,", "cavities,"]
+    assert Segmentation.read(path, [1, 5]).surface()[0].volume == pytest.approx(surface.volume)
+
+
+def test_a_label_at_the_border_of_the_image_is_told(tmp_path):
+    path = segmented(tmp_path / "s.nrrd", size=(60, 90, 40), spoilt=False)
+    assert any("border of the image" in words for words in Segmentation.read(path, [1, 5]).surface()[1])
+
+
+def test_several_parts_are_told_and_an_empty_one_refused(tmp_path):
+    values = np.zeros((20, 20, 20), np.uint8)
+    values[3:8, 3:8, 3:8] = values[12:17, 12:17, 12:17] = 2
+    values[10, 10, 10] = 3
+    path = write_image(tmp_path / "two.nii.gz", Grid((20,) * 3, np.zeros(3), np.eye(3)).image(values))
+    assert "the label has 2 parts" in Segmentation.read(path, ["2"]).surface()[1]
+    with pytest.raises(MeshingError, match="larger than a voxel"):
+        Segmentation.read(path, [3]).surface()
+
+
+@needs_mesher
+def test_a_body_with_labels_by_the_command(tmp_path, capsys):
+    path = segmented(tmp_path / "s.seg.nrrd")
+    words = [
+        "mesh",
+        str(path),
+        "--label",
+        "organ",
+        "--label",
+        "tumour",
+        "--size",
+        "7",
+        "--out",
+        str(tmp_path / "b.vtu"),
+    ]
+    assert main([*words, "--json", str(tmp_path / "told.json")]) == 0
+    told = json.loads((tmp_path / "told.json").read_text(encoding="utf-8"))
+    assert told["frame"] == "LPS"
+    volumes = {name: one["volume_mm3"] for name, one in told["labels"].items()}
+    assert sum(volumes.values()) == pytest.approx(told["volume_mm3"], rel=0.01)
+    assert volumes["tumour"] == pytest.approx(4.0 / 3.0 * np.pi * RADIUS**3, rel=0.2)
+    assert "island" in told["repaired"][0]
+    mesh = tr.read_mesh(tmp_path / "b.vtu")
+    assert mesh.frame == "LPS"
+    assert np.linalg.norm((mesh.nodes - MIDDLE) / AXES, axis=1).max() < 1.05
+    assert "tumour: " in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("error", "said", "options"),
+    [
+        (MeshingError, r"organ \(1\), tumour \(5\)", {"labels": ["liver"]}),
+        (MeshingError, "must name at least one", {"labels": []}),
+        (MeshingError, "labels", {"labels": 3.5}),
+        (FormatError, "LPS", {"labels": ["organ"], "frame": "RAS"}),
+        (FormatError, "mm", {"labels": ["organ"], "unit": "cm"}),
+    ],
+)
+def test_labels_that_are_not_there_and_other_frames_are_refused(tmp_path, error, said, options):
+    path = segmented(tmp_path / "s.seg.nrrd", size=(45, 45, 20), spacing=(2.0, 2.0, 5.0), spoilt=False)
+    with pytest.raises(error, match=said):
+        tr.tetrahedralize(path, 6.0, **options)
+
+
+def test_what_is_no_label_map_is_refused(tmp_path):
+    grid = Grid((8, 8, 8), np.zeros(3), np.eye(3))
+    write_image(tmp_path / "ct.nrrd", grid.image(np.full((8, 8, 8), 0.5, np.float32)))
+    write_image(tmp_path / "two.nrrd", grid.image(np.ones((8, 8, 8, 2), np.uint8)))
+    with pytest.raises(MeshingError, match="whole numbers"):
+        tr.tetrahedralize(tmp_path / "ct.nrrd", 3.0, labels=[1])
+    with pytest.raises(MeshingError, match="one label a voxel"):
+        tr.tetrahedralize(tmp_path / "two.nrrd", 3.0, labels=[1])
+    with pytest.raises(FormatError, match="must be an image"):
+        tr.tetrahedralize("body.stl", 3.0, labels=[1])
