@@ -16,7 +16,7 @@ from tissuereg.imaging import images
 from tissuereg.imaging.images import Grid, read_image, write_image
 from tissuereg.imaging.sampled import Mark, Sampled
 from tissuereg.imaging.transforms import write_transform
-from tissuereg.imaging.warp import warp_image, warp_points, warp_surface
+from tissuereg.imaging.warp import _Labels, _resampled, warp_image, warp_points, warp_surface
 from tissuereg.io.points import turned
 from tissuereg.io.surfaces import read_triangles
 from tissuereg.registration.deviations import Deviations
@@ -150,6 +150,21 @@ def test_a_label_map_moves_as_the_surface_does_and_labels_are_not_mixed(tmp_path
     # It has moved: as it was, the two would agree less.
     assert 2.0 * np.count_nonzero((labels == 7) & wanted) / (np.count_nonzero(labels == 7) + wanted.sum()) < 0.9
     assert made.residual_mm < 1e-5
+
+
+def test_labels_are_those_of_the_largest_linear_weight_as_itk_finds_them():
+    rng, grid = np.random.default_rng(2), oblique(spacing=(2.0, 2.0, 2.0), size=(20, 22, 24))
+    values = rng.integers(0, 4, grid.size[::-1]).astype(np.uint8)
+    values[:, :, 12:] = 3
+    source, moved = grid.image(values), (0.8 * rng.standard_normal((24, 22, 20, 3))).astype(np.float32)
+    found = _Labels.of(source).at(grid, moved, 0)
+    wanted = _resampled(source, grid, moved, 0, (sitk.sitkLabelLinear, 0.0))
+    inner = (slice(2, -2),) * 3
+    # Equal weights of two labels are rare.
+    assert np.mean(found[inner] == wanted[inner]) > 0.998
+    assert np.array_equal(_Labels.of(sitk.Cast(source, sitk.sitkFloat32)).at(grid, moved, 0), found)
+    with pytest.raises(ArgumentError, match="whole numbers"):
+        _Labels.of(grid.image(values + 0.5))
 
 
 def test_a_volume_takes_its_values_from_where_voxels_were(tmp_path):

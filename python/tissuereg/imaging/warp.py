@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import numpy.typing as npt
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.body.triangles import Triangles
@@ -93,8 +94,8 @@ def warp_image(
     grid = Grid.of(source if like is None else read_image(like))
     sampled, slices = Sampled(field, grid, back=True, threads=threads), grid.size[2]
     several = source.GetNumberOfComponentsPerPixel() > 1
-    of_labels = sitk.sitkNearestNeighbor if several else sitk.sitkLabelLinear
-    how = of_labels if labels else sitk.sitkLinear
+    chosen = _Labels.of(source) if labels and not several else None
+    how = sitk.sitkNearestNeighbor if labels else sitk.sitkLinear
     empty = 0.0 if labels or several else _least(source)
     parts, total, most, inside, outside = [], 0.0, 0.0, 0, 0
     for first in range(0, slices, SLABS.at_once):
@@ -103,7 +104,10 @@ def warp_image(
         lengths = np.linalg.norm(moved[by == Mark.INSIDE], axis=1)
         total, most = total + float(lengths.sum(dtype=np.float64)), max(most, float(lengths.max(initial=0.0)))
         inside, outside = inside + len(lengths), outside + int(np.count_nonzero(by == Mark.AROUND))
-        parts.append(_resampled(source, grid, moved, first, (how, empty)))
+        if chosen is None:
+            parts.append(_resampled(source, grid, moved, first, (how, empty)))
+        else:
+            parts.append(chosen.at(grid, moved, first))
     if not inside:
         message = "the image must show the body; none of its voxels lies there: check the frames"
         raise ArgumentError(message, where=str(image))
@@ -113,6 +117,49 @@ def warp_image(
             found.SetMetaData(key, source.GetMetaData(key))
     write_image(out, found)
     return Warped((total / inside, most), outside, sampled.residual_mm())
+
+
+@dataclass(frozen=True, eq=False)
+class _Labels:
+    """A label map that is read between its voxels: each point takes the label with the largest linear weight.
+
+    `coded`: image of twice the label, and one more where a neighbour has another; `values`: its labels; `grid`: their
+    places.
+    """
+
+    coded: Any
+    values: npt.NDArray[Any]
+    grid: Grid
+
+    @classmethod
+    def of(cls, image: Any) -> "_Labels":
+        """Return the labels of an image; raise `ArgumentError` if they are no whole numbers."""
+        from scipy import ndimage
+
+        sitk = itk()
+        values = sitk.GetArrayFromImage(image)
+        if values.dtype.kind == "f" and not np.array_equal(values, np.rint(values)):
+            message = "labels must be whole numbers, got fractions; an image of values is a volume"
+            raise ArgumentError(message, where="labels")
+        mixed = ndimage.minimum_filter(values, 3) != ndimage.maximum_filter(values, 3)
+        coded = sitk.GetImageFromArray(2 * values.astype(np.int64 if values.dtype.itemsize > 2 else np.int32) + mixed)
+        coded.CopyInformation(image)
+        return cls(coded, values, Grid.of(image))
+
+    def at(self, grid: Grid, moved: Any, first: int) -> npt.NDArray[Any]:
+        """Return the labels of some slices (n, rows, columns), whose voxels come from `moved` (..., 3) away."""
+        found = _resampled(self.coded, grid, moved, first, (itk().sitkNearestNeighbor, 0.0))
+        labels, mixed = (found >> 1).astype(self.values.dtype), np.argwhere(found & 1)
+        came = grid.places(mixed[:, ::-1] + [0.0, 0.0, first]) + moved[tuple(mixed.T)]
+        at = self.grid.indices(came)
+        low = np.floor(at).astype(int)
+        corners = np.stack(np.meshgrid([0, 1], [0, 1], [0, 1], indexing="ij"), axis=-1).reshape(-1, 3)
+        weights = np.prod(np.where(corners, (at - low)[:, None], 1.0 - (at - low)[:, None]), axis=2)
+        numbers = np.clip(low[:, None] + corners, 0, np.array(self.grid.size) - 1)
+        around = self.values[numbers[..., 2], numbers[..., 1], numbers[..., 0]]
+        shares = np.stack([np.sum(weights * (around == around[:, k : k + 1]), axis=1) for k in range(8)], axis=1)
+        labels[tuple(mixed.T)] = around[np.arange(len(mixed)), shares.argmax(axis=1)]
+        return np.asarray(labels)
 
 
 def _least(image: Any) -> float:
