@@ -31,7 +31,7 @@ their noise (reference problems: Poisson's ratio and elements). Errors are root 
 um); *50, 90, 95*: share of targets, %, inside the regions of that probability, the truth's own noise included;
 *half-axis*: the median longest one of the 90 % regions; CRPS: mean over targets and axes. *Trusted, below*: trusted
 answers, and those among them whose 90 % regions hold less than {LEAST_COVERED:.0%} of their targets. Cases of one gel,
-and layouts of one event, are not independent."""
+and layouts of one event, are not independent. Locked and pushed bodies are of this package's own solver."""
 
 
 def answered(task: tuple[str, int, Make]) -> list[dict]:
