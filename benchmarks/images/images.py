@@ -21,7 +21,6 @@ from common import REPOSITORY, commit, read_archive, write_archive
 from readme import write_table
 from tissuereg._base.machine import machine, versions
 from tissuereg.imaging.images import Grid, write_image
-from tissuereg.imaging.transforms import write_transform
 from tissuereg.imaging.warp import warp_image
 from tissuereg.phantom.breast import breast_mesh
 from tissuereg.phantom.event import make_event
@@ -59,8 +58,8 @@ def exactness(field: RegisteredField, folder: Path) -> list[dict]:
     nodes = np.abs(field.at(field.mesh.nodes).mean - field.mesh.nodes - field.displacement).max()
     rows = [_row("nodes and inner points against the mesh's own interpolation", max(np.abs(at - wanted).max(), nodes))]
     for spacing in (1.0, 2.0):
-        write_transform(field, folder / "there.nrrd", spacing=spacing)
-        back = write_transform(field, folder / "back.h5", spacing=spacing)
+        field.transform(folder / "there.nrrd", spacing=spacing)
+        back = field.transform(folder / "back.h5", spacing=spacing)
         image = sitk.Cast(sitk.ReadImage(str(folder / "there.nrrd")), sitk.sitkVectorFloat64)
         for name, transform, start, end in (
             ("modeling, .nrrd", sitk.DisplacementFieldTransform(image), places, at),
@@ -97,7 +96,7 @@ def times(field: RegisteredField, folder: Path) -> list[dict]:
     rows = [
         _timed("regions of 2,500 points, the first asked", lambda: field.at(places[:2500])),
         _timed("regions of 2,500 points, again", lambda: field.at(places[:2500])),
-        _timed("grid of 2 mm, the first made", lambda: write_transform(field, folder / "there.nrrd", spacing=2.0)),
+        _timed("grid of 2 mm, the first made", lambda: field.transform(folder / "there.nrrd", spacing=2.0)),
     ]
     low, high = field.mesh.nodes.min(axis=0) - 20.0, field.mesh.nodes.max(axis=0) + 20.0
     grid = Grid((VOXELS,) * 3, low, np.diag((high - low) / (VOXELS - 1)))

@@ -15,7 +15,6 @@ from tissuereg.errors import ArgumentError, FormatError, MissingPackageError
 from tissuereg.imaging import images
 from tissuereg.imaging.images import Grid, read_image, write_image
 from tissuereg.imaging.sampled import Mark, Sampled
-from tissuereg.imaging.transforms import write_transform
 from tissuereg.imaging.warp import _Labels, _resampled, warp_image, warp_points, warp_surface
 from tissuereg.io.points import turned
 from tissuereg.io.surfaces import read_triangles
@@ -57,7 +56,7 @@ def saved(grid: Grid, values, path: Path) -> Path:
 @pytest.mark.parametrize("frame", [None, "LPS", "RAS"])
 def test_a_grid_in_nrrd_moves_points_as_the_field_does(tmp_path, frame):
     like = saved(oblique(frame), np.zeros(oblique().size[::-1], np.uint8), tmp_path / "ct.nrrd")
-    made = write_transform(field(frame), tmp_path / "field.nrrd", like=like, std=tmp_path / "sigma.nrrd")
+    made = field(frame).transform(tmp_path / "field.nrrd", like=like, std=tmp_path / "sigma.nrrd")
     image = sitk.ReadImage(str(tmp_path / "field.nrrd"))
     assert image.GetMetaData("displacement field type") == "modeling"
     assert image.GetMetaData("intent_code") == "1006"
@@ -83,7 +82,7 @@ def test_a_grid_in_nrrd_moves_points_as_the_field_does(tmp_path, frame):
 
 @pytest.mark.parametrize("ending", [".h5", ".tfm"])
 def test_itk_s_transform_leads_back(tmp_path, ending):
-    made = write_transform(field(), tmp_path / f"back{ending}", spacing=1.0)
+    made = field().transform(tmp_path / f"back{ending}", spacing=1.0)
     assert made.residual_mm < 1e-5
     back = sitk.ReadTransform(str(tmp_path / f"back{ending}"))
     places = inner()
@@ -96,7 +95,7 @@ def test_itk_s_transform_leads_back(tmp_path, ending):
 def test_voxels_are_where_the_field_says_and_forward_undoes_back():
     grid = oblique()
     for back in (False, True):
-        sampled = Sampled(field(), grid, back, threads=1)
+        sampled = Sampled(field().space, grid, back, threads=1)
         moved, by = sampled.slices(20, 3)
         numbers = np.argwhere(by > Mark.BEYOND)[::37]
         places = grid.places(numbers[:, ::-1] + [0.0, 0.0, 20.0])
@@ -105,13 +104,13 @@ def test_voxels_are_where_the_field_says_and_forward_undoes_back():
         assert np.abs(found - (-wanted if back else wanted)).max() < 1e-4
         if not back:
             assert np.array_equal(by[tuple(numbers.T)] == Mark.INSIDE, field().space.at(places)[1])
-    assert Sampled(field(), grid, back=True).residual_mm() < 1e-5
+    assert Sampled(field().space, grid, back=True).residual_mm() < 1e-5
     assert {Mark.AROUND, Mark.INSIDE} <= set(np.unique(by))
 
 
 def test_rasterised_slices_do_not_depend_on_how_they_are_cut_or_on_threads():
     grid = oblique()
-    one, two = (Sampled(field(), grid, back=True, threads=n) for n in (1, 2))
+    one, two = (Sampled(field().space, grid, back=True, threads=n) for n in (1, 2))
     whole, marks = one.slices(10, 6)
     assert np.array_equal(two.slices(10, 6)[0], whole)
     assert np.array_equal(one.slices(13, 1)[0][0], whole[3])
@@ -247,11 +246,11 @@ def test_what_cannot_be_done_is_said_and_nothing_is_written(tmp_path):
     ]
     for error, words, options in cases:
         with pytest.raises(error, match=words):
-            write_transform(field(), out, **options)
+            field().transform(out, **options)
     with pytest.raises(FormatError, match=r"nrrd, \.h5 or \.tfm"):
-        write_transform(field(), tmp_path / "field.xyz", spacing=2.0)
+        field().transform(tmp_path / "field.xyz", spacing=2.0)
     with pytest.raises(ArgumentError, match="lead back"):
-        write_transform(field(), tmp_path / "field.h5", spacing=2.0, direction="modeling")
+        field().transform(tmp_path / "field.h5", spacing=2.0, direction="modeling")
     with pytest.raises(ArgumentError, match="frames"):
         warp_image(field(), tmp_path / "far.nrrd", out, labels=True)
     with pytest.raises(FormatError, match="must end in"):

@@ -127,12 +127,11 @@ def _warped(
     kind: str, source: str, out: str, field: "RegisteredField", args: argparse.Namespace
 ) -> tuple[tuple[float, float], int, float | None]:
     """Return mean and largest displacement, mm, the number of points or voxels outside, and the residual, mm."""
-    from tissuereg.imaging.transforms import write_transform
     from tissuereg.imaging.warp import warp_image, warp_points, warp_surface
 
     if kind == "grid":
         options = {name: getattr(args, name) for name in ("like", "spacing", "direction", "std", "threads")}
-        made = write_transform(field, out, **options)
+        made = field.transform(out, **options)
         return made.moved_mm, made.outside, made.residual_mm
     if kind == "points":
         found = warp_points(field, _points(source, field.mesh.frame), Path(out))

@@ -7,18 +7,15 @@ tetrahedra, deformed.
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from tissuereg import _core
 from tissuereg._base.arrays import FloatArray, IntArray
+from tissuereg.body.surroundings import SpaceMap
 from tissuereg.imaging.images import Grid
 from tissuereg.io.points import turned
-
-if TYPE_CHECKING:
-    from tissuereg.registration.field import RegisteredField
 
 Singles = npt.NDArray[np.float32]
 Bytes = npt.NDArray[np.uint8]
@@ -47,19 +44,19 @@ SLABS = Slabs()
 class Sampled:
     """The displacement at the voxels of a grid, mm, LPS.
 
-    `field`: a registered field; `grid`: of the image; `back`: whether voxels are places after the deformation, and the
-    displacement leads back; `threads`: threads to use, 0 takes all cores.
+    `space`: the field in and around the body; `grid`: of the image; `back`: whether voxels are places after the
+    deformation, and the displacement leads back; `threads`: threads to use, 0 takes all cores.
     """
 
-    field: "RegisteredField"
+    space: SpaceMap
     grid: Grid
     back: bool
     threads: int = 0
 
     @cached_property
     def _cells(self) -> tuple[FloatArray, FloatArray, IntArray, int]:
-        nodes, moved, tets, inner = self.field.space.cells()
-        frame = self.field.mesh.frame
+        nodes, moved, tets, inner = self.space.cells()
+        frame = self.space.mesh.frame
         nodes, moved = (turned(one, frame, "LPS") for one in (nodes, moved))
         if self.back:
             nodes, moved = nodes + moved, -moved
@@ -71,12 +68,12 @@ class Sampled:
         at, moved, tets, inner = self._cells
         return _core.rasterise(at, tets, moved, inner, (first, count, rows, columns), self.threads)
 
-    def std(self, first: int, count: int) -> Singles:
-        """Return the standard deviation at some slices, mm, NaN outside the body; interpolated from the nodes."""
+    def inside(self, of_nodes: FloatArray, first: int, count: int) -> Singles:
+        """Return numbers of the nodes, (n_nodes,), interpolated at some slices, NaN outside the body."""
         columns, rows, _ = self.grid.size
         at, _, tets, inner = self._cells
         spread = np.zeros((len(at), 3))
-        spread[: self.field.mesh.n_nodes, 0] = self.field.uncertainty.std
+        spread[: self.space.mesh.n_nodes, 0] = of_nodes
         found, by = _core.rasterise(at, tets[inner:].copy(), spread, 0, (first, count, rows, columns), self.threads)
         return np.where(by == Mark.INSIDE, found[..., 0], np.float32(np.nan))
 
@@ -94,9 +91,9 @@ class Sampled:
         if not len(at):
             return 0.0
         some = np.random.default_rng(0).permutation(len(at))[:most]
-        frame = self.field.mesh.frame
+        frame = self.space.mesh.frame
         ends = turned(at[some] + by_grid[some], "LPS", frame)
-        forward = turned(self.field.space.at(ends)[0], frame, "LPS")
+        forward = turned(self.space.at(ends)[0], frame, "LPS")
         off = np.linalg.norm(forward + by_grid[some], axis=1)
         # A place at the skin may be on either side of it.
         return float(np.quantile(off, 0.999))

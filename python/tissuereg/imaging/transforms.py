@@ -7,19 +7,18 @@ The displacements are in mm and LPS. ``modeling`` leads from places before the d
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from tissuereg._base.arguments import check_choice, found, place, real
+from tissuereg._base.arrays import FloatArray
+from tissuereg.body.surroundings import SpaceMap
 from tissuereg.errors import ArgumentError, FormatError
 from tissuereg.imaging.images import Grid, itk, read_image, write_image
 from tissuereg.imaging.sampled import SLABS, Mark, Sampled
 from tissuereg.io.atomic import atomic_file
 from tissuereg.io.points import turned
-
-if TYPE_CHECKING:
-    from tissuereg.registration.field import RegisteredField
 
 DIRECTIONS = ("modeling", "resampling")
 
@@ -42,7 +41,7 @@ class Written:
     residual_mm: float | None
 
 
-def grid_of(field: "RegisteredField", like: Any, spacing: Any) -> Grid:
+def grid_of(space: SpaceMap, like: Any, spacing: Any) -> Grid:
     """Return the grid of an image `like`, or one of a `spacing` in mm over the body and its surroundings."""
     if (like is None) == (spacing is None):
         message = f"one of `like` and `spacing` must be given, got {found(like)} and {found(spacing)}"
@@ -53,21 +52,24 @@ def grid_of(field: "RegisteredField", like: Any, spacing: Any) -> Grid:
     if not step > 0.0:
         message = f"`spacing` must be above 0 mm, got {step:g}"
         raise ArgumentError(message, where="spacing")
-    nodes = turned(field.space.cells()[0], field.mesh.frame, "LPS")
+    nodes = turned(space.cells()[0], space.mesh.frame, "LPS")
     return Grid.over(nodes.min(axis=0), nodes.max(axis=0), step)
 
 
 def write_transform(
-    field: "RegisteredField",
+    space: SpaceMap,
     path: str | os.PathLike[str],
     *,
     like: Any = None,
     spacing: Any = None,
     direction: str | None = None,
-    std: str | os.PathLike[str] | None = None,
+    std: tuple[str | os.PathLike[str], FloatArray] | None = None,
     threads: int = 0,
 ) -> Written:
-    """Write a field as a grid transform; see `Registration.transform`."""
+    """Write a field as a grid transform; see `Registration.transform`.
+
+    `std`: file for the standard deviation of every voxel, and that of the nodes, (n_nodes,), mm.
+    """
     target = place("path", path, error=ArgumentError)
     ending = target.suffix.lower()
     if ending not in (*OF_ITK, ".nrrd"):
@@ -79,16 +81,16 @@ def write_transform(
     if ending in OF_ITK and way != "resampling":
         message = f"`direction` must be 'resampling' in a {ending} file: ITK's transforms lead back; got '{way}'"
         raise ArgumentError(message, where="direction")
-    if std is not None and place("std", std).suffix.lower() != ".nrrd":
-        message = f"`std` must end in .nrrd, got {found(str(std))}"
-        raise FormatError(message, where=str(std))
+    if std is not None and place("std", std[0]).suffix.lower() != ".nrrd":
+        message = f"`std` must end in .nrrd, got {found(str(std[0]))}"
+        raise FormatError(message, where=str(std[0]))
     itk()
-    grid = grid_of(field, like, spacing)
+    grid = grid_of(space, like, spacing)
     columns, rows, slices = grid.size
     if columns * rows * slices > SLABS.most:
         message = f"a grid transform may have {SLABS.most} voxels, got {columns} x {rows} x {slices}"
         raise ArgumentError(message, where="like" if spacing is None else "spacing")
-    sampled = Sampled(field, grid, way == "resampling", threads)
+    sampled = Sampled(space, grid, way == "resampling", threads)
     values = np.empty((slices, rows, columns, 3), np.float32)
     total, most, inside, outside = 0.0, 0.0, 0, 0
     for first in range(0, slices, SLABS.at_once):
@@ -102,10 +104,12 @@ def write_transform(
         raise ArgumentError(message, where="like" if spacing is None else "spacing")
     _write(target, grid, values, way)
     if std is not None:
-        parts = [sampled.std(first, min(SLABS.at_once, slices - first)) for first in range(0, slices, SLABS.at_once)]
+        file, of_nodes = std
+        firsts = range(0, slices, SLABS.at_once)
+        parts = [sampled.inside(of_nodes, first, min(SLABS.at_once, slices - first)) for first in firsts]
         image = grid.image(np.concatenate(parts))
         image.SetMetaData("content", "standard deviation of the place, mm; NaN outside the body")
-        write_image(std, image)
+        write_image(file, image)
     residual = sampled.residual_mm() if way == "resampling" else None
     return Written(target, (total / inside, most), outside, residual)
 

@@ -92,7 +92,7 @@ def warp_image(
     ending(out)
     sitk, source = itk(), read_image(image)
     grid = Grid.of(source if like is None else read_image(like))
-    sampled, slices = Sampled(field, grid, back=True, threads=threads), grid.size[2]
+    sampled, slices = Sampled(field.space, grid, back=True, threads=threads), grid.size[2]
     several = source.GetNumberOfComponentsPerPixel() > 1
     chosen = _Labels.of(source) if labels and not several else None
     how = sitk.sitkNearestNeighbor if labels else sitk.sitkLinear

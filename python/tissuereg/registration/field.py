@@ -3,7 +3,6 @@
 import os
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,6 +13,7 @@ from tissuereg.body.locate import held_by
 from tissuereg.body.mesh import Mesh
 from tissuereg.body.surroundings import SpaceMap
 from tissuereg.errors import MarkerError
+from tissuereg.imaging.transforms import Written, write_transform
 from tissuereg.registration.deviations import Deviations
 from tissuereg.registration.target import NO_MARKER, OUTSIDE, Region, region_of
 
@@ -116,11 +116,12 @@ class RegisteredField:
         spacing: Any = None,
         direction: Any = None,
         std: Any = None,
-    ) -> Path:
+        threads: int = 0,
+    ) -> Written:
         """Write the field as a grid transform; see `Registration.transform`."""
-        from tissuereg.imaging.transforms import write_transform
-
-        return write_transform(self, path, like=like, spacing=spacing, direction=direction, std=std).path
+        spread = None if std is None else (std, self.uncertainty.std)
+        grid = {"like": like, "spacing": spacing, "direction": direction}
+        return write_transform(self.space, path, **grid, std=spread, threads=threads)
 
 
 __all__ = ["PointAnswer", "RegisteredField"]

@@ -245,7 +245,7 @@ class Registration:
         ImportError
             If SimpleITK is not installed (``pip install 'tissuereg[images]'``).
         """
-        return self.field.transform(path, like=like, spacing=spacing, direction=direction, std=std)
+        return self.field.transform(path, like=like, spacing=spacing, direction=direction, std=std).path
 
     @property
     def node_covariance(self) -> FloatArray:

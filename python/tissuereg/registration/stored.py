@@ -81,7 +81,7 @@ class StoredRegistration:
 
     def transform(self, path: str | os.PathLike[str], **options: Any) -> Path:
         """Write the displacement field as a grid transform; see `Registration.transform`."""
-        return self.field.transform(path, **options)
+        return self.field.transform(path, **options).path
 
     def __repr__(self) -> str:
         trusted = "trusted" if self.trust.ok else "not to be trusted"
