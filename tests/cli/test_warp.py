@@ -67,13 +67,15 @@ def test_a_surface_and_a_label_map_move_alike(folder, tmp_path):
     assert found.sum() / inside.sum() == pytest.approx(moved / mesh.volumes.sum(), rel=0.01)
 
 
-def test_a_grid_needs_no_out_and_says_its_residual(folder, tmp_path):
+def test_a_grid_needs_no_out_and_says_its_residual(folder, tmp_path, capsys):
     told = warped(folder, "--grid", tmp_path / "field.h5", "--spacing", 3)
+    assert "taken for LPS" in " ".join(capsys.readouterr().err.split())
     assert told["inverse_residual_mm"] < 1e-5
     assert sitk.ReadTransform(str(tmp_path / "field.h5")).GetName() == "CompositeTransform"
     words = ("--grid", tmp_path / "field.nrrd", "--spacing", 3, "--std", tmp_path / "sigma.nrrd", "--frame", "RAS")
     told = warped(folder, *words)
     assert told["frame"] == "RAS"
+    assert "LPS" not in capsys.readouterr().err
     assert told["written"] == [str(tmp_path / "field.nrrd"), str(tmp_path / "sigma.nrrd")]
 
 

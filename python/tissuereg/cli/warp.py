@@ -54,6 +54,7 @@ def options(parser: Parser) -> None:
 
 def run(args: argparse.Namespace) -> Outcome:
     """Run ``tissuereg warp``; JSON schema ``tissuereg.warp/1``."""
+    from tissuereg._base.provenance import warn
     from tissuereg.io.atomic import check_file_target
     from tissuereg.registration.stored import read_registration
 
@@ -66,6 +67,8 @@ def run(args: argparse.Namespace) -> Outcome:
     stored = read_registration(args.registered)
     field = _in_frame(stored.field, args.frame)
     clock.lap("read")
+    if field.mesh.frame is None and kind not in ("points", "surface"):
+        warn("the mesh states no patient frame; it is taken for LPS, as images are: --frame says otherwise")
     moved, outside, residual = _warped(kind, source, out, field, args)
     clock.lap("warp")
     trusted = stored.trust.ok
