@@ -31,23 +31,31 @@ class Locator:
 
         Where there are many points they are first looked for among the tets nearby.
         """
-        found: dict[int, Cell] = {}
         # Outside the box of the body, or not a place at all.
         near = 1e-6 * self.extent
         low, high = self._lowest.min(axis=0) - near, self._highest.max(axis=0) + near
         possible = np.asarray(((points >= low) & (points <= high)).all(axis=1))
-        nearby = min(16, len(self._corners))
-        if len(points) > nearby > 1 and np.isfinite(points).all():
-            from scipy.spatial import KDTree
+        found = self._nearby(points, np.flatnonzero(possible))
+        return [found.get(i) or (self.around(point) if possible[i] else None) for i, point in enumerate(points)]
 
-            tets = np.asarray(KDTree(self._corners.mean(axis=1)).query(points, nearby)[1])
-            inner = np.einsum("ptij,ptj->pti", self._inverse[tets], points[:, None] - self._corners[tets, 0])
+    def _nearby(self, points: FloatArray, asked: IntArray) -> dict[int, Cell]:
+        """Return the cells of those of the points (n, 3), by number, that are clearly in a tet nearby; few are not."""
+        nearby, block = min(16, len(self._corners)), 20_000
+        found: dict[int, Cell] = {}
+        if not len(asked) > nearby > 1:
+            return found
+        from scipy.spatial import KDTree
+
+        middles = KDTree(self._corners.mean(axis=1))
+        for some in (asked[first : first + block] for first in range(0, len(asked), block)):
+            tets = np.asarray(middles.query(points[some], nearby)[1])
+            inner = np.einsum("ptij,ptj->pti", self._inverse[tets], points[some, None] - self._corners[tets, 0])
             weights = np.concatenate([1.0 - inner.sum(axis=2, keepdims=True), inner], axis=2)
             least = weights.min(axis=2)
             best = least.argmax(axis=1)
             for i in np.flatnonzero(least.max(axis=1) > 1e-9):
-                found[int(i)] = int(tets[i, best[i]]), weights[i, best[i]]
-        return [found.get(i) or (self.around(point) if possible[i] else None) for i, point in enumerate(points)]
+                found[int(some[i])] = int(tets[i, best[i]]), weights[i, best[i]]
+        return found
 
     def around(self, point: FloatArray) -> Cell | None:
         """Return the tet around a point (3,), mm, with its weights; None if it is outside."""
