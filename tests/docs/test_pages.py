@@ -12,6 +12,7 @@ from support.material_curves import believed, in_modes
 from support.rig_folders import write_rig
 from support.scripts import script
 from support.surfaces import sphere, write_stl
+from tissuereg.imaging.images import Grid, write_image
 from tissuereg.io.material_experiments import write_test_table
 from tissuereg.phantom.demo import run_demo
 
@@ -38,6 +39,16 @@ def give_meshing(folder):
     vertices, triangles = sphere(50.0, (40.0, 20.0, 0.0))
     vertices[:, 2] = np.maximum(vertices[:, 2], 0.0) * 1.9
     write_stl(folder / "liver.stl", (vertices, triangles))
+    # Half an ellipsoid on the plane z = 0, with a ball in it, in voxels of 2 mm.
+    z, y, x = 2.0 * np.indices((32, 62, 62)) - np.reshape([10.0, 60.0, 60.0], (3, 1, 1, 1))
+    organ = (z >= 0.0) & ((x / 50.0) ** 2 + (y / 45.0) ** 2 + (z / 40.0) ** 2 < 1.0)
+    tumour = organ & (x**2 + y**2 + (z - 18.0) ** 2 < 100.0)
+    values = organ.astype(np.uint8) + tumour.astype(np.uint8)
+    image = Grid((62, 62, 32), np.array([-60.0, -60.0, -10.0]), 2.0 * np.eye(3)).image(values)
+    for number, name in enumerate(("liver", "tumour")):
+        image.SetMetaData(f"Segment{number}_Name", name)
+        image.SetMetaData(f"Segment{number}_LabelValue", str(1 + number))
+    write_image(folder / "seg.seg.nrrd", image)
 
 
 def give_diagnose(folder):

@@ -57,8 +57,9 @@ class Segmentation:
         for asked in each("labels", labels, object, error=MeshingError):
             value = named.get(str(asked), _number(asked))
             if value is None or value not in there:
-                listed = [f"{name} ({value})" for name, value in named.items()] or [str(one) for one in sorted(there)]
-                message = f"`labels` must be labels of {path}: {', '.join(listed) or 'it has none'}; got {found(asked)}"
+                listed = [f"{name} ({one})" for name, one in named.items() if one in there]
+                listed = listed or [str(one) for one in sorted(there)]
+                message = f"`labels` must be labels in {path}: {', '.join(listed) or 'it has none'}; got {found(asked)}"
                 raise MeshingError(message, where="labels")
             chosen[str(asked)] = value
         if not chosen:
