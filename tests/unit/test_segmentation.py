@@ -110,9 +110,10 @@ def test_a_body_with_labels_by_the_command(tmp_path, capsys):
     ],
 )
 def test_labels_that_are_not_there_and_other_frames_are_refused(tmp_path, error, said, options):
+    options = dict(options)
     path = segmented(tmp_path / "s.seg.nrrd", size=(45, 45, 20), spacing=(2.0, 2.0, 5.0), spoilt=False)
     with pytest.raises(error, match=said):
-        tr.tetrahedralize(path, 6.0, **options)
+        tr.tetrahedralize((path, options.pop("labels")), 6.0, **options)
 
 
 def test_what_is_no_label_map_is_refused(tmp_path):
@@ -120,8 +121,8 @@ def test_what_is_no_label_map_is_refused(tmp_path):
     write_image(tmp_path / "ct.nrrd", grid.image(np.full((8, 8, 8), 0.5, np.float32)))
     write_image(tmp_path / "two.nrrd", grid.image(np.ones((8, 8, 8, 2), np.uint8)))
     with pytest.raises(MeshingError, match="whole numbers"):
-        tr.tetrahedralize(tmp_path / "ct.nrrd", 3.0, labels=[1])
+        tr.tetrahedralize((tmp_path / "ct.nrrd", [1]), 3.0)
     with pytest.raises(MeshingError, match="one label a voxel"):
-        tr.tetrahedralize(tmp_path / "two.nrrd", 3.0, labels=[1])
+        tr.tetrahedralize((tmp_path / "two.nrrd", [1]), 3.0)
     with pytest.raises(FormatError, match="must be an image"):
-        tr.tetrahedralize("body.stl", 3.0, labels=[1])
+        tr.tetrahedralize(("body.stl", [1]), 3.0)

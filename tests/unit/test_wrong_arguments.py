@@ -168,7 +168,6 @@ CALLS = {
             "fixed": ["plane 0 0 1 0 0.1", "ball 0 0 40 12"],
             "node_sets": {"top": (0.0, 0.0, 1.0, 40.0, 0.1)},
             "deviation_mm": 0.5,
-            "labels": None,
             "threads": 1,
         },
     ),

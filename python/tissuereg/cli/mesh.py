@@ -65,14 +65,13 @@ def run(args: argparse.Namespace) -> Outcome:
     check_file_target(args.out)
     clock = Stopwatch()
     mesh = tetrahedralize(
-        args.surface,
+        (args.surface, args.label) if args.label else args.surface,
         args.size,
         unit=args.unit,
         frame=args.frame,
         fixed=args.fixed,
         node_sets=_sets(args.set),
         deviation_mm=args.deviation,
-        labels=args.label,
         threads=args.threads,
     )
     clock.lap("mesh")

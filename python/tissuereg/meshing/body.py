@@ -64,7 +64,7 @@ class FilledMesh(Mesh):
 
 
 def tetrahedralize(
-    surface: SurfaceInput,
+    surface: SurfaceInput | tuple[str | os.PathLike[str], Sequence[str | int]],
     size_mm: float,
     *,
     unit: str | None = None,
@@ -72,7 +72,6 @@ def tetrahedralize(
     fixed: NodeRules | None = None,
     node_sets: Mapping[str, NodeRules] | None = None,
     deviation_mm: float | None = None,
-    labels: Sequence[str | int] | None = None,
     threads: int = 0,
 ) -> FilledMesh:
     """Fill a surface with tetrahedra.
@@ -81,7 +80,9 @@ def tetrahedralize(
     ----------
     surface : path-like, pair of arrays, or Triangles
         A .stl, .ply, .obj, .off, .vtp, .vtu, .vtk or .msh file; or vertices (n, 3) in `unit` and triangles (m, 3) as
-        vertex indices. Or, with `labels`, a segmentation: .nrrd, .nii, .nii.gz or .mha.
+        vertex indices. Or a segmentation (.nrrd, .nii, .nii.gz or .mha) and its labels that together make the body, by
+        the names of segments or by number: ``("seg.nrrd", ["liver", "tumour"])``. Its surface is that of the labels'
+        voxels without the steps; coordinates are those of the image, LPS.
     size_mm : float
         Target edge length in mm, whatever `unit` is; at most half of the largest extent. Three or more elements across
         the thinnest part that bends is a good start. Details of the surface get shorter edges, and above a twelfth of
@@ -101,9 +102,6 @@ def tetrahedralize(
     deviation_mm : float, optional
         Largest distance of the faces of the tetrahedra from the surface, mm. By default the smaller of 5 % of the size
         and 0.1 % of the diagonal of the bounding box; for labels a quarter of the longest edge of a voxel.
-    labels : sequence of str or int, optional
-        Names (of a .seg.nrrd's segments) or numbers of the labels that together make the body. Its surface is that of
-        their voxels without the steps; coordinates are those of the image, LPS.
     threads : int
         Number of threads of the mesher; 0 stands for all cores. The mesh differs from run to run for any number.
 
@@ -137,13 +135,13 @@ def tetrahedralize(
     if deviation_mm is not None:
         deviation_mm = real("deviation_mm", deviation_mm, unit="mm", error=MeshError)
     with clock.stage("read"):
-        segmented = None if labels is None else _segmented(surface, labels, unit, frame)
+        segmented = _segmented(surface, unit, frame)
         mended: list[str] = []
         if segmented is not None:
             given, mended = segmented.surface()
             deviation_mm = deviation_mm or MESHING.deviation_of_voxel * float(segmented.grid.spacing.max())
         else:
-            given = read_triangles(surface, unit, frame=frame)
+            given = read_triangles(cast(SurfaceInput, surface), unit, frame=frame)
         rules = {**named("node_sets", node_sets, error=MeshError), **({} if fixed is None else {"fixed": fixed})}
         _check_rules(rules)
         _check_lengths(given, size_mm, deviation_mm)
@@ -166,15 +164,18 @@ def tetrahedralize(
     return mesh
 
 
-def _segmented(surface: Any, labels: Any, unit: str | None, frame: str | None) -> Segmentation:
-    """Return the labels of a segmentation; raise `FormatError` where `surface` is none, or cannot be as it is said."""
-    if not isinstance(surface, str | os.PathLike) or not is_segmentation(surface):
-        message = f"`surface` must be an image (.nrrd, .nii.gz ...) where `labels` are given, got {found(surface)}"
+def _segmented(surface: Any, unit: str | None, frame: str | None) -> Segmentation | None:
+    """Return the labels of a segmentation, given as its file and them; None where `surface` is something else."""
+    if not (isinstance(surface, tuple) and len(surface) == 2 and isinstance(surface[0], str | os.PathLike)):
+        return None
+    path, labels = surface
+    if not is_segmentation(path):
+        message = f"`surface` must be an image (.nrrd, .nii.gz ...) where labels are given, got {found(str(path))}"
         raise FormatError(message, where="surface")
     if unit not in (None, "mm") or frame not in (None, "LPS"):
-        message = f"`unit` and `frame` must be left out with `labels`: images are in mm, LPS; got {unit}, {frame}"
+        message = f"`unit` and `frame` must be left out with labels: images are in mm, LPS; got {unit}, {frame}"
         raise FormatError(message, where="frame" if frame not in (None, "LPS") else "unit")
-    return Segmentation.read(surface, labels)
+    return Segmentation.read(path, labels)
 
 
 def _listed(rules: NodeRules, name: str) -> Sequence[NodeRule]:
