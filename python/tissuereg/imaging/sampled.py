@@ -80,7 +80,9 @@ class Sampled:
     def residual_mm(self, most: int = 2000) -> float:
         """Return by how much forward and back differ at most at some voxels inside the body, mm."""
         slices = self.grid.size[2]
-        chosen = np.linspace(0, slices - 1, min(slices, 8)).astype(int)
+        reach = self._cells[0][: self.space.mesh.n_nodes, 2]
+        low, high = np.clip((np.ceil(reach.min()), np.floor(reach.max())), 0, slices - 1)
+        chosen = np.linspace(low, high, min(slices, 8)).astype(int)
         places, moved = [], []
         for slice_ in np.unique(chosen):
             field, by = self.slices(int(slice_), 1)

@@ -41,7 +41,7 @@ class Written:
     residual_mm: float | None
 
 
-def grid_of(space: SpaceMap, like: Any, spacing: Any) -> Grid:
+def grid_of(space: SpaceMap, like: Any, spacing: Any, *, back: bool) -> Grid:
     """Return the grid of an image `like`, or one of a `spacing` in mm over the body and its surroundings."""
     if (like is None) == (spacing is None):
         message = f"one of `like` and `spacing` must be given, got {found(like)} and {found(spacing)}"
@@ -52,7 +52,9 @@ def grid_of(space: SpaceMap, like: Any, spacing: Any) -> Grid:
     if not step > 0.0:
         message = f"`spacing` must be above 0 mm, got {step:g}"
         raise ArgumentError(message, where="spacing")
-    nodes = turned(space.cells()[0], space.mesh.frame, "LPS")
+    nodes, moved, _, _ = space.cells()
+    # On the way back, voxels are places after the deformation.
+    nodes = turned(nodes + moved if back else nodes, space.mesh.frame, "LPS")
     return Grid.over(nodes.min(axis=0), nodes.max(axis=0), step)
 
 
@@ -84,8 +86,12 @@ def write_transform(
     if std is not None and place("std", std[0]).suffix.lower() != ".nrrd":
         message = f"`std` must end in .nrrd, got {found(str(std[0]))}"
         raise FormatError(message, where=str(std[0]))
+    for name, other in (("std", None if std is None else std[0]), ("like", like)):
+        if isinstance(other, str | os.PathLike) and Path(other).resolve() == target.resolve():
+            message = f"`{name}` must be another file than `path`, got '{target}' for both"
+            raise ArgumentError(message, where=name)
     itk()
-    grid = grid_of(space, like, spacing)
+    grid = grid_of(space, like, spacing, back=way == "resampling")
     columns, rows, slices = grid.size
     if columns * rows * slices > SLABS.most:
         message = f"a grid transform may have {SLABS.most} voxels, got {columns} x {rows} x {slices}"

@@ -113,7 +113,10 @@ def warp_image(
         raise ArgumentError(message, where=str(image))
     found = grid.image(np.concatenate(parts))
     for key in source.GetMetaDataKeys():
-        if key.startswith("Segment"):
+        # Extents of segments are those of before the motion, and of another grid.
+        if key.endswith("_Extent"):
+            found.SetMetaData(key, " ".join(f"0 {n - 1}" for n in grid.size))
+        elif key.startswith("Segment") and not key.endswith(("ExtentOffset", "ConversionParameters")):
             found.SetMetaData(key, source.GetMetaData(key))
     write_image(out, found)
     return Warped((total / inside, most), outside, sampled.residual_mm())

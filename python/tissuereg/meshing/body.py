@@ -139,7 +139,8 @@ def tetrahedralize(
         mended: list[str] = []
         if segmented is not None:
             given, mended = segmented.surface()
-            deviation_mm = deviation_mm or MESHING.deviation_of_voxel * float(segmented.grid.spacing.max())
+            if deviation_mm is None:
+                deviation_mm = MESHING.deviation_of_voxel * float(segmented.grid.spacing.max())
         else:
             given = read_triangles(cast(SurfaceInput, surface), unit, frame=frame)
         rules = {**named("node_sets", node_sets, error=MeshError), **({} if fixed is None else {"fixed": fixed})}

@@ -1,6 +1,6 @@
 """The surface of a label in a segmentation, without the steps of its voxels, and which tets lie in which label.
 
-The label's voxels are turned into a signed distance, smoothed by about a voxel; the surface is where it is zero.
+The label's voxels are turned into a signed distance, smoothed by a voxel along each axis; the surface is where it is zero.
 """
 
 import os
@@ -80,7 +80,9 @@ class Segmentation:
         # Distances are from middles of voxels at the border: the mean of both ways is zero between them.
         apart = partial(sitk.SignedMaurerDistanceMap, squaredDistance=False, useImageSpacing=True)
         distance = 0.5 * (apart(image) - apart(1 - image))
-        smooth = sitk.GetArrayFromImage(sitk.SmoothingRecursiveGaussian(distance, float(self.grid.spacing.max())))
+        smooth = sitk.GetArrayFromImage(
+            sitk.SmoothingRecursiveGaussian(distance, [float(x) for x in self.grid.spacing])
+        )
         vertices, triangles = _contour(smooth)
         # Normals point to smaller values, and the axes of an image may be left-handed.
         if np.linalg.det(self.grid.steps) > 0.0:
