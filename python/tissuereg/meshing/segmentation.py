@@ -1,6 +1,7 @@
 """The surface of a label in a segmentation, without the steps of its voxels, and which tets lie in which label.
 
-The label's voxels are turned into a signed distance, smoothed by a voxel along each axis; the surface is where it is zero.
+The label's voxels are turned into a signed distance, smoothed by a voxel along each axis; the surface is where that is
+zero.
 """
 
 import os
