@@ -2,7 +2,8 @@
 
 The space around is cut into tetrahedra between the nodes of the skin and a lattice of points. Out there every component
 of the displacement is harmonic: it equals that of the skin at the skin, is hardly anywhere larger, and is zero at a
-distance of half the body's extent. The field is linear in each tetrahedron, of the body or around it, and so is its inverse.
+distance of half the body's extent. The field is linear in each tetrahedron, of the body or around it, and so is its
+inverse.
 """
 
 from dataclasses import dataclass
