@@ -42,7 +42,7 @@ OF_FRAMES, JUMP_MM = ("the pose of the frame before", "a jump of 150 mm"), 150.0
 #: Shares of the motion in a recording's frames, 0.1 s apart; in the last `LATE` frames markers are lost.
 FRAMES, LATE, STEP_S = (0.3, 0.6, 0.9, 1.0), 2, 0.1
 
-#: How an answer is asked for, and the model of it.
+#: How an answer is made, and its model.
 PATHS = {
     "register": None,
     "register, trained model": "phantom",

@@ -12,17 +12,17 @@ from typing import Any
 
 import numpy as np
 
-from tissuereg._base.arguments import flag, found, named, place, text
+from tissuereg._base.arguments import flag, found, named, place
 from tissuereg._base.arrays import FloatArray
 from tissuereg._base.provenance import Provenance
 from tissuereg.body.markers import Markers
 from tissuereg.body.mesh import Mesh
-from tissuereg.errors import MarkerError, ModelError
+from tissuereg.errors import ModelError
 from tissuereg.registration.body import Body
 from tissuereg.registration.deviations import Deviations
 from tissuereg.registration.field import PointAnswer, RegisteredField
 from tissuereg.registration.settings import RegisterSettings
-from tissuereg.registration.target import Target
+from tissuereg.registration.target import Target, target_named
 from tissuereg.registration.trust import Trust
 
 
@@ -290,10 +290,7 @@ class Registration:
         MarkerError
             If there is no target of that name.
         """
-        if text("name", name, error=MarkerError) not in self.targets:
-            message = f"no target named '{name}' was registered; there are: {', '.join(self.targets) or 'none'}"
-            raise MarkerError(message, where=name)
-        return self.targets[name]
+        return target_named(self.targets, name)
 
     def _found_words(self) -> str:
         """Return a phrase for `repr` on results of one method alone, such as the number of contacts; empty here."""

@@ -9,17 +9,17 @@ from typing import Any
 
 import numpy as np
 
-from tissuereg._base.arguments import place, text
+from tissuereg._base.arguments import place
 from tissuereg._base.arrays import FloatArray
 from tissuereg._base.provenance import reads
 from tissuereg.body.mesh import Mesh
-from tissuereg.errors import FormatError, MarkerError
+from tissuereg.errors import FormatError
 from tissuereg.io.bounds import existing_file, read_text
 from tissuereg.io.fields import open_npz, write_npz
 from tissuereg.io.meshes import mesh_arrays, mesh_from_archive
 from tissuereg.registration.deviations import Deviations
 from tissuereg.registration.field import PointAnswer, RegisteredField
-from tissuereg.registration.target import Target
+from tissuereg.registration.target import Target, target_named
 from tissuereg.registration.trust import Trust
 
 #: Files of a registration's folder that are read.
@@ -70,10 +70,7 @@ class StoredRegistration:
 
     def target(self, name: str) -> Target:
         """Return the registered inner point of this name; raise `MarkerError` if there is none."""
-        if text("name", name, error=MarkerError) not in self.targets:
-            message = f"no target named '{name}' was registered; there are: {', '.join(self.targets) or 'none'}"
-            raise MarkerError(message, where=name)
-        return self.targets[name]
+        return target_named(self.targets, name)
 
     def at(self, points: Any, covariance: bool = True) -> PointAnswer:
         """Return where points (n, 3) of the undeformed body are now, mm; see `Registration.at`."""

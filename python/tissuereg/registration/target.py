@@ -1,11 +1,12 @@
 """A registered inner point, and the region in which its true place lies with a given probability."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from tissuereg._base.arguments import real
+from tissuereg._base.arguments import real, text
 from tissuereg._base.arrays import FloatArray, float_array
 from tissuereg.errors import MarkerError
 from tissuereg.registration.learned.spread_law import squared_radius
@@ -120,4 +121,12 @@ class Target:
         }
 
 
-__all__ = ["NO_MARKER", "OUTSIDE", "Region", "Target", "region_of"]
+def target_named(targets: Mapping[str, Target], name: str) -> Target:
+    """Return the registered inner point of this name; raise `MarkerError` if there is none."""
+    if text("name", name, error=MarkerError) not in targets:
+        message = f"no target named '{name}' was registered; there are: {', '.join(targets) or 'none'}"
+        raise MarkerError(message, where=name)
+    return targets[name]
+
+
+__all__ = ["NO_MARKER", "OUTSIDE", "Region", "Target", "region_of", "target_named"]

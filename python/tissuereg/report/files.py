@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 #: What `save_registration` writes.
 PICTURE = "registered.png"
-WRITTEN = ("registered.vtu", "field.npz", "targets.csv", "targets.mrk.json", "registration.json", PICTURE)
+WRITTEN = ("registered.vtu", FIELD, "targets.csv", "targets.mrk.json", "registration.json", PICTURE)
 
 #: What it writes on request.
 DEFORMED = "registered_deformed.vtu"
