@@ -4,6 +4,7 @@ The field is linear in tetrahedra, of the body and around it, so that its invers
 tetrahedra, deformed.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import cached_property
@@ -40,6 +41,29 @@ class Slabs:
 SLABS = Slabs()
 
 
+@dataclass
+class Tally:
+    """How far voxels move, mm: `total` and `most` of `inside` voxels in the body; `outside`: number around it."""
+
+    total: float = 0.0
+    most: float = 0.0
+    inside: int = 0
+    outside: int = 0
+
+    def add(self, moved: Singles, by: Bytes) -> None:
+        """Count some slices."""
+        lengths = np.linalg.norm(moved[by == Mark.INSIDE], axis=1)
+        self.total += float(lengths.sum(dtype=np.float64))
+        self.most = max(self.most, float(lengths.max(initial=0.0)))
+        self.inside += len(lengths)
+        self.outside += int(np.count_nonzero(by == Mark.AROUND))
+
+    @property
+    def moved_mm(self) -> tuple[float, float]:
+        """Mean and largest displacement of the voxels in the body, mm."""
+        return self.total / self.inside, self.most
+
+
 @dataclass(frozen=True, eq=False)
 class Sampled:
     """The displacement at the voxels of a grid, mm, LPS.
@@ -67,6 +91,14 @@ class Sampled:
         columns, rows, _ = self.grid.size
         at, moved, tets, inner = self._cells
         return _core.rasterise(at, tets, moved, inner, (first, count, rows, columns), self.threads)
+
+    def slabs(self, tally: Tally) -> Iterator[tuple[slice, Singles]]:
+        """Yield the displacement at all slices, some at a time, with their numbers; count it in `tally`."""
+        for first in range(0, self.grid.size[2], SLABS.at_once):
+            some = slice(first, min(first + SLABS.at_once, self.grid.size[2]))
+            moved, by = self.slices(first, some.stop - first)
+            tally.add(moved, by)
+            yield some, moved
 
     def inside(self, of_nodes: FloatArray, first: int, count: int) -> Singles:
         """Return numbers of the nodes, (n_nodes,), interpolated at some slices, NaN outside the body."""
@@ -101,4 +133,4 @@ class Sampled:
         return float(np.quantile(off, 0.999))
 
 
-__all__ = ["SLABS", "Mark", "Sampled"]
+__all__ = ["SLABS", "Mark", "Sampled", "Tally"]

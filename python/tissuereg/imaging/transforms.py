@@ -16,7 +16,7 @@ from tissuereg._base.arrays import FloatArray
 from tissuereg.body.surroundings import SpaceMap
 from tissuereg.errors import ArgumentError, FormatError
 from tissuereg.imaging.images import Grid, itk, read_image, write_image
-from tissuereg.imaging.sampled import SLABS, Mark, Sampled
+from tissuereg.imaging.sampled import SLABS, Sampled, Tally
 from tissuereg.io.atomic import atomic_file
 from tissuereg.io.points import turned
 
@@ -98,14 +98,10 @@ def write_transform(
         raise ArgumentError(message, where="like" if spacing is None else "spacing")
     sampled = Sampled(space, grid, way == "resampling", threads)
     values = np.empty((slices, rows, columns, 3), np.float32)
-    total, most, inside, outside = 0.0, 0.0, 0, 0
-    for first in range(0, slices, SLABS.at_once):
-        some = slice(first, min(first + SLABS.at_once, slices))
-        values[some], by = sampled.slices(first, some.stop - first)
-        lengths = np.linalg.norm(values[some][by == Mark.INSIDE], axis=1)
-        total, most = total + float(lengths.sum(dtype=np.float64)), max(most, float(lengths.max(initial=0.0)))
-        inside, outside = inside + len(lengths), outside + int(np.count_nonzero(by == Mark.AROUND))
-    if not inside:
+    tally = Tally()
+    for some, moved in sampled.slabs(tally):
+        values[some] = moved
+    if not tally.inside:
         message = "the grid must reach into the body; none of its voxels lies there: check the frames"
         raise ArgumentError(message, where="like" if spacing is None else "spacing")
     _write(target, grid, values, way)
@@ -117,7 +113,7 @@ def write_transform(
         image.SetMetaData("content", "standard deviation of the place, mm; NaN outside the body")
         write_image(file, image)
     residual = sampled.residual_mm() if way == "resampling" else None
-    return Written(target, (total / inside, most), outside, residual)
+    return Written(target, tally.moved_mm, tally.outside, residual)
 
 
 def _write(target: Path, grid: Grid, values: Any, way: str) -> None:

@@ -12,7 +12,7 @@ from tissuereg._base.arrays import FloatArray
 from tissuereg.body.triangles import Triangles
 from tissuereg.errors import ArgumentError
 from tissuereg.imaging.images import Grid, ending, itk, read_image, write_image
-from tissuereg.imaging.sampled import SLABS, Mark, Sampled
+from tissuereg.imaging.sampled import Sampled, Tally
 from tissuereg.io.csv import write_table
 from tissuereg.io.mrk_json import write_mrk_json
 from tissuereg.io.surfaces import read_triangles
@@ -92,23 +92,18 @@ def warp_image(
     ending(out)
     sitk, source = itk(), read_image(image)
     grid = Grid.of(source if like is None else read_image(like))
-    sampled, slices = Sampled(field.space, grid, back=True, threads=threads), grid.size[2]
+    sampled = Sampled(field.space, grid, back=True, threads=threads)
     several = source.GetNumberOfComponentsPerPixel() > 1
     chosen = _Labels.of(source) if labels and not several else None
     how = sitk.sitkNearestNeighbor if labels else sitk.sitkLinear
     empty = 0.0 if labels or several else _least(source)
-    parts, total, most, inside, outside = [], 0.0, 0.0, 0, 0
-    for first in range(0, slices, SLABS.at_once):
-        count = min(SLABS.at_once, slices - first)
-        moved, by = sampled.slices(first, count)
-        lengths = np.linalg.norm(moved[by == Mark.INSIDE], axis=1)
-        total, most = total + float(lengths.sum(dtype=np.float64)), max(most, float(lengths.max(initial=0.0)))
-        inside, outside = inside + len(lengths), outside + int(np.count_nonzero(by == Mark.AROUND))
+    parts, tally = [], Tally()
+    for some, moved in sampled.slabs(tally):
         if chosen is None:
-            parts.append(_resampled(source, grid, moved, first, (how, empty)))
+            parts.append(_resampled(source, grid, moved, some.start, (how, empty)))
         else:
-            parts.append(chosen.at(grid, moved, first))
-    if not inside:
+            parts.append(chosen.at(grid, moved, some.start))
+    if not tally.inside:
         message = "the image must show the body; none of its voxels lies there: check the frames"
         raise ArgumentError(message, where=str(image))
     found = grid.image(np.concatenate(parts))
@@ -119,7 +114,7 @@ def warp_image(
         elif key.startswith("Segment") and not key.endswith(("ExtentOffset", "ConversionParameters")):
             found.SetMetaData(key, source.GetMetaData(key))
     write_image(out, found)
-    return Warped((total / inside, most), outside, sampled.residual_mm())
+    return Warped(tally.moved_mm, tally.outside, sampled.residual_mm())
 
 
 @dataclass(frozen=True, eq=False)
