@@ -38,7 +38,7 @@ def add_body_options(more: Any, tables: str) -> None:
     more.add_argument("--targets", metavar="FILE", help=text)
     text = (
         "held nodes: 'plane nx ny nz d [tol]' (within tol mm of n . x = d mm), 'ball x y z r' (of the surface, "
-        "within r mm), or the name of a node set"
+        "within r mm), 'box x0 y0 z0 x1 y1 z1', 'near FILE r' (within r mm of another surface), or a node set's name"
     )
     more.add_argument("--fixed", metavar="RULE", help=text)
     text = "nodes of MESH at one place that no tets share: joined where whole faces coincide, all joined, or kept apart"

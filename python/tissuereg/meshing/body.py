@@ -15,7 +15,7 @@ from tissuereg.body.closest import ClosestTriangles
 from tissuereg.body.mesh import Mesh
 from tissuereg.body.triangles import Triangles
 from tissuereg.errors import FormatError, MeshError, MeshingError
-from tissuereg.io.node_rules import NodeRule, nodes_by_rule, parsed_rule
+from tissuereg.io.node_rules import KINDS, NodeRule, nodes_by_rule, parsed_rule
 from tissuereg.io.surfaces import SurfaceInput, read_triangles
 from tissuereg.meshing.fill import check_mesher, filled
 from tissuereg.meshing.repair import repaired
@@ -94,8 +94,9 @@ def tetrahedralize(
         header, if one is. No coordinate is turned.
     fixed : str, sequence of float, or list of them, optional
         Rule that selects the held nodes, or a list of rules whose nodes are united: ``"plane nx ny nz d [tol]"`` (nodes
-        within `tol` of a plane), ``"ball x y z r"`` (surface nodes in a ball) or the name of one of `node_sets`;
-        lengths in mm. `tol` should be at least `deviation_mm`.
+        within `tol` of a plane), ``"ball x y z r"`` (surface nodes in a ball), ``"box x0 y0 z0 x1 y1 z1"``,
+        ``"near FILE r"`` (surface nodes near another surface) or the name of one of `node_sets`; lengths in mm. `tol`
+        should be at least `deviation_mm`.
     node_sets : mapping of str to rules, optional
         Rules, as in `fixed`, that select the nodes of further sets, by name; a rule may name a set that stands before
         it.
@@ -197,10 +198,10 @@ def _check_rules(rules: Mapping[str, NodeRules]) -> None:
     for name, several in rules.items():
         for rule in _listed(several, name):
             kind, _ = parsed_rule(rule, name)
-            if kind not in ("plane", "ball", *made):
+            if kind not in (*KINDS, *made):
                 message = (
-                    f"`{name}` must be a plane, a ball or a set made before it ({', '.join(made) or 'none'}), "
-                    f"got {found(kind)}"
+                    f"`{name}` must start with {', '.join(KINDS)} or be a set made before it "
+                    f"({', '.join(made) or 'none'}), got {found(kind)}"
                 )
                 raise MeshError(message, where=name)
         made.append(name)
