@@ -138,7 +138,7 @@ def tetrahedralize(
         segmented = _segmented(surface, unit, frame)
         mended: list[str] = []
         if segmented is not None:
-            given, mended = segmented.surface()
+            given, mended = segmented.surface(threads)
             if deviation_mm is None:
                 deviation_mm = MESHING.deviation_of_voxel * float(segmented.grid.spacing.max())
         else:
@@ -167,6 +167,8 @@ def tetrahedralize(
 
 def _segmented(surface: Any, unit: str | None, frame: str | None) -> Segmentation | None:
     """Return the labels of a segmentation, given as its file and them; None where `surface` is something else."""
+    if isinstance(surface, str | os.PathLike) and is_segmentation(surface):
+        surface = (surface, ())  # which is refused with the list of its labels
     if not (isinstance(surface, tuple) and len(surface) == 2 and isinstance(surface[0], str | os.PathLike)):
         return None
     path, labels = surface
