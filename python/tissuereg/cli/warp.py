@@ -17,7 +17,8 @@ HELP = Help(
     "3D Slicer) and the vertices of a surface go from before the deformation to after it; so do the voxels of a label "
     "map (each takes one label, they are never mixed) and of a volume (linear). Around the body the displacement "
     "fades, harmonically, to nothing at half the body's extent. --grid writes the field itself: .nrrd as 3D Slicer "
-    "reads it, .h5 or .tfm for ITK. Images: pip install 'tissuereg[images]'.",
+    "reads it, .h5 or .tfm for ITK. An IMAGE may be the folder of a DICOM series. Images: pip install "
+    "'tissuereg[images]'.",
     example="tissuereg warp out --labels tumour.seg.nrrd --out moved.seg.nrrd\n"
     "tissuereg warp out --grid field.nrrd --like ct.nrrd --std sigma.nrrd",
 )

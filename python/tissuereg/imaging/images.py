@@ -1,4 +1,4 @@
-"""Image files, by SimpleITK: NRRD (.seg.nrrd too), NIfTI, MetaImage and others; lengths in mm, patient frame LPS."""
+"""Image files, by SimpleITK: NRRD (.seg.nrrd too), NIfTI, MetaImage, DICOM and others; lengths in mm, frame LPS."""
 
 import os
 from dataclasses import dataclass
@@ -8,8 +8,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from tissuereg._base.arguments import place
 from tissuereg._base.arrays import FloatArray
 from tissuereg.errors import FormatError, MissingPackageError, TissueRegError
+from tissuereg.imaging.dicom import dicom_kind, read_segmentation, read_series
 from tissuereg.io.atomic import atomic_file
 from tissuereg.io.bounds import existing_file
 
@@ -36,8 +38,19 @@ def threaded(kind: str, threads: int) -> Any:
 
 
 def read_image(path: str | os.PathLike[str]) -> Any:
-    """Return a SimpleITK image of three dimensions; raise `FormatError` if the file is missing or holds none."""
-    sitk, file = itk(), existing_file(path)
+    """Return a SimpleITK image of three dimensions; raise `FormatError` if the file is missing or holds none.
+
+    `path`: a file, or the folder of a DICOM series.
+    """
+    sitk = itk()
+    if place("path", path, error=FormatError).is_dir():
+        return read_series(Path(path), sitk)
+    file = existing_file(path)
+    if (kind := dicom_kind(file)) == "segmentation":
+        return read_segmentation(file, sitk)
+    if kind is not None:
+        message = f"of a DICOM series the folder must be given, with one slice a file; got the file {file}"
+        raise FormatError(message, where=str(file))
     try:
         image = sitk.ReadImage(str(file))
     except RuntimeError as error:

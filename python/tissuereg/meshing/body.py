@@ -80,7 +80,7 @@ def tetrahedralize(
     ----------
     surface : path-like, pair of arrays, or Triangles
         A .stl, .ply, .obj, .off, .vtp, .vtu, .vtk or .msh file; or vertices (n, 3) in `unit` and triangles (m, 3) as
-        vertex indices. Or a segmentation (.nrrd, .nii, .nii.gz or .mha) and its labels that together make the body, by
+        vertex indices. Or a segmentation (.nrrd, .nii, .nii.gz, .mha, .dcm) and its labels that together make the body, by
         the names of segments or by number: ``("seg.nrrd", ["liver", "tumour"])``. Its surface is that of the labels'
         voxels without the steps; coordinates are those of the image, LPS.
     size_mm : float

@@ -22,7 +22,7 @@ from tissuereg.meshing.settings import MESHING
 
 def is_segmentation(path: str | os.PathLike[str]) -> bool:
     """Return whether the name of a file is that of an image."""
-    return str(path).lower().endswith(WRITTEN)
+    return str(path).lower().endswith((*WRITTEN, ".dcm"))
 
 
 @dataclass(frozen=True, eq=False)
