@@ -80,8 +80,8 @@ def tetrahedralize(
     ----------
     surface : path-like, pair of arrays, or Triangles
         A .stl, .ply, .obj, .off, .vtp, .vtu, .vtk or .msh file; or vertices (n, 3) in `unit` and triangles (m, 3) as
-        vertex indices. Or a segmentation (.nrrd, .nii, .nii.gz, .mha, .dcm) and its labels that together make the body, by
-        the names of segments or by number: ``("seg.nrrd", ["liver", "tumour"])``. Its surface is that of the labels'
+        vertex indices. Or a segmentation (.nrrd, .nii, .nii.gz, .mha, .dcm) and its labels that together make the body,
+        by the names of segments or by number: ``("seg.nrrd", ["liver", "tumour"])``. Its surface is that of the labels'
         voxels without the steps; coordinates are those of the image, LPS.
     size_mm : float
         Target edge length in mm, whatever `unit` is; at most half of the largest extent. Three or more elements across

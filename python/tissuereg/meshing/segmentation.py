@@ -65,7 +65,7 @@ class Segmentation:
                 raise MeshingError(message, where="labels")
             chosen[str(asked)] = value
         if not chosen:
-            message = f"`labels` must name at least one of the {known}; got none"
+            message = f"`labels` must name at least one of the {known}; got none (--label NAME; in Python a list)"
             raise MeshingError(message, where="labels")
         return cls(str(path), Grid.of(image), values, chosen)
 
