@@ -12,7 +12,7 @@ import tissuereg as tr
 from support.meshes import block
 from tissuereg._core import rasterise
 from tissuereg.errors import ArgumentError, FormatError, MissingPackageError
-from tissuereg.imaging import images
+from tissuereg.imaging import images, warp
 from tissuereg.imaging.images import Grid, read_image, write_image
 from tissuereg.imaging.sampled import Mark, Sampled
 from tissuereg.imaging.warp import _Labels, _resampled, warp_image, warp_points, warp_surface
@@ -171,13 +171,14 @@ def test_labels_are_those_of_the_largest_linear_weight_as_itk_finds_them():
     values[:, :, 12:] = 3
     source, moved = grid.image(values), (0.8 * rng.standard_normal((24, 22, 20, 3))).astype(np.float32)
     found = _Labels.of(source).at(grid, moved, 0)
-    wanted = _resampled(source, grid, moved, 0, (sitk.sitkLabelLinear, 0.0))
+    wanted = _resampled(source, grid, moved, 0, (sitk.sitkLabelLinear, 0.0, 1))
     inner = (slice(2, -2),) * 3
     # Equal weights of two labels are rare.
     assert np.mean(found[inner] == wanted[inner]) > 0.998
     assert np.array_equal(_Labels.of(sitk.Cast(source, sitk.sitkFloat32)).at(grid, moved, 0), found)
-    with pytest.raises(ArgumentError, match="whole numbers"):
-        _Labels.of(grid.image(values + 0.5))
+    for wrong in (values + 0.5, np.full(values.shape, np.nan), np.full(values.shape, 2**62, np.int64)):
+        with pytest.raises(ArgumentError, match="whole numbers"):
+            _Labels.of(grid.image(wrong))
 
 
 def test_a_volume_takes_its_values_from_where_voxels_were(tmp_path):
@@ -200,6 +201,34 @@ def test_a_volume_takes_its_values_from_where_voxels_were(tmp_path):
     wanted = 3.0 * came[:, 0] - 2.0 * came[:, 1] + came[:, 2]
     assert np.abs(found[tuple(numbers[:, ::-1].T)] - wanted)[inside].max() < 0.02
     assert found.min() == pytest.approx(ramp.min(), abs=0.1)
+
+
+def test_a_volume_may_lack_values_but_not_all(tmp_path):
+    grid = oblique(spacing=(3.0, 3.0, 3.0), size=(40, 40, 40))
+    values = np.full(grid.size[::-1], 5.0, np.float32)
+    values[:, :, 20:], values[0] = 2.0, np.nan
+    warp_image(field(), saved(grid, values, tmp_path / "a.nrrd"), tmp_path / "moved.nrrd", labels=False)
+    found = sitk.GetArrayFromImage(sitk.ReadImage(str(tmp_path / "moved.nrrd")))
+    assert np.nanmin(found) == 2.0
+    saved(grid, np.full_like(values, np.nan), tmp_path / "b.nrrd")
+    with pytest.raises(ArgumentError, match="finite value"):
+        warp_image(field(), tmp_path / "b.nrrd", tmp_path / "other.nrrd", labels=False)
+
+
+def test_filters_run_in_as_many_threads_as_are_asked_for(tmp_path, monkeypatch):
+    made = images.threaded("ResampleImageFilter", 3)
+    assert made.GetNumberOfThreads() == 3
+    assert (
+        images.threaded("ResampleImageFilter", 0).GetNumberOfThreads()
+        == sitk.ResampleImageFilter().GetNumberOfThreads()
+    )
+    asked = []
+    monkeypatch.setattr(warp, "threaded", lambda kind, threads: asked.append(threads) or images.threaded(kind, threads))
+    grid = oblique(spacing=(4.0, 4.0, 4.0), size=(30, 30, 30))
+    ones = saved(grid, np.ones(grid.size[::-1], np.uint8), tmp_path / "a.nrrd")
+    for labels in (True, False):
+        warp_image(field(), ones, tmp_path / "moved.nrrd", labels=labels, threads=2)
+    assert set(asked) == {2}
 
 
 def test_a_surface_keeps_its_triangles_and_its_vertices_move(tmp_path):

@@ -13,7 +13,8 @@ if TYPE_CHECKING:
 
 HELP = Help(
     "SURFACE is a .stl, .ply, .obj, .off, .vtp, .vtu, .vtk or .msh of triangles, or with --label a segmentation "
-    "(.seg.nrrd, .nrrd, .nii.gz, .mha; pip install 'tissuereg[images]'). Its vertices are merged, holes closed "
+    "(.seg.nrrd, .nrrd, .nii.gz, .mha; pip install 'tissuereg[images]'; a DICOM SEG as .dcm: 'tissuereg[dicom]'). "
+    "Its vertices are merged, holes closed "
     "and normals turned outwards; whatever was done is listed. BODY.vtu (or .npz) gets tetrahedra in mm, the node sets "
     "and the patient frame, and 'tissuereg register', 'simulate' and 'tr.read_mesh' take it. A rule is 'plane nx ny nz "
     "d [tol]' (nodes within tol mm of n . x = d mm), 'ball x y z r' (nodes of the surface within r mm), 'box x0 y0 z0 "

@@ -19,7 +19,7 @@ HELP = Help(
     "map (each takes one label, they are never mixed) and of a volume (linear). Around the body the displacement "
     "fades, harmonically, to nothing at half the body's extent. --grid writes the field itself: .nrrd as 3D Slicer "
     "reads it, .h5 or .tfm for ITK. REGISTERED may be the folder of 'tissuereg track --fields', of which --grid writes "
-    "all moments: .seq.nrrd. Images: pip install 'tissuereg[images]'.",
+    "all moments: .seq.nrrd. An IMAGE may be the folder of a DICOM series. Images: pip install 'tissuereg[images]'.",
     example="tissuereg warp out --labels tumour.seg.nrrd --out moved.seg.nrrd\n"
     "tissuereg warp out --grid field.nrrd --like ct.nrrd --std sigma.nrrd",
 )

@@ -80,8 +80,8 @@ def tetrahedralize(
     ----------
     surface : path-like, pair of arrays, or Triangles
         A .stl, .ply, .obj, .off, .vtp, .vtu, .vtk or .msh file; or vertices (n, 3) in `unit` and triangles (m, 3) as
-        vertex indices. Or a segmentation (.nrrd, .nii, .nii.gz or .mha) and its labels that together make the body, by
-        the names of segments or by number: ``("seg.nrrd", ["liver", "tumour"])``. Its surface is that of the labels'
+        vertex indices. Or a segmentation (.nrrd, .nii, .nii.gz, .mha, .dcm) and its labels that together make the body,
+        by the names of segments or by number: ``("seg.nrrd", ["liver", "tumour"])``. Its surface is that of the labels'
         voxels without the steps; coordinates are those of the image, LPS.
     size_mm : float
         Target edge length in mm, whatever `unit` is; at most half of the largest extent. Three or more elements across
@@ -139,7 +139,7 @@ def tetrahedralize(
         segmented = _segmented(surface, unit, frame)
         mended: list[str] = []
         if segmented is not None:
-            given, mended = segmented.surface()
+            given, mended = segmented.surface(threads)
             if deviation_mm is None:
                 deviation_mm = MESHING.deviation_of_voxel * float(segmented.grid.spacing.max())
         else:
@@ -168,6 +168,8 @@ def tetrahedralize(
 
 def _segmented(surface: Any, unit: str | None, frame: str | None) -> Segmentation | None:
     """Return the labels of a segmentation, given as its file and them; None where `surface` is something else."""
+    if isinstance(surface, str | os.PathLike) and is_segmentation(surface):
+        surface = (surface, ())  # which is refused with the list of its labels
     if not (isinstance(surface, tuple) and len(surface) == 2 and isinstance(surface[0], str | os.PathLike)):
         return None
     path, labels = surface
