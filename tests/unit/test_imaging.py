@@ -16,6 +16,7 @@ from tissuereg.imaging import images, warp
 from tissuereg.imaging.images import Grid, read_image, write_image
 from tissuereg.imaging.sampled import Mark, Sampled
 from tissuereg.imaging.warp import _Labels, _resampled, warp_image, warp_points, warp_surface
+from tissuereg.io.atomic import OutputError
 from tissuereg.io.points import turned
 from tissuereg.io.surfaces import read_triangles
 from tissuereg.registration.deviations import Deviations
@@ -34,7 +35,7 @@ def bent(places):
 def field(frame=None):
     mesh = block((40.0, 30.0, 50.0), (6, 5, 8)).in_frame(frame)
     roots = np.random.default_rng(0).standard_normal((5, mesh.n_nodes, 3))
-    return RegisteredField(mesh, bent(mesh.nodes), Deviations.of(roots, np.zeros(mesh.n_nodes, bool), None, 0.0))
+    return RegisteredField(mesh, bent(mesh.nodes), Deviations.of(roots, np.zeros(mesh.n_nodes), None, 0.0))
 
 
 def oblique(frame=None, spacing=(1.5, 1.0, 2.0), size=(60, 70, 50)) -> Grid:
@@ -78,6 +79,19 @@ def test_a_grid_in_nrrd_moves_points_as_the_field_does(tmp_path, frame):
     assert inside.mean() == pytest.approx(60e3 / (np.prod(oblique().size) * 3.0), rel=0.03)
     assert array[inside].min() >= field().uncertainty.std.min() - 1e-4
     assert array[inside].max() <= field().uncertainty.std.max() + 1e-4
+
+
+@pytest.mark.parametrize("spacing", [1e-300, 5e-324, 0.01])
+def test_a_grid_beyond_the_largest_is_refused_before_it_is_made(tmp_path, spacing):
+    with pytest.raises(ArgumentError, match="at most 270000000 voxels over"):
+        field().transform(tmp_path / "field.nrrd", spacing=spacing)
+
+
+def test_no_transform_is_written_without_its_spread(tmp_path):
+    (tmp_path / "sigma.nrrd").mkdir()
+    with pytest.raises(OutputError):
+        field().transform(tmp_path / "field.nrrd", spacing=4.0, std=tmp_path / "sigma.nrrd")
+    assert not (tmp_path / "field.nrrd").exists()
 
 
 @pytest.mark.parametrize("ending", [".h5", ".tfm"])

@@ -127,6 +127,11 @@ def test_a_body_with_labels_by_the_command(tmp_path, capsys):
         "tumour",
         "--size",
         "7",
+        "--fixed",
+        "label tumour 12",
+        "--set",
+        "far",
+        "label tumour 40",
         "--out",
         str(tmp_path / "b.vtu"),
     ]
@@ -135,12 +140,39 @@ def test_a_body_with_labels_by_the_command(tmp_path, capsys):
     assert told["frame"] == "LPS"
     volumes = {name: one["volume_mm3"] for name, one in told["labels"].items()}
     assert sum(volumes.values()) == pytest.approx(told["volume_mm3"], rel=0.01)
-    assert volumes["tumour"] == pytest.approx(4.0 / 3.0 * np.pi * RADIUS**3, rel=0.2)
+    assert volumes["tumour"] == pytest.approx(4.0 / 3.0 * np.pi * RADIUS**3, rel=0.05)
     assert "island" in told["repaired"][0]
     mesh = tr.read_mesh(tmp_path / "b.vtu")
     assert mesh.frame == "LPS"
     assert np.linalg.norm((mesh.nodes - MIDDLE) / AXES, axis=1).max() < 1.05
     assert "tumour: " in capsys.readouterr().out
+    # The tumour's surface is made of faces: no tet has corners on both sides of it.
+    above = np.linalg.norm(mesh.nodes - MIDDLE - OFF, axis=1) - RADIUS
+    corners = above[mesh.tets]
+    assert not ((corners.min(axis=1) < -1.5) & (corners.max(axis=1) > 1.5)).any()
+    inside = np.isin(mesh.tets, mesh.node_set("tumour")).all(axis=1)
+    assert mesh.volumes[inside].sum() == pytest.approx(volumes["tumour"], rel=0.08)  # flat tets beside it
+    assert np.array_equal(np.union1d(mesh.node_set("organ"), mesh.node_set("tumour")), np.arange(mesh.n_nodes))
+    # Nodes of the surface near the label, to the middles of its voxels.
+    skin = mesh.surface_nodes
+    assert np.isin(skin[above[skin] < 10.5], mesh.fixed_nodes).all()
+    assert np.isin(mesh.fixed_nodes, skin[above[skin] < 13.5]).all()
+    assert len(mesh.node_set("far")) > len(mesh.fixed_nodes)
+
+
+@pytest.mark.parametrize("rule", ["label cyst 3", "label tumour -3", "label tumour far", "label tumour"])
+def test_a_label_or_a_distance_that_is_none_is_refused_before_the_mesher(tmp_path, rule):
+    path = segmented(tmp_path / "s.seg.nrrd", size=(45, 45, 20), spacing=(2.0, 2.0, 5.0), spoilt=False)
+    with pytest.raises(MeshingError, match="'label NAME r', a label of"):
+        tr.tetrahedralize((path, ["organ"]), 6.0, fixed=rule)
+
+
+@needs_mesher
+def test_a_label_far_away_holds_nothing_and_one_label_has_no_set(tmp_path):
+    path = segmented(tmp_path / "s.seg.nrrd", size=(45, 45, 20), spacing=(2.0, 2.0, 5.0), spoilt=False)
+    with pytest.raises(MeshingError, match=r"within 0\.5 mm of label 5"):
+        tr.tetrahedralize((path, ["organ", 5]), 12.0, fixed="label tumour 0.5")
+    assert list(tr.tetrahedralize((path, ["organ"]), 12.0).node_sets) == []
 
 
 @pytest.mark.parametrize(

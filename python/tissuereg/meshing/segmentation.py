@@ -4,6 +4,7 @@ The label's voxels are turned into a signed distance, smoothed by a voxel along 
 the number, near zero, that keeps the volume of the voxels.
 """
 
+import math
 import os
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -14,6 +15,8 @@ import numpy.typing as npt
 
 from tissuereg._base.arguments import found
 from tissuereg._base.arrays import FloatArray, IntArray
+from tissuereg.body.closest import ClosestTriangles
+from tissuereg.body.mesh import Mesh
 from tissuereg.body.triangles import Triangles
 from tissuereg.errors import MeshingError, MissingPackageError
 from tissuereg.imaging.images import WRITTEN, Grid, itk, labels_of, read_image, threaded
@@ -30,13 +33,16 @@ class Segmentation:
     """Labels of an image.
 
     `path`: its file; `grid`: places of its voxels; `values` (slices, rows, columns): the label of each; `labels`: the
-    value of each label that is asked for, by name or number.
+    value of each label that is asked for, by name or number; `named`: that of every segment that has a name;
+    `there`: all of the image.
     """
 
     path: str
     grid: Grid
     values: npt.NDArray[Any]
     labels: dict[str, int]
+    named: dict[str, int]
+    there: frozenset[int]
 
     @classmethod
     def read(cls, path: str | os.PathLike[str], labels: Any) -> "Segmentation":
@@ -50,7 +56,7 @@ class Segmentation:
             values = values.astype(np.int64)
         named = _segments(image, str(path))
         # By slices: of a whole volume this takes several times its memory.
-        there = {int(one) for some in values for one in np.unique(some)} - {0}
+        there = frozenset(int(one) for some in values for one in np.unique(some)) - {0}
         listed = [f"{name} ({one})" for name, one in named.items() if one in there]
         listed = listed or [str(one) for one in sorted(there)]
         known = f"labels in {path}: {', '.join(listed) or 'it has none'}"
@@ -67,16 +73,16 @@ class Segmentation:
         if not chosen:
             message = f"`labels` must name at least one of the {known}; got none (--label NAME; in Python a list)"
             raise MeshingError(message, where="labels")
-        return cls(str(path), Grid.of(image), values, chosen)
+        return cls(str(path), Grid.of(image), values, chosen, named, there)
 
     def surface(self, threads: int = 0) -> tuple[Triangles, list[str]]:
         """Return the surface around all labels together, in LPS, mm, and what was done to the voxels, in sentences.
 
         `threads`: threads of the filters, 0 takes all cores.
         """
-        inside = np.isin(self.values, list(self.labels.values()))
-        low, high = _box(inside)
-        inside, said = _mended(inside[tuple(map(slice, low, high))], float(np.prod(self.grid.spacing)))
+        low, inside = _cut(np.isin(self.values, list(self.labels.values())))
+        high = low + inside.shape
+        inside, said = _mended(inside, float(np.prod(self.grid.spacing)))
         ends = zip(low == 0, high == self.values.shape, strict=True)
         if any(
             end and inside.take(where, axis).any()
@@ -84,31 +90,86 @@ class Segmentation:
             for where, end in zip((0, -1), both, strict=True)
         ):
             said.append("the label reaches the border of the image, where the surface is cut off")
-        spacing = [float(x) for x in self.grid.spacing]
-        wanted = float(np.count_nonzero(inside) * np.prod(spacing))
-        smooth = _smooth(np.pad(inside, MESHING.pad), spacing, threads)
-        vertices, triangles, volume = _contour(smooth, spacing, wanted)
+        found, volume = self._outlined(low, inside, threads)
+        wanted = float(np.count_nonzero(inside) * np.prod(self.grid.spacing))
         if abs(volume - wanted) >= MESHING.level_share * wanted:
             said.append(
                 f"the voxels have {wanted:.4g} mm^3, the surface encloses {volume:.4g}: parts are too thin for it"
             )
+        return found, said
+
+    def interfaces(self, outer: Triangles, threads: int = 0) -> Triangles | None:
+        """Return the surfaces between the labels, in LPS, mm; None where there is one label.
+
+        Those of all labels but the largest, without what lies on the `outer` surface or on that of another label.
+        """
+        counts = {value: int(np.count_nonzero(self.values == value)) for value in self.labels.values()}
+        made = [outer]
+        for value in sorted(counts, key=counts.__getitem__)[:-1]:
+            low, inside = _cut(self.values == value)
+            surface, _ = self._outlined(low, _mended(inside, 1.0)[0], threads)
+            middles = surface.vertices[surface.triangles].mean(axis=1)
+            gaps = [ClosestTriangles(other.vertices[other.triangles]).find(middles).distances for other in made]
+            apart = np.min(gaps, axis=0) > MESHING.apart * self.grid.spacing.max()
+            if apart.any():
+                made.append(Triangles(surface.vertices, surface.triangles[apart], "LPS"))
+        if len(made) == 1:
+            return None
+        firsts = np.cumsum([0, *(len(one.vertices) for one in made[1:-1])])
+        triangles = [first + one.triangles for first, one in zip(firsts, made[1:], strict=True)]
+        return Triangles(np.concatenate([one.vertices for one in made[1:]]), np.concatenate(triangles), "LPS")
+
+    def _outlined(self, low: IntArray, inside: npt.NDArray[np.bool_], threads: int) -> tuple[Triangles, float]:
+        """Return the surface of voxels, of which the first is `low`, in LPS, mm, and its volume, mm^3."""
+        spacing = [float(x) for x in self.grid.spacing]
+        smooth = _smooth(np.pad(inside, MESHING.pad), spacing, threads)
+        vertices, triangles, volume = _contour(smooth, spacing, float(np.count_nonzero(inside) * np.prod(spacing)))
         # Normals point to smaller values, and the axes of an image may be left-handed.
         if np.linalg.det(self.grid.steps) > 0.0:
             triangles = np.ascontiguousarray(triangles[:, ::-1])
-        return Triangles(self.grid.places(vertices + low[::-1] - MESHING.pad), triangles, "LPS"), said
+        return Triangles(self.grid.places(vertices + low[::-1] - MESHING.pad), triangles, "LPS"), volume
 
-    def of_tets(self, nodes: FloatArray, tets: IntArray, volumes: FloatArray) -> dict[str, dict[str, float]]:
-        """Return number and volume, mm^3, of the tets whose middle lies in each label; the rest is in none."""
-        middle = np.rint(self.grid.indices(nodes[tets].mean(axis=1))).astype(int)
+    @property
+    def sets(self) -> list[str]:
+        """Names of the labels that become node sets: where there are several, all but those that would hold nodes."""
+        return [name for name in self.labels if name not in ("fixed", "perhaps_fixed")] if len(self.labels) > 1 else []
+
+    def label_near(self, rule: Any, name: str) -> tuple[int, float] | None:
+        """Return label and distance, mm, of a rule ``label NAME r``; None for another rule; `name`: of the argument."""
+        words = rule.split() if isinstance(rule, str) else []
+        if len(words) < 2 or words[0] != "label":
+            return None
+        value = _value(" ".join(words[1:-1]), self.named, self.there)
+        try:
+            within = float(words[-1])
+        except ValueError:
+            within = math.nan
+        if value not in self.there or not 0.0 < within < math.inf:
+            message = f"`{name}` must be 'label NAME r', a label of {self.path} and a distance in mm, got {found(rule)}"
+            raise MeshingError(message, where=name)
+        return value, within
+
+    def nodes_near(self, mesh: Mesh, near: tuple[int, float]) -> IntArray:
+        """Return the surface nodes (n,) of a mesh within a distance, mm, of the middles of a label's voxels."""
+        from scipy.spatial import cKDTree
+
+        value, within = near
+        places = self.grid.places(np.argwhere(self.values == value)[:, ::-1].astype(np.float64))
+        gaps = cKDTree(places).query(mesh.nodes[mesh.surface_nodes], distance_upper_bound=within)[0]
+        if not np.isfinite(gaps).any():
+            message = f"a surface node must lie within {within:g} mm of label {value} of {self.path}; none does"
+            raise MeshingError(message, where="label")
+        return np.asarray(mesh.surface_nodes[np.isfinite(gaps)])
+
+    def of_tets(self, mesh: Mesh) -> dict[str, IntArray]:
+        """Return the numbers of the tets (n,) whose middle lies in each label; the rest is in none."""
+        middle = np.rint(self.grid.indices(mesh.nodes[mesh.tets].mean(axis=1))).astype(int)
         middle = np.clip(middle, 0, np.array(self.grid.size) - 1)
         own = self.values[middle[:, 2], middle[:, 1], middle[:, 0]]
-        return {
-            name: {"tets": int(np.count_nonzero(own == value)), "volume_mm3": float(volumes[own == value].sum())}
-            for name, value in self.labels.items()
-        }
+        return {name: np.flatnonzero(own == value) for name, value in self.labels.items()}
 
 
-def _value(asked: Any, named: dict[str, int], there: set[int]) -> int | None:
+def _value(asked: Any, named: dict[str, int], there: frozenset[int]) -> int | None:
     """Return the value of a label: a number is one, a text a segment's name or else a number; None if it is neither."""
     if isinstance(asked, int | np.integer) and not isinstance(asked, bool):
         return int(asked)
@@ -138,10 +199,11 @@ def _segments(image: Any, path: str) -> dict[str, int]:
     return named
 
 
-def _box(inside: npt.NDArray[np.bool_]) -> tuple[IntArray, IntArray]:
-    """Return the first slice, row and column that a label has, and those after its last."""
+def _cut(inside: npt.NDArray[np.bool_]) -> tuple[IntArray, npt.NDArray[np.bool_]]:
+    """Return the first slice, row and column that a label has, and the voxels of its box."""
     found = [np.flatnonzero(inside.any(axis=tuple({0, 1, 2} - {axis}))) for axis in range(3)]
-    return np.array([one[0] for one in found]), np.array([one[-1] + 1 for one in found])
+    low = np.array([one[0] for one in found])
+    return low, inside[tuple(slice(one[0], one[-1] + 1) for one in found)]
 
 
 def _mended(inside: npt.NDArray[np.bool_], voxel_mm3: float) -> tuple[npt.NDArray[np.bool_], list[str]]:
