@@ -18,6 +18,7 @@ from support.rigs import rig
 from support.wrong import WRONG, ends_well, swept
 from tissuereg.errors import ExperimentError, FormatError, MaterialError, TissueRegError, UnitWarning
 from tissuereg.experiment.effects import EFFECTS
+from tissuereg.imaging.images import Grid, write_image
 from tissuereg.io.experiments import read_experiment
 from tissuereg.parallel import Failed, Processes, open_executor
 from tissuereg.registration.contacts.settings import ContactSettings
@@ -105,6 +106,19 @@ def filled(**given):
 def moved_grid(**given):
     with tempfile.TemporaryDirectory() as folder:
         registered().transform(Path(folder) / "field.nrrd", **given)
+
+
+def moved_image(**given):
+    with tempfile.TemporaryDirectory() as folder:
+        grid = Grid((4, 4, 4), np.array([0.0, 0.0, 5.0]), 7.0 * np.eye(3))
+        image = write_image(Path(folder) / "seg.nrrd", grid.image(np.ones((4, 4, 4), np.uint8)))
+        registered().warp_image(**{"image": image, "path": Path(folder) / "moved.nrrd", **given})
+
+
+def moved_surface(**given):
+    with tempfile.TemporaryDirectory() as folder:
+        skin = (mesh().nodes, mesh().surface)
+        registered().warp_surface(**{"surface": skin, "path": Path(folder) / "moved.ply", **given})
 
 
 def saved(**given):
@@ -409,6 +423,8 @@ CALLS = {
     ),
     "Registration.draws": (lambda **given: registered().draws(**given), {"count": 2}),
     "Registration.at": (lambda **given: registered().at(**given), {"points": [(15.0, 10.0, 20.0)], "covariance": True}),
+    "Registration.warp_image": (moved_image, {"image": None, "path": None, "labels": True, "like": None}),
+    "Registration.warp_surface": (moved_surface, {"surface": None, "path": None, "unit": "mm"}),
     "Registration.transform": (moved_grid, {"spacing": 9.0, "like": None, "direction": "modeling", "std": None}),
     "PointAnswer.region": (
         lambda **given: registered().at([(15.0, 10.0, 20.0)]).region(**given),
@@ -513,6 +529,9 @@ CALLED = {
     "fibre": "Fibre",
     "targets": "target",
     "surface": "vertices|no such file",
+    "path": "name must end in",
+    "image": "no such file",
+    "like": "no such file",
     "factor": "young",
     "marker_names": "marker_reference",
     "markers": "marker",
