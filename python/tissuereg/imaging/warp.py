@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from tissuereg._base.arrays import FloatArray
+from tissuereg._base.arrays import BoolArray, FloatArray
+from tissuereg.body.surroundings import SpaceMap
 from tissuereg.body.triangles import Triangles
 from tissuereg.errors import ArgumentError
 from tissuereg.imaging.images import Grid, ending, itk, read_image, write_image
-from tissuereg.imaging.sampled import Sampled, Tally
+from tissuereg.imaging.sampled import Mark, Sampled, Tally
 from tissuereg.io.csv import write_table
 from tissuereg.io.mrk_json import write_mrk_json
 from tissuereg.io.surfaces import read_triangles
@@ -117,6 +118,16 @@ def warp_image(
     return Warped(tally.moved_mm, tally.outside, sampled.residual_mm())
 
 
+def section_of(space: SpaceMap, source: Any, grid: Grid) -> tuple[FloatArray, BoolArray]:
+    """Return a SimpleITK volume as it is after the deformation of `space` on a grid of one slice, (rows, columns).
+
+    Places that come from outside the image get its smallest value. Second: which places are inside the body.
+    """
+    moved, by = Sampled(space, grid, back=True).slices(0, 1)
+    found = _resampled(source, grid, moved, 0, (itk().sitkLinear, _least(source)))
+    return np.asarray(found[0], np.float64), by[0] == Mark.INSIDE
+
+
 @dataclass(frozen=True, eq=False)
 class _Labels:
     """A label map that is read between its voxels: each point takes the label with the largest linear weight.
@@ -176,4 +187,4 @@ def _resampled(source: Any, grid: Grid, moved: Any, first: int, how: tuple[Any, 
     return sitk.GetArrayFromImage(sitk.Resample(source, place, transform, *how, source.GetPixelID()))
 
 
-__all__ = ["Warped", "warp_image", "warp_points", "warp_surface"]
+__all__ = ["Warped", "section_of", "warp_image", "warp_points", "warp_surface"]

@@ -350,6 +350,7 @@ class Registration:
         *,
         deformed: bool = False,
         picture: bool = True,
+        image: str | os.PathLike[str] | None = None,
     ) -> Path:
         """Write the result as files into a folder, all of them or none.
 
@@ -367,6 +368,8 @@ class Registration:
             Whether to write ``registered_deformed.vtu`` too: the body with displaced nodes and the same point data.
         picture : bool
             Whether to draw ``registered.png``, which takes most of the time of this call.
+        image : path-like, optional
+            An image of the undeformed body: ``report.html`` is written too, with sections of it; see `report`.
 
         Returns
         -------
@@ -377,13 +380,16 @@ class Registration:
         ------
         OutputError
             If the folder cannot be written; nothing is changed then.
+        ArgumentError, FormatError, ImportError
+            If the image cannot be used, as by `report`.
         """
         from tissuereg.io.atomic import OutputError
         from tissuereg.report.files import save_registration
 
         target, added = place("folder", folder, error=OutputError), dict(named("extra", extra))
         drawn = flag("picture", picture)
-        return save_registration(self, target, added, deformed=flag("deformed", deformed), picture=drawn)
+        more = flag("deformed", deformed)
+        return save_registration(self, target, added, deformed=more, picture=drawn, image=image)
 
     def plot(self) -> Any:
         """Return a matplotlib figure of the body before and after, with markers, targets and the nodes' deviations."""
@@ -398,8 +404,14 @@ class Registration:
 
         return png_bytes(self.plot())
 
-    def report(self, path: str | os.PathLike[str], *, picture: bool = True) -> Path:
-        """Write one self-contained HTML page: picture, markers, targets with regions, trust, model, times, provenance.
+    def report(
+        self,
+        path: str | os.PathLike[str],
+        *,
+        picture: bool = True,
+        image: str | os.PathLike[str] | None = None,
+    ) -> Path:
+        """Write one self-contained HTML page: the body to turn, sections, markers, targets with regions, trust, model.
 
         Parameters
         ----------
@@ -407,16 +419,27 @@ class Registration:
             File to write, whole or not at all.
         picture : bool
             Whether to draw the body.
+        image : path-like, optional
+            An image of the undeformed body (CT, MR), of which sections through the targets show what is there now. It
+            is in the frame of the mesh; a mesh that states none is taken to be in LPS.
 
         Returns
         -------
         Path
             The file.
+
+        Raises
+        ------
+        ArgumentError, FormatError
+            If the image cannot be read, does not show the body or has several values a voxel.
+        ImportError
+            If an image is given and SimpleITK is not installed (``pip install 'tissuereg[images]'``).
         """
         from tissuereg.io.atomic import OutputError
         from tissuereg.report.page import write_page
 
-        return write_page(self, place("path", path, error=OutputError), picture=flag("picture", picture))
+        target, drawn = place("path", path, error=OutputError), flag("picture", picture)
+        return write_page(self, target, picture=drawn, image=None if image is None else place("image", image))
 
 
 def _row_json(row: FloatArray) -> list[float | None]:

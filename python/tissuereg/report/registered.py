@@ -1,0 +1,258 @@
+"""What the view of a registration shows: the body before and after, markers, targets with regions, contacts."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from tissuereg._base.arrays import FloatArray, IntArray
+from tissuereg.report import scene
+from tissuereg.report.solid import FINENESS, DrawnBody
+from tissuereg.report.viewer import Layer, Paint, Scene, top_of
+from tissuereg.report.words import counted
+
+if TYPE_CHECKING:
+    from tissuereg.body.mesh import Mesh
+    from tissuereg.registration.result import Registration
+    from tissuereg.registration.target import Target
+
+#: Names and colours of the surface's patches.
+PATCHES = (("free surface", "#c3cad3"), ("held", "#59626c"), ("perhaps held", "#c9a25a"))
+
+
+def registered_scene(result: "Registration", most: int = FINENESS.triangles) -> Scene:
+    """Return what the view of a registration shows; `most`: number of triangles at most."""
+    supports = result.body.supports
+    body = DrawnBody.of(result.mesh, [supports.sure, supports.perhaps], most)
+    moved, spread = body.field(result.displacement), body.field(result.std)
+    size = np.linalg.norm(moved, axis=1)
+    return Scene(
+        title="The registered body",
+        body=body,
+        modes=moved[None],
+        weights=[[np.zeros((1, 1))], [np.ones((1, 1))]],
+        patches=PATCHES,
+        paints=[
+            Paint("displacement", "mm", size, top=top_of(size)),
+            Paint("spread (standard deviation of a node)", "mm", spread, top=top_of(spread, 0.99), over=True),
+            Paint("supports"),
+        ],
+        states=("before", "registered"),
+        start=(1, 0, 0, 0),
+        outline=True,
+        layers=[
+            *held_layers(result.mesh, (supports.sure, supports.perhaps), result.displacement),
+            *_contacts(result),
+            *_surface_points(result),
+            *_markers(result),
+            *_dropped(result),
+            *_targets(result),
+        ],
+        axes=axes_of(result.mesh),
+    )
+
+
+def axes_of(mesh: "Mesh") -> tuple[str, ...]:
+    """Return the names of a mesh's axes: the directions of the patient if its frame is known."""
+    return tuple(mesh.frame) if mesh.frame else ("x", "y", "z")
+
+
+def held_layers(
+    mesh: "Mesh", sets: tuple[IntArray, IntArray], displacement: FloatArray | None = None, *, shown: bool = False
+) -> list[Layer]:
+    """Return the nodes that are held, and those that perhaps are (node numbers), before and after a displacement."""
+    layers = []
+    for nodes, (name, colour) in zip(sets, PATCHES[1:], strict=True):
+        if len(nodes):
+            some = nodes[:: -(-len(nodes) // FINENESS.nodes)]
+            rest = mesh.nodes[some]
+            places = rest if displacement is None else [[rest], [rest + displacement[some]]]
+            title = f"{name}: {counted(len(nodes), 'node')}"
+            layers.append(
+                Layer(kind="points", title=title, colour=colour, places=places, shape="square", size=1.6, shown=shown)
+            )
+    return layers
+
+
+def target_layers(
+    targets: "dict[str, Target]", states: Sequence[int] = (), moving: Any = None, told: Sequence[str] = ()
+) -> list[Layer]:
+    """Return registered targets: places with names, and the ellipsoids of their 90 % regions.
+
+    `states`: in which they are drawn; `moving`: places (n_frames, n, 3) and half-axes (n_frames, n, 9), mm, if they
+    change; `told`: text for each.
+    """
+    groups = [
+        ("target, 90 % region", scene.TARGET, [name for name, one in targets.items() if one.flag is None]),
+        ("target, no marker tells", scene.FLAGGED, [name for name, one in targets.items() if one.flag is not None]),
+    ]
+    layers, order = [], list(targets)
+    for title, colour, names in groups:
+        if not names:
+            continue
+        rows = [order.index(name) for name in names]
+        if moving is None:
+            places = np.array([targets[name].mean for name in names])
+            axes = np.array([half_axes(targets[name]) for name in names])
+        else:
+            places, axes = moving[0][:, rows], moving[1][:, rows]
+        same: dict[str, Any] = {"states": states, "behind": 0.8}
+        layers += [
+            Layer(
+                kind="ellipsoids",
+                title=title,
+                colour="#1f5fa8" if colour == scene.TARGET else colour,
+                places=places,
+                by=axes,
+                dashed=colour == scene.FLAGGED,
+                **same,
+            ),
+            Layer(
+                kind="points",
+                title=title.split(",")[0] if colour == scene.TARGET else "target that no marker tells of",
+                colour=colour,
+                places=places,
+                shape="plus",
+                size=5.0,
+                names=names,
+                told=[told[row] for row in rows] if told else (),
+                labels=True,
+                **same,
+            ),
+        ]
+    return layers
+
+
+def half_axes(target: "Target") -> FloatArray:
+    """Return the three half-axes of a target's 90 % region, one after the other, (9,), mm."""
+    region = target.region(0.90)
+    return np.asarray((region.radii[:, None] * region.axes).ravel())
+
+
+def _targets(result: "Registration") -> list[Layer]:
+    if not result.targets:
+        return []
+    told = []
+    for target in result.targets.values():
+        radii = " x ".join(f"{x:.2f}" for x in target.region(0.90).radii)
+        moved = float(np.linalg.norm(target.mean - target.reference))
+        told.append(f"moved {moved:.2f} mm; 90 % region with half-axes {radii} mm")
+    start = [one.reference if one.simulation is None else one.simulation for one in result.targets.values()]
+    before: dict[str, Any] = {"names": list(result.targets), "shape": "cross", "behind": 0.8}
+    title = "target, simulated" if any(one.simulation is not None for one in result.targets.values()) else ""
+    layers = target_layers(result.targets, (1,), None, told)
+    places = np.array([one.reference for one in result.targets.values()])
+    if title:
+        layers.append(
+            Layer(kind="points", title=title, colour=scene.BEFORE, places=np.array(start), states=(1,), **before)
+        )
+    before["labels"] = True
+    layers.append(
+        Layer(kind="points", title="target before", colour=scene.BEFORE, places=places, states=(0,), **before)
+    )
+    return layers
+
+
+def _markers(result: "Registration") -> list[Layer]:
+    """Return the markers that were used: where they were, where they were measured, and where the body has them."""
+    fit, every = result.markers, result.all_markers
+    rows = [i for i, name in enumerate(every.names) if name in fit.residual_mm]
+    if not rows:
+        return []
+    names = [every.names[i] for i in rows]
+    residual = np.array([fit.residual_mm[name] for name in names])
+    start, measured = result.start_markers[rows], every.measured[rows]
+    sizes = np.linalg.norm(residual, axis=1)
+    said = [
+        f"{'inside the body' if name in fit.inner else 'on the skin'}; "
+        + (f"{size:.2f} mm from the registered body" if np.isfinite(size) else "not seen along every axis")
+        for name, size in zip(names, sizes, strict=True)
+    ]
+    title = "marker, simulated" if result.starts_simulated else "marker before"
+    after: dict[str, Any] = {"kind": "points", "states": (1,)}
+    motion: dict[str, Any] = {"places": start, "by": measured, "states": (1,), "width": 1.2}
+    ring: dict[str, Any] = {"places": measured, "shape": "ring", "size": 5.0, "names": names, "told": said}
+    layers = [
+        Layer(kind="lines", title="motion of a marker", colour=scene.BEFORE, **motion),
+        Layer(kind="points", title=title, colour=scene.BEFORE, places=start, shape="cross", names=names),
+        Layer(title="marker, registered", colour=scene.FITTED, places=measured - residual, size=3.0, **after),
+        Layer(title="marker, measured", colour=scene.MEASURED, **ring, **after),
+    ]
+    wrong = [i for i, name in enumerate(names) if _is_wrong(result, name)]
+    if wrong:
+        named = [f"{names[i]}: does not fit" for i in wrong]
+        circle: dict[str, Any] = {"shape": "ring", "size": 9.0, "width": 2.2, "labels": True, "names": named}
+        layers.append(Layer(title="does not fit", colour=scene.WRONG, places=measured[wrong], **circle, **after))
+    return layers
+
+
+def _is_wrong(result: "Registration", name: str) -> bool:
+    return any(reason.startswith(f"wrong marker: {name} ") for reason in result.trust.reasons)
+
+
+def _dropped(result: "Registration") -> list[Layer]:
+    """Return the markers that were not used: those measured, and where those not seen must be."""
+    every, layers = result.all_markers, []
+    row = {name: i for i, name in enumerate(every.names)}
+    seen = [(name, why) for name, why in result.markers.dropped if np.isfinite(every.measured[row[name]]).all()]
+    lost = [(name, why) for name, why in result.markers.dropped if (name, why) not in seen]
+    for title, colour, shape, some in (
+        ("marker not used", scene.WRONG, "cross", seen),
+        ("not seen: where it must be", "#59626c", "ring", lost),
+    ):
+        if some:
+            must = np.array([result.unseen[name].mean for name, _ in some])
+            places = must if some is lost else every.measured[[row[name] for name, _ in some]]
+            names = [f"{name}: {why}" for name, why in some]
+            sign: dict[str, Any] = {"shape": shape, "size": 5.0, "width": 2.2, "labels": some is seen}
+            layers.append(
+                Layer(kind="points", title=title, colour=colour, places=places, names=names, states=(1,), **sign)
+            )
+    return layers
+
+
+def _surface_points(result: "Registration") -> list[Layer]:
+    fit = scene.surface_of(result)
+    if fit is None:
+        return []
+    places = fit.places[:: max(1, -(-len(fit.places) // FINENESS.nodes))]
+    return [Layer(kind="points", title="surface points", colour=scene.MEASURED, places=places, size=1.4, states=(1,))]
+
+
+def _contacts(result: "Registration") -> list[Layer]:
+    """Return every contact: the border of its patch, and an arrow along the force on the body."""
+    found = scene.contacts_of(result)
+    if not found:
+        return []
+    surface = scene.Surface.of(result)
+    largest = max(contact.force_mN for contact in found)
+    rims, tails, arrows, names, told = [], [], [], [], []
+    for contact in found:
+        node = surface.nearest(contact.centre_mm, result.mesh.nodes)
+        at = (surface.places[node], surface.normals[node])
+        tail, arrow = scene.force_arrow(contact, largest, at, result.mesh.extent)
+        rims.append(scene.rim(result.mesh, surface, node, contact.radius_mm)[0])
+        tails.append(tail)
+        arrows.append(arrow)
+        names.append(f"{scene.contact_verb(contact, at[1])} {contact.force_mN:,.0f} mN")
+        told.append(
+            f"surface moved by {contact.size_mm:.1f} mm; probability {contact.probability:.2f} within about "
+            f"{contact.place_std_mm:.0f} mm"
+        )
+    border = np.concatenate(rims)
+    same: dict[str, Any] = {"colour": scene.CONTACT, "states": (1,)}
+    return [
+        Layer(kind="lines", title="contact: its patch", places=border[:, 0], by=border[:, 1], **same),
+        Layer(
+            kind="arrows",
+            title="contact: force on the body",
+            places=np.array(tails),
+            by=np.array(arrows),
+            names=names,
+            told=told,
+            labels=True,
+            width=2.6,
+            behind=0.6,
+            **same,
+        ),
+    ]
