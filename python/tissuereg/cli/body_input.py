@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 _LEAST_GRAVITY = 20.0
 
 
-def add_body_options(more: Any, tables: str) -> None:
-    """Add options for frames, targets, held nodes and noise; `tables` names the tables of ``--tables-frame``."""
+def add_body_options(more: Any, tables: str, *, noise: bool = True) -> None:
+    """Add options for frames, targets, held nodes and `noise`; `tables` names the tables of ``--tables-frame``."""
     text = (
         "LPS or RAS: frame of MESH, of tables and of the answer; points of 3D Slicer in the other one are converted "
         "(default: that which MESH states, or else that of the first such file of points on the surface; if none, "
@@ -43,6 +43,8 @@ def add_body_options(more: Any, tables: str) -> None:
     more.add_argument("--fixed", metavar="RULE", help=text)
     text = "nodes of MESH at one place that no tets share: joined where whole faces coincide, all joined, or kept apart"
     add_option(more, "--coincident", choice(("certain", "join", "keep"), text, default=None, otherwise="certain"))
+    if not noise:
+        return
     text = "noise of a marker coordinate without its own std_mm"
     add_option(more, "--std", number(text, unit="mm", above=0.0, default=None, otherwise="0.1"), "MM")
 

@@ -24,7 +24,7 @@ td:first-child, th:first-child { text-align: left; }
 .viewer .switch { display: inline-flex; flex-wrap: wrap; gap: .2rem; } .viewer input[type=range] { width: 6.5rem; }
 .viewer input.frames { width: min(22rem, 56vw); } .viewer .mark { width: 18px; height: 14px; }
 .viewer .patch i { width: 13px; height: 13px; border-radius: 3px; } .viewer .figures { font-size: 13.5px; margin: 0; }
-.viewer output { min-width: 4.2em; }
+.hint { font-size: 13.5px; color: #59626c; margin: .3rem 0; } .viewer output { min-width: 4.2em; }
 @media (max-width: 40rem) { body { margin: 1rem auto; padding: 0 .7rem; } td, th { padding: .25rem .45rem; } }
 @media print { .viewer .controls, .viewer input { display: none; } }
 """

@@ -41,7 +41,11 @@ def write_page(result: "Registration", path: Path, *, picture: bool = True, imag
     """
     parts = [
         _summary(result),
-        *([_body(result), sections(result, image)] if picture or image is not None else []),
+        *(
+            [f"<h2>The body</h2>{viewer(registered_scene(result))}", sections(result, image)]
+            if picture or image is not None
+            else []
+        ),
         _contacts(result),
         _explained(result),
         _targets(result),
@@ -90,14 +94,6 @@ def _met(result: "Registration") -> str:
             f"surface, {surface.before_rms_mm:.2f} mm before."
         )
     return " ".join(words)
-
-
-def _body(result: "Registration") -> str:
-    drawn = registered_scene(result)
-    return (
-        "<h2>The body</h2><p>Drag to turn, two fingers or + and - to zoom, shift and drag to move; point at a sign for "
-        f"its numbers. {drawn.body.words}</p>{viewer(drawn)}"
-    )
 
 
 def _contacts(result: "Registration") -> str:

@@ -64,6 +64,13 @@
     const middle = low.map((x, k) => (x + high[k]) / 2), extent = norm(low.map((x, k) => high[k] - x));
     let reach = 0;
     for (let i = 0; i < n; i += 1) reach = Math.max(reach, norm(at(rest, i).map((x, k) => x - middle[k])));
+    // Half the width and height of the body as it is seen first.
+    const half = [0, 0], first = { cy: Math.cos(view.yaw), sy: Math.sin(view.yaw), cp: Math.cos(view.pitch), sp: Math.sin(view.pitch) };
+    for (let i = 0; i < n; i += 1) {
+      const [x, y, z] = at(rest, i).map((c, k) => c - middle[k]);
+      half[0] = Math.max(half[0], Math.abs(first.cy * x + first.sy * y));
+      half[1] = Math.max(half[1], Math.abs(first.cp * z + first.sp * (first.cy * y - first.sy * x)));
+    }
     const places = new Float32Array(rest), faces = new Float32Array(3 * m), areas = new Float32Array(m);
     const normals = new Float32Array(9 * m), moved = new Float32Array(n); // normals at the corners of every triangle
     const around = Array.from({ length: n }, () => []);
@@ -154,7 +161,7 @@
     function aim() {
       const cy = Math.cos(view.yaw), sy = Math.sin(view.yaw), cp = Math.cos(view.pitch), sp = Math.sin(view.pitch);
       const right = [cy, sy, 0], towards = [sy * cp, -cy * cp, sp], up = [-sy * sp, cy * sp, cp];
-      const scale = (Math.min(0.44 * width, 0.6 * height) * view.zoom) / reach;
+      const scale = Math.min((0.42 * width) / half[0], (0.38 * height) / half[1], (0.62 * Math.min(width, height)) / reach) * view.zoom;
       camera = { right, up, towards, scale, x: width / 2 + view.shiftX, y: height / 2 + view.shiftY };
     }
     function seen(p) {

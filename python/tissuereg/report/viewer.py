@@ -182,8 +182,10 @@ def script_text(value: Any) -> str:
 
 def viewer(scene: Scene) -> str:
     """Return the element of a page that shows a scene; the page needs `viewer_script` once, after all of them."""
-    data = script_text(scene.to_json())
+    data, coarse = script_text(scene.to_json()), scene.body.words
     return (
+        "<p class='hint'>Drag to turn, two fingers or + and - to zoom, shift and drag to move; point at a sign or at "
+        f"the surface for its numbers. {coarse}</p>"
         "<div class='viewer'><noscript>The body can be turned where scripts are allowed.</noscript>"
         f"<script type='application/json'>{data}</script></div>"
     )

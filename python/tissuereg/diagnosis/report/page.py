@@ -68,7 +68,7 @@ def _body(found: "Diagnosis") -> str:
 <p>The body at rest, with the residual (measured minus predicted) at every marker:
 <b style='color:{BEFORE}'>before</b>, of the believed model, and <b style='color:{AFTER}'>after</b>, of the extended
 one.{same} Residuals of forces at pads are <b style='color:{FLOOR}'>green</b>, on a scale of their own.
-Point at a marker for its numbers. A red cage is an inclusion that was found, a grey one was in the believed model;
+A red cage is an inclusion that was found, a grey one was in the believed model;
 circles mark markers that a finding names.</p>
 {viewer(scene(found))}"""
 
