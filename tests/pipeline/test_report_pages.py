@@ -58,7 +58,7 @@ def test_the_scene_is_the_result(pushed, page):
     assert len(unpacked(scene["body"]["triangles"])) == len(pushed.mesh.surface)
     layers = {layer["title"]: layer for layer in scene["layers"]}
     for name, axes in zip(
-        layers["target"]["names"], unpacked(layers["target, 90 % region"]["by"][0][0])[0], strict=True
+        layers["target"]["names"], unpacked(layers["target: 90 % region"]["by"][0][0])[0], strict=True
     ):
         half = axes.reshape(3, 3)
         # Half-axes of the 90 % ellipsoid of a Gaussian: their outer products add up to 6.251 covariances.
@@ -103,8 +103,8 @@ def test_the_body_is_drawn_and_its_controls_work(pushed, page):
     assert front["view"] == "0.00,0.00"
     assert first["signs"]["marker, measured"] == 10
     assert "marker, measured" not in opaque["signs"]
-    assert "target, 90 % region" not in before["signs"]
-    assert first["signs"]["target, 90 % region"] + first["signs"].get("target, no marker tells", 0) == 2
+    assert "target: 90 % region" not in before["signs"]
+    assert first["signs"]["target: 90 % region"] + first["signs"].get("target, no marker tells: 90 % region", 0) == 2
     skin = pushed.mesh.nodes[pushed.mesh.surface_nodes]
     moved = skin + pushed.displacement[pushed.mesh.surface_nodes]
     assert before["depth"] == pytest.approx(np.abs(skin).sum(), rel=1e-4)

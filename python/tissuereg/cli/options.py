@@ -154,8 +154,8 @@ def refuse_overwriting(written: Iterable[Path], inputs: Iterable[str | Path | No
 
 
 #: Options that change no answer: where it is written and what is said of it. Those of the first line have a value.
-_BESIDE = {"--out": 1, "--json": 1, "--threads": 1} | dict.fromkeys(
-    ("--quiet", "--debug", "--verbose", "--no-picture", "--deformed", "--fields"), 0
+_BESIDE = {"--out": 1, "--json": 1, "--threads": 1, "--image": 1} | dict.fromkeys(
+    ("--quiet", "--debug", "--verbose", "--no-picture", "--deformed", "--fields", "--report"), 0
 )
 
 

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tissuereg._base.arrays import FloatArray, IntArray
+from tissuereg._base.arrays import BoolArray, FloatArray, IntArray
 from tissuereg.report import scene
 from tissuereg.report.solid import FINENESS, DrawnBody
 from tissuereg.report.viewer import Layer, Paint, Scene, top_of
@@ -75,50 +75,31 @@ def held_layers(
 
 
 def target_layers(
-    targets: "dict[str, Target]", states: Sequence[int] = (), moving: Any = None, told: Sequence[str] = ()
+    names: Sequence[str],
+    regions: tuple[FloatArray, FloatArray, BoolArray],
+    states: Sequence[int] = (),
+    told: Sequence[str] = (),
 ) -> list[Layer]:
     """Return registered targets: places with names, and the ellipsoids of their 90 % regions.
 
-    `states`: in which they are drawn; `moving`: places (n_frames, n, 3) and half-axes (n_frames, n, 9), mm, if they
-    change; `told`: text for each.
+    `regions`: places (n_frames, n, 3), half-axes (n_frames, n, 9), mm, and whether no marker tells (n_frames, n);
+    `states`: in which they are drawn; `told`: text for each.
     """
-    groups = [
-        ("target, 90 % region", scene.TARGET, [name for name, one in targets.items() if one.flag is None]),
-        ("target, no marker tells", scene.FLAGGED, [name for name, one in targets.items() if one.flag is not None]),
-    ]
-    layers, order = [], list(targets)
-    for title, colour, names in groups:
-        if not names:
+    places, axes, flagged = regions
+    layers = []
+    for title, colour, region, chosen in (
+        ("target", scene.TARGET, "#1f5fa8", ~flagged),
+        ("target, no marker tells", scene.FLAGGED, scene.FLAGGED, flagged),
+    ):
+        if not chosen.any():
             continue
-        rows = [order.index(name) for name in names]
-        if moving is None:
-            places = np.array([targets[name].mean for name in names])
-            axes = np.array([half_axes(targets[name]) for name in names])
-        else:
-            places, axes = moving[0][:, rows], moving[1][:, rows]
-        same: dict[str, Any] = {"states": states, "behind": 0.8}
+        at = np.where(chosen[..., None], places, np.nan)
+        both: dict[str, Any] = {"places": at, "states": states, "behind": 0.8}
+        edge: dict[str, Any] = {"kind": "ellipsoids", "colour": region, "by": axes, "dashed": region == colour}
+        sign: dict[str, Any] = {"kind": "points", "colour": colour, "shape": "plus", "size": 5.0, "labels": True}
         layers += [
-            Layer(
-                kind="ellipsoids",
-                title=title,
-                colour="#1f5fa8" if colour == scene.TARGET else colour,
-                places=places,
-                by=axes,
-                dashed=colour == scene.FLAGGED,
-                **same,
-            ),
-            Layer(
-                kind="points",
-                title=title.split(",")[0] if colour == scene.TARGET else "target that no marker tells of",
-                colour=colour,
-                places=places,
-                shape="plus",
-                size=5.0,
-                names=names,
-                told=[told[row] for row in rows] if told else (),
-                labels=True,
-                **same,
-            ),
+            Layer(title=f"{title}: 90 % region", **edge, **both),
+            Layer(title=title, names=names, told=told, **sign, **both),
         ]
     return layers
 
@@ -137,19 +118,17 @@ def _targets(result: "Registration") -> list[Layer]:
         radii = " x ".join(f"{x:.2f}" for x in target.region(0.90).radii)
         moved = float(np.linalg.norm(target.mean - target.reference))
         told.append(f"moved {moved:.2f} mm; 90 % region with half-axes {radii} mm")
-    start = [one.reference if one.simulation is None else one.simulation for one in result.targets.values()]
-    before: dict[str, Any] = {"names": list(result.targets), "shape": "cross", "behind": 0.8}
-    title = "target, simulated" if any(one.simulation is not None for one in result.targets.values()) else ""
-    layers = target_layers(result.targets, (1,), None, told)
-    places = np.array([one.reference for one in result.targets.values()])
-    if title:
-        layers.append(
-            Layer(kind="points", title=title, colour=scene.BEFORE, places=np.array(start), states=(1,), **before)
-        )
-    before["labels"] = True
-    layers.append(
-        Layer(kind="points", title="target before", colour=scene.BEFORE, places=places, states=(0,), **before)
-    )
+    targets = list(result.targets.values())
+    places, axes = np.array([one.mean for one in targets]), np.array([half_axes(one) for one in targets])
+    flagged = np.array([one.flag is not None for one in targets])
+    before: dict[str, Any] = {"kind": "points", "colour": scene.BEFORE, "shape": "cross", "behind": 0.8}
+    before["names"] = list(result.targets)
+    layers = target_layers(before["names"], (places[None], axes[None], flagged[None]), (1,), told)
+    simulated = [one.simulation for one in targets if one.simulation is not None]
+    if len(simulated) == len(targets):
+        layers.append(Layer(title="target, simulated", places=np.array(simulated), states=(1,), **before))
+    rest = np.array([one.reference for one in targets])
+    layers.append(Layer(title="target before", places=rest, states=(0,), labels=True, **before))
     return layers
 
 

@@ -3,7 +3,7 @@
 // The element holds a script of JSON, the scene, as report/viewer.py writes it. All text of a scene is set as text.
 (function () {
   const SHADES = 64, STOPS = 256;
-  const RAMP = ["#ffffd9", "#c7e9b4", "#7fcdbb", "#41b6c4", "#1d91c0", "#225ea8", "#0c2c84"];
+  const RAMP = ["#f3f4ee", "#c7e9b4", "#7fcdbb", "#41b6c4", "#1d91c0", "#225ea8", "#0c2c84"];
   const PATCHES = ["#c3cad3", "#7d858e", "#d6aa3c", "#78aa5a", "#9678be", "#5aaab4", "#c9826b", "#a8a05a"];
   const rgb = (hex) => [1, 3, 5].map((i) => parseInt(hex.slice(i, i + 2), 16));
   const norm = (v) => Math.hypot(v[0], v[1], v[2]);
