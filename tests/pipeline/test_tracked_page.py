@@ -10,7 +10,7 @@ import tissuereg as tr
 from support.browser import needs_browser, opened
 from support.pages import assert_sound_page, scenes_of, unpacked
 from support.small_model import SMALL_MODEL
-from tissuereg.report.curves import Curve, charts
+from tissuereg.report.curves import TimeCurve, charts
 from tissuereg.report.tracked import Film, event_line, events_of, few_modes, tracked_page
 
 NASTY = "<b>&'\"P</b></script>"
@@ -173,7 +173,7 @@ def test_events_are_counted_by_marker_and_kind():
 
 def test_a_chart_draws_values_band_and_doubted_frames():
     times = np.arange(5.0)
-    curve = Curve("x <mm>", times, np.array([0.0, 1.0, np.nan, 3.0, 4.0]), np.full(5, 0.5))
+    curve = TimeCurve("x <mm>", times, np.array([0.0, 1.0, np.nan, 3.0, 4.0]), np.full(5, 0.5))
     text = charts([curve], np.array([False, False, False, True, True]))
     assert "x &lt;mm&gt;" in text
     lines = [

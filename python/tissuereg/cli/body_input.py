@@ -7,11 +7,20 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from tissuereg._base.choices import (
+    BODY_ELEMENTS,
+    COINCIDENT,
+    FRAMES,
+    HELD,
+    MATCHES,
+    STIFFNESS,
+    TRACKERS,
+    Frame,
+)
 from tissuereg._base.fields import choice, number, whole
 from tissuereg.cli.common import note
-from tissuereg.cli.options import ELEMENTS, add_option, option_type, refuse
+from tissuereg.cli.options import add_option, option_type, refuse
 from tissuereg.errors import MeshError
-from tissuereg.io.matching import MATCHES
 
 if TYPE_CHECKING:
     from tissuereg.body.load import Load
@@ -31,9 +40,9 @@ def add_body_options(more: Any, tables: str, *, noise: bool = True) -> None:
         "(default: that which MESH states, or else that of the first such file of points on the surface; if none, "
         "numbers as they are)"
     )
-    add_option(more, "--frame", choice(("LPS", "RAS"), text, default=None))
+    add_option(more, "--frame", choice(FRAMES, text, default=None))
     text = f"frame of the tables {tables}, where it is not --frame"
-    add_option(more, "--tables-frame", choice(("LPS", "RAS"), text, default=None))
+    add_option(more, "--tables-frame", choice(FRAMES, text, default=None))
     text = "table target,x_mm,y_mm,z_mm, or points of 3D Slicer: inner points in the undeformed body"
     more.add_argument("--targets", metavar="FILE", help=text)
     text = (
@@ -42,7 +51,7 @@ def add_body_options(more: Any, tables: str, *, noise: bool = True) -> None:
     )
     more.add_argument("--fixed", metavar="RULE", help=text)
     text = "nodes of MESH at one place that no tets share: joined where whole faces coincide, all joined, or kept apart"
-    add_option(more, "--coincident", choice(("certain", "join", "keep"), text, default=None, otherwise="certain"))
+    add_option(more, "--coincident", choice(COINCIDENT, text, default=None, otherwise="certain"))
     if not noise:
         return
     text = "noise of a marker coordinate without its own std_mm"
@@ -60,11 +69,11 @@ def add_match_option(more: Any, what: str) -> None:
 def add_belief_options(what: Any) -> None:
     """Add the options for what the user believes of the body and its load to an argparse group."""
     text = "whether the node set 'fixed' is held for sure, perhaps, or not at all"
-    add_option(what, "--held", choice(("sure", "perhaps", "free"), text, default=None, otherwise="sure"))
+    add_option(what, "--held", choice(HELD, text, default=None, otherwise="sure"))
     text = "fixed: the tracker surely kept its place relative to the supports; it may have drifted a little"
-    add_option(what, "--tracker", choice(("fixed", "drifts"), text, default=None, otherwise="drifts"))
+    add_option(what, "--tracker", choice(TRACKERS, text, default=None, otherwise="drifts"))
     text = "graded: much softer towards one side, by an amount that the markers tell"
-    add_option(what, "--stiffness", choice(("believed", "graded"), text, default=None, otherwise="believed"))
+    add_option(what, "--stiffness", choice(STIFFNESS, text, default=None, otherwise="believed"))
     text = "Young's modulus in kPa; it scales forces, and sets how far gravity bends the body"
     add_option(what, "--young", number(text, unit="kPa", above=0.0, default=None, otherwise="10"), "KPA")
     add_option(what, "--poisson", number("Poisson's ratio", default=None, otherwise="0.45"), "NU")
@@ -82,7 +91,7 @@ def add_method_options(how: Any) -> None:
     text = "folder of a trained model; phantom, phantom-graph: shipped ones (default: unknown contacts)"
     how.add_argument("--model", metavar="DIR", help=text)
     usual = "auto, those that suit the mesh"
-    element = choice(("auto", *ELEMENTS), "elements of the simulations", default="auto", otherwise=usual)
+    element = choice(BODY_ELEMENTS, "elements of the simulations", default="auto", otherwise=usual)
     add_option(how, "--element", element)
     members = whole("ensemble members, with a model", least=2, default=None, otherwise="40")
     add_option(how, "--members", members, "N")
@@ -116,7 +125,7 @@ def believed_body(args: argparse.Namespace, mesh: "Mesh", material: "Material | 
 
 def frames_of(
     args: argparse.Namespace, mesh: "Mesh", files: Sequence[str | Path | None], inner: Sequence[str | Path | None]
-) -> dict[str, str | None]:
+) -> dict[str, Frame | None]:
     """Return the patient frames of the answer (``frame``) and of tables (``table_frame``): LPS, RAS, None if unknown.
 
     Where neither `mesh` nor ``--frame`` states it, it is that of the first of `files`, of points on the surface, that

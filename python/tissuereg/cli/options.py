@@ -41,9 +41,6 @@ class _HelpFormatter(argparse.RawDescriptionHelpFormatter):
         super().__init__(prog, max_help_position=30, width=100)
 
 
-#: Kinds of elements of a simulation.
-ELEMENTS = ("tet4", "tet4-averaged", "tet10")
-
 #: Help of ``--threads`` for results that are bitwise the same for any number.
 _THREADS = "threads to use (default: all cores); the result does not depend on it"
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from tissuereg._base.choices import Element, Frame
 from tissuereg._base.fields import number
 from tissuereg.cli.body_input import (
     add_belief_options,
@@ -157,7 +158,7 @@ def _input(args: argparse.Namespace) -> dict[str, Any]:
     return given
 
 
-def _with_seen(args: argparse.Namespace, given: dict[str, Any], frames: dict[str, str | None]) -> "Markers":
+def _with_seen(args: argparse.Namespace, given: dict[str, Any], frames: dict[str, Frame | None]) -> "Markers":
     """Return the markers given, with the targets of ``--seen`` after them; errors name the file."""
     from tissuereg.errors import MarkerError
     from tissuereg.io.tables import read_seen
@@ -228,7 +229,7 @@ def _from_experiment(args: argparse.Namespace) -> dict[str, Any]:
         if getattr(args, name) is None:
             refuse(f"--{name} must be given with an experiment", f"--{name}")
     experiment = read_experiment(args.path)
-    plain = "tet4" if args.element == "auto" else args.element
+    plain: Element = "tet4" if args.element == "auto" else args.element
     frame = frame_input(experiment, args.case, args.time, element=plain, threads=args.threads)
     # The registration uses the same elements as the simulation of the frame.
     return {**frame, "mesh": replace(frame["mesh"], **only_given(held=args.held, stiffness=args.stiffness))}

@@ -49,9 +49,6 @@ HELP = Help(
 
 _TARGETS, _ANSWER, _FIELDS, _PAGE = "targets.csv", "track.json", "fields.npz", "report.html"
 
-#: Lines of the summary on markers that were lost and on doubts, at most.
-_MOST_LINES = 8
-
 
 def options(parser: Parser) -> None:
     """Add the arguments of ``tissuereg track`` to its parser."""
@@ -265,7 +262,7 @@ def _summary(content: dict[str, Any], out: str, *, verbose: bool) -> str:
     """Return the content of ``track.json`` as text; the last line states whether a frame is not to be trusted."""
     import numpy as np
 
-    from tissuereg.report.tracked import event_line
+    from tissuereg.report.tracked import KEPT, event_line
 
     frames, failed = content["frames"], content["failed"]
     told = [event for event in content["events"] if event["what"] == "not used"]
@@ -281,8 +278,8 @@ def _summary(content: dict[str, Any], out: str, *, verbose: bool) -> str:
             *(target_line(name, target, f" at {last['time_s']:g} s") for name, target in last["targets"].items()),
             seconds_line(content["seconds"], verbose=verbose),
             f"written: {out}",
-            *(event_line(event) for event in told[:_MOST_LINES]),
-            *([f"and {len(told) - _MOST_LINES} more, see track.json"] if len(told) > _MOST_LINES else []),
+            *(event_line(event) for event in told[: KEPT.lines]),
+            *([f"and {len(told) - KEPT.lines} more, see track.json"] if len(told) > KEPT.lines else []),
             *([f"not registered at {failed[0]['time_s']:g} s: {failed[0]['reason']}"] if failed else []),
             *_frames_verdict(frames),
         ]

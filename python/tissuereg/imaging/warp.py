@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tissuereg._base.arrays import BoolArray, FloatArray
+from tissuereg._base.choices import Unit
 from tissuereg.body.surroundings import SpaceMap
 from tissuereg.body.triangles import Triangles
 from tissuereg.errors import ArgumentError
@@ -60,7 +61,7 @@ def warp_points(field: "RegisteredField", points: dict[str, FloatArray], out: Pa
     return _of(answer)
 
 
-def warp_surface(field: "RegisteredField", surface: Any, out: Path, *, unit: str | None = None) -> Warped:
+def warp_surface(field: "RegisteredField", surface: Any, out: Path, *, unit: Unit | None = None) -> Warped:
     """Write a surface with its vertices moved; `surface`: a file or `Triangles` in mm, in the frame of the body."""
     check_surface_target(out)
     given = surface if isinstance(surface, Triangles) else read_triangles(surface, unit, frame=field.mesh.frame)

@@ -9,6 +9,7 @@ import numpy as np
 
 from tissuereg._base.arguments import check_running, found, named, real
 from tissuereg._base.arrays import FloatArray, IntArray
+from tissuereg._base.choices import Frame, Unit
 from tissuereg._base.clock import Clock
 from tissuereg._base.provenance import warn
 from tissuereg.body.closest import ClosestTriangles
@@ -67,8 +68,8 @@ def tetrahedralize(
     surface: SurfaceInput | tuple[str | os.PathLike[str], Sequence[str | int]],
     size_mm: float,
     *,
-    unit: str | None = None,
-    frame: str | None = None,
+    unit: Unit | None = None,
+    frame: Frame | None = None,
     fixed: NodeRules | None = None,
     node_sets: Mapping[str, NodeRules] | None = None,
     deviation_mm: float | None = None,
@@ -165,7 +166,7 @@ def tetrahedralize(
     return mesh
 
 
-def _segmented(surface: Any, unit: str | None, frame: str | None) -> Segmentation | None:
+def _segmented(surface: Any, unit: Unit | None, frame: Frame | None) -> Segmentation | None:
     """Return the labels of a segmentation, given as its file and them; None where `surface` is something else."""
     if not (isinstance(surface, tuple) and len(surface) == 2 and isinstance(surface[0], str | os.PathLike)):
         return None
@@ -206,7 +207,7 @@ def _check_rules(rules: Mapping[str, NodeRules]) -> None:
         made.append(name)
 
 
-def _with_sets(nodes: FloatArray, tets: IntArray, rules: Mapping[str, NodeRules], frame: str | None) -> FilledMesh:
+def _with_sets(nodes: FloatArray, tets: IntArray, rules: Mapping[str, NodeRules], frame: Frame | None) -> FilledMesh:
     try:
         mesh = FilledMesh(nodes, tets, frame=frame)
     except MeshError as error:

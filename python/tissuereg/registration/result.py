@@ -14,6 +14,7 @@ import numpy as np
 
 from tissuereg._base.arguments import flag, found, named, place
 from tissuereg._base.arrays import FloatArray
+from tissuereg._base.choices import Direction, TrackerKind
 from tissuereg._base.provenance import Provenance
 from tissuereg.body.markers import Markers
 from tissuereg.body.mesh import Mesh
@@ -142,7 +143,7 @@ class Registration:
     seed: int
     provenance: Provenance = field(default_factory=Provenance)
     linear: Callable[[], Fallback | None] | None = None
-    tracker: str = "fixed"
+    tracker: TrackerKind = "fixed"
 
     @property
     def mesh(self) -> Mesh:
@@ -213,7 +214,7 @@ class Registration:
         *,
         like: Any = None,
         spacing: Any = None,
-        direction: str | None = None,
+        direction: Direction | None = None,
         std: str | os.PathLike[str] | None = None,
     ) -> Path:
         """Write the displacement field as a grid transform, for 3D Slicer, ITK and others.

@@ -29,7 +29,7 @@ LINE, DOUBTED = "#0072b2", "#d9534f"
 
 
 @dataclass(frozen=True, eq=False)
-class Curve:
+class TimeCurve:
     """A value over time.
 
     `title`: with its unit; `times` (n,): s, ascending; `values` (n,): NaN leaves a gap; `half` (n,): half the width of
@@ -42,19 +42,19 @@ class Curve:
     half: FloatArray | None = None
     zero: bool = False
 
-    def thinned(self) -> "Curve":
+    def thinned(self) -> "TimeCurve":
         """Return the curve in so few points that it can be drawn: every nth."""
         step = -(-len(self.times) // CHART.points)
         half = None if self.half is None else self.half[::step]
-        return Curve(self.title, self.times[::step], self.values[::step], half, self.zero)
+        return TimeCurve(self.title, self.times[::step], self.values[::step], half, self.zero)
 
 
-def charts(curves: Sequence[Curve], doubted: BoolArray) -> str:
+def charts(curves: Sequence[TimeCurve], doubted: BoolArray) -> str:
     """Return the charts of curves of the same times, as HTML; `doubted` (n,): frames that are not to be trusted."""
     return f"<div class='charts'>{''.join(_chart(curve, doubted) for curve in curves)}</div>"
 
 
-def _chart(curve: Curve, doubted: BoolArray) -> str:
+def _chart(curve: TimeCurve, doubted: BoolArray) -> str:
     drawn = curve.thinned()
     low, high = _range(drawn)
     first, last = float(curve.times[0]), float(curve.times[-1])
@@ -81,7 +81,7 @@ def _chart(curve: Curve, doubted: BoolArray) -> str:
     return svg.picture(CHART.width, CHART.height, parts, f"{curve.title} over time")
 
 
-def _range(curve: Curve) -> tuple[float, float]:
+def _range(curve: TimeCurve) -> tuple[float, float]:
     """Return the range of the axis."""
     half = 0.0 if curve.half is None else curve.half
     low, high = float(np.nanmin(curve.values - half)), float(np.nanmax(curve.values + half))

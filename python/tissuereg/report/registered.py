@@ -8,7 +8,7 @@ import numpy as np
 from tissuereg._base.arrays import BoolArray, FloatArray, IntArray
 from tissuereg.report import scene
 from tissuereg.report.solid import FINENESS, DrawnBody
-from tissuereg.report.viewer import Layer, Paint, Scene, top_of
+from tissuereg.report.viewer import Paint, Signs, ViewScene, top_of
 from tissuereg.report.words import counted
 
 if TYPE_CHECKING:
@@ -20,13 +20,13 @@ if TYPE_CHECKING:
 PATCHES = (("free surface", "#c3cad3"), ("held", "#59626c"), ("perhaps held", "#c9a25a"))
 
 
-def registered_scene(result: "Registration", most: int = FINENESS.triangles) -> Scene:
+def registered_scene(result: "Registration", most: int = FINENESS.triangles) -> ViewScene:
     """Return what the view of a registration shows; `most`: number of triangles at most."""
     supports = result.body.supports
     body = DrawnBody.of(result.mesh, [supports.sure, supports.perhaps], most)
     moved, spread = body.field(result.displacement), body.field(result.std)
     size = np.linalg.norm(moved, axis=1)
-    return Scene(
+    return ViewScene(
         title="The registered body",
         body=body,
         modes=moved[None],
@@ -59,7 +59,7 @@ def axes_of(mesh: "Mesh") -> tuple[str, ...]:
 
 def held_layers(
     mesh: "Mesh", sets: tuple[IntArray, IntArray], displacement: FloatArray | None = None, *, shown: bool = False
-) -> list[Layer]:
+) -> list[Signs]:
     """Return the nodes that are held, and those that perhaps are (node numbers), before and after a displacement."""
     layers = []
     for nodes, (name, colour) in zip(sets, PATCHES[1:], strict=True):
@@ -69,7 +69,7 @@ def held_layers(
             places = rest if displacement is None else [[rest], [rest + displacement[some]]]
             title = f"{name}: {counted(len(nodes), 'node')}"
             layers.append(
-                Layer(kind="points", title=title, colour=colour, places=places, shape="square", size=1.6, shown=shown)
+                Signs(kind="points", title=title, colour=colour, places=places, shape="square", size=1.6, shown=shown)
             )
     return layers
 
@@ -79,7 +79,7 @@ def target_layers(
     regions: tuple[FloatArray, FloatArray, BoolArray],
     states: Sequence[int] = (),
     told: Sequence[str] = (),
-) -> list[Layer]:
+) -> list[Signs]:
     """Return registered targets: places with names, and the ellipsoids of their 90 % regions.
 
     `regions`: places (n_frames, n, 3), half-axes (n_frames, n, 9), mm, and whether no marker tells (n_frames, n);
@@ -98,8 +98,8 @@ def target_layers(
         edge: dict[str, Any] = {"kind": "ellipsoids", "colour": region, "by": axes, "dashed": region == colour}
         sign: dict[str, Any] = {"kind": "points", "colour": colour, "shape": "plus", "size": 5.0, "labels": True}
         layers += [
-            Layer(title=f"{title}: 90 % region", **edge, **both),
-            Layer(title=title, names=names, told=told, **sign, **both),
+            Signs(title=f"{title}: 90 % region", **edge, **both),
+            Signs(title=title, names=names, told=told, **sign, **both),
         ]
     return layers
 
@@ -110,7 +110,7 @@ def half_axes(target: "Target") -> FloatArray:
     return np.asarray((region.radii[:, None] * region.axes).ravel())
 
 
-def _targets(result: "Registration") -> list[Layer]:
+def _targets(result: "Registration") -> list[Signs]:
     if not result.targets:
         return []
     told = []
@@ -126,13 +126,13 @@ def _targets(result: "Registration") -> list[Layer]:
     layers = target_layers(before["names"], (places[None], axes[None], flagged[None]), (1,), told)
     simulated = [one.simulation for one in targets if one.simulation is not None]
     if len(simulated) == len(targets):
-        layers.append(Layer(title="target, simulated", places=np.array(simulated), states=(1,), **before))
+        layers.append(Signs(title="target, simulated", places=np.array(simulated), states=(1,), **before))
     rest = np.array([one.reference for one in targets])
-    layers.append(Layer(title="target before", places=rest, states=(0,), labels=True, **before))
+    layers.append(Signs(title="target before", places=rest, states=(0,), labels=True, **before))
     return layers
 
 
-def _markers(result: "Registration") -> list[Layer]:
+def _markers(result: "Registration") -> list[Signs]:
     """Return the markers that were used: where they were, where they were measured, and where the body has them."""
     fit, every = result.markers, result.all_markers
     rows = [i for i, name in enumerate(every.names) if name in fit.residual_mm]
@@ -152,16 +152,16 @@ def _markers(result: "Registration") -> list[Layer]:
     motion: dict[str, Any] = {"places": start, "by": measured, "states": (1,), "width": 1.2}
     ring: dict[str, Any] = {"places": measured, "shape": "ring", "size": 5.0, "names": names, "told": said}
     layers = [
-        Layer(kind="lines", title="motion of a marker", colour=scene.BEFORE, **motion),
-        Layer(kind="points", title=title, colour=scene.BEFORE, places=start, shape="cross", names=names),
-        Layer(title="marker, registered", colour=scene.FITTED, places=measured - residual, size=3.0, **after),
-        Layer(title="marker, measured", colour=scene.MEASURED, **ring, **after),
+        Signs(kind="lines", title="motion of a marker", colour=scene.BEFORE, **motion),
+        Signs(kind="points", title=title, colour=scene.BEFORE, places=start, shape="cross", names=names),
+        Signs(title="marker, registered", colour=scene.FITTED, places=measured - residual, size=3.0, **after),
+        Signs(title="marker, measured", colour=scene.MEASURED, **ring, **after),
     ]
     wrong = [i for i, name in enumerate(names) if _is_wrong(result, name)]
     if wrong:
         named = [f"{names[i]}: does not fit" for i in wrong]
         circle: dict[str, Any] = {"shape": "ring", "size": 9.0, "width": 2.2, "labels": True, "names": named}
-        layers.append(Layer(title="does not fit", colour=scene.WRONG, places=measured[wrong], **circle, **after))
+        layers.append(Signs(title="does not fit", colour=scene.WRONG, places=measured[wrong], **circle, **after))
     return layers
 
 
@@ -169,7 +169,7 @@ def _is_wrong(result: "Registration", name: str) -> bool:
     return any(reason.startswith(f"wrong marker: {name} ") for reason in result.trust.reasons)
 
 
-def _dropped(result: "Registration") -> list[Layer]:
+def _dropped(result: "Registration") -> list[Signs]:
     """Return the markers that were not used: those measured, and where those not seen must be."""
     every, layers = result.all_markers, []
     row = {name: i for i, name in enumerate(every.names)}
@@ -185,20 +185,20 @@ def _dropped(result: "Registration") -> list[Layer]:
             names = [f"{name}: {why}" for name, why in some]
             sign: dict[str, Any] = {"shape": shape, "size": 5.0, "width": 2.2, "labels": some is seen}
             layers.append(
-                Layer(kind="points", title=title, colour=colour, places=places, names=names, states=(1,), **sign)
+                Signs(kind="points", title=title, colour=colour, places=places, names=names, states=(1,), **sign)
             )
     return layers
 
 
-def _surface_points(result: "Registration") -> list[Layer]:
+def _surface_points(result: "Registration") -> list[Signs]:
     fit = scene.surface_of(result)
     if fit is None:
         return []
     places = fit.places[:: max(1, -(-len(fit.places) // FINENESS.nodes))]
-    return [Layer(kind="points", title="surface points", colour=scene.MEASURED, places=places, size=1.4, states=(1,))]
+    return [Signs(kind="points", title="surface points", colour=scene.MEASURED, places=places, size=1.4, states=(1,))]
 
 
-def _contacts(result: "Registration") -> list[Layer]:
+def _contacts(result: "Registration") -> list[Signs]:
     """Return every contact: the border of its patch, and an arrow along the force on the body."""
     found = scene.contacts_of(result)
     if not found:
@@ -221,8 +221,8 @@ def _contacts(result: "Registration") -> list[Layer]:
     border = np.concatenate(rims)
     same: dict[str, Any] = {"colour": scene.CONTACT, "states": (1,)}
     return [
-        Layer(kind="lines", title="contact: its patch", places=border[:, 0], by=border[:, 1], **same),
-        Layer(
+        Signs(kind="lines", title="contact: its patch", places=border[:, 0], by=border[:, 1], **same),
+        Signs(
             kind="arrows",
             title="contact: force on the body",
             places=np.array(tails),

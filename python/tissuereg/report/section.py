@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from tissuereg._base.arrays import BoolArray, FloatArray, IntArray
+from tissuereg._base.choices import Frame
 from tissuereg.errors import ArgumentError
 from tissuereg.imaging.images import Grid, read_image
 from tissuereg.imaging.warp import section_of
@@ -67,7 +68,7 @@ class Plane:
         return np.asarray(np.cross(self.right, self.down))
 
 
-def planes(frame: str | None) -> list[Plane]:
+def planes(frame: Frame | None) -> list[Plane]:
     """Return three planes along the axes of a patient frame, as radiologists look at them, or of x, y and z."""
     if frame is None:
         x, y, z = np.eye(3)

@@ -14,14 +14,14 @@ from tissuereg.report import scene
 from tissuereg.report.markup import document, escape, table
 from tissuereg.report.registered import PATCHES, axes_of
 from tissuereg.report.solid import FINENESS, DrawnBody
-from tissuereg.report.viewer import Layer, Paint, Scene, viewer, viewer_script
+from tissuereg.report.viewer import Paint, Signs, ViewScene, viewer, viewer_script
 from tissuereg.report.words import counted
 
 #: Colours of node sets that hold nothing, in turn.
 _OTHERS = ("#d6aa3c", "#78aa5a", "#9678be", "#5aaab4", "#c9826b", "#a8a05a")
 
 #: Colours of the sets that hold a body.
-_HOLDS = {"fixed": PATCHES[1][1], "perhaps_fixed": PATCHES[2][1]}
+_HOLDS = dict(zip(("", "fixed", "perhaps_fixed"), (colour for _, colour in PATCHES), strict=True))
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,14 +59,14 @@ class GivenBody:
             "targets": dict(zip(names[n_markers:], where[n_markers:], strict=True)),
         }
 
-    def scene(self, most: int = FINENESS.triangles) -> Scene:
+    def scene(self, most: int = FINENESS.triangles) -> ViewScene:
         """Return what the view shows; `most`: number of triangles at most."""
         mesh = self.mesh
         # Of triangles in several sets those that hold the body are drawn last, and win.
         order = sorted(mesh.node_sets, key=lambda name: (name in _HOLDS, name == "fixed"))
         free = (name for name in order if name not in _HOLDS)
         colours = {**{name: _OTHERS[i % len(_OTHERS)] for i, name in enumerate(free)}, **_HOLDS}
-        return Scene(
+        return ViewScene(
             title="The body",
             body=DrawnBody.of(mesh, [mesh.node_sets[name] for name in order], most),
             patches=[PATCHES[0], *((name, colours[name]) for name in order)],
@@ -79,14 +79,14 @@ class GivenBody:
             axes=axes_of(mesh),
         )
 
-    def _set(self, name: str, colour: str) -> Layer:
+    def _set(self, name: str, colour: str) -> Signs:
         nodes = self.mesh.node_sets[name]
         places = self.mesh.nodes[nodes[:: -(-len(nodes) // FINENESS.nodes)]]
         title = f"{name}: {counted(len(nodes), 'node')}"
         look: dict[str, Any] = {"shape": "square", "size": 1.7, "shown": name in _HOLDS, "behind": 0.25}
-        return Layer(kind="points", title=title, colour=colour, places=places, **look)
+        return Signs(kind="points", title=title, colour=colour, places=places, **look)
 
-    def _signs(self) -> list[Layer]:
+    def _signs(self) -> list[Signs]:
         found, layers = self.found(), []
         given = () if self.markers is None else self.markers.names
         for title, names, colour, shape in (
@@ -99,7 +99,7 @@ class GivenBody:
             rows = [every.index(name) for name in names] if title == "marker" else slice(len(given), None)
             told = [lies(one) for one in found[f"{title}s"].values()]
             look: dict[str, Any] = {"shape": shape, "size": 5.0, "names": names, "told": told, "labels": True}
-            layers.append(Layer(kind="points", title=title, colour=colour, places=places[rows], behind=0.7, **look))
+            layers.append(Signs(kind="points", title=title, colour=colour, places=places[rows], behind=0.7, **look))
         return layers
 
 

@@ -7,12 +7,12 @@ import numpy as np
 
 from tissuereg._base.arrays import BoolArray, FloatArray
 from tissuereg.report import scene
-from tissuereg.report.curves import Curve, charts
+from tissuereg.report.curves import TimeCurve, charts
 from tissuereg.report.markup import document, escape, table
 from tissuereg.report.provenance import provenance_section
 from tissuereg.report.registered import PATCHES, axes_of, half_axes, target_layers
 from tissuereg.report.solid import DrawnBody
-from tissuereg.report.viewer import Layer, Paint, Scene, ShownCase, top_of, viewer, viewer_script
+from tissuereg.report.viewer import Paint, ShownCase, Signs, ViewScene, top_of, viewer, viewer_script
 from tissuereg.report.words import counted
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ class Kept(NamedTuple):
     """How much of a recording a page holds.
 
     `frames`: in which the body can be seen, at most; of more every nth; `triangles`: of its surface; `modes`: of its
-    motion; `targets`: with charts; `rows`: of a table.
+    motion; `targets`: with charts; `rows`: of a table; `lines`: of such a list in the command's summary.
     """
 
     frames: int = 2000
@@ -32,6 +32,7 @@ class Kept(NamedTuple):
     modes: int = 40
     targets: int = 6
     rows: int = 60
+    lines: int = 8
 
 
 KEPT = Kept()
@@ -64,7 +65,7 @@ class Film:
         if len(self._kept) > self._most:
             self._kept, self._stride = self._kept[::2], 2 * self._stride
 
-    def scene(self) -> Scene:
+    def scene(self) -> ViewScene:
         """Return what the view shows; there must be a frame."""
         if self.body is None or self.last is None:
             message = "a film must have a frame, got none"
@@ -77,7 +78,7 @@ class Film:
         drawn = (
             f"{len(times):,} of {self._count:,} frames, each within {max(off, 0.001):.2g} mm of the registered body."
         )
-        return Scene(
+        return ViewScene(
             title="The tracked body",
             body=self.body,
             modes=modes,
@@ -91,7 +92,7 @@ class Film:
             axes=axes_of(self.last.mesh),
         )
 
-    def _layers(self) -> list[Layer]:
+    def _layers(self) -> list[Signs]:
         def stacked(name: str) -> FloatArray:
             return np.stack([getattr(one, name) for one in self._kept])
 
@@ -106,7 +107,7 @@ class Film:
         ):
             if np.isfinite(places).any():
                 more: dict[str, Any] = {**look, "names": names}
-                layers.append(Layer(kind="points", title=title, colour=colour, places=places, **more))
+                layers.append(Signs(kind="points", title=title, colour=colour, places=places, **more))
         targets = list(self.last.targets) if self.last else []
         if targets:
             layers += target_layers(targets, (stacked("targets"), stacked("axes"), stacked("flagged") > 0.0))
@@ -221,9 +222,9 @@ def tracked_page(film: Film, content: Mapping[str, Any]) -> str:
         "<h2>Markers, distance and latency</h2>",
         charts(
             [
-                Curve("markers used", times, _column(frames, "markers_used"), zero=True),
-                Curve("distance to the markers, mm (rms)", times, _column(frames, "markers_rms_mm"), zero=True),
-                Curve("latency, ms", times, _column(frames, "latency_ms"), zero=True),
+                TimeCurve("markers used", times, _column(frames, "markers_used"), zero=True),
+                TimeCurve("distance to the markers, mm (rms)", times, _column(frames, "markers_rms_mm"), zero=True),
+                TimeCurve("latency, ms", times, _column(frames, "latency_ms"), zero=True),
             ],
             doubted,
         ),
@@ -274,7 +275,7 @@ def _targets(frames: Sequence[Mapping[str, Any]], times: FloatArray, doubted: Bo
         largest = np.array([np.linalg.eigvalsh(one["covariance_mm2"])[-1] for one in some])
         reach = np.array([one["region90_radii_mm"][-1] for one in some]) / np.sqrt(np.maximum(largest, 1e-30))
         half = reach[:, None] * np.sqrt(variance)
-        curves = [Curve(f"{axis}, mm", times, moved[:, k], half[:, k]) for k, axis in enumerate(axes)]
+        curves = [TimeCurve(f"{axis}, mm", times, moved[:, k], half[:, k]) for k, axis in enumerate(axes)]
         parts.append(f"<h3>{escape(name)}</h3>{charts(curves, doubted)}")
     return "\n".join(parts)
 

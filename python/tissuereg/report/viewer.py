@@ -38,7 +38,7 @@ LOOK = Look()
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Layer:
+class Signs:
     """Signs of one kind, with an entry in the legend that shows or hides them.
 
     `kind`: what is drawn; `title`: of the legend; `colour`: one, or one for each state; `places` (n, 3): mm, NaN hides
@@ -97,7 +97,7 @@ class ShownCase(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Scene:
+class ViewScene:
     """All that a view shows.
 
     `body`: its surface at rest; `modes` (k, n_drawn, 3): displacements, mm, of which the body at a moment is moved by a
@@ -109,7 +109,7 @@ class Scene:
 
     title: str
     body: DrawnBody
-    layers: Sequence[Layer] = ()
+    layers: Sequence[Signs] = ()
     modes: FloatArray | None = None
     weights: Moving | None = None
     patches: Sequence[tuple[str, str]] = ()
@@ -180,7 +180,7 @@ def script_text(value: Any) -> str:
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 
-def viewer(scene: Scene) -> str:
+def viewer(scene: ViewScene) -> str:
     """Return the element of a page that shows a scene; the page needs `viewer_script` once, after all of them."""
     data, coarse = script_text(scene.to_json()), scene.body.words
     return (

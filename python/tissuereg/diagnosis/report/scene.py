@@ -9,7 +9,7 @@ from tissuereg.experiment.effects import Inclusion
 from tissuereg.report.scene import TARGET, WRONG
 from tissuereg.report.solid import DrawnBody
 from tissuereg.report.svg import AFTER, BEFORE, FLOOR
-from tissuereg.report.viewer import LOOK, Layer, Scene, ShownCase
+from tissuereg.report.viewer import LOOK, ShownCase, Signs, ViewScene
 
 if TYPE_CHECKING:
     from tissuereg.diagnosis.answer import Diagnosis
@@ -22,7 +22,7 @@ MOST_VECTORS = 60_000
 _COLOURS = ("#c3cad3", "#7d858e", "#d6aa3c", "#78aa5a", "#9678be", "#5aaab4")
 
 
-def scene(found: "Diagnosis", most: int = MOST_VECTORS) -> Scene:
+def scene(found: "Diagnosis", most: int = MOST_VECTORS) -> ViewScene:
     """Return what the view of a diagnosis, with its details, shows; `most`: number of residual vectors at most.
 
     Residuals, measured minus predicted, are those before and after the findings, in mm and mN, NaN = not measured.
@@ -36,7 +36,7 @@ def scene(found: "Diagnosis", most: int = MOST_VECTORS) -> Scene:
     case, frame = _worst(markers[0])
     pads = [f"pad {actuator.name}" for actuator in body.actuators]
     patches = ["free surface", "held", *pads]
-    return Scene(
+    return ViewScene(
         title="Residuals on the body at rest",
         body=drawn_surface(body),
         patches=[(name, _COLOURS[i if i < 2 else 2 + (i - 2) % 4]) for i, name in enumerate(patches)],
@@ -78,14 +78,14 @@ def _worst(cases: list[FloatArray]) -> tuple[int, int]:
     return max(sizes)[1:] if sizes else (0, 0)
 
 
-def _body_layers(found: "Diagnosis") -> list[Layer]:
+def _body_layers(found: "Diagnosis") -> list[Signs]:
     body, new = found.extended, _new(found)
     layers = []
     for title, colour, chosen in (("inclusion found", "#b0143c", True), ("inclusion believed", "#3c3c3c", False)):
         some = [one for one in body.effects if isinstance(one, Inclusion) and any(one is x for x in new) == chosen]
         if some:
             layers.append(
-                Layer(
+                Signs(
                     kind="ellipsoids",
                     title=title,
                     colour=colour,
@@ -97,7 +97,7 @@ def _body_layers(found: "Diagnosis") -> list[Layer]:
             )
     if body.targets:
         layers.append(
-            Layer(
+            Signs(
                 kind="points",
                 title="targets",
                 colour=TARGET,
@@ -110,16 +110,16 @@ def _body_layers(found: "Diagnosis") -> list[Layer]:
     return layers
 
 
-def _marker_layers(found: "Diagnosis", residuals: list[list[FloatArray]]) -> list[Layer]:
+def _marker_layers(found: "Diagnosis", residuals: list[list[FloatArray]]) -> list[Signs]:
     layout = found.details["layout"]
     names, places = list(layout.marker_names), layout.reference
     seen = [[np.where(np.isfinite(one), places, np.nan) for one in cases] for cases in residuals]
     unseen = [[np.where(np.isfinite(one), np.nan, places) for one in cases] for cases in residuals]
     accused = sorted({name for effect in _new(found) for name in _markers_of(effect)} & set(names))
     layers = [
-        Layer(kind="points", title="markers", colour="#20262e", places=seen, size=3.0),
-        Layer(kind="points", title="markers not seen", colour="#7d858e", places=unseen, shape="ring"),
-        Layer(
+        Signs(kind="points", title="markers", colour="#20262e", places=seen, size=3.0),
+        Signs(kind="points", title="markers not seen", colour="#7d858e", places=unseen, shape="ring"),
+        Signs(
             kind="arrows",
             title="residual of a marker",
             colour=(BEFORE, AFTER),
@@ -137,18 +137,18 @@ def _marker_layers(found: "Diagnosis", residuals: list[list[FloatArray]]) -> lis
         ring: dict[str, Any] = {"shape": "ring", "size": 8.0, "behind": 0.8}
         named: dict[str, Any] = {"names": accused, "labels": True}
         layers.append(
-            Layer(kind="points", title="named by a finding", colour=WRONG, places=places[rows], **named, **ring)
+            Signs(kind="points", title="named by a finding", colour=WRONG, places=places[rows], **named, **ring)
         )
     return layers
 
 
-def _force_layers(body: "Experiment", forces: list[list[FloatArray]]) -> list[Layer]:
+def _force_layers(body: "Experiment", forces: list[list[FloatArray]]) -> list[Signs]:
     if not body.actuators:
         return []
     centres = np.array([body.mesh.nodes[body.actuator(one.name).nodes].mean(axis=0) for one in body.actuators])
     names = [actuator.name for actuator in body.actuators]
     layers = [
-        Layer(
+        Signs(
             kind="points",
             title="pads",
             colour="#6b5310",
@@ -161,7 +161,7 @@ def _force_layers(body: "Experiment", forces: list[list[FloatArray]]) -> list[La
     ]
     if any(np.isfinite(one).any() for cases in forces for one in cases):
         layers.append(
-            Layer(
+            Signs(
                 kind="arrows",
                 title="residual of a force",
                 colour=FLOOR,
