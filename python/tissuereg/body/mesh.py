@@ -13,6 +13,7 @@ from tissuereg._base.arguments import check_choice, named, real, text
 from tissuereg._base.arrays import FloatArray, IntArray, float_array, frozen, index_array
 from tissuereg._base.choices import FRAMES, Frame
 from tissuereg._base.provenance import derived
+from tissuereg._base.shown import notebook
 from tissuereg._core import check_mesh, surface_triangles, tet_volumes
 from tissuereg.errors import MeshError, UnitError
 
@@ -73,6 +74,10 @@ class Mesh:
     def __repr__(self) -> str:
         sets = ", ".join(f"{name} ({len(indices)})" for name, indices in self.node_sets.items()) or "none"
         return f"Mesh({self.n_nodes} nodes, {self.n_tets} tets, node sets: {sets})"
+
+    def _repr_html_(self) -> str:
+        """Return what a notebook shows."""
+        return notebook("body", self)
 
     @property
     def n_nodes(self) -> int:

@@ -8,6 +8,7 @@ import numpy as np
 
 from tissuereg._base.arrays import BoolArray, FloatArray, IntArray
 from tissuereg._base.choices import Size
+from tissuereg._base.shown import short_repr
 from tissuereg.body.load import Load
 from tissuereg.body.markers import Markers
 from tissuereg.body.material import Material
@@ -83,6 +84,8 @@ class PhantomEvent:
     true_markers: FloatArray
     true_displacement: FloatArray
     true_lesion: FloatArray
+
+    __repr__ = short_repr
 
 
 def make_event(*, seed: int = 0, size: Size = "full") -> PhantomEvent:

@@ -10,6 +10,7 @@ from tissuereg._base.arguments import check_choice, maybe
 from tissuereg._base.arrays import IntArray, frozen, index_array
 from tissuereg._base.choices import BODY_ELEMENTS, STIFFNESS, BodyElement, Element, Held, Stiffness
 from tissuereg._base.provenance import warn
+from tissuereg._base.shown import notebook, short_repr
 from tissuereg.body.material import Material
 from tissuereg.body.mesh import Mesh
 from tissuereg.body.topology import sound_mesh
@@ -73,6 +74,8 @@ class Body:
     stiffness: Stiffness
     held_nodes: IntArray | None
 
+    __repr__ = short_repr
+
     def __init__(
         self,
         mesh: Mesh | tuple[Any, Any, Any],
@@ -105,6 +108,10 @@ class Body:
         """Warn if nothing holds the body though it is not stated to be free, or if a set such as ``Fixed`` does not."""
         for sentence in support_warnings(self.mesh, self.supports, self.held):
             warn(sentence)
+
+    def _repr_html_(self) -> str:
+        """Return what a notebook shows."""
+        return notebook("body", self.mesh, self)
 
     @cached_property
     def held_mesh(self) -> Mesh:

@@ -16,6 +16,7 @@ from tissuereg._base.arguments import flag, found, named, place
 from tissuereg._base.arrays import FloatArray
 from tissuereg._base.choices import Direction, TrackerKind
 from tissuereg._base.provenance import Provenance
+from tissuereg._base.shown import notebook, short_repr
 from tissuereg.body.markers import Markers
 from tissuereg.body.mesh import Mesh
 from tissuereg.errors import ModelError
@@ -54,6 +55,8 @@ class MarkerFit:
     residual_mm: dict[str, FloatArray]
     inner: tuple[str, ...] = ()
 
+    __repr__ = short_repr
+
 
 @dataclass(frozen=True, eq=False)
 class Fallback:
@@ -70,6 +73,8 @@ class Fallback:
 
     displacement: FloatArray
     targets: dict[str, FloatArray]
+
+    __repr__ = short_repr
 
     def to_json(self) -> dict[str, Any]:
         """Return the entry ``fallback`` of ``registration.json``: a dict of method and target places in mm."""
@@ -272,6 +277,10 @@ class Registration:
             f"{type(self).__name__}({self.mesh.n_nodes} nodes, {used} marker{'' if used == 1 else 's'}, "
             f"{len(self.targets)} target{'' if len(self.targets) == 1 else 's'}, {self._found_words()}{trusted})"
         )
+
+    def _repr_html_(self) -> str:
+        """Return what a notebook shows."""
+        return notebook("registration", self)
 
     @property
     def given(self) -> dict[str, Any]:

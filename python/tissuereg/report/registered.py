@@ -20,23 +20,27 @@ if TYPE_CHECKING:
 PATCHES = (("free surface", "#c3cad3"), ("held", "#59626c"), ("perhaps held", "#c9a25a"))
 
 
-def registered_scene(result: "Registration", most: int = FINENESS.triangles) -> ViewScene:
-    """Return what the view of a registration shows; `most`: number of triangles at most."""
+def registered_scene(result: "Registration", most: int = FINENESS.triangles, *, spread: bool = True) -> ViewScene:
+    """Return what the view of a registration shows.
+
+    `most`: number of triangles at most; `spread`: whether the nodes' deviations can be shown, which must be computed.
+    """
     supports = result.body.supports
     body = DrawnBody.of(result.mesh, [supports.sure, supports.perhaps], most)
-    moved, spread = body.field(result.displacement), body.field(result.std)
+    moved = body.field(result.displacement)
     size = np.linalg.norm(moved, axis=1)
+    paints = [Paint("displacement", "mm", size, top=top_of(size))]
+    if spread:
+        std = body.field(result.std)
+        name = "spread (standard deviation of a node)"
+        paints.append(Paint(name, "mm", std, top=top_of(std, 0.99), over=True))
     return ViewScene(
         title="The registered body",
         body=body,
         modes=moved[None],
         weights=[[np.zeros((1, 1))], [np.ones((1, 1))]],
         patches=PATCHES,
-        paints=[
-            Paint("displacement", "mm", size, top=top_of(size)),
-            Paint("spread (standard deviation of a node)", "mm", spread, top=top_of(spread, 0.99), over=True),
-            Paint("supports"),
-        ],
+        paints=[*paints, Paint("supports")],
         states=("before", "registered"),
         start=(1, 0, 0, 0),
         outline=True,

@@ -21,6 +21,7 @@ from tissuereg._base.arguments import (
 )
 from tissuereg._base.arrays import FloatArray, IntArray, depth, float_array, index_array, optional_array, stacked
 from tissuereg._base.choices import ELEMENTS, Element
+from tissuereg._base.shown import short_repr
 from tissuereg.body.load import Load
 from tissuereg.body.material import Material
 from tissuereg.body.mesh import Mesh
@@ -75,6 +76,8 @@ class Simulation:
     reactions: FloatArray
     all_displacement: FloatArray
     report: dict[str, Any]
+
+    __repr__ = short_repr
 
 
 @dataclass(frozen=True, eq=False)

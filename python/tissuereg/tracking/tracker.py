@@ -10,6 +10,7 @@ import numpy as np
 from tissuereg._base.arguments import called, check_choice, each, flag, found, real
 from tissuereg._base.arrays import FloatArray, float_array
 from tissuereg._base.choices import RESTARTS, RestartKind
+from tissuereg._base.shown import notebook
 from tissuereg.body.markers import Markers
 from tissuereg.body.mesh import Mesh
 from tissuereg.errors import ArgumentError, ConvergenceError, EnsembleError, MarkerError, TissueRegError
@@ -108,6 +109,14 @@ class Tracker:
         self._temporal = flag("temporal", temporal)
         self._inbox = Inbox()
         self.reset()
+
+    def __repr__(self) -> str:
+        when = "no frame yet" if self._last is None else f"last frame at {self._last.time_s:g} s"
+        return f"Tracker({self._registrar!r}, {when}, {self.dropped} dropped)"
+
+    def _repr_html_(self) -> str:
+        """Return what a notebook shows."""
+        return notebook("tracker", self)
 
     @property
     def registrar(self) -> Registrar:
