@@ -86,7 +86,7 @@ def write_transform(
         message = f"`std` must end in .nrrd, got {found(str(std[0]))}"
         raise FormatError(message, where=str(std[0]))
     for name, other in (("std", None if std is None else std[0]), ("like", like)):
-        if isinstance(other, str | os.PathLike) and Path(other).resolve() == target.resolve():
+        if isinstance(other, str | os.PathLike) and place(name, other).resolve() == target.resolve():
             message = f"`{name}` must be another file than `path`, got '{target}' for both"
             raise ArgumentError(message, where=name)
     itk()
