@@ -73,7 +73,7 @@ def shown(value: Any) -> str:
 
 def node_forms() -> str:
     """Return the forms of a rule for nodes."""
-    rows = [(f"`{text}`", f"`{form}`", meaning) for text, form, meaning in keys.NODE_FORMS]
+    rows = [(f"`{text}`", f"`{form}`" if form else "none", meaning) for text, form, meaning in keys.NODE_FORMS]
     return table(("as text", "as a table", "nodes"), rows)
 
 

@@ -1,16 +1,17 @@
-"""Make the files of ``tissuereg demo --files``: a surface with its markers, an experiment (needs the extra `mesh`).
+"""Make the files of ``tissuereg demo --files``: a surface with its markers, a segmentation, an experiment.
 
-    python tools/samples.py
+    python tools/samples.py           # needs the extras `mesh` and `images`
+    python tools/samples.py --scan    # the segmentation and the point lists alone, of the surface that is there
 
 writes ``python/tissuereg/phantom/samples/data``. The organ is a smooth made-up shape, about 150 x 90 x 50 mm. Its
-"measurement"
-is made on another mesh than a user's, with ten-node elements, another stiffness and a stiff lesion; the experiment's by
-the fine model with a stiff inclusion that its file does not mention. The mesher uses random numbers, so a second run
-gives slightly different files.
+"measurement" is made on another mesh than a user's, with ten-node elements, another stiffness and a stiff lesion; the
+experiment's by the fine model with a stiff inclusion that its file does not mention. The mesher uses random numbers, so
+a second run gives slightly different files.
 """
 
 import json
 import shutil
+import sys
 import tempfile
 from dataclasses import replace
 from pathlib import Path
@@ -23,10 +24,12 @@ from tissuereg.body.observe import MarkerObservation, TargetObservation
 from tissuereg.body.surface import evenly
 from tissuereg.experiment.effects import Inclusion
 from tissuereg.experiment.experiment import Simulated
+from tissuereg.imaging.images import Grid, write_image
 from tissuereg.io.cases import write_histories
 from tissuereg.io.experiment_keys import ACTUATORS_CSV
 from tissuereg.io.experiment_out import write_simulated
 from tissuereg.io.meshes import write_vtu
+from tissuereg.io.mrk_json import write_mrk_json
 from tissuereg.io.tables import write_markers, write_points
 from tissuereg.io.toml_text import write_toml
 from tissuereg.simulation.experiment import with_noise
@@ -91,6 +94,38 @@ def make_surface(folder: Path) -> None:
     print("markers move", np.linalg.norm(moved, axis=1).round(1), "targets", shifts.round(2).tolist())
 
 
+def make_scan(folder: Path, surface: Path) -> None:
+    """Write the organ and its lesion as a segmentation, and the markers as point lists of 3D Slicer, in LPS."""
+    folder.mkdir(parents=True)
+    body = trimesh.load_mesh(surface / "organ.stl")
+    spacing = np.array([1.5, 1.5, 2.0])
+    grid = Grid.over(body.bounds[0] - 6.0, body.bounds[1] + 6.0, 1.0)
+    size = tuple(int(n) for n in np.ceil(np.array(grid.size) / spacing))
+    grid = Grid(size, grid.origin, np.diag(spacing))
+    numbers = np.stack(np.meshgrid(*(np.arange(n) for n in size[::-1]), indexing="ij"), axis=-1)
+    places = grid.places(numbers[..., ::-1].reshape(-1, 3).astype(float))
+    values = body.contains(places).astype(np.uint8)
+    values[np.linalg.norm(places - LESION_MM, axis=1) < LESION_RADIUS_MM] = 2
+    image = grid.image(values.reshape(size[::-1]))
+    extent = " ".join(f"0 {n - 1}" for n in size)
+    for k, (name, colour) in enumerate({"organ": "0.87 0.72 0.53", "lesion": "0.56 0.93 0.56"}.items()):
+        of_segment = {
+            "ID": name,
+            "Name": name,
+            "Color": colour,
+            "LabelValue": str(k + 1),
+            "Layer": "0",
+            "Extent": extent,
+        }
+        for key, value in of_segment.items():
+            image.SetMetaData(f"Segment{k}_{key}", value)
+    write_image(folder / "segmentation.seg.nrrd", image)
+    markers = tr.read_markers(surface / "markers.csv")
+    for name, at in {"markers": markers.reference, "measured": markers.measured}.items():
+        points = {label: (place.round(3), "") for label, place in zip(markers.names, at, strict=True)}
+        write_mrk_json(folder / f"{name}.mrk.json", points, "LPS")
+
+
 def make_rig(folder: Path, surface: Path) -> None:
     """Write the experiment: two pads, markers, forces, a target, and a stiff inclusion that the file leaves out."""
     folder.mkdir(parents=True)
@@ -153,6 +188,10 @@ def make_rig(folder: Path, surface: Path) -> None:
 
 
 if __name__ == "__main__":
-    shutil.rmtree(DATA, ignore_errors=True)
-    make_surface(DATA / "surface")
-    make_rig(DATA / "rig", DATA / "surface" / "organ.stl")
+    if "--scan" in sys.argv:
+        shutil.rmtree(DATA / "scan", ignore_errors=True)
+    else:
+        shutil.rmtree(DATA, ignore_errors=True)
+        make_surface(DATA / "surface")
+        make_rig(DATA / "rig", DATA / "surface" / "organ.stl")
+    make_scan(DATA / "scan", DATA / "surface")

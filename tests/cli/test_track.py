@@ -125,6 +125,15 @@ def test_it_tells_and_writes_all(inputs, capsys):
     times, fields = read_simulations(out / "fields.npz", BODY.n_nodes)
     assert times.tolist() == TIMES
     assert fields.shape == (len(TIMES), BODY.n_nodes, 3)
+    # The folder holds what a transform with time needs.
+    seq = inputs / "field.seq.nrrd"
+    code, said, err = run_json(capsys, "warp", out, "--grid", seq, "--spacing", 20)
+    assert (code, said["moments"], said["written"]) == (0, len(TIMES), [str(seq)])
+    assert "taken for LPS" in " ".join(err.split())
+    assert b"kinds: vector domain domain domain list\n" in seq.read_bytes()
+    for words in (["--direction", "resampling"], ["--std", inputs / "std.nrrd"]):
+        code, said, _ = run_json(capsys, "warp", out, "--grid", seq, "--spacing", 20, *words)
+        assert (code, said["where"]) == (2, words[0])
 
 
 def test_simulations_are_linear_in_time(inputs, capsys):
@@ -268,7 +277,7 @@ def test_a_spoilt_recording_is_refused_by_its_line(inputs, capsys, rows, message
 def test_simulations_must_cover_the_recording_and_ascend(inputs, capsys):
     for times, message in (
         ([0.0, 0.03, 0.06], "must cover the recording, from 0 to 0.1 s; they go from 0 to 0.06 s"),
-        ([0.0, 0.2, 0.1], "two or more ascending times"),
+        ([0.0, 0.2, 0.1], "2 or more ascending times"),
     ):
         write_simulations(inputs / "short.npz", times, [leaning(t) for t in times])
         code, said, _ = track(capsys, inputs, "--simulations", inputs / "short.npz")

@@ -90,15 +90,19 @@ def test_a_grid_needs_no_out_and_says_its_residual(folder, tmp_path, capsys):
         (("--points", "p.csv", "--out", "o.csv", "--like", "ct.nrrd"), "--like must come with"),
         (("--points", "p.csv", "--out", "o.csv", "--unit", "cm"), "--unit must come with --surface"),
         (("--points", "p.csv", "--out", "p.csv"), "p.csv"),
+        (("--points", "p.csv", "--out", "o.vtu"), "must end in .csv or .mrk.json"),
+        (("--points", "p.fcsv", "--out", "o.csv"), "p.fcsv is in RAS, and the mesh states no frame"),
         (("--points", "missing.csv", "--out", "o.csv"), "missing.csv"),
     ],
 )
 def test_options_that_clash_are_refused_and_nothing_is_written(folder, tmp_path, monkeypatch, capsys, words, said):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "p.csv").write_text("x_mm,y_mm,z_mm\n30,30,12\n", encoding="utf-8")
+    head = "# Markups fiducial file version = 4.11\n# CoordinateSystem = RAS\n"
+    (tmp_path / "p.fcsv").write_text(head + "# columns = id,x,y,z,label\n1,30,30,12,cyst\n", encoding="utf-8")
     assert main(["warp", str(folder), *words]) == 2
     assert said in " ".join(capsys.readouterr().err.split())
-    assert [path.name for path in tmp_path.iterdir()] == ["p.csv"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["p.csv", "p.fcsv"]
 
 
 def test_a_folder_that_holds_no_registration_is_refused(tmp_path, capsys):

@@ -13,10 +13,12 @@ from support.meshes import block
 from tissuereg.cli import skeleton
 from tissuereg.cli.skeleton import new_experiment
 from tissuereg.errors import ConvergenceError, ExperimentError, MeshError
+from tissuereg.imaging.images import itk, read_image
 from tissuereg.io import drafts
 from tissuereg.io import experiment_keys as keys
 from tissuereg.io.atomic import OutputError
 from tissuereg.io.meshes import write_vtu
+from tissuereg.io.surfaces import read_triangles
 from tissuereg.phantom.samples import write_samples
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -193,6 +195,20 @@ def test_the_sample_rig_is_read_and_its_truth_is_hidden(tmp_path):
         15,
         ["lesion", "vessel"],
     )
+
+
+def test_the_sample_scan_is_the_organ_of_the_surface_with_its_markers(tmp_path):
+    write_samples(tmp_path)
+    scan, surface = tmp_path / "scan", tmp_path / "surface"
+    image = read_image(scan / "segmentation.seg.nrrd")
+    assert [image.GetMetaData(f"Segment{k}_Name") for k in range(2)] == ["organ", "lesion"]
+    voxels = int((itk().GetArrayFromImage(image) > 0).sum()) * float(np.prod(image.GetSpacing()))
+    assert voxels == pytest.approx(read_triangles(surface / "organ.stl").volume, rel=0.01)
+    markers = tr.read_markers(scan / "markers.mrk.json", measured=scan / "measured.mrk.json")
+    wanted = tr.read_markers(surface / "markers.csv")
+    assert markers.names == wanted.names
+    assert markers.reference == pytest.approx(wanted.reference, abs=1e-3)
+    assert markers.measured == pytest.approx(wanted.measured, abs=1e-3)
 
 
 def test_the_samples_never_replace_files_of_the_user(tmp_path):

@@ -10,7 +10,7 @@ from scipy.stats import chi2, norm
 
 import tissuereg as tr
 from support import doors
-from support.pushes import ELEMENT, MATERIAL, push
+from support.pushes import ELEMENT, MATERIAL, columns_of, push
 from tissuereg.body.observe import MarkerObservation
 from tissuereg.registration.contacts import answer
 from tissuereg.registration.contacts.answer import Answer, _chance
@@ -78,6 +78,33 @@ def test_noise_that_is_stated_ten_times_too_small_is_named() -> None:
     found = registered(tr.Markers(markers.reference, rough, 0.03))
     assert any("noise" in reason for reason in found.trust.reasons)
     assert registered(tr.Markers(markers.reference, rough, 0.3)).trust.ok
+
+
+def pushed_on_a_base_held(released: float) -> tr.Markers:
+    """Return twenty markers of the slab, pulled at its side, whose base is held where x is `released` mm or more."""
+    columns = columns_of()
+    mesh, patches = columns.body.mesh, columns.body.patches
+    coefficients = np.zeros(columns.n_columns)
+    side = int(np.argmin(np.linalg.norm(patches.centres - [0.0, 30.0, 18.0], axis=1)))
+    coefficients[3 * side : 3 * side + 3] = [-2.0, 1.0, 3.0]
+    forces = np.array(columns.load(coefficients).forces)
+    held = mesh.fixed_nodes[mesh.nodes[mesh.fixed_nodes, 0] >= released]
+    moved = tr.Simulator(mesh, element=ELEMENT, held_nodes=held).solve(tr.Load(forces=forces), MATERIAL).displacement
+    rng = np.random.default_rng(8)
+    nodes = rng.choice(mesh.surface_nodes[mesh.nodes[mesh.surface_nodes, 2] > 3.0], 20, replace=False)
+    noise = 0.03 * rng.standard_normal((20, 3))
+    return tr.Markers(mesh.nodes[nodes], mesh.nodes[nodes] + moved[nodes] + noise, 0.03)
+
+
+@pytest.mark.parametrize(
+    ("released", "held", "named"), [(31.0, "sure", True), (0.0, "sure", False), (31.0, "perhaps", False)]
+)
+def test_a_support_that_gave_is_named_where_it_was_believed(released: float, held: str, named: bool) -> None:
+    body = tr.Body(push().mesh, MATERIAL, ELEMENT, held)
+    found = tr.register(body, pushed_on_a_base_held(released), settings=tr.RegisterSettings(threads=1))
+    assert any(reason.startswith("support: ") for reason in found.trust.reasons) == named
+    if not named:
+        assert found.trust.ok
 
 
 @pytest.mark.parametrize(("markers", "named"), [(8, True), (7, False)])

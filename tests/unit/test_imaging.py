@@ -12,10 +12,11 @@ import tissuereg as tr
 from support.meshes import block
 from tissuereg._core import rasterise
 from tissuereg.errors import ArgumentError, FormatError, MissingPackageError
-from tissuereg.imaging import images
+from tissuereg.imaging import images, warp
 from tissuereg.imaging.images import Grid, read_image, write_image
 from tissuereg.imaging.sampled import Mark, Sampled
 from tissuereg.imaging.warp import _Labels, _resampled, warp_image, warp_points, warp_surface
+from tissuereg.io.atomic import OutputError
 from tissuereg.io.points import turned
 from tissuereg.io.surfaces import read_triangles
 from tissuereg.registration.deviations import Deviations
@@ -34,7 +35,7 @@ def bent(places):
 def field(frame=None):
     mesh = block((40.0, 30.0, 50.0), (6, 5, 8)).in_frame(frame)
     roots = np.random.default_rng(0).standard_normal((5, mesh.n_nodes, 3))
-    return RegisteredField(mesh, bent(mesh.nodes), Deviations.of(roots, np.zeros(mesh.n_nodes, bool), None, 0.0))
+    return RegisteredField(mesh, bent(mesh.nodes), Deviations.of(roots, np.zeros(mesh.n_nodes), None, 0.0))
 
 
 def oblique(frame=None, spacing=(1.5, 1.0, 2.0), size=(60, 70, 50)) -> Grid:
@@ -78,6 +79,19 @@ def test_a_grid_in_nrrd_moves_points_as_the_field_does(tmp_path, frame):
     assert inside.mean() == pytest.approx(60e3 / (np.prod(oblique().size) * 3.0), rel=0.03)
     assert array[inside].min() >= field().uncertainty.std.min() - 1e-4
     assert array[inside].max() <= field().uncertainty.std.max() + 1e-4
+
+
+@pytest.mark.parametrize("spacing", [1e-300, 5e-324, 0.01])
+def test_a_grid_beyond_the_largest_is_refused_before_it_is_made(tmp_path, spacing):
+    with pytest.raises(ArgumentError, match="at most 270000000 voxels over"):
+        field().transform(tmp_path / "field.nrrd", spacing=spacing)
+
+
+def test_no_transform_is_written_without_its_spread(tmp_path):
+    (tmp_path / "sigma.nrrd").mkdir()
+    with pytest.raises(OutputError):
+        field().transform(tmp_path / "field.nrrd", spacing=4.0, std=tmp_path / "sigma.nrrd")
+    assert not (tmp_path / "field.nrrd").exists()
 
 
 @pytest.mark.parametrize("ending", [".h5", ".tfm"])
@@ -157,13 +171,14 @@ def test_labels_are_those_of_the_largest_linear_weight_as_itk_finds_them():
     values[:, :, 12:] = 3
     source, moved = grid.image(values), (0.8 * rng.standard_normal((24, 22, 20, 3))).astype(np.float32)
     found = _Labels.of(source).at(grid, moved, 0)
-    wanted = _resampled(source, grid, moved, 0, (sitk.sitkLabelLinear, 0.0))
+    wanted = _resampled(source, grid, moved, 0, (sitk.sitkLabelLinear, 0.0, 1))
     inner = (slice(2, -2),) * 3
     # Equal weights of two labels are rare.
     assert np.mean(found[inner] == wanted[inner]) > 0.998
     assert np.array_equal(_Labels.of(sitk.Cast(source, sitk.sitkFloat32)).at(grid, moved, 0), found)
-    with pytest.raises(ArgumentError, match="whole numbers"):
-        _Labels.of(grid.image(values + 0.5))
+    for wrong in (values + 0.5, np.full(values.shape, np.nan), np.full(values.shape, 2**62, np.int64)):
+        with pytest.raises(ArgumentError, match="whole numbers"):
+            _Labels.of(grid.image(wrong))
 
 
 def test_a_volume_takes_its_values_from_where_voxels_were(tmp_path):
@@ -186,6 +201,34 @@ def test_a_volume_takes_its_values_from_where_voxels_were(tmp_path):
     wanted = 3.0 * came[:, 0] - 2.0 * came[:, 1] + came[:, 2]
     assert np.abs(found[tuple(numbers[:, ::-1].T)] - wanted)[inside].max() < 0.02
     assert found.min() == pytest.approx(ramp.min(), abs=0.1)
+
+
+def test_a_volume_may_lack_values_but_not_all(tmp_path):
+    grid = oblique(spacing=(3.0, 3.0, 3.0), size=(40, 40, 40))
+    values = np.full(grid.size[::-1], 5.0, np.float32)
+    values[:, :, 20:], values[0] = 2.0, np.nan
+    warp_image(field(), saved(grid, values, tmp_path / "a.nrrd"), tmp_path / "moved.nrrd", labels=False)
+    found = sitk.GetArrayFromImage(sitk.ReadImage(str(tmp_path / "moved.nrrd")))
+    assert np.nanmin(found) == 2.0
+    saved(grid, np.full_like(values, np.nan), tmp_path / "b.nrrd")
+    with pytest.raises(ArgumentError, match="finite value"):
+        warp_image(field(), tmp_path / "b.nrrd", tmp_path / "other.nrrd", labels=False)
+
+
+def test_filters_run_in_as_many_threads_as_are_asked_for(tmp_path, monkeypatch):
+    made = images.threaded("ResampleImageFilter", 3)
+    assert made.GetNumberOfThreads() == 3
+    assert (
+        images.threaded("ResampleImageFilter", 0).GetNumberOfThreads()
+        == sitk.ResampleImageFilter().GetNumberOfThreads()
+    )
+    asked = []
+    monkeypatch.setattr(warp, "threaded", lambda kind, threads: asked.append(threads) or images.threaded(kind, threads))
+    grid = oblique(spacing=(4.0, 4.0, 4.0), size=(30, 30, 30))
+    ones = saved(grid, np.ones(grid.size[::-1], np.uint8), tmp_path / "a.nrrd")
+    for labels in (True, False):
+        warp_image(field(), ones, tmp_path / "moved.nrrd", labels=labels, threads=2)
+    assert set(asked) == {2}
 
 
 def test_a_surface_keeps_its_triangles_and_its_vertices_move(tmp_path):

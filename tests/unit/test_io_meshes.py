@@ -8,6 +8,8 @@ from support.grids import write_grid
 from tissuereg.errors import FormatError, MeshError, ShapeError
 from tissuereg.io.foreign import read_grid
 from tissuereg.io.meshes import write_vtu
+from tissuereg.io.node_rules import nodes_by_rule, rule_for_file
+from tissuereg.io.triangles_out import write_triangles
 
 MID_EDGES = [(0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3)]
 
@@ -134,6 +136,25 @@ def test_what_is_fixed_can_be_said_as_a_plane_or_a_set(block_mesh, tmp_path, rul
     assert np.array_equal(tr.read_mesh(tmp_path / "b.vtu", fixed=rule).fixed_nodes, top)
 
 
+def test_nodes_near_a_surface_and_in_a_box_are_chosen(block_mesh, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    mesh = block_mesh.in_frame("LPS")
+    write_vtu(tmp_path / "b.vtu", mesh)
+    # A plate 2 mm beside the face x = 30, over its lower half, in the other patient frame.
+    plate = np.array([[32.0, -5.0, 0.0], [32.0, 25.0, 0.0], [32.0, 25.0, 20.0], [32.0, -5.0, 20.0]])
+    write_triangles(tmp_path / "the plate.stl", tr.Triangles(plate * [-1, -1, 1], [[0, 1, 2], [0, 2, 3]], "RAS"))
+    x, z = mesh.nodes[:, 0], mesh.nodes[:, 2]
+    chosen = tr.read_mesh(tmp_path / "b.vtu", fixed="near the plate.stl 2.5").fixed_nodes
+    assert np.array_equal(chosen, np.flatnonzero((x == 30.0) & (z <= 21.5)))
+    boxed = tr.read_mesh(tmp_path / "b.vtu", fixed="box 29 -1 -1 31 30 21").fixed_nodes
+    assert np.array_equal(boxed, np.flatnonzero((x == 30.0) & (z <= 21.0)))
+    table = {"low_mm": [29, -1, -1], "high_mm": [31, 30, 21]}
+    assert np.array_equal(nodes_by_rule(mesh, table), boxed)
+    assert rule_for_file("box 29 -1 -1 31 30 21") == table
+    with pytest.raises(FormatError, match="a rule that the file itself can hold"):
+        rule_for_file("near the plate.stl 2.5")
+
+
 @pytest.mark.parametrize(
     ("rule", "error", "words"),
     [
@@ -143,7 +164,7 @@ def test_what_is_fixed_can_be_said_as_a_plane_or_a_set(block_mesh, tmp_path, rul
         ("plane 0 0 one 40 0.1", FormatError, r"plane nx ny nz d \[tol\]"),
         ("plane 0 0 1 40.11", MeshError, "within 0.1 mm; the nearest is 0.11 mm away"),
         ({"plane": [0, 0, 1]}, FormatError, "`plane` is a list of 4 numbers"),
-        ({"plane": [0, 0, 1, 40], "radius_mm": 3}, FormatError, "a node set, { plane, tolerance_mm } or"),
+        ({"plane": [0, 0, 1, 40], "radius_mm": 3}, FormatError, "a node set, { plane, tolerance_mm } or { centre_mm"),
         ({"centre_mm": [0, 0], "radius_mm": 3}, FormatError, "`centre_mm` is a list of 3 numbers"),
         ({"centre_mm": [0, 0, 60], "radius_mm": True}, FormatError, "radius r positive"),
         ({"plane": [0, 0, True, 1], "tolerance_mm": 3.0}, FormatError, "plane nx ny nz d"),
@@ -166,6 +187,14 @@ def test_what_is_fixed_can_be_said_as_a_plane_or_a_set(block_mesh, tmp_path, rul
         ("ball 0 0 60", FormatError, "ball x y z r"),
         ("ball 0 0 60 -2", FormatError, "radius r positive"),
         ("ball 0 0 inf 2", FormatError, "ball x y z r"),
+        ("box 0 0 50 9 9 60", MeshError, "nearest is 10 mm away"),
+        ("box 0 0 5 9 9 5", FormatError, "second corner above the first"),
+        ({"low_mm": [0, 0, 0], "high_mm": [1, 1]}, FormatError, "`high_mm` is a list of 3 numbers"),
+        ("box", MeshError, "'box'.*fixed"),
+        ("near", MeshError, "'near'.*fixed"),
+        ("near 3", FormatError, "'near FILE r', a surface and a distance above 0 mm"),
+        ("near skin.stl -3", FormatError, "'near FILE r'"),
+        ("near no such skin.stl 3", FormatError, "no such skin.stl"),
     ],
 )
 def test_a_rule_that_holds_nothing_is_refused(block_mesh, tmp_path, rule, error, words):

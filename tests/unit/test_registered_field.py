@@ -26,8 +26,8 @@ def bent(places):
 def field(roots=None, tail=None):
     rng = np.random.default_rng(0)
     roots = 0.3 * rng.standard_normal((9, MESH.n_nodes, 3)) if roots is None else roots
-    untold = MESH.nodes[:, 2] > 45.0
-    return RegisteredField(MESH, bent(MESH.nodes), Deviations.of(roots, untold, tail, 0.0))
+    doubt = MESH.nodes[:, 2] - 45.0
+    return RegisteredField(MESH, bent(MESH.nodes), Deviations.of(roots, doubt, tail, 0.0))
 
 
 def inner(count, seed=1):
@@ -170,7 +170,7 @@ def test_a_spoilt_folder_is_refused_by_name(result, tmp_path):
     wrong = {
         "modes": arrays["modes"][:, :5],
         "rest_mm2": -1.0 - arrays["rest_mm2"],
-        "untold": arrays["untold"].astype(float),
+        "doubt_mm2": arrays["doubt_mm2"][:5],
         "displacement_mm": np.full_like(arrays["displacement_mm"], np.nan),
     }
     for name, array in wrong.items():

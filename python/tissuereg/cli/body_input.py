@@ -47,7 +47,7 @@ def add_body_options(more: Any, tables: str, *, noise: bool = True) -> None:
     more.add_argument("--targets", metavar="FILE", help=text)
     text = (
         "held nodes: 'plane nx ny nz d [tol]' (within tol mm of n . x = d mm), 'ball x y z r' (of the surface, "
-        "within r mm), or the name of a node set"
+        "within r mm), 'box x0 y0 z0 x1 y1 z1', 'near FILE r' (within r mm of another surface), or a node set's name"
     )
     more.add_argument("--fixed", metavar="RULE", help=text)
     text = "nodes of MESH at one place that no tets share: joined where whole faces coincide, all joined, or kept apart"
@@ -72,8 +72,12 @@ def add_belief_options(what: Any) -> None:
     add_option(what, "--held", choice(HELD, text, default=None, otherwise="sure"))
     text = "fixed: the tracker surely kept its place relative to the supports; it may have drifted a little"
     add_option(what, "--tracker", choice(TRACKERS, text, default=None, otherwise="drifts"))
-    text = "graded: much softer towards one side, by an amount that the markers tell"
-    add_option(what, "--stiffness", choice(STIFFNESS, text, default=None, otherwise="believed"))
+    text = (
+        "graded: much softer towards one side, by an amount that the markers tell; SET=KPA[:STD]: modulus of the part "
+        "of the body that a node set holds, such as tumour=40:10, with its standard deviation where it is uncertain; "
+        "may be given several times (default: believed, as --young says)"
+    )
+    what.add_argument("--stiffness", action="append", type=_stiffness, metavar="WORD", help=text)
     text = "Young's modulus in kPa; it scales forces, and sets how far gravity bends the body"
     add_option(what, "--young", number(text, unit="kPa", above=0.0, default=None, otherwise="10"), "KPA")
     add_option(what, "--poisson", number("Poisson's ratio", default=None, otherwise="0.45"), "NU")
@@ -120,7 +124,33 @@ def believed_body(args: argparse.Namespace, mesh: "Mesh", material: "Material | 
     """Return the body as the user believes it: mesh and material, with the elements and supports that options state."""
     from tissuereg.registration.body import Body
 
-    return Body(mesh, material, args.element, **only_given(held=args.held, stiffness=args.stiffness))
+    return Body(mesh, material, args.element, **only_given(held=args.held), **stiffness_of(args))
+
+
+def stiffness_of(args: argparse.Namespace) -> dict[str, Any]:
+    """Return the arguments ``stiffness`` and ``regions`` of a `Body` that ``--stiffness`` states."""
+    words = args.stiffness or []
+    stated = {one for one in words if isinstance(one, str)}
+    if len(stated) > 1:
+        refuse("--stiffness must be believed or graded, got both", "--stiffness")
+    regions = {one[0]: one[1:] for one in words if not isinstance(one, str)}
+    return only_given(stiffness=next(iter(stated), None), regions=regions or None)
+
+
+def _stiffness(word: str) -> str | tuple[str, float, float]:
+    """Return a word of ``--stiffness``, or a node set with its modulus and standard deviation, kPa."""
+    if word in STIFFNESS:
+        return word
+    name, _, numbers = word.rpartition("=")
+    young, _, std = numbers.partition(":")
+    try:
+        values = float(young), float(std or 0.0)
+    except ValueError:
+        values = None
+    if not name or values is None:
+        message = f"must be believed, graded or SET=KPA[:STD], such as tumour=40:10; got {word!r}"
+        raise argparse.ArgumentTypeError(message)
+    return name, *values
 
 
 def frames_of(

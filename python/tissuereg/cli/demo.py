@@ -10,8 +10,8 @@ HELP = Help(
     "An embedded breast phantom, its physics simulation and a shipped model: simulation, encoder, ES-MDA over the "
     "ONNX decoder, registered mesh. The measurement was made with another model (other stiffness, a stiff lesion, "
     "ten-node elements, finer mesh), so errors are those against a truth that the model does not know. With --files "
-    "nothing is computed: DIR gets surface/ (organ.stl, markers and targets, for 'mesh' and 'register') and rig/ (an "
-    "experiment for 'simulate' and 'diagnose').",
+    "nothing is computed: DIR gets surface/ (organ.stl, markers and targets, for 'mesh' and 'register'), scan/ (the "
+    "same organ as a segmentation, with points of 3D Slicer) and rig/ (an experiment for 'simulate' and 'diagnose').",
     example="tissuereg demo --out demo",
     seed="seed of markers, noise and ensemble (default: 0)",
 )
@@ -50,6 +50,7 @@ def _write_files(args: argparse.Namespace) -> Outcome:
         "to try them:",
         f'  tissuereg mesh {where}/surface/organ.stl --size 7 --out body.vtu --fixed "plane 0 0 1 -18 2.5"',
         f"  tissuereg register body.vtu {given} --out registered",
+        f"  tissuereg mesh {where}/scan/segmentation.seg.nrrd --label organ --label lesion --size 7 --out organ.vtu",
         f"  tissuereg diagnose {where}/rig --out diagnosed",
     ]
     return Outcome({"schema": "tissuereg.samples/1", "files": files}, "\n".join(lines), args.threads)

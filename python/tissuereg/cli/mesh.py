@@ -14,12 +14,14 @@ if TYPE_CHECKING:
 
 HELP = Help(
     "SURFACE is a .stl, .ply, .obj, .off, .vtp, .vtu, .vtk or .msh of triangles, or with --label a segmentation "
-    "(.seg.nrrd, .nrrd, .nii.gz, .mha; pip install 'tissuereg[images]'). Its vertices are merged, holes closed "
+    "(.seg.nrrd, .nrrd, .nii.gz, .mha; pip install 'tissuereg[images]'; a DICOM SEG as .dcm: 'tissuereg[dicom]'). "
+    "Its vertices are merged, holes closed "
     "and normals turned outwards; whatever was done is listed. BODY.vtu (or .npz) gets tetrahedra in mm, the node sets "
     "and the patient frame, and 'tissuereg register', 'simulate' and 'tr.read_mesh' take it. A rule is 'plane nx ny nz "
-    "d [tol]' (nodes within tol mm of n . x = d mm), 'ball x y z r' (nodes of the surface within r mm) or the name of "
-    "another set; all in mm. The mesher (pytetwild: pip install 'tissuereg[mesh]') uses random numbers and takes no "
-    "seed: its answer differs from run to run.",
+    "d [tol]' (nodes within tol mm of n . x = d mm), 'ball x y z r' (nodes of the surface within r mm), 'box x0 y0 z0 "
+    "x1 y1 z1' or 'near FILE r' (those in a box, and within r mm of another surface), or the name of another set; all "
+    "in mm. The mesher (pytetwild: pip install 'tissuereg[mesh]') uses random numbers and takes no seed: its answer "
+    "differs from run to run.",
     example="tissuereg mesh liver.stl --size 6 --out liver.vtu --json -\n"
     "tissuereg mesh seg.nrrd --label liver --label tumour --size 6 --out liver.vtu",
     threads="threads of the mesher (default: all cores)",

@@ -19,6 +19,7 @@ from tissuereg.cli.body_input import (
     method_of,
     only_given,
     read_body,
+    stiffness_of,
 )
 from tissuereg.cli.common import UNTRUSTED, Outcome, Stopwatch, envelope, seconds_line
 from tissuereg.cli.options import Help, Parser, add_option, refuse, refuse_overwriting
@@ -232,7 +233,7 @@ def _from_experiment(args: argparse.Namespace) -> dict[str, Any]:
     plain: Element = "tet4" if args.element == "auto" else args.element
     frame = frame_input(experiment, args.case, args.time, element=plain, threads=args.threads)
     # The registration uses the same elements as the simulation of the frame.
-    return {**frame, "mesh": replace(frame["mesh"], **only_given(held=args.held, stiffness=args.stiffness))}
+    return {**frame, "mesh": replace(frame["mesh"], **only_given(held=args.held), **stiffness_of(args))}
 
 
 def summary(content: dict[str, Any], out: str, *, verbose: bool = False) -> str:

@@ -26,6 +26,7 @@ from tissuereg.report.words import counted, target_line
 
 if TYPE_CHECKING:
     from tissuereg._base.arrays import FloatArray
+    from tissuereg.body.mesh import Mesh
     from tissuereg.errors import TissueRegError
     from tissuereg.io.tables import Recording
     from tissuereg.report.tracked import Film
@@ -59,7 +60,7 @@ def options(parser: Parser) -> None:
     )
     parser.add_argument("--out", required=True, metavar="DIR", help="folder for the results")
     parser.add_argument("--live", action="store_true", help="replay at the recorded rate (default: every frame)")
-    text = "write fields.npz too: times_s (k,), displacement_mm (k, n, 3) of the frames"
+    text = "write fields.npz too: times_s (k,), displacement_mm (k, n, 3) of the frames, and the mesh"
     parser.add_argument("--fields", action="store_true", help=text)
     text = "write report.html too: targets over time, markers used and lost, the body to turn at any moment"
     parser.add_argument("--report", action="store_true", help=text)
@@ -111,7 +112,7 @@ def run(args: argparse.Namespace) -> Outcome:
         "provenance": tracked.provenance,
     }
     seconds = clock.seconds
-    _write(Path(args.out), {**content, "seconds": seconds}, tracked)
+    _write(Path(args.out), {**content, "seconds": seconds}, tracked, tracker.registrar.mesh)
     clock.lap("write")
     content["seconds"] = clock.seconds
     return Outcome(
@@ -241,7 +242,7 @@ class _Tracked:
         return not self.failures and all(frame["trust"]["ok"] for frame in self.frames)
 
 
-def _write(out: Path, content: dict[str, Any], tracked: _Tracked) -> None:
+def _write(out: Path, content: dict[str, Any], tracked: _Tracked, mesh: "Mesh") -> None:
     """Write the files ``track.json`` and ``targets.csv``, on request ``fields.npz`` and a page, all or none."""
     from tissuereg.io.atomic import atomic_folder
     from tissuereg.io.json import write_json
@@ -253,7 +254,7 @@ def _write(out: Path, content: dict[str, Any], tracked: _Tracked) -> None:
         write_json(draft / _ANSWER, content)
         write_tracked_targets(draft / _TARGETS, [(frame["time_s"], frame["targets"]) for frame in tracked.frames])
         if tracked.keeps_fields:
-            write_simulations(draft / _FIELDS, [frame["time_s"] for frame in tracked.frames], tracked.fields)
+            write_simulations(draft / _FIELDS, [one["time_s"] for one in tracked.frames], tracked.fields, mesh)
         if tracked.film is not None:
             (draft / _PAGE).write_text(tracked_page(tracked.film, content), encoding="utf-8")
 

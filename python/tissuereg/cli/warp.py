@@ -11,6 +11,7 @@ from tissuereg.cli.options import Help, Parser, add_option, refuse, refuse_overw
 
 if TYPE_CHECKING:
     from tissuereg._base.arrays import FloatArray
+    from tissuereg.body.mesh import Mesh
     from tissuereg.registration.field import RegisteredField
 
 HELP = Help(
@@ -18,7 +19,8 @@ HELP = Help(
     "3D Slicer) and the vertices of a surface go from before the deformation to after it; so do the voxels of a label "
     "map (each takes one label, they are never mixed) and of a volume (linear). Around the body the displacement "
     "fades, harmonically, to nothing at half the body's extent. --grid writes the field itself: .nrrd as 3D Slicer "
-    "reads it, .h5 or .tfm for ITK. Images: pip install 'tissuereg[images]'.",
+    "reads it, .h5 or .tfm for ITK. REGISTERED may be the folder of 'tissuereg track --fields', of which --grid writes "
+    "all moments: .seq.nrrd. An IMAGE may be the folder of a DICOM series. Images: pip install 'tissuereg[images]'.",
     example="tissuereg warp out --labels tumour.seg.nrrd --out moved.seg.nrrd\n"
     "tissuereg warp out --grid field.nrrd --like ct.nrrd --std sigma.nrrd",
 )
@@ -55,7 +57,7 @@ def options(parser: Parser) -> None:
 
 def run(args: argparse.Namespace) -> Outcome:
     """Run ``tissuereg warp``; JSON schema ``tissuereg.warp/1``."""
-    from tissuereg._base.provenance import warn
+    from tissuereg.imaging.sequences import ENDING
     from tissuereg.io.atomic import check_file_target
     from tissuereg.registration.stored import read_registration
 
@@ -65,11 +67,13 @@ def run(args: argparse.Namespace) -> Outcome:
     for one in written:
         check_file_target(one)
     clock = Stopwatch()
+    if kind == "grid" and out.lower().endswith(ENDING):
+        return _sequence(out, args, clock)
     stored = read_registration(args.registered)
     field = _in_frame(stored.field, args.frame)
     clock.lap("read")
-    if field.mesh.frame is None and kind not in ("points", "surface"):
-        warn("the mesh states no patient frame; it is taken for LPS, as images are: --frame says otherwise")
+    if kind not in ("points", "surface"):
+        _warn_without_frame(field.mesh)
     moved, outside, residual = _warped(kind, source, out, field, args)
     clock.lap("warp")
     trusted = stored.trust.ok
@@ -89,9 +93,46 @@ def run(args: argparse.Namespace) -> Outcome:
         *([] if trusted else ["do not trust this registration: " + "; ".join(stored.trust.reasons)]),
         f"moved by {moved[0]:.3g} mm on average, {moved[1]:.3g} mm at most",
         f"{outside} {what} around the body, where the displacement fades to nothing",
-        *([] if residual is None else [f"forward and back differ by at most {residual:.2g} mm inside the body"]),
+        *(
+            []
+            if residual is None
+            else [f"forward and back differ by {residual:.2g} mm at most at 999 of 1,000 voxels in the body"]
+        ),
         seconds_line(clock.seconds, verbose=args.verbose),
         *(f"written: {one}" for one in written),
+    ]
+    return Outcome(content, "\n".join(lines), args.threads)
+
+
+def _sequence(out: str, args: argparse.Namespace, clock: Stopwatch) -> Outcome:
+    """Write the transform with time of a track."""
+    from dataclasses import replace
+
+    from tissuereg.tracking import read_track
+
+    for name, value in {"--std": args.std, "--direction": args.direction}.items():
+        if value not in (None, "modeling"):
+            refuse(f"{name} must be left out with a .seq.nrrd, which leads from before to after", name)
+    stored = read_track(args.registered)
+    track = replace(stored, mesh=_framed(stored.mesh, args.frame))
+    _warn_without_frame(track.mesh)
+    clock.lap("read")
+    made = track.transform(out, like=args.like, spacing=args.spacing, threads=args.threads)
+    clock.lap("warp")
+    content = {
+        "schema": "tissuereg.warp/1",
+        "kind": "grid",
+        "written": [out],
+        "moments": len(track.times),
+        "moved": {"mean_mm": made.moved_mm[0], "max_mm": made.moved_mm[1]},
+        "outside": made.outside,
+        "frame": track.mesh.frame,
+        "seconds": clock.seconds,
+    }
+    lines = [
+        f"{len(track.times)} moments, moved by {made.moved_mm[0]:.3g} mm on average, {made.moved_mm[1]:.3g} mm at most",
+        seconds_line(clock.seconds, verbose=args.verbose),
+        f"written: {out}",
     ]
     return Outcome(content, "\n".join(lines), args.threads)
 
@@ -112,6 +153,8 @@ def _asked(args: argparse.Namespace) -> tuple[str, str, str]:
             refuse(f"{name} must come with --grid", name)
     if args.like is not None and kind in ("points", "surface"):
         refuse("--like must come with an image or --grid", "--like")
+    if kind == "points" and not str(args.out).lower().endswith((".csv", ".mrk.json")):
+        refuse(f"--out must end in .csv or .mrk.json for points, got '{args.out}'", "--out")
     if args.unit is not None and kind != "surface":
         refuse("--unit must come with --surface", "--unit")
     return kind, source, source if kind == "grid" else str(args.out)
@@ -120,11 +163,23 @@ def _asked(args: argparse.Namespace) -> tuple[str, str, str]:
 def _in_frame(field: "RegisteredField", frame: Frame | None) -> "RegisteredField":
     from dataclasses import replace
 
-    if frame is None or field.mesh.frame == frame:
-        return field
-    if field.mesh.frame is not None:
-        refuse(f"--frame must be left out or {field.mesh.frame}: the mesh states it; got {frame}", "--frame")
-    return replace(field, mesh=field.mesh.in_frame(frame))
+    return replace(field, mesh=_framed(field.mesh, frame))
+
+
+def _warn_without_frame(mesh: "Mesh") -> None:
+    from tissuereg._base.provenance import warn
+
+    if mesh.frame is None:
+        warn("the mesh states no patient frame; it is taken for LPS, as images are: --frame says otherwise")
+
+
+def _framed(mesh: "Mesh", frame: Frame | None) -> "Mesh":
+    """Return a mesh in the frame that --frame states; images are taken to be in LPS where nothing does."""
+    if frame is None or mesh.frame == frame:
+        return mesh
+    if mesh.frame is not None:
+        refuse(f"--frame must be left out or {mesh.frame}: the mesh states it; got {frame}", "--frame")
+    return mesh.in_frame(frame)
 
 
 def _warped(
@@ -148,6 +203,10 @@ def _warped(
 
 def _points(source: str, frame: Frame | None) -> "dict[str, FloatArray]":
     """Return the points of a file by name, (3,), mm, in a patient frame."""
+    from tissuereg.io.point_files import frame_of_files
     from tissuereg.io.tables import read_named_points
 
+    stated = frame_of_files([Path(source)])
+    if frame is None and stated is not None:
+        refuse(f"--frame must be given: {stated[1]} is in {stated[0]}, and the mesh states no frame", "--frame")
     return read_named_points(source, frame=frame)

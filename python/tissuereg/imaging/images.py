@@ -1,4 +1,4 @@
-"""Image files, by SimpleITK: NRRD (.seg.nrrd too), NIfTI, MetaImage and others; lengths in mm, patient frame LPS."""
+"""Image files, by SimpleITK: NRRD (.seg.nrrd too), NIfTI, MetaImage, DICOM and others; lengths in mm, frame LPS."""
 
 import os
 from dataclasses import dataclass
@@ -6,9 +6,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
+from tissuereg._base.arguments import place
 from tissuereg._base.arrays import FloatArray
-from tissuereg.errors import FormatError, MissingPackageError
+from tissuereg.errors import FormatError, MissingPackageError, TissueRegError
+from tissuereg.imaging.dicom import dicom_kind, read_segmentation, read_series
 from tissuereg.io.atomic import atomic_file
 from tissuereg.io.bounds import existing_file
 
@@ -26,9 +29,28 @@ def itk() -> Any:
     return SimpleITK
 
 
+def threaded(kind: str, threads: int) -> Any:
+    """Return a filter of SimpleITK, by the name of its class, that runs in some threads; 0 takes all cores."""
+    made = getattr(itk(), kind)()
+    if threads:
+        made.SetNumberOfThreads(threads)
+    return made
+
+
 def read_image(path: str | os.PathLike[str]) -> Any:
-    """Return a SimpleITK image of three dimensions; raise `FormatError` if the file is missing or holds none."""
-    sitk, file = itk(), existing_file(path)
+    """Return a SimpleITK image of three dimensions; raise `FormatError` if the file is missing or holds none.
+
+    `path`: a file, or the folder of a DICOM series.
+    """
+    sitk = itk()
+    if place("path", path, error=FormatError).is_dir():
+        return read_series(Path(path), sitk)
+    file = existing_file(path)
+    if (kind := dicom_kind(file)) == "segmentation":
+        return read_segmentation(file, sitk)
+    if kind is not None:
+        message = f"of a DICOM series the folder must be given, with one slice a file; got the file {file}"
+        raise FormatError(message, where=str(file))
     try:
         image = sitk.ReadImage(str(file))
     except RuntimeError as error:
@@ -38,7 +60,21 @@ def read_image(path: str | os.PathLike[str]) -> Any:
     if image.GetDimension() != 3 or min(image.GetSize()) < 1:
         message = f"{file} must hold a volume of three dimensions, got size {image.GetSize()}"
         raise FormatError(message, where=str(file))
+    if "complex" in image.GetPixelIDTypeAsString():
+        message = f"{file} must hold real numbers, got {image.GetPixelIDTypeAsString()}"
+        raise FormatError(message, where=str(file))
     return image
+
+
+def labels_of(image: Any, name: str, error: type[TissueRegError]) -> npt.NDArray[Any]:
+    """Return the labels of an image, (slices, rows, columns); raise `error` if they are no whole numbers."""
+    values = np.asarray(itk().GetArrayFromImage(image))
+    largest = max(float(values.max()), -float(values.min()))
+    # Beyond it not every whole number is a float64.
+    if not largest < 2.0**53 or (values.dtype.kind == "f" and not np.array_equal(values, np.rint(values))):
+        message = f"{name} must hold labels, whole numbers below 2^53; an image of other values is a volume"
+        raise error(message, where=name)
+    return values
 
 
 def write_image(path: str | os.PathLike[str], image: Any) -> Path:
@@ -113,4 +149,4 @@ class Grid:
         return image
 
 
-__all__ = ["Grid", "ending", "itk", "read_image", "write_image"]
+__all__ = ["Grid", "ending", "itk", "labels_of", "read_image", "threaded", "write_image"]

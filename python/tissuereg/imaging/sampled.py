@@ -110,7 +110,7 @@ class Sampled:
         return np.where(by == Mark.INSIDE, found[..., 0], np.float32(np.nan))
 
     def residual_mm(self, most: int = 2000) -> float:
-        """Return by how much forward and back differ at most at some voxels inside the body, mm."""
+        """Return by how much forward and back differ at 999 of 1,000 of some voxels inside the body, mm."""
         slices = self.grid.size[2]
         reach = self._cells[0][: self.space.mesh.n_nodes, 2]
         low, high = np.clip((np.ceil(reach.min()), np.floor(reach.max())), 0, slices - 1)

@@ -215,6 +215,12 @@ NODE_FORMS = (
         f"`tol` is {TOLERANCE:g} where it is left out",
     ),
     ('"ball x y z r"', "{ centre_mm = [x, y, z], radius_mm = r }", "the nodes of the surface within r mm of the point"),
+    ('"box x0 y0 z0 x1 y1 z1"', "{ low_mm = [x0, y0, z0], high_mm = [x1, y1, z1] }", "those in a box along the axes"),
+    (
+        '"near FILE r"',
+        "",
+        "those within r mm of a surface (.stl, .ply, .obj ...); not in this file: make a node set of it",
+    ),
 )
 
 

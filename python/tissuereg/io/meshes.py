@@ -49,8 +49,9 @@ def read_mesh(
     fixed : str or sequence of float, optional
         Rule that chooses the held nodes: ``"plane nx ny nz d [tol]"`` or those numbers (the nodes within `tol` mm of
         the plane ``n . x = d``, where n is the normal (nx, ny, nz) brought to length 1 and d its distance from the
-        origin in mm), ``"ball x y z r"`` (the surface nodes within r mm of the point x, y, z), or the name of another
-        node set of the file. By default the nodes of the file's set ``fixed`` are held.
+        origin in mm), ``"ball x y z r"`` (the surface nodes within r mm of the point x, y, z), ``"box x0 y0 z0 x1 y1
+        z1"`` (those in a box), ``"near FILE r"`` (those within r mm of another surface), or the name of another node
+        set of the file. By default the nodes of the file's set ``fixed`` are held.
     frame : {"LPS", "RAS"}, optional
         Patient frame of the coordinates, by default that which the file states; the coordinates themselves are not
         changed.
@@ -69,7 +70,7 @@ def read_mesh(
         If the file is missing, spoilt, of another kind, or holds no tetrahedra; if `fixed` is no such rule; or if
         `frame` is not the frame that the file states.
     MeshError
-        If the mesh itself cannot carry a simulation, the plane or ball catches no node, or `frame` or `coincident` is
+        If the mesh itself cannot carry a simulation, the rule catches no node, or `frame` or `coincident` is
         none of its words.
     UnitError
         If the largest extent of the body is outside 5 to 2000 mm; outside 20 to 600 mm there is a `UnitWarning`.

@@ -13,7 +13,7 @@ from tissuereg.body.material import Material
 from tissuereg.body.mesh import Mesh
 from tissuereg.errors import FormatError, MaterialError
 from tissuereg.io.fields import Archive, open_npz, write_npz
-from tissuereg.io.meshes import mesh_from_archive
+from tissuereg.io.meshes import mesh_arrays, mesh_from_archive
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,20 +102,27 @@ def read_simulations(path: str | os.PathLike[str], n_nodes: int | None = None) -
     finite, or there are not two ascending times.
     """
     with open_npz(path) as archive:
-        times = archive.floats("times_s", None)
-        fields = archive.floats("displacement_mm", len(times), n_nodes, 3)
-        if len(times) < 2 or not (np.diff(times) > 0.0).all():
-            message = f"array 'times_s' in {archive.path} must hold two or more ascending times, got {len(times)}"
-            raise FormatError(message, where=f"{archive.path}:times_s")
+        return times_and_fields(archive, n_nodes, least=2)
+
+
+def times_and_fields(archive: Archive, n_nodes: int | None, *, least: int) -> tuple[FloatArray, FloatArray]:
+    """Return times (k,), s, of which there are `least` or more, and fields (k, n_nodes, 3), mm, of an open .npz."""
+    times = archive.floats("times_s", None)
+    fields = archive.floats("displacement_mm", len(times), n_nodes, 3)
+    if len(times) < least or not (np.diff(times) > 0.0).all():
+        message = f"array 'times_s' in {archive.path} must hold {least} or more ascending times, got {len(times)}"
+        raise FormatError(message, where=f"{archive.path}:times_s")
     return times, fields
 
 
-def write_simulations(path: str | os.PathLike[str], times: Any, fields: Any) -> None:
+def write_simulations(path: str | os.PathLike[str], times: Any, fields: Any, mesh: Mesh | None = None) -> None:
     """Write displacement fields at several moments as an .npz file that `read_simulations` reads, whole or not at all.
 
-    `path`: the file; `times` (k,): time of each moment, s; `fields` (k, n_nodes, 3): displacement of the nodes, mm.
+    `path`: the file; `times` (k,): time of each moment, s; `fields` (k, n_nodes, 3): displacement of the nodes, mm;
+    `mesh`: the body, which is written too if it is given.
     """
-    write_npz(path, {"times_s": np.asarray(times, np.float64), "displacement_mm": np.asarray(fields, np.float64)})
+    moments = {"times_s": np.asarray(times, np.float64), "displacement_mm": np.asarray(fields, np.float64)}
+    write_npz(path, moments if mesh is None else {**mesh_arrays(mesh), **moments})
 
 
 def _floats_if_there(archive: Archive, name: str, *shape: int) -> FloatArray | None:

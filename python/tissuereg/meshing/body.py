@@ -16,7 +16,7 @@ from tissuereg.body.closest import ClosestTriangles
 from tissuereg.body.mesh import Mesh
 from tissuereg.body.triangles import Triangles
 from tissuereg.errors import FormatError, MeshError, MeshingError
-from tissuereg.io.node_rules import NodeRule, nodes_by_rule, parsed_rule
+from tissuereg.io.node_rules import KINDS, NodeRule, nodes_by_rule, parsed_rule
 from tissuereg.io.surfaces import SurfaceInput, read_triangles
 from tissuereg.meshing.fill import check_mesher, filled
 from tissuereg.meshing.repair import repaired
@@ -81,8 +81,8 @@ def tetrahedralize(
     ----------
     surface : path-like, pair of arrays, or Triangles
         A .stl, .ply, .obj, .off, .vtp, .vtu, .vtk or .msh file; or vertices (n, 3) in `unit` and triangles (m, 3) as
-        vertex indices. Or a segmentation (.nrrd, .nii, .nii.gz or .mha) and its labels that together make the body, by
-        the names of segments or by number: ``("seg.nrrd", ["liver", "tumour"])``. Its surface is that of the labels'
+        vertex indices. Or a segmentation (.nrrd, .nii, .nii.gz, .mha, .dcm) and its labels that together make the body,
+        by the names of segments or by number: ``("seg.nrrd", ["liver", "tumour"])``. Its surface is that of the labels'
         voxels without the steps; coordinates are those of the image, LPS.
     size_mm : float
         Target edge length in mm, whatever `unit` is; at most half of the largest extent. Three or more elements across
@@ -95,8 +95,9 @@ def tetrahedralize(
         header, if one is. No coordinate is turned.
     fixed : str, sequence of float, or list of them, optional
         Rule that selects the held nodes, or a list of rules whose nodes are united: ``"plane nx ny nz d [tol]"`` (nodes
-        within `tol` of a plane), ``"ball x y z r"`` (surface nodes in a ball) or the name of one of `node_sets`;
-        lengths in mm. `tol` should be at least `deviation_mm`.
+        within `tol` of a plane), ``"ball x y z r"`` (surface nodes in a ball), ``"box x0 y0 z0 x1 y1 z1"``,
+        ``"near FILE r"`` (surface nodes near another surface) or the name of one of `node_sets`; lengths in mm. `tol`
+        should be at least `deviation_mm`.
     node_sets : mapping of str to rules, optional
         Rules, as in `fixed`, that select the nodes of further sets, by name; a rule may name a set that stands before
         it.
@@ -139,13 +140,13 @@ def tetrahedralize(
         segmented = _segmented(surface, unit, frame)
         mended: list[str] = []
         if segmented is not None:
-            given, mended = segmented.surface()
+            given, mended = segmented.surface(threads)
             if deviation_mm is None:
                 deviation_mm = MESHING.deviation_of_voxel * float(segmented.grid.spacing.max())
         else:
             given = read_triangles(cast(SurfaceInput, surface), unit, frame=frame)
         rules = {**named("node_sets", node_sets, error=MeshError), **({} if fixed is None else {"fixed": fixed})}
-        _check_rules(rules)
+        _check_rules(rules, segmented)
         _check_lengths(given, size_mm, deviation_mm)
         check_mesher()
     with clock.stage("repair"):
@@ -153,11 +154,15 @@ def tetrahedralize(
         _check_number(body, size_mm)
     wanted = deviation_mm or min(MESHING.deviation_of_size * size_mm, MESHING.deviation_of_diagonal * _diagonal(body))
     with clock.stage("fill"):
-        nodes, tets, mesher = filled(body, size_mm, wanted, threads)
-        mesh = _with_sets(nodes, tets, rules, given.frame)
+        inner = None if segmented is None else segmented.interfaces(body, threads)
+        nodes, tets, mesher = filled(body, size_mm, wanted, threads, inner)
+        mesh = _with_sets(_sound(nodes, tets, given.frame), rules, segmented)
     with clock.stage("measure"):
         mesh.quality = _quality(mesh, body)
-        mesh.labels = {} if segmented is None else segmented.of_tets(mesh.nodes, mesh.tets, mesh.volumes)
+        mesh.labels = {
+            name: {"tets": len(own), "volume_mm3": float(mesh.volumes[own].sum())}
+            for name, own in ({} if segmented is None else segmented.of_tets(mesh)).items()
+        }
     mesh.repaired, mesh.seconds = [*mended, *repairs], clock.seconds
     mesh.settings = {"size_mm": float(size_mm), "deviation_mm": float(wanted), "mesher": mesher}
     if mesh.quality["parts"] > 1:
@@ -168,6 +173,8 @@ def tetrahedralize(
 
 def _segmented(surface: Any, unit: Unit | None, frame: Frame | None) -> Segmentation | None:
     """Return the labels of a segmentation, given as its file and them; None where `surface` is something else."""
+    if isinstance(surface, str | os.PathLike) and is_segmentation(surface):
+        surface = (surface, ())  # which is refused with the list of its labels
     if not (isinstance(surface, tuple) and len(surface) == 2 and isinstance(surface[0], str | os.PathLike)):
         return None
     path, labels = surface
@@ -192,31 +199,47 @@ def _listed(rules: NodeRules, name: str) -> Sequence[NodeRule]:
     return cast(Sequence[NodeRule], rules)
 
 
-def _check_rules(rules: Mapping[str, NodeRules]) -> None:
+def _check_rules(rules: Mapping[str, NodeRules], segmented: Segmentation | None) -> None:
     """Refuse, before the long work of the mesher, invalid rules for nodes and names of node sets not made before."""
-    made: list[str] = []
+    made = [] if segmented is None else [*segmented.sets]
     for name, several in rules.items():
         for rule in _listed(several, name):
+            if segmented is not None and segmented.label_near(rule, name) is not None:
+                continue
             kind, _ = parsed_rule(rule, name)
-            if kind not in ("plane", "ball", *made):
+            if kind not in (*KINDS, *made):
                 message = (
-                    f"`{name}` must be a plane, a ball or a set made before it ({', '.join(made) or 'none'}), "
-                    f"got {found(kind)}"
+                    f"`{name}` must start with {', '.join(KINDS)} or be a set made before it "
+                    f"({', '.join(made) or 'none'}), got {found(kind)}"
                 )
                 raise MeshError(message, where=name)
         made.append(name)
 
 
-def _with_sets(nodes: FloatArray, tets: IntArray, rules: Mapping[str, NodeRules], frame: Frame | None) -> FilledMesh:
+def _sound(nodes: FloatArray, tets: IntArray, frame: Frame | None) -> FilledMesh:
     try:
-        mesh = FilledMesh(nodes, tets, frame=frame)
+        return FilledMesh(nodes, tets, frame=frame)
     except MeshError as error:
         message = f"the mesher must make a mesh that can be simulated: {error}; try another size"
         raise MeshingError(message, where="surface") from error
+
+
+def _with_sets(mesh: FilledMesh, rules: Mapping[str, NodeRules], segmented: Segmentation | None) -> FilledMesh:
+    """Return the mesh with a node set for each of several labels, and those of rules."""
+    sets: dict[str, IntArray] = {}
+    if segmented is not None:
+        own = segmented.of_tets(mesh)
+        sets = {name: np.unique(mesh.tets[own[name]]) for name in segmented.sets}
     for name, several in rules.items():
-        chosen = [nodes_by_rule(mesh, rule, name) for rule in _listed(several, name)]
-        mesh = FilledMesh(mesh.nodes, mesh.tets, {**mesh.node_sets, name: np.unique(np.concatenate(chosen))}, frame)
-    return mesh
+        there = FilledMesh(mesh.nodes, mesh.tets, sets, mesh.frame)
+        chosen = [_nodes_of(there, rule, name, segmented) for rule in _listed(several, name)]
+        sets[name] = np.unique(np.concatenate(chosen))
+    return FilledMesh(mesh.nodes, mesh.tets, sets, mesh.frame)
+
+
+def _nodes_of(mesh: Mesh, rule: NodeRule, name: str, segmented: Segmentation | None) -> IntArray:
+    near = None if segmented is None else segmented.label_near(rule, name)
+    return nodes_by_rule(mesh, rule, name) if segmented is None or near is None else segmented.nodes_near(mesh, near)
 
 
 def _diagonal(surface: Triangles) -> float:

@@ -28,22 +28,27 @@ def check_mesher() -> None:
 
 
 def filled(
-    surface: Triangles, size_mm: float, deviation_mm: float, threads: int = 0
+    surface: Triangles, size_mm: float, deviation_mm: float, threads: int = 0, inner: Triangles | None = None
 ) -> tuple[FloatArray, IntArray, str]:
     """Fill a surface with tets; return nodes (n, 3), mm, tets (m, 4) as node indices, and the mesher and its version.
 
     All tets have positive volume. The surface's normals point outwards, edges become about `size_mm` long, faces lie
-    within `deviation_mm` of the surface; 0 threads stand for all cores. Raises MissingPackageError if pytetwild, or one
-    of its dependencies, is not installed, MeshingError if the mesher fails or makes an element without volume,
-    MemoryError if memory is spent. The mesher draws random numbers from the system: two runs give two similar meshes.
+    within `deviation_mm` of the surface; 0 threads stand for all cores. The triangles `inner`, which need not be
+    closed, become faces too. Raises MissingPackageError if pytetwild, or one of its dependencies, is not installed,
+    MeshingError if the mesher fails or makes an element without volume, MemoryError if memory is spent. The mesher
+    draws random numbers from the system: two runs give two similar meshes.
     """
     diagonal = float(np.linalg.norm(np.ptp(surface.vertices, axis=0)))
+    vertices, triangles = surface.vertices, surface.triangles
+    if inner is not None:
+        triangles = np.concatenate([triangles, len(vertices) + inner.triangles])
+        vertices = np.concatenate([vertices, inner.vertices])
     with draft(Path(tempfile.gettempdir())) as scratch:
         given, made = scratch / "given.npz", scratch / "made.npz"
         np.savez(
             given,
-            vertices=surface.vertices,
-            triangles=surface.triangles,
+            vertices=vertices,
+            triangles=triangles,
             edge_share=size_mm / diagonal,
             deviation_share=deviation_mm / diagonal,
             threads=threads or n_cores(),

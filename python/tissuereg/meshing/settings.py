@@ -11,9 +11,9 @@ class MeshingRules:
     these shares; `same_place`: distance of vertices that are merged, over the extent; `least_filled`: share of its
     bounding box that a shell must fill; `nought`: relative volume taken as zero; `most_tets`, `most_pairs`,
     `most_strips`, `longest_table`, `points`, `probes`: largest numbers of tets, pairs, strips, corners of a rim, points
-    where a distance is measured, test points of a shell; `least_island`, `most_cavity`, `deviation_of_voxel`: of labels
-    in images; `strip`, `block`: width of strips in mean boxes, and pairs
-    tested at a time.
+    where a distance is measured, test points of a shell; `least_island`, `most_cavity`, `deviation_of_voxel`, `pad`,
+    `level_step`, `level_steps`, `level_share`, `apart`: of labels in images; `strip`, `block`: width of strips in mean
+    boxes, and pairs tested at a time.
     """
 
     most_tets: int = 3_000_000  # more than this are refused before they are made
@@ -32,6 +32,13 @@ class MeshingRules:
     least_island: float = 0.05
     most_cavity: float = 0.01
     deviation_of_voxel: float = 0.25  # default deviation from the surface of a label, over the longest voxel edge
+    pad: int = 5  # voxels around a label where its distance is smoothed
+    # The surface of a label is moved until it encloses the volume of the voxels to this share, by at most that many
+    # steps of at most this share of the longest voxel edge.
+    level_share: float = 0.005
+    level_steps: int = 8
+    level_step: float = 0.25
+    apart: float = 0.75  # surfaces of two labels that are closer, over the longest voxel edge, are one
     # A shell that fills less than this share of its bounding box is a sheet, which encloses nothing.
     least_filled: float = 1e-6
     # So many of a shell's triangles are tested for lying in another shell; crossing shells do not lie in it.

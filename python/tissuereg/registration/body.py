@@ -1,12 +1,13 @@
 """The class `Body`: what is assumed of a body before a registration: its mesh, its material, its supports."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from tissuereg._base.arguments import check_choice, maybe
+from tissuereg._base.arguments import check_choice, found, maybe, named, real
 from tissuereg._base.arrays import IntArray, frozen, index_array
 from tissuereg._base.choices import BODY_ELEMENTS, STIFFNESS, BodyElement, Element, Held, Stiffness
 from tissuereg._base.provenance import warn
@@ -14,13 +15,56 @@ from tissuereg._base.shown import notebook, short_repr
 from tissuereg.body.material import Material
 from tissuereg.body.mesh import Mesh
 from tissuereg.body.topology import sound_mesh
-from tissuereg.errors import ArgumentError, MaterialError, ShapeError
+from tissuereg.errors import ArgumentError, MaterialError, MeshError, ShapeError
 from tissuereg.registration.contacts.supports import Supports, support_warnings
 
 #: Meshes with at most this many nodes get averaged elements, and so do materials with a larger Poisson's ratio.
 COARSE_NODES, STIFF_POISSON = 3000, 0.475
 
-_FIELDS = ("mesh", "material", "element", "held", "stiffness", "held_nodes")
+_FIELDS = ("mesh", "material", "element", "held", "stiffness", "held_nodes", "regions")
+
+
+@dataclass(frozen=True, eq=False)
+class Region:
+    """A part of a body with a stiffness of its own.
+
+    Attributes
+    ----------
+    tets : ndarray of int64, shape (n,)
+        Numbers of its tets.
+    young, std : float
+        Young's modulus and its standard deviation, kPa.
+    """
+
+    tets: IntArray
+    young: float
+    std: float
+
+    @classmethod
+    def of(cls, mesh: Mesh, name: str, given: Any) -> "Region":
+        """Return the region of a node set; `given`: its modulus, (modulus, standard deviation), or a region."""
+        if isinstance(given, Region):
+            return given
+        numbers = given if isinstance(given, Sequence | np.ndarray) and not isinstance(given, str) else (given, 0.0)
+        if len(numbers) != 2:
+            message = f"`regions` must hold a modulus, or it and its standard deviation, got {found(given)} of '{name}'"
+            raise MaterialError(message, where=name)
+        young, std = (real(f"regions['{name}']", one, unit="kPa", error=MaterialError) for one in numbers)
+        if not (young > 0.0 and std >= 0.0):
+            message = f"`regions` must hold a modulus above 0 kPa and a standard deviation from 0, got {found(given)}"
+            raise MaterialError(message, where=name)
+        tets = np.flatnonzero(np.isin(mesh.tets, mesh.node_set(name)).all(axis=1))
+        if not len(tets):
+            message = f"`regions` must name node sets with whole tets in them; '{name}' has none"
+            raise MeshError(message, where=name)
+        return cls(tets, young, std)
+
+    def within(self, material: Material, n_tets: int) -> Material:
+        """Return a material of n_tets tets with this modulus here."""
+        young = material.young_array
+        young = np.array(np.broadcast_to(young, (n_tets, *young.shape[1:])))
+        young[self.tets] = self.young
+        return replace(material, young=young)
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -49,15 +93,20 @@ class Body:
         logarithm along each principal axis of the body, or that slope may be large; the markers tell how large.
     held_nodes : array_like of int, optional
         Numbers of the nodes whose displacement the load prescribes, if they differ from the set ``fixed``.
+    regions : mapping of str to float or (float, float), optional
+        Young's modulus, kPa, of parts of the body, such as a tumour, by the names of node sets: of the tets that have
+        all their corners in the set. With a second number, its standard deviation, kPa, the answer's uncertainty
+        allows for it. Without a trained model.
 
     Raises
     ------
     ShapeError, MeshError
-        If `mesh` is not a mesh, or `held_nodes` are not whole numbers.
+        If `mesh` is not a mesh, `held_nodes` are not whole numbers, or a region is no node set with tets in it.
     SupportError
         If `held` is not one of these words, `held_nodes` are no nodes of the mesh, or no node of its surface is free.
     MaterialError, ArgumentError
-        If `stiffness` or `element` is not one of these words, or `material` is not a material.
+        If `stiffness` or `element` is not one of these words, `material` is not a material, or a number of `regions` is
+        not positive.
 
     Examples
     --------
@@ -73,6 +122,7 @@ class Body:
     held: Held
     stiffness: Stiffness
     held_nodes: IntArray | None
+    regions: dict[str, Region]
 
     __repr__ = short_repr
 
@@ -84,6 +134,7 @@ class Body:
         held: Held = "sure",
         stiffness: Stiffness = "believed",
         held_nodes: Any = None,
+        regions: Mapping[str, Any] | None = None,
     ) -> None:
         body = as_mesh(mesh)
         check_choice("element", element, BODY_ELEMENTS, ArgumentError)
@@ -91,7 +142,10 @@ class Body:
         nodes = None if held_nodes is None else frozen(np.array(index_array("held_nodes", held_nodes, (None,))))
         Supports.of(body, held, nodes)  # refuses another word, and nodes that are not there
         believed = maybe("material", material, Material) or Material()
-        for name, value in zip(_FIELDS, (body, believed, element, held, stiffness, nodes), strict=True):
+        parts = {name: Region.of(body, name, given) for name, given in named("regions", regions).items()}
+        for part in parts.values():
+            believed = part.within(believed, body.n_tets)
+        for name, value in zip(_FIELDS, (body, believed, element, held, stiffness, nodes, parts), strict=True):
             object.__setattr__(self, name, value)
 
     @classmethod
@@ -131,6 +185,7 @@ class Body:
             "element": self.element,
             "held": self.held,
             "stiffness": self.stiffness,
+            "regions": {name: {"young_kpa": one.young, "std_kpa": one.std} for name, one in self.regions.items()},
             "material": {
                 "law": law.law,
                 "young_kpa": float(law.young) if np.ndim(law.young) == 0 else None,

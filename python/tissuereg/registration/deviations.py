@@ -18,15 +18,16 @@ class Deviations:
         Displacements of the nodes, mm: the field deviates by their sum, with independent standard normal factors.
     rest : ndarray of float32, shape (n_nodes, 3)
         Variance along each axis that the modes leave out, mm^2.
-    untold : ndarray of bool, shape (n_nodes,)
-        Whether the markers say too little of a node to rely on it.
+    doubt : ndarray of float32, shape (n_nodes,)
+        By how much the variance that the markers leave exceeds what may be relied on, mm^2; interpolated, it is above
+        zero where the markers say too little of a point.
     tail : float or None
         Degrees of freedom of the t law of a point, of a calibrated model; None for a Gaussian.
     """
 
     modes: FloatArray
     rest: FloatArray
-    untold: BoolArray
+    doubt: FloatArray
     tail: float | None = None
 
     __repr__ = short_repr
@@ -35,7 +36,7 @@ class Deviations:
     def of(
         cls,
         roots: FloatArray,
-        untold: BoolArray,
+        doubt: FloatArray,
         tail: float | None = None,
         left_out: float = 0.01,
         besides: FloatArray | float = 0.0,
@@ -52,7 +53,7 @@ class Deviations:
         kept = np.arange(len(values))[::-1][:n_kept]
         modes = (vectors[:, kept].T @ flat).reshape(len(kept), *roots.shape[1:])
         rest = np.maximum(np.sum(roots**2, axis=0) - np.sum(modes**2, axis=0), 0.0) + np.reshape(besides, (-1, 1))
-        return cls(modes.astype(np.float32), rest.astype(np.float32), untold, tail)
+        return cls(modes.astype(np.float32), rest.astype(np.float32), doubt.astype(np.float32), tail)
 
     @property
     def covariance(self) -> FloatArray:
@@ -74,10 +75,14 @@ class Deviations:
         found[:, [0, 1, 2], [0, 1, 2]] += np.einsum("pk,pkx->px", np.abs(weights), self.rest[nodes].astype(np.float64))
         return found
 
+    def untold(self, nodes: IntArray, weights: FloatArray) -> BoolArray:
+        """Return whether the markers say too little of points (n,), interpolated from nodes as in `at`."""
+        return np.asarray(np.einsum("pk,pk->p", np.abs(weights), self.doubt[nodes].astype(np.float64)) > 0.0)
+
     def times(self, factor: float) -> "Deviations":
         """Return the uncertainty with all covariances times `factor`."""
         root = np.float32(np.sqrt(factor))
-        return Deviations(root * self.modes, np.float32(factor) * self.rest, self.untold, self.tail)
+        return Deviations(root * self.modes, np.float32(factor) * self.rest, self.doubt, self.tail)
 
 
 __all__ = ["Deviations"]

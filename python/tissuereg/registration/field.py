@@ -106,7 +106,7 @@ class RegisteredField:
             raise MarkerError(message, where="points")
         nodes, weights, inside = held = held_by(self.mesh, places)
         moved = self.space.of(places, held)[0]
-        untold = self.uncertainty.untold[np.take_along_axis(nodes, weights.argmax(axis=1)[:, None], axis=1)[:, 0]]
+        untold = self.uncertainty.untold(nodes, weights)
         flags = tuple(
             OUTSIDE if not within else NO_MARKER if no else None for within, no in zip(inside, untold, strict=True)
         )

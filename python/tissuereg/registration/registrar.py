@@ -398,6 +398,7 @@ def _refuse_with_model(body: Body, load: Load | None, how: RegisterSettings) -> 
     given: dict[str, Any] = {} if body.stiffness == "believed" else {"stiffness": body.stiffness}
     given |= how.changed(*_OF_CONTACTS)
     given |= {} if body.held == "sure" else {"held": body.held}
+    given |= {"regions": body.regions} if body.regions else {}
     if load is None:
         given |= {} if body.element == "auto" else {"element": body.element}
         given |= {} if body.held_nodes is None else {"held_nodes": body.held_nodes}

@@ -230,7 +230,7 @@ class Registration:
             A ``.nrrd`` file: displacements in mm, LPS. Or an ``.h5`` or ``.tfm`` file, an ITK transform, which always
             holds the direction that warps images.
         like : path-like, optional
-            An image whose grid is taken, oblique and anisotropic ones included.
+            An image whose grid is taken, oblique and anisotropic ones included; or the folder of a DICOM series.
         spacing : float, optional
             Spacing of a grid over the body and its surroundings, mm, given instead.
         direction : {"modeling", "resampling"}, optional

@@ -95,7 +95,7 @@ def write_field(path: Path, field: RegisteredField) -> None:
         "modes": (spread.modes / scale[:, None, None]).astype(np.float16),
         "modes_mm": scale,
         "rest_mm2": spread.rest,
-        "untold": spread.untold,
+        "doubt_mm2": spread.doubt,
     }
     if spread.tail is not None:
         arrays["tail"] = np.array(spread.tail)
@@ -109,13 +109,13 @@ def _read_field(path: Path) -> RegisteredField:
         scale = archive.floats("modes_mm", None)
         modes = archive.floats("modes", len(scale), n, 3) * scale[:, None, None]
         tail = float(archive.floats("tail")) if "tail" in archive else None
-        untold = archive.raw("untold")
+        doubt = archive.floats("doubt_mm2", n)
         rest = archive.floats("rest_mm2", n, 3)
-        if untold.shape != (n,) or untold.dtype != bool or (rest < 0.0).any() or (tail is not None and not tail > 2.0):
-            message = f"{path} must hold variances, tail and flags of {n} nodes as `save` writes them"
+        if (rest < 0.0).any() or (tail is not None and not tail > 2.0):
+            message = f"{path} must hold variances and a tail above 2 as `save` writes them"
             raise FormatError(message, where=str(path))
         displacement = archive.floats("displacement_mm", n, 3)
-        uncertainty = Deviations(modes.astype(np.float32), rest.astype(np.float32), untold, tail)
+        uncertainty = Deviations(modes.astype(np.float32), rest.astype(np.float32), doubt.astype(np.float32), tail)
     return RegisteredField(mesh, displacement, uncertainty)
 
 

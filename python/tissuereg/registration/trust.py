@@ -30,6 +30,12 @@ NOISE_FACTORS = (3.0, 10.0)
 #: The sentence on such noise.
 NOISY = "noise: the markers scatter as if their noise was several times larger than stated"
 
+#: The sentence on a support that moved.
+GAVE = (
+    "support: the markers move as if nodes that are surely held had moved; if they may give, say so "
+    '(`held="perhaps"`, --held perhaps)'
+)
+
 #: A motion that one marker alone reports: how many times it exceeds the others' and the noise, and shares of the extent
 #: that it exceeds and within which no other marker is. Of 954 good events six have such a motion.
 _ALONE, _NOISE_ALONE, _FAR, _NEAR = 5.0, 3.0, 0.1, 0.1
@@ -49,8 +55,7 @@ class Trust:
     reasons : list of str
         Reasons not to trust the result, in sentences that start with their kind: ``misfit``, ``few markers``, ``wrong
         marker``, ``lone motion``, ``inverted tets``, ``simulation``, ``unfamiliar``, ``unexplained``, ``stiffness``,
-        ``noise``, or a kind of
-        `tissuereg.registration.readings.Suspicion`.
+        ``noise``, ``support``, or a kind of `tissuereg.registration.readings.Suspicion`.
     chi_square : float
         Misfit J: squared residuals over the noise, plus the squared distance from the prior mean over the prior
         covariance; with a trained model the first alone.

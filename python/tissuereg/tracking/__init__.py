@@ -3,6 +3,7 @@
 from tissuereg.tracking.fitted import FittedPrior, fitted_prior
 from tissuereg.tracking.frame import TrackedFrame
 from tissuereg.tracking.physics import CalledPhysics, FemPhysics, HoldingPhysics, Physics
+from tissuereg.tracking.stored import StoredTrack, read_track
 from tissuereg.tracking.table import TablePhysics
 from tissuereg.tracking.tracker import Tracker
 
@@ -12,8 +13,10 @@ __all__ = [
     "FittedPrior",
     "HoldingPhysics",
     "Physics",
+    "StoredTrack",
     "TablePhysics",
     "TrackedFrame",
     "Tracker",
     "fitted_prior",
+    "read_track",
 ]

@@ -1,4 +1,4 @@
-"""Sample files to try tissuereg on: a surface with markers, and an experiment (``tools/samples.py`` made them)."""
+"""Sample files to try tissuereg on, made by ``tools/samples.py``: a surface, a segmentation, an experiment."""
 
 import os
 import shutil
@@ -10,16 +10,17 @@ from tissuereg.io.atomic import OutputError, atomic_folder
 _DATA = Path(__file__).resolve().parent / "data"
 
 #: Folders that `write_samples` writes.
-SAMPLES = ("surface", "rig")
+SAMPLES = ("surface", "scan", "rig")
 
 
 def write_samples(out: str | os.PathLike[str]) -> list[str]:
     """Write the sample files, all or none; return their paths relative to the folder `out`, with forward slashes.
 
     The folder ``surface`` gets ``organ.stl``, ``markers.csv``, ``targets.csv`` and ``truth.csv`` (the true places of
-    the targets), the folder ``rig`` an experiment and ``truth.json`` (the physical effect that is in its data and not
-    in its model). Files of other names stay. Raises OutputError if `out` is a file, a file of one of these names stands
-    there with other content, or the operating system refuses.
+    the targets), the folder ``scan`` the same organ as ``segmentation.seg.nrrd`` with ``markers.mrk.json`` and
+    ``measured.mrk.json`` (points of 3D Slicer), the folder ``rig`` an experiment and ``truth.json`` (the physical
+    effect that is in its data and not in its model). Files of other names stay. Raises OutputError if `out` is a file,
+    a file of one of these names stands there with other content, or the operating system refuses.
     """
     files = sorted(path.relative_to(_DATA) for name in SAMPLES for path in (_DATA / name).rglob("*") if path.is_file())
     for file in files:

@@ -8,7 +8,7 @@ from tissuereg._base.arrays import FloatArray, IntArray
 from tissuereg._base.clock import Clock
 from tissuereg.body.mesh import det_f
 from tissuereg.registration.contacts.draws import DeviationsOfContacts, Draws
-from tissuereg.registration.contacts.evidence import log_noise_odds
+from tissuereg.registration.contacts.evidence import log_noise_odds, log_support_odds
 from tissuereg.registration.contacts.explained import explained, reasons
 from tissuereg.registration.contacts.fit import ContactFit
 from tissuereg.registration.contacts.found import find_contacts
@@ -21,7 +21,7 @@ from tissuereg.registration.contacts.surface_points import PointData
 from tissuereg.registration.inputs import RegisterInput, rms_length
 from tissuereg.registration.result import MarkerFit
 from tissuereg.registration.target import NO_MARKER, Target
-from tissuereg.registration.trust import LEVEL, NOISY, Trust, judge, lone_motion
+from tissuereg.registration.trust import GAVE, LEVEL, NOISY, Trust, judge, lone_motion
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,8 +202,8 @@ class Answer:
         model = (settings.model_error * moved) ** 2 + (settings.local_error * local) ** 2
         return np.asarray(self.given.markers.axis_std**2 + model[:, None])
 
-    def _scatter(self) -> list[str]:
-        """Return a list with the sentence that the noise is larger than stated, if the markers surely say so.
+    def _unlike_stated(self) -> list[str]:
+        """Return sentences that the noise is larger than stated, or a support gave, where the markers surely say so.
 
         Where there are so many observations that they are projected, the misfit tells it.
         """
@@ -216,15 +216,19 @@ class Answer:
         evidence = self.given.settings.contacts.evidence
         if not kept.any():
             return []
-        least = 0.0 if kept.sum() >= evidence.many else -np.log(LEVEL)
-        return [NOISY] if log_noise_odds(self.fit, problem.only(kept), tracker, evidence) > least else []
+        found, problem, surely = [], problem.only(kept), -float(np.log(LEVEL))
+        if log_noise_odds(self.fit, problem, tracker, evidence) > (0.0 if kept.sum() >= evidence.many else surely):
+            found.append(NOISY)
+        if log_support_odds(self.fit, problem, evidence) > surely:
+            found.append(GAVE)
+        return found
 
     def _trust(self, unseen: list[Target], min_det_f: float) -> Trust:
         used = self.known.used
         given, fit, markers, surface = self.given, self.fit, self.given.markers, self.surface
         notes = [*given.notes, *self._wrong(unseen)]
         notes += reasons(fit, given.settings.contacts.report)
-        notes += self._scatter() if surface is None else surface.reasons(given.settings.contacts.report)
+        notes += self._unlike_stated() if surface is None else surface.reasons(given.settings.contacts.report)
         points = (0.0, 0) if surface is None else (surface.misfit, surface.used)
         residual = markers.displacement[used] - self._of_markers(self.known.displacement)[used]
         moved = MarkerData(given.observed, markers, given.settings.contacts.model_error).moved(fit.state.frame)

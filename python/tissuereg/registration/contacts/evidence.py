@@ -13,7 +13,8 @@ from tissuereg.registration.contacts.columns import Columns
 from tissuereg.registration.contacts.condensed import Condensed
 from tissuereg.registration.contacts.fit import ContactFit, Passes
 from tissuereg.registration.contacts.observations import LinearObservations
-from tissuereg.registration.contacts.settings import EvidenceSettings
+from tissuereg.registration.contacts.places import smooth_fields
+from tissuereg.registration.contacts.settings import DISCRETISATION, EvidenceSettings
 from tissuereg.registration.contacts.state import RigidMotion
 from tissuereg.registration.trust import NOISE_FACTORS
 
@@ -29,17 +30,46 @@ def log_noise_odds(
     at most exp(-x) if the noise is as stated (A. A. Markov). Contacts, those found and others anywhere, are the rival
     explanation: where loads can explain the markers it is negative.
     """
+    parts = _explanations(fit, problem, settings)
+    logs = [
+        _best_over_sizes(problem.innovation, np.diag(problem.variances + (factor**2 - 1.0) * tracker), parts, settings)
+        for factor in (1.0, *NOISE_FACTORS)
+    ]
+    return max(logs[1:]) - logs[0] - float(np.log(len(NOISE_FACTORS)))
+
+
+def log_support_odds(fit: ContactFit, problem: LinearObservations, settings: EvidenceSettings) -> float:
+    """Return by how much the markers speak for surely held nodes that moved: log ratio of the largest evidences.
+
+    Arguments and rival explanations are those of `log_noise_odds`. The nodes move by smooth fields of one unknown size;
+    as a whole they move as the tracker drifts, which is a rival, too. No node held: 0.
+    """
+    body = fit.columns.body
+    held = body.supports.sure
+    if not len(held):
+        return 0.0
+    smooth = smooth_fields(body.mesh.nodes[held], DISCRETISATION.support_fields)
+    rates = fit.tangent.compliance(problem.rows)[0].prescribed
+    moved = np.einsum("rnx,fn->rfx", rates, smooth).reshape(len(rates), -1)
+    noise, parts = np.diag(problem.variances), _explanations(fit, problem, settings)
+    without, given = (
+        _best_over_sizes(problem.innovation, noise, some, settings)
+        for some in (parts, [*parts, (moved @ moved.T, *parts[0][1:])])
+    )
+    return given - without
+
+
+def _explanations(
+    fit: ContactFit, problem: LinearObservations, settings: EvidenceSettings
+) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
+    """Return the parts of the observations' covariance as `_parts` does, then the contacts that were found."""
     slots = np.asarray(fit.samples[0])[:, :, 0]
     count = np.bincount(slots[slots >= 0], minlength=fit.columns.n_patches) / max(len(slots), 1)
     own = problem.responses[:, : 3 * len(count)]
     parts = _parts(fit.columns, problem.responses, settings)
     if count.any():
         parts.append(((own * np.repeat(count, 3)) @ own.T, *parts[0][1:]))
-    logs = [
-        _best_over_sizes(problem.innovation, np.diag(problem.variances + (factor**2 - 1.0) * tracker), parts, settings)
-        for factor in (1.0, *NOISE_FACTORS)
-    ]
-    return max(logs[1:]) - logs[0] - float(np.log(len(NOISE_FACTORS)))
+    return parts
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from tissuereg._base.clock import Clock
 from tissuereg.body.load import Load
 from tissuereg.body.material import Material
 from tissuereg.errors import ConvergenceError, MaterialError
-from tissuereg.registration.body import fitting_element
+from tissuereg.registration.body import Body, fitting_element
 from tissuereg.registration.contacts.answer import Answer, known_of, surface_fit
 from tissuereg.registration.contacts.body import ContactBody
 from tissuereg.registration.contacts.carried import Carried
@@ -30,7 +30,7 @@ from tissuereg.registration.contacts.surface_points import PointData, closest_fr
 from tissuereg.registration.contacts.unexplained import Unexplained
 from tissuereg.registration.inputs import RegisterInput
 from tissuereg.registration.result import Registration
-from tissuereg.simulation.sensitivity import Cause, Parameter
+from tissuereg.simulation.sensitivity import Cause, ModulusField, Parameter
 from tissuereg.simulation.solve import LoadParts
 
 
@@ -176,6 +176,7 @@ class _ContactSearch:
         further: list[tuple[Cause, float]] = []
         if body.base is not None and field is None:
             passes, further = _supported(passes, frame)
+        further += _regions(given.body)
         with clock.stage("simulate"):
             start = start_of(passes.columns, passes.material, field, frame, given.threads)
         return _Found(passes.run(start), start, further)
@@ -257,6 +258,17 @@ def _supported(passes: Passes, frame: RigidMotion) -> tuple[Passes, list[tuple[C
         names = ("springs.normal_kpa_per_mm", "springs.tangential_kpa_per_mm")
         causes += [(Parameter(name, index), log_std * float(k)) for name, k in zip(names, stiffness, strict=True)]
     return replace(passes, columns=columns), causes
+
+
+def _regions(body: Body) -> list[tuple[Cause, float]]:
+    """Return the moduli of regions of the body that are uncertain, as causes, each with its standard deviation, kPa."""
+    causes: list[tuple[Cause, float]] = []
+    for region in body.regions.values():
+        if region.std > 0.0:
+            rates = np.zeros(body.mesh.n_tets)
+            rates[region.tets] = 1.0
+            causes.append((ModulusField("young", rates), region.std))
+    return causes
 
 
 def _drifts(tracker: TrackerKind | None, supports: Supports) -> bool:

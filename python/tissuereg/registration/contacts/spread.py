@@ -268,7 +268,7 @@ class Spread:
             roots = np.concatenate([roots / np.sqrt(count), off])
         after, before = self._unseen_of(seed)
         least = self._settings.report.least_constrained
-        found = Deviations.of(roots, np.asarray(after > (1.0 - least) * before), besides=missed)
+        found = Deviations.of(roots, after - (1.0 - least) * before, besides=missed)
         if fields is None:
             self._known[seed] = found
         return found

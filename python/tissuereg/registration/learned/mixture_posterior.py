@@ -10,7 +10,7 @@ from functools import cached_property
 
 import numpy as np
 
-from tissuereg._base.arrays import BoolArray, FloatArray, IntArray
+from tissuereg._base.arrays import FloatArray, IntArray
 from tissuereg._base.machine import n_cores
 from tissuereg.body.mesh import Mesh
 from tissuereg.registration.deviations import Deviations
@@ -184,8 +184,8 @@ class CalibratedPosterior:
         away = np.concatenate(self._drawn()) - self.displacement
         away -= away.mean(axis=0)
         roots = np.sqrt(self.rehearsal.widening / (_DRAWS - 1)) * away
-        low = self._gains(self.displacement - start, np.einsum("eni,eni->n", roots, roots))[1]
-        return Deviations.of(roots, low, self.tail)
+        doubt = self._gains(self.displacement - start, np.einsum("eni,eni->n", roots, roots))[1]
+        return Deviations.of(roots, doubt, self.tail)
 
     @property
     def _n_markers(self) -> int:
@@ -226,14 +226,17 @@ class CalibratedPosterior:
         than half and trace C exceeds the tracker's noise variance, summed over the axes.
         """
         left = np.trace(self.target_covariance, axis1=1, axis2=2)
-        shares, low = self._gains(self.target_mean - start, left)
-        return [(float(share), bool(one)) for share, one in zip(shares, low, strict=True)]
+        shares, doubt = self._gains(self.target_mean - start, left)
+        return [(float(share), bool(one > 0.0)) for share, one in zip(shares, doubt, strict=True)]
 
-    def _gains(self, moved: FloatArray, left: FloatArray) -> tuple[FloatArray, BoolArray]:
-        """Return the shares (n,) of `gains`, and which are low, of points moved by (n, 3), mm, with variance (n,)."""
+    def _gains(self, moved: FloatArray, left: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the shares (n,) of `gains`, and doubts (n,), mm^2, of points moved by (n, 3), mm, with variance (n,).
+
+        A doubt is above zero where more is left than was removed, and than the noise.
+        """
         removed = (moved**2).sum(axis=1)
         noise = 3.0 * float(np.diag(self.noise).mean())
-        return removed / np.maximum(removed + left, 1e-300), (removed < left) & (left > noise)
+        return removed / np.maximum(removed + left, 1e-300), left - np.maximum(removed, noise)
 
     @property
     def tail(self) -> float | None:
