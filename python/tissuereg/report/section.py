@@ -49,7 +49,7 @@ _BODY, _REGION = "#0072b2", "#d6218f"
 
 
 @dataclass(frozen=True, eq=False)
-class Plane:
+class CutPlane:
     """A plane through a place, as it is looked at: `name`; `right`, `down` (3,): unit vectors; `edges`: their names."""
 
     name: str
@@ -68,7 +68,7 @@ class Plane:
         return np.asarray(np.cross(self.right, self.down))
 
 
-def planes(frame: Frame | None) -> list[Plane]:
+def planes(frame: Frame | None) -> list[CutPlane]:
     """Return three planes along the axes of a patient frame, as radiologists look at them, or of x, y and z."""
     if frame is None:
         x, y, z = np.eye(3)
@@ -78,7 +78,7 @@ def planes(frame: Frame | None) -> list[Plane]:
         left, back, head = turned(np.eye(3), "LPS", frame)
         edges = [("R", "L", "A", "P"), ("R", "L", "S", "I"), ("A", "P", "S", "I")]
         ways = [("axial", left, back), ("coronal", left, -head), ("sagittal", back, -head)]
-    return [Plane(name, right, down, edge) for (name, right, down), edge in zip(ways, edges, strict=True)]
+    return [CutPlane(name, right, down, edge) for (name, right, down), edge in zip(ways, edges, strict=True)]
 
 
 class ImageUnder:
@@ -98,7 +98,7 @@ class ImageUnder:
             message = f"{path} must show the body; none of its nodes lies there: check the frames"
             raise ArgumentError(message, where="image")
 
-    def at(self, plane: Plane, corner: FloatArray, side: float) -> tuple[FloatArray, BoolArray]:
+    def at(self, plane: CutPlane, corner: FloatArray, side: float) -> tuple[FloatArray, BoolArray]:
         """Return the image as it is now in a square of a plane, and what of it is inside the body.
 
         `corner` (3,): upper left; `side`: in mm.
@@ -156,7 +156,7 @@ def _of_target(result: "Registration", name: str, target: "Target", under: Image
 class _Cut:
     """A body before and after in one plane, in mm from the target along the plane's directions."""
 
-    def __init__(self, result: "Registration", plane: Plane, centre: FloatArray) -> None:
+    def __init__(self, result: "Registration", plane: CutPlane, centre: FloatArray) -> None:
         mesh = result.mesh
         self.plane, self.centre = plane, centre
         self.after, self.before = (
