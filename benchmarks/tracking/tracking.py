@@ -22,11 +22,11 @@ import numpy as np
 
 import tissuereg as tr
 from common import read_archive, write_archive
+from tissuereg._base.choices import RESTARTS
 from tissuereg._base.machine import machine, n_cores, versions
 from tissuereg.body.observe import MarkerObservation, TargetObservation
 from tissuereg.phantom import event as phantom_event
 from tissuereg.tracking import FemPhysics, TablePhysics, fitted_prior
-from tissuereg.tracking.restart import RESTARTS
 
 HERE = Path(__file__).resolve().parent
 ARCHIVE, TABLES = HERE / "archive" / "tracking", ("model/#", "contacts/#")

@@ -315,3 +315,16 @@ def test_without_json_it_prints_a_summary(inputs, capsys):
     assert lines[0].startswith("4 frames registered, 0 dropped, 0 failed, ")
     assert lines[3].startswith("target lesion at 0.1 s: at (")
     assert lines[-1].startswith("Nothing speaks against any frame." if code == 0 else "Not to be trusted: ")
+
+
+def test_a_report_is_written_on_request_and_says_what_was_lost(inputs, capsys):
+    model = ("--model", SMALL_MODEL, "--targets", inputs / "targets.csv")
+    code, said, _ = track(capsys, inputs, *model, "--report")
+    assert code in (0, 4)
+    lost = [(event["marker"], event["reason"], event["frames"]) for event in said["events"] if event["marker"]]
+    assert lost == [(NAMES[0], "not seen", 1), (NAMES[1], "not seen", 1)]
+    page = (inputs / "out" / "report.html").read_text(encoding="utf-8")
+    assert "lesion" in page
+    assert f"<td>{NAMES[0]}</td><td>not seen</td><td>1</td>" in page
+    track(capsys, inputs, *model, out="plain")
+    assert not (inputs / "plain" / "report.html").exists()

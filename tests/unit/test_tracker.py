@@ -11,11 +11,11 @@ import pytest
 import tissuereg as tr
 from support.answers import told
 from support.meshes import block
+from tissuereg._base.choices import RESTARTS
 from tissuereg.body.observe import MarkerObservation, TargetObservation
 from tissuereg.errors import ArgumentError, MarkerError
 from tissuereg.registration.contacts.settings import ContactSettings
 from tissuereg.tracking import FemPhysics, TablePhysics, fitted, fitted_prior
-from tissuereg.tracking.restart import RESTARTS
 
 MESH = block(cells=(2, 2, 3))
 BELIEVED, TRUE = tr.Material(young=10.0, poisson=0.4), tr.Material(young=8.0, poisson=0.45)

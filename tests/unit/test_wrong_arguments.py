@@ -126,6 +126,11 @@ def saved(**given):
         registered().save(Path(folder) / "out", **given)
 
 
+def reported(**given):
+    with tempfile.TemporaryDirectory() as folder:
+        registered().report(Path(folder) / "report.html", **given)
+
+
 def registrations(**changed):
     """Register one moment of many; what fails for it is raised."""
     given = {"mesh": mesh(), "markers": markers(), "measured": markers().measured[None], "settings": quick()}
@@ -430,7 +435,8 @@ CALLS = {
         lambda **given: registered().at([(15.0, 10.0, 20.0)]).region(**given),
         {"number": 0, "share": 0.9},
     ),
-    "Registration.save": (saved, {"extra": {"seed": 3}, "deformed": True}),
+    "Registration.save": (saved, {"extra": {"seed": 3}, "deformed": True, "picture": False, "image": None}),
+    "Registration.report": (reported, {"picture": False, "image": None}),
     "Registration.target": (lambda **given: registered().target(**given), {"name": "deep"}),
     "Target.region": (lambda **given: registered().target("deep").region(**given), {"share": 0.9}),
     "Region.contains": (lambda **given: registered().target("deep").region().contains(**given), {"point": (0, 0, 0)}),
@@ -526,11 +532,11 @@ CALLED = {
     "name": "actuator",
     "experiment": "experiment",
     "experiments": "no such file",
+    "image": "image|no such file|regular file",
     "fibre": "Fibre",
     "targets": "target",
     "surface": "vertices|no such file",
     "path": "name must end in",
-    "image": "no such file",
     "like": "no such file",
     "factor": "young",
     "marker_names": "marker_reference",

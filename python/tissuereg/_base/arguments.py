@@ -10,15 +10,17 @@ import os
 import reprlib
 from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import numpy as np
 
 from tissuereg.errors import ArgumentError, TissueRegError
 
+_Word = TypeVar("_Word", bound=str)
 
-def check_choice(name: str, value: Any, choices: Collection[str], error: type[TissueRegError]) -> None:
-    """Raise an error unless a value is one of the allowed texts; the message names all of them.
+
+def check_choice(name: str, value: Any, choices: Collection[_Word], error: type[TissueRegError]) -> _Word:
+    """Return a value; raise an error unless it is one of the allowed texts, and name all of them.
 
     `name`: name of the argument, for the message; `value`: the given value; `choices`: the allowed texts; `error`:
     class of the error.
@@ -26,6 +28,7 @@ def check_choice(name: str, value: Any, choices: Collection[str], error: type[Ti
     if not isinstance(value, str) or value not in choices:
         message = f"`{name}` must be one of {', '.join(choices)}, got {found(value)}"
         raise error(message, where=name)
+    return cast(_Word, value)
 
 
 _T = TypeVar("_T")

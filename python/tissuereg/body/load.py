@@ -5,6 +5,7 @@ from typing import Any
 
 from tissuereg._base.arguments import found
 from tissuereg._base.arrays import depth, float_array, index_array
+from tissuereg._base.shown import short_repr
 from tissuereg.errors import LoadError
 
 
@@ -35,6 +36,8 @@ class Load:
     body_force: Any = None
     prescribed: Any = None
     traction: Any = None
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         if self.forces is not None:

@@ -9,6 +9,7 @@ import numpy as np
 from tissuereg._base.arguments import found, named
 from tissuereg._base.arrays import FloatArray, IntArray, depth, float_array, frozen
 from tissuereg._base.provenance import derived
+from tissuereg._base.shown import notebook
 from tissuereg.errors import MarkerError
 
 #: Upper limit of a finite standard deviation, mm: its square must not overflow.
@@ -76,6 +77,10 @@ class Markers:
 
     def __repr__(self) -> str:
         return f"Markers({len(self)} markers, {int(self.seen.sum())} seen)"
+
+    def _repr_html_(self) -> str:
+        """Return what a notebook shows."""
+        return notebook("markers", self)
 
     @property
     def seen(self) -> "np.ndarray[Any, np.dtype[np.bool_]]":

@@ -11,6 +11,7 @@ from tissuereg import _core
 from tissuereg._base.arguments import flag, found, maybe, named, of_kind, real, text
 from tissuereg._base.arrays import FloatArray, depth, float_array
 from tissuereg._base.provenance import keep_with, recorded, warn
+from tissuereg._base.shown import short_repr
 from tissuereg.body.laws import DECLARED
 from tissuereg.errors import MaterialError, UnitWarning
 
@@ -144,6 +145,8 @@ class Material:
     shape: Mapping[str, Any] = field(default_factory=dict)
     volumetric: str = "log"
     fibre: Fibre | None = None
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         _positive("density", self.density, "g/cm^3")

@@ -11,12 +11,11 @@ import numpy.typing as npt
 
 from tissuereg._base.arguments import check_choice, named, real, text
 from tissuereg._base.arrays import FloatArray, IntArray, float_array, frozen, index_array
+from tissuereg._base.choices import FRAMES, Frame
 from tissuereg._base.provenance import derived
+from tissuereg._base.shown import notebook
 from tissuereg._core import check_mesh, surface_triangles, tet_volumes
 from tissuereg.errors import MeshError, UnitError
-
-#: Frames of a patient: x to the left, y to the back, z to the head; or x to the right, y to the front, z to the head.
-PATIENT_FRAMES = ("LPS", "RAS")
 
 #: Extents, in mm, outside which a body is taken to be in other units.
 PLAUSIBLE_EXTENT_MM = (1.0, 3000.0)
@@ -56,10 +55,10 @@ class Mesh:
     """
 
     def __init__(
-        self, nodes: Any, tets: Any, node_sets: Mapping[str, Any] | None = None, frame: str | None = None
+        self, nodes: Any, tets: Any, node_sets: Mapping[str, Any] | None = None, frame: Frame | None = None
     ) -> None:
         if frame is not None:
-            check_choice("frame", frame, PATIENT_FRAMES, MeshError)
+            check_choice("frame", frame, FRAMES, MeshError)
         points = float_array("nodes", nodes, (None, 3))
         cells = index_array("tets", tets, (None, 4))
         check_mesh(points, cells)
@@ -75,6 +74,10 @@ class Mesh:
     def __repr__(self) -> str:
         sets = ", ".join(f"{name} ({len(indices)})" for name, indices in self.node_sets.items()) or "none"
         return f"Mesh({self.n_nodes} nodes, {self.n_tets} tets, node sets: {sets})"
+
+    def _repr_html_(self) -> str:
+        """Return what a notebook shows."""
+        return notebook("body", self)
 
     @property
     def n_nodes(self) -> int:
@@ -142,7 +145,7 @@ class Mesh:
         text("name", name, error=MeshError)
         return derived(Mesh(self.nodes, self.tets, {**self.node_sets, name: indices}, self.frame), self)
 
-    def in_frame(self, frame: str | None) -> "Mesh":
+    def in_frame(self, frame: Frame | None) -> "Mesh":
         """Return the same mesh with its coordinates declared to be in a frame; no coordinate is changed.
 
         Parameters

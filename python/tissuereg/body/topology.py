@@ -8,13 +8,11 @@ import numpy.typing as npt
 
 from tissuereg._base.arguments import check_choice
 from tissuereg._base.arrays import FloatArray, IntArray, float_array, index_array
+from tissuereg._base.choices import COINCIDENT, Coincident, Frame
 from tissuereg._base.provenance import warn
 from tissuereg._core import tet_volumes
 from tissuereg.body.mesh import Mesh, per_mesh
 from tissuereg.errors import MeshError
-
-#: What becomes of nodes at one place: joined where that is certain, all joined, or all kept apart.
-COINCIDENT = ("certain", "join", "keep")
 
 #: Nodes closer than this share of the body's extent, and than this share of the shortest edge, are at one place: files
 #: with seven digits are that exact.
@@ -29,9 +27,9 @@ def sound_mesh(
     nodes: Any,
     tets: Any,
     node_sets: Mapping[str, Any],
-    frame: str | None = None,
+    frame: Frame | None = None,
     *,
-    coincident: str = "certain",
+    coincident: Coincident = "certain",
     pieces: IntArray | None = None,
     place: str = "the mesh",
 ) -> tuple[Mesh, IntArray]:

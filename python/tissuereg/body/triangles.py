@@ -6,7 +6,7 @@ import numpy as np
 
 from tissuereg._base.arguments import check_choice
 from tissuereg._base.arrays import FloatArray, IntArray, float_array, frozen, index_array
-from tissuereg.body.mesh import PATIENT_FRAMES
+from tissuereg._base.choices import FRAMES, Frame
 from tissuereg.errors import MeshError
 
 
@@ -38,9 +38,9 @@ class Triangles:
     121.5
     """
 
-    def __init__(self, vertices: Any, triangles: Any, frame: str | None = None) -> None:
+    def __init__(self, vertices: Any, triangles: Any, frame: Frame | None = None) -> None:
         if frame is not None:
-            check_choice("frame", frame, PATIENT_FRAMES, MeshError)
+            check_choice("frame", frame, FRAMES, MeshError)
         points = float_array("vertices", vertices, (None, 3))
         corners = index_array("triangles", triangles, (None, 3))
         if not len(corners):

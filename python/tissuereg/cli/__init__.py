@@ -30,6 +30,7 @@ _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 #: `HELP` says what it does, `options` adds its arguments, and `run` does it and returns an `Outcome`.
 COMMANDS = {
     "mesh": "fill a surface with tetrahedra",
+    "show": "draw a body, its node sets, markers and targets to a page that turns",
     "new": "begin an experiment on your own body",
     "solve": "solve one static problem",
     "simulate": "simulate an experiment, or a data set to train on",

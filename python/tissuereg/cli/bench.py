@@ -3,9 +3,10 @@
 import argparse
 from typing import Any
 
+from tissuereg._base.choices import ELEMENTS
 from tissuereg._base.fields import choice, whole
 from tissuereg.cli.common import Outcome, Stopwatch, seconds_line
-from tissuereg.cli.options import ELEMENTS, Help, Parser, add_option, refuse
+from tissuereg.cli.options import Help, Parser, add_option, refuse
 
 HELP = Help(
     "Times whole solves, ensembles of solves, ES-MDA updates and whole registrations on the embedded phantom (or, for "

@@ -7,11 +7,20 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from tissuereg._base.choices import (
+    BODY_ELEMENTS,
+    COINCIDENT,
+    FRAMES,
+    HELD,
+    MATCHES,
+    STIFFNESS,
+    TRACKERS,
+    Frame,
+)
 from tissuereg._base.fields import choice, number, whole
 from tissuereg.cli.common import note
-from tissuereg.cli.options import ELEMENTS, add_option, option_type, refuse
+from tissuereg.cli.options import add_option, option_type, refuse
 from tissuereg.errors import MeshError
-from tissuereg.io.matching import MATCHES
 
 if TYPE_CHECKING:
     from tissuereg.body.load import Load
@@ -24,16 +33,16 @@ if TYPE_CHECKING:
 _LEAST_GRAVITY = 20.0
 
 
-def add_body_options(more: Any, tables: str) -> None:
-    """Add options for frames, targets, held nodes and noise; `tables` names the tables of ``--tables-frame``."""
+def add_body_options(more: Any, tables: str, *, noise: bool = True) -> None:
+    """Add options for frames, targets, held nodes and `noise`; `tables` names the tables of ``--tables-frame``."""
     text = (
         "LPS or RAS: frame of MESH, of tables and of the answer; points of 3D Slicer in the other one are converted "
         "(default: that which MESH states, or else that of the first such file of points on the surface; if none, "
         "numbers as they are)"
     )
-    add_option(more, "--frame", choice(("LPS", "RAS"), text, default=None))
+    add_option(more, "--frame", choice(FRAMES, text, default=None))
     text = f"frame of the tables {tables}, where it is not --frame"
-    add_option(more, "--tables-frame", choice(("LPS", "RAS"), text, default=None))
+    add_option(more, "--tables-frame", choice(FRAMES, text, default=None))
     text = "table target,x_mm,y_mm,z_mm, or points of 3D Slicer: inner points in the undeformed body"
     more.add_argument("--targets", metavar="FILE", help=text)
     text = (
@@ -42,7 +51,9 @@ def add_body_options(more: Any, tables: str) -> None:
     )
     more.add_argument("--fixed", metavar="RULE", help=text)
     text = "nodes of MESH at one place that no tets share: joined where whole faces coincide, all joined, or kept apart"
-    add_option(more, "--coincident", choice(("certain", "join", "keep"), text, default=None, otherwise="certain"))
+    add_option(more, "--coincident", choice(COINCIDENT, text, default=None, otherwise="certain"))
+    if not noise:
+        return
     text = "noise of a marker coordinate without its own std_mm"
     add_option(more, "--std", number(text, unit="mm", above=0.0, default=None, otherwise="0.1"), "MM")
 
@@ -58,9 +69,9 @@ def add_match_option(more: Any, what: str) -> None:
 def add_belief_options(what: Any) -> None:
     """Add the options for what the user believes of the body and its load to an argparse group."""
     text = "whether the node set 'fixed' is held for sure, perhaps, or not at all"
-    add_option(what, "--held", choice(("sure", "perhaps", "free"), text, default=None, otherwise="sure"))
+    add_option(what, "--held", choice(HELD, text, default=None, otherwise="sure"))
     text = "fixed: the tracker surely kept its place relative to the supports; it may have drifted a little"
-    add_option(what, "--tracker", choice(("fixed", "drifts"), text, default=None, otherwise="drifts"))
+    add_option(what, "--tracker", choice(TRACKERS, text, default=None, otherwise="drifts"))
     text = (
         "graded: much softer towards one side, by an amount that the markers tell; SET=KPA[:STD]: modulus of the part "
         "of the body that a node set holds, such as tumour=40:10, with its standard deviation where it is uncertain; "
@@ -84,7 +95,7 @@ def add_method_options(how: Any) -> None:
     text = "folder of a trained model; phantom, phantom-graph: shipped ones (default: unknown contacts)"
     how.add_argument("--model", metavar="DIR", help=text)
     usual = "auto, those that suit the mesh"
-    element = choice(("auto", *ELEMENTS), "elements of the simulations", default="auto", otherwise=usual)
+    element = choice(BODY_ELEMENTS, "elements of the simulations", default="auto", otherwise=usual)
     add_option(how, "--element", element)
     members = whole("ensemble members, with a model", least=2, default=None, otherwise="40")
     add_option(how, "--members", members, "N")
@@ -128,7 +139,7 @@ def stiffness_of(args: argparse.Namespace) -> dict[str, Any]:
 
 def _stiffness(word: str) -> str | tuple[str, float, float]:
     """Return a word of ``--stiffness``, or a node set with its modulus and standard deviation, kPa."""
-    if word in ("believed", "graded"):
+    if word in STIFFNESS:
         return word
     name, _, numbers = word.rpartition("=")
     young, _, std = numbers.partition(":")
@@ -144,7 +155,7 @@ def _stiffness(word: str) -> str | tuple[str, float, float]:
 
 def frames_of(
     args: argparse.Namespace, mesh: "Mesh", files: Sequence[str | Path | None], inner: Sequence[str | Path | None]
-) -> dict[str, str | None]:
+) -> dict[str, Frame | None]:
     """Return the patient frames of the answer (``frame``) and of tables (``table_frame``): LPS, RAS, None if unknown.
 
     Where neither `mesh` nor ``--frame`` states it, it is that of the first of `files`, of points on the surface, that

@@ -5,9 +5,10 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from tissuereg._base.choices import ELEMENTS
 from tissuereg._base.fields import choice
 from tissuereg.cli.common import UNTRUSTED, Outcome, Stopwatch, envelope, seconds_line
-from tissuereg.cli.options import ELEMENTS, Help, Parser, add_option, refuse, refuse_overwriting
+from tissuereg.cli.options import Help, Parser, add_option, refuse, refuse_overwriting
 
 HELP = Help(
     "EXPERIMENT is a folder (or its .toml). OUT gets diagnosis.json, experiment.extended.toml (the believed experiment "

@@ -4,6 +4,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from tissuereg._base.choices import FRAMES, UNITS
 from tissuereg._base.fields import choice, number
 from tissuereg.cli.common import Outcome, Stopwatch, seconds_line
 from tissuereg.cli.options import Help, Parser, add_option, refuse, refuse_overwriting
@@ -37,11 +38,11 @@ def options(parser: Parser) -> None:
     add_option(parser, "--size", number(text, unit="mm", above=0.0), "MM")
     parser.add_argument("--out", required=True, metavar="BODY.vtu", help="file for the tetrahedra")
     usual = "that stated in the file, or else mm"
-    unit = choice(("mm", "cm", "m"), "unit of SURFACE's coordinates", default=None, otherwise=usual)
+    unit = choice(UNITS, "unit of SURFACE's coordinates", default=None, otherwise=usual)
     add_option(parser, "--unit", unit)
     text = "LPS or RAS: patient frame of SURFACE's coordinates, which BODY then states; no number is turned"
     usual = "that stated in the file, if one is"
-    add_option(parser, "--frame", choice(("LPS", "RAS"), text, default=None, otherwise=usual))
+    add_option(parser, "--frame", choice(FRAMES, text, default=None, otherwise=usual))
     usual = "5 % of the size, at most 0.1 % of the diagonal"
     deviation = number("how far faces may lie from the surface", unit="mm", above=0.0, default=None, otherwise=usual)
     add_option(parser, "--deviation", deviation, "MM")

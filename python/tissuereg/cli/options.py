@@ -41,9 +41,6 @@ class _HelpFormatter(argparse.RawDescriptionHelpFormatter):
         super().__init__(prog, max_help_position=30, width=100)
 
 
-#: Kinds of elements of a simulation.
-ELEMENTS = ("tet4", "tet4-averaged", "tet10")
-
 #: Help of ``--threads`` for results that are bitwise the same for any number.
 _THREADS = "threads to use (default: all cores); the result does not depend on it"
 
@@ -154,8 +151,8 @@ def refuse_overwriting(written: Iterable[Path], inputs: Iterable[str | Path | No
 
 
 #: Options that change no answer: where it is written and what is said of it. Those of the first line have a value.
-_BESIDE = {"--out": 1, "--json": 1, "--threads": 1} | dict.fromkeys(
-    ("--quiet", "--debug", "--verbose", "--no-picture", "--deformed", "--fields"), 0
+_BESIDE = {"--out": 1, "--json": 1, "--threads": 1, "--image": 1} | dict.fromkeys(
+    ("--quiet", "--debug", "--verbose", "--no-picture", "--deformed", "--fields", "--report"), 0
 )
 
 

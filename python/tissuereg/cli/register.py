@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from tissuereg._base.choices import Element, Frame
 from tissuereg._base.fields import number
 from tissuereg.cli.body_input import (
     add_belief_options,
@@ -60,6 +61,8 @@ def options(parser: Parser) -> None:
     text = "write registered_deformed.vtu too, its nodes where they are now"
     parser.add_argument("--deformed", action="store_true", help=text)
     parser.add_argument("--no-picture", action="store_true", help="draw nothing: no registered.png, a page of text")
+    text = "image of the undeformed body, laid under sections through the targets in report.html; in the frame of MESH"
+    parser.add_argument("--image", metavar="IMAGE", help=text)
     _add_input_options(parser)
     add_method_options(parser.add_argument_group("method"))
     parser.set_defaults(late="markers", room=1)
@@ -69,13 +72,17 @@ def run(args: argparse.Namespace) -> Outcome:
     """Run ``tissuereg register``; schema ``tissuereg.registration/1``; exit code 4 if it is not to be trusted."""
     from tissuereg.io.atomic import check_folder_target
     from tissuereg.registration.register import register
-    from tissuereg.report.files import DEFORMED, WRITTEN
+    from tissuereg.report.files import DEFORMED, PAGE, WRITTEN
 
-    more = [args.measured, args.simulation, args.variants, args.targets, args.seen, args.surface]
+    more = [args.measured, args.simulation, args.variants, args.targets, args.seen, args.surface, args.image]
     given_files = [args.path, *args.markers, *more]
-    written = [Path(args.out) / name for name in (*WRITTEN, "report.html", DEFORMED)]
+    written = [Path(args.out) / name for name in (*WRITTEN, PAGE, DEFORMED)]
     refuse_overwriting(written, [*given_files, Path(args.path) / "targets.csv"])
     check_folder_target(args.out)
+    if args.image is not None:
+        from tissuereg.imaging.images import read_image
+
+        read_image(args.image)  # before the work, not after it
     clock = Stopwatch()
     given = _input(args)
     reading = clock.lap("read")
@@ -96,13 +103,14 @@ def _write(result: "Registration", args: argparse.Namespace, extra: dict[str, An
     """Write all files of a registration, or none; add `extra` to the JSON; show the stages by `shown`."""
     from tissuereg._base.clock import Progress
     from tissuereg.io.atomic import atomic_folder
+    from tissuereg.report.files import PAGE
 
     with atomic_folder(args.out) as draft:
         shown(Progress("stage", "draws"))
         _ = result.std  # computed when it is first read
         shown(Progress("stage", "files"))
         result.save(draft, extra, deformed=args.deformed, picture=not args.no_picture)
-        result.report(draft / "report.html", picture=not args.no_picture)
+        result.report(draft / PAGE, picture=not args.no_picture, image=args.image)
 
 
 def _total(clock: Stopwatch) -> dict[str, float]:
@@ -151,7 +159,7 @@ def _input(args: argparse.Namespace) -> dict[str, Any]:
     return given
 
 
-def _with_seen(args: argparse.Namespace, given: dict[str, Any], frames: dict[str, str | None]) -> "Markers":
+def _with_seen(args: argparse.Namespace, given: dict[str, Any], frames: dict[str, Frame | None]) -> "Markers":
     """Return the markers given, with the targets of ``--seen`` after them; errors name the file."""
     from tissuereg.errors import MarkerError
     from tissuereg.io.tables import read_seen
@@ -222,7 +230,7 @@ def _from_experiment(args: argparse.Namespace) -> dict[str, Any]:
         if getattr(args, name) is None:
             refuse(f"--{name} must be given with an experiment", f"--{name}")
     experiment = read_experiment(args.path)
-    plain = "tet4" if args.element == "auto" else args.element
+    plain: Element = "tet4" if args.element == "auto" else args.element
     frame = frame_input(experiment, args.case, args.time, element=plain, threads=args.threads)
     # The registration uses the same elements as the simulation of the frame.
     return {**frame, "mesh": replace(frame["mesh"], **only_given(held=args.held), **stiffness_of(args))}

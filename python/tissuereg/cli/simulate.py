@@ -6,9 +6,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from tissuereg._base.choices import ELEMENTS
 from tissuereg._base.fields import choice, number
 from tissuereg.cli.common import Outcome, Stopwatch, note, seconds_line
-from tissuereg.cli.options import ELEMENTS, Help, Parser, add_option, refuse, refuse_overwriting
+from tissuereg.cli.options import Help, Parser, add_option, refuse, refuse_overwriting
 from tissuereg.cli.progress import progress_bar
 from tissuereg.parallel import TASK_LIMIT
 

@@ -4,10 +4,11 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+from tissuereg._base.choices import ELEMENTS
 from tissuereg._base.fields import choice, number
 from tissuereg._base.machine import peak_mib
 from tissuereg.cli.common import Outcome, Stopwatch, note, seconds_line
-from tissuereg.cli.options import ELEMENTS, Help, Parser, add_option, refuse_overwriting
+from tissuereg.cli.options import Help, Parser, add_option, refuse_overwriting
 
 HELP = Help(
     "PROBLEM is an .npz with nodes_mm (n, 3), tets (m, 4), fixed_nodes (f,), forces_mN (n, 3), young_kPa and poisson "

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from tissuereg.body.mesh import Mesh
     from tissuereg.errors import TissueRegError
     from tissuereg.io.tables import Recording
+    from tissuereg.report.tracked import Film
     from tissuereg.tracking import TablePhysics, TrackedFrame, Tracker
 
 HELP = Help(
@@ -37,9 +38,9 @@ HELP = Help(
     "row, or with empty cells, was not seen); and --reference, where the markers sit on the undeformed body (csv: "
     "marker,x_mm,y_mm,z_mm[,std_mm], or points of 3D Slicer). Every frame is registered, as fast as possible; with "
     "--live the recording is replayed at its own rate, and frames that come too fast are dropped for the newest one. "
-    "A frame in which no marker was seen is left out. DIR gets targets.csv and track.json, with --fields fields.npz "
-    "too, all or none. Exit code 0: nothing speaks against any frame; 4: written, but some frames are not to be "
-    "trusted or could not be registered; 2: bad usage or input; 3: no frame could be registered.",
+    "A frame in which no marker was seen is left out. DIR gets targets.csv and track.json, with --fields fields.npz, "
+    "with --report report.html, all or none. Exit code 0: nothing speaks against any frame; 4: written, but some "
+    "frames are not to be trusted or could not be registered; 2: bad usage or input; 3: no frame could be registered.",
     example=(
         "tissuereg track breast.vtu recording.csv --reference markers.csv --out tracked\n"
         "tissuereg track breast.vtu recording.csv --reference sit.csv --model phantom --live --out tracked"
@@ -47,7 +48,7 @@ HELP = Help(
     seed="seed of all random numbers (default: 0)",
 )
 
-_TARGETS, _ANSWER, _FIELDS = "targets.csv", "track.json", "fields.npz"
+_TARGETS, _ANSWER, _FIELDS, _PAGE = "targets.csv", "track.json", "fields.npz", "report.html"
 
 
 def options(parser: Parser) -> None:
@@ -61,6 +62,8 @@ def options(parser: Parser) -> None:
     parser.add_argument("--live", action="store_true", help="replay at the recorded rate (default: every frame)")
     text = "write fields.npz too: times_s (k,), displacement_mm (k, n, 3) of the frames, and the mesh"
     parser.add_argument("--fields", action="store_true", help=text)
+    text = "write report.html too: targets over time, markers used and lost, the body to turn at any moment"
+    parser.add_argument("--report", action="store_true", help=text)
     more = parser.add_argument_group("more input")
     text = "times_s (k,), displacement_mm (k, n, 3), predicted by any simulator; linear in time between them"
     more.add_argument("--simulations", metavar="U.npz", help=text)
@@ -77,9 +80,10 @@ def run(args: argparse.Namespace) -> Outcome:
     first one is raised.
     """
     from tissuereg.io.atomic import check_folder_target
+    from tissuereg.report.tracked import Film, events_of
 
     inputs = [args.path, args.recording, args.reference, args.simulations, args.targets]
-    refuse_overwriting([Path(args.out) / name for name in (_TARGETS, _ANSWER, _FIELDS)], inputs)
+    refuse_overwriting([Path(args.out) / name for name in (_TARGETS, _ANSWER, _FIELDS, _PAGE)], inputs)
     check_folder_target(args.out)
     clock = Stopwatch()
     tracker, recording, simulations = _read(args)
@@ -87,7 +91,7 @@ def run(args: argparse.Namespace) -> Outcome:
     if args.live:
         _warm_up(tracker, recording, simulations)
     clock.lap("prepare")
-    tracked = _Tracked(keeps_fields=args.fields)
+    tracked = _Tracked(keeps_fields=args.fields, film=Film() if args.report else None)
     with progress_bar("frames", quiet=args.quiet) as progress:
         for frame in _answers(tracker, _recorded(recording, simulations), args, tracked.failed):
             tracked.add(frame)
@@ -102,6 +106,7 @@ def run(args: argparse.Namespace) -> Outcome:
         "live": args.live,
         "frames": tracked.frames,
         "failed": tracked.failures,
+        "events": events_of(tracked.frames, tracked.failures),
         "hz": len(tracked.frames) / spent,
         "dropped_frames": tracker.dropped,
         "provenance": tracked.provenance,
@@ -195,10 +200,12 @@ class _Tracked:
 
     `frames`, `failures`: JSON content per registered and per failed frame; `errors`: exceptions of failed frames;
     `provenance`: that of the last frame, which knows all files and warnings so far;
-    `fields`: displacement (n_nodes, 3) in mm per registered frame, only if `keeps_fields`.
+    `fields`: displacement (n_nodes, 3) in mm per registered frame, only if `keeps_fields`; `film`: for the page, if one
+    is wanted.
     """
 
     keeps_fields: bool
+    film: "Film | None" = None
     frames: list[dict[str, Any]] = field(default_factory=list)
     failures: list[dict[str, Any]] = field(default_factory=list)
     errors: "list[TissueRegError]" = field(default_factory=list)
@@ -223,6 +230,8 @@ class _Tracked:
         )
         if self.keeps_fields:
             self.fields.append(result.displacement)
+        if self.film is not None:
+            self.film.add(frame)
 
     def failed(self, time_s: float, error: "TissueRegError") -> None:
         self.failures.append({"time_s": time_s, "reason": str(error)})
@@ -234,24 +243,30 @@ class _Tracked:
 
 
 def _write(out: Path, content: dict[str, Any], tracked: _Tracked, mesh: "Mesh") -> None:
-    """Write the files ``track.json`` and ``targets.csv``, on request ``fields.npz``, into a folder, all or none."""
+    """Write the files ``track.json`` and ``targets.csv``, on request ``fields.npz`` and a page, all or none."""
     from tissuereg.io.atomic import atomic_folder
     from tissuereg.io.json import write_json
     from tissuereg.io.problems import write_simulations
     from tissuereg.io.tables import write_tracked_targets
+    from tissuereg.report.tracked import tracked_page
 
     with atomic_folder(out) as draft:
         write_json(draft / _ANSWER, content)
         write_tracked_targets(draft / _TARGETS, [(frame["time_s"], frame["targets"]) for frame in tracked.frames])
         if tracked.keeps_fields:
             write_simulations(draft / _FIELDS, [one["time_s"] for one in tracked.frames], tracked.fields, mesh)
+        if tracked.film is not None:
+            (draft / _PAGE).write_text(tracked_page(tracked.film, content), encoding="utf-8")
 
 
 def _summary(content: dict[str, Any], out: str, *, verbose: bool) -> str:
     """Return the content of ``track.json`` as text; the last line states whether a frame is not to be trusted."""
     import numpy as np
 
+    from tissuereg.report.tracked import KEPT, event_line
+
     frames, failed = content["frames"], content["failed"]
+    told = [event for event in content["events"] if event["what"] == "not used"]
     latency = [frame["latency_ms"] for frame in frames]
     rms = np.median([frame["markers_rms_mm"] for frame in frames])
     last = frames[-1]
@@ -264,6 +279,8 @@ def _summary(content: dict[str, Any], out: str, *, verbose: bool) -> str:
             *(target_line(name, target, f" at {last['time_s']:g} s") for name, target in last["targets"].items()),
             seconds_line(content["seconds"], verbose=verbose),
             f"written: {out}",
+            *(event_line(event) for event in told[: KEPT.lines]),
+            *([f"and {len(told) - KEPT.lines} more, see track.json"] if len(told) > KEPT.lines else []),
             *([f"not registered at {failed[0]['time_s']:g} s: {failed[0]['reason']}"] if failed else []),
             *_frames_verdict(frames),
         ]

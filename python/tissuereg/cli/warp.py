@@ -4,6 +4,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from tissuereg._base.choices import DIRECTIONS, FRAMES, UNITS, Frame
 from tissuereg._base.fields import choice, number
 from tissuereg.cli.common import Outcome, Stopwatch, seconds_line
 from tissuereg.cli.options import Help, Parser, add_option, refuse, refuse_overwriting
@@ -44,14 +45,14 @@ def options(parser: Parser) -> None:
     add_option(more, "--spacing", number(text, unit="mm", above=0.0, default=None, otherwise="that of --like"), "MM")
     text = "modeling: from before the deformation to after it; resampling: back, as images are warped"
     usual = "modeling in a .nrrd file, else resampling"
-    way = choice(("modeling", "resampling"), text, default=None, otherwise=usual)
+    way = choice(DIRECTIONS, text, default=None, otherwise=usual)
     add_option(more, "--direction", way)
     more.add_argument("--std", metavar="FILE", help="also write the standard deviation of every voxel, .nrrd")
     text = "LPS or RAS: patient frame of the body's coordinates, where its mesh states none"
     usual = "that of the mesh, or else LPS"
-    add_option(parser, "--frame", choice(("LPS", "RAS"), text, default=None, otherwise=usual))
+    add_option(parser, "--frame", choice(FRAMES, text, default=None, otherwise=usual))
     text = "unit of the coordinates of --surface"
-    add_option(parser, "--unit", choice(("mm", "cm", "m"), text, default=None, otherwise="that stated, or else mm"))
+    add_option(parser, "--unit", choice(UNITS, text, default=None, otherwise="that stated, or else mm"))
 
 
 def run(args: argparse.Namespace) -> Outcome:
@@ -159,7 +160,7 @@ def _asked(args: argparse.Namespace) -> tuple[str, str, str]:
     return kind, source, source if kind == "grid" else str(args.out)
 
 
-def _in_frame(field: "RegisteredField", frame: str | None) -> "RegisteredField":
+def _in_frame(field: "RegisteredField", frame: Frame | None) -> "RegisteredField":
     from dataclasses import replace
 
     return replace(field, mesh=_framed(field.mesh, frame))
@@ -172,7 +173,7 @@ def _warn_without_frame(mesh: "Mesh") -> None:
         warn("the mesh states no patient frame; it is taken for LPS, as images are: --frame says otherwise")
 
 
-def _framed(mesh: "Mesh", frame: str | None) -> "Mesh":
+def _framed(mesh: "Mesh", frame: Frame | None) -> "Mesh":
     """Return a mesh in the frame that --frame states; images are taken to be in LPS where nothing does."""
     if frame is None or mesh.frame == frame:
         return mesh
@@ -200,7 +201,7 @@ def _warped(
     return found.moved_mm, found.outside, found.residual_mm
 
 
-def _points(source: str, frame: str | None) -> "dict[str, FloatArray]":
+def _points(source: str, frame: Frame | None) -> "dict[str, FloatArray]":
     """Return the points of a file by name, (3,), mm, in a patient frame."""
     from tissuereg.io.point_files import frame_of_files
     from tissuereg.io.tables import read_named_points

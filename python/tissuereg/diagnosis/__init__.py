@@ -10,11 +10,11 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, overload
 
 from tissuereg._base.arguments import called, check_choice, check_running, flag, of_kind
+from tissuereg._base.choices import ELEMENTS, Element
 from tissuereg._base.provenance import call_text, note_origins, provenance_now, recorded
 from tissuereg.errors import ArgumentError
 from tissuereg.experiment.experiment import Experiment
 from tissuereg.experiment.material_experiment import MaterialExperiment
-from tissuereg.simulation.solve import ELEMENTS
 
 if TYPE_CHECKING:
     from tissuereg.diagnosis.answer import Diagnosis
@@ -30,7 +30,7 @@ def diagnose(
     seed: int = 0,
     threads: int = 0,
     keep: bool = True,
-    element: str | None = None,
+    element: Element | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> "Diagnosis": ...
 @overload
@@ -40,7 +40,7 @@ def diagnose(
     seed: int = 0,
     threads: int = 0,
     keep: bool = True,
-    element: str | None = None,
+    element: Element | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> "MaterialDiagnosis": ...
 def diagnose(
@@ -49,7 +49,7 @@ def diagnose(
     seed: int = 0,
     threads: int = 0,
     keep: bool = True,
-    element: str | None = None,
+    element: Element | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> "Diagnosis | MaterialDiagnosis":
     """Compare an experiment's measurements with its simulation and name the causes of the difference.

@@ -14,6 +14,7 @@ import numpy as np
 from scipy import sparse
 
 from tissuereg._base.arrays import FloatArray
+from tissuereg._base.choices import Element
 from tissuereg.diagnosis.predictor import NO_ANSWER, Predictor
 from tissuereg.diagnosis.signals import SignalLayout
 from tissuereg.diagnosis.tangents import State, Tangents
@@ -44,7 +45,7 @@ class Bench:
     """
 
     def __init__(
-        self, experiment: Experiment, layout: SignalLayout, *, element: str = "tet4", threads: int = 0
+        self, experiment: Experiment, layout: SignalLayout, *, element: Element = "tet4", threads: int = 0
     ) -> None:
         self.experiment = experiment
         self.layout = layout

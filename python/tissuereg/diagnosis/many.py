@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from tissuereg._base.arguments import called, check_choice, check_running, flag, found, of_kind, place
+from tissuereg._base.choices import ELEMENTS, Element
 from tissuereg._base.machine import machine, versions
 from tissuereg._version import __version__
 from tissuereg.diagnosis import diagnose
@@ -18,7 +19,6 @@ from tissuereg.io.atomic import OutputError, check_folder_target
 from tissuereg.io.experiments import is_material_test, read_experiment
 from tissuereg.io.material_experiments import read_material_experiment
 from tissuereg.parallel import Executor, Failed, InProcess, in_order
-from tissuereg.simulation.solve import ELEMENTS
 
 #: Entry of ``diagnosis.json`` that says what it was made from.
 _MARK = "given_sha256"
@@ -59,7 +59,7 @@ def diagnose_many(
     seed: int = 0,
     threads: int | None = None,
     keep: bool = True,
-    element: str | None = None,
+    element: Element | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Iterator[Diagnosed | Failed]:
     """Diagnose many experiments and write each result into a folder of its own.
@@ -133,7 +133,7 @@ class _DiagnosisTask:
     seed: int
     threads: int
     keep: bool
-    element: str | None
+    element: Element | None
 
 
 def _diagnosed(

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 from tissuereg._base.arrays import FloatArray
+from tissuereg._base.choices import Element
 from tissuereg.body.observe import MarkerObservation
 from tissuereg.diagnosis.signals import SignalLayout
 from tissuereg.errors import ConvergenceError, ExperimentError, MaterialError, SupportError
@@ -49,7 +50,7 @@ class Predictor:
     """
 
     def __init__(
-        self, experiment: Experiment, layout: SignalLayout, *, element: str = "tet4", threads: int = 0
+        self, experiment: Experiment, layout: SignalLayout, *, element: Element = "tet4", threads: int = 0
     ) -> None:
         self.experiment = experiment
         self.layout = layout

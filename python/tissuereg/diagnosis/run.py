@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray
+from tissuereg._base.choices import Element
 from tissuereg._base.provenance import warn
 from tissuereg._version import __version__
 from tissuereg.diagnosis.advice import advise
@@ -56,7 +57,7 @@ def diagnose_body(
     seed: int,
     threads: int,
     keep: bool,
-    element: str | None,
+    element: Element | None,
     progress: Callable[[str], None] | None,
 ) -> Diagnosis:
     """Return the diagnosis of a body: the causes of the difference between its measurements and its simulation.
@@ -229,7 +230,7 @@ def _at_modulus(bench: Bench, noise: Noise, correction: Correction, nuisances: N
 
 
 def _with_targets(
-    findings: list[Finding], experiment: Experiment, extended: Experiment, *, element: str, threads: int
+    findings: list[Finding], experiment: Experiment, extended: Experiment, *, element: Element, threads: int
 ) -> list[Finding]:
     """Return findings that also state the rms errors, mm, at inner targets, with and without all the findings.
 
@@ -268,7 +269,7 @@ def _verdict(findings: list[Finding], misfit: float, *, withdrawn: bool) -> str:
     return "group" if any(len(finding.group) > 1 for finding in findings) else "named"
 
 
-def target_rms(experiment: Experiment, *, element: str, threads: int) -> float | None:
+def target_rms(experiment: Experiment, *, element: Element, threads: int) -> float | None:
     """Return the error of an experiment's model at its measured targets, a root mean square of coordinates in mm.
 
     `experiment`: with its effects; simulated on the user's mesh, without correction; `element` {"tet4",

@@ -13,6 +13,7 @@ import numpy as np
 
 from tissuereg._base.arguments import each, maybe, named, of_kind, real, text
 from tissuereg._base.arrays import FloatArray, IntArray, float_array
+from tissuereg._base.choices import Element
 from tissuereg.body.markers import Markers
 from tissuereg.body.material import GRAVITY_MM_PER_S2, Material
 from tissuereg.body.mesh import Mesh
@@ -37,7 +38,7 @@ class Simulated:
     """
 
     model: str
-    element: str
+    element: Element
     tables_sha256: str | None = None
 
 

@@ -14,14 +14,13 @@ import numpy as np
 
 from tissuereg._base.arguments import check_choice, found, place, real
 from tissuereg._base.arrays import FloatArray
+from tissuereg._base.choices import DIRECTIONS, Direction
 from tissuereg.body.surroundings import SpaceMap
 from tissuereg.errors import ArgumentError, FormatError
 from tissuereg.imaging.images import Grid, itk, read_image, write_image
 from tissuereg.imaging.sampled import SLABS, Sampled, Tally
 from tissuereg.io.atomic import atomic_file
 from tissuereg.io.points import turned
-
-DIRECTIONS = ("modeling", "resampling")
 
 #: Endings of ITK's transform files.
 OF_ITK = (".h5", ".tfm")
@@ -71,7 +70,7 @@ def write_transform(
     *,
     like: Any = None,
     spacing: Any = None,
-    direction: str | None = None,
+    direction: Direction | None = None,
     std: tuple[str | os.PathLike[str], FloatArray] | None = None,
     threads: int = 0,
 ) -> Written:

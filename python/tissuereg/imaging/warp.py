@@ -9,11 +9,13 @@ import numpy as np
 import numpy.typing as npt
 
 from tissuereg._base.arguments import flag, place
-from tissuereg._base.arrays import FloatArray
+from tissuereg._base.arrays import BoolArray, FloatArray
+from tissuereg._base.choices import Unit
+from tissuereg.body.surroundings import SpaceMap
 from tissuereg.body.triangles import Triangles
 from tissuereg.errors import ArgumentError, FormatError
 from tissuereg.imaging.images import Grid, ending, itk, labels_of, read_image, threaded, write_image
-from tissuereg.imaging.sampled import Sampled, Tally
+from tissuereg.imaging.sampled import Mark, Sampled, Tally
 from tissuereg.io.csv import write_table
 from tissuereg.io.mrk_json import write_mrk_json
 from tissuereg.io.surfaces import read_triangles
@@ -61,7 +63,7 @@ def warp_points(field: "RegisteredField", points: dict[str, FloatArray], out: Pa
 
 
 def warp_surface(
-    field: "RegisteredField", surface: Any, path: str | os.PathLike[str], *, unit: str | None = None
+    field: "RegisteredField", surface: Any, path: str | os.PathLike[str], *, unit: Unit | None = None
 ) -> Warped:
     """Write a surface with its vertices moved; `surface`: a file, `Triangles` or arrays, in the frame of the body."""
     out = place("path", path)
@@ -124,6 +126,16 @@ def warp_image(
             found.SetMetaData(key, source.GetMetaData(key))
     write_image(out, found)
     return Warped(tally.moved_mm, tally.outside, sampled.residual_mm())
+
+
+def section_of(space: SpaceMap, source: Any, grid: Grid) -> tuple[FloatArray, BoolArray]:
+    """Return a SimpleITK volume as it is after the deformation of `space` on a grid of one slice, (rows, columns).
+
+    Places that come from outside the image get its smallest value. Second: which places are inside the body.
+    """
+    moved, by = Sampled(space, grid, back=True).slices(0, 1)
+    found = _resampled(source, grid, moved, 0, (itk().sitkLinear, _least(source), 0))
+    return np.asarray(found[0], np.float64), by[0] == Mark.INSIDE
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,4 +209,4 @@ def _resampled(source: Any, grid: Grid, moved: Any, first: int, how: tuple[Any, 
     return sitk.GetArrayFromImage(resampling.Execute(source))
 
 
-__all__ = ["Warped", "warp_image", "warp_points", "warp_surface"]
+__all__ = ["Warped", "section_of", "warp_image", "warp_points", "warp_surface"]

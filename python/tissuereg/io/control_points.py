@@ -7,13 +7,14 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from tissuereg._base.arguments import place
+from tissuereg._base.choices import Frame
 from tissuereg.errors import FormatError
 from tissuereg.io.bounds import FILES, existing_file, text_lines
 from tissuereg.io.csv import split_rows
 from tissuereg.io.points import NamedPoints
 
 #: Columns of the coordinates, in mm, and the frame that they state.
-_FRAMES = {("r", "a", "s"): "RAS", ("l", "p", "s"): "LPS"}
+_FRAMES: dict[tuple[str, str, str], Frame] = {("r", "a", "s"): "RAS", ("l", "p", "s"): "LPS"}
 _ENDINGS = (".csv", ".tsv", ".txt")
 _DEFINED = {"1": True, "true": True, "0": False, "false": False}
 

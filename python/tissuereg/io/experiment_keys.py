@@ -12,6 +12,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray
+from tissuereg._base.choices import ELEMENTS, Element
 from tissuereg._base.fields import belief, choice, flag, number, numbers, path, table, text
 from tissuereg.body.material import GRAVITY_MM_PER_S2, LAWS, SHAPE_KEYS, VOLUMETRIC, Material
 from tissuereg.errors import ExperimentError, MaterialError
@@ -20,7 +21,7 @@ from tissuereg.io.node_rules import TOLERANCE, node_rule
 from tissuereg.io.toml import Keys, Table
 
 #: Words of ``[simulated]``.
-MODELS, ELEMENTS = ("fine", "plain"), ("tet4", "tet4-averaged", "tet10")
+MODELS = ("fine", "plain")
 
 Vector = tuple[float, float, float]
 
@@ -178,7 +179,7 @@ class SimulatedKeys(Keys):
 
     heading: ClassVar[str] = "[simulated]"
     model: str = choice(MODELS, "the fine model, or the mesh as it is")
-    element: str = choice(ELEMENTS, "its elements")
+    element: Element = choice(ELEMENTS, "its elements")
     tables_sha256: str | None = text(
         "of the mesh and the tables that it made, targets left out", default=None, otherwise="not checked"
     )

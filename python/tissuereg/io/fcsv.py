@@ -6,6 +6,7 @@ import os
 import re
 from pathlib import Path
 
+from tissuereg._base.choices import Frame
 from tissuereg.errors import FormatError
 from tissuereg.io.bounds import FILES, existing_file, text_lines
 from tissuereg.io.points import NamedPoints
@@ -14,7 +15,7 @@ _COLUMNS = "id,x,y,z,ow,ox,oy,oz,vis,sel,lock,label,desc,associatedNodeID"
 _NEEDED = ("x", "y", "z", "label")
 
 #: Older versions of Slicer number the frames (2 is the voxels of an image), newer ones spell them.
-_FRAMES = {"0": "RAS", "1": "LPS", "RAS": "RAS", "LPS": "LPS"}
+_FRAMES: dict[str, Frame] = {"0": "RAS", "1": "LPS", "RAS": "RAS", "LPS": "LPS"}
 #: Numbers of a position's status in two unnamed cells at the end of a line; 2 is a defined one.
 _NOT_DEFINED = ("0", "1", "3")
 _SETTING = re.compile(r"\s*#\s*(CoordinateSystem|columns)\s*[=:]\s*(.*)$", re.IGNORECASE)
@@ -43,7 +44,7 @@ def read_fcsv(path: str | os.PathLike[str]) -> NamedPoints:
     return NamedPoints.of(file, frame, points)
 
 
-def _head(file: Path, lines: list[str]) -> tuple[str, list[str]]:
+def _head(file: Path, lines: list[str]) -> tuple[Frame, list[str]]:
     """Return the frame of the file, ``LPS`` or ``RAS``, and the names of its columns, from its comment lines."""
     frame, columns = None, _COLUMNS.split(",")
     for number, line in enumerate(lines, 1):

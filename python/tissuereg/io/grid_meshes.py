@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray, IntArray
+from tissuereg._base.choices import Coincident, Frame
 from tissuereg._base.provenance import warn
 from tissuereg.body.mesh import Mesh
 from tissuereg.body.topology import sound_mesh
@@ -18,7 +19,7 @@ from tissuereg.io.grid import FLAT_KINDS, Grid
 from tissuereg.io.notes import frame_in, unit_in
 
 
-def mesh_of_grid(file: Path, grid: Grid, coincident: str = "certain") -> tuple[Mesh, IntArray]:
+def mesh_of_grid(file: Path, grid: Grid, coincident: Coincident = "certain") -> tuple[Mesh, IntArray]:
     """Return the mesh, in mm, that the content of a file makes, and for each node the index (n_nodes,) of its point.
 
     `file`: its name, for messages; `grid`: its content; `coincident`: as in `read_mesh`. Raises the errors of that.
@@ -77,8 +78,8 @@ def placed_mesh(
     nodes: FloatArray,
     tets: IntArray,
     sets: Mapping[str, Any],
-    coincident: str,
-    frame: str | None = None,
+    coincident: Coincident,
+    frame: Frame | None = None,
     pieces: IntArray | None = None,
 ) -> tuple[Mesh, IntArray]:
     """Return the sound mesh of nodes (n, 3) in mm, tets (m, 4) and node sets by name, and the rows of its nodes.

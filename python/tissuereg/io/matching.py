@@ -5,10 +5,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from tissuereg._base.arguments import check_choice
+from tissuereg._base.choices import MATCHES, Match
 from tissuereg.errors import FormatError
-
-#: Ways to join two lists of points.
-MATCHES = ("label", "order", "number")
 
 #: Number of labels that a message lists.
 _NAMED = 8
@@ -24,7 +22,7 @@ class Labels:
     where: Sequence[str] = ()
 
 
-def partners(sit: Labels, seen: Labels, match: str) -> list[int]:
+def partners(sit: Labels, seen: Labels, match: Match) -> list[int]:
     """Return for each label of `seen` the place in `sit` of the label that belongs to it.
 
     `sit`: labels of the markers, without repeats; `seen`: labels of measured points; `match`: ``"label"``: those that
@@ -65,7 +63,7 @@ def _listed(labels: Sequence[str]) -> str:
     return ", ".join(map(repr, labels[:_NAMED])) + (f" and {len(labels) - _NAMED} more" if len(labels) > _NAMED else "")
 
 
-def _keys(points: Labels, match: str) -> list[str]:
+def _keys(points: Labels, match: Match) -> list[str]:
     """Return what must be equal for two labels to belong together, for each label; raise `FormatError` at a repeat."""
     found: dict[str, str] = {}
     for label in points.labels:

@@ -14,9 +14,9 @@ import numpy.typing as npt
 
 from tissuereg._base.arguments import check_choice
 from tissuereg._base.arrays import FloatArray, IntArray, float_array
+from tissuereg._base.choices import COINCIDENT, FRAMES, Coincident, Frame
 from tissuereg._base.provenance import reads
-from tissuereg.body.mesh import PATIENT_FRAMES, Mesh
-from tissuereg.body.topology import COINCIDENT
+from tissuereg.body.mesh import Mesh
 from tissuereg.errors import FormatError, MeshError, ShapeError
 from tissuereg.io.atomic import atomic_file
 from tissuereg.io.bounds import existing_file
@@ -34,8 +34,8 @@ def read_mesh(
     path: str | os.PathLike[str],
     fixed: NodeRule | None = None,
     *,
-    frame: str | None = None,
-    coincident: str = "certain",
+    frame: Frame | None = None,
+    coincident: Coincident = "certain",
 ) -> Mesh:
     """Read a tetrahedral mesh with its node sets.
 
@@ -77,7 +77,7 @@ def read_mesh(
     """
     check_choice("coincident", coincident, COINCIDENT, MeshError)
     if frame is not None:
-        check_choice("frame", frame, PATIENT_FRAMES, MeshError)
+        check_choice("frame", frame, FRAMES, MeshError)
     file = existing_file(path)
     suffix = file.suffix.lower()
     if suffix not in MESH_READERS:
@@ -99,7 +99,7 @@ def mesh_from_archive(archive: Archive) -> Mesh:
         return Mesh(*_of_archive(archive))
 
 
-def _of_archive(archive: Archive) -> tuple[FloatArray, IntArray, dict[str, IntArray], str | None]:
+def _of_archive(archive: Archive) -> tuple[FloatArray, IntArray, dict[str, IntArray], Frame | None]:
     nodes = archive.floats("nodes_mm", None, 3, finite=False)  # `Mesh` names the node that is not
     tets = archive.indices("tets", None, 4)
     sets = {
@@ -107,9 +107,8 @@ def _of_archive(archive: Archive) -> tuple[FloatArray, IntArray, dict[str, IntAr
         for name in archive.names
         if name == "fixed_nodes" or (name.endswith("_nodes") and _holds_indices(archive.raw(name)))
     }
-    frame = str(archive.raw("frame")) if "frame" in archive else None
-    if frame is not None:
-        check_choice(f"frame of {archive.path}", frame, PATIENT_FRAMES, FormatError)
+    stated = str(archive.raw("frame")) if "frame" in archive else None
+    frame = None if stated is None else check_choice(f"frame of {archive.path}", stated, FRAMES, FormatError)
     return nodes, tets, sets, frame
 
 
@@ -164,13 +163,13 @@ def _holds_indices(array: npt.NDArray[Any]) -> bool:
     return array.ndim == 1 and array.dtype.kind in "iu"
 
 
-def _from_npz(file: Path, coincident: str) -> Mesh:
+def _from_npz(file: Path, coincident: Coincident) -> Mesh:
     with open_npz(file) as archive:
         nodes, tets, sets, frame = _of_archive(archive)
         return placed_mesh(file, nodes, tets, sets, coincident, frame)[0]
 
 
-def _from_grid(file: Path, coincident: str) -> Mesh:
+def _from_grid(file: Path, coincident: Coincident) -> Mesh:
     return mesh_of_grid(file, read_grid(file, "mesh"), coincident)[0]
 
 
@@ -184,4 +183,7 @@ def _unknown_format(file: Path) -> FormatError:
 
 
 #: Reader by the ending of a file's name, in lower case: a mesh in mm with its node sets and frame.
-MESH_READERS: dict[str, Callable[[Path, str], Mesh]] = {**dict.fromkeys(GRID_READERS, _from_grid), ".npz": _from_npz}
+MESH_READERS: dict[str, Callable[[Path, Coincident], Mesh]] = {
+    **dict.fromkeys(GRID_READERS, _from_grid),
+    ".npz": _from_npz,
+}

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from tissuereg._base.arguments import place as path_of
-from tissuereg.body.mesh import PATIENT_FRAMES
+from tissuereg._base.choices import FRAMES, Frame
 from tissuereg.errors import FormatError
 from tissuereg.io.atomic import OutputError
 from tissuereg.io.bounds import FILES, existing_file, read_text
@@ -36,7 +36,7 @@ def read_mrk_json(path: str | os.PathLike[str]) -> NamedPoints:
     file = existing_file(path, FILES.text_mb)
     markup = _only_list(file, _content(file))
     frame = markup.get("coordinateSystem", "LPS")
-    if frame not in PATIENT_FRAMES:
+    if frame not in FRAMES:
         _refuse(file, "coordinateSystem", f"must be LPS or RAS, got {frame!r}")
     scale = _mm_per_unit(file, markup.get("coordinateUnits", "mm"))
     points = markup.get("controlPoints", [])
@@ -46,7 +46,7 @@ def read_mrk_json(path: str | os.PathLike[str]) -> NamedPoints:
 
 
 def write_mrk_json(
-    path: str | os.PathLike[str], points: Mapping[str, tuple[Sequence[float], str]], frame: str | None = None
+    path: str | os.PathLike[str], points: Mapping[str, tuple[Sequence[float], str]], frame: Frame | None = None
 ) -> None:
     """Write a list of points as a markups file that 3D Slicer opens, whole or not at all.
 

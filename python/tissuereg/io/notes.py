@@ -4,7 +4,7 @@ import re
 from collections.abc import Iterable
 
 from tissuereg._base.arguments import check_choice
-from tissuereg.body.mesh import PATIENT_FRAMES
+from tissuereg._base.choices import FRAMES, UNITS, Frame, Unit
 from tissuereg.errors import FormatError
 
 #: A comment in XML.
@@ -24,7 +24,7 @@ _FRAME = re.compile(
 )
 
 
-def unit_in(notes: Iterable[str]) -> str | None:
+def unit_in(notes: Iterable[str]) -> Unit | None:
     """Return the unit, ``mm``, ``cm`` or ``m``, that notes state; None if none does.
 
     Raises `FormatError` if they state two, or another unit of length.
@@ -33,10 +33,10 @@ def unit_in(notes: Iterable[str]) -> str | None:
     'm'
     """
     stated = {_unit(found) for note in notes for found in _UNIT.finditer(note)}
-    if len(stated) > 1 or not stated <= {"mm", "cm", "m"}:
+    if len(stated) > 1 or not stated <= set(UNITS):
         message = f"the unit that a file states must be mm, cm or m, got {' and '.join(sorted(stated))}"
         raise FormatError(message)
-    return stated.pop() if stated else None
+    return check_choice("unit", stated.pop(), UNITS, FormatError) if stated else None
 
 
 def _unit(found: "re.Match[str]") -> str:
@@ -46,13 +46,13 @@ def _unit(found: "re.Match[str]") -> str:
     return {"": "m", "milli": "mm", "centi": "cm"}[prefix]
 
 
-def agreed_frame(stated: str | None, given: str | None, place: str) -> str | None:
+def agreed_frame(stated: Frame | None, given: Frame | None, place: str) -> Frame | None:
     """Return the frame of coordinates, from what their file states and what is given; None if neither tells it.
 
     `place`: the file, for the message. Raises `FormatError` if the two differ, or `given` is neither LPS nor RAS.
     """
     if given is not None:
-        check_choice("frame", given, PATIENT_FRAMES, FormatError)
+        check_choice("frame", given, FRAMES, FormatError)
     if stated is not None and given not in (None, stated):
         message = f"the frame that is given must be that of the file, if it states one: {place} is in {stated}, "
         message += f"--frame {given} (frame= in Python) contradicts it; leave it out"
@@ -60,7 +60,7 @@ def agreed_frame(stated: str | None, given: str | None, place: str) -> str | Non
     return stated or given
 
 
-def frame_in(notes: Iterable[str]) -> str | None:
+def frame_in(notes: Iterable[str]) -> Frame | None:
     """Return the frame, ``LPS`` or ``RAS``, that notes state as 3D Slicer does (``SPACE=RAS``); None if none does.
 
     Raises `FormatError` if they state two, or another one.
@@ -69,10 +69,10 @@ def frame_in(notes: Iterable[str]) -> str | None:
     'RAS'
     """
     stated = set(filter(None, (_axes(found[1]) for note in notes for found in _FRAME.finditer(note))))
-    if len(stated) > 1 or not stated <= {"LPS", "RAS"}:
+    if len(stated) > 1 or not stated <= set(FRAMES):
         message = f"the frame that a file states must be LPS or RAS, got {' and '.join(sorted(stated))}"
         raise FormatError(message)
-    return stated.pop() if stated else None
+    return check_choice("frame", stated.pop(), FRAMES, FormatError) if stated else None
 
 
 def _axes(words: str) -> str | None:

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray
+from tissuereg._base.choices import Frame, Match
 from tissuereg._base.provenance import warn
 from tissuereg.body.markers import Markers
 from tissuereg.errors import FormatError, MarkerError
@@ -49,7 +50,7 @@ def _ending(path: str | os.PathLike[str]) -> str | None:
     return next((ending for ending in POINT_READERS if str(path).lower().endswith(ending)), None)
 
 
-def targets_of(path: str | os.PathLike[str], frame: str | None) -> dict[str, FloatArray]:
+def targets_of(path: str | os.PathLike[str], frame: Frame | None) -> dict[str, FloatArray]:
     """Read the targets (inner points of a body) in a file of points: the place (3,) of each in mm, by its label.
 
     `path`: a file of 3D Slicer; `frame`: ``"LPS"`` or ``"RAS"``, the frame of the result; None for that of the file.
@@ -63,7 +64,7 @@ def targets_of(path: str | os.PathLike[str], frame: str | None) -> dict[str, Flo
     return dict(zip(points.names, points.places_in(frame), strict=True))
 
 
-def places_of(path: str | os.PathLike[str], frame: str | None) -> FloatArray:
+def places_of(path: str | os.PathLike[str], frame: Frame | None) -> FloatArray:
     """Read the places (n, 3), in mm, of the points in a file of points, whatever their labels, in file order.
 
     `path`: a file of 3D Slicer; `frame`: ``"LPS"`` or ``"RAS"``, the frame of the result; None for that of the file.
@@ -80,8 +81,8 @@ def markers_of(
     reference: str | os.PathLike[str],
     measured: str | os.PathLike[str] | None,
     std: float,
-    frame: str | None,
-    match: str = "label",
+    frame: Frame | None,
+    match: Match = "label",
 ) -> Markers:
     """Read markers from two files of points: their places on the undeformed body, and their measured places.
 
@@ -112,7 +113,7 @@ def markers_of(
     return _markers(sit, dict(zip(names, seen.places_in(where), strict=True)), std, where)
 
 
-def reference_of(path: str | os.PathLike[str], std: float, frame: str | None) -> Markers:
+def reference_of(path: str | os.PathLike[str], std: float, frame: Frame | None) -> Markers:
     """Read markers, none of them measured yet, from a file of points with their places on the undeformed body.
 
     `path`: a file of points; `std`: standard deviation of a coordinate that will be measured, mm; `frame`: ``"LPS"`` or
@@ -123,7 +124,7 @@ def reference_of(path: str | os.PathLike[str], std: float, frame: str | None) ->
     return _markers(sit, {}, std, frame or sit.frame)
 
 
-def _markers(sit: NamedPoints, seen: dict[str, FloatArray], std: float, frame: str) -> Markers:
+def _markers(sit: NamedPoints, seen: dict[str, FloatArray], std: float, frame: Frame) -> Markers:
     """Return the markers whose place on the undeformed body is known, with their measured places.
 
     `sit`: places on the undeformed body by label, mm; `seen`: measured places (3,), mm, by label; `std`: standard
@@ -141,7 +142,7 @@ def _markers(sit: NamedPoints, seen: dict[str, FloatArray], std: float, frame: s
         raise
 
 
-def frame_of_files(paths: list[str | Path]) -> tuple[str, str] | None:
+def frame_of_files(paths: list[str | Path]) -> tuple[Frame, str] | None:
     """Return the frame (``LPS`` or ``RAS``) and the name of the first file of labelled points among `paths`.
 
     Result: None if none of the files is one of labelled points.

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray
+from tissuereg._base.choices import Frame
 from tissuereg.errors import FormatError
 
 #: Millimetres in one of the UCUM units of length that a file may state.
@@ -32,13 +33,15 @@ class NamedPoints:
     """
 
     file: Path
-    frame: str
+    frame: Frame
     names: tuple[str, ...]
     where: tuple[str, ...]
     places: FloatArray
 
     @classmethod
-    def of(cls, file: Path, frame: str, points: Sequence[tuple[str, str, tuple[float, float, float]]]) -> "NamedPoints":
+    def of(
+        cls, file: Path, frame: Frame, points: Sequence[tuple[str, str, tuple[float, float, float]]]
+    ) -> "NamedPoints":
         """Make the named points of a file from a list.
 
         `file`: the file from which they were read; `frame`: ``"LPS"`` or ``"RAS"``; `points`: for each point, where it
@@ -69,7 +72,7 @@ class NamedPoints:
         """Whether the file defines the place of each point, boolean (n_points,)."""
         return np.asarray(np.isfinite(self.places).all(axis=1))
 
-    def places_in(self, frame: str | None) -> FloatArray:
+    def places_in(self, frame: Frame | None) -> FloatArray:
         """Return the places of the points in a patient frame, (n_points, 3), in mm.
 
         `frame`: ``"LPS"`` or ``"RAS"``; None for the frame of the file.

@@ -13,6 +13,7 @@ from typing import Any
 from tissuereg._base.arguments import check_choice
 from tissuereg._base.arguments import place as path_of
 from tissuereg._base.arrays import FloatArray, IntArray
+from tissuereg._base.choices import Frame, Unit
 from tissuereg._base.provenance import warn
 from tissuereg.body.triangles import Triangles
 from tissuereg.errors import FormatError, MeshError, ShapeError
@@ -33,7 +34,7 @@ SurfaceInput = str | os.PathLike[str] | tuple[Any, Any] | Triangles
 SurfaceContent = tuple[FloatArray, IntArray, list[str]]
 
 
-def read_triangles(surface: SurfaceInput, unit: str | None = None, *, frame: str | None = None) -> Triangles:
+def read_triangles(surface: SurfaceInput, unit: Unit | None = None, *, frame: Frame | None = None) -> Triangles:
     """Read a surface of triangles and return it in mm.
 
     `surface`: a .stl, .ply, .obj, .off, .vtp, .vtu, .vtk, .msh or .xdmf file; or vertices (n, 3) and triangles (m, 3);
@@ -68,7 +69,7 @@ def read_triangles(surface: SurfaceInput, unit: str | None = None, *, frame: str
     return _in_mm(surface, unit, agreed_frame(surface.frame, frame, "`surface`"), "`surface`")
 
 
-def _of_file(file: Path, unit: str | None, frame: str | None) -> Triangles:
+def _of_file(file: Path, unit: Unit | None, frame: Frame | None) -> Triangles:
     try:
         vertices, triangles, notes = _content(file)
         if not len(triangles):
@@ -100,7 +101,7 @@ def _of_grid(file: Path) -> SurfaceContent:
     return grid.points, grid.triangles(), grid.notes
 
 
-def _unit_of(file: Path, given: str | None, notes: list[str]) -> str | None:
+def _unit_of(file: Path, given: Unit | None, notes: list[str]) -> Unit | None:
     stated = unit_in(notes)
     if given is not None and stated is not None and given != stated:
         text = f"{file} states that it is in {UNIT_NAMES[stated]}; it is read in {UNIT_NAMES[given]}, as given"
@@ -108,7 +109,7 @@ def _unit_of(file: Path, given: str | None, notes: list[str]) -> str | None:
     return given or stated
 
 
-def _in_mm(surface: Triangles, unit: str | None, frame: str | None, place: str) -> Triangles:
+def _in_mm(surface: Triangles, unit: Unit | None, frame: Frame | None, place: str) -> Triangles:
     used = unit or "mm"
     check_extent(surface.extent, used, place, 'say --unit {unit} (unit="{unit}" in Python)', sure=unit is not None)
     return Triangles(surface.vertices * UNITS_MM[used], surface.triangles, frame)

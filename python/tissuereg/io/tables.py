@@ -9,9 +9,9 @@ import numpy as np
 
 from tissuereg._base.arguments import check_choice, place, real
 from tissuereg._base.arrays import FloatArray
+from tissuereg._base.choices import FRAMES, Frame, Match
 from tissuereg._base.provenance import reads
 from tissuereg.body.markers import Markers
-from tissuereg.body.mesh import PATIENT_FRAMES
 from tissuereg.errors import FormatError, MarkerError
 from tissuereg.io.bounds import FILES
 from tissuereg.io.csv import Row, read_table, write_table
@@ -30,9 +30,9 @@ def read_markers(
     std: float | None = None,
     *,
     measured: str | os.PathLike[str] | None = None,
-    frame: str | None = None,
-    table_frame: str | None = None,
-    match: str = "label",
+    frame: Frame | None = None,
+    table_frame: Frame | None = None,
+    match: Match = "label",
 ) -> Markers:
     """Read the markers of one moment: their places on the undeformed body and their measured places.
 
@@ -100,8 +100,8 @@ def read_reference(
     path: str | os.PathLike[str],
     std: float | None = None,
     *,
-    frame: str | None = None,
-    table_frame: str | None = None,
+    frame: Frame | None = None,
+    table_frame: Frame | None = None,
 ) -> Markers:
     """Read markers with their places on the undeformed body only; none of them counts as measured.
 
@@ -129,7 +129,7 @@ def read_reference(
 
 @reads
 def read_targets(
-    path: str | os.PathLike[str], *, frame: str | None = None, table_frame: str | None = None
+    path: str | os.PathLike[str], *, frame: Frame | None = None, table_frame: Frame | None = None
 ) -> dict[str, FloatArray]:
     """Read targets: inner points of the undeformed body whose places are of interest.
 
@@ -166,7 +166,7 @@ def read_targets(
 
 
 @reads
-def read_named_points(path: str | os.PathLike[str], *, frame: str | None = None) -> dict[str, FloatArray]:
+def read_named_points(path: str | os.PathLike[str], *, frame: Frame | None = None) -> dict[str, FloatArray]:
     """Read points with or without names, each (3,), in mm, in file order; without names they are 1, 2, 3 ...
 
     `path`: a table with ``x_mm,y_mm,z_mm`` and perhaps a column of unique names, ``target``, ``marker`` or ``point``;
@@ -187,8 +187,8 @@ def read_seen(
     path: str | os.PathLike[str],
     std: float | None = None,
     *,
-    frame: str | None = None,
-    table_frame: str | None = None,
+    frame: Frame | None = None,
+    table_frame: Frame | None = None,
 ) -> tuple[dict[str, FloatArray], dict[str, float]]:
     """Read where targets were seen, or were put by hand, in the deformed body; for `Markers.with_seen`.
 
@@ -230,7 +230,7 @@ def read_seen(
 
 @reads
 def read_surface(
-    path: str | os.PathLike[str], *, frame: str | None = None, table_frame: str | None = None
+    path: str | os.PathLike[str], *, frame: Frame | None = None, table_frame: Frame | None = None
 ) -> FloatArray:
     """Read measured points of a deformed surface, without labels.
 
@@ -314,11 +314,11 @@ def _target_cells(values: Mapping[str, Any]) -> list[float | None]:
     return [*map(float, cells), *((None, None, None) if simulated is None else map(float, simulated))]
 
 
-def _check_frames(frame: str | None, table_frame: str | None) -> None:
+def _check_frames(frame: Frame | None, table_frame: Frame | None) -> None:
     """Raise `MarkerError` if a frame is neither LPS nor RAS, or a table's frame is given without one to convert to."""
     for name, value in (("frame", frame), ("table_frame", table_frame)):
         if value is not None:
-            check_choice(name, value, PATIENT_FRAMES, MarkerError)
+            check_choice(name, value, FRAMES, MarkerError)
     if table_frame is not None and frame is None:
         message = f"`table_frame` must come with `frame`, the one to convert to; got {table_frame} alone"
         raise MarkerError(message, where="table_frame")
@@ -364,9 +364,9 @@ def read_recording(
     path: str | os.PathLike[str],
     names: Sequence[str],
     *,
-    frame: str | None = None,
-    table_frame: str | None = None,
-    match: str = "label",
+    frame: Frame | None = None,
+    table_frame: Frame | None = None,
+    match: Match = "label",
 ) -> Recording:
     """Read the measured places of markers at many times, one frame for each time in the table.
 
@@ -403,7 +403,7 @@ def read_recording(
     return Recording(np.array(times), turned(np.array(frames), table_frame, frame))
 
 
-def _index(rows: list[Row], names: Sequence[str], match: str) -> dict[str, int]:
+def _index(rows: list[Row], names: Sequence[str], match: Match) -> dict[str, int]:
     """Return the place in `names` of each marker of a recording by its name there; by order, of the first frame's."""
     begin = rows[0].number("time_s")
     listed = [row for row in rows if match != "order" or row.number("time_s") == begin]

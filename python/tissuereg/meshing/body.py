@@ -9,6 +9,7 @@ import numpy as np
 
 from tissuereg._base.arguments import check_running, found, named, real
 from tissuereg._base.arrays import FloatArray, IntArray
+from tissuereg._base.choices import Frame, Unit
 from tissuereg._base.clock import Clock
 from tissuereg._base.provenance import warn
 from tissuereg.body.closest import ClosestTriangles
@@ -67,8 +68,8 @@ def tetrahedralize(
     surface: SurfaceInput | tuple[str | os.PathLike[str], Sequence[str | int]],
     size_mm: float,
     *,
-    unit: str | None = None,
-    frame: str | None = None,
+    unit: Unit | None = None,
+    frame: Frame | None = None,
     fixed: NodeRules | None = None,
     node_sets: Mapping[str, NodeRules] | None = None,
     deviation_mm: float | None = None,
@@ -170,7 +171,7 @@ def tetrahedralize(
     return mesh
 
 
-def _segmented(surface: Any, unit: str | None, frame: str | None) -> Segmentation | None:
+def _segmented(surface: Any, unit: Unit | None, frame: Frame | None) -> Segmentation | None:
     """Return the labels of a segmentation, given as its file and them; None where `surface` is something else."""
     if isinstance(surface, str | os.PathLike) and is_segmentation(surface):
         surface = (surface, ())  # which is refused with the list of its labels
@@ -215,7 +216,7 @@ def _check_rules(rules: Mapping[str, NodeRules], segmented: Segmentation | None)
         made.append(name)
 
 
-def _sound(nodes: FloatArray, tets: IntArray, frame: str | None) -> FilledMesh:
+def _sound(nodes: FloatArray, tets: IntArray, frame: Frame | None) -> FilledMesh:
     try:
         return FilledMesh(nodes, tets, frame=frame)
     except MeshError as error:

@@ -14,6 +14,7 @@ import numpy as np
 
 from tissuereg._base.arguments import check_choice
 from tissuereg._base.arrays import FloatArray
+from tissuereg._base.choices import SIZES, Size
 from tissuereg.body.mesh import Mesh
 from tissuereg.errors import ArgumentError
 from tissuereg.phantom.breast import breast_mesh
@@ -28,8 +29,6 @@ __all__ = [
     "truth_mesh",
 ]
 
-#: Sizes of the embedded body.
-SIZES = ("full", "small")
 
 #: Folders of the models that are shipped for ``phantom_mesh()``, by the names that ``register(..., model=...)`` takes.
 SHIPPED_MODELS = {"phantom": "model", "phantom-graph": "graph"}
@@ -37,7 +36,7 @@ SHIPPED_MODELS = {"phantom": "model", "phantom-graph": "graph"}
 _FOLDER = Path(str(files("tissuereg.phantom")))
 
 
-def phantom_mesh(size: str = "full") -> Mesh:
+def phantom_mesh(size: Size = "full") -> Mesh:
     """Return the breast phantom's mesh for simulation and registration; its node set ``fixed`` is the chest wall.
 
     Parameters
@@ -59,7 +58,7 @@ def phantom_mesh(size: str = "full") -> Mesh:
     return _mesh(size, "body")
 
 
-def truth_mesh(size: str = "full") -> Mesh:
+def truth_mesh(size: Size = "full") -> Mesh:
     """Return the finer mesh of the breast phantom, on which the synthetic measurement is simulated.
 
     Parameters
@@ -81,7 +80,7 @@ def truth_mesh(size: str = "full") -> Mesh:
     return _mesh(size, "truth")
 
 
-def true_fields(size: str = "full") -> tuple[FloatArray, FloatArray]:
+def true_fields(size: Size = "full") -> tuple[FloatArray, FloatArray]:
     """Return the true displacement of the phantom's synthetic deformation, which `event.solve_truth` computed once.
 
     Parameters
@@ -111,11 +110,11 @@ def shipped_model_folder(name: str = "phantom") -> Path:
     return _FOLDER / SHIPPED_MODELS[name]
 
 
-def _mesh(size: str, name: str) -> Mesh:
+def _mesh(size: Size, name: str) -> Mesh:
     with _kept(size, name) as kept:
         return Mesh(kept["nodes_mm"], kept["tets"], {"fixed": kept["fixed_nodes"]})
 
 
-def _kept(size: str, name: str) -> Any:
+def _kept(size: Size, name: str) -> Any:
     check_choice("size", size, SIZES, ArgumentError)
     return np.load(_FOLDER / "data" / f"{size}-{name}.npz", allow_pickle=False)

@@ -7,6 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from tissuereg._base.arrays import BoolArray, FloatArray, IntArray
+from tissuereg._base.choices import Size
+from tissuereg._base.shown import short_repr
 from tissuereg.body.load import Load
 from tissuereg.body.markers import Markers
 from tissuereg.body.material import Material
@@ -83,8 +85,10 @@ class PhantomEvent:
     true_displacement: FloatArray
     true_lesion: FloatArray
 
+    __repr__ = short_repr
 
-def make_event(*, seed: int = 0, size: str = "full") -> PhantomEvent:
+
+def make_event(*, seed: int = 0, size: Size = "full") -> PhantomEvent:
     """Return the phantom's synthetic deformation, with markers measured on a finer, stiffer, second-order model.
 
     Parameters
@@ -125,7 +129,7 @@ def make_event(*, seed: int = 0, size: str = "full") -> PhantomEvent:
     )
 
 
-def solve_truth(size: str, *, threads: int = 0) -> tuple[FloatArray, FloatArray]:
+def solve_truth(size: Size, *, threads: int = 0) -> tuple[FloatArray, FloatArray]:
     """Solve for the true displacement: ten-node elements, stiffer tissue, a stiff lesion, and larger, rotated pushes.
 
     `size`: ``full`` or ``small``; `threads`: number of threads, 0 for all cores. Returns the displacement at the nodes

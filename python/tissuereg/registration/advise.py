@@ -19,6 +19,7 @@ import numpy as np
 
 from tissuereg._base.arguments import named, of_kind, real, whole
 from tissuereg._base.arrays import FloatArray, IntArray, float_array, optional_array
+from tissuereg._base.shown import short_repr
 from tissuereg.body.mesh import Mesh
 from tissuereg.body.observe import MarkerObservation, TargetObservation
 from tissuereg.errors import ArgumentError, EnsembleError, MarkerError, ShapeError
@@ -51,6 +52,8 @@ class MarkerAdvice:
     places_mm: FloatArray
     targets: tuple[str, ...]
     expected_mm: FloatArray
+
+    __repr__ = short_repr
 
     def to_json(self) -> dict[str, Any]:
         """Return the advice as a dict of plain numbers, strings and lists, for JSON; lengths are in mm.

@@ -9,19 +9,17 @@ import numpy as np
 
 from tissuereg._base.arguments import check_choice, found, maybe, named, real
 from tissuereg._base.arrays import IntArray, frozen, index_array
+from tissuereg._base.choices import BODY_ELEMENTS, STIFFNESS, BodyElement, Element, Held, Stiffness
 from tissuereg._base.provenance import warn
+from tissuereg._base.shown import notebook, short_repr
 from tissuereg.body.material import Material
 from tissuereg.body.mesh import Mesh
 from tissuereg.body.topology import sound_mesh
 from tissuereg.errors import ArgumentError, MaterialError, MeshError, ShapeError
 from tissuereg.registration.contacts.supports import Supports, support_warnings
-from tissuereg.simulation.solve import ELEMENTS
 
 #: Meshes with at most this many nodes get averaged elements, and so do materials with a larger Poisson's ratio.
 COARSE_NODES, STIFF_POISSON = 3000, 0.475
-
-#: Values of `stiffness`.
-STIFFNESS = ("believed", "graded")
 
 _FIELDS = ("mesh", "material", "element", "held", "stiffness", "held_nodes", "regions")
 
@@ -120,24 +118,26 @@ class Body:
 
     mesh: Mesh
     material: Material
-    element: str
-    held: str
-    stiffness: str
+    element: BodyElement
+    held: Held
+    stiffness: Stiffness
     held_nodes: IntArray | None
     regions: dict[str, StiffPart]
+
+    __repr__ = short_repr
 
     def __init__(
         self,
         mesh: Mesh | tuple[Any, Any, Any],
         material: Material | None = None,
-        element: str = "auto",
-        held: str = "sure",
-        stiffness: str = "believed",
+        element: BodyElement = "auto",
+        held: Held = "sure",
+        stiffness: Stiffness = "believed",
         held_nodes: Any = None,
         regions: Mapping[str, Any] | None = None,
     ) -> None:
         body = as_mesh(mesh)
-        check_choice("element", element, ("auto", *ELEMENTS), ArgumentError)
+        check_choice("element", element, BODY_ELEMENTS, ArgumentError)
         check_choice("stiffness", stiffness, STIFFNESS, MaterialError)
         nodes = None if held_nodes is None else frozen(np.array(index_array("held_nodes", held_nodes, (None,))))
         Supports.of(body, held, nodes)  # refuses another word, and nodes that are not there
@@ -163,6 +163,10 @@ class Body:
         for sentence in support_warnings(self.mesh, self.supports, self.held):
             warn(sentence)
 
+    def _repr_html_(self) -> str:
+        """Return what a notebook shows."""
+        return notebook("body", self.mesh, self)
+
     @cached_property
     def held_mesh(self) -> Mesh:
         """The mesh; without the nodes of its set ``fixed`` if these are free to move."""
@@ -170,7 +174,7 @@ class Body:
         return self.mesh.with_node_set("fixed", []) if unheld else self.mesh
 
     @cached_property
-    def fitting_element(self) -> str:
+    def fitting_element(self) -> Element:
         """Name of the elements without a trained model: `element`, or for "auto" those that suit mesh and material."""
         return fitting_element(self.mesh, self.material) if self.element == "auto" else self.element
 
@@ -203,7 +207,7 @@ def as_mesh(mesh: Any) -> Mesh:
     return sound_mesh(mesh[0], mesh[1], {"fixed": mesh[2]}, coincident="keep")[0]
 
 
-def fitting_element(mesh: Mesh, material: Material) -> str:
+def fitting_element(mesh: Mesh, material: Material) -> Element:
     """Return "tet4-averaged" where plain four-node tets would be much too stiff for mesh and material, else "tet4"."""
     coarse = mesh.n_nodes <= COARSE_NODES
     return "tet4-averaged" if coarse or float(np.max(material.poisson_array)) > STIFF_POISSON else "tet4"

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tissuereg._base.arrays import BoolArray, FloatArray, IntArray
+from tissuereg._base.shown import short_repr
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,6 +29,8 @@ class Deviations:
     rest: FloatArray
     doubt: FloatArray
     tail: float | None = None
+
+    __repr__ = short_repr
 
     @classmethod
     def of(

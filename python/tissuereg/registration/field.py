@@ -9,6 +9,7 @@ import numpy as np
 
 from tissuereg._base.arguments import flag, whole
 from tissuereg._base.arrays import BoolArray, FloatArray, float_array
+from tissuereg._base.shown import short_repr
 from tissuereg.body.locate import held_by
 from tissuereg.body.mesh import Mesh
 from tissuereg.body.surroundings import SpaceMap
@@ -43,6 +44,8 @@ class PointAnswer:
     inside: BoolArray
     flag: tuple[str | None, ...]
     tail: float | None = None
+
+    __repr__ = short_repr
 
     def __len__(self) -> int:
         return len(self.mean)
@@ -87,6 +90,8 @@ class RegisteredField:
     mesh: Mesh
     displacement: FloatArray
     uncertainty: Deviations
+
+    __repr__ = short_repr
 
     @cached_property
     def space(self) -> SpaceMap:

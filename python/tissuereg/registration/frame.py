@@ -7,6 +7,7 @@ import numpy as np
 
 from tissuereg._base.arguments import check_choice, check_running, maybe, of_kind
 from tissuereg._base.arrays import FloatArray
+from tissuereg._base.choices import ELEMENTS, Element
 from tissuereg._base.provenance import call_text, note_origins, recorded
 from tissuereg.errors import ArgumentError, ConvergenceError
 from tissuereg.experiment.effects import extended, true_markers
@@ -18,14 +19,13 @@ from tissuereg.registration.settings import RegisterSettings
 from tissuereg.simulation.experiment import believed_case
 from tissuereg.simulation.frames import FrameSettings
 from tissuereg.simulation.memory import goes_through_time, is_carried, solve_through_time
-from tissuereg.simulation.solve import ELEMENTS
 
 #: Arguments of `register` that an experiment leaves open.
 _OPTIONS = ("model", "simulation", "seed", "progress", "targets")
 
 
 def frame_input(
-    experiment: Experiment, case: str, time: float, *, element: str = "tet4", threads: int = 0
+    experiment: Experiment, case: str, time: float, *, element: Element = "tet4", threads: int = 0
 ) -> dict[str, Any]:
     """Return the arguments of `register` for one frame (one measured moment) of an experiment.
 
@@ -67,7 +67,7 @@ def register_frame(
     case: str,
     time: float,
     *,
-    element: str = "tet4",
+    element: Element = "tet4",
     settings: RegisterSettings | None = None,
     **options: Any,
 ) -> Registration:
@@ -113,7 +113,7 @@ def register_frame(
         return register(**{**given, **options}, settings=how)
 
 
-def _through_time(experiment: Experiment, case: Case, frame: int, element: str, threads: int) -> FloatArray:
+def _through_time(experiment: Experiment, case: Case, frame: int, element: Element, threads: int) -> FloatArray:
     """Return the displacement (n_nodes, 3), in mm, of one frame by solving the load history `case` from its start.
 
     `frame`: number of the frame in the case; `element`: finite elements; `threads`: threads to use; 0 takes all cores.

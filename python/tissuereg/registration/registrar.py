@@ -137,6 +137,11 @@ class Registrar:
         """The markers: reference places (n_markers, 3) in mm, noise in mm, names."""
         return self._attached.places
 
+    def __repr__(self) -> str:
+        markers, targets = len(self.markers), len(self._attached.targets.names)
+        how = "unknown contacts" if self.by_contacts else "a trained model"
+        return f"Registrar({self.mesh.n_nodes} nodes, {markers} markers, {targets} targets, {how})"
+
     @property
     def by_contacts(self) -> bool:
         """Whether there is no trained model, so that the load is unknown and contacts on the surface are estimated."""

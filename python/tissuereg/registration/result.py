@@ -14,7 +14,9 @@ import numpy as np
 
 from tissuereg._base.arguments import flag, found, named, place
 from tissuereg._base.arrays import FloatArray
+from tissuereg._base.choices import Direction, TrackerKind, Unit
 from tissuereg._base.provenance import Provenance
+from tissuereg._base.shown import notebook, short_repr
 from tissuereg.body.markers import Markers
 from tissuereg.body.mesh import Mesh
 from tissuereg.errors import ModelError
@@ -53,6 +55,8 @@ class MarkerFit:
     residual_mm: dict[str, FloatArray]
     inner: tuple[str, ...] = ()
 
+    __repr__ = short_repr
+
 
 @dataclass(frozen=True, eq=False)
 class Fallback:
@@ -69,6 +73,8 @@ class Fallback:
 
     displacement: FloatArray
     targets: dict[str, FloatArray]
+
+    __repr__ = short_repr
 
     def to_json(self) -> dict[str, Any]:
         """Return the entry ``fallback`` of ``registration.json``: a dict of method and target places in mm."""
@@ -142,7 +148,7 @@ class Registration:
     seed: int
     provenance: Provenance = field(default_factory=Provenance)
     linear: Callable[[], Fallback | None] | None = None
-    tracker: str = "fixed"
+    tracker: TrackerKind = "fixed"
 
     @property
     def mesh(self) -> Mesh:
@@ -213,7 +219,7 @@ class Registration:
         *,
         like: Any = None,
         spacing: Any = None,
-        direction: str | None = None,
+        direction: Direction | None = None,
         std: str | os.PathLike[str] | None = None,
     ) -> Path:
         """Write the displacement field as a grid transform, for 3D Slicer, ITK and others.
@@ -287,7 +293,7 @@ class Registration:
         warp_image(self.field, image, path, labels=labels, like=like)
         return Path(path)
 
-    def warp_surface(self, surface: Any, path: str | os.PathLike[str], *, unit: str | None = None) -> Path:
+    def warp_surface(self, surface: Any, path: str | os.PathLike[str], *, unit: Unit | None = None) -> Path:
         """Write a surface of the undeformed body with its vertices moved; triangles stay.
 
         Parameters
@@ -338,6 +344,10 @@ class Registration:
             f"{type(self).__name__}({self.mesh.n_nodes} nodes, {used} marker{'' if used == 1 else 's'}, "
             f"{len(self.targets)} target{'' if len(self.targets) == 1 else 's'}, {self._found_words()}{trusted})"
         )
+
+    def _repr_html_(self) -> str:
+        """Return what a notebook shows."""
+        return notebook("registration", self)
 
     @property
     def given(self) -> dict[str, Any]:
@@ -417,6 +427,7 @@ class Registration:
         *,
         deformed: bool = False,
         picture: bool = True,
+        image: str | os.PathLike[str] | None = None,
     ) -> Path:
         """Write the result as files into a folder, all of them or none.
 
@@ -434,6 +445,8 @@ class Registration:
             Whether to write ``registered_deformed.vtu`` too: the body with displaced nodes and the same point data.
         picture : bool
             Whether to draw ``registered.png``, which takes most of the time of this call.
+        image : path-like, optional
+            An image of the undeformed body: ``report.html`` is written too, with sections of it; see `report`.
 
         Returns
         -------
@@ -444,13 +457,16 @@ class Registration:
         ------
         OutputError
             If the folder cannot be written; nothing is changed then.
+        ArgumentError, FormatError, ImportError
+            If the image cannot be used, as by `report`.
         """
         from tissuereg.io.atomic import OutputError
         from tissuereg.report.files import save_registration
 
         target, added = place("folder", folder, error=OutputError), dict(named("extra", extra))
         drawn = flag("picture", picture)
-        return save_registration(self, target, added, deformed=flag("deformed", deformed), picture=drawn)
+        more = flag("deformed", deformed)
+        return save_registration(self, target, added, deformed=more, picture=drawn, image=image)
 
     def plot(self) -> Any:
         """Return a matplotlib figure of the body before and after, with markers, targets and the nodes' deviations."""
@@ -465,8 +481,14 @@ class Registration:
 
         return png_bytes(self.plot())
 
-    def report(self, path: str | os.PathLike[str], *, picture: bool = True) -> Path:
-        """Write one self-contained HTML page: picture, markers, targets with regions, trust, model, times, provenance.
+    def report(
+        self,
+        path: str | os.PathLike[str],
+        *,
+        picture: bool = True,
+        image: str | os.PathLike[str] | None = None,
+    ) -> Path:
+        """Write one self-contained HTML page: the body to turn, sections, markers, targets with regions, trust, model.
 
         Parameters
         ----------
@@ -474,16 +496,27 @@ class Registration:
             File to write, whole or not at all.
         picture : bool
             Whether to draw the body.
+        image : path-like, optional
+            An image of the undeformed body (CT, MR), of which sections through the targets show what is there now. It
+            is in the frame of the mesh; a mesh that states none is taken to be in LPS.
 
         Returns
         -------
         Path
             The file.
+
+        Raises
+        ------
+        ArgumentError, FormatError
+            If the image cannot be read, does not show the body or has several values a voxel.
+        ImportError
+            If an image is given and SimpleITK is not installed (``pip install 'tissuereg[images]'``).
         """
         from tissuereg.io.atomic import OutputError
         from tissuereg.report.page import write_page
 
-        return write_page(self, place("path", path, error=OutputError), picture=flag("picture", picture))
+        target, drawn = place("path", path, error=OutputError), flag("picture", picture)
+        return write_page(self, target, picture=drawn, image=None if image is None else place("image", image))
 
 
 def _row_json(row: FloatArray) -> list[float | None]:

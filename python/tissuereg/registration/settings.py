@@ -5,12 +5,9 @@ from typing import Any
 
 from tissuereg import _core
 from tissuereg._base.arguments import MOST_COUNTED, check_choice, check_running, of_kind, real, whole
+from tissuereg._base.choices import READINGS, TRACKERS, Readings, TrackerKind
 from tissuereg.errors import ArgumentError
 from tissuereg.registration.contacts.settings import ContactSettings
-from tissuereg.registration.contacts.state import TRACKERS
-
-#: When a registrar with a model examines how markers are read.
-READINGS = ("doubtful", "always")
 
 
 @dataclass(frozen=True)
@@ -82,11 +79,11 @@ class RegisterSettings:
     """
 
     threads: int = 0
-    tracker: str | None = None
+    tracker: TrackerKind | None = None
     contacts: ContactSettings = field(default_factory=ContactSettings)
     ensemble: int = 0
     smoother: SmootherSettings = field(default_factory=SmootherSettings)
-    readings: str = "doubtful"
+    readings: Readings = "doubtful"
 
     def __post_init__(self) -> None:
         check_running(threads=self.threads)

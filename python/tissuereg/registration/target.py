@@ -8,6 +8,7 @@ import numpy as np
 
 from tissuereg._base.arguments import real, text
 from tissuereg._base.arrays import FloatArray, float_array
+from tissuereg._base.shown import short_repr
 from tissuereg.errors import MarkerError
 from tissuereg.registration.learned.spread_law import squared_radius
 
@@ -38,6 +39,8 @@ class Region:
     axes: FloatArray
     radii: FloatArray
     share: float
+
+    __repr__ = short_repr
 
     def contains(self, point: Any) -> bool:
         """Return whether a point (3,), in mm, lies inside the ellipsoid or on its border."""
@@ -91,6 +94,8 @@ class Target:
     constrained: float | None = None
     flag: str | None = None
     tail: float | None = None
+
+    __repr__ = short_repr
 
     def region(self, share: float = 0.90) -> Region:
         """Return the ellipsoid that contains the true place with probability `share`.

@@ -18,6 +18,7 @@ from typing import Protocol
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray
+from tissuereg._base.shown import short_repr
 from tissuereg.registration.wrong_markers import score_markers
 
 #: Significance level of the tests.
@@ -70,6 +71,8 @@ class Trust:
     residual_chi_square: float
     n_obs: int
     reasons: list[str] = field(default_factory=list)
+
+    __repr__ = short_repr
 
 
 def judge(

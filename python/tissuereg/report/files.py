@@ -22,16 +22,23 @@ WRITTEN = ("registered.vtu", FIELD, "targets.csv", "targets.mrk.json", "registra
 
 #: What it writes on request.
 DEFORMED = "registered_deformed.vtu"
+PAGE = "report.html"
 
 
 def save_registration(
-    result: "Registration", folder: Path, extra: dict[str, Any], *, deformed: bool = False, picture: bool = True
+    result: "Registration",
+    folder: Path,
+    extra: dict[str, Any],
+    *,
+    deformed: bool = False,
+    picture: bool = True,
+    image: Any = None,
 ) -> Path:
     """Write a registration's mesh, tables, JSON and picture into a folder, all or none; return the folder.
 
     The files are those in `WRITTEN`, with `deformed` also a mesh whose nodes are displaced, without `picture` not
-    `PICTURE`. Entries of `extra` are
-    added to the JSON and replace its own of the same name. Raises OutputError if the folder cannot be written; nothing
+    `PICTURE`, with an `image`, a file, also `PAGE`. Entries of `extra` are added to the JSON and replace its own of the
+    same name. Raises OutputError if the folder cannot be written; nothing
     is changed then.
     """
     mesh = result.mesh
@@ -54,6 +61,8 @@ def save_registration(
         write_json(draft / "registration.json", {**content, **extra})
         if picture:
             (draft / PICTURE).write_bytes(result.picture)
+        if image is not None:
+            result.report(draft / PAGE, image=image)
     return folder
 
 

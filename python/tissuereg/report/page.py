@@ -1,9 +1,8 @@
 """A self-contained HTML page that reports one registration."""
 
-import base64
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -11,7 +10,10 @@ from tissuereg._base.arrays import FloatArray
 from tissuereg.io.atomic import atomic_file
 from tissuereg.report.markup import document, escape, table
 from tissuereg.report.provenance import provenance_section
+from tissuereg.report.registered import registered_scene
 from tissuereg.report.scene import Surface, contact_verb, contacts_of, surface_of
+from tissuereg.report.section import sections
+from tissuereg.report.viewer import viewer, viewer_script
 from tissuereg.report.words import fallback_lines, markers_used, silent, start_word, verdict
 
 if TYPE_CHECKING:
@@ -26,17 +28,24 @@ CHECKED = (
 
 _STYLE = """
 .verdict { font-size: 1.9rem; font-weight: bold; margin: .5rem 0; } .silent { color: #7a12a8; }
+.sections { display: grid; grid-template-columns: repeat(auto-fit, minmax(max(9.5rem, 30%), 1fr)); gap: .8rem; }
+figure { margin: 0; } figcaption { text-align: center; font-size: 13.5px; color: #59626c; }
+svg { display: block; border-radius: 6px; } @media (max-width: 40rem) { .verdict { font-size: 1.4rem; } }
 """
 
 
-def write_page(result: "Registration", path: Path, *, picture: bool = True) -> Path:
+def write_page(result: "Registration", path: Path, *, picture: bool = True, image: Any = None) -> Path:
     """Write the HTML page of a registration, whole or not at all; return its path, or raise OutputError.
 
-    `picture`: whether the body is drawn.
+    `picture`: whether the body is drawn; `image`: file of an image of the undeformed body, laid under sections.
     """
     parts = [
         _summary(result),
-        _picture(result) if picture else "",
+        *(
+            [f"<h2>The body</h2>{viewer(registered_scene(result))}", sections(result, image)]
+            if picture or image is not None
+            else []
+        ),
         _contacts(result),
         _explained(result),
         _targets(result),
@@ -47,6 +56,7 @@ def write_page(result: "Registration", path: Path, *, picture: bool = True) -> P
         _work(result),
         _times(result),
         provenance_section(result.to_json()["provenance"], _believed(result)),
+        viewer_script() if picture or image is not None else "",
     ]
     text = document("Registration", parts, _STYLE)
     with atomic_file(path) as draft:
@@ -84,11 +94,6 @@ def _met(result: "Registration") -> str:
             f"surface, {surface.before_rms_mm:.2f} mm before."
         )
     return " ".join(words)
-
-
-def _picture(result: "Registration") -> str:
-    data = base64.b64encode(result.picture).decode("ascii")
-    return f"<img alt='body before and after' src='data:image/png;base64,{data}'>"
 
 
 def _contacts(result: "Registration") -> str:

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tissuereg._base.arrays import FloatArray
+from tissuereg._base.arrays import FloatArray, IntArray
 from tissuereg.body.mesh import Mesh
 from tissuereg.registration.contacts.patches import surface_of_nodes
 from tissuereg.report.style import STYLE
@@ -173,11 +173,9 @@ def draw_contacts(view: View, result: "Registration", surface: Surface) -> None:
         node = surface.nearest(contact.centre_mm, result.mesh.nodes)
         centre, normal = surface.places[node], surface.normals[node]
         faint = 1.0 if normal @ view.towards > -0.1 else STYLE.far_alpha
-        _draw_rim(view, result.mesh, surface, node, contact.radius_mm)
-        share = max(STYLE.least_arrow, contact.force_mN / largest) if largest > 0.0 else STYLE.least_arrow
-        arrow = STYLE.arrow * result.mesh.extent * share * contact.direction
-        # The arrow of a pull begins at the surface, that of a push ends there.
-        tail = centre - arrow if contact.direction @ normal < 0.0 else centre
+        lines, corners = rim(result.mesh, surface, node, contact.radius_mm)
+        _draw_rim(view, lines, surface.normals[corners].mean(axis=1))
+        tail, arrow = force_arrow(contact, largest, (centre, normal), result.mesh.extent)
         view.axes.quiver(*tail, *arrow, color=CONTACT, lw=2.4, arrow_length_ratio=0.28, alpha=faint, zorder=10)
         if faint == 1.0:
             text = (
@@ -188,15 +186,29 @@ def draw_contacts(view: View, result: "Registration", surface: Surface) -> None:
         view.keep_clear += [tail + share * arrow for share in np.linspace(0.0, 1.0, 7)]
 
 
-def _draw_rim(view: View, mesh: Mesh, surface: Surface, node: int, radius: float) -> None:
-    """Draw the border of a contact patch, of `radius` mm on the undeformed body, on the deformed surface."""
-    from mpl_toolkits.mplot3d.art3d import Line3DCollection
+def force_arrow(
+    contact: "FoundContact", largest: float, at: tuple[FloatArray, FloatArray], extent: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return tail (3,) and vector (3,), mm, of the arrow of a contact's force.
 
+    `largest`: force of the strongest contact, mN; `at`: place (3,), mm, and outward normal (3,) of its centre;
+    `extent`: of the body, mm.
+    """
+    centre, normal = at
+    share = max(STYLE.least_arrow, contact.force_mN / largest) if largest > 0.0 else STYLE.least_arrow
+    arrow = STYLE.arrow * extent * share * contact.direction
+    # The arrow of a pull begins at the surface, that of a push ends there.
+    return (centre - arrow if contact.direction @ normal < 0.0 else centre), arrow
+
+
+def rim(mesh: Mesh, surface: Surface, node: int, radius: float) -> tuple[FloatArray, IntArray]:
+    """Return the border of a contact patch, of `radius` mm on the undeformed body, on the deformed surface.
+
+    Its lines (n, 2, 3), mm, and for each the corners (n, 3) of the triangle in which it lies.
+    """
     corners = mesh.surface[(surface.normals[mesh.surface] @ surface.normals[node] > 0.0).all(axis=1)]
     inside = np.linalg.norm(mesh.nodes[corners] - mesh.nodes[node], axis=2) - radius
     corners, inside = (part[(inside < 0.0).any(axis=1) & (inside > 0.0).any(axis=1)] for part in (corners, inside))
-    if len(corners) == 0:
-        return
     # The corner that is alone on its side of the border; the border cuts the two edges that meet there.
     alone = np.argmax(np.where((inside < 0.0).sum(axis=1, keepdims=True) == 1, -inside, inside), axis=1)
     rows, ends = np.arange(len(corners)), []
@@ -205,8 +217,14 @@ def _draw_rim(view: View, mesh: Mesh, surface: Surface, node: int, radius: float
         a, b = inside[rows, alone], inside[rows, other]
         share = (a / (a - b))[:, None]
         ends.append((1.0 - share) * surface.places[corners[rows, alone]] + share * surface.places[corners[rows, other]])
-    facing = surface.normals[corners].mean(axis=1) @ view.towards > 0.0
-    lines = np.stack(ends, axis=1)
+    return np.stack(ends, axis=1), corners
+
+
+def _draw_rim(view: View, lines: FloatArray, normals: FloatArray) -> None:
+    """Draw the border of a contact patch: lines (n, 2, 3), mm, with the directions (n, 3) in which they face."""
+    from mpl_toolkits.mplot3d.art3d import Line3DCollection
+
+    facing = normals @ view.towards > 0.0
     for side, faint in ((facing, 1.0), (~facing, STYLE.far_alpha)):
         if side.any():
             view.axes.add_collection3d(Line3DCollection(lines[side], colors=CONTACT, lw=1.5, alpha=faint, zorder=4))

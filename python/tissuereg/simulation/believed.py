@@ -3,17 +3,17 @@
 from collections.abc import Callable
 
 from tissuereg._base.arguments import called, check_choice, check_running, found, of_kind
+from tissuereg._base.choices import ELEMENTS, Element
 from tissuereg.errors import ArgumentError, ExperimentError
 from tissuereg.experiment.experiment import Experiment
 from tissuereg.simulation.experiment import CaseSimulation, simulate_plain
-from tissuereg.simulation.solve import ELEMENTS
 
 
 def simulate_experiment(
     experiment: Experiment,
     *,
     model: str = "fine",
-    element: str = "tet4",
+    element: Element = "tet4",
     threads: int = 0,
     progress: Callable[[int, int], None] | None = None,
 ) -> dict[str, CaseSimulation]:

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray, IntArray
+from tissuereg._base.choices import Element
 from tissuereg.body.load import Load
 from tissuereg.body.observe import MarkerObservation, TargetObservation
 from tissuereg.errors import ConvergenceError
@@ -70,7 +71,7 @@ def believed_case(
     experiment: Experiment,
     case: Case,
     *,
-    element: str = "tet4",
+    element: Element = "tet4",
     threads: int = 0,
     simulators: Simulators | None = None,
 ) -> Believed:
@@ -108,7 +109,7 @@ def believed_case(
 def simulate_plain(
     experiment: Experiment,
     *,
-    element: str = "tet4",
+    element: Element = "tet4",
     threads: int = 0,
     progress: Callable[[int, int], None] | None = None,
 ) -> dict[str, CaseSimulation]:

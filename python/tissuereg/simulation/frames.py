@@ -8,6 +8,7 @@ import numpy as np
 
 from tissuereg import _core
 from tissuereg._base.arrays import FloatArray, IntArray, float_array, index_array
+from tissuereg._base.choices import Element
 from tissuereg.body.load import Load
 from tissuereg.body.material import Material
 from tissuereg.body.mesh import Mesh
@@ -115,7 +116,7 @@ class FrameSettings:
         Threads to use; 0 takes all cores. The result does not depend on it.
     """
 
-    element: str = "tet4"
+    element: Element = "tet4"
     tolerance: float = 1e-9
     threads: int = 0
 

@@ -13,11 +13,11 @@ import numpy as np
 
 from tissuereg._base import arguments
 from tissuereg._base.arrays import FloatArray
+from tissuereg._base.choices import ELEMENTS, Element, Size
 from tissuereg._base.fields import choice, number, span, text, whole
 from tissuereg.body.load import Load
 from tissuereg.body.material import Material
 from tissuereg.body.mesh import Mesh
-from tissuereg.io.experiment_keys import ELEMENTS
 from tissuereg.io.node_rules import node_rule
 from tissuereg.io.toml import Keys, Table, read_toml
 
@@ -104,7 +104,7 @@ def random_inclusion(
 PHANTOM = "phantom"
 
 #: Its embedded meshes, by the names that stand for a file, and their sizes.
-EMBEDDED = {PHANTOM: "full", "phantom-small": "small"}
+EMBEDDED: dict[str, Size] = {PHANTOM: "full", "phantom-small": "small"}
 
 #: Nodes of the mesh that a recipe makes if it states none: as many as the paper's breast phantom has.
 DEFAULT_NODES = 4223
@@ -149,7 +149,7 @@ class DataRecipe(Keys):
     heading: ClassVar[str] = "[data]"
     members: int = whole("simulations", least=1, default=300)
     chunk: int = whole("simulations per file; at most this many are lost when a run is killed", least=1, default=250)
-    element: str = choice(ELEMENTS, "elements of the simulations", default="tet4")
+    element: Element = choice(ELEMENTS, "elements of the simulations", default="tet4")
     largest_mm: tuple[float, float] = span(
         "range of an event's largest node displacement in the linear solution", above=0.0, default=(2.0, 25.0)
     )
@@ -185,7 +185,7 @@ class PairsRecipe(Keys):
 
     heading: ClassVar[str] = "[pairs]"
     members: int = whole("number of pairs", default=100)
-    element: str = choice(ELEMENTS, "elements of the truth", default="tet10")
+    element: Element = choice(ELEMENTS, "elements of the truth", default="tet10")
     young_log_std: float = number(
         "standard deviation of the logarithm of Young's modulus, truth over believed", least=0.0, default=0.25
     )

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from tissuereg._base.choices import Element
 from tissuereg._base.machine import LIMIT, available_bytes, n_cores, resident_bytes
 from tissuereg._base.provenance import warn
 from tissuereg.errors import LargeBodyError, LargeBodyWarning
@@ -38,7 +39,7 @@ class BodySize:
     n_entries: int
     flops: float
     n_working: int
-    element: str
+    element: Element
 
     @classmethod
     def of(cls, simulator: "Simulator") -> "BodySize":

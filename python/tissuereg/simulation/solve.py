@@ -20,15 +20,14 @@ from tissuereg._base.arguments import (
     whole,
 )
 from tissuereg._base.arrays import FloatArray, IntArray, depth, float_array, index_array, optional_array, stacked
+from tissuereg._base.choices import ELEMENTS, Element
+from tissuereg._base.shown import short_repr
 from tissuereg.body.load import Load
 from tissuereg.body.material import Material
 from tissuereg.body.mesh import Mesh
 from tissuereg.errors import ArgumentError, LoadError, MaterialError
 from tissuereg.simulation.bed import core_springs, stiffness_array
 from tissuereg.simulation.size import check_fits
-
-#: Names of the elements.
-ELEMENTS = ("tet4", "tet4-averaged", "tet10")
 
 
 class LoadParts(TypedDict):
@@ -77,6 +76,8 @@ class Simulation:
     reactions: FloatArray
     all_displacement: FloatArray
     report: dict[str, Any]
+
+    __repr__ = short_repr
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,7 +141,7 @@ class Simulator:
         self,
         mesh: Mesh,
         *,
-        element: str = "tet4",
+        element: Element = "tet4",
         held_nodes: Any = None,
         springs: Sequence[tuple[Any, Any]] = (),
         rests: bool = True,
@@ -452,7 +453,7 @@ def simulate(
     load: Load,
     material: Material,
     *,
-    element: str = "tet4",
+    element: Element = "tet4",
     held_nodes: Any = None,
     tolerance: float = 1e-9,
     threads: int = 0,

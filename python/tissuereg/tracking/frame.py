@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray
+from tissuereg._base.shown import notebook, short_repr
 from tissuereg.body.mesh import det_f
 from tissuereg.registration.inputs import Attachment, rms_length
 from tissuereg.registration.result import Registration
@@ -87,6 +88,12 @@ class TrackedFrame:
     widening: float = 1.0
     skipped: int = 0
     latency_s: float = 0.0
+
+    __repr__ = short_repr
+
+    def _repr_html_(self) -> str:
+        """Return what a notebook shows."""
+        return notebook("frame", self)
 
 
 @dataclass(frozen=True)

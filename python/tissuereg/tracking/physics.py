@@ -11,6 +11,7 @@ import numpy as np
 
 from tissuereg._base.arguments import called, check_choice, check_running, found, of_kind, real
 from tissuereg._base.arrays import FloatArray, float_array
+from tissuereg._base.choices import Element
 from tissuereg.body.load import Load
 from tissuereg.body.material import Material
 from tissuereg.body.mesh import Mesh
@@ -129,7 +130,7 @@ class FemPhysics:
         material: Material | None = None,
         load_of: Callable[[Any], Load] | None = None,
         *,
-        element: str = "tet4",
+        element: Element = "tet4",
         held_nodes: Any = None,
         tolerance: float = 1e-3,
         threads: int = 0,

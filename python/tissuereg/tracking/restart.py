@@ -25,9 +25,6 @@ from tissuereg.errors import ConvergenceError, LoadError
 from tissuereg.registration.learned.model import rms_displacement
 from tissuereg.tracking.physics import HoldingPhysics, Physics
 
-#: How a registered state is carried on.
-RESTARTS = ("forces", "displacement", "guess", "reference")
-
 
 @dataclass(frozen=True, eq=False)
 class SimulatedFrame:

@@ -9,6 +9,8 @@ import numpy as np
 
 from tissuereg._base.arguments import called, check_choice, each, flag, found, real
 from tissuereg._base.arrays import FloatArray, float_array
+from tissuereg._base.choices import RESTARTS, RestartKind
+from tissuereg._base.shown import notebook
 from tissuereg.body.markers import Markers
 from tissuereg.body.mesh import Mesh
 from tissuereg.errors import ArgumentError, ConvergenceError, EnsembleError, MarkerError, TissueRegError
@@ -18,7 +20,7 @@ from tissuereg.registration.registrar import Registrar
 from tissuereg.registration.result import Registration
 from tissuereg.tracking.frame import Inbox, Layout, MeasuredFrame, TrackedFrame
 from tissuereg.tracking.physics import Physics, as_physics
-from tissuereg.tracking.restart import RESTARTS, Lineage, Restart, SimulatedFrame
+from tissuereg.tracking.restart import Lineage, Restart, SimulatedFrame
 from tissuereg.tracking.temporal import TemporalPrior
 from tissuereg.tracking.watch import Watch
 
@@ -92,7 +94,7 @@ class Tracker:
         *,
         simulator: Any = None,
         variants: Any = (),
-        restart: str = "guess",
+        restart: RestartKind = "guess",
         temporal: bool = True,
     ) -> None:
         check_choice("restart", restart, RESTARTS, ArgumentError)
@@ -107,6 +109,14 @@ class Tracker:
         self._temporal = flag("temporal", temporal)
         self._inbox = Inbox()
         self.reset()
+
+    def __repr__(self) -> str:
+        when = "no frame yet" if self._last is None else f"last frame at {self._last.time_s:g} s"
+        return f"Tracker({self._registrar!r}, {when}, {self.dropped} dropped)"
+
+    def _repr_html_(self) -> str:
+        """Return what a notebook shows."""
+        return notebook("tracker", self)
 
     @property
     def registrar(self) -> Registrar:

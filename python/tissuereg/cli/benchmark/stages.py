@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from tissuereg import _core
+from tissuereg._base.choices import Element
 from tissuereg._base.clock import Clock
 from tissuereg._base.machine import n_cores, peak_mib
 from tissuereg.cli.benchmark.step import StepSettings, step_rows
@@ -43,7 +44,7 @@ class BenchSettings(StepSettings):
     `members`: number of solves in the ensemble. The other fields are those of the timings of a registration step.
     """
 
-    elements: tuple[str, ...] = ("tet4", "tet10")  # of the solves
+    elements: tuple[Element, ...] = ("tet4", "tet10")  # of the solves
     problems: tuple[str, ...] = ()  # problem files to solve instead of the phantom
     members: int = 32  # of the ensemble
 
@@ -129,7 +130,7 @@ def _problems(settings: BenchSettings) -> list[tuple[str, Problem]]:
     return [("phantom", Problem(event.mesh, event.material, event.load))]
 
 
-def _one_solve(problem: Problem, element: str, settings: BenchSettings) -> Callable[[], _Repeat]:
+def _one_solve(problem: Problem, element: Element, settings: BenchSettings) -> Callable[[], _Repeat]:
     def once() -> _Repeat:
         clock = Clock()
         with clock.stage("analyse"):
@@ -143,7 +144,7 @@ def _one_solve(problem: Problem, element: str, settings: BenchSettings) -> Calla
     return once
 
 
-def _one_ensemble(element: str, settings: BenchSettings) -> Callable[[], _Repeat]:
+def _one_ensemble(element: Element, settings: BenchSettings) -> Callable[[], _Repeat]:
     mesh, material = phantom_mesh(), make_event(seed=settings.seed).material
     prepared = Simulator(mesh, element=element)
     sampler, rng = EventSampler(mesh), np.random.default_rng([settings.seed, 6])

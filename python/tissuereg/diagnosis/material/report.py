@@ -9,9 +9,9 @@ import numpy as np
 from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.material.extend import predicted_stresses
 from tissuereg.diagnosis.material.history import stress_of
-from tissuereg.diagnosis.report import svg
 from tissuereg.diagnosis.report.ranking import chance, plain_name, ranking, separated
 from tissuereg.io.experiment_out import experiment_text
+from tissuereg.report import svg
 from tissuereg.report.markup import document, escape, table
 from tissuereg.report.provenance import provenance_section
 

@@ -1,5 +1,6 @@
 """Decision whether a recording is misread: `suspect_recording` weighs all readings against the input as given."""
 
+from tissuereg._base.choices import Element
 from tissuereg.diagnosis.readings.proposals import AS_GIVEN, proposals
 from tissuereg.diagnosis.readings.recording import recorded
 from tissuereg.diagnosis.readings.response import responses
@@ -12,7 +13,7 @@ from tissuereg.registration.readings.settings import COSTS
 
 
 def suspect_recording(
-    experiment: Experiment, layout: SignalLayout, *, element: str, threads: int
+    experiment: Experiment, layout: SignalLayout, *, element: Element, threads: int
 ) -> list[RecordingSuspicion]:
     """Return the suspicion that the recording of an experiment is misread, with what to write instead.
 

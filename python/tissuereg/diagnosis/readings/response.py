@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray
+from tissuereg._base.choices import Element
 from tissuereg.diagnosis.readings.settings import RECORDINGS
 from tissuereg.errors import TissueRegError
 from tissuereg.experiment.effects import extended
@@ -28,7 +29,7 @@ class Response:
     forces: dict[str, FloatArray]
 
 
-def responses(experiment: Experiment, *, element: str, threads: int) -> dict[tuple[str, ...], Response]:
+def responses(experiment: Experiment, *, element: Element, threads: int) -> dict[tuple[str, ...], Response]:
     """Return the linear response of the believed model for every set of actuators that a case has, by their names.
 
     `experiment`: the believed model; weight and memory are left out; `element`: elements of the model; `threads`:

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from tissuereg._base.arrays import FloatArray
-from tissuereg.diagnosis.report import svg
+from tissuereg.report import svg
 from tissuereg.report.markup import escape
 
 if TYPE_CHECKING:

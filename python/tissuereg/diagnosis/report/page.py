@@ -4,18 +4,18 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from tissuereg.diagnosis.report import viewer_text
 from tissuereg.diagnosis.report.history import SHARE, histories
 from tissuereg.diagnosis.report.proved import proved
 from tissuereg.diagnosis.report.ranking import rankings
-from tissuereg.diagnosis.report.scene import scene, script_text
-from tissuereg.diagnosis.report.svg import AFTER, BEFORE, FLOOR, GENERIC, swatch
+from tissuereg.diagnosis.report.scene import scene
 from tissuereg.diagnosis.report.words import assumed, findings, summary, ties
 from tissuereg.errors import ExperimentError
 from tissuereg.io.atomic import atomic_file
 from tissuereg.io.experiment_out import experiment_text
 from tissuereg.report.markup import document, escape
 from tissuereg.report.provenance import provenance_section
+from tissuereg.report.svg import AFTER, BEFORE, FLOOR, GENERIC, swatch
+from tissuereg.report.viewer import viewer, viewer_script
 
 if TYPE_CHECKING:
     from tissuereg.diagnosis.answer import Diagnosis
@@ -27,11 +27,6 @@ _STYLE = """
 .verdict { font-size: 1.2rem; } .finding { border-left: 4px solid #1f5fa8; padding-left: 1rem; margin: 1rem 0; }
 .finding p { margin: .4rem 0; } h3 { margin: 1.2rem 0 .3rem; } code { font-size: .85em; color: #555; }
 svg { display: block; font-family: system-ui, sans-serif; margin: .4rem 0; }
-#stage { position: relative; }
-#view { width: 100%; height: 30rem; border: 1px solid #d7dbe0; touch-action: none; cursor: grab; }
-#tip { position: absolute; display: none; background: #fffffff0; border: 1px solid #9aa2ab; padding: .2rem .5rem;
-  font-size: 13px; white-space: pre; pointer-events: none; }
-.controls label { margin-right: 1.2rem; white-space: nowrap; } .controls input[type=range] { vertical-align: middle; }
 .key span { display: inline-block; width: 1.4em; height: .7em; margin: 0 .3em 0 1em; }
 pre { background: #f4f6f8; padding: .8rem; overflow: auto; max-height: 24rem; font-size: 13px; }
 summary { cursor: pointer; }
@@ -63,8 +58,7 @@ def page_parts(found: "Diagnosis", folder: Path) -> list[str]:
     parts += ["<h2>What was assumed</h2>", assumed(found), _model(found, folder)]
     parts.append(provenance_section(found.provenance.to_json(found.settings)))
     if drawn:
-        parts.append(f"<script type='application/json' id='scene'>{script_text(scene(found))}</script>")
-        parts.append(f"<script>\n{viewer_text()}</script>")
+        parts.append(viewer_script())
     return parts
 
 
@@ -74,18 +68,9 @@ def _body(found: "Diagnosis") -> str:
 <p>The body at rest, with the residual (measured minus predicted) at every marker:
 <b style='color:{BEFORE}'>before</b>, of the believed model, and <b style='color:{AFTER}'>after</b>, of the extended
 one.{same} Residuals of forces at pads are <b style='color:{FLOOR}'>green</b>, on a scale of their own.
-Drag to rotate, wheel or two fingers to zoom, shift and drag to move; point at a marker for its numbers. Ochre and other
-coloured patches are the pads, dark grey is held; a red cage is an inclusion that was found, a grey one was in the
-believed model; red circles mark markers that a finding names.</p>
-<div class='controls'>
-<label>case <select id='case'></select></label>
-<label>frame <input id='frame' type='range' min='0' max='0' value='0'> <span id='moment'></span></label>
-<label><input id='before' name='when' type='radio' checked> before</label>
-<label><input id='after' name='when' type='radio'> after</label>
-<label>arrows <input id='grow' type='range' min='0.1' max='4' step='0.05' value='1'></label>
-<label>opacity <input id='opacity' type='range' min='0.1' max='1' step='0.05' value='0.6'></label>
-</div>
-<div id='stage'><canvas id='view'></canvas><div id='tip'></div></div><p id='figures'></p>"""
+A red cage is an inclusion that was found, a grey one was in the believed model;
+circles mark markers that a finding names.</p>
+{viewer(scene(found))}"""
 
 
 def _history(found: "Diagnosis") -> str:

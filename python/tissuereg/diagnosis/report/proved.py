@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tissuereg.diagnosis.proof import BELIEVED, GENERIC, NAMED
-from tissuereg.diagnosis.report import svg
 from tissuereg.diagnosis.report.ranking import plain_name
+from tissuereg.report import svg
 from tissuereg.report.markup import escape, table
 
 if TYPE_CHECKING:

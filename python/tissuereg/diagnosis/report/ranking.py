@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 from tissuereg.diagnosis.candidates import required_thresholds
 from tissuereg.diagnosis.causes import CAUSES
-from tissuereg.diagnosis.report import svg
 from tissuereg.diagnosis.screen import UNKNOWN
+from tissuereg.report import svg
 from tissuereg.report.markup import escape
 
 if TYPE_CHECKING:

@@ -7,6 +7,7 @@ from typing import ClassVar
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray, IntArray
+from tissuereg._base.choices import Element
 from tissuereg._base.fields import number, numbers, text
 from tissuereg.body.mesh import Mesh
 from tissuereg.experiment.effects.base import Effect, Vector, exactly_one, refuse, rotation_from_vector
@@ -34,7 +35,7 @@ class ActuatorGain(_OfActuator):
     id: ClassVar[str] = "actuator_gain"
     gain: float = number("factor on the commanded motion or force")
 
-    def applied(self, experiment: Experiment, element: str) -> Experiment:
+    def applied(self, experiment: Experiment, element: Element) -> Experiment:
         """Return the experiment with the actuator's motion (mm) or force (mN) multiplied by `gain` in all cases."""
         return _given(experiment, self.actuator, lambda values: values * self.gain)
 
@@ -46,7 +47,7 @@ class ActuatorDirection(_OfActuator):
     id: ClassVar[str] = "actuator_direction"
     rotation_deg: Vector = numbers("rotation vector: axis times angle, right-handed", 3)
 
-    def applied(self, experiment: Experiment, element: str) -> Experiment:
+    def applied(self, experiment: Experiment, element: Element) -> Experiment:
         """Return the experiment with the actuator's motion (mm) or force (mN) rotated in all cases."""
         turn = rotation_from_vector(self.rotation_deg)
         return _given(experiment, self.actuator, lambda values: values @ turn.T)
@@ -73,7 +74,7 @@ class ActuatorOffset(_OfActuator):
         if self.shift_mm is not None and not len(shifted_patch(experiment.mesh, actuator, self.shift_mm)):
             refuse(f"`shift_mm` must leave the patch of '{self.actuator}' on the body", list(self.shift_mm))
 
-    def applied(self, experiment: Experiment, element: str) -> Experiment:
+    def applied(self, experiment: Experiment, element: Element) -> Experiment:
         """Return the experiment with `offset_mm` added to the actuator's motion, or with its patch shifted."""
         if self.offset_mm is not None:
             offset = np.asarray(self.offset_mm)

@@ -11,6 +11,7 @@ from typing import Any, ClassVar, NoReturn
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray
+from tissuereg._base.choices import Element
 from tissuereg._base.fields import CheckedRecord
 from tissuereg.errors import ExperimentError, TissueRegError
 from tissuereg.experiment.experiment import Experiment
@@ -51,7 +52,7 @@ class Effect(CheckedRecord):
             If something is missing; the message states what is needed and what there is.
         """
 
-    def applied(self, experiment: Experiment, element: str) -> Experiment:
+    def applied(self, experiment: Experiment, element: Element) -> Experiment:
         """Return a copy of an experiment that is changed as this effect states.
 
         Parameters
@@ -87,7 +88,7 @@ class Effect(CheckedRecord):
 class ChainEffect(Effect):
     """Base of errors of the marker tracker, which change measured markers, but not the body, its targets or forces."""
 
-    def applied(self, experiment: Experiment, element: str) -> Experiment:
+    def applied(self, experiment: Experiment, element: Element) -> Experiment:
         """Return the experiment unchanged: the tracker does not act on the body."""
         return experiment
 

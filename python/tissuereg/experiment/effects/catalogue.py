@@ -6,6 +6,7 @@ from dataclasses import MISSING, fields, replace
 from typing import Any
 
 from tissuereg._base.arrays import FloatArray
+from tissuereg._base.choices import Element
 from tissuereg.errors import ExperimentError
 from tissuereg.experiment.effects.actuators import ActuatorDirection, ActuatorGain, ActuatorOffset
 from tissuereg.experiment.effects.base import ChainEffect, Effect, refuse
@@ -99,7 +100,7 @@ def check_effects(experiment: Experiment) -> None:
             effect.fits(experiment)
 
 
-def extended(experiment: Experiment, element: str = "tet4") -> Experiment:
+def extended(experiment: Experiment, element: Element = "tet4") -> Experiment:
     """Return an experiment whose body, supports and actuators are changed as its effects state.
 
     Parameters

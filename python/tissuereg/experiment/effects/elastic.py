@@ -3,6 +3,7 @@
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
+from tissuereg._base.choices import Element
 from tissuereg._base.fields import choice, flag, number, numbers
 from tissuereg.body.material import SHAPE_KEYS, VOLUMETRIC, Material
 from tissuereg.body.material import Fibre as Fibres
@@ -24,7 +25,7 @@ class Stiffness(Effect):
     absolute: ClassVar[bool] = True
     young_kpa: float = number("Young's modulus at small strain", above=0.0)
 
-    def applied(self, experiment: Experiment, element: str) -> Experiment:
+    def applied(self, experiment: Experiment, element: Element) -> Experiment:
         """Return the experiment with Young's modulus `young_kpa` everywhere."""
         return replace(experiment, material=replace(experiment.material, young=self.young_kpa))
 
@@ -36,7 +37,7 @@ class Poisson(Effect):
     id: ClassVar[str] = "poisson"
     poisson: float = number("Poisson's ratio at small strain", above=-1.0, below=0.5)
 
-    def applied(self, experiment: Experiment, element: str) -> Experiment:
+    def applied(self, experiment: Experiment, element: Element) -> Experiment:
         """Return the experiment with Poisson's ratio `poisson` everywhere."""
         return replace(experiment, material=replace(experiment.material, poisson=self.poisson))
 
@@ -74,7 +75,7 @@ class OtherLaw(Effect):
         # `Material` checks the ranges.
         self.of(Material())
 
-    def applied(self, experiment: Experiment, element: str) -> Experiment:
+    def applied(self, experiment: Experiment, element: Element) -> Experiment:
         """Return the experiment with this law in its material."""
         return replace(experiment, material=self.of(experiment.material))
 
@@ -127,7 +128,7 @@ class Fibre(Effect):
     direction: Vector = numbers("of the fibres; only the direction counts", 3, directed=True)
     tension_only: bool = flag("whether shortened fibres are slack", default=True)
 
-    def applied(self, experiment: Experiment, element: str) -> Experiment:
+    def applied(self, experiment: Experiment, element: Element) -> Experiment:
         """Return the experiment with these fibres added to the law of its material."""
         fibre = Fibres(self.k1_over_mu, self.k2, self.direction, self.tension_only)
         return replace(experiment, material=replace(experiment.material, fibre=fibre))

@@ -6,6 +6,7 @@ from typing import ClassVar
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray
+from tissuereg._base.choices import Element
 from tissuereg._base.fields import choice, number, numbers
 from tissuereg.experiment.effects.base import Effect, refuse
 from tissuereg.experiment.experiment import Experiment
@@ -15,7 +16,7 @@ from tissuereg.experiment.experiment import Experiment
 class Memory(Effect):
     """Base of effects of the load history, which the solver computes while a load case runs through time."""
 
-    def applied(self, experiment: Experiment, element: str) -> Experiment:
+    def applied(self, experiment: Experiment, element: Element) -> Experiment:
         """Return the experiment unchanged: the solver reads this effect itself."""
         return experiment
 

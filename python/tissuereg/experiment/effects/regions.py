@@ -8,6 +8,7 @@ from typing import ClassVar, Protocol
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray, IntArray
+from tissuereg._base.choices import Element
 from tissuereg._base.fields import number, numbers
 from tissuereg.body.closest import closest_on_triangles
 from tissuereg.body.mesh import Mesh, free_triangles
@@ -198,7 +199,7 @@ class Inclusion(Effect):
     semi_axes_mm: Vector = numbers("half-axes along x, y and z", 3, above=0.0)
     contrast: float = number("modulus inside over outside", above=0.0)
 
-    def applied(self, experiment: Experiment, element: str) -> Experiment:
+    def applied(self, experiment: Experiment, element: Element) -> Experiment:
         """Return the experiment with Young's modulus multiplied by `contrast` inside the ellipsoid."""
         return _stiffened(experiment, Ellipsoid(self.centre_mm, self.semi_axes_mm), self.contrast, element)
 
@@ -214,12 +215,12 @@ class Layer(Effect):
     thickness_mm: float = number("depth below the free surface, which excludes held faces", above=0.0)
     contrast: float = number("modulus inside over outside", above=0.0)
 
-    def applied(self, experiment: Experiment, element: str) -> Experiment:
+    def applied(self, experiment: Experiment, element: Element) -> Experiment:
         """Return the experiment with Young's modulus multiplied by `contrast` in the layer."""
         return _stiffened(experiment, OuterLayer(experiment.mesh, self.thickness_mm), self.contrast, element)
 
 
-def _stiffened(experiment: Experiment, region: SharpRegion, contrast: float, element: str) -> Experiment:
+def _stiffened(experiment: Experiment, region: SharpRegion, contrast: float, element: Element) -> Experiment:
     factor = 1.0 + (contrast - 1.0) * share_inside(region, experiment.mesh, 4 if element == "tet10" else 1)
     return replace(experiment, material=experiment.material.scaled(factor))
 

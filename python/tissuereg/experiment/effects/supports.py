@@ -6,6 +6,7 @@ from typing import ClassVar
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray, IntArray
+from tissuereg._base.choices import Element
 from tissuereg._base.fields import flag, number, numbers, text
 from tissuereg.body.mesh import Mesh
 from tissuereg.experiment.effects.base import Effect, Vector, exactly_one, refuse
@@ -67,7 +68,7 @@ class Sliding(_Support):
         surface = experiment.mesh.surface
         return np.asarray(surface[np.isin(surface, self.held_by(experiment).nodes).all(axis=1)])
 
-    def applied(self, experiment: Experiment, element: str) -> Experiment:
+    def applied(self, experiment: Experiment, element: Element) -> Experiment:
         """Return the experiment unchanged: the solver reads springs or friction from the effect."""
         return experiment
 
@@ -156,7 +157,7 @@ class Detachment(_Support):
         area = node_areas(mesh, nodes)[order]
         return order, towards, area / area.sum()
 
-    def applied(self, experiment: Experiment, element: str) -> Experiment:
+    def applied(self, experiment: Experiment, element: Element) -> Experiment:
         """Return the experiment with the detached nodes removed from the boundary and from the node set ``fixed``."""
         old = self.held_by(experiment)
         kept = np.setdiff1d(old.nodes, self.freed(experiment.mesh, old.nodes))
@@ -227,7 +228,7 @@ class _Weight(Effect):
         if experiment.gravity is None and self.direction is None:
             refuse("`direction` must be given where the experiment has no [gravity]")
 
-    def applied(self, experiment: Experiment, element: str) -> Experiment:
+    def applied(self, experiment: Experiment, element: Element) -> Experiment:
         """Return the experiment with its weight changed by the fields that are given."""
         weight = experiment.gravity or Weight(np.asarray(self.direction), in_reference=False)
         if self.direction is not None:

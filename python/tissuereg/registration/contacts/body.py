@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray, IntArray
+from tissuereg._base.choices import Element
 from tissuereg.body.mesh import Mesh
 from tissuereg.registration.contacts.patches import Patches, make_patches
 from tissuereg.registration.contacts.settings import EFFORT
@@ -65,7 +66,7 @@ class ContactBody:
         return shares
 
     @classmethod
-    def of(cls, mesh: Mesh, supports: Supports, element: str = "tet4") -> "ContactBody":
+    def of(cls, mesh: Mesh, supports: Supports, element: Element = "tet4") -> "ContactBody":
         """Return the prepared body of a mesh, from the cache or made anew.
 
         `mesh`: undeformed body; `supports`: nodes that are held, for sure or perhaps; `element` {"tet4",
@@ -86,7 +87,7 @@ class ContactBody:
         return made
 
     @classmethod
-    def _made(cls, mesh: Mesh, supports: Supports, element: str) -> "ContactBody":
+    def _made(cls, mesh: Mesh, supports: Supports, element: Element) -> "ContactBody":
         springs = springs_of(mesh, supports)
         rests = len(supports.sure) == 0
         simulator = Simulator(mesh, element=element, held_nodes=supports.sure, springs=springs, rests=rests)

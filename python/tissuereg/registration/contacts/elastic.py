@@ -16,6 +16,7 @@ import numpy as np
 
 from tissuereg._base.arguments import real, whole
 from tissuereg._base.arrays import FloatArray, IntArray
+from tissuereg._base.choices import Element
 from tissuereg.body.load import Load
 from tissuereg.body.markers import Markers
 from tissuereg.body.material import Material
@@ -42,7 +43,7 @@ class ElasticBody:
     """
 
     def __init__(
-        self, mesh: Mesh, material: Material, markers: Markers, *, element: str = "tet4", threads: int = 0
+        self, mesh: Mesh, material: Material, markers: Markers, *, element: Element = "tet4", threads: int = 0
     ) -> None:
         self.mesh = mesh
         self.observed = MarkerObservation.of(mesh, markers)

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from tissuereg._base.arrays import BoolArray, FloatArray
+from tissuereg._base.shown import short_repr
 from tissuereg.registration.contacts.fit import ContactFit
 from tissuereg.registration.contacts.settings import ReportSettings
 
@@ -46,6 +47,8 @@ class FoundContact:
     probability: float
     place_std_mm: float = 0.0
     pull_probability: float = 0.5
+
+    __repr__ = short_repr
 
     @property
     def sense(self) -> str:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray
+from tissuereg._base.choices import TrackerKind
 from tissuereg._base.clock import Clock
 from tissuereg.body.load import Load
 from tissuereg.body.material import Material
@@ -276,7 +277,7 @@ def _regions(body: Body) -> list[tuple[Cause, float]]:
     return causes
 
 
-def _drifts(tracker: str | None, supports: Supports) -> bool:
+def _drifts(tracker: TrackerKind | None, supports: Supports) -> bool:
     """Return whether the tracker may have drifted, by its setting or by default: where supports are sure and none not.
 
     On doubtful supports the body itself may move as a whole.

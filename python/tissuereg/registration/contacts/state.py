@@ -6,9 +6,6 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray
 
-#: How the tracker's frame may behave relative to a body that is held.
-TRACKERS = ("fixed", "drifts")
-
 
 @dataclass(frozen=True, eq=False)
 class RigidMotion:

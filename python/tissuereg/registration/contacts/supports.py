@@ -8,6 +8,7 @@ import numpy as np
 
 from tissuereg._base.arguments import check_choice
 from tissuereg._base.arrays import FloatArray, IntArray, index_array
+from tissuereg._base.choices import HELD, Held
 from tissuereg.body.mesh import Mesh, free_triangles
 from tissuereg.body.topology import parts_of
 from tissuereg.errors import SupportError
@@ -15,9 +16,6 @@ from tissuereg.registration.contacts.settings import DISCRETISATION
 
 #: Name of the node set that may or may not be held.
 PERHAPS = "perhaps_fixed"
-
-#: Ways to take the node set ``fixed``.
-HELD = ("sure", "perhaps", "free")
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +45,7 @@ class Supports:
         return hashlib.sha256(b"".join(parts)).hexdigest()
 
     @classmethod
-    def of(cls, mesh: Mesh, held: str, held_nodes: Any = None) -> "Supports":
+    def of(cls, mesh: Mesh, held: Held, held_nodes: Any = None) -> "Supports":
         """Return the supports of a mesh; no node is both surely and perhaps held.
 
         `mesh`: its node sets ``fixed`` and ``perhaps_fixed`` are used; a mesh without either is free; `held` {"sure",
@@ -94,7 +92,7 @@ def _held(mesh: Mesh, nodes: Any) -> IntArray:
     return held
 
 
-def support_warnings(mesh: Mesh, supports: Supports, held: str) -> list[str]:
+def support_warnings(mesh: Mesh, supports: Supports, held: Held) -> list[str]:
     """Return sentences on a body that nothing holds, or that is not held at a set whose name is almost ``fixed``.
 
     `mesh`: undeformed body; `supports`: its supports; `held` {"sure", "perhaps", "free"}: as stated.

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray
+from tissuereg._base.choices import Element
 from tissuereg.body.load import Load
 from tissuereg.body.material import Material
 from tissuereg.errors import ConvergenceError, LoadError
@@ -22,7 +23,7 @@ def solve_states(
     experiment: Experiment,
     case: Case,
     *,
-    element: str = "tet10",
+    element: Element = "tet10",
     tolerance: float = FINE.tolerance,
     threads: int = 0,
     near: FloatArray | None = None,

@@ -11,6 +11,7 @@ import numpy as np
 
 from tissuereg._base.arguments import called, check_choice, check_running, each, flag, maybe, of_kind
 from tissuereg._base.arrays import FloatArray
+from tissuereg._base.choices import Element
 from tissuereg.body.mesh import Mesh
 from tissuereg.errors import ArgumentError
 from tissuereg.experiment.effects import (
@@ -185,7 +186,7 @@ class FineModel:
         between ten-node and first-order elements in the elastic solution is added.
         """
         rough = rough_element(fine)
-        element = "tet10" if fully else rough
+        element: Element = "tet10" if fully else rough
         worked = extended(fine, element)
         through = _with_those_before(worked, cases)
         n_frames = sum(len(case.times) for case in cases)
@@ -201,7 +202,7 @@ class FineModel:
         return {name: corrected(reading, of_rough[name], of_fine[name]) for name, reading in readings.items()}
 
     def _kept(
-        self, twin: Experiment, cases: Sequence[Case], element: str, threads: int, report: "FrameCount", part: str
+        self, twin: Experiment, cases: Sequence[Case], element: Element, threads: int, report: "FrameCount", part: str
     ) -> dict[str, FineFrames]:
         """Return displacements and places (mm) and forces (mN) of elastic cases, by name, from the cache if possible.
 
@@ -252,13 +253,13 @@ def _shifted(pad: Actuator, shift: Vector) -> Actuator:
     return replace(pad, rule={**rule, "centre_mm": (np.asarray(rule["centre_mm"]) + shift).tolist()})
 
 
-def rough_element(experiment: Experiment) -> str:
+def rough_element(experiment: Experiment) -> Element:
     """Return the first-order element for an experiment: "tet4", or "tet4-averaged" where tet4 would lock."""
     locks = float(extended(experiment, "tet4").material.poisson_array.max()) > FINE.locks_above
     return "tet4-averaged" if locks else "tet4"
 
 
-def without_time(experiment: Experiment, element: str = "tet10") -> Experiment:
+def without_time(experiment: Experiment, element: Element = "tet10") -> Experiment:
     """Return an experiment whose frames depend on their own load alone: without memory and sliding.
 
     Parameters
@@ -284,7 +285,7 @@ def _elastic(
     fine: Experiment,
     given: Mesh,
     cases: Sequence[Case],
-    element: str,
+    element: Element,
     threads: int,
     report: "FrameCount",
     part: str,
@@ -357,7 +358,7 @@ def _by_load(
 def _remembering(
     ready: Experiment,
     cases: Sequence[Case],
-    element: str,
+    element: Element,
     threads: int,
     report: "FrameCount",
     near: Fields | None = None,
