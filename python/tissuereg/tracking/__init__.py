@@ -1,5 +1,6 @@
 """Tracking: each frame (measured moment) is registered from the state of the last one, and filtered in time."""
 
+from tissuereg.tracking.align import Alignment, rigid_alignment
 from tissuereg.tracking.fitted import FittedPrior, fitted_prior
 from tissuereg.tracking.frame import TrackedFrame
 from tissuereg.tracking.physics import CalledPhysics, FemPhysics, HoldingPhysics, Physics
@@ -7,6 +8,7 @@ from tissuereg.tracking.table import TablePhysics
 from tissuereg.tracking.tracker import Tracker
 
 __all__ = [
+    "Alignment",
     "CalledPhysics",
     "FemPhysics",
     "FittedPrior",
@@ -16,4 +18,5 @@ __all__ = [
     "TrackedFrame",
     "Tracker",
     "fitted_prior",
+    "rigid_alignment",
 ]
