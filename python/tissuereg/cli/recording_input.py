@@ -23,10 +23,7 @@ def add_recording_options(group: Any) -> None:
         "where each row is one marker's, or tip.x=X1 tip.y=Y1 tip.z=Z1 where a row holds several"
     )
     group.add_argument("--columns", metavar="MAP", help=text)
-    text = (
-        "place of the marker on a tool, in the tool's coordinates, mm; may be given for several (default: its origin)"
-    )
-    group.add_argument("--offset", action="append", type=_offset, metavar="'TOOL X Y Z'", help=text, default=[])
+    add_offset_option(group)
     text = "frames a second of a file that numbers its frames"
     add_option(group, "--rate", number(text, unit="1/s", above=0.0, default=None, otherwise="its times"), "HZ")
     text = "unit of length of a file that states none"
@@ -36,6 +33,14 @@ def add_recording_options(group: Any) -> None:
         "undeformed body; or table point,x_mm,y_mm,z_mm,tracker_x_mm,tracker_y_mm,tracker_z_mm of three points or more"
     )
     group.add_argument("--align", metavar="first|FILE", help=text)
+
+
+def add_offset_option(group: Any) -> None:
+    """Add the option ``--offset``: where the marker sits on a tool, by its name."""
+    text = (
+        "place of the marker on a tool, in the tool's coordinates, mm; may be given for several (default: its origin)"
+    )
+    group.add_argument("--offset", action="append", type=_offset, metavar="'TOOL X Y Z'", help=text, default=[])
 
 
 def read_recorded(args: argparse.Namespace, markers: "Markers") -> "Recording":

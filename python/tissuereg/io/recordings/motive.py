@@ -38,7 +38,7 @@ class _Column(NamedTuple):
     axis: str
 
 
-class _Header(NamedTuple):
+class _Heading(NamedTuple):
     """What the lines above the numbers say: keys and values of the first, the columns, and the column of the time."""
 
     stated: dict[str, str]
@@ -93,7 +93,7 @@ def read_motive(file: Path, how: HowRead) -> Tracks:
     )
 
 
-def _notes(header: _Header, n_unread: int) -> list[str]:
+def _notes(header: _Heading, n_unread: int) -> list[str]:
     notes = ["Motive's frame: y is up, unless its export was set otherwise"]
     if "coordinate space" in header.stated and header.stated["coordinate space"].lower() != "global":
         notes.append(f"coordinate space {header.stated['coordinate space']}: places may not be in one frame")
@@ -104,7 +104,7 @@ def _notes(header: _Header, n_unread: int) -> list[str]:
     return notes
 
 
-def _header(file: Path, rows: Iterator[tuple[int, list[str]]]) -> _Header:
+def _header(file: Path, rows: Iterator[tuple[int, list[str]]]) -> _Heading:
     """Read the lines above the numbers; `rows`: iterator of line numbers and cells, which is left below them."""
     stated: dict[str, str] = {}
     lines: dict[str, list[str]] = {}
@@ -121,7 +121,7 @@ def _header(file: Path, rows: Iterator[tuple[int, list[str]]]) -> _Header:
             of = {key: [*line, *[""] * width][:width] for key, line in {**lines, "": before}.items()}
             ids = of.get("id", [""] * width)
             parts = zip(of["type"], of["name"], ids, of[""], cells, strict=True)
-            return _Header(stated, [_Column(t.lower(), n, i, q.lower(), a.lower()) for t, n, i, q, a in parts], time)
+            return _Heading(stated, [_Column(t.lower(), n, i, q.lower(), a.lower()) for t, n, i, q, a in parts], time)
         if not lines and len(cells) > 1 and cells[0]:
             stated |= {key.lower(): value for key, value in zip(cells[::2], cells[1::2], strict=False)}
         elif len(cells) > 1 and cells[1]:
@@ -131,7 +131,7 @@ def _header(file: Path, rows: Iterator[tuple[int, list[str]]]) -> _Header:
     raise FormatError(message, where=str(file))
 
 
-def _objects(header: _Header, types: set[str]) -> dict[tuple[str, str], dict[tuple[str, str], int]]:
+def _objects(header: _Heading, types: set[str]) -> dict[tuple[str, str], dict[tuple[str, str], int]]:
     """Return the columns of every object of these types, by its name and id, by quantity and axis."""
     found: dict[tuple[str, str], dict[tuple[str, str], int]] = {}
     for i, one in enumerate(header.columns):
@@ -140,7 +140,7 @@ def _objects(header: _Header, types: set[str]) -> dict[tuple[str, str], dict[tup
     return {key: one for key, one in found.items() if all(("position", axis) in one for axis in "xyz")}
 
 
-def _numbers(file: Path, rows: Iterator[tuple[int, list[str]]], header: _Header, used: list[int]) -> FloatArray:
+def _numbers(file: Path, rows: Iterator[tuple[int, list[str]]], header: _Heading, used: list[int]) -> FloatArray:
     """Return the numbers of the columns `used` in every row, (n_frames, n), NaN where a cell is blank."""
     found: list[list[float]] = []
     for number, cells in rows:
