@@ -55,7 +55,7 @@ def options(parser: Parser) -> None:
     parser.add_argument(
         "--reference", required=True, metavar="FILE", help="where the markers sit on the undeformed body"
     )
-    text = "listen at a port of this machine, 18944 as a rule; with an address, such as 0.0.0.0:18944, at that one"
+    text = "listen at a port of this machine, 18944 as a rule (0: any); with an address, as 0.0.0.0:18944, at that one"
     parser.add_argument("--listen", type=_listened, metavar="[HOST:]PORT", help=text)
     text = "connect to a peer, such as a PLUS server, and again whenever it is gone"
     parser.add_argument("--connect", type=_address, metavar="HOST:PORT", help=text)
@@ -179,13 +179,13 @@ def _summary(content: dict[str, Any], args: argparse.Namespace) -> str:
     return "\n".join(lines)
 
 
-def _address(text: str) -> tuple[str, int]:
+def _address(text: str, least: int = 1) -> tuple[str, int]:
     host, _, port = text.rpartition(":")
-    if not host or not port.isdigit() or not 0 < int(port) < 65536:
+    if not host or not port.isascii() or not port.isdigit() or not least <= int(port[:6]) < 65536:
         message = f"must be an address and a port, HOST:PORT, got '{text}'"
         raise argparse.ArgumentTypeError(message)
     return host, int(port)
 
 
 def _listened(text: str) -> tuple[str, int]:
-    return _address(text if ":" in text else f"127.0.0.1:{text}")
+    return _address(text if ":" in text else f"127.0.0.1:{text}", 0)
