@@ -20,11 +20,20 @@ NAMES = ("P1", "P2", "P3")
 SIT = np.array([[30.0, 10.0, 40.0], [0.0, 10.0, 40.0], [15.0, 0.0, 20.0]])
 
 
+class FastResult(SimpleNamespace):
+    """A registration whose spread is counted when it is asked for."""
+
+    @property
+    def std(self):
+        self.engine.spreads += 1
+        return self.engine.spreads * np.linspace(0.1, 1.0, BODY.n_nodes)
+
+
 class FastEngine:
     """Moves the body with the mean of the markers, at once, or after `takes` seconds."""
 
     def __init__(self, takes=0.0, keeps=1000):
-        self.takes, self.keeps, self.seen = takes, keeps, []
+        self.takes, self.keeps, self.seen, self.spreads = takes, keeps, [], 0
 
     def step(self, measured_mm, time_s):
         assert not self.seen or time_s > self.seen[-1][0], "time must advance"
@@ -33,10 +42,10 @@ class FastEngine:
         self.seen = [*self.seen[1 - self.keeps :], (time_s, measured_mm)]
         by = np.nanmean(measured_mm - SIT, axis=0)
         lesion = Target(np.full(3, 10.0), np.full(3, 10.0) + by, np.diag([1.0, 4.0, 9.0]), None)
-        return SimpleNamespace(
+        return FastResult(
+            engine=self,
             mesh=BODY,
             displacement=np.tile(by, (BODY.n_nodes, 1)),
-            std=np.linspace(0.1, 1.0, BODY.n_nodes),
             targets={"lesion": lesion},
             trust=SimpleNamespace(ok=bool(np.isfinite(measured_mm).all()), reasons=["noise: a marker is missing"]),
             markers=SimpleNamespace(used=NAMES, after_rms_mm=0.1),

@@ -75,6 +75,24 @@ def test_points_are_registered_and_answered_in_ras():
     assert server.counts.registered == 1
 
 
+def test_the_spread_is_computed_now_and_then_and_says_from_which_frame_it_is():
+    engine = FastEngine()
+    nodes = np.unique(BODY.surface)
+    with serving(engine, spread_s=0.25) as server:
+        peer = Peer(server.address)
+        of = []
+        for k in range(6):
+            peer.send(point_message(SIT, time_s=50.0 + 0.1 * k))
+            surface = surface_in(peer.read("POLYDATA").content)
+            said = answer(peer)
+            of.append(round(said["time_s"] - said["spread_of_s"], 3))
+            # The first spread counts until the second is there.
+            assert surface.scalars["std_mm"][0] == pytest.approx((1 if k < 4 else 2) * 0.1 + 0.0 * nodes[0])
+        peer.close()
+    assert of == [0.0, 0.1, 0.2, 0.3, 0.1, 0.2]
+    assert engine.spreads == 2
+
+
 def test_tools_make_a_frame_and_an_invalid_one_is_not_seen():
     engine = FastEngine()
     with serving(engine, intake=Intake(NAMES, offsets={"P1": np.array([0.0, 0.0, -5.0])})) as server:

@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from tissuereg._base.arrays import FloatArray
 from tissuereg.io.points import turned
 from tissuereg.live.protocol import (
     NamedPlace,
@@ -49,14 +50,21 @@ def prepare() -> None:
     region_of(np.zeros(3), np.eye(3), 0.9, None)
 
 
-def places_of(result: Any, time_s: float, surface: str, frame: str | None) -> bytes:
+class Spread(NamedTuple):
+    """Standard deviation of every node, (n_nodes,), mm, and the time of the frame from which it is, s."""
+
+    std: FloatArray
+    time_s: float
+
+
+def places_of(result: Any, time_s: float, frame: str | None, *, surface: bool, spread: Spread | None) -> bytes:
     """Return the messages of a registration's places: its surface, and its targets with their regions.
 
-    `result`: a `Registration`; `time_s`: of its frame; `surface`: what is sent of the surface, one of `SURFACES`;
-    `frame`: patient frame of the body, None if it has none. A target's radius is the longest half-axis of its 90 %
-    region.
+    `result`: a `Registration`; `time_s`: of its frame; `frame`: patient frame of the body, None if it has none;
+    `surface`: whether the surface is sent; `spread`: of its nodes. A target's radius is the longest half-axis of its
+    90 % region.
     """
-    heavy = [_surface(result, time_s, surface, frame)] if surface != "none" else []
+    heavy = [_surface(result, time_s, spread, frame)] if surface else []
     if result.targets:
         colour = (0, 200, 80, 255) if result.trust.ok else (230, 60, 40, 255)  # RGBA
         points = [
@@ -67,7 +75,9 @@ def places_of(result: Any, time_s: float, surface: str, frame: str | None) -> by
     return b"".join(heavy)
 
 
-def answer_of(result: Any, heavy: bytes, time_s: float, latency_s: float, frame: str | None) -> LiveAnswer:
+def answer_of(
+    result: Any, heavy: bytes, time_s: float, frame: str | None, *, latency_s: float, spread: Spread | None
+) -> LiveAnswer:
     """Return the messages of a registration: its places, as `places_of` returns them, and what they are worth.
 
     `latency_s`: from the frame's arrival to its places, s; others as of `places_of`.
@@ -82,7 +92,8 @@ def answer_of(result: Any, heavy: bytes, time_s: float, latency_s: float, frame:
         "reasons": list(result.trust.reasons),
         "markers_used": len(result.markers.used),
         "markers_rms_mm": result.markers.after_rms_mm,
-        "frame": "RAS",
+        "frame": None if frame is None else "RAS",
+        "spread_of_s": None if spread is None else spread.time_s,
         "targets": {name: _target(one, frame) for name, one in result.targets.items()},
     }
     code, name = (_CODES.trusted, "TRUSTED") if trusted else (_CODES.untrusted, "UNTRUSTED")
@@ -120,11 +131,11 @@ def _target(target: Any, frame: str | None) -> dict[str, Any]:
     }
 
 
-def _surface(result: Any, time_s: float, surface: str, frame: str | None) -> bytes:
+def _surface(result: Any, time_s: float, spread: Spread | None, frame: str | None) -> bytes:
     """Return the message of the registered surface: the nodes of the free and held surface, and triangles of them."""
     nodes, corners = np.unique(result.mesh.surface, return_inverse=True)
     places = turned((result.mesh.nodes + result.displacement)[nodes], frame, "RAS")
     scalars = {"displacement_mm": np.linalg.norm(result.displacement[nodes], axis=1)}
-    if surface == "spread":
-        scalars = {"std_mm": result.std[nodes], **scalars}
+    if spread is not None:
+        scalars = {"std_mm": spread.std[nodes], **scalars}
     return packed("POLYDATA", "Registered", surface_packed(places, corners.reshape(-1, 3), scalars), time_s)

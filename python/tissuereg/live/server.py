@@ -10,7 +10,7 @@ from typing import Any, Protocol
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.errors import FormatError
-from tissuereg.live.answers import LiveAnswer, answer_of, not_registered, places_of, prepare
+from tissuereg.live.answers import LiveAnswer, Spread, answer_of, not_registered, places_of, prepare
 from tissuereg.live.frames import TAKEN, Gathering, Intake, LiveFrame, check_intake
 from tissuereg.live.protocol import HEADER_BYTES, header_of, message_of
 from tissuereg.live.settings import LiveSettings
@@ -124,6 +124,7 @@ class LiveServer:
         self._told = told or (lambda _: None)
         self._gathering = Gathering(intake, self._settings)
         self._latest = _Latest()
+        self._spread: Spread | None = None
         self._peers: set[asyncio.StreamWriter] = set()
         self._begin = time.monotonic()
         self._ended = asyncio.Event()
@@ -268,7 +269,7 @@ class LiveServer:
             if frame is None:
                 continue
             try:
-                answer = await asyncio.to_thread(self._answer, frame)
+                result, answer = await asyncio.to_thread(self._answer, frame)
             except CANNOT_BE_REGISTERED as error:
                 self.counts.failed += 1
                 self._publish(not_registered(str(error), frame.time_s))
@@ -277,13 +278,27 @@ class LiveServer:
                 self.counts.untrusted += not answer.trusted
                 self._latest.answer, self._latest.received_s, self._latest.stale = answer, frame.received_s, False
                 self._publish(answer.heavy + answer.light)
+                if self._settings.surface == "spread" and self._is_old(frame.time_s):
+                    await asyncio.to_thread(self._renew, result, frame.time_s)
 
-    def _answer(self, frame: LiveFrame) -> LiveAnswer:
-        result = self._engine.step(frame.places, frame.time_s)
-        heavy = places_of(result, frame.time_s, self._settings.surface, self._intake.frame)
+    def _answer(self, frame: LiveFrame) -> tuple[Any, LiveAnswer]:
+        """Return a frame's registration and its messages; the spread is of an earlier frame, where there is one."""
+        result, shown = self._engine.step(frame.places, frame.time_s), self._settings.surface
+        if shown == "spread" and self._spread is None:
+            self._renew(result, frame.time_s)
+        given = frame.time_s, self._intake.frame
+        heavy = places_of(result, *given, surface=shown != "none", spread=self._spread)
         latency_s = self._now() - frame.received_s
         self.latencies_s = [*self.latencies_s[-999:], latency_s]
-        return answer_of(result, heavy, frame.time_s, latency_s, self._intake.frame)
+        return result, answer_of(result, heavy, *given, latency_s=latency_s, spread=self._spread)
+
+    def _is_old(self, time_s: float) -> bool:
+        return self._spread is None or time_s - self._spread.time_s >= self._settings.spread_s
+
+    def _renew(self, result: Any, time_s: float) -> None:
+        """Compute the spread of the nodes, which takes longer than a registration; keep the old one if it fails."""
+        with contextlib.suppress(*CANNOT_BE_REGISTERED):
+            self._spread = Spread(result.std, time_s)
 
     async def _watch(self) -> None:
         """Flush tools whose frame does not become whole, and mark the last answer as stale when no frame comes."""

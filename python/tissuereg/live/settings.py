@@ -17,6 +17,9 @@ class LiveSettings:
     ----------
     surface : {"spread", "plain", "none"}
         What is sent of the registered surface: with the standard deviation of every node, without it, or nothing.
+    spread_s : float
+        Time after which the standard deviation of the nodes is computed anew, s: it takes longer than a registration.
+        Each answer states from which frame it is.
     gather_s : float
         Longest time for which markers that come one a message count as one frame, s.
     stale_s : float
@@ -45,6 +48,7 @@ class LiveSettings:
     """
 
     surface: str = "spread"
+    spread_s: float = 1.0
     gather_s: float = 0.05
     stale_s: float = 0.5
     partial_s: float = 5.0
@@ -58,7 +62,7 @@ class LiveSettings:
 
     def __post_init__(self) -> None:
         check_choice("surface", self.surface, SURFACES, ArgumentError)
-        for name in ("gather_s", "stale_s", "partial_s", "retry_s", "jump_s"):
+        for name in ("spread_s", "gather_s", "stale_s", "partial_s", "retry_s", "jump_s"):
             real(name, getattr(self, name), above=0.0, unit="s")
         for name in ("most_bytes", "most_skipped_bytes", "most_unsent_bytes", "most_peers", "most_names"):
             whole(name, getattr(self, name), least=1, most=2**40)
