@@ -50,14 +50,14 @@ def prepare() -> None:
     region_of(np.zeros(3), np.eye(3), 0.9, None)
 
 
-class Spread(NamedTuple):
+class NodeSpread(NamedTuple):
     """Standard deviation of every node, (n_nodes,), mm, and the time of the frame from which it is, s."""
 
     std: FloatArray
     time_s: float
 
 
-def places_of(result: Any, time_s: float, frame: str | None, *, surface: bool, spread: Spread | None) -> bytes:
+def places_of(result: Any, time_s: float, frame: str | None, *, surface: bool, spread: NodeSpread | None) -> bytes:
     """Return the messages of a registration's places: its surface, and its targets with their regions.
 
     `result`: a `Registration`; `time_s`: of its frame; `frame`: patient frame of the body, None if it has none;
@@ -76,7 +76,7 @@ def places_of(result: Any, time_s: float, frame: str | None, *, surface: bool, s
 
 
 def answer_of(
-    result: Any, heavy: bytes, time_s: float, frame: str | None, *, latency_s: float, spread: Spread | None
+    result: Any, heavy: bytes, time_s: float, frame: str | None, *, latency_s: float, spread: NodeSpread | None
 ) -> LiveAnswer:
     """Return the messages of a registration: its places, as `places_of` returns them, and what they are worth.
 
@@ -131,7 +131,7 @@ def _target(target: Any, frame: str | None) -> dict[str, Any]:
     }
 
 
-def _surface(result: Any, time_s: float, spread: Spread | None, frame: str | None) -> bytes:
+def _surface(result: Any, time_s: float, spread: NodeSpread | None, frame: str | None) -> bytes:
     """Return the message of the registered surface: the nodes of the free and held surface, and triangles of them."""
     nodes, corners = np.unique(result.mesh.surface, return_inverse=True)
     places = turned((result.mesh.nodes + result.displacement)[nodes], frame, "RAS")

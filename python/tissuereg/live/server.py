@@ -10,7 +10,7 @@ from typing import Any, Protocol
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.errors import FormatError
-from tissuereg.live.answers import LiveAnswer, Spread, answer_of, not_registered, places_of, prepare
+from tissuereg.live.answers import LiveAnswer, NodeSpread, answer_of, not_registered, places_of, prepare
 from tissuereg.live.frames import TAKEN, Gathering, Intake, LiveFrame, check_intake
 from tissuereg.live.protocol import HEADER_BYTES, header_of, message_of
 from tissuereg.live.settings import LiveSettings
@@ -124,7 +124,7 @@ class LiveServer:
         self._told = told or (lambda _: None)
         self._gathering = Gathering(intake, self._settings)
         self._latest = _Latest()
-        self._spread: Spread | None = None
+        self._spread: NodeSpread | None = None
         self._peers: set[asyncio.StreamWriter] = set()
         self._begin = time.monotonic()
         self._ended = asyncio.Event()
@@ -298,7 +298,7 @@ class LiveServer:
     def _renew(self, result: Any, time_s: float) -> None:
         """Compute the spread of the nodes, which takes longer than a registration; keep the old one if it fails."""
         with contextlib.suppress(*CANNOT_BE_REGISTERED):
-            self._spread = Spread(result.std, time_s)
+            self._spread = NodeSpread(result.std, time_s)
 
     async def _watch(self) -> None:
         """Flush tools whose frame does not become whole, and mark the last answer as stale when no frame comes."""

@@ -4,6 +4,7 @@ Columns of the type *Marker* are measurements. Those of *Rigid Body Marker* and 
 its markers, also while they are hidden: they are never read. The pose of a rigid body is a tool.
 """
 
+from array import array
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
@@ -142,17 +143,18 @@ def _objects(header: _Heading, types: set[str]) -> dict[tuple[str, str], dict[tu
 
 def _numbers(file: Path, rows: Iterator[tuple[int, list[str]]], header: _Heading, used: list[int]) -> FloatArray:
     """Return the numbers of the columns `used` in every row, (n_frames, n), NaN where a cell is blank."""
-    found: list[list[float]] = []
+    found, n_frames = array("d"), 0
     for number, cells in rows:
         if len(cells) != len(header.columns):
             message = f"every row must have {len(header.columns)} cells, got {len(cells)} at {file} line {number}"
             raise FormatError(message, where=f"{file}:{number}")
-        found.append([number_in(cells[i], file, number) for i in used])
-        check_room(len(found), len(used), file)
-    if not found:
+        found.extend(number_in(cells[i], file, number) for i in used)
+        n_frames += 1
+        check_room(n_frames, len(used), file)
+    if not n_frames:
         message = f"{file} must hold at least one frame below its header"
         raise FormatError(message, where=str(file))
-    return np.array(found)
+    return np.frombuffer(found).reshape(n_frames, len(used))
 
 
 def _stacked(column: dict[int, FloatArray], one: dict[tuple[str, str], int], quantity: str, axes: str) -> FloatArray:

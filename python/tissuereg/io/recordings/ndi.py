@@ -116,7 +116,8 @@ def _samples(file: Path) -> tuple[list[_Sample], list[object]]:
 
 def _groups(cells: list[str]) -> list[_Group]:
     """Return the tools of a line that names the columns; none if it does not."""
-    names = [cell.lower().strip("[] ") for cell in cells]
+    # The samples of the Combined API put remarks before the first name: [alerts] [buttons] Frame#.
+    names = [cell.lower().rsplit("] ", 1)[-1] for cell in cells]
     found: list[_Group] = []
     start = 0
     for i in range(len(names)):

@@ -134,9 +134,9 @@ class Recording:
         if std is not None and self.std is not None:
             std[:, rows] = self.std[:, taken]
         left = [name for i, name in enumerate(self.names) if i not in taken]
-        told = [f"left out, since the reference does not name them: {_listed(left)}"] if left else []
+        told = [f"left out, since the reference does not name them: {listed(left)}"] if left else []
         absent = [name for i, name in enumerate(names) if i not in rows]
-        told += [f"never seen, since the file does not name them: {_listed(absent)}"] if absent else []
+        told += [f"never seen, since the file does not name them: {listed(absent)}"] if absent else []
         joined = replace(
             self,
             names=names,
@@ -225,5 +225,6 @@ def clock_notes(faults: Sequence[ClockFault]) -> list[str]:
     return [*told, f"clock: {more} more such frames"] if more else told
 
 
-def _listed(names: Sequence[str]) -> str:
+def listed(names: Sequence[str]) -> str:
+    """Return names in a row, the first of many."""
     return ", ".join(names[: CLOCK.told]) + (f" and {len(names) - CLOCK.told} more" if len(names) > CLOCK.told else "")

@@ -5,19 +5,21 @@ from typing import NamedTuple
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray
+from tissuereg.io.recordings.recording import listed
 
 
 class StitchSettings(NamedTuple):
     """When two tracks are one marker's.
 
     `sure`: probability that a link must have; `longest`: longest gap, in frames; `fewest`: pairs of places from which
-    the motion over a gap is known; `floor_mm`: smallest standard deviation of a motion; `told`: most tracks that the
-    notes name.
+    the motion over a gap is known, and most `samples` of a track; `floor_mm`: smallest standard deviation of a motion;
+    `told`: most tracks that the notes name.
     """
 
     sure: float = 0.99
     longest: int = 200
     fewest: int = 30
+    samples: int = 1000
     floor_mm: float = 0.01
     told: int = 20
 
@@ -47,16 +49,16 @@ def stitched(names: list[str], places: FloatArray, loose: set[str]) -> tuple[lis
         return names, places, []
     parts = [part for i in rows if (part := _part(i, places[:, i])) is not None]
     parts.sort(key=lambda one: one.begin)
-    spread = _spreads(places, sorted({b.begin - a.end for a in parts for b in parts if a.end < b.begin}))
+    motion = _Motion(places, parts)
     volume = float(np.prod(np.maximum(np.ptp(_finite(places), axis=0), 1.0))) if parts else 1.0
-    chains, chance = _chains(parts, spread, volume)
+    chains, chance = _chains(parts, motion, volume)
     kept = [i for i in range(len(names)) if i not in rows]
     joined = [_merged(places, chain) for chain in chains]
     titles = [f"U{k + 1}" for k in range(len(chains))]
     notes = [f"{len(parts)} unlabelled tracks were joined to {len(chains)} markers, called U1 to U{len(chains)}"]
     linked = [k for k, chain in enumerate(chains) if len(chain) > 1]
     for k in linked[: STITCH.told]:
-        tracks = ", ".join(names[one.track] for one in chains[k])
+        tracks = listed([names[one.track] for one in chains[k]])
         notes.append(f"{titles[k]}: {tracks}, all one marker with a probability of {100 * chance[k]:.1f} %")
     if len(linked) > STITCH.told:
         notes.append(f"and {len(linked) - STITCH.told} more joined tracks")
@@ -76,41 +78,49 @@ def _finite(places: FloatArray) -> FloatArray:
     return flat[np.isfinite(flat).all(axis=1)]
 
 
-def _spreads(places: FloatArray, gaps: list[int]) -> dict[int, float]:
-    """Return the standard deviation of a coordinate's motion over each gap, mm; none where it is not known."""
-    found: dict[int, float] = {}
-    for gap in gaps:
-        if gap > min(STITCH.longest, len(places) - 1):
-            break
-        moved = _finite(places[gap:] - places[:-gap])
-        if len(moved) >= STITCH.fewest:
-            found[gap] = max(float(np.sqrt(np.mean(moved**2))), STITCH.floor_mm)
-    return found
+class _Motion:
+    """How far markers of a recording move in a number of frames; computed once for each."""
+
+    def __init__(self, places: FloatArray, parts: list[_Part]) -> None:
+        self._places, self._parts = places, parts
+        self._known: dict[int, float | None] = {}
+
+    def over(self, gap: int) -> float | None:
+        """Return the standard deviation of a coordinate's motion over a gap, mm; None where it is not known."""
+        if gap not in self._known:
+            self._known[gap] = self._measured(gap) if gap <= STITCH.longest else None
+        return self._known[gap]
+
+    def _measured(self, gap: int) -> float | None:
+        tracks = [self._places[one.begin : one.end + 1, one.track] for one in self._parts]
+        moved = [track[gap:] - track[:-gap] for track in tracks if len(track) > gap]
+        # So many of each are enough: tracks may be long.
+        found = _finite(np.concatenate([one[:: 1 + len(one) // STITCH.samples] for one in moved] or [np.empty((0, 3))]))
+        return max(float(np.sqrt(np.mean(found**2))), STITCH.floor_mm) if len(found) >= STITCH.fewest else None
 
 
-def _density(one: _Part, other: _Part, spread: dict[int, float]) -> float:
+def _density(one: _Part, other: _Part, motion: _Motion) -> float:
     """Return how likely a marker is to go from the end of `one` to the beginning of `other`, 1/mm^3."""
-    gap = other.begin - one.end
-    if gap not in spread:
+    std = motion.over(other.begin - one.end) if one.end < other.begin else None
+    if std is None:
         return 0.0
-    std = spread[gap]
     away = float(np.sum((other.start - one.stop) ** 2)) / std**2
     return float(np.exp(-0.5 * away) / (np.sqrt(2.0 * np.pi) * std) ** 3)
 
 
-def _chains(parts: list[_Part], spread: dict[int, float], volume: float) -> tuple[list[list[_Part]], list[float]]:
+def _chains(parts: list[_Part], motion: _Motion, volume: float) -> tuple[list[list[_Part]], list[float]]:
     """Return the tracks of each marker in the order of time, and the probability that all its links are right."""
     chains: list[list[_Part]] = []
     chance: list[float] = []
     for part in parts:
-        ends = [_density(chain[-1], part, spread) for chain in chains]
+        ends = [_density(chain[-1], part, motion) for chain in chains]
         best = int(np.argmax(ends)) if ends else -1
         link = 0.0
         if best >= 0 and ends[best] > 0.0:
             # Tracks at the same time are not one marker's: they compete for the one that ended.
             last = chains[best][-1]
             rivals = [one for one in parts if last.end < one.begin <= part.end and one.end >= part.begin]
-            claims = sum(_density(last, one, spread) for one in rivals)
+            claims = sum(_density(last, one, motion) for one in rivals)
             link = ends[best] / (max(sum(ends), claims) + 1.0 / volume)
         if link >= STITCH.sure:
             chains[best].append(part)
