@@ -171,7 +171,7 @@ class LiveServer:
         if listen is None:
             yield
             return
-        server = await asyncio.start_server(self._serve, *listen)
+        server = await asyncio.start_server(self._accepted, *listen)
         address = server.sockets[0].getsockname()[:2]
         self._told(f"listening on {address[0]}:{address[1]}")
         if ready is not None:
@@ -194,6 +194,10 @@ class LiveServer:
                 lost = False
                 await self._serve(reader, writer)
             await asyncio.sleep(self._settings.retry_s)
+
+    async def _accepted(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        with contextlib.suppress(asyncio.CancelledError):  # asyncio complains of a connection that is cancelled
+            await self._serve(reader, writer)
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         """Read messages of one peer until it goes, or breaks the protocol beyond repair."""

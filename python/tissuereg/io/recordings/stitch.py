@@ -49,7 +49,7 @@ def stitched(names: list[str], places: FloatArray, loose: set[str]) -> tuple[lis
         return names, places, []
     parts = [part for i in rows if (part := _part(i, places[:, i])) is not None]
     parts.sort(key=lambda one: one.begin)
-    motion = _Motion(places, parts)
+    motion = _Drift(places, parts)
     volume = float(np.prod(np.maximum(np.ptp(_finite(places), axis=0), 1.0))) if parts else 1.0
     chains, chance = _chains(parts, motion, volume)
     kept = [i for i in range(len(names)) if i not in rows]
@@ -78,7 +78,7 @@ def _finite(places: FloatArray) -> FloatArray:
     return flat[np.isfinite(flat).all(axis=1)]
 
 
-class _Motion:
+class _Drift:
     """How far markers of a recording move in a number of frames; computed once for each."""
 
     def __init__(self, places: FloatArray, parts: list[_Part]) -> None:
@@ -99,7 +99,7 @@ class _Motion:
         return max(float(np.sqrt(np.mean(found**2))), STITCH.floor_mm) if len(found) >= STITCH.fewest else None
 
 
-def _density(one: _Part, other: _Part, motion: _Motion) -> float:
+def _density(one: _Part, other: _Part, motion: _Drift) -> float:
     """Return how likely a marker is to go from the end of `one` to the beginning of `other`, 1/mm^3."""
     std = motion.over(other.begin - one.end) if one.end < other.begin else None
     if std is None:
@@ -108,7 +108,7 @@ def _density(one: _Part, other: _Part, motion: _Motion) -> float:
     return float(np.exp(-0.5 * away) / (np.sqrt(2.0 * np.pi) * std) ** 3)
 
 
-def _chains(parts: list[_Part], motion: _Motion, volume: float) -> tuple[list[list[_Part]], list[float]]:
+def _chains(parts: list[_Part], motion: _Drift, volume: float) -> tuple[list[list[_Part]], list[float]]:
     """Return the tracks of each marker in the order of time, and the probability that all its links are right."""
     chains: list[list[_Part]] = []
     chance: list[float] = []
