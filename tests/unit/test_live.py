@@ -73,6 +73,7 @@ def test_points_are_registered_and_answered_in_ras():
     assert said["latency_ms"] > 0.0
     assert (status.code, status.name) == (1, "TRUSTED")
     assert server.counts.registered == 1
+    assert "'other' is no marker of the reference, and is left out" in server.said
 
 
 def test_the_spread_is_computed_now_and_then_and_says_from_which_frame_it_is():
@@ -157,7 +158,7 @@ def test_names_are_joined_by_number_or_order():
         np.testing.assert_allclose(frames[0].places, SIT)
     gathering, frames = gathered([(0.0, point_message(SIT, others))])
     assert frames == []
-    assert gathering.unknown == set(others)
+    assert list(gathering.unknown) == others
     with pytest.raises(FormatError, match="an offset must be of a marker"):
         LiveServer(FastEngine(), Intake(NAMES, offsets={"Q": np.zeros(3)}))
 
@@ -190,6 +191,27 @@ def test_it_outlives_peers_that_break_the_protocol():
         assert server.counts.skipped == 1
         assert server.counts.spoilt == 6
         assert any("a message must have at most" in text for text in server.said)
+
+
+def test_a_frame_that_breaks_the_engine_does_not_end_it():
+    class Fragile(FastEngine):
+        def step(self, measured_mm, time_s):
+            if np.isnan(measured_mm).all():
+                message = "zero-size array"
+                raise ValueError(message)
+            return super().step(measured_mm, time_s)
+
+    with serving(Fragile()) as server:
+        peer = Peer(server.address)
+        # Farther than any tracker sees, no number, and beyond single precision: none was seen.
+        with np.errstate(over="ignore"):
+            peer.send(point_message([SIT[0] + 1e5, (np.nan, 0, 0), (np.inf, 0, 0)]))
+        assert status_in(peer.read("STATUS").content).name == "NOT_REGISTERED"
+        peer.send(point_message(SIT))
+        assert answer(peer)["trusted"] is True
+        peer.close()
+    assert (server.counts.failed, server.counts.registered) == (1, 1)
+    assert any("this is a bug" in text for text in server.said)
 
 
 def test_the_newest_frame_is_registered_and_a_slow_engine_drops_the_others():

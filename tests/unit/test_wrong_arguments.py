@@ -19,6 +19,7 @@ from support.wrong import WRONG, ends_well, swept
 from tissuereg.errors import ExperimentError, FormatError, MaterialError, TissueRegError, UnitWarning
 from tissuereg.experiment.effects import EFFECTS
 from tissuereg.io.experiments import read_experiment
+from tissuereg.live import LiveSettings
 from tissuereg.parallel import Failed, Processes, open_executor
 from tissuereg.registration.contacts.settings import ContactSettings
 from tissuereg.registration.wrong_markers import score_markers
@@ -389,6 +390,10 @@ CALLS = {
     "Recording.of": (
         lambda **given: one_frame().of(**{"names": ("P1",), **given}),
         {"names": ("P1",), "match": "label"},
+    ),
+    "LiveSettings": (
+        LiveSettings,
+        {"surface": "plain", "gather_s": 0.05, "farthest_mm": 1e4, "most_bytes": 1000, "most_peers": 2},
     ),
     "fitted_prior": (
         lambda **given: tr.tracking.fitted_prior(**{"mesh": mesh(), "largest_mm": 1.0, "n_events": 6, **given}),

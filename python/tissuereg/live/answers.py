@@ -84,7 +84,7 @@ def answer_of(
     """
     trusted = bool(result.trust.ok)
     content = {
-        "schema": "tissuereg.live/1",
+        "schema": "tissuereg.live-answer/1",
         "time_s": time_s,
         "latency_ms": 1e3 * latency_s,
         "stale": False,
@@ -99,15 +99,19 @@ def answer_of(
     code, name = (_CODES.trusted, "TRUSTED") if trusted else (_CODES.untrusted, "UNTRUSTED")
     why = "nothing speaks against it" if trusted else "; ".join(result.trust.reasons)
     light = _told(content, Status(code, name, why), time_s)
-    old = _told(
-        {**content, "stale": True}, Status(_CODES.stale, "STALE", "no new frame came since this answer"), time_s
-    )
+    old = _told({**content, "stale": True}, Status(_CODES.stale, "STALE", "no newer answer came in time"), time_s)
     return LiveAnswer(heavy, light, old, trusted)
 
 
 def not_registered(reason: str, time_s: float) -> bytes:
     """Return the messages for a frame that could not be registered."""
-    content = {"schema": "tissuereg.live/1", "time_s": time_s, "trusted": False, "reasons": [reason], "targets": {}}
+    content = {
+        "schema": "tissuereg.live-answer/1",
+        "time_s": time_s,
+        "trusted": False,
+        "reasons": [reason],
+        "targets": {},
+    }
     return _told(content, Status(_CODES.not_ready, "NOT_REGISTERED", reason), time_s)
 
 

@@ -12,7 +12,6 @@ from tissuereg.io.matching import Labels, partners
 from tissuereg.io.points import turned
 from tissuereg.io.recordings.plus import tool_of
 from tissuereg.io.recordings.recording import is_known
-from tissuereg.io.recordings.tracks import is_place
 from tissuereg.live.protocol import Message, points_in, tools_in, transform_in
 from tissuereg.live.settings import LiveSettings
 from tissuereg.tracking.align import Alignment
@@ -55,7 +54,7 @@ class Gathering:
     """Makes frames of messages: one a POINT, and one of tools until all were there, one comes again, or time is up."""
 
     def __init__(self, intake: Intake, settings: LiveSettings) -> None:
-        self.unknown: set[str] = set()
+        self.unknown: dict[str, None] = {}
         self.late = self.resets = 0
         self._intake, self._settings = intake, settings
         self._sit = Labels("the reference", intake.names)
@@ -97,7 +96,8 @@ class Gathering:
             if not self._pending:
                 self._since, self._sent_s = now, sent_s
             offset = self._intake.offsets.get(name, self._intake.offsets.get(device, np.zeros(3)))
-            self._pending[row] = pose[:3, :3] @ offset + pose[:3, 3] if seen else np.full(3, np.nan)
+            with np.errstate(invalid="ignore", over="ignore"):
+                self._pending[row] = pose[:3, :3] @ offset + pose[:3, 3] if seen else np.full(3, np.nan)
             self._received_s = now
         if len(self._pending) == len(self._intake.names):
             found += self.flush(now, always=True)
@@ -121,9 +121,11 @@ class Gathering:
             return []
         places = np.full((len(self._intake.names), 3), np.nan)
         for row, place in rows.items():
-            if is_place(place).all():
-                places[row] = place
-        return [LiveFrame(time_s, self._intake.places(places), now)]
+            places[row] = place
+        with np.errstate(invalid="ignore", over="ignore"):
+            found = self._intake.places(places)
+            seen = np.asarray((np.abs(found) < self._settings.farthest_mm).all(axis=1))
+        return [LiveFrame(time_s, np.where(seen[:, None], found, np.nan), now)]
 
     def _time(self, sent_s: float, now: float) -> float | None:
         """Return a frame's time on this machine's clock, s, later than the last one's; None if it is not later.
@@ -155,7 +157,7 @@ class Gathering:
             known = is_known(self._sit, name, match)
             self._known[name] = partners(self._sit, Labels("", [name]), match)[0] if known else None
         if self._known[name] is None and len(self.unknown) < self._settings.most_names:
-            self.unknown.add(name)
+            self.unknown[name] = None
         return self._known[name]
 
 

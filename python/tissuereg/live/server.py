@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any, Protocol
 
 from tissuereg._base.arrays import FloatArray
-from tissuereg.errors import FormatError
+from tissuereg.errors import FormatError, TissueRegError
 from tissuereg.live.answers import LiveAnswer, NodeSpread, answer_of, not_registered, places_of, prepare
 from tissuereg.live.frames import TAKEN, Gathering, Intake, LiveFrame, check_intake
 from tissuereg.live.protocol import HEADER_BYTES, header_of, message_of
@@ -44,7 +44,8 @@ class Counts:
     `received`: frames that came in; `registered`, `failed`, `untrusted`: of those that were taken; `dropped`: frames
     for which there was no time; `late`: frames not later than the one before; `spoilt`: messages that break the
     protocol; `skipped`: messages of other types, or too large; `unsent`: answers left out for slow peers; `peers`:
-    connections so far; `refused`: those beyond the most.
+    connections so far; `refused`: those beyond the most;
+    `unknown`: names that are no marker's.
     """
 
     received: int = 0
@@ -58,6 +59,7 @@ class Counts:
     unsent: int = 0
     peers: int = 0
     refused: int = 0
+    unknown: int = 0
 
     def to_json(self) -> dict[str, int]:
         """Return the counts by name."""
@@ -246,7 +248,14 @@ class LiveServer:
             self.counts.spoilt += 1
         else:
             self._arrived(frames)
+            self._tell_strangers()
         await asyncio.sleep(0)  # a peer that sends without a break does not keep the others from their turn
+
+    def _tell_strangers(self) -> None:
+        """Tell of names that are no marker's, each once."""
+        for name in list(self._gathering.unknown)[self.counts.unknown :]:
+            self._told(f"'{name}' is no marker of the reference, and is left out")
+        self.counts.unknown = len(self._gathering.unknown)
 
     def _arrived(self, frames: list[LiveFrame]) -> None:
         for frame in frames:
@@ -274,8 +283,10 @@ class LiveServer:
                 continue
             try:
                 result, answer = await asyncio.to_thread(self._answer, frame)
-            except CANNOT_BE_REGISTERED as error:
+            except Exception as error:  # whatever a peer sends, the next frame is registered
                 self.counts.failed += 1
+                if not isinstance(error, TissueRegError):
+                    self._told(f"this is a bug, please report it: {type(error).__name__}: {error}")
                 self._publish(not_registered(str(error), frame.time_s))
             else:
                 self.counts.registered += 1

@@ -24,7 +24,10 @@ def read_trc(file: Path, how: HowRead) -> Tracks:
         raise FormatError(message, where=f"{file}:4")
     stated = {key.lower(): value for key, value in zip(head[1], head[2], strict=False)}
     mm = how.millimetres(stated.get("units"), file)
-    names = unique([cell for cell in head[3][2:] if cell])
+    titles = head[3][2::3]
+    while titles and not titles[-1]:
+        titles.pop()
+    names = unique([title or f"P{i + 1}" for i, title in enumerate(titles)])
     found: list[list[float]] = []
     for line, cells in rows:
         if not cells[0] and any(cell.upper().startswith("X") for cell in cells):
