@@ -83,7 +83,7 @@ class Gathering:
         seen = all(
             value.upper() in ("OK", "VALID", "1", "TRUE")
             for key, value in message.metadata.items()
-            if key.lower().endswith("status")
+            if key.lower() == "status" or key.lower().endswith("transformstatus")
         )
         found: list[LiveFrame] = []
         for device, pose in tools.items():
