@@ -79,7 +79,7 @@ def test_points_are_registered_and_answered_in_ras():
 def test_the_spread_is_computed_now_and_then_and_says_from_which_frame_it_is():
     engine = FastEngine()
     nodes = np.unique(BODY.surface)
-    with serving(engine, spread_s=0.25) as server:
+    with serving(engine, spread_s=0.25, jump_s=1000.0) as server:
         peer = Peer(server.address)
         of = []
         for k in range(6):
@@ -96,7 +96,8 @@ def test_the_spread_is_computed_now_and_then_and_says_from_which_frame_it_is():
 
 def test_tools_make_a_frame_and_an_invalid_one_is_not_seen():
     engine = FastEngine()
-    with serving(engine, intake=Intake(NAMES, offsets={"P1": np.array([0.0, 0.0, -5.0])})) as server:
+    intake = Intake(NAMES, offsets={"P1": np.array([0.0, 0.0, -5.0])})
+    with serving(engine, intake=intake, gather_s=5.0) as server:
         peer = Peer(server.address)
         for name, place in zip(NAMES, SIT, strict=True):
             status = {"TransformStatus": "INVALID" if name == "P2" else "OK"}
@@ -169,7 +170,7 @@ def test_names_are_joined_by_number_or_order():
 def test_it_outlives_peers_that_break_the_protocol():
     good = point_message(SIT)
     huge = good[:42] + struct.pack(">QQ", 2**63, 0)
-    with serving(partial_s=0.2) as server:
+    with serving(partial_s=1.0) as server:
         other = Peer(server.address)
         for broken in (b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n" + bytes(60), huge, bytes(200), b"\xff" * 58):
             peer = Peer(server.address)
@@ -301,7 +302,7 @@ def test_it_connects_to_a_peer_that_comes_and_goes():
 def test_a_client_of_another_make_is_understood_and_understands():
     pyigtl = pytest.importorskip("pyigtl")
     engine = FastEngine()
-    with serving(engine) as server:
+    with serving(engine, gather_s=5.0) as server:
         client = pyigtl.OpenIGTLinkClient(host="127.0.0.1", port=server.address[1])
         eventually(client.is_connected)
         client.send_message(pyigtl.PointMessage(positions=(SIT + 1.0).tolist(), names=list(NAMES), device_name="F"))
