@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import tissuereg as tr
-from support.files import FIDUCIALS, GOOD_MARKERS, write_experiment
+from support.files import FIDUCIALS, GOOD_MARKERS, GOOD_RECORDING, write_experiment
 from support.meshes import block
 from support.rigs import rig
 from support.wrong import WRONG, ends_well, swept
@@ -20,6 +20,7 @@ from tissuereg.errors import ExperimentError, FormatError, MaterialError, Tissue
 from tissuereg.experiment.effects import EFFECTS
 from tissuereg.imaging.images import Grid, write_image
 from tissuereg.io.experiments import read_experiment
+from tissuereg.live import LiveSettings
 from tissuereg.parallel import Failed, Processes, open_executor
 from tissuereg.registration.contacts.settings import ContactSettings
 from tissuereg.registration.wrong_markers import score_markers
@@ -64,6 +65,13 @@ def registrar():
 
 def tracker():
     return tr.Tracker(registrar())
+
+
+CORNERS = [[0.0, 0.0, 0.0], [30.0, 0.0, 0.0], [0.0, 20.0, 0.0]]
+
+
+def one_frame():
+    return tr.Recording(np.zeros(1), ("P1",), np.zeros((1, 1, 3)), listed=1)
 
 
 def polled(**given):
@@ -394,6 +402,18 @@ CALLS = {
         {"actuator": 0.5},
     ),
     "CalledPhysics": (tr.tracking.CalledPhysics, {"function": lambda _: np.zeros((4, 3))}),
+    "rigid_alignment": (
+        lambda **given: tr.tracking.rigid_alignment(**{"body_mm": CORNERS, **given}),
+        {"tracker_mm": CORNERS, "body_mm": CORNERS, "names": ["a", "b", "c"], "std": 0.1},
+    ),
+    "Recording.of": (
+        lambda **given: one_frame().of(**{"names": ("P1",), **given}),
+        {"names": ("P1",), "match": "label"},
+    ),
+    "LiveSettings": (
+        LiveSettings,
+        {"surface": "plain", "gather_s": 0.05, "farthest_mm": 1e4, "most_bytes": 1000, "most_peers": 2},
+    ),
     "fitted_prior": (
         lambda **given: tr.tracking.fitted_prior(**{"mesh": mesh(), "largest_mm": 1.0, "n_events": 6, **given}),
         {
@@ -578,6 +598,7 @@ READERS = {
     "read_targets": tr.read_targets,
     "read_seen": tr.read_seen,
     "read_surface": tr.read_surface,
+    "read_recording": tr.read_recording,
     "read_experiment": tr.read_experiment,
     "read_registration": tr.read_registration,
     "read_material_experiment": tr.read_material_experiment,
@@ -625,6 +646,7 @@ def test_options_of_a_reader_that_are_wrong_are_refused(tmp_path):
     (tmp_path / "read_seen.csv").write_text("target,x_mm,y_mm,z_mm\nlesion,1,2,3\n")
     (tmp_path / "read_surface.csv").write_text("x_mm,y_mm,z_mm\n1,2,3\n")
     (tmp_path / "sit.fcsv").write_text(FIDUCIALS)
+    (tmp_path / "recording.csv").write_text(GOOD_RECORDING)
     np.savez(tmp_path / "m.npz", nodes_mm=mesh().nodes, tets=mesh().tets, fixed_nodes=mesh().fixed_nodes)
     for wrong in WRONG.values():
         ends_well(tr.read_markers, "std", {}, path=tmp_path / "m.csv", std=wrong)
@@ -632,6 +654,8 @@ def test_options_of_a_reader_that_are_wrong_are_refused(tmp_path):
             for read in (tr.read_markers, tr.read_targets, tr.read_seen, tr.read_surface):
                 ends_well(read, frame, {}, path=tmp_path / f"{read.__name__}.csv", **{"frame": "LPS", frame: wrong})
         ends_well(tr.read_seen, "std", {}, path=tmp_path / "read_seen.csv", std=wrong)
+        for option in ("columns", "offsets", "rate_hz", "unit"):
+            ends_well(tr.read_recording, option, {}, path=tmp_path / "recording.csv", **{option: wrong})
         ends_well(tr.read_mesh, "fixed", {}, path=tmp_path / "m.npz", fixed=wrong)
         ends_well(tr.read_mesh, "frame", {}, path=tmp_path / "m.npz", frame=wrong)
         ends_well(tr.read_markers, "measured", {}, path=tmp_path / "sit.fcsv", measured=wrong)
@@ -660,6 +684,7 @@ def test_a_modulus_that_no_solid_has_is_refused(young):
 
 #: Public names that take no argument, or are made by us alone.
 NO_ARGUMENTS = {
+    "Recording",
     "ContactRegistration",
     "LearnedRegistration",
     "MarkerAdvice",
