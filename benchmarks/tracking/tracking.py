@@ -406,7 +406,7 @@ def _machine(answer: dict[str, Any]) -> str:
 def main() -> None:
     """Run the studies, or write the page again."""
     parser = argparse.ArgumentParser(description="What restarts the simulation of a tracked body.")
-    parser.add_argument("--seeds", type=int, default=8)
+    parser.add_argument("--seeds", type=int, default=8, help="sets of markers with the network; 0: those of before")
     parser.add_argument("--contacts-seeds", type=int, default=8)
     parser.add_argument("--truth", type=Path)
     parser.add_argument("--threads", type=int, default=0)
@@ -431,7 +431,7 @@ def main() -> None:
             "std_mm": STD_MM,
             "threads": given.threads,
             "load_before": load,
-            "model": [],
+            "model": [] if given.seeds else read_archive(ARCHIVE)["model"],
             "contacts": [],
         }
         # Archive and page are of what is done; a run that is stopped leaves them so.

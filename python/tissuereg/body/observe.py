@@ -105,6 +105,7 @@ class MarkerObservation:
             triangles, self._free = like._triangles, like._free
             weights, feet = _feet_in(mesh.nodes[mesh.surface[triangles]], places, self._free)
         self._triangles: IntArray = triangles
+        self._kept: tuple[FloatArray, list[tuple[IntArray, FloatArray]]] | None = None
         self.distance: FloatArray = np.linalg.norm(places - feet, axis=1)
         _check_distance(self.distance, names, mesh.extent)
         self._tets: IntArray = _tets_within(mesh, places, self.distance, std) if like is None else like._tets
@@ -264,6 +265,13 @@ class MarkerObservation:
         for members, weights in self._slopes(displacement):
             found += [(self.nodes[members], weights[axis]) for axis in range(3)]
         return found
+
+    def rows_of(self, field: FloatArray) -> list[tuple[IntArray, FloatArray]]:
+        """Return `rows` at a displacement of all nodes (n_nodes, 3), mm, kept for the next call with the same array."""
+        kept = self._kept
+        if kept is None or kept[0] is not field:
+            kept = self._kept = (field, self.rows(field[self.nodes]))
+        return kept[1]
 
     def _slopes(self, displacement: FloatArray) -> Iterator[tuple[IntArray, FloatArray]]:
         """Yield for every marker the nodes on which its displacement depends, and the derivative with respect to these.

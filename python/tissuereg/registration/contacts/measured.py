@@ -4,6 +4,7 @@ Either has one method, `read`: it returns, at a deformed body, the sensitivity r
 and their standard deviations. The fit uses nothing else.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Protocol
@@ -15,27 +16,33 @@ from tissuereg.body.markers import Markers
 from tissuereg.body.observe import MarkerObservation
 from tissuereg.registration.contacts.settings import MATCHING
 from tissuereg.registration.contacts.state import BodyState, RigidMotion
+from tissuereg.registration.contacts.unexplained import Rows
 
 
 @dataclass(frozen=True, eq=False)
 class Observations:
     """Observations at one deformed body, each a weighted sum of nodal displacements measured along one direction.
 
-    `rows`: nodes int64 (k,) of each observation, and the dimensionless weights (k, 3) of their displacement; `places`
-    (n_obs, 3): predicted position of the observed point, in the body's frame, mm; `directions` (n_obs, 3): unit vector
-    along which it is measured, in the body's frame; `residual` (n_obs,): measured minus predicted, mm; `std` (n_obs,):
-    standard deviation, enlarged by a heavy tail for large residuals, mm; `cost` (n_obs,): minus twice the logarithm of
-    each observation's likelihood, up to a constant: 1 for residuals of pure noise; `groups`: for each marker the
-    observations that may be wrong together; empty if outliers get a small weight instead.
+    `make`: function without arguments that returns `rows`; `places` (n_obs, 3): predicted position of the observed
+    point, in the body's frame, mm; `directions` (n_obs, 3): unit vector along which it is measured, in the body's
+    frame; `residual` (n_obs,): measured minus predicted, mm; `std` (n_obs,): standard deviation, enlarged by a heavy
+    tail for large residuals, mm; `cost` (n_obs,): minus twice the logarithm of each observation's likelihood, up to a
+    constant: 1 for residuals of pure noise; `groups`: for each marker the observations that may be wrong together;
+    empty if outliers get a small weight instead.
     """
 
-    rows: list[tuple[IntArray, FloatArray]]
+    make: Callable[[], Rows]
     places: FloatArray
     directions: FloatArray
     residual: FloatArray
     std: FloatArray
     cost: FloatArray
     groups: list[list[int]]
+
+    @cached_property
+    def rows(self) -> Rows:
+        """Nodes int64 (k,) of each observation, and the dimensionless weights (k, 3) of their displacement."""
+        return self.make()
 
     def followed_by(self, other: "Observations") -> "Observations":
         """Return these observations followed by those of `other`, at the same body."""
@@ -44,7 +51,7 @@ class Observations:
             return np.concatenate([mine, theirs])
 
         return Observations(
-            [*self.rows, *other.rows],
+            lambda: [*self.rows, *other.rows],
             joined(self.places, other.places),
             joined(self.directions, other.directions),
             joined(self.residual, other.residual),
@@ -80,7 +87,7 @@ class DataPart(Protocol):
         """Return the share of surface points, 0 to 1, too far from the body `state` to belong to it; 0 for markers."""
 
 
-def _turned(rows: list[tuple[IntArray, FloatArray]], rotation: FloatArray) -> list[tuple[IntArray, FloatArray]]:
+def _turned(rows: Rows, rotation: FloatArray) -> Rows:
     """Return rows for displacements along the tracker's axes, given those for displacements along the body's.
 
     `rows`: nodes (k,) and weights (k, 3) of x, y and z of each marker in turn; `rotation` (3, 3): from the body's frame
@@ -160,8 +167,6 @@ class MarkerData:
         here = state.moved[observation.nodes]
         places = reference + observation.predict(here)
         residual = (self.markers.measured - state.frame.apply(places)).ravel()[self.rows]
-        there = here if moved is None else moved[observation.nodes]
-        all_rows = _turned(observation.rows(there), state.frame.rotation)
         std = self.std(state.frame)
         scaled = (residual / std) ** 2
         cost = scaled
@@ -170,8 +175,14 @@ class MarkerData:
             for group in self.groups:
                 std[group] *= np.sqrt(tail_variance(scaled[group].sum(), len(group)))
                 cost[group] = tail_cost(scaled[group].sum(), len(group)) / len(group)
+
+        def rows() -> Rows:
+            own = observation.rows(here) if moved is None else observation.rows_of(moved)
+            every = _turned(own, state.frame.rotation)
+            return [every[row] for row in self.rows]
+
         return Observations(
-            [all_rows[row] for row in self.rows],
+            rows,
             np.repeat(places, 3, axis=0)[self.rows],
             np.tile(state.frame.rotation, (len(reference), 1))[self.rows],
             residual,

@@ -116,7 +116,7 @@ class PointData:
         scaled = (residual / std) ** 2
         across = feet.weights[:, :, None] * directions[:, None, :]
         return Observations(
-            list(zip(feet.corners, across, strict=True)),
+            lambda: list(zip(feet.corners, across, strict=True)),
             feet.places,
             directions,
             residual,

@@ -41,7 +41,7 @@ class Tangent:
             EFFORT.block * (threads or n_cores()) if body.n_unknowns >= EFFORT.many_unknowns else sys.maxsize
         )
         self._known: dict[bytes, Compliance] = {}
-        self._of_nodes: dict[bytes, list[tuple[FloatArray, Compliance]]] = {}
+        self._of_nodes: dict[bytes, tuple[FloatArray, Compliance]] = {}
         self._lock = threading.Lock()
 
     @cached_property
@@ -67,9 +67,7 @@ class Tangent:
         keys = [nodes.tobytes() + b"|" + weights.tobytes() for nodes, weights in rows]
         with self._lock:
             found = {key: self._known[key] for key in keys if key in self._known}
-            for key, row in zip(keys, rows, strict=True):
-                if key not in found and (made := self._combined(row)) is not None:
-                    found[key] = made
+            found |= self._combined({key: row for key, row in zip(keys, rows, strict=True) if key not in found})
         missing = {key: row for key, row in zip(keys, rows, strict=True) if key not in found}
         if missing or not rows:
             solved = self._solved(list(missing.values()), progress)
@@ -99,25 +97,38 @@ class Tangent:
         with self._lock:
             if len(self._known) + len(new) <= EFFORT.remembered:
                 self._known |= new
-                for key, (nodes, weights) in rows.items():
-                    self._of_nodes.setdefault(nodes.tobytes(), []).append((weights, new[key]))
+                for name, keys in _by_nodes(rows).items():
+                    weights, parts = np.stack([rows[key][1] for key in keys]), [new[key] for key in keys]
+                    if name in self._of_nodes:
+                        weights = np.concatenate([self._of_nodes[name][0], weights])
+                        parts = [self._of_nodes[name][1], *parts]
+                    self._of_nodes[name] = weights, _together(parts)
 
-    def _combined(self, row: Row) -> Compliance | None:
-        """Return the sensitivity of an observation that is a sum of known ones of its nodes; None if it is none."""
-        nodes, weights = row
-        known = self._of_nodes.get(nodes.tobytes(), [])
-        if not known:
-            return None
-        every = np.stack([own.ravel() for own, _ in known])
-        shares = np.linalg.lstsq(every.T, weights.ravel())[0]
-        if np.abs(shares @ every - weights.ravel()).max() > 1e-12 * np.abs(weights).max():
-            return None
-        used = [(share, one) for share, (_, one) in zip(shares, known, strict=True) if share != 0.0]
-        return Compliance(
-            sum(share * one.forces for share, one in used),
-            sum(share * one.body_force for share, one in used),
-            sum(share * one.prescribed for share, one in used),
-        )
+    def _combined(self, rows: dict[bytes, Row]) -> dict[bytes, Compliance]:
+        """Return the sensitivities of those of some observations that are sums of known ones of their nodes."""
+        found: dict[bytes, Compliance] = {}
+        for name, keys in _by_nodes(rows).items():
+            if name not in self._of_nodes:
+                continue
+            known, sensitivities = self._of_nodes[name]
+            every = known.reshape(len(known), -1)
+            wanted = np.stack([rows[key][1].ravel() for key in keys])
+            shares = np.linalg.lstsq(every.T, wanted.T)[0].T
+            off = np.abs(shares @ every - wanted).max(axis=1)
+            exact = np.flatnonzero(off <= 1e-12 * np.abs(wanted).max(axis=1))
+            if len(exact):
+                parts = (sensitivities.forces, sensitivities.body_force, sensitivities.prescribed)
+                made = _apart(Compliance(*(np.tensordot(shares[exact], part, 1) for part in parts)))
+                found |= {keys[i]: one for i, one in zip(exact, made, strict=True)}
+        return found
+
+
+def _by_nodes(rows: dict[bytes, Row]) -> dict[bytes, list[bytes]]:
+    """Return the keys of observations by their nodes."""
+    found: dict[bytes, list[bytes]] = {}
+    for key, (nodes, _) in rows.items():
+        found.setdefault(nodes.tobytes(), []).append(key)
+    return found
 
 
 def _apart(whole: Compliance) -> list[Compliance]:
