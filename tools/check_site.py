@@ -1,5 +1,9 @@
-"""Fail if the built site needs anything that is not in it: `python tools/check_site.py build/site`."""
+"""Fail if a built site needs anything that is not in it: `python tools/check_site.py build/site [OTHER]`.
 
+OTHER is the same site by another builder; how many of its pages read otherwise is said.
+"""
+
+import html
 import re
 import sys
 from html.parser import HTMLParser
@@ -22,6 +26,13 @@ LOADS = {
     "video": "src",
 }
 
+#: What is not prose, and formulas in prose.
+NO_PROSE = ("code", "pre", "script", "style")
+FORMULA = re.compile(r"\$[^$\s][^$]*\$")
+
+#: What a page says; names of elements are none of it.
+ARTICLE, ELEMENT = re.compile(r"<article.*?</article>", re.DOTALL), re.compile(r"<[^>]+>|\s+")
+
 #: What a style sheet loads.
 STYLE = re.compile(r"""url\(\s*['"]?(?!data:|#)([^'")]+)|@import\s+['"]([^'"]+)""")
 
@@ -34,17 +45,26 @@ class Loaded(HTMLParser):
         self.loads: list[str] = []
         self.links: list[str] = []
         self.raw_formulas = 0
+        self.in_code = 0
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         """Record what an element loads."""
         given = dict(attrs)
+        self.in_code += tag in NO_PROSE
         if (found := given.get(LOADS.get(tag, ""))) is not None:
             self.loads.append(found)
         if tag == "a" and (found := given.get("href")) is not None:
             self.links.append(found)
         if (style := given.get("style")) is not None:
             self.loads += style_loads(style)
-        self.raw_formulas += given.get("class") == "arithmatex"
+
+    def handle_endtag(self, tag: str) -> None:
+        """Record where code ends."""
+        self.in_code -= tag in NO_PROSE
+
+    def handle_data(self, data: str) -> None:
+        """Count formulas that were left as text."""
+        self.raw_formulas += 0 if self.in_code else len(FORMULA.findall(data))
 
 
 def style_loads(text: str) -> list[str]:
@@ -89,14 +109,33 @@ def faults(root: Path) -> list[str]:
     return found
 
 
+def text_of(page: Path) -> str:
+    """Return what a page says, without elements and blanks."""
+    found = ARTICLE.search(page.read_text(encoding="utf-8"))
+    return html.unescape(ELEMENT.sub("", found[0] if found else ""))
+
+
+def differing(root: Path, other: Path) -> list[str]:
+    """Return the pages of a site that another builder lacks or words otherwise."""
+    pages = [page.relative_to(root) for page in sorted(root.rglob("*.html"))]
+    return [
+        page.as_posix()
+        for page in pages
+        if not (other / page).is_file() or text_of(root / page) != text_of(other / page)
+    ]
+
+
 def main() -> int:
-    """Check the folder that is named."""
-    root = Path(sys.argv[1])
-    pages = len(list(root.rglob("*.html")))
-    found = faults(root)
-    print(*found, sep="\n", end="\n" if found else "")
-    print(f"{root}: {pages} pages, {len(found)} faults")
-    return int(bool(found) or pages == 0)
+    """Check the folders that are named, and compare them."""
+    failed = False
+    for root in map(Path, sys.argv[1:]):
+        pages, found = len(list(root.rglob("*.html"))), faults(root)
+        print(*found, f"{root}: {pages} pages, {len(found)} faults", sep="\n")
+        failed |= bool(found) or pages == 0
+    if len(sys.argv) > 2:
+        unlike = differing(Path(sys.argv[1]), Path(sys.argv[2]))
+        print(f"{len(unlike)} pages read otherwise in {sys.argv[2]}", *unlike, sep="\n  ")
+    return int(failed)
 
 
 if __name__ == "__main__":

@@ -17,6 +17,7 @@ LAYERS: tuple[tuple[str, str], ...] = (
     ("what the simulation gets wrong", "diagnosis"),
     ("the embedded body and its demo; a surface becomes a body", "phantom meshing"),
     ("pages and pictures", "report"),
+    ("markers in, a registered body out, over the network", "live"),
     ("a body in motion", "tracking"),
     ("one state of a body", "registration"),
     ("equilibria, histories, data sets", "simulation"),

@@ -20,9 +20,18 @@ if (location.protocol === "file:") {
           inner.document.body.appendChild(script);
         });
       inner.importScripts = (...sources) => sources.reduce((before, source) => before.then(() => load(source)), Promise.resolve());
-      inner.postMessage = (data) => this.dispatchEvent(new MessageEvent("message", { data }));
+      inner.postMessage = (data) => {
+        const event = new MessageEvent("message", { data });
+        this.dispatchEvent(event);
+        this.onmessage?.(event);
+      };
+      this.frame = frame;
       this.inner = inner;
       this.ready = load(url);
+    }
+
+    terminate() {
+      this.frame.remove();
     }
 
     postMessage(data) {

@@ -38,7 +38,7 @@ def tissuereg(*words: object) -> int:
     done = subprocess.run([command, *map(str, words)], env=environment, capture_output=True, text=True, check=False)
     print(done.stdout)
     if done.returncode not in (0, DOUBTFUL):
-        message = f"tissuereg {words[0]} ended with {done.returncode}: {done.stderr.strip()}"
+        message = f"tissuereg {words[0]} ended with {done.returncode}: {' '.join(done.stderr.split())}"
         raise RuntimeError(message)
     return done.returncode
 

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from tissuereg.io.experiments import read_experiment
     from tissuereg.io.material_experiments import read_material_experiment
     from tissuereg.io.meshes import read_mesh
+    from tissuereg.io.recordings import Recording, read_recording
     from tissuereg.io.tables import read_markers, read_seen, read_surface, read_targets
     from tissuereg.meshing import FilledMesh, tetrahedralize
     from tissuereg.registration.advise import MarkerAdvice, advise_markers
@@ -71,6 +72,8 @@ _MODULES = {
     "read_experiment": "tissuereg.io.experiments",
     "read_material_experiment": "tissuereg.io.material_experiments",
     "read_mesh": "tissuereg.io.meshes",
+    "Recording": "tissuereg.io.recordings",
+    "read_recording": "tissuereg.io.recordings",
     "read_markers": "tissuereg.io.tables",
     "read_seen": "tissuereg.io.tables",
     "read_surface": "tissuereg.io.tables",
@@ -121,6 +124,7 @@ __all__ = [
     "Material",
     "Mesh",
     "Progress",
+    "Recording",
     "RegisterSettings",
     "Registrar",
     "Registration",
@@ -145,6 +149,7 @@ __all__ = [
     "read_markers",
     "read_material_experiment",
     "read_mesh",
+    "read_recording",
     "read_registration",
     "read_seen",
     "read_surface",

@@ -5,6 +5,7 @@ import json
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import tissuereg as tr
 from support.files import run, run_json
@@ -176,6 +177,81 @@ def test_a_frame_without_any_marker_is_left_out_and_told(inputs, capsys):
         assert [frame["time_s"] for frame in said["frames"]] == ([0.0] if words else [0.0, 0.05])
         assert [frame["time_s"] for frame in said["failed"]] == [0.025]
         assert "must have been seen" in said["failed"][0]["reason"]
+
+
+TURN = Rotation.from_rotvec([0.4, -0.2, 1.1])
+ORIGIN = np.array([250.0, 900.0, -60.0])
+
+
+#: The body at rest for a tenth of a second, then as recorded.
+MOMENTS = [*(0.01 * k - 0.1 for k in range(10)), *TIMES]
+
+
+def at_rest_first():
+    return [*[PLACES] * 10, *recorded()]
+
+
+def motive(frames, names=NAMES):
+    """A Motive file in metres of markers (n_frames, n_markers, 3), mm in the body's frame, in a tracker's frame."""
+    head = ["Format Version,1.24,Length Units,Meters,Coordinate Space,Global", ""]
+    for key, words in (("Type", ["Marker"] * len(names)), ("Name", names)):
+        head.append(f",{key}," + ",".join(word for word in words for _ in range(3)))
+    head += [",," + ",".join(["Position"] * 3 * len(names)), "Frame,Time (Seconds)" + ",X,Y,Z" * len(names)]
+    rows = []
+    for k, frame in enumerate(frames):
+        seen = np.where(np.isnan(frame), np.nan, TURN.apply(np.nan_to_num(frame)) + ORIGIN) / 1000.0
+        rows.append(f"{k},{MOMENTS[k]}," + ",".join("" if np.isnan(one) else repr(float(one)) for one in seen.ravel()))
+    return "\n".join([*head, *rows]) + "\n"
+
+
+def test_an_export_of_a_tracker_is_aligned_and_tracked_like_a_table(inputs, capsys):
+    frames = at_rest_first()
+    (inputs / "motive.csv").write_text(motive(frames))
+    rows = [row for time_s, seen in zip(MOMENTS, frames, strict=True) for row in rows_of(time_s, seen)]
+    (inputs / "recording.csv").write_text(HEADER + "".join(rows).replace("nan", ""))
+    _, table, _ = track(capsys, inputs, *with_model(inputs))
+    assert table["recording"]["format"].startswith("table")
+    pairs = ["point,x_mm,y_mm,z_mm,tracker_x_mm,tracker_y_mm,tracker_z_mm\n"]
+    for name, place in zip("abcd", PLACES[:4], strict=True):
+        pairs.append(f"{name},{','.join(map(str, [*place, *(TURN.apply(place) + ORIGIN)]))}\n")
+    (inputs / "pairs.csv").write_text("".join(pairs))
+    (inputs / "motive.csv").rename(inputs / "recording.csv")
+    for align in ("first", inputs / "pairs.csv"):
+        _, said, err = track(capsys, inputs, *with_model(inputs), "--align", align, out=f"out-{len(str(align))}")
+        assert "aligned to the body's by" in err
+        assert said["alignment"]["rms_mm"] < 1e-6
+        assert said["recording"]["up"] == "y"
+        for frame, plain in zip(said["frames"], table["frames"], strict=True):
+            found, wanted = (one["targets"]["lesion"]["mean_mm"] for one in (frame, plain))
+            # The alignment rounds in the last digits.
+            np.testing.assert_allclose(found, wanted, atol=1e-4)
+
+
+def test_an_alignment_that_does_not_fit_is_refused(inputs, capsys):
+    exchanged = [frame[[2, 1, 0, *range(3, len(PLACES))]] for frame in at_rest_first()]
+    (inputs / "recording.csv").write_text(motive(exchanged))
+    code, said, _ = track(capsys, inputs, *with_model(inputs), "--align", "first")
+    assert (code, said["error"]) == (2, "MarkerError")
+    assert "must fit one rigid motion" in said["message"]
+    assert not (inputs / "out").exists()
+
+
+def test_columns_offsets_and_the_noise_of_a_tracker_are_taken(inputs, capsys):
+    head = "Frame#,ToolHandle,Face#,TransformStatus,Q0,Qx,Qy,Qz,Tx,Ty,Tz,Error,#Markers\n"
+    rows = [f"{k},{name},0,OK,1,0,0,0,{x - 5},{y},{z},0.5,0\n" for k, frame in enumerate([PLACES] * 2)
+            for name, (x, y, z) in zip(NAMES, frame.tolist(), strict=True)]  # fmt: skip
+    (inputs / "recording.csv").write_text(head + "".join(rows))
+    words = [word for name in NAMES for word in ("--offset", f"{name} 5 0 0")]
+    _, said, _ = track(capsys, inputs, *with_model(inputs), "--rate", "50", *words)
+    assert [frame["time_s"] for frame in said["frames"]] == [0.0, 0.02]
+    # The stated error is larger than the noise by default, so that regions are larger.
+    _, quiet, _ = track(capsys, inputs, *with_model(inputs), "--rate", "50", *words, "--std", "0.1", out="quiet")
+    wide, narrow = (np.prod(one["frames"][0]["targets"]["lesion"]["region90_radii_mm"]) for one in (said, quiet))
+    assert wide > 1.2 * narrow
+    for words, message in ((["--offset", "P1 5"], "must be a tool and three numbers"), ([], "say how many a second")):
+        code, said, _ = track(capsys, inputs, *words)
+        assert code == 2
+        assert message in said["message"]
 
 
 def test_if_no_frame_can_be_registered_nothing_is_written(inputs, capsys, monkeypatch):

@@ -81,6 +81,7 @@ SLOW = {
     "docs/howto/own-organ.md",
     "docs/howto/own-simulator.md",
     "docs/howto/own-tracker.md",
+    "docs/howto/recording-to-report.md",
     "docs/howto/tumour-in-slicer.md",
 }
 
@@ -135,6 +136,7 @@ def test_blocks_that_are_not_run_are_known():
     left_out = {name_of(page): sum(block.not_run is not None for block in blocks(page)) for page in PAGES}
     assert {page: n for page, n in left_out.items() if n} == {
         "docs/tutorial.md": 1,  # pip install
+        "docs/howto/recording-to-report.md": 1,  # the same
         "docs/howto/tumour-in-slicer.md": 1,  # the same
         "docs/cluster.md": 4,  # start processes, or take a cluster
         "docs/files.md": 1,  # reads a data set; run by tests/unit/test_datasets.py

@@ -44,7 +44,7 @@ def crowded(found, n_targets, n_contacts, *, together):
         contact if together else replace(contact, centre_mm=found.mesh.nodes[nodes[index]])
         for index in range(n_contacts)
     ]
-    return replace(found, targets=targets, contacts=tuple(contacts))
+    return replace(found, targets=targets, search=lambda: tuple(contacts))
 
 
 def texts(figure):

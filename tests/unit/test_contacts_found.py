@@ -147,8 +147,7 @@ def test_a_camera_sees_two_components_or_one(blind):
     assert np.array_equal(np.isnan(left), np.isnan(measured))
     assert np.sqrt(3 * np.nanmean(left**2)) < push().limit(markers)
     # What was not seen is not solved for.
-    assert result.work["right_hand_sides"] % np.isfinite(measured).sum() == 0
-    assert result.work["right_hand_sides"] <= 2 * np.isfinite(measured).sum()
+    assert np.isfinite(measured).sum() <= result.work["right_hand_sides"] <= 2 * np.isfinite(measured).sum()
 
 
 def test_three_markers_are_enough_to_answer_and_leave_more_unknown(result):

@@ -3,6 +3,7 @@
 import hashlib
 import json
 import shutil
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -15,13 +16,14 @@ import tissuereg as tr
 from support.files import EXPERIMENT, FIDUCIALS, GOOD_MARKERS, GOOD_RECORDING, TABLES, write_experiment, write_problem
 from support.grids import write_appended_vtu, write_grid, write_modern_vtk, write_xdmf
 from support.meshes import block
+from support.recordings import ANY_COLUMNS, ANY_TABLE, MOTIVE, NDI_ROWS, NDI_TRACK, TRC, c3d_bytes, plus_text
 from support.spoilt import CHANGES, FUZZED, reads_or_refuses, spoilt
 from tissuereg.io.cache import keep_entry, read_entry
 from tissuereg.io.meshes import write_vtu
 from tissuereg.io.mrk_json import write_mrk_json
 from tissuereg.io.problems import read_problem, read_simulation, read_simulations, read_variants
 from tissuereg.io.surfaces import read_triangles
-from tissuereg.io.tables import read_recording, read_reference
+from tissuereg.io.tables import read_reference
 from tissuereg.registration.learned.card import CARD_SCHEMA, MODEL_FILES, check_files, read_card
 from tissuereg.simulation.dataset import make_dataset
 from tissuereg.simulation.recipe import read_recipe
@@ -42,6 +44,20 @@ SURFACES = (
 GRIDS = (
     "bytes.vtk", "modern.vtk", "zlib.vtu", "lzma.vtu", "lz4.vtu", "two.msh", "four.msh", "eight.msh", "mesh.xdmf",
 )  # fmt: skip
+
+#: Recordings of trackers, and what must be said with each.
+RECORDINGS = {
+    "recording.csv": {},
+    "motive.csv": {"offsets": {"plate": (1.0, 0.0, 0.0)}},
+    "track.csv": {"rate_hz": 60.0},
+    "rows.csv": {"rate_hz": 60.0},
+    "tool.igs.mha": {},
+    "floats.c3d": {},
+    "whole.c3d": {},
+    "dec.c3d": {},
+    "markers.trc": {},
+    "any.csv": {"columns": ANY_COLUMNS},
+}
 
 ENTRY = bytes(range(200))
 
@@ -158,6 +174,7 @@ def good(tmp_path_factory) -> Path:
     np.savez(folder / "simulations.npz", times_s=[0.0, 1.0], displacement_mm=np.zeros((2, 3, 3)))
     np.savez(folder / "variants.npz", displacement_mm=np.zeros((4, 3, 3)))
     (folder / "recording.csv").write_text(GOOD_RECORDING)
+    write_recordings(folder)
     (folder / "markers.csv").write_text(GOOD_MARKERS)
     (folder / "targets.csv").write_text("target,x_mm,y_mm,z_mm\nlesion,1,2,3\ndeep,4,5,6\n")
     (folder / "surface.csv").write_text("x_mm,y_mm,z_mm\n1,2,3\n4,5,6\n7,8,9\n")
@@ -189,6 +206,24 @@ def good(tmp_path_factory) -> Path:
     rows = "".join(f"a,tension,,,{1 + 0.1 * i:.1f},{0.2 * i:.1f}\n" for i in range(1, 6))
     (test / "test.csv").write_text("specimen,mode,rate_per_s,time_s,stretch_or_shear,stress_kPa\n" + rows)
     return folder
+
+
+def write_recordings(folder):
+    """Recordings of trackers, in the forms in which they are exported."""
+    texts = {
+        "motive.csv": MOTIVE,
+        "track.csv": NDI_TRACK,
+        "rows.csv": NDI_ROWS,
+        "markers.trc": TRC,
+        "any.csv": ANY_TABLE,
+    }
+    for name, text in texts.items():
+        (folder / name).write_text(text)
+    poses = np.tile(np.eye(4), (3, 1, 1))
+    poses[:, 2, 3] = (1.0, 2.0, 3.0)
+    (folder / "tool.igs.mha").write_text(plus_text({"Tool": poses}))
+    for name, how in {"floats": {}, "whole": {"floats": False, "order": ">"}, "dec": {"order": "dec"}}.items():
+        (folder / f"{name}.c3d").write_bytes(c3d_bytes(poses[:, :2, :3], ["P1", "P2"], **how))
 
 
 def write_grids(folder, mesh):
@@ -267,7 +302,7 @@ READERS = [
     pytest.param(read_simulation, "simulation.npz", id="simulation.npz"),
     pytest.param(read_simulations, "simulations.npz", id="simulations.npz"),
     pytest.param(read_variants, "variants.npz", id="variants.npz"),
-    pytest.param(lambda path: read_recording(path, ("P1", "P2")), "recording.csv", id="recording.csv"),
+    *(pytest.param(partial(tr.read_recording, **how), name, id=name) for name, how in RECORDINGS.items()),
     pytest.param(read_reference, "wide.csv", id="reference"),
     pytest.param(tr.read_markers, "markers.csv", id="markers.csv"),
     pytest.param(tr.read_targets, "targets.csv", id="targets.csv"),

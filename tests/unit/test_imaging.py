@@ -249,6 +249,8 @@ def test_a_surface_keeps_its_triangles_and_its_vertices_move(tmp_path):
         assert made.outside == 0
     with pytest.raises(FormatError, match=r"\.stl, \.ply, \.obj"):
         warp_surface(field(), surface, tmp_path / "moved.vtp")
+    with pytest.raises(FormatError, match="LPS"):
+        warp_surface(field("RAS"), surface, tmp_path / "other.ply")
 
 
 def test_points_are_written_with_their_spread_and_flags(tmp_path):
@@ -298,6 +300,11 @@ def test_what_cannot_be_done_is_said_and_nothing_is_written(tmp_path):
         warp_image(field(), tmp_path / "far.nrrd", out, labels=True)
     with pytest.raises(FormatError, match="must end in"):
         warp_image(field(), tmp_path / "far.nrrd", tmp_path / "out.png", labels=True)
+    before = (tmp_path / "far.nrrd").read_bytes()
+    for like in (None, tmp_path / "far.nrrd"):
+        with pytest.raises(ArgumentError, match="another file than `image`"):
+            warp_image(field(), tmp_path / "far.nrrd", tmp_path / "far.nrrd", labels=True, like=like)
+    assert (tmp_path / "far.nrrd").read_bytes() == before
     assert not out.exists()
     assert {path.name for path in tmp_path.iterdir()} == {"far.nrrd", "text.nrrd", "flat.nrrd"}
 

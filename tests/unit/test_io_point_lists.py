@@ -9,7 +9,7 @@ from support.meshes import block
 from support.slicer import fcsv_text, other_frame
 from tissuereg.errors import FormatError
 from tissuereg.io.meshes import write_vtu
-from tissuereg.io.tables import read_recording, read_reference
+from tissuereg.io.tables import read_reference
 
 SIT = {"F-1": (30.0, 10.0, 40.0), "F-2": (0.0, 10.0, 40.0), "F-3": (15.0, 0.0, 20.0)}
 SEEN = {"F_1-1": (31.0, 10.5, 40.25), "F_1-2": (1.0, 10.5, 40.25), "F_1-3": (15.5, 0.25, 20.0)}
@@ -204,16 +204,16 @@ def test_a_recording_is_joined_to_its_reference_the_same_ways(tmp_path):
         l__csv=f"{head}0,R_1,1,0,0\n1,R_1,2,0,0\n1,R_2,3,0,0\n",
     )
     names = ("F-1", "F-2")
-    by_number = read_recording(whole, names, match="number").measured[..., 0]
+    by_number = tr.read_recording(whole).of(names, match="number").places[..., 0]
     assert np.array_equal(by_number, [[np.nan, 1.0], [2.0, np.nan]], equal_nan=True)
-    by_order = read_recording(whole, names, match="order").measured[..., 0]
+    by_order = tr.read_recording(whole).of(names, match="order").places[..., 0]
     assert np.array_equal(by_order, [[1.0, np.nan], [np.nan, 2.0]], equal_nan=True)
     with pytest.raises(FormatError, match=r"every label in .*w\.csv must stand in the reference too"):
-        read_recording(whole, names)
+        tr.read_recording(whole).of(names)
     with pytest.raises(FormatError, match=r"the reference has 2, .*l\.csv has 1"):
-        read_recording(late, names, match="order")
+        tr.read_recording(late).of(names, match="order")
     with pytest.raises(FormatError, match="one of the first frame"):
-        read_recording(late, names[:1], match="order")
+        tr.read_recording(late).of(names[:1], match="order")
 
 
 def test_a_list_joined_in_the_wrong_order_is_found_out(capsys, tmp_path):

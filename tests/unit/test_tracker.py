@@ -72,7 +72,7 @@ def square_error(result, share):
 
 
 def quick_contacts():
-    few = ContactSettings(n_chains=4, n_chains_first=4, n_kept=2, powers=(0.1, 1.0, 1.0), n_draws=4)
+    few = ContactSettings(n_chains=4, n_chains_first=4, n_chains_on=4, n_kept=2, powers=(0.1, 1.0, 1.0), n_draws=4)
     return tr.RegisterSettings(threads=1, contacts=few)
 
 

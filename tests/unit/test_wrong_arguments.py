@@ -12,13 +12,15 @@ import numpy as np
 import pytest
 
 import tissuereg as tr
-from support.files import FIDUCIALS, GOOD_MARKERS, write_experiment
+from support.files import FIDUCIALS, GOOD_MARKERS, GOOD_RECORDING, write_experiment
 from support.meshes import block
 from support.rigs import rig
 from support.wrong import WRONG, ends_well, swept
 from tissuereg.errors import ExperimentError, FormatError, MaterialError, TissueRegError, UnitWarning
 from tissuereg.experiment.effects import EFFECTS
+from tissuereg.imaging.images import Grid, write_image
 from tissuereg.io.experiments import read_experiment
+from tissuereg.live import LiveSettings
 from tissuereg.parallel import Failed, Processes, open_executor
 from tissuereg.registration.contacts.settings import ContactSettings
 from tissuereg.registration.wrong_markers import score_markers
@@ -65,6 +67,13 @@ def tracker():
     return tr.Tracker(registrar())
 
 
+CORNERS = [[0.0, 0.0, 0.0], [30.0, 0.0, 0.0], [0.0, 20.0, 0.0]]
+
+
+def one_frame():
+    return tr.Recording(np.zeros(1), ("P1",), np.zeros((1, 1, 3)), listed=1)
+
+
 def polled(**given):
     """Push a frame and register it, which is where its arguments are checked."""
     made = tracker()
@@ -105,6 +114,19 @@ def filled(**given):
 def moved_grid(**given):
     with tempfile.TemporaryDirectory() as folder:
         registered().transform(Path(folder) / "field.nrrd", **given)
+
+
+def moved_image(**given):
+    with tempfile.TemporaryDirectory() as folder:
+        grid = Grid((4, 4, 4), np.array([0.0, 0.0, 5.0]), 7.0 * np.eye(3))
+        image = write_image(Path(folder) / "seg.nrrd", grid.image(np.ones((4, 4, 4), np.uint8)))
+        registered().warp_image(**{"image": image, "path": Path(folder) / "moved.nrrd", **given})
+
+
+def moved_surface(**given):
+    with tempfile.TemporaryDirectory() as folder:
+        skin = (mesh().nodes, mesh().surface)
+        registered().warp_surface(**{"surface": skin, "path": Path(folder) / "moved.ply", **given})
 
 
 def saved(**given):
@@ -380,6 +402,18 @@ CALLS = {
         {"actuator": 0.5},
     ),
     "CalledPhysics": (tr.tracking.CalledPhysics, {"function": lambda _: np.zeros((4, 3))}),
+    "rigid_alignment": (
+        lambda **given: tr.tracking.rigid_alignment(**{"body_mm": CORNERS, **given}),
+        {"tracker_mm": CORNERS, "body_mm": CORNERS, "names": ["a", "b", "c"], "std": 0.1},
+    ),
+    "Recording.of": (
+        lambda **given: one_frame().of(**{"names": ("P1",), **given}),
+        {"names": ("P1",), "match": "label"},
+    ),
+    "LiveSettings": (
+        LiveSettings,
+        {"surface": "plain", "gather_s": 0.05, "farthest_mm": 1e4, "most_bytes": 1000, "most_peers": 2},
+    ),
     "fitted_prior": (
         lambda **given: tr.tracking.fitted_prior(**{"mesh": mesh(), "largest_mm": 1.0, "n_events": 6, **given}),
         {
@@ -414,6 +448,8 @@ CALLS = {
     ),
     "Registration.draws": (lambda **given: registered().draws(**given), {"count": 2}),
     "Registration.at": (lambda **given: registered().at(**given), {"points": [(15.0, 10.0, 20.0)], "covariance": True}),
+    "Registration.warp_image": (moved_image, {"image": None, "path": None, "labels": True, "like": None}),
+    "Registration.warp_surface": (moved_surface, {"surface": None, "path": None, "unit": "mm"}),
     "Registration.transform": (moved_grid, {"spacing": 9.0, "like": None, "direction": "modeling", "std": None}),
     "PointAnswer.region": (
         lambda **given: registered().at([(15.0, 10.0, 20.0)]).region(**given),
@@ -520,6 +556,8 @@ CALLED = {
     "fibre": "Fibre",
     "targets": "target",
     "surface": "vertices|no such file",
+    "path": "name must end in",
+    "like": "no such file",
     "factor": "young",
     "marker_names": "marker_reference",
     "markers": "marker",
@@ -560,6 +598,7 @@ READERS = {
     "read_targets": tr.read_targets,
     "read_seen": tr.read_seen,
     "read_surface": tr.read_surface,
+    "read_recording": tr.read_recording,
     "read_experiment": tr.read_experiment,
     "read_registration": tr.read_registration,
     "read_material_experiment": tr.read_material_experiment,
@@ -607,6 +646,7 @@ def test_options_of_a_reader_that_are_wrong_are_refused(tmp_path):
     (tmp_path / "read_seen.csv").write_text("target,x_mm,y_mm,z_mm\nlesion,1,2,3\n")
     (tmp_path / "read_surface.csv").write_text("x_mm,y_mm,z_mm\n1,2,3\n")
     (tmp_path / "sit.fcsv").write_text(FIDUCIALS)
+    (tmp_path / "recording.csv").write_text(GOOD_RECORDING)
     np.savez(tmp_path / "m.npz", nodes_mm=mesh().nodes, tets=mesh().tets, fixed_nodes=mesh().fixed_nodes)
     for wrong in WRONG.values():
         ends_well(tr.read_markers, "std", {}, path=tmp_path / "m.csv", std=wrong)
@@ -614,6 +654,8 @@ def test_options_of_a_reader_that_are_wrong_are_refused(tmp_path):
             for read in (tr.read_markers, tr.read_targets, tr.read_seen, tr.read_surface):
                 ends_well(read, frame, {}, path=tmp_path / f"{read.__name__}.csv", **{"frame": "LPS", frame: wrong})
         ends_well(tr.read_seen, "std", {}, path=tmp_path / "read_seen.csv", std=wrong)
+        for option in ("columns", "offsets", "rate_hz", "unit"):
+            ends_well(tr.read_recording, option, {}, path=tmp_path / "recording.csv", **{option: wrong})
         ends_well(tr.read_mesh, "fixed", {}, path=tmp_path / "m.npz", fixed=wrong)
         ends_well(tr.read_mesh, "frame", {}, path=tmp_path / "m.npz", frame=wrong)
         ends_well(tr.read_markers, "measured", {}, path=tmp_path / "sit.fcsv", measured=wrong)
@@ -642,6 +684,7 @@ def test_a_modulus_that_no_solid_has_is_refused(young):
 
 #: Public names that take no argument, or are made by us alone.
 NO_ARGUMENTS = {
+    "Recording",
     "ContactRegistration",
     "LearnedRegistration",
     "MarkerAdvice",

@@ -39,6 +39,7 @@ COMMANDS = {
     "register": "register a body to its markers, load unknown, with regions",
     "warp": "move points, surfaces and images with a registered body, or write its grid transform",
     "track": "register a body frame after frame, from a recording of its markers",
+    "live": "register a body to markers that come over the network (OpenIGTLink)",
     "advise": "say where the next markers should go",
     "diagnose": "find out what the simulation gets wrong",
     "demo": "register the embedded phantom, end to end",

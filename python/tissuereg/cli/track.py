@@ -16,26 +16,27 @@ from tissuereg.cli.body_input import (
     believed_body,
     frames_of,
     method_of,
-    only_given,
     read_body,
 )
-from tissuereg.cli.common import UNTRUSTED, Outcome, Stopwatch, seconds_line
+from tissuereg.cli.common import UNTRUSTED, Outcome, Stopwatch, note, seconds_line
 from tissuereg.cli.options import Help, Parser, refuse_overwriting
 from tissuereg.cli.progress import progress_bar
+from tissuereg.cli.recording_input import add_recording_options, aligned, noise_of, read_recorded
 from tissuereg.report.words import counted, target_line
 
 if TYPE_CHECKING:
     from tissuereg._base.arrays import FloatArray
     from tissuereg.body.mesh import Mesh
     from tissuereg.errors import TissueRegError
-    from tissuereg.io.tables import Recording
+    from tissuereg.io.recordings import Recording
     from tissuereg.report.tracked import Film
-    from tissuereg.tracking import TablePhysics, TrackedFrame, Tracker
+    from tissuereg.tracking import Alignment, TablePhysics, TrackedFrame, Tracker
 
 HELP = Help(
     "Registers a body frame after frame: each frame starts from the registered state of the last one. Input: "
     "MESH, as of 'register'; MARKERS (csv: time_s,marker,x_mm,y_mm,z_mm, in the order of time; a marker without a "
-    "row, or with empty cells, was not seen); and --reference, where the markers sit on the undeformed body (csv: "
+    "row, or with empty cells, was not seen; or what a tracker exports: Motive, NDI, PLUS, .c3d, .trc, any table with "
+    "--columns); and --reference, where the markers sit on the undeformed body (csv: "
     "marker,x_mm,y_mm,z_mm[,std_mm], or points of 3D Slicer). Every frame is registered, as fast as possible; with "
     "--live the recording is replayed at its own rate, and frames that come too fast are dropped for the newest one. "
     "A frame in which no marker was seen is left out. DIR gets targets.csv and track.json, with --fields fields.npz, "
@@ -43,7 +44,7 @@ HELP = Help(
     "frames are not to be trusted or could not be registered; 2: bad usage or input; 3: no frame could be registered.",
     example=(
         "tissuereg track breast.vtu recording.csv --reference markers.csv --out tracked\n"
-        "tissuereg track breast.vtu recording.csv --reference sit.csv --model phantom --live --out tracked"
+        "tissuereg track breast.vtu motive.csv --reference sit.csv --align first --live --out tracked"
     ),
     seed="seed of all random numbers (default: 0)",
 )
@@ -54,7 +55,7 @@ _TARGETS, _ANSWER, _FIELDS, _PAGE = "targets.csv", "track.json", "fields.npz", "
 def options(parser: Parser) -> None:
     """Add the arguments of ``tissuereg track`` to its parser."""
     parser.add_argument("path", metavar="MESH", help="mesh file")
-    parser.add_argument("recording", metavar="MARKERS.csv", help="table of the markers, frame after frame")
+    parser.add_argument("recording", metavar="MARKERS", help="recording of the markers, frame after frame")
     parser.add_argument(
         "--reference", required=True, metavar="FILE", help="where the markers sit on the undeformed body"
     )
@@ -68,6 +69,7 @@ def options(parser: Parser) -> None:
     text = "times_s (k,), displacement_mm (k, n, 3), predicted by any simulator; linear in time between them"
     more.add_argument("--simulations", metavar="U.npz", help=text)
     add_match_option(more, "--reference and MARKERS")
+    add_recording_options(parser.add_argument_group("recordings of trackers"))
     add_body_options(more, "MARKERS, --reference and --targets")
     add_belief_options(parser.add_argument_group("what is believed"))
     add_method_options(parser.add_argument_group("method"))
@@ -82,11 +84,12 @@ def run(args: argparse.Namespace) -> Outcome:
     from tissuereg.io.atomic import check_folder_target
     from tissuereg.report.tracked import Film, events_of
 
-    inputs = [args.path, args.recording, args.reference, args.simulations, args.targets]
+    pairs = None if args.align in (None, "first") else args.align
+    inputs = [args.path, args.recording, args.reference, args.simulations, args.targets, pairs]
     refuse_overwriting([Path(args.out) / name for name in (_TARGETS, _ANSWER, _FIELDS, _PAGE)], inputs)
     check_folder_target(args.out)
     clock = Stopwatch()
-    tracker, recording, simulations = _read(args)
+    tracker, recording, simulations, alignment = _read(args)
     clock.lap("read")
     if args.live:
         _warm_up(tracker, recording, simulations)
@@ -107,6 +110,8 @@ def run(args: argparse.Namespace) -> Outcome:
         "frames": tracked.frames,
         "failed": tracked.failures,
         "events": events_of(tracked.frames, tracked.failures),
+        "recording": _described(recording),
+        "alignment": None if alignment is None else alignment.to_json(),
         "hz": len(tracked.frames) / spent,
         "dropped_frames": tracker.dropped,
         "provenance": tracked.provenance,
@@ -123,8 +128,8 @@ def run(args: argparse.Namespace) -> Outcome:
     )
 
 
-def _read(args: argparse.Namespace) -> "tuple[Tracker, Recording, TablePhysics | None]":
-    from tissuereg.io.tables import read_recording, read_reference, read_targets
+def _read(args: argparse.Namespace) -> "tuple[Tracker, Recording, TablePhysics | None, Alignment | None]":
+    from tissuereg.io.tables import read_reference, read_targets
     from tissuereg.registration.registrar import Registrar
     from tissuereg.tracking import Tracker
 
@@ -134,12 +139,22 @@ def _read(args: argparse.Namespace) -> "tuple[Tracker, Recording, TablePhysics |
     if frames["frame"] is not None:
         mesh = mesh.in_frame(frames["frame"])
     markers = read_reference(args.reference, args.std, **frames)
-    recording = read_recording(args.recording, markers.names, **{**frames, **only_given(match=args.match)})
+    recording = read_recorded(args, markers)
+    markers = noise_of(recording, markers, args.std)
+    recording, alignment = aligned(args, recording, markers, frames)
     targets = None if args.targets is None else read_targets(args.targets, **frames)
     simulations = None if args.simulations is None else _simulations(args, mesh.n_nodes, recording)
     body = believed_body(args, mesh, material)
     registrar = Registrar(body, markers, targets=targets, load=load, **method_of(args))
-    return Tracker(registrar, simulator=simulations), recording, simulations
+    return Tracker(registrar, simulator=simulations), recording, simulations, alignment
+
+
+def _described(recording: "Recording") -> dict[str, Any]:
+    """Return what is told of how a recording was read; its notes go to standard error too."""
+    for text in recording.notes:
+        note(text)
+    clock = [{"frame": one.frame, "time_s": one.time_s, "kind": one.kind} for one in recording.clock]
+    return {"format": recording.format, "up": recording.up, "clock": clock, "notes": list(recording.notes)}
 
 
 def _simulations(args: argparse.Namespace, n_nodes: int, recording: "Recording") -> "TablePhysics":

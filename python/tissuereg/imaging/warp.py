@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from tissuereg._base.arguments import flag, place
 from tissuereg._base.arrays import BoolArray, FloatArray
 from tissuereg._base.choices import Unit
 from tissuereg.body.surroundings import SpaceMap
 from tissuereg.body.triangles import Triangles
-from tissuereg.errors import ArgumentError
+from tissuereg.errors import ArgumentError, FormatError
 from tissuereg.imaging.images import Grid, ending, itk, labels_of, read_image, threaded, write_image
 from tissuereg.imaging.sampled import Mark, Sampled, Tally
 from tissuereg.io.csv import write_table
@@ -61,10 +62,13 @@ def warp_points(field: "RegisteredField", points: dict[str, FloatArray], out: Pa
     return _of(answer)
 
 
-def warp_surface(field: "RegisteredField", surface: Any, out: Path, *, unit: Unit | None = None) -> Warped:
-    """Write a surface with its vertices moved; `surface`: a file or `Triangles` in mm, in the frame of the body."""
+def warp_surface(
+    field: "RegisteredField", surface: Any, path: str | os.PathLike[str], *, unit: Unit | None = None
+) -> Warped:
+    """Write a surface with its vertices moved; `surface`: a file, `Triangles` or arrays, in the frame of the body."""
+    out = place("path", path)
     check_surface_target(out)
-    given = surface if isinstance(surface, Triangles) else read_triangles(surface, unit, frame=field.mesh.frame)
+    given = read_triangles(surface, unit, frame=field.mesh.frame)
     answer = field.at(given.vertices, covariance=False)
     write_triangles(out, Triangles(answer.mean, given.triangles, given.frame or field.mesh.frame))
     return _of(answer)
@@ -78,7 +82,7 @@ def _of(answer: "PointAnswer") -> Warped:
 def warp_image(
     field: "RegisteredField",
     image: str | os.PathLike[str],
-    out: Path,
+    path: str | os.PathLike[str],
     *,
     labels: bool,
     like: str | os.PathLike[str] | None = None,
@@ -91,14 +95,19 @@ def warp_image(
     are interpolated linearly. Voxels that come from outside the image get its smallest value, labels zero. Names and
     colours of segments are kept.
     """
+    out, kind = place("path", path), flag("labels", labels)
     ending(out)
+    for name, other in {"image": image, **({} if like is None else {"like": like})}.items():
+        if place(name, other, error=FormatError).resolve() == out.resolve():
+            message = f"`path` must be another file than `{name}`, got '{out}' for both"
+            raise ArgumentError(message, where="path")
     sitk, source = itk(), read_image(image)
     grid = Grid.of(source if like is None else read_image(like))
     sampled = Sampled(field.space, grid, back=True, threads=threads)
     several = source.GetNumberOfComponentsPerPixel() > 1
-    chosen = _Labels.of(source) if labels and not several else None
-    empty = 0.0 if labels or several else _least(source)
-    how = sitk.sitkNearestNeighbor if labels else sitk.sitkLinear, empty, threads
+    chosen = _Labels.of(source) if kind and not several else None
+    empty = 0.0 if kind or several else _least(source)
+    how = sitk.sitkNearestNeighbor if kind else sitk.sitkLinear, empty, threads
     parts, tally = [], Tally()
     for some, moved in sampled.slabs(tally):
         if chosen is None:

@@ -25,6 +25,8 @@ class FileLimits:
         Largest size of a comma-separated table, MB.
     text_mb : int
         Largest size of a list of points, a TOML file or a model's description, MB.
+    recording_mb : int
+        Largest size of a tracker's recording, or of the text at the head of one with images, MB.
     mesh_mb : int
         Largest size of a mesh, a surface or a numpy archive, MB.
     unpacked_mb : int
@@ -38,6 +40,10 @@ class FileLimits:
         Most characters of a key of a TOML file.
     table_points : int
         Largest number of markers or targets of one state that a table may hold; more points must be given as a surface.
+    header_rows : int
+        Most lines above the numbers of a tracker's table.
+    farthest : float
+        Numbers as large are no coordinates in any unit and no times in s: trackers write such ones for none.
     std_mm : float
         Standard deviation of a measured coordinate where none is given, mm: that of an optical tracker.
     same_time : float
@@ -63,12 +69,15 @@ class FileLimits:
 
     table_mb: int = 64
     text_mb: int = 16
+    recording_mb: int = 256
     mesh_mb: int = 256
     unpacked_mb: int = 2048
     head_bytes: int = 4096
     toml_depth: int = 32
     toml_word: int = 1000
     table_points: int = 10_000
+    header_rows: int = 12
+    farthest: float = 1e15
     std_mm: float = 0.1
     same_time: float = 0.01
     same_place: float = 1e-4

@@ -228,36 +228,41 @@ def _surface_nodes_near(mesh: Mesh, file: str, within: float) -> IntArray:
     return np.asarray(mesh.surface_nodes[gaps <= within])
 
 
-_FORMS = {
-    "plane": _Form(
-        "plane nx ny nz d [tol]",
-        "normal not zero and tol at least 0 mm",
-        {"plane": 4, "tolerance_mm": 0},
-        lambda values: values[4] >= 0.0 and any(values[:3]),
-        lambda mesh, values: nodes_near_plane(mesh, values[:3], values[3], values[4]),
-    ),
-    "ball": _Form(
-        "ball x y z r",
-        "the radius r positive, in mm",
-        {"centre_mm": 3, "radius_mm": 0},
-        lambda values: values[3] > 0.0,
-        lambda mesh, values: surface_nodes_in_ball(mesh, values[:3], values[3]),
-    ),
-    "box": _Form(
-        "box x0 y0 z0 x1 y1 z1",
-        "the second corner above the first along each axis, in mm",
-        {"low_mm": 3, "high_mm": 3},
-        lambda values: all(low < high for low, high in zip(values[:3], values[3:], strict=True)),
-        lambda mesh, values: _surface_nodes_in_box(mesh, values[:3], values[3:]),
-    ),
-    "near": _Form(
-        "near FILE r",
-        "a surface and a distance above 0 mm",
-        {"near": 0, "within_mm": 0},
-        lambda values: values[1] > 0.0,
-        lambda mesh, values: _surface_nodes_near(mesh, values[0], values[1]),
-    ),
-}
+def _forms() -> dict[str, _Form]:
+    """Return every kind of rule by the word that it starts with."""
+    return {
+        "plane": _Form(
+            "plane nx ny nz d [tol]",
+            "normal not zero and tol at least 0 mm",
+            {"plane": 4, "tolerance_mm": 0},
+            lambda values: values[4] >= 0.0 and any(values[:3]),
+            lambda mesh, values: nodes_near_plane(mesh, values[:3], values[3], values[4]),
+        ),
+        "ball": _Form(
+            "ball x y z r",
+            "the radius r positive, in mm",
+            {"centre_mm": 3, "radius_mm": 0},
+            lambda values: values[3] > 0.0,
+            lambda mesh, values: surface_nodes_in_ball(mesh, values[:3], values[3]),
+        ),
+        "box": _Form(
+            "box x0 y0 z0 x1 y1 z1",
+            "the second corner above the first along each axis, in mm",
+            {"low_mm": 3, "high_mm": 3},
+            lambda values: all(low < high for low, high in zip(values[:3], values[3:], strict=True)),
+            lambda mesh, values: _surface_nodes_in_box(mesh, values[:3], values[3:]),
+        ),
+        "near": _Form(
+            "near FILE r",
+            "a surface and a distance above 0 mm",
+            {"near": 0, "within_mm": 0},
+            lambda values: values[1] > 0.0,
+            lambda mesh, values: _surface_nodes_near(mesh, values[0], values[1]),
+        ),
+    }
+
+
+_FORMS = _forms()
 
 #: Kinds that tables may state: they hold no names of files.
 _IN_TABLES = ("plane", "ball", "box")

@@ -1,8 +1,7 @@
 """Markers, targets and surface points as comma-separated tables in mm; readers also take point files of 3D Slicer."""
 
 import os
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -15,7 +14,6 @@ from tissuereg.body.markers import Markers
 from tissuereg.errors import FormatError, MarkerError
 from tissuereg.io.bounds import FILES
 from tissuereg.io.csv import Row, read_table, write_table
-from tissuereg.io.matching import Labels, partners
 from tissuereg.io.point_files import is_point_file, markers_of, places_of, read_points, reference_of, targets_of
 from tissuereg.io.points import turned
 
@@ -261,6 +259,21 @@ def read_surface(
     return turned(np.array([row.numbers(_PLACE) for row in read_table(path, _PLACE)]), table_frame, frame)
 
 
+def read_pairs(
+    path: str | os.PathLike[str], *, frame: Frame | None = None, table_frame: Frame | None = None
+) -> tuple[list[str], FloatArray, FloatArray]:
+    """Read points known in the tracker's frame and in the body's: names, the former (n, 3) and the latter (n, 3), mm.
+
+    `path`: table ``point,x_mm,y_mm,z_mm,tracker_x_mm,tracker_y_mm,tracker_z_mm``; `frame`, `table_frame`: as of
+    `read_targets`, of the body's places. Raises `FormatError` if it cannot be read, or a point stands in it twice.
+    """
+    _check_frames(frame, table_frame)
+    seen = tuple(f"tracker_{axis}" for axis in _PLACE)
+    rows = read_table(path, ("point", *_PLACE, *seen), most_rows=FILES.table_points)
+    body = turned(np.array([row.numbers(_PLACE) for row in rows]), table_frame, frame)
+    return _unique_names(rows, "point"), np.array([row.numbers(seen) for row in rows]), body
+
+
 def write_markers(path: str | os.PathLike[str], markers: Markers) -> None:
     """Write markers as a comma-separated table in mm that `read_markers` reads, whole or not at all.
 
@@ -339,79 +352,3 @@ def _unique_names(rows: list[Row], column: str) -> list[str]:
             raise FormatError(message, where=row.where)
         first[name] = row.line
     return list(first)
-
-
-@dataclass(frozen=True, eq=False)
-class Recording:
-    """Measured places of markers over many frames of a tracker; iterating gives pairs ``(time_s, measured_mm)``.
-
-    `times` (n_frames,): time of each frame, s, ascending; `measured` (n_frames, n_markers, 3): places in mm; NaN where
-    a marker was not measured. `Tracker.run` takes a recording as its frames.
-    """
-
-    times: FloatArray
-    measured: FloatArray
-
-    def __len__(self) -> int:
-        return len(self.times)
-
-    def __iter__(self) -> Iterator[tuple[float, FloatArray]]:
-        return zip(self.times.tolist(), self.measured, strict=True)
-
-
-@reads
-def read_recording(
-    path: str | os.PathLike[str],
-    names: Sequence[str],
-    *,
-    frame: Frame | None = None,
-    table_frame: Frame | None = None,
-    match: Match = "label",
-) -> Recording:
-    """Read the measured places of markers at many times, one frame for each time in the table.
-
-    `path`: table ``time_s,marker,x_mm,y_mm,z_mm``, with a row for each marker that was measured, in the order of time.
-    A marker without a row at some time, or with empty cells, counts as not measured then; `names`: the markers, in the
-    order of the result; `frame` {"LPS", "RAS"}: patient frame of the mesh, into which the places are converted; None
-    for no conversion; `table_frame` {"LPS", "RAS"}: frame of the table, if it is not `frame`; `match`: which markers
-    of the table are those of `names`, as of `read_markers`; by order, the first frame must list all. Raises
-    `FormatError` if the table cannot be read, has a marker that is not among `names` or twice at one time, or if time
-    goes back; the message names the line.
-    """
-    rows = read_table(path, ("time_s", "marker", *_PLACE))
-    index = _index(rows, names, match)
-    times: list[float] = []
-    frames: list[FloatArray] = []
-    first: dict[str, int] = {}
-    for row in rows:
-        time_s, name = row.number("time_s"), row.text("marker")
-        if name not in index:
-            message = f"every marker must be one of the first frame ({', '.join(index)}), got '{name}' at {_at(row)}"
-            raise FormatError(message, where=row.where)
-        if times and time_s < times[-1]:
-            message = f"time must not go back; {time_s:.9g} s at {_at(row)} follows {times[-1]:.9g} s"
-            raise FormatError(message, where=row.where)
-        if not times or time_s > times[-1]:
-            times.append(time_s)
-            frames.append(np.full((len(names), 3), np.nan))
-            first = {}
-        if name in first:
-            message = f"each marker must stand once at one time; '{name}' at {_at(row)} is at line {first[name]} too"
-            raise FormatError(message, where=row.where)
-        first[name] = row.line
-        frames[-1][index[name]] = row.numbers(_PLACE, may_miss=True)
-    return Recording(np.array(times), turned(np.array(frames), table_frame, frame))
-
-
-def _index(rows: list[Row], names: Sequence[str], match: Match) -> dict[str, int]:
-    """Return the place in `names` of each marker of a recording by its name there; by order, of the first frame's."""
-    begin = rows[0].number("time_s")
-    listed = [row for row in rows if match != "order" or row.number("time_s") == begin]
-    lines = {row.text("marker"): f"line {row.line}" for row in reversed(listed)}
-    seen = list(dict.fromkeys(row.text("marker") for row in listed))
-    found = Labels(str(rows[0].file), seen, [lines[name] for name in seen])
-    return dict(zip(seen, partners(Labels("the reference", names), found, match), strict=True))
-
-
-def _at(row: Row) -> str:
-    return f"{row.file} line {row.line}"

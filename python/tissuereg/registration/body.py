@@ -25,7 +25,7 @@ _FIELDS = ("mesh", "material", "element", "held", "stiffness", "held_nodes", "re
 
 
 @dataclass(frozen=True, eq=False)
-class Region:
+class StiffPart:
     """A part of a body with a stiffness of its own.
 
     Attributes
@@ -41,9 +41,9 @@ class Region:
     std: float
 
     @classmethod
-    def of(cls, mesh: Mesh, name: str, given: Any) -> "Region":
+    def of(cls, mesh: Mesh, name: str, given: Any) -> "StiffPart":
         """Return the region of a node set; `given`: its modulus, (modulus, standard deviation), or a region."""
-        if isinstance(given, Region):
+        if isinstance(given, StiffPart):
             return given
         numbers = given if isinstance(given, Sequence | np.ndarray) and not isinstance(given, str) else (given, 0.0)
         if len(numbers) != 2:
@@ -122,7 +122,7 @@ class Body:
     held: Held
     stiffness: Stiffness
     held_nodes: IntArray | None
-    regions: dict[str, Region]
+    regions: dict[str, StiffPart]
 
     __repr__ = short_repr
 
@@ -142,7 +142,7 @@ class Body:
         nodes = None if held_nodes is None else frozen(np.array(index_array("held_nodes", held_nodes, (None,))))
         Supports.of(body, held, nodes)  # refuses another word, and nodes that are not there
         believed = maybe("material", material, Material) or Material()
-        parts = {name: Region.of(body, name, given) for name, given in named("regions", regions).items()}
+        parts = {name: StiffPart.of(body, name, given) for name, given in named("regions", regions).items()}
         for part in parts.values():
             believed = part.within(believed, body.n_tets)
         for name, value in zip(_FIELDS, (body, believed, element, held, stiffness, nodes, parts), strict=True):

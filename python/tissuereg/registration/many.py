@@ -171,7 +171,7 @@ class _Moments:
             "linear": _Computed(result.fallback),
         }
         if isinstance(result, ContactRegistration):
-            parts["draw"] = None
+            parts |= {"draw": None, "search": _Computed(result.contacts)}
         return replace(result, **parts)
 
     def completed(self, result: Registration, markers: Markers) -> Registration:

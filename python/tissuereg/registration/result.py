@@ -14,7 +14,7 @@ import numpy as np
 
 from tissuereg._base.arguments import flag, found, named, place
 from tissuereg._base.arrays import FloatArray
-from tissuereg._base.choices import Direction, TrackerKind
+from tissuereg._base.choices import Direction, TrackerKind, Unit
 from tissuereg._base.provenance import Provenance
 from tissuereg._base.shown import notebook, short_repr
 from tissuereg.body.markers import Markers
@@ -252,6 +252,73 @@ class Registration:
             If SimpleITK is not installed (``pip install 'tissuereg[images]'``).
         """
         return self.field.transform(path, like=like, spacing=spacing, direction=direction, std=std).path
+
+    def warp_image(
+        self,
+        image: str | os.PathLike[str],
+        path: str | os.PathLike[str],
+        *,
+        labels: bool,
+        like: str | os.PathLike[str] | None = None,
+    ) -> Path:
+        """Write an image of the undeformed body as it is now.
+
+        Parameters
+        ----------
+        image : path-like
+            An image, or the folder of a DICOM series; LPS, as images are, for which a mesh without a frame is taken.
+        path : path-like
+            File to write: .nrrd, .nii, .nii.gz or .mha.
+        labels : bool
+            Whether voxels are labels: each takes the one with the largest linear weight, none is mixed, and the names
+            of segments are kept. If not, values are interpolated linearly; those from outside are the smallest.
+        like : path-like, optional
+            An image whose grid is taken in place of its own.
+
+        Returns
+        -------
+        Path
+            The file.
+
+        Raises
+        ------
+        ArgumentError, FormatError, OutputError
+            If the image cannot be read, holds no labels where it should, or does not show the body; or the file cannot
+            be written or is one of the images.
+        ImportError
+            If SimpleITK is not installed (``pip install 'tissuereg[images]'``).
+        """
+        from tissuereg.imaging.warp import warp_image
+
+        warp_image(self.field, image, path, labels=labels, like=like)
+        return Path(path)
+
+    def warp_surface(self, surface: Any, path: str | os.PathLike[str], *, unit: Unit | None = None) -> Path:
+        """Write a surface of the undeformed body with its vertices moved; triangles stay.
+
+        Parameters
+        ----------
+        surface : path-like, pair of arrays, or Triangles
+            As of `tetrahedralize`, in the frame of the body.
+        path : path-like
+            File to write: .stl, .ply or .obj.
+        unit : {"mm", "cm", "m"}, optional
+            Unit of the surface's coordinates; by default that stated in the file, or else mm. Written are mm.
+
+        Returns
+        -------
+        Path
+            The file.
+
+        Raises
+        ------
+        ArgumentError, FormatError, MeshError, OutputError
+            If the surface cannot be read or lies in another frame, or the file cannot be written.
+        """
+        from tissuereg.imaging.warp import warp_surface
+
+        warp_surface(self.field, surface, path, unit=unit)
+        return Path(path)
 
     @property
     def node_covariance(self) -> FloatArray:

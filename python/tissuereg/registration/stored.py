@@ -80,6 +80,20 @@ class StoredRegistration:
         """Write the displacement field as a grid transform; see `Registration.transform`."""
         return self.field.transform(path, **options).path
 
+    def warp_image(self, image: str | os.PathLike[str], path: str | os.PathLike[str], **options: Any) -> Path:
+        """Write an image of the undeformed body as it is now; see `Registration.warp_image`."""
+        from tissuereg.imaging.warp import warp_image
+
+        warp_image(self.field, image, path, **options)
+        return Path(path)
+
+    def warp_surface(self, surface: Any, path: str | os.PathLike[str], **options: Any) -> Path:
+        """Write a surface with its vertices moved; see `Registration.warp_surface`."""
+        from tissuereg.imaging.warp import warp_surface
+
+        warp_surface(self.field, surface, path, **options)
+        return Path(path)
+
     def __repr__(self) -> str:
         trusted = "trusted" if self.trust.ok else "not to be trusted"
         return f"StoredRegistration({self.mesh.n_nodes} nodes, {len(self.targets)} targets, {trusted})"

@@ -1,5 +1,6 @@
 """Tracking: each frame (measured moment) is registered from the state of the last one, and filtered in time."""
 
+from tissuereg.tracking.align import Alignment, rigid_alignment
 from tissuereg.tracking.fitted import FittedPrior, fitted_prior
 from tissuereg.tracking.frame import TrackedFrame
 from tissuereg.tracking.physics import CalledPhysics, FemPhysics, HoldingPhysics, Physics
@@ -8,6 +9,7 @@ from tissuereg.tracking.table import TablePhysics
 from tissuereg.tracking.tracker import Tracker
 
 __all__ = [
+    "Alignment",
     "CalledPhysics",
     "FemPhysics",
     "FittedPrior",
@@ -19,4 +21,5 @@ __all__ = [
     "Tracker",
     "fitted_prior",
     "read_track",
+    "rigid_alignment",
 ]

@@ -11,7 +11,7 @@ from tissuereg.registration.contacts.draws import DeviationsOfContacts, Draws
 from tissuereg.registration.contacts.evidence import log_noise_odds, log_support_odds
 from tissuereg.registration.contacts.explained import explained, reasons
 from tissuereg.registration.contacts.fit import ContactFit
-from tissuereg.registration.contacts.found import find_contacts
+from tissuereg.registration.contacts.found import FoundContact, find_contacts
 from tissuereg.registration.contacts.measured import MarkerData
 from tissuereg.registration.contacts.result import ContactRegistration
 from tissuereg.registration.contacts.spread import Points, Spread
@@ -71,7 +71,8 @@ class Answer:
     started; `knows`: whether a load is believed, so that the targets have a predicted place; `known`: registered
     displacement of targets and markers, with its uncertainty; `deviations`: function without arguments that returns the
     uncertainty of the displacement of every node; `draw`: function of a number of draws that returns displacement
-    fields from the posterior, mm; `surface`: fit of the measured points of the surface; None if no points were given.
+    fields from the posterior, mm; `surface`: fit of the measured points of the surface; None if no points were given;
+    `kept`: reasons of the moment before, whose verdict on noise and supports is kept; None to weigh them.
     """
 
     given: RegisterInput
@@ -82,10 +83,13 @@ class Answer:
     deviations: DeviationsOfContacts
     draw: Draws
     surface: SurfaceFit | None
+    kept: tuple[str, ...] | None = None
 
-    def drawn(self) -> FloatArray:
-        """Return coefficients of the causes drawn from the posterior, one draw a sample, (n_samples, n_columns), mm."""
-        return self.draw.spread.coefficients(np.random.default_rng([self.given.seed, 10]), len(self.fit.samples[0]))
+    def contacts(self) -> tuple[FoundContact, ...]:
+        """Return the contacts that were found, described by drawn coefficients, one draw a sample."""
+        rng = np.random.default_rng([self.given.seed, 10])
+        drawn = self.draw.spread.coefficients(rng, len(self.fit.samples[0]))
+        return find_contacts(self.fit, self.given.settings.contacts.report, drawn)
 
     def registration(self, clock: Clock) -> ContactRegistration:
         """Return the result that a user receives: registered displacement, uncertainty, contacts and tests of trust.
@@ -124,7 +128,7 @@ class Answer:
             seconds=clock.seconds,
             settings=given.settings,
             seed=given.seed,
-            contacts=find_contacts(fit, given.settings.contacts.report, self.drawn()),
+            search=self.contacts,
             work=dict(fit.counters),
             forces=_forces(fit),
             explained_mm=explained(fit),
@@ -207,6 +211,8 @@ class Answer:
 
         Where there are so many observations that they are projected, the misfit tells it.
         """
+        if self.kept is not None:
+            return [sentence for sentence in (NOISY, GAVE) if sentence in self.kept]
         markers, problem = self.given.markers, self.fit.observations
         marker, axis = np.nonzero(np.isfinite(markers.measured))
         if not problem.groups or len(marker) != len(problem.innovation):

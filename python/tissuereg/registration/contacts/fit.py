@@ -8,7 +8,7 @@ are matched anew in every pass: first fewer of them, in more passes, then all.
 """
 
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -157,7 +157,29 @@ class Passes:
             raise ConvergenceError(message, where="load")
         last, history = best
         self.observed = full
+        if not self._ends_here(last, full):
+            last = self._settled(last)
         return self._fit(last, self._at_end(last, full), history)
+
+    def _ends_here(self, last: "_Pass", full: ObservedData) -> bool:
+        """Return whether the linear problem at the start of a pass serves at its end."""
+        return last.ended_as_predicted(self.steps.as_predicted) and not full.rematches
+
+    def _settled(self, made: "_Pass") -> "_Pass":
+        """Return a pass with its end so near to equilibrium that it can be linearised, where it only came close."""
+        if self.before is None:
+            return made
+        state = made.state
+        try:
+            found = made.at.tangent.linearised.solve_near(
+                self.columns.load(state.coefficients),
+                springs=self.columns.springs,
+                tolerance=DISCRETISATION.tolerance,
+                max_iterations=self.steps.most_iterations,
+            )
+        except ConvergenceError:
+            return made  # of which there is then no tangent
+        return replace(made, state=replace(state, displacement=found.all_displacement))
 
     def _at_end(self, last: "_Pass", full: ObservedData) -> AtBody:
         """Return the linear problem at the end of a pass, or at its start if the step ended as predicted.
@@ -165,7 +187,7 @@ class Passes:
         `last`: the pass (one round of the fit); `full`: all data. If points are matched to the surface, the problem is
         always made at the end. The problem at the start is also returned if there is no tangent at the end.
         """
-        if last.ended_as_predicted(self.steps.as_predicted) and not full.rematches:
+        if self._ends_here(last, full):
             return last.at
         try:
             return self.linear.at(last.state, full)
@@ -221,8 +243,8 @@ class Passes:
                 if closest is None:
                     raise
                 break
-            state, samples = made.state, made.samples
             reached.append(_Residuals(made.residual, made.predicted))
+            state, samples = made.state if self._ended(reached) else self._settled(made).state, made.samples
             # Past a limit point of the load passes may lead away again: the best one is kept, and only that one, since
             # each holds a factor.
             if closest is None or made.residual < closest.residual:
@@ -253,13 +275,17 @@ class Passes:
     def observations(self, state: BodyState) -> LinearObservations:
         """Return the observations linearised at a body, with their responses to all causes, (n_obs, n_columns), mm."""
         tangent = self.linear.tangent(state)
-        return self.linear.observations(tangent, self.observed.read(state), state.coefficients, self.observed)
+        return self.linear.observations(
+            tangent, self.observed.read(state, tangent.moved), state.coefficients, self.observed
+        )
 
     def _sample(self, core: Any, before: Samples | None) -> Samples:
         settings = self.settings
         powers, n_chains = settings.powers_again, settings.n_chains
         if before is None:
             powers, n_chains = settings.powers, settings.n_chains_first
+        elif self.before is not None:
+            powers, n_chains = settings.powers_on, settings.n_chains_on
         count = core.n_uniforms(len(powers), settings.n_local, settings.n_level)
         with self.clock.stage("sample"):
             samples, _, counters = core.run(
@@ -327,7 +353,7 @@ class Passes:
             found = tangent.linearised.solve_near(
                 load,
                 springs=self.columns.springs,
-                tolerance=DISCRETISATION.tolerance,
+                tolerance=DISCRETISATION.tolerance if self.before is None else _tolerance_on(state, coefficients),
                 max_iterations=self.steps.most_iterations,
             )
         except ConvergenceError:
@@ -408,6 +434,12 @@ class Passes:
             found = markers.wrong(state, float(np.log(self.settings.wrong_odds)), spread)
         wrong[np.unique(markers.rows // 3)] = found
         return wrong
+
+
+def _tolerance_on(state: BodyState, coefficients: FloatArray) -> float:
+    """Return the relative residual that is allowed where a body goes on from a state to coefficients (n_columns,)."""
+    change = np.linalg.norm(coefficients - state.coefficients) / max(float(np.linalg.norm(coefficients)), 1e-300)
+    return max(DISCRETISATION.tolerance, DISCRETISATION.tolerance_on * min(float(change), 1.0))
 
 
 def _predicted_residual(problem: LinearObservations, coefficients: FloatArray, samples: Samples) -> float:

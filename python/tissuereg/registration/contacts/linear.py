@@ -53,7 +53,7 @@ class Linearisation:
         """Return equilibrium, `observed` data and sampling problem linearised at a body `state` in equilibrium."""
         tangent = self.tangent(state)
         with self.clock.stage("match"):
-            reading = observed.read(state)
+            reading = observed.read(state, tangent.moved)
         observations = self.observations(tangent, reading, state.coefficients, observed)
         with self.clock.stage("prepare"):
             data = {

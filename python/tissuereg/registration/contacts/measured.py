@@ -61,11 +61,12 @@ class DataPart(Protocol):
     def n_obs(self) -> int:
         """Number of observations: measured coordinates of markers, or points of the surface."""
 
-    def read(self, state: BodyState, *, weighed: bool) -> Observations:
+    def read(self, state: BodyState, *, weighed: bool, moved: FloatArray | None = None) -> Observations:
         """Return the observations at a deformed body, with residuals and standard deviations in mm.
 
         `state`: the body; `weighed`: whether outliers get a small weight, instead of a group of observations that the
-        sampler may take for wrong.
+        sampler may take for wrong; `moved` (n_nodes, 3): displacement at which they are linearised, mm; by default that
+        of the body.
         """
 
     def coarser(self, width: float) -> "DataPart":
@@ -149,17 +150,18 @@ class MarkerData:
         both = np.hypot(self.markers.axis_std, self.model_error * self.moved(frame)[:, None])
         return np.asarray(both.ravel()[self.rows])
 
-    def read(self, state: BodyState, *, weighed: bool) -> Observations:
+    def read(self, state: BodyState, *, weighed: bool, moved: FloatArray | None = None) -> Observations:
         """Return the measured coordinates of markers as observations, mm, at a deformed body `state`.
 
         `weighed`: whether an outlier gets a small weight, by heavy-tailed noise, or may be taken for wrong by the
-        sampler.
+        sampler; `moved`: as in `DataPart.read`.
         """
         observation, reference = self.observation, self.markers.reference
         here = state.moved[observation.nodes]
         places = reference + observation.predict(here)
         residual = (self.markers.measured - state.frame.apply(places)).ravel()[self.rows]
-        all_rows = _turned(observation.rows(here), state.frame.rotation)
+        there = here if moved is None else moved[observation.nodes]
+        all_rows = _turned(observation.rows(there), state.frame.rotation)
         std = self.std(state.frame)
         scaled = (residual / std) ** 2
         cost = scaled
@@ -241,9 +243,9 @@ class ObservedData:
         """Whether there are points without labels, which are matched to the surface anew in every round of the fit."""
         return any(not isinstance(part, MarkerData) for part in self.parts)
 
-    def read(self, state: BodyState) -> Observations:
-        """Return all observations at a deformed body, those of the markers first, in mm."""
-        first, *others = (part.read(state, weighed=self.weighed) for part in self.parts)
+    def read(self, state: BodyState, moved: FloatArray | None = None) -> Observations:
+        """Return all observations at a deformed body, those of the markers first, in mm; `moved` as in `DataPart`."""
+        first, *others = (part.read(state, weighed=self.weighed, moved=moved) for part in self.parts)
         for other in others:
             first = first.followed_by(other)
         return first

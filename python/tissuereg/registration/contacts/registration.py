@@ -84,7 +84,10 @@ def register_by_contacts(
             fields = draw(given.settings.ensemble)
     deviations = DeviationsOfContacts(spread, given.seed, fields)
     fared = surface_fit(given, points, found.start, found.fit.state)
-    return Answer(given, found.fit, found.start, believed.any_load, known, deviations, draw, fared).registration(clock)
+    # Evidence is weighed now and then.
+    kept = tuple(after.trust.reasons) if after is not None and (found.moments - 1) % settings.evidence.every else None
+    answer = Answer(given, found.fit, found.start, believed.any_load, known, deviations, draw, fared, kept)
+    return answer.registration(clock)
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,6 +193,9 @@ class _ContactSearch:
         if data is None or self.observed.rematches:
             return None
         motion = float(np.sqrt(np.mean(data.motion(frame) ** 2)))
+        before = None if self.carried is None else self.carried.columns.unexplained
+        if before is not None and self.carried is not None and self.carried.columns.body is self.body:
+            return before.with_motion(motion)
         return Unexplained.of(self.given.mesh, self.body.supports.sure, data.markers.reference, motion)
 
     def _gone_on(self, carried: Carried, passes: Passes, field: FloatArray | None, frame: RigidMotion) -> _Found | None:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 from tissuereg._base.arguments import MOST_COUNTED, whole
@@ -18,8 +19,8 @@ class ContactRegistration(Registration):
 
     Attributes
     ----------
-    contacts : tuple of FoundContact
-        Places where the body is probably pushed or pulled, the most probable first.
+    search : callable
+        Function without arguments that returns the contacts; see `contacts`.
     forces : ndarray of float64, shape (n_nodes, 3)
         Nodal forces of the estimated load in mN at the believed modulus, in the tracker's frame, including the believed
         load but not its body force.
@@ -34,12 +35,17 @@ class ContactRegistration(Registration):
         Fit of the points of the surface; None if none were given.
     """
 
-    contacts: tuple[FoundContact, ...]
+    search: Callable[[], tuple[FoundContact, ...]]
     forces: FloatArray
     work: dict[str, int]
     explained_mm: dict[str, float]
     draw: Callable[[int], FloatArray]
     surface: SurfaceFit | None = None
+
+    @cached_property
+    def contacts(self) -> tuple[FoundContact, ...]:
+        """Places where the body is probably pushed or pulled, tuple of `FoundContact`, the most probable first."""
+        return self.search()
 
     def draws(self, count: int) -> FloatArray:
         """Return displacement fields drawn from the posterior, each in equilibrium.

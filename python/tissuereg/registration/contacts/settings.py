@@ -122,6 +122,8 @@ class EvidenceSettings(_Numbers):
         Largest number of rounds in which the sizes of all causes are varied in turn.
     least_gain : float
         The rounds end when one of them raises the log evidence by less than this.
+    every : int
+        Where moments follow each other, noise and supports are tested at every one of so many; others keep the verdict.
     many : int
         From this number of observations on, markers speak against the stated noise if larger noise is more probable at
         all: where it is as stated, that many are far from saying so.
@@ -131,6 +133,7 @@ class EvidenceSettings(_Numbers):
     sizes_a_decade: int = 4
     rounds: int = 3
     least_gain: float = 1e-3
+    every: int = 10
     many: int = 24
 
 
@@ -238,6 +241,8 @@ class ContactSettings(_Numbers):
         Power of the likelihood in each sweep of the first pass.
     powers_again : tuple of float
         Power of the likelihood in each sweep of later passes, which start from the previous samples.
+    n_chains_on, powers_on : int, tuple of float
+        The same where chains go on from the moment of measurement before, shortly ago.
     n_kept : int
         Number of final sweeps of each chain whose samples are kept.
     sharpness, n_local, n_level : float, int, int
@@ -292,6 +297,8 @@ class ContactSettings(_Numbers):
     n_chains_first: int = 8
     powers: tuple[float, ...] = (0.03, 0.1, 0.3, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
     powers_again: tuple[float, ...] = (0.5, 1.0, 1.0, 1.0, 1.0, 1.0)
+    n_chains_on: int = 8
+    powers_on: tuple[float, ...] = (0.5, 1.0, 1.0, 1.0, 1.0)
     n_kept: int = 4
     sharpness: float = 0.5
     n_local: int = 4
@@ -339,6 +346,9 @@ class Discretisation:
         Variance added to the diagonal of its covariance before it is factored, over its own.
     tolerance : float
         Relative residual of an equilibrium that is linearised.
+    tolerance_on : float
+        The same of one that follows another moment's with its factor, over the relative change of the causes; at most
+        this, where places are off by less than a hundredth of a usual tracker's noise.
     same_load : float
         Relative difference of two loads below which they are taken for the same.
     """
@@ -356,6 +366,7 @@ class Discretisation:
     rest_places: int = 200
     jitter: float = 1e-6
     tolerance: float = 3e-7
+    tolerance_on: float = 1e-3
     same_load: float = 1e-9
 
 

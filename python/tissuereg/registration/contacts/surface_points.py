@@ -103,12 +103,13 @@ class PointData:
         moved = self.mesh.nodes + state.moved[: self.mesh.n_nodes]
         return closest_feet(moved, self.mesh.surface, state.frame.undo(self.places))
 
-    def read(self, state: BodyState, *, weighed: bool = True) -> Observations:
+    def read(self, state: BodyState, *, weighed: bool = True, moved: FloatArray | None = None) -> Observations:
         """Return one observation per point: its distance from the surface at a deformed body, in mm.
 
-        `weighed` is not used: outliers among the points always get a small weight.
+        `weighed` is not used: outliers among the points always get a small weight; nor is `moved`: they are matched
+        anew.
         """
-        del weighed
+        del weighed, moved
         feet = self.feet(state)
         std = self.std(state, feet)
         residual, directions = feet.off(state.frame.undo(self.places), MATCHING.far * self.noise)

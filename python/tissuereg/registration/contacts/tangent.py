@@ -21,17 +21,27 @@ Row = tuple[IntArray, FloatArray]
 class Tangent:
     """A linearised equilibrium, with a cache of the sensitivities of observations to nodal forces.
 
-    `linearised`: the equilibrium; `threads`: threads to use, 0 takes all cores; `stiffness`: changes of the stiffness.
+    `linearised`: the equilibrium; `threads`: threads to use, 0 takes all cores; `stiffness`: changes of the stiffness;
+    `moved` (n_nodes, 3): displacement of the body there, mm, at which observations are linearised too; None for that of
+    the moment.
     """
 
-    def __init__(self, linearised: Linearised, threads: int = 0, stiffness: Sequence[Cause] = ()) -> None:
+    def __init__(
+        self,
+        linearised: Linearised,
+        threads: int = 0,
+        stiffness: Sequence[Cause] = (),
+        moved: FloatArray | None = None,
+    ) -> None:
         self.linearised = linearised
+        self.moved = moved
         self._stiffness = stiffness
         body = linearised.simulator.body
         self._at_once = (
             EFFORT.block * (threads or n_cores()) if body.n_unknowns >= EFFORT.many_unknowns else sys.maxsize
         )
         self._known: dict[bytes, Compliance] = {}
+        self._of_nodes: dict[bytes, list[tuple[FloatArray, Compliance]]] = {}
         self._lock = threading.Lock()
 
     @cached_property
@@ -51,17 +61,20 @@ class Tangent:
         """Return the sensitivities of observations to nodal forces, and the number of right-hand sides solved for them.
 
         `rows`: nodes (k,) and weights (k, 3) of each observation; `progress`: called with right-hand sides solved and
-        to solve, on large bodies. Result: one row per observation, mm per mN, with the same bits whether it was in the
-        cache or not.
+        to solve, on large bodies. Result: one row per observation, mm per mN. Rows that are known, or sums of known
+        ones of the same nodes (a place seen along other axes), are not solved again.
         """
         keys = [nodes.tobytes() + b"|" + weights.tobytes() for nodes, weights in rows]
         with self._lock:
             found = {key: self._known[key] for key in keys if key in self._known}
+            for key, row in zip(keys, rows, strict=True):
+                if key not in found and (made := self._combined(row)) is not None:
+                    found[key] = made
         missing = {key: row for key, row in zip(keys, rows, strict=True) if key not in found}
         if missing or not rows:
             solved = self._solved(list(missing.values()), progress)
             new = dict(zip(missing, _apart(solved), strict=True))
-            self._remember(new)
+            self._remember(new, missing)
             if len(missing) == len(rows):
                 return solved, len(missing)
             found |= new
@@ -82,10 +95,29 @@ class Tangent:
             parts.append(self.linearised.compliance([Observation(*row) for row in some]))
         return parts[0] if len(parts) == 1 else _together(parts)
 
-    def _remember(self, new: dict[bytes, Compliance]) -> None:
+    def _remember(self, new: dict[bytes, Compliance], rows: dict[bytes, Row]) -> None:
         with self._lock:
             if len(self._known) + len(new) <= EFFORT.remembered:
                 self._known |= new
+                for key, (nodes, weights) in rows.items():
+                    self._of_nodes.setdefault(nodes.tobytes(), []).append((weights, new[key]))
+
+    def _combined(self, row: Row) -> Compliance | None:
+        """Return the sensitivity of an observation that is a sum of known ones of its nodes; None if it is none."""
+        nodes, weights = row
+        known = self._of_nodes.get(nodes.tobytes(), [])
+        if not known:
+            return None
+        every = np.stack([own.ravel() for own, _ in known])
+        shares = np.linalg.lstsq(every.T, weights.ravel())[0]
+        if np.abs(shares @ every - weights.ravel()).max() > 1e-12 * np.abs(weights).max():
+            return None
+        used = [(share, one) for share, (_, one) in zip(shares, known, strict=True) if share != 0.0]
+        return Compliance(
+            sum(share * one.forces for share, one in used),
+            sum(share * one.body_force for share, one in used),
+            sum(share * one.prescribed for share, one in used),
+        )
 
 
 def _apart(whole: Compliance) -> list[Compliance]:
@@ -131,7 +163,7 @@ def tangent_at(columns: Columns, material: Material, state: BodyState, threads: 
         precision="single",
         threads=threads,
     )
-    made = Tangent(linearised, threads, columns.stiffness_causes(material))
+    made = Tangent(linearised, threads, columns.stiffness_causes(material), state.moved[: columns.body.mesh.n_nodes])
     if key is not None and columns.body.simulator.body.factor_size[0] <= EFFORT.kept_entries:
         with _lock:
             _rest = (key, made)

@@ -13,7 +13,7 @@ conditioned to be zero at held nodes. At nodes x it is expressed by its values a
 where the rest, of covariance k(x, x') - k(x, z) k(z, z)^-1 k(z, x'), is independent of c and seen by no marker.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -50,6 +50,12 @@ class Unexplained:
         zero = held[far_apart(mesh.nodes[held], min(len(held), DISCRETISATION.held_places))] if len(held) else held
         length = DISCRETISATION.unexplained_length * mesh.extent
         return cls(mesh.nodes, length, mesh.nodes[zero], places, motion)
+
+    def with_motion(self, motion: float) -> "Unexplained":
+        """Return the same field for another motion, mm; what was computed of it is kept."""
+        other = replace(self, motion=motion)
+        other.__dict__.update({name: value for name, value in self.__dict__.items() if name in ("_parts", "rest")})
+        return other
 
     @property
     def n_columns(self) -> int:

@@ -1,0 +1,96 @@
+"""Recordings as tissuereg writes them: a table with a row for each marker at each time."""
+
+import csv
+import io
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from math import isnan
+from pathlib import Path
+from typing import TextIO
+
+import numpy as np
+
+from tissuereg._base.arrays import FloatArray
+from tissuereg.errors import FormatError
+from tissuereg.io.atomic import atomic_file
+from tissuereg.io.bounds import FILES
+from tissuereg.io.csv import Row, read_table
+from tissuereg.io.recordings.tracks import HowRead, Tracks
+
+COLUMNS = ("time_s", "marker", "x_mm", "y_mm", "z_mm")
+
+#: Whether a live run registered the frame, 1 or 0.
+REGISTERED = "registered"
+
+
+def read_own_table(file: Path, how: HowRead) -> Tracks:
+    """Return a table ``time_s,marker,x_mm,y_mm,z_mm[,registered]``, in the order of time; refuse it by its line."""
+    rows = read_table(file, COLUMNS, (REGISTERED,))
+    times: list[float] = []
+    frames: list[dict[str, FloatArray]] = []
+    first: dict[str, str] = {}
+    taken: list[bool] = []
+    lines: dict[str, int] = {}
+    listed = 0
+    for row in rows:
+        time_s, name = row.number("time_s"), row.text("marker")
+        if times and time_s < times[-1]:
+            message = f"time must not go back; {time_s:.9g} s at {_at(row)} follows {times[-1]:.9g} s"
+            raise FormatError(message, where=row.where)
+        if not times or time_s > times[-1]:
+            listed = listed or len(first)
+            times.append(time_s)
+            frames.append({})
+            taken.append(row.cells.get(REGISTERED, "1") != "0")
+            lines = {}
+        if name in lines:
+            message = f"each marker must stand once at one time; '{name}' at {_at(row)} is at line {lines[name]} too"
+            raise FormatError(message, where=row.where)
+        lines[name] = row.line
+        first.setdefault(name, f"line {row.line}")
+        frames[-1][name] = np.array(row.numbers(COLUMNS[2:], may_miss=True))
+    places = np.full((len(times), len(first), 3), np.nan)
+    column = {name: i for i, name in enumerate(first)}
+    for k, frame in enumerate(frames):
+        for name, place in frame.items():
+            places[k, column[name]] = place
+    live = np.array(taken) if REGISTERED in rows[0].cells else None
+    where, names = list(first.values()), list(first)
+    words = "table time_s,marker,x_mm,y_mm,z_mm"
+    return Tracks(words, np.array(times), names, places, registered=live, where=where, listed=listed or len(first))
+
+
+class TableRecorder:
+    """Writes frames as they come to such a table, which takes its name when the block of `recorder` ends.
+
+    `full` says that the table has its largest size; frames after that are not written.
+    """
+
+    def __init__(self, handle: TextIO, names: Sequence[str]) -> None:
+        self.full = False
+        self._handle, self._names, self._left = handle, names, 1_000_000 * FILES.table_mb
+        self._write([*COLUMNS, REGISTERED])
+
+    def add(self, time_s: float, places: FloatArray, *, registered: bool) -> None:
+        """Write a frame: its time, s, places (n_markers, 3), mm, to the last digit, and whether it was registered."""
+        for name, place in zip(self._names, places.tolist(), strict=True):
+            self._write([repr(time_s), name, *("" if isnan(x) else repr(x) for x in place), int(registered)])
+
+    def _write(self, cells: Sequence[object]) -> None:
+        line = io.StringIO()
+        csv.writer(line, lineterminator="\n").writerow(cells)
+        self._left -= len(line.getvalue().encode())
+        self.full = self.full or self._left < 0
+        if not self.full:
+            self._handle.write(line.getvalue())
+
+
+@contextmanager
+def recorder(path: Path, names: Sequence[str]) -> Iterator[TableRecorder]:
+    """Yield what writes frames of markers to a table, whole or not at all; `names`: of the markers."""
+    with atomic_file(path) as draft, draft.open("w", encoding="utf-8", newline="") as handle:
+        yield TableRecorder(handle, names)
+
+
+def _at(row: Row) -> str:
+    return f"{row.file} line {row.line}"
