@@ -72,6 +72,8 @@ def test_options_of_commands_take_the_same_words():
     for name in COMMANDS:
         for option in commands.choices[name]._actions:
             for flag in set(option.option_strings) & expected.keys():
+                if flag == "--unit" and name not in ("mesh", "warp"):
+                    continue  # of a tracker, whose files know more units
                 seen.add(flag)
                 assert tuple(option.choices) == expected[flag], (name, flag)
     assert seen == expected.keys()
