@@ -503,6 +503,23 @@ def test_the_picture_is_drawn_once_and_not_at_all_without_one(inputs, capsys, mo
     assert "det F" in run(capsys, *words, inputs / "plain", "--no-picture", "--verbose")[1]
 
 
+def test_an_image_lies_under_the_sections(inputs, capsys):
+    sitk = pytest.importorskip("SimpleITK")
+    image = sitk.Image([16, 16, 16], sitk.sitkInt16)
+    image.SetOrigin([-10.0, -10.0, -10.0])
+    image.SetSpacing([5.0, 5.0, 5.0])
+    sitk.WriteImage(image + 40, str(inputs / "ct.nrrd"))
+    words = ["register", inputs / "mesh.vtu", inputs / "markers.csv", "--targets", inputs / "targets.csv", "--quiet"]
+    assert run(capsys, *words, "--image", inputs / "ct.nrrd", "--out", inputs / "shown")[0] == 0
+    page = (inputs / "shown" / "report.html").read_text(encoding="utf-8")
+    assert page.count("<image href='data:image/png;base64,") == 6
+    made = json.loads((inputs / "shown" / "registration.json").read_text(encoding="utf-8"))["provenance"]
+    assert "--image" not in made["command"]
+    code, _, err = run(capsys, *words, "--image", inputs / "none.nrrd", "--out", inputs / "lost")
+    assert (code, "none.nrrd" in err) == (2, True)
+    assert not (inputs / "lost").exists()
+
+
 def test_register_takes_a_frame_of_an_experiment(tmp_path, capsys):
     rig = write_experiment(tmp_path / "rig")
     words = ["register", rig, "--case", "lean", "--time", 11.1, "--out", tmp_path / "out"]

@@ -187,8 +187,8 @@ def test_the_image_lies_under_a_section_as_it_was_moved(pushed, tmp_path):
         # Its centre is where the crosses of the section meet: at the registered target.
         at = [float(re.search(rf"<line x1='[\d.]+' x2='{number}", figure)[1]) for number in (r"([\d.]+)",)]
         middle = np.array([at[0] + 9.0, float(re.search(r"<line x1='0' x2='[\d.]+' y1='([\d.]+)'", figure)[1])])
-        centre = 300.0 / grey.shape[0] * np.array([columns.mean() + 0.5, rows.mean() + 0.5])
-        scale = 300.0 / 50.0  # about, pixels a mm
+        centre = 360.0 / grey.shape[0] * np.array([columns.mean() + 0.5, rows.mean() + 0.5])
+        scale = 360.0 / 50.0  # about, pixels a mm
         assert np.linalg.norm(centre - middle) < 0.5 * scale
     assert "undeformed" not in figures[0]
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from tissuereg._base.arrays import BoolArray, FloatArray, IntArray
 from tissuereg._base.choices import Frame
+from tissuereg._base.provenance import warn
 from tissuereg.errors import ArgumentError
 from tissuereg.imaging.images import Grid, read_image
 from tissuereg.imaging.warp import section_of
@@ -35,7 +36,7 @@ class Cuts(NamedTuple):
     targets: int = 6
     pixels: int = 220
     border: float = 0.06
-    side: float = 300.0
+    side: float = 360.0
     dark: float = 0.01
     light: float = 0.99
     near: float = 5.0
@@ -90,6 +91,8 @@ class ImageUnder:
 
     def __init__(self, path: Any, result: "Registration") -> None:
         self._image, self._space = read_image(path), result.field.space
+        if result.mesh.frame is None:
+            warn("the mesh states no patient frame; it is taken for LPS, as images are")
         if self._image.GetNumberOfComponentsPerPixel() > 1:
             message = f"{path} must hold one value a voxel, got {self._image.GetNumberOfComponentsPerPixel()}"
             raise ArgumentError(message, where="image")
