@@ -75,6 +75,11 @@ def test_expected_places_of_a_rigid_body_are_never_measurements(tmp_path):
         tr.read_recording(written(tmp_path, without))
 
 
+def test_a_header_in_another_code_is_read(tmp_path):
+    text = MOTIVE.replace("Take Name,t", "Take Name,Größe").encode("cp1252")
+    np.testing.assert_allclose(tr.read_recording(written(tmp_path, text)).places, PLACES, atol=1e-9)
+
+
 def test_a_rigid_body_of_motive_is_a_marker_at_its_offset(tmp_path):
     found = tr.read_recording(written(tmp_path, MOTIVE), offsets={"plate": (5.0, 0.0, 0.0)})
     # A quarter turn about z takes the offset to y.
