@@ -227,6 +227,23 @@ def test_an_export_of_a_tracker_is_aligned_and_tracked_like_a_table(inputs, caps
             np.testing.assert_allclose(found, wanted, atol=1e-4)
 
 
+def test_tracks_without_names_are_joined_by_place(inputs, capsys):
+    (inputs / "recording.csv").write_text(motive(at_rest_first()))
+    pairs = ["point,x_mm,y_mm,z_mm,tracker_x_mm,tracker_y_mm,tracker_z_mm\n"]
+    for name, place in zip("abcd", PLACES[:4], strict=True):
+        pairs.append(f"{name},{','.join(map(str, [*place, *(TURN.apply(place) + ORIGIN)]))}\n")
+    (inputs / "pairs.csv").write_text("".join(pairs))
+    words = [*with_model(inputs), "--align", inputs / "pairs.csv"]
+    _, named, _ = track(capsys, inputs, *words)
+    exchanged = [frame[::-1] for frame in at_rest_first()]
+    (inputs / "recording.csv").write_text(motive(exchanged, [f"Unlabeled {i}" for i in range(len(NAMES))]))
+    _, said, _ = track(capsys, inputs, *words, "--nearest", "2", out="nearest")
+    assert [frame["targets"] for frame in said["frames"]] == [frame["targets"] for frame in named["frames"]]
+    for more in (["--align", "first"], ["--align", inputs / "pairs.csv", "--match", "order"]):
+        code, said, _ = track(capsys, inputs, *with_model(inputs), "--nearest", "2", *more)
+        assert (code, said["where"]) == (2, "--nearest")
+
+
 def test_an_alignment_that_does_not_fit_is_refused(inputs, capsys):
     exchanged = [frame[[2, 1, 0, *range(3, len(PLACES))]] for frame in at_rest_first()]
     (inputs / "recording.csv").write_text(motive(exchanged))

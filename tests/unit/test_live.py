@@ -160,6 +160,11 @@ def test_names_are_joined_by_number_or_order():
     gathering, frames = gathered([(0.0, point_message(SIT, others))])
     assert frames == []
     assert list(gathering.unknown) == others
+    # Many strange names do not keep those of markers from being known.
+    strange = [(0.1 * k, point_message(SIT, [f"{k}-{i}" for i in range(3)])) for k in range(1, 400)]
+    gathering, frames = gathered([*strange, (99.0, point_message(SIT))])
+    assert len(frames) == 1
+    assert len(gathering.unknown) == 1000
     with pytest.raises(FormatError, match="an offset must be of a marker"):
         LiveServer(FastEngine(), Intake(NAMES, offsets={"Q": np.zeros(3)}))
 

@@ -75,6 +75,11 @@ def test_expected_places_of_a_rigid_body_are_never_measurements(tmp_path):
         tr.read_recording(written(tmp_path, without))
 
 
+def test_a_header_in_another_code_is_read(tmp_path):
+    text = MOTIVE.replace("Take Name,t", "Take Name,Größe").encode("cp1252")
+    np.testing.assert_allclose(tr.read_recording(written(tmp_path, text)).places, PLACES, atol=1e-9)
+
+
 def test_a_rigid_body_of_motive_is_a_marker_at_its_offset(tmp_path):
     found = tr.read_recording(written(tmp_path, MOTIVE), offsets={"plate": (5.0, 0.0, 0.0)})
     # A quarter turn about z takes the offset to y.
@@ -153,6 +158,12 @@ def test_the_header_of_plus_is_what_simpleitk_reads(tmp_path):
         matrix = [float(word) for word in image.GetMetaData(f"Seq_Frame{k:04d}_ToolToTrackerTransform").split()]
         assert found.places[k, 0].tolist() == matrix[3:12:4]
         assert found.times[k] == float(image.GetMetaData(f"Seq_Frame{k:04d}_Timestamp"))
+
+
+def test_a_place_that_no_tracker_sees_is_not_seen(tmp_path):
+    found = tr.read_recording(written(tmp_path, OWN + "0,P1,1,2,3\n0,P2,1e10,2,3\n0.1,P1,1,2,-3.697314e8\n"))
+    np.testing.assert_array_equal(found.places, [[[1, 2, 3], [np.nan] * 3], [[np.nan] * 3] * 2])
+    assert any("2 places farther away than a kilometre" in text for text in found.notes)
 
 
 # --- tracks without labels ---
@@ -244,6 +255,23 @@ def test_markers_that_only_one_side_names_are_told(tmp_path):
         tr.read_recording(written(tmp_path, TRC)).of(("F-7",))
     by_number = tr.read_recording(written(tmp_path, TRC)).of(("F-2", "F-1"), match="number")
     np.testing.assert_array_equal(by_number.places, PLACES[:, ::-1])
+
+
+def test_tracks_without_names_are_joined_by_place(tmp_path):
+    starts = ((0, 0, 0), (60, 0, 0), (0, 60, 0), (90, 90, 90))
+    one, two, three, ghost = (moving(start, seed=i) for i, start in enumerate(starts))
+    found = tr.read_recording(written(tmp_path, motive_of([three, ghost, *cut(one, (100, 110)), two])))
+    reference = np.array([one[0], two[0], three[0]]) + 1.0
+    joined = found.nearest(("a", "b", "c"), reference, 5.0)
+    for i, whole in enumerate((one, two, three)):
+        seen = np.isfinite(joined.places[:, i]).all(axis=1)
+        assert seen.sum() >= 390
+        np.testing.assert_allclose(joined.places[seen, i], whole[seen], atol=1e-9)
+    assert any("joined by place, within 5 mm: a is U3, b is U4, c is U1" in text for text in joined.notes)
+    with pytest.raises(FormatError, match="'a' must have one partner within 100 mm"):
+        found.nearest(("a", "b", "c"), reference, 100.0)
+    with pytest.raises(FormatError, match=r"must begin within 0\.1 mm of one of the reference; the closest is"):
+        found.nearest(("a", "b", "c"), reference, 0.1)
 
 
 # --- alignment ---

@@ -406,6 +406,10 @@ CALLS = {
         lambda **given: tr.tracking.rigid_alignment(**{"body_mm": CORNERS, **given}),
         {"tracker_mm": CORNERS, "body_mm": CORNERS, "names": ["a", "b", "c"], "std": 0.1},
     ),
+    "Recording.nearest": (
+        lambda **given: one_frame().nearest(**{"names": ("P1",), "reference_mm": [[0, 0, 0]], "within_mm": 1, **given}),
+        {"names": ("P1",), "reference_mm": [[0.0, 0.0, 0.0]], "within_mm": 2.0},
+    ),
     "Recording.of": (
         lambda **given: one_frame().of(**{"names": ("P1",), **given}),
         {"names": ("P1",), "match": "label"},

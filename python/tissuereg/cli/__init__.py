@@ -119,7 +119,7 @@ def build_parser(words: Sequence[str] | None = None) -> Parser:
         epilog=(
             "'tissuereg COMMAND --help' explains a command. Lengths mm, forces mN, stresses kPa, times s.\n"
             "Exit codes: 0 done, 2 bad usage or input, 3 it could not be done, 4 answered and written but not to be\n"
-            "trusted (register, track, diagnose --exit-code), 130 interrupted, 1 a bug."
+            "trusted (register, track, live, diagnose --exit-code), 130 interrupted, 1 a bug."
         ),
     )
     parser.add_argument("--version", action="version", version=f"tissuereg {__version__}")

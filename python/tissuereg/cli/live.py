@@ -64,7 +64,7 @@ def options(parser: Parser) -> None:
     text = "surface with the standard deviation of every node, without it, or none"
     add_option(parser, "--surface", choice(SURFACES, text, default="spread"))
     add_option(parser, "--frames", whole("end after so many registered frames", least=1, default=None), "N")
-    text = "end after so many seconds"
+    text = "end after this time"
     add_option(parser, "--seconds", number(text, unit="s", above=0.0, default=None, otherwise="never"), "S")
     more = parser.add_argument_group("more input")
     add_match_option(more, "--reference and senders' names")

@@ -7,7 +7,7 @@ import numpy as np
 
 from tissuereg._base.fields import choice, number
 from tissuereg.cli.body_input import only_given
-from tissuereg.cli.options import add_option
+from tissuereg.cli.options import add_option, refuse
 from tissuereg.io.points import MM_PER_UNIT
 
 if TYPE_CHECKING:
@@ -27,6 +27,8 @@ def add_recording_options(group: Any) -> None:
     )
     group.add_argument("--columns", metavar="MAP", help=text)
     add_offset_option(group)
+    text = "join markers without names by place: each marker of the reference is the one that begins as near to it"
+    add_option(group, "--nearest", number(text, unit="mm", above=0.0, default=None, otherwise="by --match"), "MM")
     text = "frames a second of a file that numbers its frames"
     add_option(group, "--rate", number(text, unit="1/s", above=0.0, default=None, otherwise="its times"), "HZ")
     text = "unit of length of a file that states none"
@@ -46,13 +48,32 @@ def add_offset_option(group: Any) -> None:
     group.add_argument("--offset", action="append", type=_offset, metavar="'TOOL X Y Z'", help=text, default=[])
 
 
-def read_recorded(args: argparse.Namespace, markers: "Markers") -> "Recording":
-    """Return the recording of the markers; of one that was made live, the frames that were registered then."""
+def read_recorded(
+    args: argparse.Namespace, markers: "Markers", frames: "Mapping[str, Frame | None]"
+) -> "tuple[Recording, Markers, Alignment | None]":
+    """Return the recording of the markers in the body's frame, the markers with their noise, and the alignment.
+
+    `frames`: patient frames of the answer and of tables.
+    """
+    found = _whole(args)
+    if args.nearest is None:
+        found = found.of(markers.names, **only_given(match=args.match))
+        markers = _noise_of(found, markers, args.std)
+        found, alignment = _aligned(args, found, markers, frames)
+        return found, markers, alignment
+    if args.match is not None or args.align == "first":
+        refuse("--nearest must come without --match and with points for --align: markers without names", "--nearest")
+    found, alignment = _aligned(args, found, markers, frames)
+    found = found.nearest(markers.names, markers.reference, args.nearest)
+    return found, _noise_of(found, markers, args.std), alignment
+
+
+def _whole(args: argparse.Namespace) -> "Recording":
+    """Return all that a file records; of one that was made live, the frames that were registered then."""
     from tissuereg.io.recordings import read_recording
 
     offsets = dict(args.offset)
     found = read_recording(args.recording, columns=args.columns, offsets=offsets, rate_hz=args.rate, unit=args.unit)
-    found = found.of(markers.names, **only_given(match=args.match))
     if found.registered is None or found.registered.all():
         return found
     left = int((~found.registered).sum())
@@ -61,7 +82,7 @@ def read_recorded(args: argparse.Namespace, markers: "Markers") -> "Recording":
     )
 
 
-def noise_of(recording: "Recording", markers: "Markers", std: float | None) -> "Markers":
+def _noise_of(recording: "Recording", markers: "Markers", std: float | None) -> "Markers":
     """Return the markers with the noise that the tracker states, where neither ``--std`` nor their file states one."""
     from tissuereg.body.markers import Markers
     from tissuereg.io.bounds import FILES
@@ -76,7 +97,7 @@ def noise_of(recording: "Recording", markers: "Markers", std: float | None) -> "
     return Markers(markers.reference, markers.measured, spread, markers.names)
 
 
-def aligned(
+def _aligned(
     args: argparse.Namespace, recording: "Recording", markers: "Markers", frames: "Mapping[str, Frame | None]"
 ) -> "tuple[Recording, Alignment | None]":
     """Return the recording in the body's frame, and how the tracker's was aligned to it, if ``--align`` says so.
@@ -84,13 +105,13 @@ def aligned(
     `frames`: patient frames of the answer and of tables; a recording that is aligned is in neither.
     """
     from tissuereg.io.tables import read_pairs
-    from tissuereg.tracking.align import first_places, rigid_alignment
+    from tissuereg.tracking.align import rigid_alignment
 
     if args.align is None:
         return recording.in_frame(frames["frame"], frames["table_frame"]), None
     noise = float(np.sqrt(np.mean(markers.axis_std**2)))
     if args.align == "first":
-        found = rigid_alignment(first_places(recording.places), markers.reference, markers.names, std=noise)
+        found = rigid_alignment(recording.first_places(), markers.reference, markers.names, std=noise)
     else:
         names, tracker, body = read_pairs(args.align, **frames)
         found = rigid_alignment(tracker, body, names, std=noise)

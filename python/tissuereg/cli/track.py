@@ -21,7 +21,7 @@ from tissuereg.cli.body_input import (
 from tissuereg.cli.common import UNTRUSTED, Outcome, Stopwatch, note, seconds_line
 from tissuereg.cli.options import Help, Parser, refuse_overwriting
 from tissuereg.cli.progress import progress_bar
-from tissuereg.cli.recording_input import add_recording_options, aligned, noise_of, read_recorded
+from tissuereg.cli.recording_input import add_recording_options, read_recorded
 from tissuereg.report.words import counted, target_line
 
 if TYPE_CHECKING:
@@ -139,9 +139,7 @@ def _read(args: argparse.Namespace) -> "tuple[Tracker, Recording, TablePhysics |
     if frames["frame"] is not None:
         mesh = mesh.in_frame(frames["frame"])
     markers = read_reference(args.reference, args.std, **frames)
-    recording = read_recorded(args, markers)
-    markers = noise_of(recording, markers, args.std)
-    recording, alignment = aligned(args, recording, markers, frames)
+    recording, markers, alignment = read_recorded(args, markers, frames)
     targets = None if args.targets is None else read_targets(args.targets, **frames)
     simulations = None if args.simulations is None else _simulations(args, mesh.n_nodes, recording)
     body = believed_body(args, mesh, material)

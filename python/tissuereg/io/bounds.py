@@ -44,6 +44,8 @@ class FileLimits:
         Most lines above the numbers of a tracker's table.
     farthest : float
         Numbers as large are no coordinates in any unit and no times in s: trackers write such ones for none.
+    farthest_mm : float
+        Nor are coordinates in mm as large as this, a kilometre.
     std_mm : float
         Standard deviation of a measured coordinate where none is given, mm: that of an optical tracker.
     same_time : float
@@ -78,6 +80,7 @@ class FileLimits:
     table_points: int = 10_000
     header_rows: int = 12
     farthest: float = 1e15
+    farthest_mm: float = 1e6
     std_mm: float = 0.1
     same_time: float = 0.01
     same_place: float = 1e-4

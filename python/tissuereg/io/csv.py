@@ -108,10 +108,25 @@ def read_table(
     with an error at the next; None for any number. Raises `FormatError` if the file is missing, too large or too long,
     no text, has another header, a line of another length, or no row at all.
     """
-    file = existing_file(path, FILES.table_mb)
+    return list(table_rows(path, columns, optional, most_rows=most_rows))
+
+
+def table_rows(
+    path: str | os.PathLike[str],
+    columns: Sequence[str],
+    optional: Sequence[str] = (),
+    *,
+    most_rows: int | None = None,
+    most_mb: int = FILES.table_mb,
+) -> Iterator[Row]:
+    """Yield the rows of a table as `read_table` returns them, one after another; `most_mb`: its largest size, MB.
+
+    Raises as `read_table` does, once it comes to the fault.
+    """
+    file = existing_file(path, most_mb)
     try:
-        with io.TextIOWrapper(bounded_stream(file, FILES.table_mb), encoding="utf-8-sig", newline="") as handle:
-            return _rows(file, split_rows(handle), columns, optional, most_rows)
+        with io.TextIOWrapper(bounded_stream(file, most_mb), encoding="utf-8-sig", newline="") as handle:
+            yield from _rows(file, split_rows(handle), columns, optional, most_rows)
     except (UnicodeDecodeError, csv.Error, OSError) as error:
         message = f"{file} must be a table in comma-separated UTF-8 text; it cannot be read: {error}"
         raise FormatError(message, where=str(file)) from error
@@ -123,29 +138,29 @@ def _rows(
     columns: Sequence[str],
     optional: Sequence[str],
     most_rows: int | None,
-) -> list[Row]:
-    """Return the rows of a table from the number and cells of each line; stop with an error at a fault.
+) -> Iterator[Row]:
+    """Yield the rows of a table from the number and cells of each line; stop with an error at a fault.
 
     `file`: the table, for messages; `columns`, `optional`: columns that must and that may be there; `most_rows`:
     largest number of rows; None for any number. Raises `FormatError` at the first invalid line, or if there is no row.
     """
     header: list[str] | None = None
-    rows: list[Row] = []
+    count = 0
     for number, cells in found:
         if header is None:
             header = cells
             _check_header(file, header, columns, optional)
-        elif len(rows) == most_rows:
+        elif count == most_rows:
             message = f"{file} must hold at most {most_rows} rows; more follow at line {number}"
             raise FormatError(message, where=f"{file}:{number}")
         else:
-            rows.append(_row(file, number, header, cells))
+            yield _row(file, number, header, cells)
+            count += 1
     if header is None:
         _check_header(file, [], columns, optional)
-    if not rows:
+    if not count:
         message = f"{file} must hold at least one row below its header"
         raise FormatError(message, where=str(file))
-    return rows
 
 
 def write_table(path: str | os.PathLike[str], header: Sequence[str], rows: Iterable[Sequence[object]]) -> None:

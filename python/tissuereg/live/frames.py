@@ -151,15 +151,15 @@ class Gathering:
 
     def _row(self, name: str) -> int | None:
         """Return the number of the marker of a sender's name; None if it is none."""
-        if name not in self._known:
-            if len(self._known) >= self._settings.most_names:
-                return None
-            match = "label" if self._intake.match == "order" else self._intake.match
-            known = is_known(self._sit, name, match)
-            self._known[name] = partners(self._sit, Labels("", [name]), match)[0] if known else None
-        if self._known[name] is None and len(self.unknown) < self._settings.most_names:
-            self.unknown[name] = None
-        return self._known[name]
+        if name in self._known:
+            return self._known[name]
+        match = "label" if self._intake.match == "order" else self._intake.match
+        row = partners(self._sit, Labels("", [name]), match)[0] if is_known(self._sit, name, match) else None
+        if len(self._known) < self._settings.most_names:
+            self._known[name] = row
+            if row is None:
+                self.unknown[name] = None
+        return row
 
 
 def check_intake(intake: Intake) -> None:

@@ -41,7 +41,7 @@ class LiveSettings:
     most_peers : int
         Most connections at a time.
     most_names : int
-        Most names of unknown markers that are remembered.
+        Most names of senders that are remembered; further ones are looked up each time.
 
     Raises
     ------

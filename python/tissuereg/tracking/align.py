@@ -16,15 +16,13 @@ class AlignSettings(NamedTuple):
 
     `fewest`: points that a rigid motion needs; `thin`: smallest extent of the points across the line through them, as a
     share of that along it; `share`: largest rms residual, as a share of the points' rms distance from their middle,
-    or as `noise` standard deviations of their coordinates, whichever is larger; `frames`: first frames of a recording
-    whose median is taken.
+    or as `noise` standard deviations of their coordinates, whichever is larger.
     """
 
     fewest: int = 3
     thin: float = 0.05
     share: float = 0.05
     noise: float = 4.0
-    frames: int = 10
 
 
 ALIGN = AlignSettings()
@@ -138,17 +136,3 @@ def _why(tracker: FloatArray, body: FloatArray, limit: float) -> str:
 
 def _rms(tracker: FloatArray, body: FloatArray) -> float:
     return float(np.sqrt(np.mean(np.sum((RigidMotion.between(tracker, body).apply(tracker) - body) ** 2, axis=1))))
-
-
-def first_places(places: FloatArray) -> FloatArray:
-    """Return the median place (n_markers, 3) of each marker in the first frames, mm, NaN where it was not seen.
-
-    `places` (n_frames, n_markers, 3): measured places, mm.
-    """
-    begin = places[: ALIGN.frames]
-    found = np.full(begin.shape[1:], np.nan)
-    for i in range(begin.shape[1]):
-        seen = begin[np.isfinite(begin[:, i]).all(axis=1), i]
-        if len(seen):
-            found[i] = np.median(seen, axis=0)
-    return found

@@ -93,6 +93,10 @@ def read_recording(
 def _recording(file: Path, tracks: Tracks) -> Recording:
     """Return what a reader found, its clock checked and its unlabelled tracks joined."""
     kept, faults = checked_clock(tracks.times)
+    far = np.asarray((np.abs(tracks.places) >= FILES.farthest_mm).any(axis=2))
+    if far.any():
+        tracks.notes.append(f"{int(far.sum())} places farther away than a kilometre are no measurements: not seen")
+        tracks.places = np.where(far[..., None], np.nan, tracks.places)
     names, places, notes = stitched(tracks.names, tracks.places[kept], tracks.unlabelled)
     std = None if tracks.std is None or names != tracks.names else tracks.std[kept]
     live = None if tracks.registered is None else tracks.registered[kept]

@@ -81,8 +81,8 @@ def read_motive(file: Path, how: HowRead) -> Tracks:
         places.append(tool_places(turns, origins, how.offsets.get(name)))
         names.append(name)
     notes += _notes(header, len(tools) - len(wanted))
-    made_up = {name for name in names if name.lower().startswith(_UNLABELLED)}
     names = unique(names)
+    made_up = {name for name in names if name.lower().startswith(_UNLABELLED)}
     return Tracks(
         f"Motive CSV {header.stated.get('format version', '')}".strip(),
         column[header.time],

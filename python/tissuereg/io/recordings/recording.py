@@ -2,12 +2,12 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
 
-from tissuereg._base.arguments import check_choice, texts
-from tissuereg._base.arrays import BoolArray, FloatArray, frozen
+from tissuereg._base.arguments import check_choice, real, texts
+from tissuereg._base.arrays import BoolArray, FloatArray, float_array, frozen
 from tissuereg._base.choices import MATCHES, Match
 from tissuereg._base.provenance import derived
 from tissuereg.errors import FormatError
@@ -16,15 +16,17 @@ from tissuereg.io.points import turned
 
 
 class ClockSettings(NamedTuple):
-    """When a clock is believed.
+    """When a clock is believed, and where a recording begins.
 
     `jump`: steps of time beyond this many median ones are told; `most_lost`: largest share of frames that may have to
-    be left out since the clock ran back or stood still; `told`: most frames that the notes name one by one.
+    be left out since the clock ran back or stood still; `told`: most frames that the notes name one by one; `begin`:
+    first frames of a recording, whose median is where it begins.
     """
 
     jump: float = 5.0
     most_lost: float = 0.1
     told: int = 20
+    begin: int = 10
 
 
 CLOCK = ClockSettings()
@@ -129,6 +131,68 @@ class Recording:
                 f"'{self.names[self.listed]}' at {self._at(self.listed)} of {self.file}"
             )
             raise FormatError(message, where=self.file)
+        return self._joined(names, rows, taken)
+
+    def nearest(self, names: Sequence[str], reference_mm: Any, within_mm: float) -> "Recording":
+        """Return the recording of the markers `names`, each the one that begins near its place in the reference.
+
+        For markers that a tracker does not know by name; the places of the recording are those of the body's frame.
+
+        Parameters
+        ----------
+        names : sequence of str
+            The markers, as the reference names them.
+        reference_mm : array_like of float, shape (n_markers, 3)
+            Their places on the undeformed body, mm.
+        within_mm : float
+            Largest distance of a marker's first places from there, mm.
+
+        Returns
+        -------
+        Recording
+            With these names; those without a marker of the file near them are never seen, which its notes say.
+
+        Raises
+        ------
+        FormatError
+            If no marker begins near one of them, or two of either side are so near that they may be exchanged.
+        ArgumentError, ShapeError
+            If an argument has the wrong type or shape, or is out of its range.
+        """
+        names = texts("names", names, length=max(len(names), 1) if isinstance(names, list | tuple) else 1)
+        reference = float_array("reference_mm", reference_mm, (len(names), 3))
+        within = real("within_mm", within_mm, above=0.0, unit="mm")
+        away = np.linalg.norm(reference[:, None] - self.first_places()[None], axis=2)
+        near = np.nan_to_num(away, nan=np.inf) <= within
+        for i in np.flatnonzero(near.sum(axis=1) > 1):
+            self._refuse_near(f"'{names[i]}'", [self.names[k] for k in np.flatnonzero(near[i])], within)
+        for k in np.flatnonzero(near.sum(axis=0) > 1):
+            self._refuse_near(f"'{self.names[k]}' of the file", [names[i] for i in np.flatnonzero(near[:, k])], within)
+        rows, taken = (found.tolist() for found in np.nonzero(near))
+        if not rows:
+            closest = "" if np.isnan(away).all() else f"; the closest is {np.nanmin(away):.3g} mm away"
+            message = f"a marker of {self.file} must begin within {within:g} mm of one of the reference{closest}"
+            raise FormatError(message, where=self.file)
+        pairs = listed([f"{names[i]} is {self.names[k]}" for i, k in zip(rows, taken, strict=True)])
+        found = self._joined(names, rows, taken)
+        return replace(found, notes=(*found.notes, f"joined by place, within {within:g} mm: {pairs}"))
+
+    def first_places(self) -> FloatArray:
+        """Return the median place (n_markers, 3) of each marker in the first ten frames, mm, NaN where not seen."""
+        begin = self.places[: CLOCK.begin]
+        found = np.full(begin.shape[1:], np.nan)
+        for i in range(begin.shape[1]):
+            seen = begin[np.isfinite(begin[:, i]).all(axis=1), i]
+            if len(seen):
+                found[i] = np.median(seen, axis=0)
+        return found
+
+    def _refuse_near(self, one: str, others: list[str], within: float) -> NoReturn:
+        message = f"{one} must have one partner within {within:g} mm, got {listed(others)}: choose a smaller distance"
+        raise FormatError(message, where=self.file)
+
+    def _joined(self, names: tuple[str, ...], rows: list[int], taken: list[int]) -> "Recording":
+        """Return the recording of `names`, where those of the numbers `rows` are the file's of the numbers `taken`."""
         places = np.full((len(self), len(names), 3), np.nan)
         places[:, rows] = self.places[:, taken]
         std = None if self.std is None else np.full((len(self), len(names)), np.nan)

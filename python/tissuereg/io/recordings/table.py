@@ -14,8 +14,8 @@ from tissuereg._base.arrays import FloatArray
 from tissuereg.errors import FormatError
 from tissuereg.io.atomic import atomic_file
 from tissuereg.io.bounds import FILES
-from tissuereg.io.csv import Row, read_table
-from tissuereg.io.recordings.tracks import HowRead, Tracks
+from tissuereg.io.csv import Row, table_rows
+from tissuereg.io.recordings.tracks import HowRead, Tracks, check_room
 
 COLUMNS = ("time_s", "marker", "x_mm", "y_mm", "z_mm")
 
@@ -25,14 +25,14 @@ REGISTERED = "registered"
 
 def read_own_table(file: Path, how: HowRead) -> Tracks:
     """Return a table ``time_s,marker,x_mm,y_mm,z_mm[,registered]``, in the order of time; refuse it by its line."""
-    rows = read_table(file, COLUMNS, (REGISTERED,))
     times: list[float] = []
-    frames: list[dict[str, FloatArray]] = []
+    frames: list[dict[str, tuple[float, ...]]] = []
     first: dict[str, str] = {}
     taken: list[bool] = []
     lines: dict[str, int] = {}
-    listed = 0
-    for row in rows:
+    listed, live = 0, False
+    for row in table_rows(file, COLUMNS, (REGISTERED,), most_mb=FILES.recording_mb):
+        live = REGISTERED in row.cells
         time_s, name = row.number("time_s"), row.text("marker")
         if times and time_s < times[-1]:
             message = f"time must not go back; {time_s:.9g} s at {_at(row)} follows {times[-1]:.9g} s"
@@ -48,16 +48,17 @@ def read_own_table(file: Path, how: HowRead) -> Tracks:
             raise FormatError(message, where=row.where)
         lines[name] = row.line
         first.setdefault(name, f"line {row.line}")
-        frames[-1][name] = np.array(row.numbers(COLUMNS[2:], may_miss=True))
+        frames[-1][name] = row.numbers(COLUMNS[2:], may_miss=True)
+        check_room(len(frames), 3 * len(first), file)
     places = np.full((len(times), len(first), 3), np.nan)
     column = {name: i for i, name in enumerate(first)}
     for k, frame in enumerate(frames):
         for name, place in frame.items():
             places[k, column[name]] = place
-    live = np.array(taken) if REGISTERED in rows[0].cells else None
-    where, names = list(first.values()), list(first)
-    words = "table time_s,marker,x_mm,y_mm,z_mm"
-    return Tracks(words, np.array(times), names, places, registered=live, where=where, listed=listed or len(first))
+    words, registered = "table time_s,marker,x_mm,y_mm,z_mm", np.array(taken) if live else None
+    found = Tracks(words, np.array(times), list(first), places, registered=registered, where=list(first.values()))
+    found.listed = listed or len(first)
+    return found
 
 
 class TableRecorder:
@@ -68,7 +69,7 @@ class TableRecorder:
 
     def __init__(self, handle: TextIO, names: Sequence[str]) -> None:
         self.full = False
-        self._handle, self._names, self._left = handle, names, 1_000_000 * FILES.table_mb
+        self._handle, self._names, self._left = handle, names, 1_000_000 * FILES.recording_mb
         self._write([*COLUMNS, REGISTERED])
 
     def add(self, time_s: float, places: FloatArray, *, registered: bool) -> None:

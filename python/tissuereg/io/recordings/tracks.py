@@ -85,8 +85,12 @@ class Tracks:
 
 
 def rows_of(file: Path, delimiter: str = ",") -> Iterator[tuple[int, list[str]]]:
-    """Yield number and stripped cells of each line of a table that is not empty; reading stops at a bound."""
-    with io.TextIOWrapper(bounded_stream(file, FILES.recording_mb), encoding="utf-8-sig", newline="") as handle:
+    """Yield number and stripped cells of each line of a table that is not empty; reading stops at a bound.
+
+    Trackers write names and dates in any code: a letter that is no UTF-8 becomes a sign that says so.
+    """
+    stream = bounded_stream(file, FILES.recording_mb)
+    with io.TextIOWrapper(stream, encoding="utf-8-sig", errors="replace", newline="") as handle:
         reader = csv.reader(handle, delimiter=delimiter, strict=True)
         for row in reader:
             cells = [cell.strip() for cell in row]
