@@ -244,7 +244,9 @@ class LiveServer:
             body = await reader.readexactly(header.size)
         try:
             frames = self._gathering.take(message_of(header, body), self._now())
-        except FormatError:  # its length was right, so that the next one can be read
+        except FormatError as error:  # its length was right, so that the next one can be read
+            if not self.counts.spoilt:
+                self._told(f"a message is left out, and others like it without a word: {error}")
             self.counts.spoilt += 1
         else:
             self._arrived(frames)

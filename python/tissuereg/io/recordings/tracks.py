@@ -106,7 +106,7 @@ def number_in(text: str, file: Path, line: int) -> float:
     if not text or text.lower() == "nan":
         return math.nan
     try:
-        value = float(text)
+        value = math.inf if "_" in text else float(text)  # Python alone takes 1_000 for a number
     except ValueError:
         value = math.inf
     if math.isinf(value):
@@ -116,14 +116,13 @@ def number_in(text: str, file: Path, line: int) -> float:
 
 
 def unique(names: Sequence[str]) -> list[str]:
-    """Return names, the second of two equal ones followed by (2) and so on."""
-    found: dict[str, int] = {}
+    """Return names, the second of two equal ones followed by a word: by number it is the first's rival, not another."""
+    found: dict[str, None] = {}
     for name in names:
-        given, count = name, 1
+        given = name
         while given in found:
-            count += 1
-            given = f"{name} ({count})"
-        found[given] = count
+            given += " (again)"
+        found[given] = None
     return list(found)
 
 
