@@ -250,9 +250,9 @@ def _summary(content: Mapping[str, Any], times: FloatArray, doubted: BoolArray) 
     latency = _column(frames, "latency_ms")
     return (
         f"<h1>Tracking</h1><p class='verdict {'yes' if ok else 'no'}'>{verdict}</p>"
-        f"<p>{counted(len(frames), 'frame')} from {at_time(times[0])} to {at_time(times[-1])} s, {content['hz']:.1f} a second; "
-        f"{content['dropped_frames']} dropped. Latency: median {np.nanmedian(latency):.0f} ms, 99 % "
-        f"{np.nanpercentile(latency, 99):.0f} ms. Distance to the markers: median "
+        f"<p>{counted(len(frames), 'frame')} from {at_time(times[0])} to {at_time(times[-1])} s, "
+        f"{content['hz']:.1f} a second; {content['dropped_frames']} dropped. Latency: median "
+        f"{np.nanmedian(latency):.0f} ms, 99 % {np.nanpercentile(latency, 99):.0f} ms. Distance to the markers: median "
         f"{np.nanmedian(_column(frames, 'markers_rms_mm')):.2f} mm (rms).</p>"
     )
 

@@ -3,6 +3,7 @@
 import sys
 import threading
 from collections.abc import Callable, Sequence
+from copy import copy
 from functools import cached_property
 
 import numpy as np
@@ -41,17 +42,32 @@ class Tangent:
             EFFORT.block * (threads or n_cores()) if body.n_unknowns >= EFFORT.many_unknowns else sys.maxsize
         )
         self._known: dict[bytes, Compliance] = {}
+        self._own: set[bytes] = set()
         self._of_nodes: dict[bytes, list[tuple[FloatArray, Compliance]]] = {}
         self._lock = threading.Lock()
+        self._first: Tangent | None = None
+
+    def anew(self) -> "Tangent":
+        """Return this tangent for another registration: it knows the same rows, but sums none that only others used.
+
+        A sum has not the bits of a row that is solved, and an answer must not depend on what was registered before.
+        """
+        made = copy(self)
+        made._first, made._own, made._of_nodes = self, set(), {}
+        return made
 
     @cached_property
     def stiffness_forces(self) -> FloatArray:
         """Forces that unit changes of the stiffness leave unbalanced, (n, n_element_nodes, 3), mN."""
+        if self._first is not None:
+            return self._first.stiffness_forces
         return np.asarray(-self.linearised.unbalanced(self._stiffness))
 
     @cached_property
     def by_stiffness(self) -> FloatArray:
         """Displacements (n, n_element_nodes, 3), mm, by unit changes of the stiffness, to first order."""
+        if self._first is not None:
+            return self._first.by_stiffness
         forces = self.stiffness_forces
         return self.linearised.responses(forces) if forces.any() else np.zeros_like(forces)
 
@@ -66,11 +82,13 @@ class Tangent:
         """
         keys = [nodes.tobytes() + b"|" + weights.tobytes() for nodes, weights in rows]
         with self._lock:
-            found = {key: self._known[key] for key in keys if key in self._known}
-            for key, row in zip(keys, rows, strict=True):
-                if key not in found and (made := self._combined(row)) is not None:
-                    found[key] = made
-        missing = {key: row for key, row in zip(keys, rows, strict=True) if key not in found}
+            every = dict(zip(keys, rows, strict=True))
+            summed = {key: self._combined(row) for key, row in every.items() if key not in self._own}
+            found = {key: one for key, one in summed.items() if one is not None}
+            known = {key: self._known[key] for key in every if key in self._known and key not in found}
+            self._use(known, every)
+        found |= known
+        missing = {key: row for key, row in every.items() if key not in found}
         if missing or not rows:
             solved = self._solved(list(missing.values()), progress)
             new = dict(zip(missing, _apart(solved), strict=True))
@@ -99,8 +117,16 @@ class Tangent:
         with self._lock:
             if len(self._known) + len(new) <= EFFORT.remembered:
                 self._known |= new
-                for key, (nodes, weights) in rows.items():
-                    self._of_nodes.setdefault(nodes.tobytes(), []).append((weights, new[key]))
+            self._use(new, rows)
+
+    def _use(self, given: dict[bytes, Compliance], rows: dict[bytes, Row]) -> None:
+        """Let rows be summed from now on."""
+        new = given.keys() - self._own
+        if len(self._own) + len(new) <= EFFORT.remembered:
+            self._own |= new
+            for key in (key for key in given if key in new):
+                nodes, weights = rows[key]
+                self._of_nodes.setdefault(nodes.tobytes(), []).append((weights, given[key]))
 
     def _combined(self, row: Row) -> Compliance | None:
         """Return the sensitivity of an observation that is a sum of known ones of its nodes; None if it is none."""
@@ -110,7 +136,8 @@ class Tangent:
             return None
         every = np.stack([own.ravel() for own, _ in known])
         shares = np.linalg.lstsq(every.T, weights.ravel())[0]
-        if np.abs(shares @ every - weights.ravel()).max() > 1e-12 * np.abs(weights).max():
+        # Shares are small unless the known rows are nearly alike: then their errors would be multiplied.
+        if np.abs(shares @ every - weights.ravel()).max() > 1e-12 * np.abs(weights).max() or np.abs(shares).max() > 2.0:
             return None
         used = [(share, one) for share, (_, one) in zip(shares, known, strict=True) if share != 0.0]
         return Compliance(
@@ -153,7 +180,7 @@ def tangent_at(columns: Columns, material: Material, state: BodyState, threads: 
     if key is not None:
         with _lock:
             if _rest is not None and _rest[0] == key:
-                return _rest[1], 0
+                return _rest[1].anew(), 0
     linearised = Linearised(
         columns.body.simulator,
         columns.load(state.coefficients),
@@ -167,6 +194,7 @@ def tangent_at(columns: Columns, material: Material, state: BodyState, threads: 
     if key is not None and columns.body.simulator.body.factor_size[0] <= EFFORT.kept_entries:
         with _lock:
             _rest = (key, made)
+            made = made.anew()
     return made, 1
 
 
