@@ -377,6 +377,22 @@ def test_a_recording_holds_every_frame_and_which_were_registered(tmp_path):
         np.testing.assert_array_equal(again, places)
 
 
+def test_a_recording_that_cannot_be_written_ends_neither_the_server_nor_a_peer():
+    class FullDisk:
+        def add(self, time_s, places, *, registered):
+            raise OSError(28, "No space left on device")
+
+    with serving(recorder=FullDisk()) as server:
+        peer = Peer(server.address)
+        for k in range(3):
+            peer.send(point_message(SIT, time_s=3.0 + 0.1 * k))
+            answer(peer)
+        peer.close()
+    assert server.counts.registered == 3
+    assert server.counts.spoilt == 0
+    assert sum("No space left on device" in text for text in server.said) == 1
+
+
 def test_a_recording_that_is_full_ends_with_a_whole_frame(tmp_path):
     with recorder(tmp_path / "live.csv", NAMES) as kept:
         kept._left = 4 * len(NAMES) * 30

@@ -272,7 +272,11 @@ class LiveServer:
         if frame is not None:
             self.counts.dropped += not registered
             if self._recorder is not None:
-                self._recorder.add(frame.time_s, frame.places, registered=registered)
+                try:
+                    self._recorder.add(frame.time_s, frame.places, registered=registered)
+                except OSError as error:  # a full disk is no reason to end, and no peer's fault
+                    self._recorder = None
+                    self._told(f"the recording ends here, since it cannot be written: {error}")
         return frame
 
     async def _register(self, most: int | None) -> None:
