@@ -229,6 +229,25 @@ def test_what_could_be_either_of_two_markers_is_never_taken_for_one(tmp_path):
     np.testing.assert_allclose(found.of(["U1"]).places[:, 0], track + 50.0, atol=1e-9)
 
 
+def test_a_place_of_zeros_is_not_seen_where_formats_write_it_for_none(tmp_path):
+    places = np.array([[[30.0, 10, 40], [0, 10, 40]], [[0, 0, 0], [1, 10, 40]]])
+    for content in (c3d_bytes(places, ["P1", "P2"]), c3d_bytes(places, ["P1", "P2"], floats=False)):
+        found = tr.read_recording(written(tmp_path, content))
+        np.testing.assert_allclose(found.places, PLACES, atol=1e-6)
+        assert found.notes == ("P1 is at 0, 0, 0 in 1 frames and counts as not seen there",)
+    found = tr.read_recording(written(tmp_path, TRC.replace("\t\t\t\t", "\t0\t0.0\t0\t")))
+    assert np.isnan(found.places[1, 0]).all()
+    assert "P1 is at 0, 0, 0" in found.notes[0]
+
+
+def test_transforms_that_end_in_several_frames_are_told(tmp_path):
+    poses = {"A": np.array([pose(Rotation.identity(), (k, 0, 0)) for k in range(3)])}
+    text = plus_text({**poses, "B": poses["A"]})
+    assert not any("frames that" in text for text in tr.read_recording(written(tmp_path, text)).notes)
+    notes = tr.read_recording(written(tmp_path, text.replace("BToTracker", "BToReference"))).notes
+    assert any("AToTracker, BToReference" in text for text in notes)
+
+
 def test_remarks_above_the_names_of_columns_are_no_header(tmp_path):
     content = 'by "the" tracker, at some time: x y z t\nt,x,y,z\n0,1,2,3\n1,1,2,4\n'
     found = tr.read_recording(written(tmp_path, content), columns="time=t x=x y=y z=z unit=mm")

@@ -161,6 +161,17 @@ def offset_notes(tools: Sequence[str], offsets: Mapping[str, FloatArray]) -> lis
     return [f"tools whose origins are the markers, for want of an offset: {', '.join(plain)}"] if plain else []
 
 
+def without_zeros(names: Sequence[str], places: FloatArray) -> tuple[FloatArray, list[str]]:
+    """Return places (n_frames, n, 3) with those that are exactly 0, 0, 0 as NaN, and notes: some write it for none."""
+    none = (places == 0.0).all(axis=2)
+    notes = [
+        f"{name} is at 0, 0, 0 in {count} frames and counts as not seen there"
+        for name, count in zip(names, none.sum(axis=0).tolist(), strict=True)
+        if count
+    ]
+    return np.where(none[..., None], np.nan, places), notes
+
+
 def without_repeats(places: FloatArray) -> tuple[FloatArray, int]:
     """Return poses (n, d) with those that repeat the one before to the last digit as NaN, and how many these are."""
     seen = np.isfinite(places).all(axis=1)
