@@ -173,6 +173,11 @@ def test_a_marker_is_known_however_many_strangers_came_before():
     assert len(gathering.unknown) == many - 10
 
 
+def test_a_name_commands_no_terminal():
+    gathering, _ = gathered([(0.0, point_message(SIT, ["\x1b[2J", "\u202egnp", "a\nb"]))])
+    assert list(gathering.unknown) == ["\ufffd[2J", "\ufffdgnp", "a\ufffdb"]
+
+
 def test_the_offset_of_a_tool_is_found_by_the_marker_s_name_whatever_the_sender_calls_it():
     offsets = {NAMES[1]: np.array([0.0, 0.0, 5.0])}
     messages = [

@@ -188,7 +188,7 @@ class LiveServer:
         while True:
             try:
                 reader, writer = await asyncio.open_connection(*address)
-            except OSError as error:
+            except (OSError, UnicodeError) as error:  # the second is of a name that is none of a machine
                 if not lost:
                     self._told(f"{address[0]}:{address[1]} is not there ({error}); it is tried again and again")
                 lost = True
