@@ -9,10 +9,9 @@ import numpy as np
 from tissuereg._base.arrays import FloatArray
 from tissuereg._base.choices import Match
 from tissuereg.errors import FormatError
-from tissuereg.io.matching import Labels, partners
+from tissuereg.io.matching import Labels, finder, partners
 from tissuereg.io.points import turned
 from tissuereg.io.recordings.plus import tool_of
-from tissuereg.io.recordings.recording import is_known
 from tissuereg.live.protocol import Message, NamedPlace, points_in, tools_in, transform_in
 from tissuereg.live.settings import LiveSettings
 from tissuereg.tracking.align import Alignment
@@ -58,8 +57,7 @@ class Gathering:
         self.unknown: dict[str, None] = {}
         self.late = self.resets = 0
         self._intake, self._settings = intake, settings
-        self._sit = Labels("the reference", intake.names)
-        self._known: dict[str, int | None] = {}
+        self._row = finder(Labels("the reference", intake.names), "label" if intake.match == "order" else intake.match)
         self._device: dict[int, str] = {}
         self._pending: dict[int, FloatArray] = {}
         self._sent_s, self._since, self._received_s = 0.0, 0.0, 0.0
@@ -176,17 +174,6 @@ class Gathering:
     def _note_stranger(self, name: str) -> None:
         if len(self.unknown) < self._settings.most_names:
             self.unknown[name] = None
-
-    def _row(self, name: str) -> int | None:
-        """Return the number of the marker of a sender's name; None if it is none."""
-        if name in self._known:
-            return self._known[name]
-        match = "label" if self._intake.match == "order" else self._intake.match
-        known = is_known(self._sit, name, match)
-        row = partners(self._sit, Labels("", [name]), match)[0] if known else None
-        if len(self._known) < self._settings.most_names:  # others are looked up each time
-            self._known[name] = row
-        return row
 
 
 def check_intake(intake: Intake) -> None:
