@@ -111,6 +111,7 @@ def test_bad_words_exit_with_two(inputs, capsys):
         (["--listen", "high"], "HOST:PORT"),
         (["--connect", "18944"], "HOST:PORT"),
         (["--listen", port], "an address of this machine"),
+        (["--listen", "a..b:0"], "an address of this machine"),
         (["--listen", "0", "--record", inputs / "reference.csv"], "must not replace an input"),
         (["--listen", "0", "--offset", "nobody 0 0 1"], "an offset must be of a marker"),
     ):

@@ -19,7 +19,7 @@ def values():
     return np.random.default_rng(0).integers(-900, 1500, SIZE[::-1]).astype(np.int16)
 
 
-def write_slices(folder, *, places=None, series="1", slices=None, spacing=0.75):
+def write_slices(folder, *, places=None, series="1", slices=None, spacing=0.75, thickness="2.5"):
     """Write a CT series, each slice a file, whose names are in another order than their places."""
     folder.mkdir(exist_ok=True)
     writer = sitk.ImageFileWriter()
@@ -43,7 +43,7 @@ def write_slices(folder, *, places=None, series="1", slices=None, spacing=0.75):
             "0020|0052": f"{SEG}98",
             "0028|1052": "-1024",
             "0028|1053": "1",
-            "0018|0050": "2.5",
+            "0018|0050": thickness,
         }
         image.SetSpacing((spacing, spacing, 2.5))
         for key, value in of_slice.items():
@@ -160,6 +160,21 @@ def test_a_segmentation_of_another_writer_lies_where_its_series_does(tmp_path, k
         surface, said = Segmentation.read(path, ["a tumour"]).surface()
         assert surface.volume == pytest.approx(masks["a tumour"].sum() * 0.75 * 0.75 * 2.5, rel=0.01)
         assert not any("border" in words for words in said)
+
+
+@pytest.mark.parametrize("thickness", ["1.25", "5"])
+def test_slices_of_a_segmentation_may_be_thinner_or_thicker_than_they_are_apart(tmp_path, thickness):
+    hd = pytest.importorskip("highdicom", reason="writes the segmentations")
+    pydicom = pytest.importorskip("pydicom")
+    path = segmented(hd, write_slices(tmp_path / "ct", thickness=thickness), tmp_path / "seg.dcm", two_masks())
+    data = pydicom.dcmread(path)
+    measures = data.SharedFunctionalGroupsSequence[0].PixelMeasuresSequence[0]
+    if "SpacingBetweenSlices" in measures:
+        del measures.SpacingBetweenSlices
+    measures.SliceThickness = thickness
+    data.save_as(path)
+    found = Segmentation.read(path, ["liver"])
+    assert np.linalg.norm(found.grid.steps, axis=0) == pytest.approx([0.75, 0.75, 2.5], abs=1e-4)
 
 
 def test_overlapping_and_fractional_segments_are_refused(tmp_path):

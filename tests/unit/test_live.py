@@ -169,6 +169,47 @@ def test_names_are_joined_by_number_or_order():
         LiveServer(FastEngine(), Intake(NAMES, offsets={"Q": np.zeros(3)}))
 
 
+def test_a_marker_is_known_however_many_strangers_came_before():
+    many = LiveSettings().most_names + 10
+    gathering, frames = gathered(
+        [(0.0, point_message(np.zeros((many, 3)), [f"Unlabeled {i}" for i in range(many)])), (1.0, point_message(SIT))]
+    )
+    np.testing.assert_allclose(frames[-1].places, SIT)
+    assert len(gathering.unknown) == many - 10
+
+
+def test_a_name_commands_no_terminal():
+    gathering, _ = gathered([(0.0, point_message(SIT, ["\x1b[2J", "\u202egnp", "a\nb"]))])
+    assert list(gathering.unknown) == ["\ufffd[2J", "\ufffdgnp", "a\ufffdb"]
+
+
+def test_the_offset_of_a_tool_is_found_by_the_marker_s_name_whatever_the_sender_calls_it():
+    offsets = {NAMES[1]: np.array([0.0, 0.0, 5.0])}
+    messages = [
+        (0.0, packed("TRANSFORM", f"Tool_{i}ToTracker", transform_packed(pose(p)))) for i, p in enumerate(SIT, 1)
+    ]
+    _, frames = gathered(messages, match="number", offsets=offsets)
+    np.testing.assert_allclose(frames[0].places, SIT + np.array([[0, 0, 0], [0, 0, 5], [0, 0, 0]]))
+
+
+def test_points_of_which_it_is_not_clear_which_they_are_are_refused():
+    gathering = Gathering(Intake(NAMES, match="order"), LiveSettings())
+    for points in (SIT[1:], [*SIT, SIT[0]]):  # the first was hidden: the others would move up
+        with pytest.raises(FormatError, match="must be as many as the markers, 3"):
+            gathering.take(opened(point_message(points, [""] * len(points))), 0.0)
+    with pytest.raises(FormatError, match="each marker must stand once"):
+        gathered([(0.0, point_message([*SIT, SIT[0] + 50.0], [*NAMES, NAMES[0]]))])
+
+
+def test_several_transforms_of_a_tool_are_in_several_frames_and_not_mixed():
+    names = [f"{NAMES[0]}ToTracker", f"{NAMES[0]}ToReference", NAMES[1], NAMES[2]]
+    messages = [(0.1 * k, packed("TRANSFORM", name, transform_packed(pose((k, 0, 0))))) for k, name in enumerate(names)]
+    gathering, frames = gathered([*messages, *((now + 1.0, data) for now, data in messages), *messages[2:]])
+    assert names[1] in gathering.unknown
+    for frame in frames[1:]:
+        assert np.isnan(frame.places[0]).all()
+
+
 # --- peers ---
 
 
@@ -344,6 +385,33 @@ def test_a_recording_holds_every_frame_and_which_were_registered(tmp_path):
     for (time_s, places), (again_s, again) in zip(engine.seen, taken, strict=True):
         assert again_s == time_s
         np.testing.assert_array_equal(again, places)
+
+
+def test_a_recording_that_cannot_be_written_ends_neither_the_server_nor_a_peer():
+    class FullDisk:
+        def add(self, time_s, places, *, registered):
+            raise OSError(28, "No space left on device")
+
+    with serving(recorder=FullDisk()) as server:
+        peer = Peer(server.address)
+        for k in range(3):
+            peer.send(point_message(SIT, time_s=3.0 + 0.1 * k))
+            answer(peer)
+        peer.close()
+    assert server.counts.registered == 3
+    assert server.counts.spoilt == 0
+    assert sum("No space left on device" in text for text in server.said) == 1
+
+
+def test_a_recording_that_is_full_ends_with_a_whole_frame(tmp_path):
+    with recorder(tmp_path / "live.csv", NAMES) as kept:
+        kept._left = 4 * len(NAMES) * 30
+        for k in range(20):
+            kept.add(float(k), SIT, registered=True)
+        assert kept.full
+    found = read_recording(tmp_path / "live.csv")
+    assert 0 < len(found) < 20
+    assert np.isfinite(found.places).all()
 
 
 # --- soak ---

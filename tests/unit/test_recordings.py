@@ -220,6 +220,51 @@ def test_tracks_that_may_be_either_of_two_are_left_apart(tmp_path):
     assert len(found.names) == 4
 
 
+def test_what_could_be_either_of_two_markers_is_never_taken_for_one(tmp_path):
+    columns = "time=t x=x y=y z=z unit=mm"
+    for content, how, said in (
+        ("t,x,y,z,x\n0,1,2,3,9\n", {"columns": columns}, "only one column may be named 'x'"),
+        ("t,n,x,y,z\n0,a,1,2,3\n0,a,9,9,9\n", {"columns": f"{columns} marker=n"}, "once at one time, got 'a' again"),
+        ("t,x,y,z\n0,1_0,2,3\n", {"columns": columns}, "got '1_0'"),
+        (MOTIVE.replace(",P2", ",plate:P1").replace('"D"', '"C"'), {}, "'plate:P1' twice"),
+    ):
+        with pytest.raises(FormatError, match=said):
+            tr.read_recording(written(tmp_path, content), **how)
+    # The second P1 of a file is not the marker number 2, and a made-up name is not a stated one.
+    found = tr.read_recording(written(tmp_path, TRC.replace("P2", "P1")))
+    with pytest.raises(FormatError, match="each number must stand"):
+        found.of(["P1", "P2"], "number")
+    track = moving((0, 0, 0))
+    found = tr.read_recording(written(tmp_path, motive_of([track, track + 50.0]).replace("Unlabeled 1001", "U1")))
+    assert len(set(found.names)) == 2
+    np.testing.assert_allclose(found.of(["U1"]).places[:, 0], track + 50.0, atol=1e-9)
+
+
+def test_a_place_of_zeros_is_not_seen_where_formats_write_it_for_none(tmp_path):
+    places = np.array([[[30.0, 10, 40], [0, 10, 40]], [[0, 0, 0], [1, 10, 40]]])
+    for content in (c3d_bytes(places, ["P1", "P2"]), c3d_bytes(places, ["P1", "P2"], floats=False)):
+        found = tr.read_recording(written(tmp_path, content))
+        np.testing.assert_allclose(found.places, PLACES, atol=1e-6)
+        assert found.notes == ("P1 is at 0, 0, 0 in 1 frames and counts as not seen there",)
+    found = tr.read_recording(written(tmp_path, TRC.replace("\t\t\t\t", "\t0\t0.0\t0\t")))
+    assert np.isnan(found.places[1, 0]).all()
+    assert "P1 is at 0, 0, 0" in found.notes[0]
+
+
+def test_transforms_that_end_in_several_frames_are_told(tmp_path):
+    poses = {"A": np.array([pose(Rotation.identity(), (k, 0, 0)) for k in range(3)])}
+    text = plus_text({**poses, "B": poses["A"]})
+    assert not any("frames that" in text for text in tr.read_recording(written(tmp_path, text)).notes)
+    notes = tr.read_recording(written(tmp_path, text.replace("BToTracker", "BToReference"))).notes
+    assert any("AToTracker, BToReference" in text for text in notes)
+
+
+def test_remarks_above_the_names_of_columns_are_no_header(tmp_path):
+    content = 'by "the" tracker, at some time: x y z t\nt,x,y,z\n0,1,2,3\n1,1,2,4\n'
+    found = tr.read_recording(written(tmp_path, content), columns="time=t x=x y=y z=z unit=mm")
+    np.testing.assert_array_equal(found.places[:, 0], [[1, 2, 3], [1, 2, 4]])
+
+
 # --- clocks ---
 
 

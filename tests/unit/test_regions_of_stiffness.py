@@ -110,3 +110,4 @@ def test_the_command_takes_node_sets(pushed, tmp_path, capsys):
         assert main([*files, "--stiffness", word]) == 2
         assert said in " ".join(capsys.readouterr().err.split())
     assert main([*files, "--stiffness", "graded", "--stiffness", "believed"]) == 2
+    assert main([*files, "--stiffness", "core=4", "--stiffness", "core=5"]) == 2

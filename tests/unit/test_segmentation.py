@@ -115,6 +115,18 @@ def test_a_segment_whose_name_is_the_number_of_another_is_refused(tmp_path):
         Segmentation.read(path, ["cyst"])
 
 
+def test_segments_that_share_a_name_are_asked_for_by_number(tmp_path):
+    values = np.zeros((12, 12, 12), np.uint8)
+    values[3:9, 3:9, 3:6], values[3:9, 3:9, 6:9], values[0, 0, 0] = 1, 2, 3
+    image = Grid((12,) * 3, np.zeros(3), np.eye(3)).image(values)
+    for number, name in enumerate(("lesion", "lesion", "vessel")):
+        image.SetMetaData(f"Segment{number}_Name", name)
+    path = write_image(tmp_path / "s.seg.nrrd", image)
+    assert Segmentation.read(path, [2, "vessel"]).labels == {"2": 2, "vessel": 3}
+    with pytest.raises(MeshingError, match=r"vessel \(3\), 1, 2; got 'lesion'"):
+        Segmentation.read(path, ["lesion"])
+
+
 @needs_mesher
 def test_a_body_with_labels_by_the_command(tmp_path, capsys):
     path = segmented(tmp_path / "s.seg.nrrd")

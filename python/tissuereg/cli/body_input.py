@@ -134,6 +134,8 @@ def stiffness_of(args: argparse.Namespace) -> dict[str, Any]:
     if len(stated) > 1:
         refuse("--stiffness must be believed or graded, got both", "--stiffness")
     regions = {one[0]: one[1:] for one in words if not isinstance(one, str)}
+    if len(regions) + len([one for one in words if isinstance(one, str)]) < len(words):
+        refuse("--stiffness must name each node set once", "--stiffness")
     return only_given(stiffness=next(iter(stated), None), regions=regions or None)
 
 

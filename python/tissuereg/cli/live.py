@@ -157,7 +157,7 @@ def _serve(server: "LiveServer", args: argparse.Namespace) -> None:
         asyncio.run(server.run(listen, args.connect, frames=args.frames, seconds=args.seconds))
     except KeyboardInterrupt:
         note("ended")
-    except OSError as error:
+    except (OSError, UnicodeError) as error:
         refuse(f"--listen must name an address of this machine that is free: {error}", "--listen")
 
 

@@ -22,7 +22,7 @@ from tissuereg.cli.common import UNTRUSTED, Outcome, Stopwatch, note, seconds_li
 from tissuereg.cli.options import Help, Parser, refuse_overwriting
 from tissuereg.cli.progress import progress_bar
 from tissuereg.cli.recording_input import add_recording_options, read_recorded
-from tissuereg.report.words import counted, target_line
+from tissuereg.report.words import at_time, counted, target_line
 
 if TYPE_CHECKING:
     from tissuereg._base.arrays import FloatArray
@@ -289,12 +289,15 @@ def _summary(content: dict[str, Any], out: str, *, verbose: bool) -> str:
             f"{content['hz']:.1f} a second",
             f"latency: median {np.median(latency):.0f} ms, 99 % {np.percentile(latency, 99):.0f} ms",
             f"rms distance to the markers: median {rms:.3f} mm",
-            *(target_line(name, target, f" at {last['time_s']:g} s") for name, target in last["targets"].items()),
+            *(
+                target_line(name, target, f" at {at_time(last['time_s'])} s")
+                for name, target in last["targets"].items()
+            ),
             seconds_line(content["seconds"], verbose=verbose),
             f"written: {out}",
             *(event_line(event) for event in told[: KEPT.lines]),
             *([f"and {len(told) - KEPT.lines} more, see track.json"] if len(told) > KEPT.lines else []),
-            *([f"not registered at {failed[0]['time_s']:g} s: {failed[0]['reason']}"] if failed else []),
+            *([f"not registered at {at_time(failed[0]['time_s'])} s: {failed[0]['reason']}"] if failed else []),
             *_frames_verdict(frames),
         ]
     )
@@ -306,6 +309,6 @@ def _frames_verdict(frames: list[dict[str, Any]]) -> list[str]:
         return ["Nothing speaks against any frame."]
     first = doubted[0]
     return [
-        f"at {first['time_s']:g} s: {first['trust']['reasons'][0]}",
+        f"at {at_time(first['time_s'])} s: {first['trust']['reasons'][0]}",
         f"Not to be trusted: {len(doubted)} of {len(frames)} frames.",
     ]

@@ -114,12 +114,15 @@ def read_segmentation(file: Path, sitk: Any) -> Any:
 
 
 class _Plane(NamedTuple):
-    """A frame of a segmentation: place, axes, spacing along them, distance of slices, mm, number of its segment."""
+    """A frame of a segmentation: place, axes, spacing along them, mm, number of its segment.
+
+    `apart`: distance of slices and their thickness, mm, 0 where it is not stated.
+    """
 
     origin: tuple[float, ...]
     direction: tuple[float, ...]
     spacing: tuple[float, ...]
-    apart: tuple[float, ...]
+    apart: tuple[float, float]
     segment: int
 
     @classmethod
@@ -130,13 +133,13 @@ class _Plane(NamedTuple):
             return getattr(frame if hasattr(frame, name) else shared, name)[0]
 
         measures, labelled = group("PixelMeasuresSequence"), data.SegmentationType != "LABELMAP"
-        apart = (getattr(measures, name, None) for name in ("SpacingBetweenSlices", "SliceThickness"))
+        between, thickness = (getattr(measures, name, None) for name in ("SpacingBetweenSlices", "SliceThickness"))
         down, across = measures.PixelSpacing
         return cls(
             tuple(map(float, group("PlanePositionSequence").ImagePositionPatient)),
             tuple(map(float, group("PlaneOrientationSequence").ImageOrientationPatient)),
             (float(across), float(down)),
-            tuple(float(one) for one in apart if one),
+            (float(between or 0.0), float(thickness or 0.0)),
             int(group("SegmentIdentificationSequence").ReferencedSegmentNumber) if labelled else 0,
         )
 
@@ -178,15 +181,18 @@ def _evenly(places: FloatArray, normal: FloatArray, where: Path) -> tuple[IntArr
 
 
 def _rows_of(
-    origins: Sequence[tuple[float, ...]], normal: FloatArray, stated: tuple[float, ...], where: Path
+    origins: Sequence[tuple[float, ...]], normal: FloatArray, stated: tuple[float, float], where: Path
 ) -> tuple[IntArray, FloatArray, float]:
     """Return the slice of every frame, the place of the first, mm, and the step, after checking that it is one."""
     places = np.array(origins)
     along = places @ normal
     gaps = np.diff(np.unique(np.round(along, 4)))
-    # Frames without labels may be left out: then the least gap is not the step.
-    fits = [one for one in stated if np.allclose(gaps / one, np.rint(gaps / one), atol=TAGS.off)]
-    step = float(fits[0] if fits else gaps.min(initial=np.inf))
+    least = gaps.min(initial=np.inf)
+    # Frames without labels may be left out: then the least gap is not the step. Slices may be thinner than that.
+    between, thickness = stated
+    steps = (between, least if len(gaps) > 1 else 0.0, thickness)
+    fits = [one for one in steps if one > 0.0 and np.allclose(gaps / one, np.rint(gaps / one), atol=TAGS.off)]
+    step = float(fits[0] if fits else least)
     first = places[along.argmin()]
     if not np.isfinite(step):
         message = f"{where} must state how far apart slices are"

@@ -1,7 +1,7 @@
 """How two lists of labelled points are joined: by their labels, by order, or by the number in each label."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from tissuereg._base.arguments import check_choice
@@ -57,6 +57,22 @@ def partners(sit: Labels, seen: Labels, match: Match) -> list[int]:
         )
         raise FormatError(message, where=f"{seen.file}: {strangers[0]}")
     return [index[key] for key in keys[1]]
+
+
+def finder(sit: Labels, match: Match) -> Callable[[str], int | None]:
+    """Return a function that gives the place in `sit` of the label that belongs to a label, None if there is none.
+
+    Labels belong together as in `partners`, by ``"label"`` or ``"number"``; raises `FormatError` as it does at `sit`.
+    """
+    index = {key: place for place, key in enumerate(_keys(sit, match))}
+
+    def find(label: str) -> int | None:
+        try:
+            return index.get(_keys(Labels("", [label]), match)[0])
+        except FormatError:
+            return None
+
+    return find
 
 
 def _listed(labels: Sequence[str]) -> str:

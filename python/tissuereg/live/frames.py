@@ -9,11 +9,10 @@ import numpy as np
 from tissuereg._base.arrays import FloatArray
 from tissuereg._base.choices import Match
 from tissuereg.errors import FormatError
-from tissuereg.io.matching import Labels, partners
+from tissuereg.io.matching import Labels, finder, partners
 from tissuereg.io.points import turned
 from tissuereg.io.recordings.plus import tool_of
-from tissuereg.io.recordings.recording import is_known
-from tissuereg.live.protocol import Message, points_in, tools_in, transform_in
+from tissuereg.live.protocol import Message, NamedPlace, points_in, tools_in, transform_in
 from tissuereg.live.settings import LiveSettings
 from tissuereg.tracking.align import Alignment
 
@@ -58,8 +57,8 @@ class Gathering:
         self.unknown: dict[str, None] = {}
         self.late = self.resets = 0
         self._intake, self._settings = intake, settings
-        self._sit = Labels("the reference", intake.names)
-        self._known: dict[str, int | None] = {}
+        self._row = finder(Labels("the reference", intake.names), "label" if intake.match == "order" else intake.match)
+        self._device: dict[int, str] = {}
         self._pending: dict[int, FloatArray] = {}
         self._sent_s, self._since, self._received_s = 0.0, 0.0, 0.0
         self._offset, self._last = math.nan, -math.inf
@@ -71,12 +70,7 @@ class Gathering:
         """
         sent_s, type_ = message.header.time_s, message.header.type
         if type_ == "POINT":
-            points = points_in(message.content)
-            rows = {}
-            for i, one in enumerate(points):
-                row = i if self._intake.match == "order" else self._row(one.name)
-                if row is not None and row < len(self._intake.names):
-                    rows[row] = one.place
+            rows = self._of_points(points_in(message.content))
             return [*self.flush(now, always=True), *self._framed(rows, sent_s, now)] if rows else []
         tools = (
             tools_in(message.content) if type_ == "TDATA" else {message.header.device: transform_in(message.content)}
@@ -88,15 +82,15 @@ class Gathering:
         )
         found: list[LiveFrame] = []
         for device, pose in tools.items():
-            name = tool_of(device)
-            row = self._row(device if self._row(name) is None else name)
+            row = self._tool(device)
             if row is None:
+                self._note_stranger(device)
                 continue
             if row in self._pending:
                 found += self.flush(now, always=True)
             if not self._pending:
                 self._since, self._sent_s = now, sent_s
-            offset = self._intake.offsets.get(name, self._intake.offsets.get(device, np.zeros(3)))
+            offset = self._intake.offsets.get(self._intake.names[row], np.zeros(3))
             with np.errstate(invalid="ignore", over="ignore"):
                 self._pending[row] = pose[:3, :3] @ offset + pose[:3, 3] if seen else np.full(3, np.nan)
             self._received_s = now
@@ -149,17 +143,37 @@ class Gathering:
         self._last = time_s
         return time_s
 
-    def _row(self, name: str) -> int | None:
-        """Return the number of the marker of a sender's name; None if it is none."""
-        if name in self._known:
-            return self._known[name]
-        match = "label" if self._intake.match == "order" else self._intake.match
-        row = partners(self._sit, Labels("", [name]), match)[0] if is_known(self._sit, name, match) else None
-        if len(self._known) < self._settings.most_names:
-            self._known[name] = row
+    def _of_points(self, points: Sequence[NamedPlace]) -> dict[int, FloatArray]:
+        """Return the places of markers by their numbers; raise `FormatError` where it is not clear which they are."""
+        names = self._intake.names
+        if self._intake.match == "order" and len(points) != len(names):
+            message = f"points that are joined by order must be as many as the markers, {len(names)}; got {len(points)}"
+            raise FormatError(message, where="POINT")
+        rows: dict[int, FloatArray] = {}
+        for i, one in enumerate(points):
+            row = i if self._intake.match == "order" else self._row(one.name)
+            if row in rows:
+                message = f"each marker must stand once in a message, got '{names[row]}' again by '{one.name}'"
+                raise FormatError(message, where="POINT")
             if row is None:
-                self.unknown[name] = None
+                self._note_stranger(one.name)
+            else:
+                rows[row] = one.place
+        return rows
+
+    def _tool(self, device: str) -> int | None:
+        """Return the number of the marker on a tool by the name of its transform; None if it is none."""
+        row = self._row(tool_of(device))
+        if row is None:
+            return self._row(device)
+        if self._device.setdefault(row, device) != device:
+            self._device[row] = ""  # several transforms of a tool are in several frames: none of them is taken
+            return self._intake.names.index(device) if device in self._intake.names else None
         return row
+
+    def _note_stranger(self, name: str) -> None:
+        if len(self.unknown) < self._settings.most_names:
+            self.unknown[name] = None
 
 
 def check_intake(intake: Intake) -> None:

@@ -376,7 +376,9 @@ def _pose(numbers: Sequence[float]) -> FloatArray:
 
 
 def _text(raw: bytes) -> str:
-    return raw.split(b"\0", 1)[0].decode("utf-8", "replace").strip()
+    """Return what a sender calls something; it is shown in terminals, which what cannot be printed would command."""
+    text = raw.split(b"\0", 1)[0].decode("utf-8", "replace").strip()
+    return "".join(one if one.isprintable() else "\ufffd" for one in text)
 
 
 def _named(name: str, length: int) -> bytes:

@@ -188,7 +188,7 @@ class LiveServer:
         while True:
             try:
                 reader, writer = await asyncio.open_connection(*address)
-            except OSError as error:
+            except (OSError, UnicodeError) as error:  # the second is of a name that is none of a machine
                 if not lost:
                     self._told(f"{address[0]}:{address[1]} is not there ({error}); it is tried again and again")
                 lost = True
@@ -244,7 +244,9 @@ class LiveServer:
             body = await reader.readexactly(header.size)
         try:
             frames = self._gathering.take(message_of(header, body), self._now())
-        except FormatError:  # its length was right, so that the next one can be read
+        except FormatError as error:  # its length was right, so that the next one can be read
+            if not self.counts.spoilt:
+                self._told(f"a message is left out, and others like it without a word: {error}")
             self.counts.spoilt += 1
         else:
             self._arrived(frames)
@@ -270,7 +272,11 @@ class LiveServer:
         if frame is not None:
             self.counts.dropped += not registered
             if self._recorder is not None:
-                self._recorder.add(frame.time_s, frame.places, registered=registered)
+                try:
+                    self._recorder.add(frame.time_s, frame.places, registered=registered)
+                except OSError as error:  # a full disk is no reason to end, and no peer's fault
+                    self._recorder = None
+                    self._told(f"the recording ends here, since it cannot be written: {error}")
         return frame
 
     async def _register(self, most: int | None) -> None:

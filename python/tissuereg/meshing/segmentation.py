@@ -58,7 +58,7 @@ class Segmentation:
         # By slices: of a whole volume this takes several times its memory.
         there = frozenset(int(one) for some in values for one in np.unique(some)) - {0}
         listed = [f"{name} ({one})" for name, one in named.items() if one in there]
-        listed = listed or [str(one) for one in sorted(there)]
+        listed += [str(one) for one in sorted(there - set(named.values()))]
         known = f"labels in {path}: {', '.join(listed) or 'it has none'}"
         if isinstance(labels, str | bytes) or not isinstance(labels, Iterable):
             message = f"`labels` must be a list of {known}; got {found(labels)}"
@@ -186,17 +186,18 @@ def _value(asked: Any, named: dict[str, int], there: frozenset[int]) -> int | No
 
 
 def _segments(image: Any, path: str) -> dict[str, int]:
-    """Return the label of each segment that a .seg.nrrd names."""
-    named: dict[str, int] = {}
-    while image.HasMetaDataKey(f"Segment{len(named)}_Name"):
-        number = len(named)
+    """Return the label of each segment that a .seg.nrrd names; segments that share a name are known by number."""
+    segments: list[tuple[str, int]] = []
+    while image.HasMetaDataKey(f"Segment{len(segments)}_Name"):
+        number = len(segments)
         key = f"Segment{number}_LabelValue"
         value = image.GetMetaData(key).strip() if image.HasMetaDataKey(key) else str(number + 1)
         if not value.removeprefix("-").isdecimal():
             message = f"{path}: {key} must be a whole number, got {found(value)}"
             raise MeshingError(message, where=path)
-        named[image.GetMetaData(f"Segment{number}_Name").strip()] = int(value)
-    return named
+        segments.append((image.GetMetaData(f"Segment{number}_Name").strip(), int(value)))
+    names = [name for name, _ in segments]
+    return {name: value for name, value in segments if names.count(name) == 1}
 
 
 def _cut(inside: npt.NDArray[np.bool_]) -> tuple[IntArray, npt.NDArray[np.bool_]]:

@@ -45,7 +45,8 @@ class StiffPart:
         """Return the region of a node set; `given`: its modulus, (modulus, standard deviation), or a region."""
         if isinstance(given, StiffPart):
             return given
-        numbers = given if isinstance(given, Sequence | np.ndarray) and not isinstance(given, str) else (given, 0.0)
+        several = isinstance(given, Sequence | np.ndarray) and not isinstance(given, str) and np.ndim(given) > 0
+        numbers = given if several else (given, 0.0)
         if len(numbers) != 2:
             message = f"`regions` must hold a modulus, or it and its standard deviation, got {found(given)} of '{name}'"
             raise MaterialError(message, where=name)

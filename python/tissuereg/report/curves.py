@@ -8,6 +8,7 @@ import numpy as np
 
 from tissuereg._base.arrays import BoolArray, FloatArray
 from tissuereg.report import svg
+from tissuereg.report.words import at_time
 
 
 class Chart(NamedTuple):
@@ -69,7 +70,7 @@ def _chart(curve: TimeCurve, doubted: BoolArray) -> str:
           for a, b in _spans(curve.times, doubted)),
         *(svg.level(up(tick), CHART.left, edge, "#e3e6ea")
           + svg.text(CHART.left - 5.0, up(tick) + 4.0, f"{tick:g}", "end", more=small) for tick in up.ticks(4)),
-        *(svg.text(across(tick), end + 14.0, f"{tick:g}", "middle", more=small) for tick in across.ticks(5)),
+        *(svg.text(across(tick), end + 14.0, at_time(tick), "middle", more=small) for tick in across.ticks(5)),
         svg.text(edge, CHART.height - 3.0, "time, s", "end", more=small),
     ]  # fmt: skip
     if drawn.half is not None:

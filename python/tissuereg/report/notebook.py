@@ -12,7 +12,7 @@ from tissuereg.report.markup import document, escape, table
 from tissuereg.report.registered import registered_scene
 from tissuereg.report.shown import GivenBody
 from tissuereg.report.viewer import ViewScene, framed, viewer, viewer_script
-from tissuereg.report.words import counted, markers_used, verdict
+from tissuereg.report.words import at_time, counted, markers_used, verdict
 
 if TYPE_CHECKING:
     from tissuereg.registration.body import Body
@@ -88,7 +88,9 @@ def tracker_html(tracker: "Tracker") -> str:
 
 def frame_html(frame: "TrackedFrame") -> str:
     """Return a tracked frame as HTML for a notebook."""
-    words = f"{frame.time_s:g} s: latency {1e3 * frame.latency_s:.0f} ms, {counted(frame.skipped, 'frame')} skipped"
+    words = (
+        f"{at_time(frame.time_s)} s: latency {1e3 * frame.latency_s:.0f} ms, {counted(frame.skipped, 'frame')} skipped"
+    )
     return f"<p>{words}</p>{registration_html(frame.registration)}"
 
 

@@ -13,7 +13,7 @@ from tissuereg.report.provenance import provenance_section
 from tissuereg.report.registered import PATCHES, axes_of, half_axes, target_layers
 from tissuereg.report.solid import DrawnBody
 from tissuereg.report.viewer import Paint, ShownCase, Signs, ViewScene, top_of, viewer, viewer_script
-from tissuereg.report.words import counted
+from tissuereg.report.words import at_time, counted
 
 if TYPE_CHECKING:
     from tissuereg.registration.result import Registration
@@ -205,7 +205,8 @@ def event_line(event: Mapping[str, Any]) -> str:
     'P7 not used, not seen: 2 frames, 0.5 to 1 s'
     """
     what = f"{event['marker']} not used, {event['reason']}" if event["marker"] is not None else str(event["reason"])
-    when = f"{event['first_s']:g} s" if event["frames"] == 1 else f"{event['first_s']:g} to {event['last_s']:g} s"
+    first, last = at_time(event["first_s"]), at_time(event["last_s"])
+    when = f"{first} s" if event["frames"] == 1 else f"{first} to {last} s"
     return f"{what}: {counted(event['frames'], 'frame')}, {when}"
 
 
@@ -249,9 +250,9 @@ def _summary(content: Mapping[str, Any], times: FloatArray, doubted: BoolArray) 
     latency = _column(frames, "latency_ms")
     return (
         f"<h1>Tracking</h1><p class='verdict {'yes' if ok else 'no'}'>{verdict}</p>"
-        f"<p>{counted(len(frames), 'frame')} from {times[0]:g} to {times[-1]:g} s, {content['hz']:.1f} a second; "
-        f"{content['dropped_frames']} dropped. Latency: median {np.nanmedian(latency):.0f} ms, 99 % "
-        f"{np.nanpercentile(latency, 99):.0f} ms. Distance to the markers: median "
+        f"<p>{counted(len(frames), 'frame')} from {at_time(times[0])} to {at_time(times[-1])} s, "
+        f"{content['hz']:.1f} a second; {content['dropped_frames']} dropped. Latency: median "
+        f"{np.nanmedian(latency):.0f} ms, 99 % {np.nanpercentile(latency, 99):.0f} ms. Distance to the markers: median "
         f"{np.nanmedian(_column(frames, 'markers_rms_mm')):.2f} mm (rms).</p>"
     )
 
@@ -288,8 +289,8 @@ def _events(events: Sequence[Mapping[str, Any]]) -> str:
             escape(event["marker"] or event["what"]),
             escape(event["reason"]),
             f"{event['frames']:,}",
-            f"{event['first_s']:g}",
-            f"{event['last_s']:g}",
+            at_time(event["first_s"]),
+            at_time(event["last_s"]),
         )
         for event in events[: KEPT.rows]
     ]

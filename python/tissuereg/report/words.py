@@ -25,6 +25,15 @@ def counted(number: int, thing: str) -> str:
     return f"{number} {thing}{'' if number == 1 else 's'}"
 
 
+def at_time(time_s: float) -> str:
+    """Return a time in s, to 0.1 ms, also where a clock counts from 1970.
+
+    >>> at_time(0.5), at_time(1.7e9 + 1 / 60)
+    ('0.5', '1700000000.0167')
+    """
+    return f"{round(time_s, 4):.14g}"
+
+
 def markers_used(used: Iterable[str], inner: Iterable[str]) -> str:
     """Return how many markers were used, and how many of these are inside the body, given the names of either.
 

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from tissuereg._base.arrays import FloatArray
 from tissuereg.errors import FormatError
 from tissuereg.io.bounds import FILES, bounded_stream
-from tissuereg.io.recordings.tracks import HowRead, Tracks, check_room, is_place, unique
+from tissuereg.io.recordings.tracks import HowRead, Tracks, check_room, is_place, unique, without_zeros
 
 
 class _Format(NamedTuple):
@@ -67,7 +67,8 @@ def read_c3d(file: Path, how: HowRead) -> Tracks:
         raise FormatError(message, where=str(file))
     screen = [one for one in _texts(parameters.get("POINT:Y_SCREEN")) if one[:1] == "+"]
     times = (layout.first - 1 + np.arange(layout.n_frames)) / rate
-    return Tracks("C3D", times, names, mm * places, up=screen[0][1:2].lower() if screen else None)
+    places, notes = without_zeros(names, mm * places)
+    return Tracks("C3D", times, names, places, up=screen[0][1:2].lower() if screen else None, notes=notes)
 
 
 def _parameters(data: bytes) -> tuple[str, bool, dict[str, npt.NDArray[Any]]]:

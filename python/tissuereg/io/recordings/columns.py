@@ -1,5 +1,6 @@
 """Any table of markers, by a mapping that says which of its columns holds what."""
 
+import csv
 import itertools
 import re
 from collections.abc import Iterator, Mapping
@@ -47,7 +48,7 @@ def read_columns(file: Path, how: HowRead) -> Tracks:
     with bounded_stream(file, FILES.recording_mb) as stream:
         for line, cells in _rows_from(stream, list(wanted.values())):
             if not place:
-                place = {key: cells.index(name) for key, name in wanted.items()}
+                place = {key: _only(cells, name, file, line) for key, name in wanted.items()}
                 continue
             if len(cells) <= max(place.values()):
                 message = f"every row must have the columns named, got {len(cells)} cells at {file} line {line}"
@@ -59,6 +60,9 @@ def read_columns(file: Path, how: HowRead) -> Tracks:
             for prefix in prefixes:
                 name = cells[place["marker"]] if "marker" in place else prefix.rstrip(".") or "marker"
                 names.setdefault(name)
+                if name in frames[-1]:
+                    message = f"each marker must stand once at one time, got '{name}' again at {file} line {line}"
+                    raise FormatError(message, where=f"{file}:{line}")
                 frames[-1][name] = [number_in(cells[place[prefix + axis]], file, line) for axis in _AXES]
             check_room(len(frames), 3 * len(names), file)
     if not frames:
@@ -78,10 +82,25 @@ def _rows_from(stream: BinaryIO, columns: list[str]) -> Iterator[tuple[int, list
     """Yield number and cells of the line that names all columns, and of those below it; none if no line does."""
     lines = (raw.decode("utf-8-sig") for raw in stream)
     for above, line in enumerate(lines):
-        if all(name in line for name in columns):
+        if all(name in line for name in columns) and set(columns) <= set(_cells(line)):
             rows = split_rows(itertools.chain([line], lines))
             yield from ((above + number, cells) for number, cells in rows)
             return
+
+
+def _cells(line: str) -> list[str]:
+    """Return the cells of a line, none if it is no row of a table: remarks may stand above the names."""
+    try:
+        return next((cells for _, cells in split_rows([line])), [])
+    except csv.Error:
+        return []
+
+
+def _only(cells: list[str], name: str, file: Path, line: int) -> int:
+    if cells.count(name) > 1:
+        message = f"only one column may be named '{name}', got {cells.count(name)} at {file} line {line}"
+        raise FormatError(message, where=f"{file}:{line}")
+    return cells.index(name)
 
 
 def _markers(wanted: Mapping[str, str]) -> list[str]:

@@ -137,7 +137,11 @@ def _objects(header: _Heading, types: set[str]) -> dict[tuple[str, str], dict[tu
     found: dict[tuple[str, str], dict[tuple[str, str], int]] = {}
     for i, one in enumerate(header.columns):
         if one.type in types and one.name:
-            found.setdefault((one.name, one.id), {})[one.quantity, one.axis] = i
+            own = found.setdefault((one.name, one.id), {})
+            if (one.quantity, one.axis) in own:
+                message = f"each {one.type} must stand once, or with an ID of its own; got '{one.name}' twice"
+                raise FormatError(message, where=one.name)
+            own[one.quantity, one.axis] = i
     return {key: one for key, one in found.items() if all(("position", axis) in one for axis in "xyz")}
 
 

@@ -44,6 +44,8 @@ def read_plus(file: Path, how: HowRead) -> Tracks:
     check_room(len(frames), 16 * len(transforms), file)
     names = _tools(transforms)
     notes = offset_notes(names, how.offsets)
+    if len({one.removeprefix(tool_of(one)) for one in transforms}) > 1:
+        notes.append(f"places are in the frames that the transforms end in, which differ: {', '.join(transforms)}")
     places = []
     for name, transform in zip(names, transforms, strict=True):
         found, told = _track(file, frames, transform, entries)

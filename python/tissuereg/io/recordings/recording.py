@@ -11,7 +11,7 @@ from tissuereg._base.arrays import BoolArray, FloatArray, float_array, frozen
 from tissuereg._base.choices import MATCHES, Match
 from tissuereg._base.provenance import derived
 from tissuereg.errors import FormatError
-from tissuereg.io.matching import Labels, partners
+from tissuereg.io.matching import Labels, finder, partners
 from tissuereg.io.points import turned
 
 
@@ -232,21 +232,12 @@ class Recording:
         """Return the numbers of the markers of the file that the reference names; all, if it must name all."""
         if self.where:
             return list(range(len(self.names)))
-        known = [i for i, name in enumerate(self.names) if is_known(sit, name, match)]
+        find = finder(sit, match)
+        known = [i for i, name in enumerate(self.names) if find(name) is not None]
         return known or list(range(len(self.names)))  # of which the first is refused
 
     def _at(self, i: int) -> str:
         return self.where[i] if self.where else "its columns"
-
-
-def is_known(sit: Labels, name: str, match: Match) -> bool:
-    """Return whether a label of `sit` belongs to the label `name`; raise as `partners` does if `match` is no way."""
-    try:
-        partners(sit, Labels("", [name]), match)
-    except FormatError:
-        partners(sit, Labels("", []), match)  # whether it is `sit` that is wrong
-        return False
-    return True
 
 
 def checked_clock(times: FloatArray) -> tuple[BoolArray, tuple[ClockFault, ...]]:

@@ -6,6 +6,7 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.io.recordings.recording import listed
+from tissuereg.io.recordings.tracks import unique
 
 
 class StitchSettings(NamedTuple):
@@ -54,7 +55,7 @@ def stitched(names: list[str], places: FloatArray, loose: set[str]) -> tuple[lis
     chains, chance = _chains(parts, motion, volume)
     kept = [i for i in range(len(names)) if i not in rows]
     joined = [_merged(places, chain) for chain in chains]
-    titles = [f"U{k + 1}" for k in range(len(chains))]
+    titles = unique([*(names[i] for i in kept), *(f"U{k + 1}" for k in range(len(chains)))])[len(kept) :]
     notes = [f"{len(parts)} unlabelled tracks were joined to {len(chains)} markers, called U1 to U{len(chains)}"]
     linked = [k for k, chain in enumerate(chains) if len(chain) > 1]
     for k in linked[: STITCH.told]:

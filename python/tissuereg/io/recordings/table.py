@@ -2,7 +2,7 @@
 
 import csv
 import io
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from math import isnan
 from pathlib import Path
@@ -70,20 +70,23 @@ class TableRecorder:
     def __init__(self, handle: TextIO, names: Sequence[str]) -> None:
         self.full = False
         self._handle, self._names, self._left = handle, names, 1_000_000 * FILES.recording_mb
-        self._write([*COLUMNS, REGISTERED])
+        self._write([[*COLUMNS, REGISTERED]])
 
     def add(self, time_s: float, places: FloatArray, *, registered: bool) -> None:
         """Write a frame: its time, s, places (n_markers, 3), mm, to the last digit, and whether it was registered."""
-        for name, place in zip(self._names, places.tolist(), strict=True):
-            self._write([repr(time_s), name, *("" if isnan(x) else repr(x) for x in place), int(registered)])
+        rows = zip(self._names, places.tolist(), strict=True)
+        self._write(
+            [repr(time_s), name, *("" if isnan(x) else repr(x) for x in place), int(registered)] for name, place in rows
+        )
 
-    def _write(self, cells: Sequence[object]) -> None:
-        line = io.StringIO()
-        csv.writer(line, lineterminator="\n").writerow(cells)
-        self._left -= len(line.getvalue().encode())
+    def _write(self, rows: Iterable[Sequence[object]]) -> None:
+        """Write rows, all or none: a frame without some of its markers would be another frame."""
+        lines = io.StringIO()
+        csv.writer(lines, lineterminator="\n").writerows(rows)
+        self._left -= len(lines.getvalue().encode())
         self.full = self.full or self._left < 0
         if not self.full:
-            self._handle.write(line.getvalue())
+            self._handle.write(lines.getvalue())
 
 
 @contextmanager

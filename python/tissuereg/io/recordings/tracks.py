@@ -110,7 +110,7 @@ def number_in(text: str, file: Path, line: int) -> float:
     if not text or text.lower() == "nan":
         return math.nan
     try:
-        value = float(text)
+        value = math.inf if "_" in text else float(text)  # Python alone takes 1_000 for a number
     except ValueError:
         value = math.inf
     if math.isinf(value):
@@ -120,14 +120,13 @@ def number_in(text: str, file: Path, line: int) -> float:
 
 
 def unique(names: Sequence[str]) -> list[str]:
-    """Return names, the second of two equal ones followed by (2) and so on."""
-    found: dict[str, int] = {}
+    """Return names, the second of two equal ones followed by a word: by number it is the first's rival, not another."""
+    found: dict[str, None] = {}
     for name in names:
-        given, count = name, 1
+        given = name
         while given in found:
-            count += 1
-            given = f"{name} ({count})"
-        found[given] = count
+            given += " (again)"
+        found[given] = None
     return list(found)
 
 
@@ -164,6 +163,17 @@ def offset_notes(tools: Sequence[str], offsets: Mapping[str, FloatArray]) -> lis
         raise FormatError(message)
     plain = [name for name in tools if name not in offsets]
     return [f"tools whose origins are the markers, for want of an offset: {', '.join(plain)}"] if plain else []
+
+
+def without_zeros(names: Sequence[str], places: FloatArray) -> tuple[FloatArray, list[str]]:
+    """Return places (n_frames, n, 3) with those that are exactly 0, 0, 0 as NaN, and notes: some write it for none."""
+    none = (places == 0.0).all(axis=2)
+    notes = [
+        f"{name} is at 0, 0, 0 in {count} frames and counts as not seen there"
+        for name, count in zip(names, none.sum(axis=0).tolist(), strict=True)
+        if count
+    ]
+    return np.where(none[..., None], np.nan, places), notes
 
 
 def without_repeats(places: FloatArray) -> tuple[FloatArray, int]:

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from tissuereg.errors import FormatError
-from tissuereg.io.recordings.tracks import HowRead, Tracks, check_room, number_in, rows_of, unique
+from tissuereg.io.recordings.tracks import HowRead, Tracks, check_room, number_in, rows_of, unique, without_zeros
 
 _HEAD = "PathFileType"
 
@@ -39,5 +39,5 @@ def read_trc(file: Path, how: HowRead) -> Tracks:
         message = f"{file} must hold at least one marker and one frame"
         raise FormatError(message, where=str(file))
     numbers_of = np.array(found)
-    places = mm * numbers_of[:, 1:].reshape(len(found), len(names), 3)
-    return Tracks("TRC", numbers_of[:, 0], names, places)
+    places, notes = without_zeros(names, mm * numbers_of[:, 1:].reshape(len(found), len(names), 3))
+    return Tracks("TRC", numbers_of[:, 0], names, places, notes=notes)

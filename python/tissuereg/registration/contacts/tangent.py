@@ -3,6 +3,7 @@
 import sys
 import threading
 from collections.abc import Callable, Sequence
+from copy import copy
 from functools import cached_property
 
 import numpy as np
@@ -41,17 +42,32 @@ class Tangent:
             EFFORT.block * (threads or n_cores()) if body.n_unknowns >= EFFORT.many_unknowns else sys.maxsize
         )
         self._known: dict[bytes, Compliance] = {}
+        self._own: set[bytes] = set()
         self._of_nodes: dict[bytes, tuple[FloatArray, Compliance]] = {}
         self._lock = threading.Lock()
+        self._first: Tangent | None = None
+
+    def anew(self) -> "Tangent":
+        """Return this tangent for another registration: it knows the same rows, but sums none that only others used.
+
+        A sum has not the bits of a row that is solved, and an answer must not depend on what was registered before.
+        """
+        made = copy(self)
+        made._first, made._own, made._of_nodes = self, set(), {}
+        return made
 
     @cached_property
     def stiffness_forces(self) -> FloatArray:
         """Forces that unit changes of the stiffness leave unbalanced, (n, n_element_nodes, 3), mN."""
+        if self._first is not None:
+            return self._first.stiffness_forces
         return np.asarray(-self.linearised.unbalanced(self._stiffness))
 
     @cached_property
     def by_stiffness(self) -> FloatArray:
         """Displacements (n, n_element_nodes, 3), mm, by unit changes of the stiffness, to first order."""
+        if self._first is not None:
+            return self._first.by_stiffness
         forces = self.stiffness_forces
         return self.linearised.responses(forces) if forces.any() else np.zeros_like(forces)
 
@@ -66,9 +82,12 @@ class Tangent:
         """
         keys = [nodes.tobytes() + b"|" + weights.tobytes() for nodes, weights in rows]
         with self._lock:
-            found = {key: self._known[key] for key in keys if key in self._known}
-            found |= self._combined({key: row for key, row in zip(keys, rows, strict=True) if key not in found})
-        missing = {key: row for key, row in zip(keys, rows, strict=True) if key not in found}
+            every = dict(zip(keys, rows, strict=True))
+            found = self._combined({key: row for key, row in every.items() if key not in self._own})
+            known = {key: self._known[key] for key in every if key in self._known and key not in found}
+            self._use(known, every)
+        found |= known
+        missing = {key: row for key, row in every.items() if key not in found}
         if missing or not rows:
             solved = self._solved(list(missing.values()), progress)
             new = dict(zip(missing, _apart(solved), strict=True))
@@ -97,12 +116,20 @@ class Tangent:
         with self._lock:
             if len(self._known) + len(new) <= EFFORT.remembered:
                 self._known |= new
-                for name, keys in _by_nodes(rows).items():
-                    weights, parts = np.stack([rows[key][1] for key in keys]), [new[key] for key in keys]
-                    if name in self._of_nodes:
-                        weights = np.concatenate([self._of_nodes[name][0], weights])
-                        parts = [self._of_nodes[name][1], *parts]
-                    self._of_nodes[name] = weights, _together(parts)
+                self._use(new, rows)
+
+    def _use(self, given: dict[bytes, Compliance], rows: dict[bytes, Row]) -> None:
+        """Let rows be summed from now on."""
+        new = {key: rows[key] for key in given if key not in self._own}
+        if len(self._own) + len(new) > EFFORT.remembered:
+            return
+        self._own |= new.keys()
+        for name, keys in _by_nodes(new).items():
+            weights, parts = np.stack([new[key][1] for key in keys]), [given[key] for key in keys]
+            if name in self._of_nodes:
+                weights = np.concatenate([self._of_nodes[name][0], weights])
+                parts = [self._of_nodes[name][1], *parts]
+            self._of_nodes[name] = weights, _together(parts)
 
     def _combined(self, rows: dict[bytes, Row]) -> dict[bytes, Compliance]:
         """Return the sensitivities of those of some observations that are sums of known ones of their nodes."""
@@ -115,7 +142,9 @@ class Tangent:
             wanted = np.stack([rows[key][1].ravel() for key in keys])
             shares = np.linalg.lstsq(every.T, wanted.T)[0].T
             off = np.abs(shares @ every - wanted).max(axis=1)
-            exact = np.flatnonzero(off <= 1e-12 * np.abs(wanted).max(axis=1))
+            # Shares are small unless the known rows are nearly alike: then their errors would be multiplied.
+            sums = (off <= 1e-12 * np.abs(wanted).max(axis=1)) & (np.abs(shares).max(axis=1) <= 2.0)
+            exact = np.flatnonzero(sums)
             if len(exact):
                 parts = (sensitivities.forces, sensitivities.body_force, sensitivities.prescribed)
                 made = _apart(Compliance(*(np.tensordot(shares[exact], part, 1) for part in parts)))
@@ -164,7 +193,7 @@ def tangent_at(columns: Columns, material: Material, state: BodyState, threads: 
     if key is not None:
         with _lock:
             if _rest is not None and _rest[0] == key:
-                return _rest[1], 0
+                return _rest[1].anew(), 0
     linearised = Linearised(
         columns.body.simulator,
         columns.load(state.coefficients),
@@ -178,6 +207,7 @@ def tangent_at(columns: Columns, material: Material, state: BodyState, threads: 
     if key is not None and columns.body.simulator.body.factor_size[0] <= EFFORT.kept_entries:
         with _lock:
             _rest = (key, made)
+            made = made.anew()
     return made, 1
 
 
