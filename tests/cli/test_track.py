@@ -18,6 +18,7 @@ from tissuereg.io.atomic import OutputError
 from tissuereg.io.meshes import write_vtu
 from tissuereg.io.problems import read_simulations, write_simulations
 from tissuereg.tracking import TablePhysics
+from tissuereg.tracking.align import another_frame
 
 BODY = tr.phantom.phantom_mesh("small")
 PLACES = BODY.nodes[np.setdiff1d(BODY.surface_nodes, BODY.fixed_nodes)[::60]]
@@ -421,3 +422,21 @@ def test_a_report_is_written_on_request_and_says_what_was_lost(inputs, capsys):
     assert f"<td>{NAMES[0]}</td><td>not seen</td><td>1</td>" in page
     track(capsys, inputs, *model, out="plain")
     assert not (inputs / "plain" / "report.html").exists()
+
+
+def test_a_recording_in_another_frame_or_unit_is_refused_at_once(inputs, capsys):
+    with (inputs / "recording.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    for row in rows:
+        row.update({axis: repr(1000.0 + float(row[axis])) for axis in ("x_mm", "y_mm", "z_mm") if row[axis]})
+    with (inputs / "recording.csv").open("w", newline="") as file:
+        writer = csv.DictWriter(file, list(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)
+    code, said, _ = track(capsys, inputs)
+    assert (code, said["where"]) == (2, "--align")
+    assert "a rigid motion brings them to" in said["message"]
+    assert not (inputs / "out").exists()
+    # A motion of less than the body's size is one.
+    assert another_frame(PLACES[None] + np.array([30.0, 0.0, 0.0]), PLACES, BODY.extent) == ""
+    assert another_frame(np.full((2, *PLACES.shape), np.nan), PLACES, BODY.extent) == ""

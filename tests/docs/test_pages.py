@@ -142,4 +142,5 @@ def test_blocks_that_are_not_run_are_known():
         "docs/files.md": 1,  # reads a data set; run by tests/unit/test_datasets.py
         "docs/howto/own-network.md": 4,  # make training; three that need torch, run by training/tests/test_page.py
         "docs/realtime.md": 1,  # takes minutes
+        "docs/howto/live.md": 2,  # run by tests/unit/test_live.py, or need a peer
     }

@@ -192,6 +192,7 @@ def test_nodes_near_a_surface_and_in_a_box_are_chosen(block_mesh, tmp_path, monk
         ({"low_mm": [0, 0, 0], "high_mm": [1, 1]}, FormatError, "`high_mm` is a list of 3 numbers"),
         ("box", MeshError, "'box'.*fixed"),
         ("near", MeshError, "'near'.*fixed"),
+        ("label tumour 3", FormatError, "where a segmentation is meshed"),
         ("near 3", FormatError, "'near FILE r', a surface and a distance above 0 mm"),
         ("near skin.stl -3", FormatError, "'near FILE r'"),
         ("near no such skin.stl 3", FormatError, "no such skin.stl"),

@@ -55,7 +55,7 @@ def test_a_hard_part_that_is_known_improves_targets_beside_and_in_it(pushed):
     assert np.array_equal(known.body.material.young_array, np.where(INSIDE, HARD, SOFT))
     assert off(known, truth) < 0.6 * off(registered(markers), truth)
     assert known.provenance.to_json(known.given)["settings"]
-    assert known.body.to_json()["regions"] == {"core": {"young_kpa": HARD, "std_kpa": 0.0}}
+    assert known.body.to_json()["regions"] == {"core": {"young_kpa": HARD, "std_kpa": 0.0, "tets": int(INSIDE.sum())}}
 
 
 def test_an_uncertain_stiffness_widens_regions_by_its_own_effect(pushed):
@@ -105,7 +105,7 @@ def test_the_command_takes_node_sets(pushed, tmp_path, capsys):
     words = ["--stiffness", "core=400:50", "--stiffness", "graded", "--no-picture", "--quiet"]
     assert main([*files, *words]) in (0, 4)
     body = json.loads((tmp_path / "out" / "registration.json").read_text(encoding="utf-8"))
-    assert '"core": {"young_kpa": 400.0, "std_kpa": 50.0}' in json.dumps(body)
+    assert '"core": {"young_kpa": 400.0, "std_kpa": 50.0, "tets": ' in json.dumps(body)
     for word, said in (("core", "SET=KPA"), ("core=x", "SET=KPA"), ("=4", "SET=KPA"), ("none=4", "'none'")):
         assert main([*files, "--stiffness", word]) == 2
         assert said in " ".join(capsys.readouterr().err.split())

@@ -172,10 +172,18 @@ def test_a_body_with_labels_by_the_command(tmp_path, capsys):
     assert len(mesh.node_set("far")) > len(mesh.fixed_nodes)
 
 
-@pytest.mark.parametrize("rule", ["label cyst 3", "label tumour -3", "label tumour far", "label tumour"])
-def test_a_label_or_a_distance_that_is_none_is_refused_before_the_mesher(tmp_path, rule):
+@pytest.mark.parametrize(
+    ("rule", "said"),
+    [
+        ("label cyst 3", r"labels in .*organ \(1\), tumour \(5\); got 'cyst'"),
+        ("label tumour -3", "'label NAME r', a label of"),
+        ("label tumour far", "'label NAME r', a label of"),
+        ("label tumour", "'label NAME r', a label of"),
+    ],
+)
+def test_a_label_or_a_distance_that_is_none_is_refused_before_the_mesher(tmp_path, rule, said):
     path = segmented(tmp_path / "s.seg.nrrd", size=(45, 45, 20), spacing=(2.0, 2.0, 5.0), spoilt=False)
-    with pytest.raises(MeshingError, match="'label NAME r', a label of"):
+    with pytest.raises(MeshingError, match=said):
         tr.tetrahedralize((path, ["organ"]), 6.0, fixed=rule)
 
 

@@ -50,7 +50,8 @@ def _write_files(args: argparse.Namespace) -> Outcome:
         "to try them:",
         f'  tissuereg mesh {where}/surface/organ.stl --size 7 --out body.vtu --fixed "plane 0 0 1 -18 2.5"',
         f"  tissuereg register body.vtu {given} --out registered",
-        f"  tissuereg mesh {where}/scan/segmentation.seg.nrrd --label organ --label lesion --size 7 --out organ.vtu",
+        f"  tissuereg mesh {where}/scan/segmentation.seg.nrrd --label organ --label lesion --size 7 "
+        '--fixed "plane 0 0 1 -18 2.5" --out organ.vtu',
         f"  tissuereg diagnose {where}/rig --out diagnosed",
     ]
     return Outcome({"schema": "tissuereg.samples/1", "files": files}, "\n".join(lines), args.threads)

@@ -91,6 +91,8 @@ def run(args: argparse.Namespace) -> Outcome:
     clock = Stopwatch()
     tracker, intake = _read(args)
     clock.lap("read")
+    _warm_up(tracker)
+    clock.lap("prepare")
     with _recorder(args.record, intake.names) as recorder:
         settings = LiveSettings(surface=args.surface)
         server = LiveServer(tracker, intake, settings, recorder=recorder, told=None if args.quiet else note)
@@ -135,6 +137,15 @@ def _read(args: argparse.Namespace) -> "tuple[Tracker, Intake]":
     offsets = {name: np.array(place) for name, place in args.offset}
     how = only_given(match=args.match)
     return Tracker(registrar), Intake(markers.names, offsets=offsets, frame=frames["frame"], alignment=alignment, **how)
+
+
+def _warm_up(tracker: "Tracker") -> None:
+    """Register the body at rest and forget it, so that the first frame does not wait for what is made once."""
+    from tissuereg.tracking.tracker import CANNOT_BE_REGISTERED
+
+    with contextlib.suppress(*CANNOT_BE_REGISTERED):
+        tracker.step(tracker.registrar.markers.reference, 0.0)
+    tracker.reset()
 
 
 @contextlib.contextmanager

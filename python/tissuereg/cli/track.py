@@ -19,7 +19,7 @@ from tissuereg.cli.body_input import (
     read_body,
 )
 from tissuereg.cli.common import UNTRUSTED, Outcome, Stopwatch, note, seconds_line
-from tissuereg.cli.options import Help, Parser, refuse_overwriting
+from tissuereg.cli.options import Help, Parser, refuse, refuse_overwriting
 from tissuereg.cli.progress import progress_bar
 from tissuereg.cli.recording_input import add_recording_options, read_recorded
 from tissuereg.report.words import at_time, counted, target_line
@@ -132,6 +132,7 @@ def _read(args: argparse.Namespace) -> "tuple[Tracker, Recording, TablePhysics |
     from tissuereg.io.tables import read_reference, read_targets
     from tissuereg.registration.registrar import Registrar
     from tissuereg.tracking import Tracker
+    from tissuereg.tracking.align import another_frame
 
     material, load = beliefs_of(args, "--simulations")
     mesh = read_body(args, args.path)
@@ -140,6 +141,8 @@ def _read(args: argparse.Namespace) -> "tuple[Tracker, Recording, TablePhysics |
         mesh = mesh.in_frame(frames["frame"])
     markers = read_reference(args.reference, args.std, **frames)
     recording, markers, alignment = read_recorded(args, markers, frames)
+    if why := another_frame(recording.places, markers.reference, mesh.extent):
+        refuse(f"{why}; say --align first, --align PAIRS.csv, or --unit", "--align")
     targets = None if args.targets is None else read_targets(args.targets, **frames)
     simulations = None if args.simulations is None else _simulations(args, mesh.n_nodes, recording)
     body = believed_body(args, mesh, material)

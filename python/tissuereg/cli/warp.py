@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from tissuereg._base.choices import DIRECTIONS, FRAMES, UNITS, Frame
 from tissuereg._base.fields import choice, number
-from tissuereg.cli.common import Outcome, Stopwatch, seconds_line
+from tissuereg.cli.common import UNTRUSTED, Outcome, Stopwatch, seconds_line
 from tissuereg.cli.options import Help, Parser, add_option, refuse, refuse_overwriting
 
 if TYPE_CHECKING:
@@ -101,7 +101,7 @@ def run(args: argparse.Namespace) -> Outcome:
         seconds_line(clock.seconds, verbose=args.verbose),
         *(f"written: {one}" for one in written),
     ]
-    return Outcome(content, "\n".join(lines), args.threads)
+    return Outcome(content, "\n".join(lines), args.threads, 0 if trusted else UNTRUSTED)
 
 
 def _sequence(out: str, args: argparse.Namespace, clock: Stopwatch) -> Outcome:

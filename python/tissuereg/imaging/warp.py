@@ -47,7 +47,7 @@ def warp_points(field: "RegisteredField", points: dict[str, FloatArray], out: Pa
     answer = field.at(np.array(list(points.values())))
     if out.name.lower().endswith(".mrk.json"):
         told = [
-            f"{std:.2f} mm" if flag is None else f"{std:.2f} mm; {flag}"
+            f"standard deviation {std:.2f} mm" + ("" if flag is None else f"; {flag}")
             for std, flag in zip(answer.std, answer.flag, strict=True)
         ]
         places = zip(points, zip(answer.mean.tolist(), told, strict=True), strict=True)

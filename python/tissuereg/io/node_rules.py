@@ -70,6 +70,8 @@ def parsed_rule(rule: NodeRule, name: str = "fixed") -> tuple[str, list[Any]]:
     `FormatError` if the rule cannot be read.
     """
     kind, given = _kind_and_words(rule, name)
+    if kind == "label" and given:
+        _refuse(name, f"{_TEXTS}: labels choose nodes where a segmentation is meshed ('mesh SEGMENTATION')", rule)
     if kind not in _FORMS or not given:
         return text(name, rule, error=FormatError), []
     form = _FORMS[kind]

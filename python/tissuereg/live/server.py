@@ -127,6 +127,7 @@ class LiveServer:
         self._gathering = Gathering(intake, self._settings)
         self._latest = _Latest()
         self._spread: NodeSpread | None = None
+        self._doubts: set[str] = set()
         self._peers: set[asyncio.StreamWriter] = set()
         self._begin = time.monotonic()
         self._ended = asyncio.Event()
@@ -255,9 +256,20 @@ class LiveServer:
 
     def _tell_strangers(self) -> None:
         """Tell of names that are no marker's, each once."""
-        for name in list(self._gathering.unknown)[self.counts.unknown :]:
-            self._told(f"'{name}' is no marker of the reference, and is left out")
+        new = list(self._gathering.unknown)[self.counts.unknown :]
+        if new:
+            several = f" and {len(new) - 1} more are no markers" if len(new) > 1 else " is no marker"
+            names = ", ".join(self._intake.names[:3])
+            self._told(f"'{new[0]}'{several} of the reference ({names} ...), and left out; --match number or order?")
         self.counts.unknown = len(self._gathering.unknown)
+
+    def _tell_reasons(self, result: Any) -> None:
+        """Tell why frames are not to be trusted, each kind of reason once."""
+        for reason in result.trust.reasons:
+            kind = reason.partition(":")[0]
+            if kind not in self._doubts:
+                self._doubts.add(kind)
+                self._told(f"not to be trusted: {reason}")
 
     def _arrived(self, frames: list[LiveFrame]) -> None:
         for frame in frames:
@@ -297,6 +309,7 @@ class LiveServer:
             else:
                 self.counts.registered += 1
                 self.counts.untrusted += not answer.trusted
+                self._tell_reasons(result)
                 self._latest.answer, self._latest.received_s, self._latest.stale = answer, frame.received_s, False
                 self._publish(answer.heavy + answer.light)
                 if self._settings.surface == "spread" and self._is_old(frame.time_s):

@@ -57,9 +57,7 @@ class Segmentation:
         named = _segments(image, str(path))
         # By slices: of a whole volume this takes several times its memory.
         there = frozenset(int(one) for some in values for one in np.unique(some)) - {0}
-        listed = [f"{name} ({one})" for name, one in named.items() if one in there]
-        listed += [str(one) for one in sorted(there - set(named.values()))]
-        known = f"labels in {path}: {', '.join(listed) or 'it has none'}"
+        known = _listed(str(path), named, there)
         if isinstance(labels, str | bytes) or not isinstance(labels, Iterable):
             message = f"`labels` must be a list of {known}; got {found(labels)}"
             raise MeshingError(message, where="labels")
@@ -144,7 +142,10 @@ class Segmentation:
             within = float(words[-1])
         except ValueError:
             within = math.nan
-        if value not in self.there or not 0.0 < within < math.inf:
+        if 0.0 < within < math.inf and (value is None or value not in self.there):
+            message = f"`{name}`: {_listed(self.path, self.named, self.there)}; got {found(' '.join(words[1:-1]))}"
+            raise MeshingError(message, where=name)
+        if value is None or not 0.0 < within < math.inf:
             message = f"`{name}` must be 'label NAME r', a label of {self.path} and a distance in mm, got {found(rule)}"
             raise MeshingError(message, where=name)
         return value, within
@@ -167,6 +168,13 @@ class Segmentation:
         middle = np.clip(middle, 0, np.array(self.grid.size) - 1)
         own = self.values[middle[:, 2], middle[:, 1], middle[:, 0]]
         return {name: np.flatnonzero(own == value) for name, value in self.labels.items()}
+
+
+def _listed(path: str, named: dict[str, int], there: frozenset[int]) -> str:
+    """Return the labels of an image in words."""
+    listed = [f"{name} ({one})" for name, one in named.items() if one in there]
+    listed += [str(one) for one in sorted(there - set(named.values()))]
+    return f"labels in {path}: {', '.join(listed) or 'it has none'}"
 
 
 def _value(asked: Any, named: dict[str, int], there: frozenset[int]) -> int | None:

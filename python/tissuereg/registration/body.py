@@ -97,7 +97,7 @@ class Body:
     regions : mapping of str to float or (float, float), optional
         Young's modulus, kPa, of parts of the body, such as a tumour, by the names of node sets: of the tets that have
         all their corners in the set. With a second number, its standard deviation, kPa, the answer's uncertainty
-        allows for it. Without a trained model.
+        allows for it. Of parts that overlap the smaller counts. Without a trained model.
 
     Raises
     ------
@@ -144,7 +144,7 @@ class Body:
         Supports.of(body, held, nodes)  # refuses another word, and nodes that are not there
         believed = maybe("material", material, Material) or Material()
         parts = {name: StiffPart.of(body, name, given) for name, given in named("regions", regions).items()}
-        for part in parts.values():
+        for part in sorted(parts.values(), key=lambda one: -len(one.tets)):  # a part of a part counts last
             believed = part.within(believed, body.n_tets)
         for name, value in zip(_FIELDS, (body, believed, element, held, stiffness, nodes, parts), strict=True):
             object.__setattr__(self, name, value)
@@ -186,7 +186,10 @@ class Body:
             "element": self.element,
             "held": self.held,
             "stiffness": self.stiffness,
-            "regions": {name: {"young_kpa": one.young, "std_kpa": one.std} for name, one in self.regions.items()},
+            "regions": {
+                name: {"young_kpa": one.young, "std_kpa": one.std, "tets": len(one.tets)}
+                for name, one in self.regions.items()
+            },
             "material": {
                 "law": law.law,
                 "young_kpa": float(law.young) if np.ndim(law.young) == 0 else None,

@@ -26,7 +26,7 @@ class Cell(NamedTuple):
 
     triangles: int = 5000
     rows: int = 12
-    height: int = 640
+    height: int = 820
 
 
 CELL = Cell()

@@ -28,6 +28,31 @@ class AlignSettings(NamedTuple):
 ALIGN = AlignSettings()
 
 
+def another_frame(measured: FloatArray, reference: FloatArray, extent: float) -> str:
+    """Return why places cannot be those of markers on a body of this extent, mm, in its frame; empty if they can.
+
+    `measured` (n_frames, n_markers, 3), `reference` (n_markers, 3): mm; NaN where not seen. The first frame in which a
+    marker is seen tells: no body moves by its own extent until then.
+    """
+    every = np.asarray(np.isfinite(measured).all(axis=2))
+    if not every.any():
+        return ""
+    first = int(np.argmax(np.asarray(every.any(axis=1))))
+    seen, places = every[first], measured[first]
+    off = float(np.median(np.linalg.norm(places[seen] - reference[seen], axis=1)))
+    if off <= extent:
+        return ""
+    fits = ""
+    if seen.sum() >= ALIGN.fewest:
+        moved = RigidMotion.between(places[seen], reference[seen]).apply(places[seen])
+        left = float(np.sqrt(np.mean(np.sum((moved - reference[seen]) ** 2, axis=1))))
+        fits = f" (a rigid motion brings them to {left:.3g} mm)"
+    return (
+        f"the markers' first places lie {off:.4g} mm from the reference, farther than the body is long, {extent:.4g} mm"
+        f"{fits}: the tracker has a frame or a unit of its own"
+    )
+
+
 @dataclass(frozen=True, eq=False)
 class Alignment:
     """The rigid motion from the tracker's frame to the body's, and how well the points fit it.

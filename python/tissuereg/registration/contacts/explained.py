@@ -36,8 +36,8 @@ def reasons(fit: ContactFit, settings: ReportSettings) -> list[str]:
         if share > settings.most_unexplained:
             part = explained(fit)["unexplained"]
             found.append(
-                f"unexplained: the markers move as no load on this body makes them ({part:.2g} mm rms), or their "
-                "noise is several times larger than stated"
+                f"unexplained: the markers are met only by {part:.2g} mm rms of motion that no load on this body "
+                "makes, or their noise is several times larger than stated"
             )
     slopes = columns.slopes(fit.state.coefficients)
     if len(slopes) and np.abs(slopes).max() > settings.most_slope:

@@ -273,6 +273,9 @@ def _regions(body: Body) -> list[tuple[Cause, float]]:
         if region.std > 0.0:
             rates = np.zeros(body.mesh.n_tets)
             rates[region.tets] = 1.0
+            for other in body.regions.values():
+                if len(other.tets) < len(region.tets):  # its stiffness is its own
+                    rates[other.tets] = 0.0
             causes.append((ModulusField("young", rates), region.std))
     return causes
 
