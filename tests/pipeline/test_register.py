@@ -238,5 +238,5 @@ def test_saving_writes_six_files_with_finite_numbers(block_mesh, seen, tmp_path)
     assert radii == sorted(radii)
     result.report(tmp_path / "report.html")
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
-    assert "<canvas" in page
+    assert "<div class='viewer'" in page
     assert "http" not in page
