@@ -5,6 +5,7 @@ the highest evidence.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -19,57 +20,66 @@ from tissuereg.registration.contacts.state import RigidMotion
 from tissuereg.registration.trust import NOISE_FACTORS
 
 
-def log_noise_odds(
-    fit: ContactFit, problem: LinearObservations, tracker: FloatArray, settings: EvidenceSettings
-) -> float:
-    """Return by how much the markers speak for larger noise than stated: the largest log ratio of evidences.
+@dataclass(frozen=True, eq=False)
+class Weighed:
+    """What the markers speak for, beside contacts: those found and others anywhere are the rival explanation.
 
-    `fit`: the contacts that were found; `problem`: observations of markers about the body that was found, mm; `tracker`
-    (n_obs,): the tracker's part of their variances, mm^2, which is compared with `NOISE_FACTORS`^2 times as much;
-    `settings`: sizes that are tried. Less the logarithm of the number of factors, so that it exceeds x with a chance of
-    at most exp(-x) if the noise is as stated (A. A. Markov). Contacts, those found and others anywhere, are the rival
-    explanation: where loads can explain the markers it is negative.
+    `fit`: the contacts that were found; `problem`: observations of markers about the body that was found, mm;
+    `settings`: sizes that are tried.
     """
-    parts = _explanations(fit, problem, settings)
-    logs = [
-        _best_over_sizes(problem.innovation, np.diag(problem.variances + (factor**2 - 1.0) * tracker), parts, settings)
-        for factor in (1.0, *NOISE_FACTORS)
-    ]
-    return max(logs[1:]) - logs[0] - float(np.log(len(NOISE_FACTORS)))
 
+    fit: ContactFit
+    problem: LinearObservations
+    settings: EvidenceSettings
 
-def log_support_odds(fit: ContactFit, problem: LinearObservations, settings: EvidenceSettings) -> float:
-    """Return by how much the markers speak for surely held nodes that moved: log ratio of the largest evidences.
+    def log_noise_odds(self, tracker: FloatArray) -> float:
+        """Return by how much the markers speak for larger noise than stated: the largest log ratio of evidences.
 
-    Arguments and rival explanations are those of `log_noise_odds`. The nodes move by smooth fields of one unknown size;
-    as a whole they move as the tracker drifts, which is a rival, too. No node held: 0.
-    """
-    body = fit.columns.body
-    held = body.supports.sure
-    if not len(held):
-        return 0.0
-    smooth = smooth_fields(body.mesh.nodes[held], DISCRETISATION.support_fields)
-    rates = fit.tangent.compliance(problem.rows)[0].prescribed
-    moved = np.einsum("rnx,fn->rfx", rates, smooth).reshape(len(rates), -1)
-    noise, parts = np.diag(problem.variances), _explanations(fit, problem, settings)
-    without, given = (
-        _best_over_sizes(problem.innovation, noise, some, settings)
-        for some in (parts, [*parts, (moved @ moved.T, *parts[0][1:])])
-    )
-    return given - without
+        `tracker` (n_obs,): the tracker's part of the observations' variances, mm^2, which is compared with
+        `NOISE_FACTORS`^2 times as much. Less the logarithm of the number of factors, so that it exceeds x with a chance
+        of at most exp(-x) if the noise is as stated (A. A. Markov). Where loads can explain the markers it is negative.
+        """
+        larger = [
+            self._best(self.problem.variances + (factor**2 - 1.0) * tracker, self._parts) for factor in NOISE_FACTORS
+        ]
+        return max(larger) - self._stated - float(np.log(len(NOISE_FACTORS)))
 
+    def log_support_odds(self) -> float:
+        """Return by how much the markers speak for surely held nodes that moved: log ratio of the largest evidences.
 
-def _explanations(
-    fit: ContactFit, problem: LinearObservations, settings: EvidenceSettings
-) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
-    """Return the parts of the observations' covariance as `_parts` does, then the contacts that were found."""
-    slots = np.asarray(fit.samples[0])[:, :, 0]
-    count = np.bincount(slots[slots >= 0], minlength=fit.columns.n_patches) / max(len(slots), 1)
-    own = problem.responses[:, : 3 * len(count)]
-    parts = _parts(fit.columns, problem.responses, settings)
-    if count.any():
-        parts.append(((own * np.repeat(count, 3)) @ own.T, *parts[0][1:]))
-    return parts
+        The nodes move by smooth fields of one unknown size; as a whole they move as the tracker drifts, which is a
+        rival, too. No node held: 0.
+        """
+        body = self.fit.columns.body
+        held = body.supports.sure
+        if not len(held):
+            return 0.0
+        smooth = smooth_fields(body.mesh.nodes[held], DISCRETISATION.support_fields)
+        rates = self.fit.tangent.compliance(self.problem.rows)[0].prescribed
+        moved = np.einsum("rnx,fn->rfx", rates, smooth, optimize=True).reshape(len(rates), -1)
+        given = [*self._parts, (moved @ moved.T, *self._parts[0][1:])]
+        return self._best(self.problem.variances, given) - self._stated
+
+    @cached_property
+    def _parts(self) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
+        """Parts of the observations' covariance as of `_parts`, then the contacts that were found."""
+        fit, responses = self.fit, self.problem.responses
+        slots = np.asarray(fit.samples[0])[:, :, 0]
+        count = np.bincount(slots[slots >= 0], minlength=fit.columns.n_patches) / max(len(slots), 1)
+        parts = _parts(fit.columns, responses, self.settings)
+        if count.any():
+            some = np.flatnonzero(np.repeat(count, 3))
+            own = responses[:, some]
+            parts.append(((own * np.repeat(count, 3)[some]) @ own.T, *parts[0][1:]))
+        return parts
+
+    @cached_property
+    def _stated(self) -> float:
+        """Log evidence of what is stated."""
+        return self._best(self.problem.variances, self._parts)
+
+    def _best(self, variances: FloatArray, parts: list[tuple[FloatArray, FloatArray, FloatArray]]) -> float:
+        return _best_over_sizes(self.problem.innovation, np.diag(variances), parts, self.settings)
 
 
 @dataclass(frozen=True)
@@ -174,10 +184,13 @@ def _log_normals(innovation: FloatArray, rest: FloatArray, covariance: FloatArra
 
     `innovation` (n_obs,), mm; `rest`, `covariance` (n_obs, n_obs), mm^2. One decomposition serves all factors.
     """
+    from scipy.linalg import solve_triangular
+
     factor = np.linalg.cholesky(rest)
-    half = np.linalg.solve(factor, covariance)
-    values, vectors = np.linalg.eigh(np.linalg.solve(factor, half.T))
-    white = vectors.T @ np.linalg.solve(factor, innovation)
+    # One solution for both.
+    half = solve_triangular(factor, np.column_stack([covariance, innovation]), lower=True, check_finite=False)
+    values, vectors = np.linalg.eigh(solve_triangular(factor, half[:, :-1].T, lower=True, check_finite=False))
+    white = vectors.T @ half[:, -1]
     spread = 1.0 + np.multiply.outer(factors, np.maximum(values, 0.0))
     logs = (white**2 / spread + np.log(spread)).sum(axis=1)
     return np.asarray(-0.5 * logs - np.log(np.diag(factor)).sum())
