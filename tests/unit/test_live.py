@@ -192,6 +192,17 @@ def test_the_offset_of_a_tool_is_found_by_the_marker_s_name_whatever_the_sender_
     np.testing.assert_allclose(frames[0].places, SIT + np.array([[0, 0, 0], [0, 0, 5], [0, 0, 0]]))
 
 
+@pytest.mark.parametrize("turn", [np.zeros((3, 3)), 2.0 * np.eye(3), np.diag([1.0, 1.0, -1.0])])
+def test_a_pose_whose_turn_is_none_is_not_seen(turn):
+    given = [pose(place) for place in SIT]
+    given[1][:3, :3] = turn
+    names = [f"{name}ToTracker" for name in NAMES]
+    messages = [(0.0, packed("TRANSFORM", name, transform_packed(one))) for name, one in zip(names, given, strict=True)]
+    places = gathered(messages)[1][0].places
+    assert np.isnan(places[1]).all()
+    assert np.isfinite(places[[0, 2]]).all()
+
+
 def test_points_of_which_it_is_not_clear_which_they_are_are_refused():
     gathering = Gathering(Intake(NAMES, match="order"), LiveSettings())
     for points in (SIT[1:], [*SIT, SIT[0]]):  # the first was hidden: the others would move up

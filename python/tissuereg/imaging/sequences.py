@@ -38,6 +38,9 @@ def write_sequence(
     if not target.name.lower().endswith(ENDING):
         message = f"`path` of a transform with time must end in {ENDING}, got '{target}'"
         raise FormatError(message, where=str(target))
+    if not len(times):
+        message = "`times` must hold at least one moment, got none"
+        raise ArgumentError(message, where="times")
     grid, tally = None, Tally()
     with atomic_file(target) as draft, draft.open("wb") as file:
         for space in spaces:

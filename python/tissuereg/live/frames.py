@@ -92,7 +92,9 @@ class Gathering:
                 self._since, self._sent_s = now, sent_s
             offset = self._intake.offsets.get(self._intake.names[row], np.zeros(3))
             with np.errstate(invalid="ignore", over="ignore"):
-                self._pending[row] = pose[:3, :3] @ offset + pose[:3, 3] if seen else np.full(3, np.nan)
+                turn = pose[:3, :3]
+                rigid = np.abs(turn @ turn.T - np.eye(3)).max() < self._settings.skew and np.linalg.det(turn) > 0.0
+                self._pending[row] = turn @ offset + pose[:3, 3] if seen and rigid else np.full(3, np.nan)
             self._received_s = now
         if len(self._pending) == len(self._intake.names):
             found += self.flush(now, always=True)

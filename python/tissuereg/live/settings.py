@@ -32,6 +32,8 @@ class LiveSettings:
         Difference between a sender's clock and this machine's beyond which the sender's is set anew, s.
     farthest_mm : float
         Largest coordinate, in the body's frame, of a marker that was seen, mm: no tracker sees farther.
+    skew : float
+        Largest entry by which a pose's turn, times its transpose, may differ from one: others are none, and not seen.
     most_bytes : int
         Largest body of a message that is read; of a larger one, or of a type that is not taken, nothing is kept.
     most_skipped_bytes : int
@@ -57,6 +59,7 @@ class LiveSettings:
     retry_s: float = 1.0
     jump_s: float = 1.0
     farthest_mm: float = 10_000.0
+    skew: float = 1e-3
     most_bytes: int = 1_000_000
     most_skipped_bytes: int = 64_000_000
     most_unsent_bytes: int = 8_000_000
@@ -68,5 +71,6 @@ class LiveSettings:
         for name in ("spread_s", "gather_s", "stale_s", "partial_s", "retry_s", "jump_s"):
             real(name, getattr(self, name), above=0.0, unit="s")
         real("farthest_mm", self.farthest_mm, above=0.0, unit="mm")
+        real("skew", self.skew, above=0.0)
         for name in ("most_bytes", "most_skipped_bytes", "most_unsent_bytes", "most_peers", "most_names"):
             whole(name, getattr(self, name), least=1, most=2**40)
