@@ -143,3 +143,18 @@ def test_room_for_a_residual_at_a_rim_is_less_than_how_far_the_motion_differs_th
     assert left > 1.2 * differs[at_rim]
     assert any(reason.startswith(f"wrong marker: {name} ") for reason in found.trust.reasons)
     assert result.trust.ok
+
+
+def test_a_verdict_is_kept_from_moment_to_moment_and_weighed_anew_now_and_then() -> None:
+    registrar = tr.Registrar(
+        tr.Body(push().mesh, MATERIAL, ELEMENT), pushed_on_a_base_held(31.0), settings=tr.RegisterSettings(threads=1)
+    )
+    gave, sound = (pushed_on_a_base_held(released).measured for released in (31.0, 0.0))
+    result, said = None, []
+    every = tr.ContactSettings().evidence.every
+    for moment in range(every + 1):
+        result = registrar.register(gave if moment == 0 else sound, after=result)
+        said.append(any(reason.startswith("support: ") for reason in result.trust.reasons))
+        if result.draw.moments != moment + 1:  # all places were searched anew
+            pytest.skip("the second moment did not go on from the first")
+    assert said == [True] * every + [False]

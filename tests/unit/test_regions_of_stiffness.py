@@ -12,6 +12,7 @@ from tissuereg.cli import main
 from tissuereg.errors import ArgumentError, MaterialError, MeshError
 from tissuereg.io.meshes import write_vtu
 from tissuereg.io.tables import write_markers
+from tissuereg.registration.contacts.registration import _regions
 
 MESH = block((60.0, 60.0, 24.0), (8, 8, 4))
 SOFT, HARD = 8.0, 400.0
@@ -62,10 +63,27 @@ def test_an_uncertain_stiffness_widens_regions_by_its_own_effect(pushed):
     markers, _ = pushed
     sure, unsure = (registered(markers, regions={"core": (40.0, std)}) for std in (0.0, 20.0))
     assert np.array_equal(unsure.displacement, sure.displacement)
+    half = registered(markers, regions={"core": (40.0, 10.0)})
     for name in TARGETS:
         gain = unsure.targets[name].covariance - sure.targets[name].covariance
         assert np.linalg.eigvalsh(gain).min() > -1e-9
         assert np.trace(gain) > 1e-3 * np.trace(sure.targets[name].covariance)
+        # An effect of the first order: half the deviation, a quarter of the variance.
+        assert half.targets[name].covariance - sure.targets[name].covariance == pytest.approx(0.25 * gain, rel=1e-3)
+
+
+def test_of_parts_that_overlap_the_smaller_counts():
+    around = np.flatnonzero((np.abs(MESH.nodes[:, :2] - 30.0) <= 22.6).all(axis=1))
+    mesh = BODY.with_node_set("around", around)
+    wide = np.isin(MESH.tets, around).all(axis=1) & ~INSIDE
+    young = np.where(INSIDE, 400.0, np.where(wide, 20.0, SOFT))
+    for regions in ({"core": 400.0, "around": 20.0}, {"around": 20.0, "core": 400.0}):
+        assert np.array_equal(tr.Body(mesh, tr.Material(SOFT), regions=regions).material.young_array, young)
+    # The modulus around the core is uncertain there alone.
+    body = tr.Body(mesh, tr.Material(SOFT, 0.4), "tet4", regions={"around": (20.0, 5.0), "core": 400.0})
+    [(cause, std)] = _regions(body)
+    assert std == 5.0
+    assert np.array_equal(cause.rates, wide.astype(float))
 
 
 def test_regions_go_on_top_of_moduli_of_tets_and_of_points():

@@ -381,3 +381,17 @@ def test_contacts_of_a_frame_are_of_no_use_after_a_jump_and_all_places_are_searc
     result = tracker.step(seen, FRAME_S)
     alone = alone.register(seen)
     assert result.markers.after_rms_mm < 2.0 * alone.markers.after_rms_mm
+
+
+def test_a_frame_that_goes_on_is_as_near_to_equilibrium_as_the_change_asks():
+    registrar, rng = contact_registrar(), np.random.default_rng(3)
+    result = registrar.register(measured(0.5, rng))
+    for share in (0.52, 0.54):
+        result = registrar.register(measured(share, rng), after=result)
+        fit = result.draw.fit
+        columns = fit.columns
+        exact = columns.body.simulator.solve(
+            columns.load(fit.state.coefficients), result.body.material, springs=columns.springs, tolerance=1e-10
+        )
+        off = np.linalg.norm(exact.all_displacement - fit.state.displacement, axis=1).max()
+        assert 0.0 < off < 0.01 * np.linalg.norm(fit.state.displacement, axis=1).max()
