@@ -11,8 +11,10 @@ import tissuereg as tr
 from support.meshes import block
 from support.pushes import MATERIAL, TIGHT, columns_of, push
 from tissuereg.body.mesh import per_mesh
+from tissuereg.body.observe import MarkerObservation
 from tissuereg.errors import ConvergenceError
 from tissuereg.registration.contacts.body import forget_bodies
+from tissuereg.registration.contacts.measured import MarkerData
 from tissuereg.registration.contacts.settings import EFFORT
 from tissuereg.registration.contacts.state import BodyState, RigidMotion
 from tissuereg.registration.contacts.tangent import Tangent, forget_rest, tangent_at
@@ -178,3 +180,22 @@ def test_a_step_that_ends_otherwise_than_predicted_is_linearised_anew(monkeypatc
     # About the end and about where the last step began: nearly the same.
     assert np.abs(anew.std / np.maximum(kept.std, 1e-9) - 1.0)[kept.std > 0.01].max() < 0.3
     assert not np.array_equal(anew.std, kept.std)
+
+
+def test_markers_off_the_surface_are_linearised_where_the_tangent_is():
+    markers = push().markers(off=2.0)
+    observed = MarkerObservation.of(push().mesh, markers)
+    data = MarkerData(observed, markers, 0.02)
+    state = BodyState(np.zeros(3), push().displacement, RigidMotion.still())
+    here, rest = 1.0 * push().displacement, np.zeros_like(push().displacement)
+    for moved in (None, here, rest):
+        at = here if moved is None else moved
+        wanted = observed.rows(at[observed.nodes])
+        found = data.read(state, weighed=False, moved=moved).rows
+        assert len(found) == len(wanted)
+        assert all(np.array_equal(a[1], b[1]) for a, b in zip(found, wanted, strict=True))
+    # They turn with the skin: rows at rest are others.
+    assert any(
+        not np.allclose(a[1], b[1])
+        for a, b in zip(observed.rows(here[observed.nodes]), observed.rows(rest[observed.nodes]), strict=True)
+    )

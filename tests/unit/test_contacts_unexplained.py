@@ -106,3 +106,13 @@ def test_a_stiffness_far_from_the_believed_one_is_said():
     assert any(reason.startswith("stiffness: ") for reason in result.trust.reasons)
     assert result.explained_mm["stiffness"] > 0.0
     assert covered > 0.7
+
+
+def test_another_motion_changes_the_prior_of_the_size_alone(field):
+    kept = field.fields
+    other = field.with_motion(7.0)
+    assert other.motion == 7.0
+    assert other.fields is kept
+    fresh = Unexplained(field.nodes, field.length, field.held, field.places, 7.0)
+    assert np.array_equal(other.fields, fresh.fields)
+    assert np.array_equal(other.left, fresh.left)
