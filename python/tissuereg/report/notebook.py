@@ -26,7 +26,7 @@ class Cell(NamedTuple):
 
     triangles: int = 5000
     rows: int = 12
-    height: int = 820
+    height: int = 760
 
 
 CELL = Cell()
@@ -95,7 +95,7 @@ def frame_html(frame: "TrackedFrame") -> str:
 
 
 def _turnable(scene: ViewScene) -> str:
-    page = document("", [viewer(scene), viewer_script()], "body { margin: 0; padding: 0; max-width: none; }")
+    page = document("", [viewer(scene), viewer_script()], "body { margin: 0; padding: 0 2px; max-width: none; overflow-x: hidden; }")
     return framed(page, CELL.height)
 
 
