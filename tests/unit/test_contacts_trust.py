@@ -13,7 +13,7 @@ from support import doors
 from support.pushes import ELEMENT, MATERIAL, columns_of, push
 from tissuereg.body.observe import MarkerObservation
 from tissuereg.registration.contacts.answer import Answer, _chance
-from tissuereg.registration.contacts.evidence import Weighed
+from tissuereg.registration.contacts.evidence import MarkerEvidence
 from tissuereg.registration.contacts.settings import ReportSettings
 
 #: A region whose axes are not those of the tracker.
@@ -111,7 +111,7 @@ def test_a_support_that_gave_is_named_where_it_was_believed(released: float, hel
 def test_many_markers_need_only_find_larger_noise_more_probable(
     monkeypatch: pytest.MonkeyPatch, markers: int, named: bool
 ) -> None:
-    monkeypatch.setattr(Weighed, "log_noise_odds", lambda *_: 0.1)
+    monkeypatch.setattr(MarkerEvidence, "log_noise_odds", lambda *_: 0.1)
     seen = push().markers()
     found = registered(tr.Markers(seen.reference[:markers], seen.measured[:markers], 0.03))
     assert any(reason.startswith("noise: ") for reason in found.trust.reasons) == named

@@ -8,7 +8,7 @@ from tissuereg._base.arrays import FloatArray, IntArray
 from tissuereg._base.clock import Clock
 from tissuereg.body.mesh import det_f
 from tissuereg.registration.contacts.draws import DeviationsOfContacts, Draws
-from tissuereg.registration.contacts.evidence import Weighed
+from tissuereg.registration.contacts.evidence import MarkerEvidence
 from tissuereg.registration.contacts.explained import explained, reasons
 from tissuereg.registration.contacts.fit import ContactFit
 from tissuereg.registration.contacts.found import FoundContact, find_contacts
@@ -223,7 +223,7 @@ class Answer:
         if not kept.any():
             return []
         found, problem, surely = [], problem.only(kept), -float(np.log(LEVEL))
-        weighed = Weighed(self.fit, problem, evidence)
+        weighed = MarkerEvidence(self.fit, problem, evidence)
         if weighed.log_noise_odds(tracker) > (0.0 if kept.sum() >= evidence.many else surely):
             found.append(NOISY)
         if weighed.log_support_odds() > surely:

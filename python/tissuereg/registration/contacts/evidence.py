@@ -21,7 +21,7 @@ from tissuereg.registration.trust import NOISE_FACTORS
 
 
 @dataclass(frozen=True, eq=False)
-class Weighed:
+class MarkerEvidence:
     """What the markers speak for, beside contacts: those found and others anywhere are the rival explanation.
 
     `fit`: the contacts that were found; `problem`: observations of markers about the body that was found, mm;
