@@ -156,12 +156,13 @@ def tetrahedralize(
     with clock.stage("fill"):
         inner = None if segmented is None else segmented.interfaces(body, threads)
         nodes, tets, mesher = filled(body, size_mm, wanted, threads, inner)
-        mesh = _with_sets(_sound(nodes, tets, given.frame), rules, segmented)
+        plain = _sound(nodes, tets, given.frame)
+        labelled = {} if segmented is None else segmented.of_tets(plain)
+        mesh = _with_sets(plain, labelled, rules, segmented)
     with clock.stage("measure"):
         mesh.quality = _quality(mesh, body)
         mesh.labels = {
-            name: {"tets": len(own), "volume_mm3": float(mesh.volumes[own].sum())}
-            for name, own in ({} if segmented is None else segmented.of_tets(mesh)).items()
+            name: {"tets": len(own), "volume_mm3": float(mesh.volumes[own].sum())} for name, own in labelled.items()
         }
     mesh.repaired, mesh.seconds = [*mended, *repairs], clock.seconds
     mesh.settings = {"size_mm": float(size_mm), "deviation_mm": float(wanted), "mesher": mesher}
@@ -224,12 +225,15 @@ def _sound(nodes: FloatArray, tets: IntArray, frame: Frame | None) -> FilledMesh
         raise MeshingError(message, where="surface") from error
 
 
-def _with_sets(mesh: FilledMesh, rules: Mapping[str, NodeRules], segmented: Segmentation | None) -> FilledMesh:
-    """Return the mesh with a node set for each of several labels, and those of rules."""
-    sets: dict[str, IntArray] = {}
-    if segmented is not None:
-        own = segmented.of_tets(mesh)
-        sets = {name: np.unique(mesh.tets[own[name]]) for name in segmented.sets}
+def _with_sets(
+    mesh: FilledMesh,
+    labelled: Mapping[str, IntArray],
+    rules: Mapping[str, NodeRules],
+    segmented: Segmentation | None,
+) -> FilledMesh:
+    """Return the mesh with a node set for each of several labels, whose tets are `labelled`, and those of rules."""
+    named_labels = [] if segmented is None else segmented.sets
+    sets = {name: np.unique(mesh.tets[labelled[name]]) for name in named_labels}
     for name, several in rules.items():
         there = FilledMesh(mesh.nodes, mesh.tets, sets, mesh.frame)
         chosen = [_nodes_of(there, rule, name, segmented) for rule in _listed(several, name)]

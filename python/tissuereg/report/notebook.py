@@ -95,7 +95,9 @@ def frame_html(frame: "TrackedFrame") -> str:
 
 
 def _turnable(scene: ViewScene) -> str:
-    page = document("", [viewer(scene), viewer_script()], "body { margin: 0; padding: 0 2px; max-width: none; overflow-x: hidden; }")
+    page = document(
+        "", [viewer(scene), viewer_script()], "body { margin: 0; padding: 0 2px; max-width: none; overflow-x: hidden; }"
+    )
     return framed(page, CELL.height)
 
 
