@@ -185,6 +185,13 @@ def frames_of(
     return {"frame": chosen[0], "table_frame": None}
 
 
+def read_tracked_body(args: argparse.Namespace) -> "tuple[Mesh, dict[str, Frame | None]]":
+    """Return the mesh of a command that follows markers from ``--reference``, in its frame, and all `frames_of`."""
+    mesh = read_body(args, args.path)
+    frames = frames_of(args, mesh, [args.reference], [args.targets])
+    return mesh if frames["frame"] is None else mesh.in_frame(frames["frame"]), frames
+
+
 def read_body(args: argparse.Namespace, path: str) -> "Mesh":
     """Return the mesh of a file; raise MeshError if no node is held though the options need held nodes."""
     from tissuereg.io.meshes import read_mesh

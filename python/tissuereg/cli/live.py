@@ -17,10 +17,9 @@ from tissuereg.cli.body_input import (
     add_method_options,
     beliefs_of,
     believed_body,
-    frames_of,
     method_of,
     only_given,
-    read_body,
+    read_tracked_body,
 )
 from tissuereg.cli.common import UNTRUSTED, Outcome, Stopwatch, note, seconds_line
 from tissuereg.cli.options import Help, Parser, add_option, refuse, refuse_overwriting
@@ -120,11 +119,8 @@ def _read(args: argparse.Namespace) -> "tuple[Tracker, Intake]":
     from tissuereg.tracking import Tracker, rigid_alignment
 
     material, load = beliefs_of(args, "--simulations")
-    mesh = read_body(args, args.path)
-    frames = frames_of(args, mesh, [args.reference], [args.targets])
-    if frames["frame"] is not None:
-        mesh = mesh.in_frame(frames["frame"])
-    elif args.align is None:
+    mesh, frames = read_tracked_body(args)
+    if frames["frame"] is None and args.align is None:
         note("nothing says in which patient frame MESH is: its numbers are taken for RAS, as those of messages are")
     markers = read_reference(args.reference, args.std, **frames)
     targets = None if args.targets is None else read_targets(args.targets, **frames)

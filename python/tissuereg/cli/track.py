@@ -14,9 +14,8 @@ from tissuereg.cli.body_input import (
     add_method_options,
     beliefs_of,
     believed_body,
-    frames_of,
     method_of,
-    read_body,
+    read_tracked_body,
 )
 from tissuereg.cli.common import UNTRUSTED, Outcome, Stopwatch, note, seconds_line
 from tissuereg.cli.options import Help, Parser, refuse, refuse_overwriting
@@ -135,10 +134,7 @@ def _read(args: argparse.Namespace) -> "tuple[Tracker, Recording, TablePhysics |
     from tissuereg.tracking.align import another_frame
 
     material, load = beliefs_of(args, "--simulations")
-    mesh = read_body(args, args.path)
-    frames = frames_of(args, mesh, [args.reference], [args.targets])
-    if frames["frame"] is not None:
-        mesh = mesh.in_frame(frames["frame"])
+    mesh, frames = read_tracked_body(args)
     markers = read_reference(args.reference, args.std, **frames)
     recording, markers, alignment = read_recorded(args, markers, frames)
     if why := another_frame(recording.places, markers.reference, mesh.extent):
