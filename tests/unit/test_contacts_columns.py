@@ -7,6 +7,7 @@ import tissuereg as tr
 from support.pushes import MATERIAL, NOTHING, TIGHT, body, columns_of
 from tissuereg.body.observe import MarkerObservation
 from tissuereg.registration.contacts.columns import Columns, contact_sizes, log_filled
+from tissuereg.registration.contacts.sensed import Sensed
 from tissuereg.registration.contacts.settings import ContactSettings
 from tissuereg.registration.contacts.state import RigidMotion
 from tissuereg.simulation.sensitivity import Linearised, Observation
@@ -37,7 +38,7 @@ def case(request):
     rows = observed.rows(found.displacement[observed.nodes])
     compliance = here.compliance([Observation(nodes, weights) for nodes, weights in rows])
     places = reference + observed.predict(found.displacement[observed.nodes])
-    return columns, coefficients, (observed, reference), columns.responses(compliance, places)
+    return columns, coefficients, (observed, reference), columns.responses(Sensed(compliance), places)
 
 
 def seen(columns, coefficients, markers):

@@ -79,8 +79,8 @@ def test_errors_of_the_model_are_slopes_of_solves(spread):
     # At the end itself: the passes may have kept the tangent where the last step began.
     here, _ = tangent_at(fit.columns, MATERIAL, fit.state, 1)
     exact = Spread(replace(fit, tangent=here), spread._settings, 1)
-    found = exact._by_model(here.compliance(rows_of(nodes))[0])
-    assert np.abs(found - spread._by_model(fit.tangent.compliance(rows_of(nodes))[0])).max() < 0.1 * np.abs(found).max()
+    found = exact._by_model(here.sensed(rows_of(nodes))[0])
+    assert np.abs(found - spread._by_model(fit.tangent.sensed(rows_of(nodes))[0])).max() < 0.1 * np.abs(found).max()
     step = 0.02
 
     def moved(sign):
@@ -110,7 +110,7 @@ def test_a_change_of_the_stiffness_is_the_slope_of_solves(spread):
     body, load, step = fit.columns.body, fit.columns.load(fit.state.coefficients), 0.02
     here, _ = tangent_at(fit.columns, MATERIAL, fit.state, 1)
     rows = rows_of(nodes)
-    found = fit.columns.responses(here.compliance(rows)[0], places_of(fit, nodes), beside=(rows, here.stiffness_forces))
+    found = fit.columns.responses(here.sensed(rows)[0], places_of(fit, nodes), beside=(rows, here.stiffness_forces))
     block = next(family.columns for family in fit.columns.families if family.name == "stiffness")
     for k, profile in enumerate(body.profiles):
         ends = [
@@ -127,13 +127,11 @@ def test_a_change_of_the_stiffness_is_the_slope_of_solves(spread):
 def test_the_model_is_part_of_the_covariance_and_markers_take_most_of_it_back(spread):
     fit = spread._fit
     alone = Spread(fit, replace(spread._settings, unseen_chance=0.0), 1)
-    at_data = alone._by_model(fit.tangent.compliance(fit.observations.rows)[0])
+    at_data = alone._by_model(fit.tangent.sensed(fit.observations.rows)[0])
     for nodes, most in ((push().nodes, 0.35), (free_nodes(10), 1.0)):
         rows = rows_of(nodes)
-        compliance = fit.tangent.compliance(rows)[0]
-        responses = fit.columns.responses(
-            compliance, places_of(fit, nodes), beside=(rows, fit.tangent.stiffness_forces)
-        )
+        sensed = fit.tangent.sensed(rows)[0]
+        responses = fit.columns.responses(sensed, places_of(fit, nodes), beside=(rows, fit.tangent.stiffness_forces))
         _, gain, means, contacts, *_ = fit.sampler.moments(list(fit.samples), np.ascontiguousarray(responses))
         off = means - (responses @ fit.state.coefficients).reshape(-1, 3)
         contacts = contacts + np.einsum("pa,pb->pab", off, off)
@@ -141,7 +139,7 @@ def test_the_model_is_part_of_the_covariance_and_markers_take_most_of_it_back(sp
         contacts[:, [0, 1, 2], [0, 1, 2]] += alone._rest[nodes, None]
         turn = fit.state.frame.rotation
         model = turn.T @ alone.points(rows, places_of(fit, nodes)).covariance @ turn - contacts
-        by_model = alone._by_model(compliance)
+        by_model = alone._by_model(sensed)
         # What the error does to a point, and what it does to the markers, through the gain.
         left = (by_model - responses @ gain @ at_data).reshape(len(nodes), 3, -1)
         wanted = np.einsum("pak,pbk->pab", left, left)
@@ -179,7 +177,7 @@ def test_room_for_an_unseen_contact_is_in_the_regions(spread):
     room = np.trace(whole.covariance - without.covariance, axis1=1, axis2=2)
     assert room == pytest.approx(spread._settings.unseen_chance * whole.unseen_std**2)
     # The textbook's covariance of a linear Gaussian model.
-    responses = fit.columns.responses(fit.tangent.compliance(rows)[0], places)
+    responses = fit.columns.responses(fit.tangent.sensed(rows)[0], places)
     prior = np.diag(unseen_variances(fit.columns.body.patches, spread._settings, fit.columns.n_columns))
     own = fit.observations.responses
     left = prior - prior @ own.T @ np.linalg.solve(
@@ -204,9 +202,7 @@ def test_one_more_contact_widens_regions_where_markers_tell_little(spread):
 def test_an_answer_that_is_not_the_mean_of_the_samples_has_wider_regions(spread):
     fit, nodes = spread._fit, free_nodes(12)
     rows, places = rows_of(nodes), places_of(spread._fit, nodes)
-    responses = fit.columns.responses(
-        fit.tangent.compliance(rows)[0], places, beside=(rows, fit.tangent.stiffness_forces)
-    )
+    responses = fit.columns.responses(fit.tangent.sensed(rows)[0], places, beside=(rows, fit.tangent.stiffness_forces))
     shift = np.zeros(fit.columns.n_columns)
     shift[3 * push().patch + 2] = 0.7
     away = replace(fit, state=replace(fit.state, coefficients=fit.state.coefficients + shift))

@@ -113,6 +113,13 @@ def test_rows_are_summed_of_those_of_the_same_nodes_unless_they_are_nearly_alike
     assert solved == 0
     wanted = Tangent(tangent.linearised).compliance(turned)[0]
     assert np.abs(found.forces - wanted.forces).max() < 1e-5 * np.abs(wanted.forces).max()
+    for name in (None, "first"):
+        image = tangent.sensed([*turned, *rows([203])])[0].image(name, lambda one: one.forces[:, :, 1])
+        wanted = np.concatenate([found.forces, tangent.compliance(rows([203]))[0].forces])[:, :, 1]
+        assert np.abs(image - wanted).max() < 1e-12 * np.abs(wanted).max()
+    # What is kept of a function grows with the rows.
+    more = tangent.sensed([*rows([102]), *turned])[0].image("first", lambda one: one.forces[:, :, 1])
+    assert np.array_equal(more[:3], tangent.compliance(rows([102]))[0].forces[:, :, 1])
     alike = [(np.array([153]), np.array([[1.0, 1e-4 * k, 1e-4 * k * k]])) for k in range(4)]
     assert tangent.compliance(alike[:3])[1] == 3
     assert tangent.compliance(alike[3:])[1] == 1

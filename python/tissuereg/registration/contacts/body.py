@@ -11,12 +11,29 @@ from tissuereg._base.arrays import FloatArray, IntArray
 from tissuereg._base.choices import Element
 from tissuereg.body.mesh import Mesh
 from tissuereg.registration.contacts.patches import Patches, make_patches
-from tissuereg.registration.contacts.settings import EFFORT
+from tissuereg.registration.contacts.places import smooth_fields
+from tissuereg.registration.contacts.settings import DISCRETISATION, EFFORT
 from tissuereg.registration.contacts.supports import Supports, springs_of
 from tissuereg.simulation.solve import Simulator
 
 _kept: "OrderedDict[tuple[str, str, str], ContactBody]" = OrderedDict()
 _lock = threading.Lock()
+
+
+@dataclass(frozen=True, eq=False)
+class HeldEdge:
+    """Where the sure supports of a body end.
+
+    `at`, `free` int64 (n_edges,): the held and the free node of every edge of a tet that leaves the supports; `rim`
+    int64 (n_rim,): those held nodes at which the free surface begins; `column` int64 (n_held,): place of each held node
+    in `rim`, n_rim for those off it; `smooth` (n_fields, n_rim): smooth fields over the rim.
+    """
+
+    at: IntArray
+    free: IntArray
+    rim: IntArray
+    column: IntArray
+    smooth: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,6 +81,22 @@ class ContactBody:
             return shares
         np.add.at(shares, self.mesh.tets, 0.25 * self.mesh.volumes[:, None])
         return shares
+
+    @cached_property
+    def held_edge(self) -> "HeldEdge | None":
+        """Where the sure supports end; None if no node is surely held, or no free surface meets them."""
+        mesh, held = self.mesh, self.supports.sure
+        is_held = np.zeros(mesh.n_nodes, dtype=bool)
+        is_held[held] = True
+        ends = mesh.edges[is_held[mesh.edges].sum(axis=1) == 1]
+        inner = is_held[ends[:, 0]]
+        at, free = np.where(inner, ends[:, 0], ends[:, 1]), np.where(inner, ends[:, 1], ends[:, 0])
+        rim = np.intersect1d(at, mesh.surface[~is_held[mesh.surface].all(axis=1)])
+        if not len(rim):
+            return None
+        column = np.full(mesh.n_nodes, len(rim))
+        column[rim] = np.arange(len(rim))
+        return HeldEdge(at, free, rim, column[held], smooth_fields(mesh.nodes[rim], DISCRETISATION.support_fields))
 
     @classmethod
     def of(cls, mesh: Mesh, supports: Supports, element: Element = "tet4") -> "ContactBody":

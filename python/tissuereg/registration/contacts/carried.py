@@ -10,10 +10,10 @@ from tissuereg.errors import ConvergenceError
 from tissuereg.registration.contacts.columns import Columns
 from tissuereg.registration.contacts.draws import Draws
 from tissuereg.registration.contacts.fit import Samples
+from tissuereg.registration.contacts.renewal import Renewal
 from tissuereg.registration.contacts.settings import DISCRETISATION
 from tissuereg.registration.contacts.state import BodyState
-from tissuereg.registration.contacts.tangent import Tangent
-from tissuereg.simulation.sensitivity import Cause
+from tissuereg.registration.contacts.tangent import Tangent, Uncertain
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,16 +26,18 @@ class Carried:
     n_families); whether each marker that is seen at the next moment is wrong, (n_samples, n_seen), 0 or 1; `tangent`:
     the linearised equilibrium near that state; `further`: further uncertain parameters of the model, each with its
     standard deviation in the parameter's unit; `residual`: root mean square residual that was left, in standard
-    deviations; `moments`: number of moments through which the samples have been carried on.
+    deviations; `moments`: number of moments through which the samples have been carried on; `renewal`: the tangent that
+    a moment after the next one will use, or None.
     """
 
     columns: Columns
     state: BodyState
     samples: Samples
     tangent: Tangent
-    further: list[tuple[Cause, float]]
+    further: list[tuple[Uncertain, float]]
     residual: float
     moments: int
+    renewal: Renewal | None
 
     @classmethod
     def of(cls, draw: Draws, before: BoolArray, now: BoolArray) -> "Carried":
@@ -51,7 +53,10 @@ class Carried:
         every[:, before] = wrong
         samples = (slots, levels, np.ascontiguousarray(every[:, now]))
         left = min(fit.residual_rms)
-        return cls(fit.columns, fit.state, samples, fit.tangent, list(draw.further), left, draw.moments)
+        tangent, renewal = fit.tangent, draw.renewal
+        if renewal is not None and draw.moments + 1 >= renewal.moment:
+            tangent, renewal = renewal.tangent() or tangent, None
+        return cls(fit.columns, fit.state, samples, tangent, list(draw.further), left, draw.moments, renewal)
 
     def columns_for(self, columns: Columns) -> Columns | None:
         """Return the next moment's causes with the spring stiffness that was found here.
@@ -84,6 +89,8 @@ def _differ(here: Columns, there: Columns, coefficients: FloatArray) -> float:
 
     It is the largest absolute difference of any component, over the largest component of `there`'s load.
     """
+    if all(part is None for columns in (here, there) for part in columns.believed.values()):
+        return 0.0
     loads = [columns.load(coefficients) for columns in (here, there)]
     parts = [
         np.concatenate([np.ravel(load.forces), np.ravel(load.body_force), np.ravel(load.prescribed)]) for load in loads

@@ -19,6 +19,7 @@ from tissuereg.body.load import Load
 from tissuereg.body.material import Material
 from tissuereg.registration.contacts.body import ContactBody
 from tissuereg.registration.contacts.patches import Patches
+from tissuereg.registration.contacts.sensed import Sensed
 from tissuereg.registration.contacts.settings import DISCRETISATION, ContactSettings
 from tissuereg.registration.contacts.unexplained import Rows, Unexplained
 from tissuereg.simulation.sensitivity import Cause, Compliance, ModulusField
@@ -178,41 +179,46 @@ class Columns:
 
     def responses(
         self,
-        compliance: Compliance,
+        sensed: Sensed,
         places: FloatArray,
         rigid: FloatArray | None = None,
         beside: tuple[Rows, FloatArray] | None = None,
     ) -> FloatArray:
         """Return the displacement of observations by a unit coefficient of every cause, (n_rows, n_columns), in mm.
 
-        `compliance`: derivatives of the observations by nodal forces; `places` (n_points, 3): deformed positions of the
+        `sensed`: sensitivities of the observations to nodal forces; `places` (n_points, 3): deformed positions of the
         observed points, mm, with one row of the result for each axis of each point; only rigid motions need them;
         `rigid` (n_rows, 6): displacement of the observations by unit rigid motions, mm, given instead of `places` where
         there are not three observations per point; `beside`: nodes (k,) and weights (k, 3) of the displacement in each
         observation, and forces (n, n_element_nodes, 3), mN, that changes of the stiffness leave unbalanced; without
         them causes beside the loads do nothing.
         """
-        n_nodes = self.body.mesh.n_nodes
-        out = np.zeros((len(compliance.forces), self.n_columns))
-        forces = compliance.forces[:, :n_nodes]
-        for axis in range(3):
-            along = np.ascontiguousarray(forces[:, :, axis].T)
-            out[:, axis : 3 * self.n_patches : 3] = (self.young[:, None] * (self.body.patches.shapes @ along)).T
-        out[:, self._offsets["weight"]] = compliance.body_force * self._body_force_unit
+        by_weight = sensed.image("weight", lambda one: one.body_force)
+        out = np.zeros((len(by_weight), self.n_columns))
+        own = sensed.image("patches", lambda one: self._by_patches(one, self.body.patches))
+        out[:, : 3 * self.n_patches] = own * np.repeat(self.young, 3)
+        out[:, self._offsets["weight"]] = by_weight * self._body_force_unit
         if "believed" in self._offsets:
-            out[:, self._offsets["believed"]] = self._believed_responses(compliance)
-        if self.body.base is not None:
-            block = self._offsets["supports"]
-            for axis in range(3):
-                along = np.ascontiguousarray(forces[:, :, axis].T)
-                out[:, block.start + axis : block.stop : 3] = (self.base_young * (self.body.base.shapes @ along)).T
+            out[:, self._offsets["believed"]] = sensed.image(None, self._believed_responses)
+        base = self.body.base
+        if base is not None:
+            theirs = sensed.image("supports", lambda one: self._by_patches(one, base))
+            out[:, self._offsets["supports"]] = self.base_young * theirs
         if "frame" in self._offsets:
             out[:, self._offsets["frame"]] = self.rigid_field(places).reshape(6, -1).T if rigid is None else rigid
         if beside is not None and "stiffness" in self._offsets:
-            out[:, self._offsets["stiffness"]] = np.einsum("onx,snx->os", compliance.forces, beside[1], optimize=True)
+            out[:, self._offsets["stiffness"]] = sensed.image(
+                "stiffness", lambda one: np.einsum("onx,snx->os", one.forces, beside[1], optimize=True)
+            )
         if beside is not None and self.unexplained is not None:
             out[:, self._offsets["unexplained"]] = self.unexplained.responses(beside[0])
         return out
+
+    def _by_patches(self, compliance: Compliance, patches: Patches) -> FloatArray:
+        """Return the derivatives (n_rows, 3 n_patches) of observations by amplitudes of tractions on patches."""
+        forces = compliance.forces[:, : self.body.mesh.n_nodes]
+        found = [(patches.shapes @ np.ascontiguousarray(forces[:, :, axis].T)).T for axis in range(3)]
+        return np.stack(found, axis=2).reshape(len(forces), 3 * patches.n_patches)
 
     def stiffness_causes(self, material: Material) -> list[Cause]:
         """Return the changes of Young's modulus by unit coefficients, in proportion to that of a material."""

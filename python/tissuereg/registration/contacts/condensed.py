@@ -19,9 +19,9 @@ from tissuereg._base.arrays import FloatArray, IntArray
 from tissuereg.registration.contacts.columns import Columns
 from tissuereg.registration.contacts.fit import Passes, start_of
 from tissuereg.registration.contacts.places import gathered
+from tissuereg.registration.contacts.sensed import Row
 from tissuereg.registration.contacts.settings import DISCRETISATION
 from tissuereg.registration.contacts.state import RigidMotion
-from tissuereg.registration.contacts.tangent import Row
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +112,8 @@ class Condensed:
         observations = passes.linear.observations(tangent, reading, start.coefficients, passes.observed)
         cells = Cells.of(body.mesh.nodes, [triangles for triangles, _ in body.springs])
         own, solved = tangent.compliance(observations.rows)
-        whole, more = tangent.compliance(cells.rows)
+        sensed, more = tangent.sensed(cells.rows)
+        whole = sensed.compliance
         passes.counters["right_hand_sides"] += solved + more
         n_nodes = body.mesh.n_nodes
         still = np.zeros((3 * len(cells.areas), 6))
@@ -120,7 +121,7 @@ class Condensed:
             np.einsum("onx,qn->oqx", one.forces[:, :n_nodes], cells.weights, optimize=True).reshape(len(one.forces), -1)
             for one in (own, whole)
         ]
-        by_causes = columns.responses(whole, np.empty((0, 3)), still)
+        by_causes = columns.responses(sensed, np.empty((0, 3)), still)
         unit = columns.base_young / body.mesh.extent
         return cls(
             columns,

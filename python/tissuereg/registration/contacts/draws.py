@@ -9,10 +9,11 @@ from tissuereg._base.arrays import FloatArray
 from tissuereg.body.material import Material
 from tissuereg.errors import ConvergenceError
 from tissuereg.registration.contacts.fit import ContactFit
+from tissuereg.registration.contacts.renewal import Renewal
 from tissuereg.registration.contacts.spread import Spread
 from tissuereg.registration.contacts.state import RigidMotion
+from tissuereg.registration.contacts.tangent import Uncertain
 from tissuereg.registration.deviations import Deviations
-from tissuereg.simulation.sensitivity import Cause
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,7 +24,8 @@ class Draws:
     uncertainty of the fit, which draws the coefficients of the causes; `material`: material of the body; `seed`: seed
     of the random numbers; `threads`: threads to use, 0 takes all cores; `further`: uncertain parameters of the model
     beside the moduli, each with its standard deviation in the parameter's unit; `moments`: number of moments of
-    measurement over which the samples were carried on, the last one included.
+    measurement over which the samples were carried on, the last one included; `renewal`: the tangent that a later
+    moment will use, or None.
     """
 
     fit: ContactFit
@@ -31,8 +33,9 @@ class Draws:
     material: Material
     seed: int
     threads: int
-    further: Sequence[tuple[Cause, float]] = ()
+    further: Sequence[tuple[Uncertain, float]] = ()
     moments: int = 1
+    renewal: Renewal | None = None
 
     def __call__(self, count: int) -> FloatArray:
         """Return `count` displacement fields (count, n_nodes, 3) from the posterior, in the tracker's frame, in mm.

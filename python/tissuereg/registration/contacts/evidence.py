@@ -55,7 +55,7 @@ class MarkerEvidence:
         if not len(held):
             return 0.0
         smooth = smooth_fields(body.mesh.nodes[held], DISCRETISATION.support_fields)
-        rates = self.fit.tangent.compliance(self.problem.rows)[0].prescribed
+        rates = self.fit.tangent.sensed(self.problem.rows)[0].image("prescribed", lambda one: one.prescribed)
         moved = np.einsum("rnx,fn->rfx", rates, smooth, optimize=True).reshape(len(rates), -1)
         given = [*self._parts, (moved @ moved.T, *self._parts[0][1:])]
         return self._best(self.problem.variances, given) - self._stated

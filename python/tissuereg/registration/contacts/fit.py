@@ -163,7 +163,8 @@ class Passes:
 
     def _ends_here(self, last: "_Pass", full: ObservedData) -> bool:
         """Return whether the linear problem at the start of a pass serves at its end."""
-        return last.ended_as_predicted(self.steps.as_predicted) and not full.rematches
+        margin = self.steps.as_predicted if self.before is None else self.steps.as_predicted_on
+        return last.ended_as_predicted(margin) and not full.rematches
 
     def _settled(self, made: "_Pass") -> "_Pass":
         """Return a pass with its end so near to equilibrium that it can be linearised, where it only came close."""

@@ -12,9 +12,10 @@ from tissuereg.body.material import Material
 from tissuereg.registration.contacts.columns import Columns, sampler
 from tissuereg.registration.contacts.measured import Observations, ObservedData
 from tissuereg.registration.contacts.observations import Basis, LinearObservations, moving_variances, plain, projected
+from tissuereg.registration.contacts.sensed import Row
 from tissuereg.registration.contacts.settings import MATCHING, ContactSettings
 from tissuereg.registration.contacts.state import BodyState
-from tissuereg.registration.contacts.tangent import Row, Tangent, tangent_at
+from tissuereg.registration.contacts.tangent import Tangent, tangent_at
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,9 +107,9 @@ class Linearisation:
         6): their displacement by unit rigid motions, mm.
         """
         with self.clock.stage("sensitivities"):
-            compliance, solved = tangent.compliance(rows, self._solved)
+            sensed, solved = tangent.sensed(rows, self._solved)
             self.counters["right_hand_sides"] += solved
-            return self.columns.responses(compliance, np.empty((0, 3)), rigid, (rows, tangent.stiffness_forces))
+            return self.columns.responses(sensed, np.empty((0, 3)), rigid, (rows, tangent.stiffness_forces))
 
     def _solved(self, done: int, in_all: int) -> None:
         self.clock.tell("stage", f"sensitivities {done} of {in_all}")

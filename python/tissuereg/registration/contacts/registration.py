@@ -20,6 +20,7 @@ from tissuereg.registration.contacts.draws import DeviationsOfContacts, Draws
 from tissuereg.registration.contacts.evidence import support_stiffness
 from tissuereg.registration.contacts.fit import ContactFit, Passes, start_of
 from tissuereg.registration.contacts.measured import MarkerData, ObservedData
+from tissuereg.registration.contacts.renewal import Renewal
 from tissuereg.registration.contacts.result import ContactRegistration
 from tissuereg.registration.contacts.settings import DISCRETISATION, ContactSettings
 from tissuereg.registration.contacts.size import announce
@@ -27,10 +28,11 @@ from tissuereg.registration.contacts.spread import Spread
 from tissuereg.registration.contacts.state import BodyState, RigidMotion
 from tissuereg.registration.contacts.supports import Supports
 from tissuereg.registration.contacts.surface_points import PointData, closest_frame
+from tissuereg.registration.contacts.tangent import Uncertain
 from tissuereg.registration.contacts.unexplained import Unexplained
 from tissuereg.registration.inputs import RegisterInput
 from tissuereg.registration.result import Registration
-from tissuereg.simulation.sensitivity import Cause, ModulusField, Parameter
+from tissuereg.simulation.sensitivity import ModulusField, Parameter
 from tissuereg.simulation.solve import LoadParts
 
 
@@ -70,14 +72,21 @@ def register_by_contacts(
         body = ContactBody.of(given.mesh, given.body.supports, given.body.fitting_element)
     points = None if given.surface is None else PointData.of(given.mesh, given.surface, settings.model_error)
     observed = ObservedData.of(MarkerData(given.observed, given.markers, settings.model_error), points)
-    announce(body, observed, given, clock)
+    if after is None:
+        announce(body, observed, given, clock)
     found, note = _ContactSearch(given, body, observed, settings, clock, _carried(after, given)).least_left(believed)
     if note:
         given = replace(given, suspicions=(*given.suspicions, note))
     with clock.stage("spread"):
         spread = Spread(found.fit, settings, given.threads, found.further)
         known = known_of(given, found.fit, spread)
-    draw = Draws(found.fit, spread, given.body.material, given.seed, given.threads, found.further, found.moments)
+    renewal = found.renewal
+    if renewal is None and found.moments > 1 and found.fit.counters["iterations"] >= settings.steps.renew_at:
+        use = found.moments + settings.steps.renewed_after
+        renewal = Renewal(found.fit, observed, given.targets.rows(), given.body.material, use)
+    draw = Draws(
+        found.fit, spread, given.body.material, given.seed, given.threads, found.further, found.moments, renewal
+    )
     fields = None
     if given.settings.ensemble:
         with clock.stage("ensemble"):
@@ -96,13 +105,14 @@ class _Found:
 
     `fit`: contacts and equilibrium; `start`: the body under the believed load alone; `further`: further uncertain
     parameters, each with its standard deviation in the parameter's unit; `moments`: number of moments through which the
-    samples have been carried on.
+    samples have been carried on; `renewal`: the tangent that a later moment will use, or None.
     """
 
     fit: ContactFit
     start: BodyState
-    further: list[tuple[Cause, float]]
+    further: list[tuple[Uncertain, float]]
     moments: int = 1
+    renewal: Renewal | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,7 +186,7 @@ class _ContactSearch:
             gone_on = self._gone_on(self.carried, passes, field, frame)
             if gone_on is not None:
                 return gone_on
-        further: list[tuple[Cause, float]] = []
+        further: list[tuple[Uncertain, float]] = []
         if body.base is not None and field is None:
             passes, further = _supported(passes, frame)
         further += _regions(given.body)
@@ -230,7 +240,7 @@ class _ContactSearch:
         if min(fit.residual_rms) > max(self.settings.fit_limit, self.settings.steps.much_more * carried.residual):
             # The contacts of the moment before lead nowhere: look everywhere.
             return None
-        return _Found(fit, start, carried.further, carried.moments + 1)
+        return _Found(fit, start, carried.further, carried.moments + 1, carried.renewal)
 
 
 def _carried(after: Registration | None, given: RegisterInput) -> Carried | None:
@@ -250,7 +260,7 @@ def _carried(after: Registration | None, given: RegisterInput) -> Carried | None
     return Carried.of(after.draw, np.asarray(observed), np.asarray(now))
 
 
-def _supported(passes: Passes, frame: RigidMotion) -> tuple[Passes, list[tuple[Cause, float]]]:
+def _supported(passes: Passes, frame: RigidMotion) -> tuple[Passes, list[tuple[Uncertain, float]]]:
     """Return the loop of the fit with the stiffness of doubtful supports of highest evidence, and its uncertainty.
 
     `passes`: loop of the fit; `frame`: initial rigid motion. Second result: normal and tangential stiffness of each set
@@ -259,16 +269,16 @@ def _supported(passes: Passes, frame: RigidMotion) -> tuple[Passes, list[tuple[C
     found = support_stiffness(passes, frame)
     columns = passes.columns.on_springs(found.best)
     springs = np.zeros((0, 2)) if columns.springs is None else columns.springs
-    causes: list[tuple[Cause, float]] = []
+    causes: list[tuple[Uncertain, float]] = []
     for index, (stiffness, log_std) in enumerate(zip(springs, found.log_std, strict=True)):
         names = ("springs.normal_kpa_per_mm", "springs.tangential_kpa_per_mm")
         causes += [(Parameter(name, index), log_std * float(k)) for name, k in zip(names, stiffness, strict=True)]
     return replace(passes, columns=columns), causes
 
 
-def _regions(body: Body) -> list[tuple[Cause, float]]:
+def _regions(body: Body) -> list[tuple[Uncertain, float]]:
     """Return the moduli of regions of the body that are uncertain, as causes, each with its standard deviation, kPa."""
-    causes: list[tuple[Cause, float]] = []
+    causes: list[tuple[Uncertain, float]] = []
     for region in body.regions.values():
         if region.std > 0.0:
             rates = np.zeros(body.mesh.n_tets)

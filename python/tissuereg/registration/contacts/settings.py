@@ -65,6 +65,12 @@ class PassSettings(_Numbers):
     as_predicted : float
         A step ended as predicted, so that no linearisation at its end is needed, if its root mean square residual
         exceeds the predicted one by no more than this, in standard deviations.
+    as_predicted_on : float
+        The same for a moment that goes on from the one before: the tangent is then renewed beside the next moments.
+    renew_at : int
+        A tangent is renewed if a moment took this many iterations of the solver.
+    renewed_after : int
+        Number of moments after which a tangent that is being renewed is used.
     settled : float
         Matches of points have settled if a pass reduces the residual by less than this share.
     least_rough : int
@@ -96,6 +102,9 @@ class PassSettings(_Numbers):
     decrease_unmatched: float = 0.01
     shortest_unmatched: float = 0.2
     as_predicted: float = 0.2
+    as_predicted_on: float = 1.0
+    renew_at: int = 6
+    renewed_after: int = 2
     settled: float = 0.05
     least_rough: int = 4
     marker_passes: int = 2
@@ -298,7 +307,7 @@ class ContactSettings(_Numbers):
     powers: tuple[float, ...] = (0.03, 0.1, 0.3, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
     powers_again: tuple[float, ...] = (0.5, 1.0, 1.0, 1.0, 1.0, 1.0)
     n_chains_on: int = 8
-    powers_on: tuple[float, ...] = (0.5, 1.0, 1.0, 1.0, 1.0)
+    powers_on: tuple[float, ...] = (1.0, 1.0, 1.0, 1.0)
     n_kept: int = 4
     sharpness: float = 0.5
     n_local: int = 4

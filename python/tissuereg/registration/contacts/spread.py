@@ -19,10 +19,11 @@ from tissuereg.body.load import Load
 from tissuereg.registration.contacts.fit import ContactFit
 from tissuereg.registration.contacts.patches import Patches
 from tissuereg.registration.contacts.places import smooth_fields
+from tissuereg.registration.contacts.sensed import Row, Sensed
 from tissuereg.registration.contacts.settings import DISCRETISATION, EFFORT, ContactSettings
-from tissuereg.registration.contacts.tangent import Row
+from tissuereg.registration.contacts.tangent import Uncertain
 from tissuereg.registration.deviations import Deviations
-from tissuereg.simulation.sensitivity import Cause, Compliance, ModulusField
+from tissuereg.simulation.sensitivity import ModulusField
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -55,22 +56,27 @@ class Spread:
         fit: ContactFit,
         settings: ContactSettings,
         threads: int,
-        further: Sequence[tuple[Cause, float]] = (),
+        further: Sequence[tuple[Uncertain, float]] = (),
     ) -> None:
         self._fit, self._settings, self._threads = fit, settings, threads
         poisson = ModulusField("poisson", np.full(fit.columns.body.mesh.n_tets, settings.poisson_std))
-        scales = np.array([1.0] + [scale for _, scale in further])
-        causes = [poisson, *(cause for cause, _ in further)]
-        self._model_forces = _forces_of_errors(fit, (causes, scales), _support_errors(fit, settings))
+        self._errors = [(poisson, 1.0), *further]
+        self._of_supports = _support_errors(fit, settings)
         self._edges = edge_errors(fit)
-        self._model_at_data = self._by_model(self._compliance(fit.observations.rows))
+        self._model_at_data = self._by_model(self._sensed(fit.observations.rows))
         self._suggested: FloatArray | None = None
         self._known: dict[int, Deviations] = {}
         self._unseen_known: dict[int, FloatArray] = {}
         self._unseen_variances = unseen_variances(fit.columns.body.patches, settings, fit.columns.n_columns)
 
-    def _compliance(self, rows: Sequence[Row]) -> Compliance:
-        found, solved = self._fit.tangent.compliance(rows)
+    @cached_property
+    def _model_forces(self) -> FloatArray:
+        """Unbalanced nodal forces (n_errors, n_element_nodes, 3), mN, by one standard deviation of each model error."""
+        of_causes = [-scale * self._fit.tangent.unbalanced(cause) for cause, scale in self._errors]
+        return np.concatenate([of_causes, self._of_supports])
+
+    def _sensed(self, rows: Sequence[Row]) -> Sensed:
+        found, solved = self._fit.tangent.sensed(rows)
         self._fit.counters["right_hand_sides"] += solved
         return found
 
@@ -88,15 +94,17 @@ class Spread:
         self._suggested = np.asarray(gain @ self._model_at_data)
         return means, covariance, self._suggested
 
-    def _by_model(self, compliance: Compliance) -> FloatArray:
+    def _by_model(self, sensed: Sensed) -> FloatArray:
         """Return the displacement of observations by one standard deviation of each model error, (n_rows, n_errors).
 
-        The unit is mm. `compliance`: derivatives of the observations by nodal forces.
+        The unit is mm. `sensed`: sensitivities of the observations to nodal forces.
         """
-        parts = [(compliance.forces, self._model_forces), (compliance.prescribed, self._edges)]
-        return np.concatenate(
-            [np.einsum("rnx,enx->re", rates, errors, optimize=True) for rates, errors in parts], axis=1
-        )
+        parts = [-scale * self._fit.tangent.by_cause(sensed, cause)[:, None] for cause, scale in self._errors]
+        if len(self._of_supports):
+            parts.append(sensed.image(None, lambda one: _products(one.forces, self._of_supports)))
+        if len(self._edges):
+            parts.append(_products(sensed.image("prescribed", lambda one: one.prescribed), self._edges))
+        return np.concatenate(parts, axis=1)
 
     def points(self, rows: Sequence[Row], places: FloatArray, seed: int = 0) -> Points:
         """Return the uncertainty of points: covariances, mm^2, and how much the markers constrain them.
@@ -108,13 +116,13 @@ class Spread:
         fit = self._fit
         if len(places) > self._settings.most_exact:
             return self._points_by_draws(rows, seed)
-        compliance = self._compliance(rows)
-        responses = fit.columns.responses(compliance, places, beside=(list(rows), fit.tangent.stiffness_forces))
+        sensed = self._sensed(rows)
+        responses = fit.columns.responses(sensed, places, beside=(list(rows), fit.tangent.stiffness_forces))
         means, covariance, suggested = self._moments(responses)
         # Second moment about the answer, which is not quite the mean of the last linearisation.
         off = means - (responses @ fit.state.coefficients).reshape(-1, 3)
         covariance = covariance + np.einsum("pa,pb->pab", off, off)
-        remaining = self._by_model(compliance) - responses @ suggested
+        remaining = self._by_model(sensed) - responses @ suggested
         remaining = remaining.reshape(len(places), 3, remaining.shape[1])
         covariance = covariance + np.einsum("pak,pbk->pab", remaining, remaining)
         return self._with_unseen(covariance, rows, *self._unseen(responses))
@@ -310,21 +318,10 @@ def _in_parts(count: int) -> Iterator[slice]:
         yield slice(first, min(first + EFFORT.fields_at_once, count))
 
 
-def _forces_of_errors(
-    fit: ContactFit, errors: tuple[Sequence[Cause], FloatArray], of_supports: FloatArray
-) -> FloatArray:
-    """Return unbalanced nodal forces (n_errors, n_element_nodes, 3), mN, by one standard deviation of each model error.
-
-    `fit`: the fit; `errors`: causes and their standard deviations; `of_supports` (n_fields, n_element_nodes, 3): forces
-    by errors of the supports' stiffness, mN, which are appended.
-    """
-    causes, scales = errors
-    forces = np.empty((len(causes) + len(of_supports), *of_supports.shape[1:]))
-    for some in _in_parts(len(causes)):
-        forces[some] = fit.tangent.linearised.unbalanced(causes[some])
-        forces[some] *= -scales[some, None, None]
-    forces[len(causes) :] = of_supports
-    return forces
+def _products(rates: FloatArray, errors: FloatArray) -> FloatArray:
+    """Return the sums (n_rows, n_errors) over nodes and axes of rates (n_rows, n, 3) times errors (n_errors, n, 3)."""
+    size = rates.shape[1] * rates.shape[2]
+    return np.asarray(rates.reshape(-1, size) @ errors.reshape(-1, size).T)
 
 
 def unseen_variances(patches: Patches, settings: ContactSettings, n_columns: int) -> FloatArray:
@@ -386,29 +383,22 @@ def edge_errors(fit: ContactFit) -> FloatArray:
     Each is one standard deviation along a smooth field and a principal axis: where the edge lies about an element
     elsewhere, the nodes at it move as their free neighbours do. There are none if no node is surely held.
     """
-    mesh, held = fit.columns.body.mesh, fit.columns.body.supports.sure
-    none = np.zeros((0, len(held), 3))
-    if not len(held):
+    body = fit.columns.body
+    n_nodes, edge = body.mesh.n_nodes, body.held_edge
+    none = np.zeros((0, len(body.supports.sure), 3))
+    if edge is None:
         return none
-    is_held = np.zeros(mesh.n_nodes, dtype=bool)
-    is_held[held] = True
-    ends = mesh.edges[is_held[mesh.edges].sum(axis=1) == 1]
-    inner = is_held[ends[:, 0]]
-    at, free = np.where(inner, ends[:, 0], ends[:, 1]), np.where(inner, ends[:, 1], ends[:, 0])
-    rim = np.intersect1d(at, mesh.surface[~is_held[mesh.surface].all(axis=1)])
-    moved = fit.state.displacement[free]
-    if not len(rim) or not moved.any():
+    moved = fit.state.displacement[edge.free]
+    if not moved.any():
         return none
-    square = np.zeros((mesh.n_nodes, 3, 3))
-    np.add.at(square, at, moved[:, :, None] * moved[:, None])
-    values, ways = np.linalg.eigh(square[rim] / np.bincount(at, minlength=mesh.n_nodes)[rim, None, None])
+    square = np.zeros((n_nodes, 3, 3))
+    np.add.at(square, edge.at, moved[:, :, None] * moved[:, None])
+    count = np.bincount(edge.at, minlength=n_nodes)[edge.rim, None, None]
+    values, ways = np.linalg.eigh(square[edge.rim] / count)
     ways *= np.sqrt(np.maximum(values, 0.0))[:, None]
-    smooth = smooth_fields(mesh.nodes[rim], DISCRETISATION.support_fields)
-    fields = np.zeros((3 * len(smooth), len(rim) + 1, 3))  # the last column is of all nodes off the rim
-    fields[:, :-1] = np.einsum("fn,nxk->fknx", smooth, ways).reshape(-1, len(rim), 3)
-    column = np.full(mesh.n_nodes, len(rim))
-    column[rim] = np.arange(len(rim))
-    return np.asarray(fields[:, column[held]])
+    fields = np.zeros((3 * len(edge.smooth), len(edge.rim) + 1, 3))  # the last column is of all nodes off the rim
+    fields[:, :-1] = np.einsum("fn,nxk->fknx", edge.smooth, ways).reshape(-1, len(edge.rim), 3)
+    return np.asarray(fields[:, edge.column])
 
 
 __all__ = ["Points", "Spread", "linear_fields", "unseen_variances"]

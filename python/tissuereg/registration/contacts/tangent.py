@@ -2,21 +2,23 @@
 
 import sys
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from copy import copy
 from functools import cached_property
 
 import numpy as np
 
-from tissuereg._base.arrays import FloatArray, IntArray
+from tissuereg._base.arrays import FloatArray
 from tissuereg._base.machine import n_cores
 from tissuereg.body.material import Material
 from tissuereg.registration.contacts.columns import Columns
+from tissuereg.registration.contacts.sensed import Kept, Row, Sensed, apart, matrix, together
 from tissuereg.registration.contacts.settings import EFFORT
 from tissuereg.registration.contacts.state import BodyState
-from tissuereg.simulation.sensitivity import Cause, Compliance, Linearised, Observation
+from tissuereg.simulation.sensitivity import Cause, Compliance, Linearised, ModulusField, Observation, Parameter
 
-Row = tuple[IntArray, FloatArray]
+#: Uncertain parameters of the material or of springs.
+Uncertain = Parameter | ModulusField
 
 
 class Tangent:
@@ -42,8 +44,8 @@ class Tangent:
             EFFORT.block * (threads or n_cores()) if body.n_unknowns >= EFFORT.many_unknowns else sys.maxsize
         )
         self._known: dict[bytes, Compliance] = {}
-        self._own: set[bytes] = set()
-        self._of_nodes: dict[bytes, tuple[FloatArray, Compliance]] = {}
+        self._kept = Kept()
+        self._unbalanced: dict[Hashable, FloatArray] = {}
         self._lock = threading.Lock()
         self._first: Tangent | None = None
 
@@ -53,7 +55,7 @@ class Tangent:
         A sum has not the bits of a row that is solved, and an answer must not depend on what was registered before.
         """
         made = copy(self)
-        made._first, made._own, made._of_nodes = self, set(), {}
+        made._first, made._kept = self, Kept()
         return made
 
     @cached_property
@@ -71,32 +73,56 @@ class Tangent:
         forces = self.stiffness_forces
         return self.linearised.responses(forces) if forces.any() else np.zeros_like(forces)
 
+    def unbalanced(self, cause: Uncertain) -> FloatArray:
+        """Return the forces (n_element_nodes, 3), mN, that a unit of a cause leaves unbalanced; they are kept."""
+        key = _key(cause)
+        if key not in self._unbalanced:
+            self._unbalanced[key] = self.linearised.unbalanced([cause])[0]
+        return self._unbalanced[key]
+
+    def by_cause(self, sensed: Sensed, cause: Uncertain) -> FloatArray:
+        """Return minus the derivative of observations by a cause, (n_rows,), in mm per unit of the cause."""
+        forces = self.unbalanced(cause).ravel()
+        return sensed.image(_key(cause), lambda one: one.forces.reshape(-1, len(forces)) @ forces)
+
     def compliance(
         self, rows: Sequence[Row], progress: Callable[[int, int], None] | None = None
     ) -> tuple[Compliance, int]:
+        """Return the sensitivities of observations as of `sensed`, one row each, mm per mN, and the number solved."""
+        sensed, solved = self.sensed(rows, progress)
+        return sensed.compliance, solved
+
+    def sensed(self, rows: Sequence[Row], progress: Callable[[int, int], None] | None = None) -> tuple[Sensed, int]:
         """Return the sensitivities of observations to nodal forces, and the number of right-hand sides solved for them.
 
         `rows`: nodes (k,) and weights (k, 3) of each observation; `progress`: called with right-hand sides solved and
-        to solve, on large bodies. Result: one row per observation, mm per mN. Rows that are known, or sums of known
-        ones of the same nodes (a place seen along other axes), are not solved again.
+        to solve, on large bodies. Rows that are known, or sums of known ones of the same nodes, are not solved again.
         """
         keys = [nodes.tobytes() + b"|" + weights.tobytes() for nodes, weights in rows]
-        with self._lock:
-            every = dict(zip(keys, rows, strict=True))
-            found = self._combined({key: row for key, row in every.items() if key not in self._own})
-            known = {key: self._known[key] for key in every if key in self._known and key not in found}
-            self._use(known, every)
-        found |= known
-        missing = {key: row for key, row in every.items() if key not in found}
-        if missing or not rows:
-            solved = self._solved(list(missing.values()), progress)
-            new = dict(zip(missing, _apart(solved), strict=True))
-            self._remember(new, missing)
+        kept = self._kept
+        with kept.lock:
+            shares = kept.shares(dict(zip(keys, rows, strict=True)))
+            left = {key: row for key, row in zip(keys, rows, strict=True) if key not in shares}
+            with self._lock:
+                known = {key: self._known[key] for key in left if key in self._known}
+            missing = {key: row for key, row in left.items() if key not in known}
+            every = list(known.values())
+            if missing or not rows:
+                solved = self._solved(list(missing.values()), progress)
+                every.append(solved)
+                self._remember(missing, solved)
+            if len(kept) + len(left) <= EFFORT.remembered and rows:
+                if left:
+                    kept.add({key: left[key] for key in [*known, *missing]}, together(every))
+                    shares |= kept.shares(left)
+                return Sensed(None, kept, matrix(keys, shares, len(kept))), len(missing)
             if len(missing) == len(rows):
-                return solved, len(missing)
-            found |= new
-        parts = [found[key] for key in keys]
-        return _together(parts), len(missing)
+                return Sensed(solved), len(missing)
+            some = [key for key in dict.fromkeys(keys) if key in shares]
+            if some:
+                every.append(Sensed(None, kept, matrix(some, shares, len(kept))).compliance)
+        parts = dict(zip([*known, *missing, *some], apart(together(every)), strict=True))
+        return Sensed(together([parts[key] for key in keys])), len(missing)
 
     def _solved(self, rows: list[Row], progress: Callable[[int, int], None] | None) -> Compliance:
         """Return the sensitivities of observations to nodal forces, one row each, computed anew, in mm per mN.
@@ -110,70 +136,16 @@ class Tangent:
                 progress(first, len(rows))
             some = rows[first : first + self._at_once]
             parts.append(self.linearised.compliance([Observation(*row) for row in some]))
-        return parts[0] if len(parts) == 1 else _together(parts)
+        return together(parts)
 
-    def _remember(self, new: dict[bytes, Compliance], rows: dict[bytes, Row]) -> None:
+    def _remember(self, rows: dict[bytes, Row], solved: Compliance) -> None:
         with self._lock:
-            if len(self._known) + len(new) <= EFFORT.remembered:
-                self._known |= new
-                self._use(new, rows)
-
-    def _use(self, given: dict[bytes, Compliance], rows: dict[bytes, Row]) -> None:
-        """Let rows be summed from now on."""
-        new = {key: rows[key] for key in given if key not in self._own}
-        if len(self._own) + len(new) > EFFORT.remembered:
-            return
-        self._own |= new.keys()
-        for name, keys in _by_nodes(new).items():
-            weights, parts = np.stack([new[key][1] for key in keys]), [given[key] for key in keys]
-            if name in self._of_nodes:
-                weights = np.concatenate([self._of_nodes[name][0], weights])
-                parts = [self._of_nodes[name][1], *parts]
-            self._of_nodes[name] = weights, _together(parts)
-
-    def _combined(self, rows: dict[bytes, Row]) -> dict[bytes, Compliance]:
-        """Return the sensitivities of those of some observations that are sums of known ones of their nodes."""
-        found: dict[bytes, Compliance] = {}
-        for name, keys in _by_nodes(rows).items():
-            if name not in self._of_nodes:
-                continue
-            known, sensitivities = self._of_nodes[name]
-            every = known.reshape(len(known), -1)
-            wanted = np.stack([rows[key][1].ravel() for key in keys])
-            shares = np.linalg.lstsq(every.T, wanted.T)[0].T
-            off = np.abs(shares @ every - wanted).max(axis=1)
-            # Shares are small unless the known rows are nearly alike: then their errors would be multiplied.
-            sums = (off <= 1e-12 * np.abs(wanted).max(axis=1)) & (np.abs(shares).max(axis=1) <= 2.0)
-            exact = np.flatnonzero(sums)
-            if len(exact):
-                parts = (sensitivities.forces, sensitivities.body_force, sensitivities.prescribed)
-                made = _apart(Compliance(*(np.tensordot(shares[exact], part, 1) for part in parts)))
-                found |= {keys[i]: one for i, one in zip(exact, made, strict=True)}
-        return found
+            if len(self._known) + len(rows) <= EFFORT.remembered:
+                self._known |= dict(zip(rows, apart(solved), strict=True))
 
 
-def _by_nodes(rows: dict[bytes, Row]) -> dict[bytes, list[bytes]]:
-    """Return the keys of observations by their nodes."""
-    found: dict[bytes, list[bytes]] = {}
-    for key, (nodes, _) in rows.items():
-        found.setdefault(nodes.tobytes(), []).append(key)
-    return found
-
-
-def _apart(whole: Compliance) -> list[Compliance]:
-    """Return the sensitivities of many observations to nodal forces as a list with one entry for each observation."""
-    return [
-        Compliance(whole.forces[i : i + 1], whole.body_force[i : i + 1], whole.prescribed[i : i + 1])
-        for i in range(len(whole.forces))
-    ]
-
-
-def _together(parts: list[Compliance]) -> Compliance:
-    return Compliance(
-        np.concatenate([part.forces for part in parts]),
-        np.concatenate([part.body_force for part in parts]),
-        np.concatenate([part.prescribed for part in parts]),
-    )
+def _key(cause: Uncertain) -> Hashable:
+    return (cause.name, np.asarray(cause.rates).tobytes()) if isinstance(cause, ModulusField) else cause
 
 
 #: The last tangent at rest, with its key.

@@ -1,0 +1,60 @@
+"""A tangent that is made beside the moments of measurement, in a thread, and used from a later one on."""
+
+import threading
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from tissuereg.body.material import Material
+from tissuereg.errors import TissueRegError
+from tissuereg.registration.contacts.fit import ContactFit
+from tissuereg.registration.contacts.measured import ObservedData
+from tissuereg.registration.contacts.sensed import Row
+from tissuereg.registration.contacts.settings import DISCRETISATION
+from tissuereg.registration.contacts.tangent import Tangent, tangent_at
+
+
+class Renewal:
+    """The tangent at the end of one moment, with the sensitivities that the moments after it will ask for.
+
+    It is used from a stated moment on, not as soon as it is there: answers do not depend on the machine's speed.
+
+    `fit`: contacts and equilibrium of the moment; `observed`: its data; `targets`: nodes (k,) and weights (k, 3) of the
+    targets' displacements; `material`: material of the body; `moment`: number of the first moment that uses it.
+    """
+
+    def __init__(
+        self, fit: ContactFit, observed: ObservedData, targets: Sequence[Row], material: Material, moment: int
+    ) -> None:
+        self.moment = moment
+        self._found: Tangent | None = None
+        self._thread = threading.Thread(target=self._make, args=(fit, observed, list(targets), material))
+        self._thread.start()
+
+    def tangent(self) -> Tangent | None:
+        """Return the tangent, once it is made; None if there is none, as at a limit point of the load."""
+        self._thread.join()
+        return self._found
+
+    def _make(self, fit: ContactFit, observed: ObservedData, targets: list[Row], material: Material) -> None:
+        columns, state = fit.columns, fit.state
+        try:
+            # Moments that follow each other meet equilibrium only nearly.
+            settled = fit.tangent.linearised.solve_near(
+                columns.load(state.coefficients), springs=columns.springs, tolerance=DISCRETISATION.tolerance
+            )
+            state = replace(state, displacement=settled.all_displacement)
+            made, _ = tangent_at(columns, material, state, 1)
+            rows = [*observed.read(state, made.moved).rows, *targets]
+            sensed, _ = made.sensed(rows)
+            rigid = np.zeros((len(rows), 6))
+            columns.responses(sensed, np.empty((0, 3)), rigid, (rows, made.stiffness_forces))
+            if made.stiffness_forces.any():
+                made.by_stiffness  # noqa: B018 - computed once, kept
+            self._found = made
+        except TissueRegError:
+            return
+
+
+__all__ = ["Renewal"]
