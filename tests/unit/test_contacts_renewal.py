@@ -66,6 +66,10 @@ def test_a_renewed_tangent_is_used_from_the_stated_moment_on_whatever_the_machin
     assert tangents[3] is first.tangent()
     assert tangents[3] is not tangents[0]
     assert draws[3].renewal.moment == 6
+    # Of a body with more unknowns it is used later.
+    n_unknowns = draws[0].fit.columns.body.simulator.body.n_unknowns
+    for unknowns, wanted in ((n_unknowns, 3), (n_unknowns - 1, 4)):
+        assert chain(renew_at=1, renewed_after=1, renewed_unknowns=unknowns)[1].draw.renewal.moment == wanted
     for one, two in zip(results, chain(renew_at=1, renewed_after=2), strict=True):
         assert np.array_equal(one.displacement, two.displacement)
         assert np.array_equal(one.target("deep").covariance, two.target("deep").covariance)

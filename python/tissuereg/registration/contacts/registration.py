@@ -1,5 +1,6 @@
 """Registration with an unknown load: the contacts that explain the markers, and the equilibrium under them."""
 
+import math
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
@@ -82,7 +83,8 @@ def register_by_contacts(
         known = known_of(given, found.fit, spread)
     renewal = found.renewal
     if renewal is None and found.moments > 1 and found.fit.counters["iterations"] >= settings.steps.renew_at:
-        use = found.moments + settings.steps.renewed_after
+        sizes = math.ceil(body.simulator.body.n_unknowns / max(settings.steps.renewed_unknowns, 1))
+        use = found.moments + sizes * settings.steps.renewed_after
         renewal = Renewal(found.fit, observed, given.targets.rows(), given.body.material, use)
     draw = Draws(
         found.fit, spread, given.body.material, given.seed, given.threads, found.further, found.moments, renewal

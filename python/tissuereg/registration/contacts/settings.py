@@ -69,8 +69,9 @@ class PassSettings(_Numbers):
         The same for a moment that goes on from the one before: the tangent is then renewed beside the next moments.
     renew_at : int
         A tangent is renewed if a moment took this many iterations of the solver.
-    renewed_after : int
-        Number of moments after which a tangent that is being renewed is used.
+    renewed_after, renewed_unknowns : int
+        Number of moments after which a tangent that is being renewed is used, for a body of so many unknowns at most;
+        twice as many for up to twice the unknowns, and so on: a factorisation then takes more moments.
     settled : float
         Matches of points have settled if a pass reduces the residual by less than this share.
     least_rough : int
@@ -105,6 +106,7 @@ class PassSettings(_Numbers):
     as_predicted_on: float = 1.0
     renew_at: int = 6
     renewed_after: int = 2
+    renewed_unknowns: int = 20_000
     settled: float = 0.05
     least_rough: int = 4
     marker_passes: int = 2
