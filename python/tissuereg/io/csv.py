@@ -23,7 +23,7 @@ def split_rows(lines: Iterable[str]) -> Iterator[tuple[int, list[str]]]:
     """Yield line number and cells of each row that is not empty; the first is the header.
 
     `lines`: lines with their ends. Cells are parted by commas, tabs or semicolons, of which the header has most, and
-    stripped of white space. Where it is semicolons, numbers may have decimal commas, which become points. Raises
+    stripped of white space. Where it is not commas, numbers may have decimal commas, which become points. Raises
     `csv.Error` at a row that is no such text.
 
     >>> list(split_rows(["name;x_mm", "a;1,5"]))
@@ -40,7 +40,7 @@ def split_rows(lines: Iterable[str]) -> Iterator[tuple[int, list[str]]]:
     reader = csv.reader(itertools.chain(begin, left), delimiter=delimiter, skipinitialspace=True, strict=True)
     for row in reader:
         cells = [cell.strip() for cell in row]
-        if delimiter == ";":
+        if delimiter != ",":
             cells = [cell.replace(",", ".") if _DECIMAL_COMMA.fullmatch(cell) else cell for cell in cells]
         if any(cells):
             yield reader.line_num, cells
