@@ -164,6 +164,12 @@ def test_two_lists_with_other_labels_are_joined_by_order_or_by_number(tmp_path):
     assert tr.read_markers(sit, measured=back, match="order").measured.tolist() == expected[::-1]
 
 
+def test_an_accent_may_be_a_character_of_its_own(tmp_path):
+    places = {"\u00c9-1": (1.0, 2.0, 3.0)}
+    sit, seen = write(tmp_path, s__csv=table_text(places), m__csv=table_text({"E\u0301-1": (1.0, 2.0, 4.0)}))
+    assert tr.read_markers(sit, measured=seen).displacement.tolist() == [[0.0, 0.0, 1.0]]
+
+
 def test_labels_that_differ_name_the_option(tmp_path):
     sit, seen = write(tmp_path, s__fcsv=fcsv_text(SIT), m__fcsv=fcsv_text(SEEN))
     with pytest.raises(FormatError, match=r"joined by --match order or --match number \(match= in Python\)") as caught:

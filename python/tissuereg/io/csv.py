@@ -6,6 +6,7 @@ import itertools
 import math
 import os
 import re
+import unicodedata
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -64,11 +65,11 @@ class Row:
         return f"{self.file}:{self.line}"
 
     def text(self, column: str) -> str:
-        """Return the text in this column, without white space around it; raise `FormatError` if the cell is empty."""
+        """Return the text in this column, in Unicode's form NFC; raise `FormatError` if the cell is empty."""
         if not self.cells[column]:
             message = f"column '{column}' must not be empty, at {self.file} line {self.line}"
             raise FormatError(message, where=self.where)
-        return self.cells[column]
+        return unicodedata.normalize("NFC", self.cells[column])
 
     def number(self, column: str, *, may_miss: bool = False) -> float:
         """Return the number in this column; it must be finite.
