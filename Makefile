@@ -48,6 +48,7 @@ $(VENV)/.installed: $(BIN)/python $(RUST_SOURCES) $(PACKAGE_FILES) pyproject.tom
 	@echo "1 of 2: building the wheel, the first time about 3 minutes on two cores"
 	rm -rf target/wheels
 	$(BIN)/maturin build --release --interpreter $(BIN)/python --out target/wheels
+	$(BIN)/python tools/pack_wheel.py target/wheels/tissuereg-*.whl
 	@echo "2 of 2: installing it and the packages that it needs, a minute or less"
 	$(BIN)/python -m pip install --quiet --force-reinstall --no-deps target/wheels/tissuereg-*.whl
 	$(BIN)/python -m pip install --quiet target/wheels/tissuereg-*.whl

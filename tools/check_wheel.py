@@ -28,7 +28,7 @@ from pathlib import Path
 from packages import CheckError, as_new, exit_code
 
 ROOT = Path(__file__).resolve().parents[1]
-LARGEST_WHEEL, LARGEST_SDIST = 12_500_000, 28_000_000  # bytes, compressed
+LARGEST_WHEEL, LARGEST_SDIST = 12_000_000, 28_000_000  # bytes, compressed
 MODULE = "tissuereg/_core.abi3.so"
 NEEDED = {
     MODULE,

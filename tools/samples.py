@@ -59,11 +59,18 @@ def organ() -> trimesh.Trimesh:
     return trimesh.Trimesh(np.column_stack([long, wide + notch, low]), body.faces, process=False)
 
 
+def write_stl(path: Path, surface: "trimesh.Trimesh") -> None:
+    """Write a surface as binary STL, all normals 0: readers find them from the corners, and the wheel is smaller."""
+    facets = np.zeros(len(surface.faces), [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("rest", "<u2")])
+    facets["corners"] = surface.triangles
+    path.write_bytes(bytes(80) + np.array(len(facets), "<u4").tobytes() + facets.tobytes())
+
+
 def make_surface(folder: Path) -> None:
     """Write the surface, its markers before and after a push, targets, and the targets' true places."""
     folder.mkdir(parents=True)
     surface = organ()
-    surface.export(folder / "organ.stl")
+    write_stl(folder / "organ.stl", surface)
     mesh = tr.tetrahedralize(folder / "organ.stl", 5.0, fixed=HELD)
     pad = mesh.surface_nodes_within(np.array(PUSH_AT_MM), PUSH_RADIUS_MM)
     inside = np.linalg.norm(mesh.nodes[mesh.tets].mean(axis=1) - LESION_MM, axis=1) < LESION_RADIUS_MM

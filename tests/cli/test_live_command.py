@@ -123,6 +123,8 @@ def test_bad_words_exit_with_two(inputs, capsys):
 
 def test_a_port_alone_is_one_of_this_machine():
     assert live._listened("18944") == ("127.0.0.1", 18944)
+    assert live._listened("[::1]:18944") == ("::1", 18944)
+    assert live._address("[fe80::1%lo]:18944") == ("fe80::1%lo", 18944)
 
 
 def test_ctrl_c_ends_it_and_keeps_the_recording(inputs, capsys, monkeypatch):

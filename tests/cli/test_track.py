@@ -266,6 +266,11 @@ def test_columns_offsets_and_the_noise_of_a_tracker_are_taken(inputs, capsys):
     _, quiet, _ = track(capsys, inputs, *with_model(inputs), "--rate", "50", *words, "--std", "0.1", out="quiet")
     wide, narrow = (np.prod(one["frames"][0]["targets"]["lesion"]["region90_radii_mm"]) for one in (said, quiet))
     assert wide > 1.2 * narrow
+    # What the reference states counts, also where it is the noise by default.
+    rows = (inputs / "reference.csv").read_text().splitlines()
+    (inputs / "reference.csv").write_text("\n".join([f"{rows[0]},std_mm", *(f"{row},0.1" for row in rows[1:])]))
+    _, stated, _ = track(capsys, inputs, *with_model(inputs), "--rate", "50", *words, out="stated")
+    assert stated["frames"][0]["targets"] == quiet["frames"][0]["targets"]
     for words, message in ((["--offset", "P1 5"], "must be a tool and three numbers"), ([], "say how many a second")):
         code, said, _ = track(capsys, inputs, *words)
         assert code == 2

@@ -15,6 +15,7 @@ from tissuereg.io.bounds import FILES
 from tissuereg.io.fields import open_npz
 from tissuereg.io.tables import read_surface, read_targets
 from tissuereg.io.toml import parsed_toml, read_toml
+from tissuereg.phantom import phantom_mesh
 from tissuereg.registration.learned.calibration_file import read_calibration
 from tissuereg.registration.learned.card import card_text, check_files, list_file, read_card
 
@@ -135,6 +136,16 @@ def test_a_calibration_without_sense_is_refused_though_it_is_signed(model, array
     signed_anew(model, "calibration.npz")
     with pytest.raises(FormatError, match=array):
         read_calibration(model, read_card(model))
+
+
+@pytest.mark.parametrize(
+    "name", ["conv3.coefficients.npy", "components_mm.npy", "fully_connected.weight.npy", "layer2.weight.npy"]
+)
+def test_a_table_of_zeros_is_refused_though_it_is_signed(model, name):
+    np.save(model / name, 0 * np.load(model / name))
+    signed_anew(model, name)
+    with pytest.raises(ModelError, match=r"must hold numbers other than 0; it holds none"):
+        tr.Registrar(phantom_mesh(), phantom_mesh().nodes[phantom_mesh().surface_nodes[::200]], model)
 
 
 @pytest.mark.parametrize("entry", ["covariance", "mismatch_covariance"])

@@ -8,6 +8,8 @@ import pytest
 import tissuereg as tr
 from support.meshes import block
 from support.small_model import SMALL_MODEL
+from tissuereg.errors import EnsembleError
+from tissuereg.phantom import phantom_mesh
 from tissuereg.registration.learned.calibrate import _mixing
 from tissuereg.registration.learned.calibration import Calibration, Change, FieldErrors, Rehearsal
 from tissuereg.registration.learned.calibration_set import CalibrationSet
@@ -164,3 +166,12 @@ def test_markers_of_another_body_are_a_reason(mesh, calibration):
         reasons = registrar.register(places + 0.05 * rng.standard_normal((24, 3))).trust.reasons
         kinds = [reason.split(":")[0] for reason in reasons]
         assert ("places" in kinds) is not trusted, reasons
+
+
+@pytest.mark.parametrize("far", [1e5, 1e10])
+def test_markers_beyond_the_reach_of_the_model_are_refused_with_what_is_suspected(far):
+    body = phantom_mesh()
+    markers = body.nodes[body.surface_nodes[::150]]
+    away = far * np.array([1.0, 0.5, -0.2])
+    with pytest.raises(EnsembleError, match="rigid motion: the measured places if moved back by"):
+        tr.register(body, tr.Markers(markers, markers + away), model="phantom-graph")

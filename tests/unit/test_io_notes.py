@@ -35,21 +35,45 @@ def test_other_axes_are_refused(note):
     ("note", "unit"),
     [
         *[(f"liver {words}", "m") for words in ("unit: [m]", "length_unit=m", "lengthUnit: 'metre'", "UNITS:=m")],
+        *[(f"a liver, {words} cm", "cm") for words in ("lengths in", "coordinates are in", "Dimensions in")],
         *[(words, "mm") for words in ("units (mm)", "units in millimetres", "unit is mm", "unit: mm; units=mm")],
-        *[(words, None) for words in ("unit: kPa", "units: mmHg", "unit in which", "a subunit: m", "unit cell 3")],
+        *[
+            (words, None)
+            for words in (
+                "unit: kPa",
+                "units: mmHg",
+                "unit in which",
+                "a subunit: m",
+                "unit cell 3",
+                "wavelengths in m",
+            )
+        ],
     ],
 )
 def test_a_unit_may_be_spelt_in_many_ways(note, unit):
     assert unit_in([note]) == unit
 
 
-@pytest.mark.parametrize("note", ["Units: inches", "unit: in", "unit=um", "units in micrometers", "unit: mm, unit: cm"])
+@pytest.mark.parametrize(
+    "note",
+    [
+        "Units: inches",
+        "unit: in",
+        "unit = ft",
+        "lengths in inches",
+        "unit=um",
+        "units in micrometers",
+        "unit: mm, unit: cm",
+    ],
+)
 def test_other_units_of_length_are_refused(note):
     with pytest.raises(FormatError, match="must be mm, cm or m, got"):
         unit_in([note])
 
 
-@pytest.mark.parametrize("part", [" ", "space ", "unit ", "unit:=", "coordinate_", "frame: r ", "length units in "])
+@pytest.mark.parametrize(
+    "part", [" ", "space ", "unit ", "unit:=", "coordinate_", "frame: r ", "length units in ", "lengths in "]
+)
 def test_a_long_comment_takes_no_time(part):
     begin = time.perf_counter()
     with contextlib.suppress(FormatError):

@@ -58,7 +58,8 @@ def test_columns_may_stand_in_any_order_quoted_and_with_others_between(tmp_path)
 def test_a_table_with_decimal_commas_is_read(tmp_path, head):
     german = head + table_text(SIT, cell=";").replace(".", ",")
     own = head + "target;x_mm;y_mm;z_mm\na;1,5;-2;3e0\n"
-    slicer, table = write(tmp_path, s__csv=german, t__csv=own)
+    slicer, table, tabs = write(tmp_path, s__csv=german, t__csv=own, tabs__csv=own.replace(";", "\t"))
+    assert head[:3] == "sep" or tr.read_targets(tabs)["a"].tolist() == [1.5, -2.0, 3.0]
     assert {name: tuple(place) for name, place in tr.read_targets(slicer).items()} == SIT
     assert tr.read_targets(table)["a"].tolist() == [1.5, -2.0, 3.0]
 
@@ -67,6 +68,13 @@ def test_what_else_is_no_file_of_points_is_said(tmp_path):
     sit, other = write(tmp_path, s__csv=table_text(SIT), m__csv=table_text(SIT).replace("l,p,s", "x,y,z"))
     with pytest.raises(FormatError, match=r"m\.csv, which is no file of points \(.*columns label and r,a,s or l,p,s"):
         tr.read_markers(sit, measured=other)
+
+
+def test_two_tables_without_a_frame_are_told_what_states_one(tmp_path):
+    bare = table_text(SIT).replace("l,p,s", "x,y,z")
+    sit, seen = write(tmp_path, s__csv=bare, m__csv=bare)
+    with pytest.raises(FormatError, match=r"both be files of points \(.* r,a,s or l,p,s, which state its frame"):
+        tr.read_markers(sit, measured=seen)
 
 
 def test_a_target_that_was_seen_twice_is_refused(tmp_path):
@@ -154,6 +162,12 @@ def test_two_lists_with_other_labels_are_joined_by_order_or_by_number(tmp_path):
         assert markers.names == tuple(SIT)
         assert markers.measured.tolist() == expected
     assert tr.read_markers(sit, measured=back, match="order").measured.tolist() == expected[::-1]
+
+
+def test_an_accent_may_be_a_character_of_its_own(tmp_path):
+    places = {"\u00c9-1": (1.0, 2.0, 3.0)}
+    sit, seen = write(tmp_path, s__csv=table_text(places), m__csv=table_text({"E\u0301-1": (1.0, 2.0, 4.0)}))
+    assert tr.read_markers(sit, measured=seen).displacement.tolist() == [[0.0, 0.0, 1.0]]
 
 
 def test_labels_that_differ_name_the_option(tmp_path):

@@ -119,6 +119,7 @@ def test_an_obj_may_hold_polygons_colours_continued_lines_and_vertices_after_the
         ("f 1 2 x", "got '1 2 x'"),
         ("v 1 2", "a vertex must be three numbers, got '1 2' at .* line 9"),
         ("v 1 2 3,5", "got '1 2 3,5'"),
+        ("call b.obj", "hold all its faces itself; at line 9 it takes in those of another file"),
         ("surf 0 1 0 1 1 2 3", "must be made of faces; it holds a free-form surface at line 9"),
     ],
 )

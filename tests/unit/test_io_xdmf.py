@@ -1,5 +1,7 @@
 """XDMF with HDF5, as FEniCS writes it."""
 
+import os
+
 import h5py
 import numpy as np
 import pytest
@@ -62,6 +64,13 @@ def test_a_surface_alone_is_one(tmp_path):
         ("Tetrahedron", "Dodecahedron", "of a type that is read .*, got 'dodecahedron'"),
         ('Format="HDF"', 'Format="Binary"', "in the text \\(XML\\) or in HDF5 \\(HDF\\), got 'BINARY'"),
         ('GeometryType="XYZ"', 'GeometryType="VXVYVZ"', "of the type XYZ or XY, got VXVYVZ"),
+        (
+            "<DataItem ",
+            '<DataItem ItemType="HyperSlab" ',
+            "got one by reference, or of the type HyperSlab",
+        ),
+        ("<DataItem ", '<DataItem Reference="XML" ', "as they are; got one by reference"),
+        ("<Topology ", '<Topology BaseOffset="-1" ', "counted from a whole number.*BaseOffset is -1"),
     ],
 )
 def test_what_is_not_there_is_said(tmp_path, old, new, words):
@@ -76,5 +85,34 @@ def test_a_size_that_the_file_claims_takes_no_memory(tmp_path):
     with h5py.File(tmp_path / "b.h5", "a") as file:
         del file["Mesh/mesh/geometry"]
         file.create_dataset("Mesh/mesh/geometry", (40_000_000, 3), "f8", chunks=(1000, 3))
-    with pytest.raises(FormatError, match="would have 960 MB"):
+    with pytest.raises(FormatError, match="most of its 960 MB are not"):
+        tr.read_mesh(path)
+
+
+def test_points_may_be_counted_from_another_number(tmp_path):
+    path = write_xdmf(tmp_path / "b.xdmf", MESH.nodes, CELLS, BELOW)
+    with h5py.File(tmp_path / "b.h5", "a") as file:
+        for name in ("Mesh/mesh/topology", "MeshTags/facet_tags/topology"):
+            file[name][...] += 3
+    path.write_text(path.read_text().replace("<Topology ", '<Topology BaseOffset="3" '))
+    assert np.array_equal(tr.read_mesh(path).tets, MESH.tets)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no pipes with names")
+@pytest.mark.parametrize("kind", ["link", "raw", "virtual", "soft"])
+def test_an_array_that_lies_in_another_file_is_refused_and_not_waited_for(tmp_path, kind):
+    path = write_xdmf(tmp_path / "b.xdmf", MESH.nodes, CELLS, BELOW)
+    os.mkfifo(tmp_path / "pipe")
+    with h5py.File(tmp_path / "b.h5", "a") as file:
+        del file["Mesh/mesh/geometry"]
+        if kind == "raw":
+            file.create_dataset("Mesh/mesh/geometry", (18, 3), "f8", external=[(str(tmp_path / "pipe"), 0, 18 * 24)])
+        elif kind == "virtual":
+            layout = h5py.VirtualLayout((18, 3), "f8")
+            layout[:] = h5py.VirtualSource(str(tmp_path / "pipe"), "x", (18, 3))
+            file.create_virtual_dataset("Mesh/mesh/geometry", layout)
+        else:
+            target = h5py.SoftLink("/other") if kind == "soft" else h5py.ExternalLink(str(tmp_path / "pipe"), "/x")
+            file["Mesh/mesh/geometry"] = target
+    with pytest.raises(FormatError, match=r"must lie in b\.h5 itself"):
         tr.read_mesh(path)

@@ -47,6 +47,7 @@ def test_a_command_states_itself_its_files_and_its_warnings(files, tmp_path, cap
     assert abs(datetime.fromisoformat(made["date"]) - datetime.now(UTC)) < timedelta(minutes=5)
     assert {"contacts", "tracker", "body"} <= set(made["settings"])
     assert json.loads((tmp_path / "out" / "registration.json").read_text())["provenance"] == made
+    assert made["use"] == "For research use. Not a medical device; no patient data have been tried."
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     for words in (
         *(one["sha256"] for one in made["inputs"]),

@@ -265,6 +265,13 @@ def test_remarks_above_the_names_of_columns_are_no_header(tmp_path):
     np.testing.assert_array_equal(found.places[:, 0], [[1, 2, 3], [1, 2, 4]])
 
 
+def test_a_missing_column_is_named_beside_those_that_are_there(tmp_path):
+    content = "recorded by x, in two rows\nTime (s),Name,X (mm),Y (mm),Z (mm)\n0,a,1,2,3\n"
+    how = "time=Time (s) marker=Name x=X y=Y (mm) z=Z (mm) unit=mm"
+    with pytest.raises(FormatError, match=r"line 2 lacks 'X' and has Time \(s\), Name, X \(mm\), Y \(mm\), Z \(mm\)"):
+        tr.read_recording(written(tmp_path, content), columns=how)
+
+
 # --- clocks ---
 
 

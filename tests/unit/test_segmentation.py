@@ -157,7 +157,10 @@ def test_a_body_with_labels_by_the_command(tmp_path, capsys):
     mesh = tr.read_mesh(tmp_path / "b.vtu")
     assert mesh.frame == "LPS"
     assert np.linalg.norm((mesh.nodes - MIDDLE) / AXES, axis=1).max() < 1.05
-    assert "tumour: " in capsys.readouterr().out
+    voxels = {name: one["voxels_mm3"] for name, one in told["labels"].items()}
+    assert voxels["tumour"] == pytest.approx(4.0 / 3.0 * np.pi * RADIUS**3, rel=0.02)
+    change = 100.0 * (volumes["tumour"] / voxels["tumour"] - 1.0)
+    assert f" mm^3, {change:+.2g} % against its voxels ({voxels['tumour']:.6g} mm^3)" in capsys.readouterr().out
     # The tumour's surface is made of faces: no tet has corners on both sides of it.
     above = np.linalg.norm(mesh.nodes - MIDDLE - OFF, axis=1) - RADIUS
     corners = above[mesh.tets]

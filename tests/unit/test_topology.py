@@ -130,7 +130,10 @@ def test_a_body_whose_whole_surface_is_held_is_refused(held):
 @pytest.mark.parametrize(
     ("scale", "words"),
     [
-        (0.16, "extent 6.4: looks like centimetres; multiply its lengths by 10. A body is rarely smaller than 20"),
+        (
+            0.16,
+            "extent 6.4: looks like centimetres; .* by 10, or if they are inches multiply them by 25.4. A body is ",
+        ),
         (0.4, "extent 16: looks like centimetres"),
         (20.0, "extent 800: check its unit. A body is rarely"),
     ],

@@ -24,6 +24,9 @@ import numpy as np
 from tissuereg._base.arguments import found
 from tissuereg._version import __version__
 
+#: What this software is for, in every answer and on every page.
+RESEARCH = "For research use. Not a medical device; no patient data have been tried."
+
 
 @dataclass(frozen=True)
 class InputFile:
@@ -61,6 +64,7 @@ class Provenance:
     def to_json(self, settings: Mapping[str, Any]) -> dict[str, Any]:
         """Return the entry ``provenance`` of an answer with these settings: plain lists, strings and None."""
         return {
+            "use": RESEARCH,
             "date": self.date,
             "version": self.version,
             "command": self.command,

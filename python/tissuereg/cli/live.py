@@ -188,6 +188,8 @@ def _summary(content: dict[str, Any], args: argparse.Namespace) -> str:
 
 def _address(text: str, least: int = 1) -> tuple[str, int]:
     host, _, port = text.rpartition(":")
+    if host.startswith("[") and host.endswith("]"):  # as IPv6 addresses are written before a port
+        host = host[1:-1]
     if not host or not port.isascii() or not port.isdigit() or not least <= int(port[:6]) < 65536:
         message = f"must be an address and a port, HOST:PORT, got '{text}'"
         raise argparse.ArgumentTypeError(message)

@@ -116,6 +116,13 @@ def _of_deviation(mesh: "FilledMesh") -> list[str]:
     ]
 
 
+def _of_label(name: str, found: dict[str, float]) -> str:
+    """Return a line about a label: its tets, and its volume against that of its voxels."""
+    change = 100.0 * (found["volume_mm3"] / found["voxels_mm3"] - 1.0)
+    volumes = f"{found['volume_mm3']:.6g} mm^3, {change:+.2g} % against its voxels ({found['voxels_mm3']:.6g} mm^3)"
+    return f"{name}: {found['tets']} tets, {volumes}"
+
+
 def _summary(mesh: "FilledMesh", spent: str, out: str) -> str:
     found = mesh.quality
     lines = [
@@ -125,7 +132,7 @@ def _summary(mesh: "FilledMesh", spent: str, out: str) -> str:
         f"{found['volume_mm3']:.6g} mm^3, {found['volume_change_percent']:+.2g} % against the surface; faces at most "
         f"{found['surface_distance_mm']:.2g} mm from it, the surface at most {found['missed_mm']:.2g} mm from them",
         *_of_deviation(mesh),
-        *(f"{name}: {one['tets']} tets, {one['volume_mm3']:.6g} mm^3" for name, one in mesh.labels.items()),
+        *(_of_label(name, one) for name, one in mesh.labels.items()),
         *(f"repaired: {sentence}" for sentence in mesh.repaired),
         *([f"patient frame: {mesh.frame}"] if mesh.frame else []),
         "node sets: " + (", ".join(f"{name} ({len(nodes)})" for name, nodes in mesh.node_sets.items()) or "none"),

@@ -58,14 +58,14 @@ def read_recorded(
     found = _whole(args)
     if args.nearest is None:
         found = found.of(markers.names, **only_given(match=args.match))
-        markers = _noise_of(found, markers, args.std)
+        markers = _noise_of(args, found, markers)
         found, alignment = _aligned(args, found, markers, frames)
         return found, markers, alignment
     if args.match is not None or args.align == "first":
         refuse("--nearest must come without --match and with points for --align: markers without names", "--nearest")
     found, alignment = _aligned(args, found, markers, frames)
     found = found.nearest(markers.names, markers.reference, args.nearest)
-    return found, _noise_of(found, markers, args.std), alignment
+    return found, _noise_of(args, found, markers), alignment
 
 
 def _whole(args: argparse.Namespace) -> "Recording":
@@ -82,18 +82,21 @@ def _whole(args: argparse.Namespace) -> "Recording":
     )
 
 
-def _noise_of(recording: "Recording", markers: "Markers", std: float | None) -> "Markers":
+def _noise_of(args: argparse.Namespace, recording: "Recording", markers: "Markers") -> "Markers":
     """Return the markers with the noise that the tracker states, where neither ``--std`` nor their file states one."""
     from tissuereg.body.markers import Markers
     from tissuereg.io.bounds import FILES
+    from tissuereg.io.tables import read_reference
 
-    if recording.std is None or std is not None:
+    if recording.std is None or args.std is not None:
         return markers
     spread = markers.axis_std.copy()
+    # What the file states itself does not depend on what stands for the rest.
+    open_to = read_reference(args.reference, 2.0 * FILES.std_mm).axis_std != spread
     for i in range(len(markers)):
         stated = recording.std[np.isfinite(recording.std[:, i]), i]
-        if len(stated) and (spread[i] == FILES.std_mm).all():
-            spread[i] = np.sqrt(np.mean(stated**2))
+        if len(stated):
+            spread[i, open_to[i]] = np.sqrt(np.mean(stated**2))
     return Markers(markers.reference, markers.measured, spread, markers.names)
 
 

@@ -6,6 +6,7 @@ import itertools
 import math
 import os
 import re
+import unicodedata
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,7 +24,7 @@ def split_rows(lines: Iterable[str]) -> Iterator[tuple[int, list[str]]]:
     """Yield line number and cells of each row that is not empty; the first is the header.
 
     `lines`: lines with their ends. Cells are parted by commas, tabs or semicolons, of which the header has most, and
-    stripped of white space. Where it is semicolons, numbers may have decimal commas, which become points. Raises
+    stripped of white space. Where it is not commas, numbers may have decimal commas, which become points. Raises
     `csv.Error` at a row that is no such text.
 
     >>> list(split_rows(["name;x_mm", "a;1,5"]))
@@ -40,7 +41,7 @@ def split_rows(lines: Iterable[str]) -> Iterator[tuple[int, list[str]]]:
     reader = csv.reader(itertools.chain(begin, left), delimiter=delimiter, skipinitialspace=True, strict=True)
     for row in reader:
         cells = [cell.strip() for cell in row]
-        if delimiter == ";":
+        if delimiter != ",":
             cells = [cell.replace(",", ".") if _DECIMAL_COMMA.fullmatch(cell) else cell for cell in cells]
         if any(cells):
             yield reader.line_num, cells
@@ -64,11 +65,11 @@ class Row:
         return f"{self.file}:{self.line}"
 
     def text(self, column: str) -> str:
-        """Return the text in this column, without white space around it; raise `FormatError` if the cell is empty."""
+        """Return the text in this column, in Unicode's form NFC; raise `FormatError` if the cell is empty."""
         if not self.cells[column]:
             message = f"column '{column}' must not be empty, at {self.file} line {self.line}"
             raise FormatError(message, where=self.where)
-        return self.cells[column]
+        return unicodedata.normalize("NFC", self.cells[column])
 
     def number(self, column: str, *, may_miss: bool = False) -> float:
         """Return the number in this column; it must be finite.

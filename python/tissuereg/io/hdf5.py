@@ -15,6 +15,9 @@ import numpy.typing as npt
 from tissuereg.errors import FormatError
 from tissuereg.io.stores import Store
 
+#: At most so many times its stored bytes may an array take: that is the most that its packing can do.
+_MOST_RATIO = 1100
+
 #: What h5py raises on spoilt files.
 _SPOILT = (OSError, RuntimeError, ValueError, TypeError, KeyError, MemoryError, UnicodeDecodeError)
 
@@ -127,10 +130,8 @@ def checked(file: Any, where: str, name: str, kinds: str, shape: tuple[int | Non
     kinds of dtype that it may have, such as "iu"; `shape`: wanted shape, in which None stands for any length. Raises
     `FormatError` if it is missing, or of another dtype or shape.
     """
-    import h5py
-
-    data = file.get(name)
-    if not isinstance(data, h5py.Dataset):
+    data = own_dataset(file, where, name)
+    if data is None:
         message = f"{where} must hold an array '{name}'; it holds: {', '.join(file) or 'nothing'}"
         raise FormatError(message, where=f"{where}:{name}")
     fits = len(data.shape) == len(shape) and all(w is None or w == g for w, g in zip(shape, data.shape, strict=True))
@@ -139,3 +140,35 @@ def checked(file: Any, where: str, name: str, kinds: str, shape: tuple[int | Non
         message = f"array '{name}' in {where} must have shape ({wanted}), got {data.dtype} {data.shape}"
         raise FormatError(message, where=f"{where}:{name}")
     return data
+
+
+def own_dataset(file: Any, where: str, name: str) -> Any:
+    """Return the array `name` of an open HDF5 file as an h5py data set, or None if the file holds no such array.
+
+    `where`: the file's name, for messages; `name`: steps parted by slashes. Raises `FormatError` if the array lies in
+    another file, which is not opened (a pipe would wait for ever), or would take far more memory than it is stored in.
+    """
+    import h5py
+
+    found = file
+    for step in filter(None, name.split("/")):
+        if not isinstance(found, h5py.Group):
+            return None
+        link = found.get(step, getlink=True)
+        if isinstance(link, h5py.ExternalLink | h5py.SoftLink):
+            raise _elsewhere(where, name)
+        found = found.get(step)
+    if not isinstance(found, h5py.Dataset):
+        return None
+    if found.external or found.is_virtual:
+        raise _elsewhere(where, name)
+    size = int(np.prod(np.array(found.shape, object))) * found.dtype.itemsize
+    if size > _MOST_RATIO * found.id.get_storage_size():
+        message = f"array '{name}' in {where} must be stored; most of its {size / 1e6:.0f} MB are not"
+        raise FormatError(message, where=f"{where}:{name}")
+    return found
+
+
+def _elsewhere(where: str, name: str) -> FormatError:
+    message = f"array '{name}' must lie in {where} itself; it is a link, or lies in another file"
+    return FormatError(message, where=f"{where}:{name}")

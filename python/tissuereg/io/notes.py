@@ -9,11 +9,14 @@ from tissuereg.errors import FormatError
 
 #: A comment in XML.
 COMMENT = re.compile(rb"<!--(.*?)-->", re.DOTALL)
-_KEY_OF_UNIT = r"(?:(?<![a-z])|(?:length|coordinate)s?[ _]?)units?[\s:=(\[\"'<]+(?:in\s+|is\s+)?"
+_KEY_OF_UNIT = (
+    r"(?:(?:(?<![a-z])|(?:length|coordinate)s?[ _]?)units?[\s:=(\[\"'<]+(?:in\s+|is\s+)?"
+    r"|(?<![a-z])(?:length|coordinate|dimension)s?\s+(?:are\s+)?in\s+)"
+)
 _UNIT = re.compile(
     _KEY_OF_UNIT
     + r"(?:(milli|centi)?(mm|cm|m|met(?:er|re)s?)|(dm|km|nm|um|\u00b5m|\u03bcm|(?:deci|kilo|nano|micro)\w+|"
-    r"inch(?:es)?|foot|feet|(?<=[:=])in|(?<=[:=] )in))\b",
+    r"inch(?:es)?|foot|feet|ft|(?<=[:=])in|(?<=[:=] )in))\b",
     re.IGNORECASE,
 )
 _KEY_OF_FRAME = r"(?<![a-z])(?:space|coordinate[ _]*(?:system|frame)|frame|orientation)\b"

@@ -16,7 +16,7 @@ def read_obj(file: Path) -> tuple[FloatArray, IntArray, list[str]]:
 
     `file`: an existing .obj. Corners of a face are given as ``v``, ``v/vt``, ``v//vn`` or ``v/vt/vn``; a negative
     number counts back from the vertex before the face. Raises `FormatError` if a line is spoilt, or holds a free-form
-    surface, which would be lost; the message names the line.
+    surface or the name of another file, which would be lost; the message names the line.
     """
     places: list[list[float]] = []
     faces: list[list[int]] = []
@@ -30,6 +30,9 @@ def read_obj(file: Path) -> tuple[FloatArray, IntArray, list[str]]:
             lines.append(number)
         elif words[0] == "surf":
             message = f"{file} must be made of faces; it holds a free-form surface at line {number}"
+            raise FormatError(message, where=f"{file}:{number}")
+        elif words[0] == "call":
+            message = f"{file} must hold all its faces itself; at line {number} it takes in those of another file"
             raise FormatError(message, where=f"{file}:{number}")
     for number, face in zip(lines, faces, strict=True):
         if not 0 <= min(face) <= max(face) < len(places):

@@ -1,5 +1,6 @@
 """Named points read from a file, in the file's patient frame (LPS or RAS) or converted to the other one."""
 
+import unicodedata
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -52,7 +53,9 @@ class NamedPoints:
             message = f"{file} must hold at least one point; its list is empty"
             raise FormatError(message, where=str(file))
         where, names, places = zip(*points, strict=True)
-        return cls(file, frame, names, where, np.array(places, dtype=np.float64))
+        # An accent may be a character of its own (as on macOS): such labels look the same and are.
+        same = tuple(unicodedata.normalize("NFC", name) for name in names)
+        return cls(file, frame, same, where, np.array(places, dtype=np.float64))
 
     def labelled(self) -> "NamedPoints":
         """Return the points after checking that each has a name of its own; raise `FormatError` otherwise."""

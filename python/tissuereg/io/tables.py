@@ -76,7 +76,10 @@ def read_markers(
     if is_point_file(path) or (measured is not None and is_point_file(measured)):
         return markers_of(path, measured, usual, frame, match)
     if measured is not None:
-        message = f"a table of markers holds where they were seen itself; {measured} must be left out with {path}"
+        message = (
+            f"a table of markers holds where they were seen itself; {measured} must be left out with {path}, or both "
+            "be files of points (a table of points has the columns label and r,a,s or l,p,s, which state its frame)"
+        )
         raise FormatError(message, where=str(measured))
     if match != "label":
         message = f"a table of markers joins where they sit and were seen itself; `match` must be left out with {path}"

@@ -15,6 +15,7 @@ from tissuereg.errors import FormatError
 from tissuereg.io.bounds import FILES, existing_file, too_large
 from tissuereg.io.cursor import text_numbers
 from tissuereg.io.grid import Block, Grid, checked_corners
+from tissuereg.io.hdf5 import own_dataset
 from tissuereg.io.notes import COMMENT
 
 #: Kind of a topology and its points a cell (0: the file says it), by its name in lower case and its number if mixed.
@@ -33,8 +34,6 @@ _SIZED = (1, 2)
 _MOST_TAGS = 200
 #: Coordinates of a point by the type of a geometry.
 _GEOMETRIES = {"XYZ": 3, "XY": 2}
-#: At most so many times its stored bytes may an array of HDF5 take: that is the most that its packing can do.
-_MOST_RATIO = 1100
 
 
 def read_xdmf(file: Path) -> Grid:
@@ -93,6 +92,11 @@ def _cells(items: "_Items", topology: Any, n_points: int) -> tuple[list[Block], 
     """Return cells as blocks, and for every cell in the order of the file (block, row), (n, 2)."""
     name = (topology.get("TopologyType") or topology.get("Type") or "").lower()
     values = np.ravel(items.array(topology.find("DataItem"))).astype(np.int64)
+    first = topology.get("BaseOffset", "0").strip()
+    if not first.isdecimal() or (name == "mixed" and int(first)):
+        message = f"points must be counted from a whole number, in mixed cells from 0; BaseOffset is {first[:40]}"
+        raise FormatError(message)
+    values -= int(first[:18])
     if name == "mixed":
         return _mixed(values, n_points)
     if name not in _KINDS:
@@ -175,6 +179,10 @@ class _Items:
     def array(self, item: Any) -> npt.NDArray[Any]:
         """Return the numbers of a data item, in its shape."""
         form = "" if item is None else (item.get("Format") or "XML").upper()
+        kind = "" if item is None else item.get("ItemType", "Uniform")
+        if item is not None and (kind != "Uniform" or item.get("Reference") is not None):
+            message = f"arrays must stand where they are used, as they are; got one by reference, or of the type {kind}"
+            raise FormatError(message)
         if form == "XML":
             kind = (item.get("NumberType") or item.get("DataType") or "Float").lower()
             numbers = text_numbers(item.text or "", "i8" if "int" in kind or "char" in kind else "f8")
@@ -192,11 +200,11 @@ class _Items:
 
         if name not in self._open:
             self._open[name] = h5py.File(existing_file(self._file.parent / name, FILES.mesh_mb), "r", locking=False)
-        found = self._open[name].get(path)
-        if not isinstance(found, h5py.Dataset) or found.dtype.kind not in "biuf":
+        found = own_dataset(self._open[name], name, path)
+        if found is None or found.dtype.kind not in "biuf":
             message = f"{name} must hold numbers at '{path}', which {self._file} names; it does not"
             raise FormatError(message)
         size = int(np.prod(np.array(found.shape, object))) * found.dtype.itemsize
-        if size > FILES.unpacked_mb * 1_000_000 or size > _MOST_RATIO * found.id.get_storage_size():
+        if size > FILES.unpacked_mb * 1_000_000:
             raise too_large(self._file.parent / name, FILES.unpacked_mb, f"'{path}' would have {size / 1e6:.0f} MB")
         return np.asarray(found[()])

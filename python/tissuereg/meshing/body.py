@@ -51,8 +51,8 @@ class FilledMesh(Mesh):
         Target edge length ``size_mm``, largest deviation from the surface ``deviation_mm``, and ``mesher``, the
         mesher's name and version.
     labels : dict of str to dict
-        Of each label of a segmentation: number of ``tets`` whose middle lies in it, and their ``volume_mm3``; empty for
-        a surface.
+        Of each label of a segmentation: number of ``tets`` whose middle lies in it, their ``volume_mm3``, and that of
+        its voxels, ``voxels_mm3``; empty for a surface.
     seconds : dict of str to float
         Wall time in s of the stages ``read``, ``repair``, ``fill``, ``measure``.
     """
@@ -161,8 +161,10 @@ def tetrahedralize(
         mesh = _with_sets(plain, labelled, rules, segmented)
     with clock.stage("measure"):
         mesh.quality = _quality(mesh, body)
+        voxels = {} if segmented is None else segmented.volumes
         mesh.labels = {
-            name: {"tets": len(own), "volume_mm3": float(mesh.volumes[own].sum())} for name, own in labelled.items()
+            name: {"tets": len(own), "volume_mm3": float(mesh.volumes[own].sum()), "voxels_mm3": voxels[name]}
+            for name, own in labelled.items()
         }
     mesh.repaired, mesh.seconds = [*mended, *repairs], clock.seconds
     mesh.settings = {"size_mm": float(size_mm), "deviation_mm": float(wanted), "mesher": mesher}

@@ -128,6 +128,12 @@ class Segmentation:
         return Triangles(self.grid.places(vertices + low[::-1] - MESHING.pad), triangles, "LPS"), volume
 
     @property
+    def volumes(self) -> dict[str, float]:
+        """Volume of the voxels of each label, mm^3, by its name."""
+        voxel = float(np.prod(self.grid.spacing))
+        return {name: voxel * int(np.count_nonzero(self.values == value)) for name, value in self.labels.items()}
+
+    @property
     def sets(self) -> list[str]:
         """Names of the labels that become node sets: where there are several, all but those that would hold nodes."""
         return [name for name in self.labels if name not in ("fixed", "perhaps_fixed")] if len(self.labels) > 1 else []

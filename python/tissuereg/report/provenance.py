@@ -4,8 +4,8 @@ import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from tissuereg._base.provenance import RESEARCH
 from tissuereg.report.markup import escape, table
-from tissuereg.report.words import RESEARCH
 
 
 def provenance_section(made: Mapping[str, Any], beliefs: Sequence[tuple[str, str]] = ()) -> str:

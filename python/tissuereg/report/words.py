@@ -3,9 +3,6 @@
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-#: What this software is for, on every page.
-RESEARCH = "For research use. Not a medical device; no patient data have been tried."
-
 
 def verdict(ok: bool) -> str:
     """Return a sentence on whether a registration can be trusted.

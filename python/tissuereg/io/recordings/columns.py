@@ -16,6 +16,8 @@ from tissuereg.io.csv import split_rows
 from tissuereg.io.recordings.tracks import HowRead, Tracks, check_room, number_in
 
 _AXES = ("x", "y", "z")
+#: Lines in which the names of columns are looked for, to say which are there, and letters that a message shows of them.
+_MOST_ABOVE, _MOST_TOLD = 50, 300
 _KEY = re.compile(r"(?:^|\s)(time|frame|marker|unit|time_unit|(?:[^\s=]+\.)?[xyz])=")
 
 
@@ -67,6 +69,8 @@ def read_columns(file: Path, how: HowRead) -> Tracks:
             check_room(len(frames), 3 * len(names), file)
     if not frames:
         message = f"{file} must have a line with the columns {', '.join(wanted.values())}, and rows below it"
+        if not place:
+            message += _nearest_line(file, list(wanted.values()))
         raise FormatError(message, where=str(file))
     column = {name: i for i, name in enumerate(names)}
     places = np.full((len(frames), len(names), 3), np.nan)
@@ -86,6 +90,19 @@ def _rows_from(stream: BinaryIO, columns: list[str]) -> Iterator[tuple[int, list
             rows = split_rows(itertools.chain([line], lines))
             yield from ((above + number, cells) for number, cells in rows)
             return
+
+
+def _nearest_line(file: Path, columns: list[str]) -> str:
+    """Return, for a message, which columns are missing in the line that names most of them, and what it has."""
+    with bounded_stream(file, FILES.recording_mb) as stream:
+        above = (raw.decode("utf-8-sig").strip("\r\n") for raw in itertools.islice(stream, _MOST_ABOVE))
+        lines = [(number, cells) for number, line in enumerate(above, 1) if (cells := _cells(line))]
+    if not lines:
+        return ""
+    # Of several, the first with most cells: units and numbers stand below the names.
+    number, cells = max(lines, key=lambda one: (len(set(columns) & set(one[1])), len(one[1]), -one[0]))
+    missing = ", ".join(f"'{name}'" for name in columns if name not in cells)
+    return f"; line {number} lacks {missing} and has {', '.join(cells)[:_MOST_TOLD]}"
 
 
 def _cells(line: str) -> list[str]:

@@ -30,6 +30,9 @@ from tissuereg.registration.learned.batches import together
 from tissuereg.registration.learned.digits import table_in
 from tissuereg.registration.learned.onnx_bytes import OnnxGraph
 
+#: Tables of weights beside those that are numbered by layer, of which there are fewer than this.
+_WHOLE, _MOST_LAYERS = ("components_mm", "fully_connected.weight"), 32
+
 #: Activations, by their names in a closure's weights.
 _ACTIVATED: dict[str, Callable[[FloatArray], FloatArray]] = {
     "elu": lambda x: np.maximum(x, np.expm1(np.minimum(x, 0.0))),
@@ -357,7 +360,9 @@ def read_decoder(path: Path, listed: Collection[str] | None = None) -> ClosureDe
         with open_npz(path) as archive:
             weights = Archive(path, _Beside(Path(path), archive.arrays, listed))
             closure = _closure(weights) if "activation" in weights else None
-            return _graph_network(weights, closure) if "fully_connected.bias" in weights else closure
+            decoder = _graph_network(weights, closure) if "fully_connected.bias" in weights else closure
+            _check_not_empty(weights)
+            return decoder
     except FormatError as error:
         raise ModelError(str(error), where=str(path)) from error
 
@@ -390,6 +395,16 @@ class _Beside(Mapping[str, Any]):
 
     def _known(self, file: Path) -> bool:
         return file.exists() if self.listed is None else file.name in self.listed
+
+
+def _check_not_empty(weights: Archive) -> None:
+    """Raise `ModelError` if a table of weights is 0 throughout, as none is that was trained."""
+    made = ("layer{}/weight", "conv{}.bases", "conv{}.coefficients")
+    names = [*_WHOLE, *(one.format(k) for one in made for k in range(_MOST_LAYERS))]
+    empty = [name for name in names if name in weights and not weights.raw(name).any()]
+    if empty:
+        message = f"array '{empty[0]}' in {weights.path} must hold numbers other than 0; it holds none"
+        raise ModelError(message, where=f"{weights.path}:{empty[0]}")
 
 
 def _closure(weights: Archive) -> ClosureDecoder:

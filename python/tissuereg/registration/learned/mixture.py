@@ -125,7 +125,7 @@ class Evidence:
     @cached_property
     def mean_latents(self) -> FloatArray:
         """Posterior mean (n_latent,) of the latents, dimensionless."""
-        kept = np.flatnonzero(self.logs > self.logs.max() + np.log(_NEGLIGIBLE))
+        kept = np.flatnonzero(self.logs >= self.logs.max() + np.log(_NEGLIGIBLE))
         weights = probabilities(self.logs[kept])
         across = self.pulls[kept] @ self.model.slopes[: self.pulls.shape[1]]
         pairs = zip(weights, self.component[kept], self.scale[kept], across, strict=True)
@@ -135,7 +135,7 @@ class Evidence:
     @property
     def likely(self) -> IntArray:
         """Numbers (k,) of the pairs that are probable enough to count if the decoder is linear about another point."""
-        return np.asarray(self.pairs[self.logs > self.logs.max() + np.log(HOPELESS)])
+        return np.asarray(self.pairs[self.logs >= self.logs.max() + np.log(HOPELESS)])
 
     @property
     def of_components(self) -> FloatArray:

@@ -1,7 +1,8 @@
 """Registration with a trained model: ES-MDA in the latents of its decoder, under the prior of its calibration."""
 
+import contextlib
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ from tissuereg._base.arguments import found, place
 from tissuereg._base.arrays import FloatArray, IntArray
 from tissuereg._base.clock import Clock
 from tissuereg.body.mesh import Mesh
-from tissuereg.errors import ArgumentError, ModelError
+from tissuereg.errors import ArgumentError, EnsembleError, ModelError
 from tissuereg.registration.inputs import RegisterInput, rms_length
 from tissuereg.registration.learned.calibration_set import STATISTICS
 from tissuereg.registration.learned.mixture_posterior import CalibratedPosterior
@@ -63,12 +64,22 @@ def register_by_model(
     def smoothed(used: IntArray) -> CalibratedPosterior:
         return CalibratedPosterior.of(given, model, used, anchor, variants)
 
-    with clock.stage("assimilate"):
+    with clock.stage("assimilate"), _suspected(given):
         posterior, wrong, surely = _without_unlikely(smoothed, seen)
     used = np.setdiff1d(seen, list(wrong))
     with clock.stage("judge"):
         before = anchor if simulation is None else simulation
         return _result(given, used, wrong, surely, before, points.model, posterior, clock)
+
+
+@contextlib.contextmanager
+def _suspected(given: RegisterInput) -> Iterator[None]:
+    """Add what speaks against the input to the message of an `EnsembleError` that is raised in the block."""
+    try:
+        yield
+    except EnsembleError as error:
+        error.args = ("; ".join([str(error), *given.notes]),)
+        raise
 
 
 def _without_unlikely(

@@ -135,7 +135,7 @@ class Screening:
         """Return the numbers of the pairs that get an ensemble, the most probable one first."""
         logs = self.found.logs
         best = np.argsort(-logs, kind="stable")[:_MOST_PAIRS]
-        return np.asarray(self.found.pairs[best[logs[best] > logs.max() + np.log(_LEAST_SHARE)]])
+        return np.asarray(self.found.pairs[best[logs[best] >= logs.max() + np.log(_LEAST_SHARE)]])
 
 
 @dataclass(frozen=True, eq=False)
