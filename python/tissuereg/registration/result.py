@@ -27,6 +27,13 @@ from tissuereg.registration.settings import RegisterSettings
 from tissuereg.registration.target import Target, target_named
 from tissuereg.registration.trust import Trust
 
+#: On which bodies the regions were checked: with a trained model, and without.
+CHECKED = (
+    "The regions were checked on bodies of other solvers, never against a measurement inside a body.",
+    "The regions were checked against beads inside two gels and on bodies of other solvers, never against a "
+    "measurement inside an organ.",
+)
+
 
 @dataclass(frozen=True, eq=False)
 class MarkerFit:
@@ -220,6 +227,11 @@ class Registration(FieldAnswers):
         return {**self.settings.to_json(), "body": self.body.to_json()}
 
     @property
+    def checked(self) -> str:
+        """On which bodies the regions of such a registration were checked, and on which never: a sentence."""
+        return CHECKED[self.model["kind"] == "contacts"]
+
+    @property
     def starts_simulated(self) -> bool:
         """Whether the markers' places before registration are those of a simulation, and not of the body at rest."""
         return not np.allclose(self.start_markers, self.all_markers.reference, rtol=0.0, atol=1e-6)
@@ -274,6 +286,7 @@ class Registration(FieldAnswers):
                 "chi_square": self.trust.chi_square,
                 "residual_chi_square": self.trust.residual_chi_square,
                 "n_obs": self.trust.n_obs,
+                "regions_checked": self.checked,
             },
             "fallback": None if self.fallback is None else self.fallback.to_json(),
             "model": dict(self.model),
