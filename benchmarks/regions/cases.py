@@ -37,7 +37,7 @@ class Case:
     """One registration: what is given, and the truth.
 
     `body`: body, or its mesh; `markers`: markers; `targets`, `truth` (k, 3): places before and after; `noise` (3,):
-    standard deviation of the truth itself; `cluster`: cases that share it are not independent.
+    standard deviation of the truth itself; `cluster`: body and number of the event, on which `body_of` looks.
     """
 
     body: tr.Body | tr.Mesh
@@ -49,6 +49,20 @@ class Case:
 
 
 Make = Callable[[], Case]
+
+#: The mesh that reference problems share.
+REFERENCE_MESH = "dome_4k"
+
+
+def body_of(event: str) -> str:
+    """Return the body of an event, "<body>" or "<body> <number>".
+
+    >>> body_of("inner dome 12"), body_of("gel"), body_of("dome_4k_pull 1")
+    ('inner dome', 'gel', 'dome_4k')
+    """
+    name = event.rstrip("0123456789").rstrip() if " " in event else event
+    return REFERENCE_MESH if name.startswith(REFERENCE_MESH) else name
+
 
 #: Events whose truth is four-node elements at a Poisson's ratio of 0.49 on the user's own mesh, of each body.
 N_LOCKED = 4

@@ -88,6 +88,7 @@ def test_a_flagged_target_is_dashed_and_stated_in_words(spoilt):
 def test_the_page_has_contacts_flags_and_reasons(spoilt, tmp_path):
     page = spoilt.report(tmp_path / "report.html").read_text(encoding="utf-8")
     assert "never against a measurement inside an organ" in page
+    assert spoilt.to_json()["trust"]["regions_checked"] in page
     for name, size in spoilt.explained_mm.items():
         assert f"<td>{name}</td><td>{size:.2f}</td>" in page
     assert "<p class='verdict no'>Do not trust this registration.</p>" in page

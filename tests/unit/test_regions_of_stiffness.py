@@ -84,6 +84,19 @@ def test_of_parts_that_overlap_the_smaller_counts():
     [(cause, std)] = _regions(body)
     assert std == 5.0
     assert np.array_equal(cause.rates, wide.astype(float))
+    told = body.to_json()["regions"]
+    assert {name: one["tets"] for name, one in told.items()} == {"around": wide.sum(), "core": INSIDE.sum()}
+    # What is made of its parts again has the same parts.
+    again = tr.Body(mesh, tr.Material(SOFT, 0.4), "tet4", regions=body.regions)
+    assert all(np.array_equal(again.regions[name].tets, one.tets) for name, one in body.regions.items())
+
+
+def test_of_parts_of_the_same_tets_the_later_one_counts():
+    mesh = BODY.with_node_set("same", CORE)
+    body = tr.Body(mesh, tr.Material(SOFT), regions={"same": (20.0, 5.0), "core": 400.0})
+    assert np.array_equal(body.material.young_array, np.where(INSIDE, 400.0, SOFT))
+    assert body.to_json()["regions"]["same"]["tets"] == 0
+    assert not _regions(body)
 
 
 def test_regions_go_on_top_of_moduli_of_tets_and_of_points():

@@ -8,7 +8,7 @@ from typing import Any, cast
 import numpy as np
 
 from tissuereg._base.arguments import check_running, found, named, real
-from tissuereg._base.arrays import FloatArray, IntArray
+from tissuereg._base.arrays import FloatArray, IntArray, frozen
 from tissuereg._base.choices import Frame, Unit
 from tissuereg._base.clock import Clock
 from tissuereg._base.provenance import warn
@@ -156,9 +156,9 @@ def tetrahedralize(
     with clock.stage("fill"):
         inner = None if segmented is None else segmented.interfaces(body, threads)
         nodes, tets, mesher = filled(body, size_mm, wanted, threads, inner)
-        plain = _sound(nodes, tets, given.frame)
-        labelled = {} if segmented is None else segmented.of_tets(plain)
-        mesh = _with_sets(plain, labelled, rules, segmented)
+        mesh = _sound(nodes, tets, given.frame)
+        labelled = {} if segmented is None else segmented.of_tets(mesh)
+        _add_sets(mesh, labelled, rules, segmented)
     with clock.stage("measure"):
         mesh.quality = _quality(mesh, body)
         voxels = {} if segmented is None else segmented.volumes
@@ -227,20 +227,15 @@ def _sound(nodes: FloatArray, tets: IntArray, frame: Frame | None) -> FilledMesh
         raise MeshingError(message, where="surface") from error
 
 
-def _with_sets(
-    mesh: FilledMesh,
-    labelled: Mapping[str, IntArray],
-    rules: Mapping[str, NodeRules],
-    segmented: Segmentation | None,
-) -> FilledMesh:
-    """Return the mesh with a node set for each of several labels, whose tets are `labelled`, and those of rules."""
-    named_labels = [] if segmented is None else segmented.sets
-    sets = {name: np.unique(mesh.tets[labelled[name]]) for name in named_labels}
+def _add_sets(
+    mesh: Mesh, labelled: Mapping[str, IntArray], rules: Mapping[str, NodeRules], segmented: Segmentation | None
+) -> None:
+    """Give a new mesh a node set for each of several labels, whose tets are `labelled`, and those of rules."""
+    for name in [] if segmented is None else segmented.sets:
+        mesh.node_sets[name] = frozen(np.unique(mesh.tets[labelled[name]]))
     for name, several in rules.items():
-        there = FilledMesh(mesh.nodes, mesh.tets, sets, mesh.frame)
-        chosen = [_nodes_of(there, rule, name, segmented) for rule in _listed(several, name)]
-        sets[name] = np.unique(np.concatenate(chosen))
-    return FilledMesh(mesh.nodes, mesh.tets, sets, mesh.frame)
+        chosen = [_nodes_of(mesh, rule, name, segmented) for rule in _listed(several, name)]
+        mesh.node_sets[name] = frozen(np.unique(np.concatenate(chosen)))
 
 
 def _nodes_of(mesh: Mesh, rule: NodeRule, name: str, segmented: Segmentation | None) -> IntArray:

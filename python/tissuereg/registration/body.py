@@ -31,7 +31,7 @@ class StiffPart:
     Attributes
     ----------
     tets : ndarray of int64, shape (n,)
-        Numbers of its tets.
+        Numbers of its tets, of a `Body` without those of smaller parts.
     young, std : float
         Young's modulus and its standard deviation, kPa.
     """
@@ -144,7 +144,8 @@ class Body:
         Supports.of(body, held, nodes)  # refuses another word, and nodes that are not there
         believed = maybe("material", material, Material) or Material()
         parts = {name: StiffPart.of(body, name, given) for name, given in named("regions", regions).items()}
-        for part in sorted(parts.values(), key=lambda one: -len(one.tets)):  # a part of a part counts last
+        parts = _apart(parts)
+        for part in parts.values():
             believed = part.within(believed, body.n_tets)
         for name, value in zip(_FIELDS, (body, believed, element, held, stiffness, nodes, parts), strict=True):
             object.__setattr__(self, name, value)
@@ -198,6 +199,16 @@ class Body:
                 "digest": law.digest(),
             },
         }
+
+
+def _apart(parts: dict[str, StiffPart]) -> dict[str, StiffPart]:
+    """Return parts without the tets that belong to a smaller one, or to a later one of the same size."""
+    taken, left = np.empty(0, np.int64), {}
+    names = list(parts)
+    for name in sorted(names, key=lambda one: (len(parts[one].tets), -names.index(one))):
+        own = np.setdiff1d(parts[name].tets, taken)
+        left[name], taken = replace(parts[name], tets=own), np.union1d(taken, own)
+    return {name: left[name] for name in parts}
 
 
 def as_mesh(mesh: Any) -> Mesh:

@@ -3,12 +3,14 @@
 import os
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from pathlib import Path
+from typing import Any, Protocol
 
 import numpy as np
 
 from tissuereg._base.arguments import flag, whole
 from tissuereg._base.arrays import BoolArray, FloatArray, float_array
+from tissuereg._base.choices import Direction, Unit
 from tissuereg._base.shown import short_repr
 from tissuereg.body.locate import held_by
 from tissuereg.body.mesh import Mesh
@@ -129,4 +131,152 @@ class RegisteredField:
         return write_transform(self.space, path, **grid, std=spread, threads=threads)
 
 
-__all__ = ["PointAnswer", "RegisteredField"]
+class HasField(Protocol):
+    """A registered body."""
+
+    @property
+    def field(self) -> RegisteredField:
+        """The displacement field with its uncertainty."""
+        ...
+
+
+class FieldAnswers:
+    """What a registered body answers by its field, in memory as from its folder."""
+
+    def at(self: HasField, points: Any, covariance: bool = True) -> PointAnswer:
+        """Return where points of the undeformed body are now.
+
+        Parameters
+        ----------
+        points : array_like of float, shape (n, 3)
+            Places in the undeformed body, mm. Outside the body the displacement fades, harmonically, to nothing at a
+            distance of half the body's extent; such points are flagged.
+        covariance : bool
+            Whether the covariances are wanted.
+
+        Returns
+        -------
+        PointAnswer
+            Places, covariances, whether each point is inside, and flags.
+
+        Raises
+        ------
+        ShapeError, MarkerError
+            If the points are no finite places.
+
+        Notes
+        -----
+        Cost: that of `uncertainty`, once; then some microseconds a point. Covariances are those of draws, within some
+        per cent of a target's.
+        """
+        return self.field.at(points, covariance)
+
+    def transform(
+        self: HasField,
+        path: str | os.PathLike[str],
+        *,
+        like: Any = None,
+        spacing: Any = None,
+        direction: Direction | None = None,
+        std: str | os.PathLike[str] | None = None,
+    ) -> Path:
+        """Write the displacement field as a grid transform, for 3D Slicer, ITK and others.
+
+        Parameters
+        ----------
+        path : path-like
+            A ``.nrrd`` file: displacements in mm, LPS. Or an ``.h5`` or ``.tfm`` file, an ITK transform, which always
+            holds the direction that warps images.
+        like : path-like, optional
+            An image whose grid is taken, oblique and anisotropic ones included; or the folder of a DICOM series.
+        spacing : float, optional
+            Spacing of a grid over the body and its surroundings, mm, given instead.
+        direction : {"modeling", "resampling"}, optional
+            From places before the deformation to those after it, or the other way, as images are warped. By default
+            ``"modeling"`` in a ``.nrrd`` file.
+        std : path-like, optional
+            A ``.nrrd`` file for the standard deviation of every voxel, mm, NaN outside the body.
+
+        Returns
+        -------
+        Path
+            The file.
+
+        Raises
+        ------
+        ArgumentError, FormatError, OutputError
+            If neither or both of `like` and `spacing` are given, the image cannot be read, or a file cannot be written.
+        ImportError
+            If SimpleITK is not installed (``pip install 'tissuereg[images]'``).
+        """
+        return self.field.transform(path, like=like, spacing=spacing, direction=direction, std=std).path
+
+    def warp_image(
+        self: HasField,
+        image: str | os.PathLike[str],
+        path: str | os.PathLike[str],
+        *,
+        labels: bool,
+        like: str | os.PathLike[str] | None = None,
+    ) -> Path:
+        """Write an image of the undeformed body as it is now.
+
+        Parameters
+        ----------
+        image : path-like
+            An image, or the folder of a DICOM series; LPS, as images are, for which a mesh without a frame is taken.
+        path : path-like
+            File to write: .nrrd, .nii, .nii.gz or .mha.
+        labels : bool
+            Whether voxels are labels: each takes the one with the largest linear weight, none is mixed, and the names
+            of segments are kept. If not, values are interpolated linearly; those from outside are the smallest.
+        like : path-like, optional
+            An image whose grid is taken in place of its own.
+
+        Returns
+        -------
+        Path
+            The file.
+
+        Raises
+        ------
+        ArgumentError, FormatError, OutputError
+            If the image cannot be read, holds no labels where it should, or does not show the body; or the file cannot
+            be written or is one of the images.
+        ImportError
+            If SimpleITK is not installed (``pip install 'tissuereg[images]'``).
+        """
+        from tissuereg.imaging.warp import warp_image
+
+        warp_image(self.field, image, path, labels=labels, like=like)
+        return Path(path)
+
+    def warp_surface(self: HasField, surface: Any, path: str | os.PathLike[str], *, unit: Unit | None = None) -> Path:
+        """Write a surface of the undeformed body with its vertices moved; triangles stay.
+
+        Parameters
+        ----------
+        surface : path-like, pair of arrays, or Triangles
+            As of `tetrahedralize`, in the frame of the body.
+        path : path-like
+            File to write: .stl, .ply or .obj.
+        unit : {"mm", "cm", "m"}, optional
+            Unit of the surface's coordinates; by default that stated in the file, or else mm. Written are mm.
+
+        Returns
+        -------
+        Path
+            The file.
+
+        Raises
+        ------
+        ArgumentError, FormatError, MeshError, OutputError
+            If the surface cannot be read or lies in another frame, or the file cannot be written.
+        """
+        from tissuereg.imaging.warp import warp_surface
+
+        warp_surface(self.field, surface, path, unit=unit)
+        return Path(path)
+
+
+__all__ = ["FieldAnswers", "PointAnswer", "RegisteredField"]

@@ -14,7 +14,7 @@ import numpy as np
 
 from tissuereg._base.arguments import flag, found, named, place
 from tissuereg._base.arrays import FloatArray
-from tissuereg._base.choices import Direction, TrackerKind, Unit
+from tissuereg._base.choices import TrackerKind
 from tissuereg._base.provenance import Provenance
 from tissuereg._base.shown import notebook, short_repr
 from tissuereg.body.markers import Markers
@@ -22,10 +22,17 @@ from tissuereg.body.mesh import Mesh
 from tissuereg.errors import ModelError
 from tissuereg.registration.body import Body
 from tissuereg.registration.deviations import Deviations
-from tissuereg.registration.field import PointAnswer, RegisteredField
+from tissuereg.registration.field import FieldAnswers, RegisteredField
 from tissuereg.registration.settings import RegisterSettings
 from tissuereg.registration.target import Target, target_named
 from tissuereg.registration.trust import Trust
+
+#: On which bodies the regions were checked: with a trained model, and without.
+CHECKED = (
+    "The regions were checked on bodies of other solvers, never against a measurement inside a body.",
+    "The regions were checked against beads inside two gels and on bodies of other solvers, never against a "
+    "measurement inside an organ.",
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +89,7 @@ class Fallback:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Registration:
+class Registration(FieldAnswers):
     """Result of a registration: the displaced body, its uncertainty, and whether it can be trusted.
 
     Both methods fill these fields; `ContactRegistration` (without a trained model) and `LearnedRegistration` (with one)
@@ -185,141 +192,6 @@ class Registration:
         """The displacement field with its uncertainty, for points that are thought of later."""
         return RegisteredField(self.mesh, self.displacement, self.uncertainty)
 
-    def at(self, points: Any, covariance: bool = True) -> PointAnswer:
-        """Return where points of the undeformed body are now.
-
-        Parameters
-        ----------
-        points : array_like of float, shape (n, 3)
-            Places in the undeformed body, mm. Outside the body the displacement fades, harmonically, to nothing at a
-            distance of half the body's extent; such points are flagged.
-        covariance : bool
-            Whether the covariances are wanted.
-
-        Returns
-        -------
-        PointAnswer
-            Places, covariances, whether each point is inside, and flags.
-
-        Raises
-        ------
-        ShapeError, MarkerError
-            If the points are no finite places.
-
-        Notes
-        -----
-        Cost: that of `uncertainty`, once; then some microseconds a point. Covariances are those of draws, within some
-        per cent of a target's.
-        """
-        return self.field.at(points, covariance)
-
-    def transform(
-        self,
-        path: str | os.PathLike[str],
-        *,
-        like: Any = None,
-        spacing: Any = None,
-        direction: Direction | None = None,
-        std: str | os.PathLike[str] | None = None,
-    ) -> Path:
-        """Write the displacement field as a grid transform, for 3D Slicer, ITK and others.
-
-        Parameters
-        ----------
-        path : path-like
-            A ``.nrrd`` file: displacements in mm, LPS. Or an ``.h5`` or ``.tfm`` file, an ITK transform, which always
-            holds the direction that warps images.
-        like : path-like, optional
-            An image whose grid is taken, oblique and anisotropic ones included; or the folder of a DICOM series.
-        spacing : float, optional
-            Spacing of a grid over the body and its surroundings, mm, given instead.
-        direction : {"modeling", "resampling"}, optional
-            From places before the deformation to those after it, or the other way, as images are warped. By default
-            ``"modeling"`` in a ``.nrrd`` file.
-        std : path-like, optional
-            A ``.nrrd`` file for the standard deviation of every voxel, mm, NaN outside the body.
-
-        Returns
-        -------
-        Path
-            The file.
-
-        Raises
-        ------
-        ArgumentError, FormatError, OutputError
-            If neither or both of `like` and `spacing` are given, the image cannot be read, or a file cannot be written.
-        ImportError
-            If SimpleITK is not installed (``pip install 'tissuereg[images]'``).
-        """
-        return self.field.transform(path, like=like, spacing=spacing, direction=direction, std=std).path
-
-    def warp_image(
-        self,
-        image: str | os.PathLike[str],
-        path: str | os.PathLike[str],
-        *,
-        labels: bool,
-        like: str | os.PathLike[str] | None = None,
-    ) -> Path:
-        """Write an image of the undeformed body as it is now.
-
-        Parameters
-        ----------
-        image : path-like
-            An image, or the folder of a DICOM series; LPS, as images are, for which a mesh without a frame is taken.
-        path : path-like
-            File to write: .nrrd, .nii, .nii.gz or .mha.
-        labels : bool
-            Whether voxels are labels: each takes the one with the largest linear weight, none is mixed, and the names
-            of segments are kept. If not, values are interpolated linearly; those from outside are the smallest.
-        like : path-like, optional
-            An image whose grid is taken in place of its own.
-
-        Returns
-        -------
-        Path
-            The file.
-
-        Raises
-        ------
-        ArgumentError, FormatError, OutputError
-            If the image cannot be read, holds no labels where it should, or does not show the body; or the file cannot
-            be written or is one of the images.
-        ImportError
-            If SimpleITK is not installed (``pip install 'tissuereg[images]'``).
-        """
-        from tissuereg.imaging.warp import warp_image
-
-        warp_image(self.field, image, path, labels=labels, like=like)
-        return Path(path)
-
-    def warp_surface(self, surface: Any, path: str | os.PathLike[str], *, unit: Unit | None = None) -> Path:
-        """Write a surface of the undeformed body with its vertices moved; triangles stay.
-
-        Parameters
-        ----------
-        surface : path-like, pair of arrays, or Triangles
-            As of `tetrahedralize`, in the frame of the body.
-        path : path-like
-            File to write: .stl, .ply or .obj.
-        unit : {"mm", "cm", "m"}, optional
-            Unit of the surface's coordinates; by default that stated in the file, or else mm. Written are mm.
-
-        Returns
-        -------
-        Path
-            The file.
-
-        Raises
-        ------
-        ArgumentError, FormatError, MeshError, OutputError
-            If the surface cannot be read or lies in another frame, or the file cannot be written.
-        """
-        from tissuereg.imaging.warp import warp_surface
-
-        warp_surface(self.field, surface, path, unit=unit)
-        return Path(path)
-
     @property
     def node_covariance(self) -> FloatArray:
         """Covariance of every node, ndarray of float64, shape (n_nodes, 3, 3), mm^2."""
@@ -353,6 +225,11 @@ class Registration:
     def given(self) -> dict[str, Any]:
         """All settings and beliefs, those of the body as ``body``: plain numbers, lists and strings."""
         return {**self.settings.to_json(), "body": self.body.to_json()}
+
+    @property
+    def checked(self) -> str:
+        """On which bodies the regions of such a registration were checked, and on which never: a sentence."""
+        return CHECKED[self.model["kind"] == "contacts"]
 
     @property
     def starts_simulated(self) -> bool:
@@ -409,6 +286,7 @@ class Registration:
                 "chi_square": self.trust.chi_square,
                 "residual_chi_square": self.trust.residual_chi_square,
                 "n_obs": self.trust.n_obs,
+                "regions_checked": self.checked,
             },
             "fallback": None if self.fallback is None else self.fallback.to_json(),
             "model": dict(self.model),

@@ -18,7 +18,7 @@ from tissuereg.io.bounds import existing_file, read_text
 from tissuereg.io.fields import open_npz, write_npz
 from tissuereg.io.meshes import mesh_arrays, mesh_from_archive
 from tissuereg.registration.deviations import Deviations
-from tissuereg.registration.field import PointAnswer, RegisteredField
+from tissuereg.registration.field import FieldAnswers, RegisteredField
 from tissuereg.registration.target import Target, target_named
 from tissuereg.registration.trust import Trust
 
@@ -27,7 +27,7 @@ FIELD, CONTENT = "field.npz", "registration.json"
 
 
 @dataclass(frozen=True, eq=False)
-class StoredRegistration:
+class StoredRegistration(FieldAnswers):
     """A registration that was read from its folder: it answers what the result itself would.
 
     Attributes
@@ -71,28 +71,6 @@ class StoredRegistration:
     def target(self, name: str) -> Target:
         """Return the registered inner point of this name; raise `MarkerError` if there is none."""
         return target_named(self.targets, name)
-
-    def at(self, points: Any, covariance: bool = True) -> PointAnswer:
-        """Return where points (n, 3) of the undeformed body are now, mm; see `Registration.at`."""
-        return self.field.at(points, covariance)
-
-    def transform(self, path: str | os.PathLike[str], **options: Any) -> Path:
-        """Write the displacement field as a grid transform; see `Registration.transform`."""
-        return self.field.transform(path, **options).path
-
-    def warp_image(self, image: str | os.PathLike[str], path: str | os.PathLike[str], **options: Any) -> Path:
-        """Write an image of the undeformed body as it is now; see `Registration.warp_image`."""
-        from tissuereg.imaging.warp import warp_image
-
-        warp_image(self.field, image, path, **options)
-        return Path(path)
-
-    def warp_surface(self, surface: Any, path: str | os.PathLike[str], **options: Any) -> Path:
-        """Write a surface with its vertices moved; see `Registration.warp_surface`."""
-        from tissuereg.imaging.warp import warp_surface
-
-        warp_surface(self.field, surface, path, **options)
-        return Path(path)
 
     def __repr__(self) -> str:
         trusted = "trusted" if self.trust.ok else "not to be trusted"

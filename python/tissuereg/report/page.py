@@ -19,13 +19,6 @@ from tissuereg.report.words import fallback_lines, markers_used, silent, start_w
 if TYPE_CHECKING:
     from tissuereg.registration.result import Registration
 
-#: On which bodies the regions were checked: with a trained model, and without.
-CHECKED = (
-    "The regions were checked on bodies of other solvers, never against a measurement inside a body.",
-    "The regions were checked against beads inside two gels and on bodies of other solvers, never against a "
-    "measurement inside an organ.",
-)
-
 _STYLE = """
 .verdict { font-size: 1.9rem; font-weight: bold; margin: .5rem 0; } .silent { color: #7a12a8; }
 .sections { display: grid; grid-template-columns: repeat(auto-fit, minmax(max(9.5rem, 30%), 1fr)); gap: .8rem; }
@@ -76,7 +69,7 @@ def _summary(result: "Registration") -> str:
         + "".join(f"<p>{escape(line)}</p>" for line in left)
         + f"<p>{_met(result)} Misfit {trust.chi_square:.1f} for {trust.n_obs} measured "
         f"coordinates, p = {trust.p_value:.2g}. Smallest volume ratio of a tet {result.min_det_f:.2f}, "
-        f"{result.inverted_tets} inverted.</p><p>{CHECKED[result.model['kind'] == 'contacts']}</p>"
+        f"{result.inverted_tets} inverted.</p><p>{result.checked}</p>"
     )
 
 

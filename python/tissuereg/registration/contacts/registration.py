@@ -282,12 +282,9 @@ def _regions(body: Body) -> list[tuple[Uncertain, float]]:
     """Return the moduli of regions of the body that are uncertain, as causes, each with its standard deviation, kPa."""
     causes: list[tuple[Uncertain, float]] = []
     for region in body.regions.values():
-        if region.std > 0.0:
+        if region.std > 0.0 and len(region.tets):
             rates = np.zeros(body.mesh.n_tets)
             rates[region.tets] = 1.0
-            for other in body.regions.values():
-                if len(other.tets) < len(region.tets):  # its stiffness is its own
-                    rates[other.tets] = 0.0
             causes.append((ModulusField("young", rates), region.std))
     return causes
 
