@@ -1,6 +1,7 @@
 """Recordings of trackers, one module for each format; each file is recognised by its content, not by its ending."""
 
 import csv
+import itertools
 import os
 import struct
 from collections.abc import Callable, Mapping
@@ -100,6 +101,8 @@ def _recording(file: Path, tracks: Tracks) -> Recording:
     names, places, notes = stitched(tracks.names, tracks.places[kept], tracks.unlabelled)
     std = None if tracks.std is None or names != tracks.names else tracks.std[kept]
     live = None if tracks.registered is None else tracks.registered[kept]
+    received = None if tracks.received is None else frozen(tracks.received[kept])
+    answers = None if tracks.answers is None else tuple(itertools.compress(tracks.answers, kept))
     return Recording(
         frozen(np.ascontiguousarray(tracks.times[kept])),
         tuple(names),
@@ -113,6 +116,8 @@ def _recording(file: Path, tracks: Tracks) -> Recording:
         str(file),
         tuple(tracks.where),
         len(names) if tracks.listed is None else tracks.listed,
+        received,
+        answers,
     )
 
 

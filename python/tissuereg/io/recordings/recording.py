@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import compress
 from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
@@ -76,6 +77,10 @@ class Recording:
         Where each name stands first in the file, in words; empty where that is of no use.
     listed : int
         Number of names that the first frame lists, by which markers are joined by order.
+    received : ndarray of float64, shape (n_frames,), or None
+        Of a recording of `tissuereg live`: when each frame had come, s, by a clock that never jumps.
+    answers : tuple of str or None
+        Of such a recording: digest of each frame's answer, ``failed``, or empty; `tissuereg track --replay` compares.
     """
 
     times: FloatArray
@@ -90,6 +95,8 @@ class Recording:
     file: str = ""
     where: tuple[str, ...] = field(default=(), repr=False)
     listed: int = 0
+    received: FloatArray | None = field(default=None, repr=False)
+    answers: tuple[str, ...] | None = field(default=None, repr=False)
 
     def __len__(self) -> int:
         return len(self.times)
@@ -225,7 +232,17 @@ class Recording:
         """Return the recording of the frames that a mask (n_frames,) selects."""
         std = None if self.std is None else self.std[kept]
         live = None if self.registered is None else self.registered[kept]
-        part = replace(self, times=self.times[kept], places=self.places[kept], std=std, registered=live)
+        received = None if self.received is None else self.received[kept]
+        answers = None if self.answers is None else tuple(compress(self.answers, kept))
+        part = replace(
+            self,
+            times=self.times[kept],
+            places=self.places[kept],
+            std=std,
+            registered=live,
+            received=received,
+            answers=answers,
+        )
         return derived(part, self)
 
     def _known(self, sit: Labels, match: Match) -> list[int]:
