@@ -24,7 +24,7 @@ from tissuereg.cli.body_input import (
 )
 from tissuereg.cli.common import UNTRUSTED, Outcome, Stopwatch, note, seconds_line
 from tissuereg.cli.options import Help, Parser, add_option, refuse, refuse_overwriting
-from tissuereg.cli.recording_input import add_offset_option
+from tissuereg.cli.recording_input import add_offset_option, warm_up
 from tissuereg.live.settings import SURFACES
 from tissuereg.report.words import counted
 
@@ -146,15 +146,6 @@ def _read(args: argparse.Namespace) -> "tuple[Tracker, Intake]":
     offsets = {name: np.array(place) for name, place in args.offset}
     how = only_given(match=args.match, tools_in=args.tools_in)
     return Tracker(registrar), Intake(markers.names, offsets=offsets, frame=frames["frame"], alignment=alignment, **how)
-
-
-def warm_up(tracker: "Tracker") -> None:
-    """Register the body at rest and forget it, so that the first frame does not wait for what is made once."""
-    from tissuereg.tracking.tracker import CANNOT_BE_REGISTERED
-
-    with contextlib.suppress(*CANNOT_BE_REGISTERED):
-        tracker.step(tracker.registrar.markers.reference, 0.0)
-    tracker.reset()
 
 
 @contextlib.contextmanager
