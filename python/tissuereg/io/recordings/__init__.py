@@ -98,7 +98,7 @@ def _recording(file: Path, tracks: Tracks) -> Recording:
     if far.any():
         tracks.notes.append(f"{int(far.sum())} places farther away than a kilometre are no measurements: not seen")
         tracks.places = np.where(far[..., None], np.nan, tracks.places)
-    names, places, notes = stitched(tracks.names, tracks.places[kept], tracks.unlabelled)
+    names, places, notes, numbered = stitched(tracks.names, tracks.places[kept], tracks.unlabelled)
     std = None if tracks.std is None or names != tracks.names else tracks.std[kept]
     live = None if tracks.registered is None else tracks.registered[kept]
     received = None if tracks.received is None else frozen(tracks.received[kept])
@@ -118,6 +118,7 @@ def _recording(file: Path, tracks: Tracks) -> Recording:
         len(names) if tracks.listed is None else tracks.listed,
         received,
         answers,
+        numbered,
     )
 
 
