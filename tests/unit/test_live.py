@@ -18,7 +18,7 @@ from tissuereg.live import LiveServer, LiveSettings
 from tissuereg.live.answers import answer_digest
 from tissuereg.live.frames import FirstFrame, Gathering, Intake, LiveFrame
 from tissuereg.live.keeper import Keeper
-from tissuereg.live.peers import shown
+from tissuereg.live.peers import Peers, shown
 from tissuereg.live.protocol import (
     HEADER_BYTES,
     header_of,
@@ -415,38 +415,66 @@ def test_two_clients_get_the_answers_and_one_too_many_is_refused():
     assert server.peer_counts.refused == 1
 
 
-def test_idle_peers_give_way_to_a_new_one_and_those_that_send_do_not():
-    with serving(most_peers=3, idle_s=0.2) as server:
-        idle = [Peer(server.address) for _ in range(2)]
-        eventually(lambda: server.peer_counts.peers == 2)
-        busy = Peer(server.address)
-        eventually(lambda: server.peer_counts.peers == 3)
+@pytest.mark.parametrize("kind", ["POINT", "IMAGE"])
+def test_idle_peers_give_way_to_a_new_one_and_those_that_send_do_not(kind):
+    data = point_message(SIT) if kind == "POINT" else packed("IMAGE", "x", bytes(10))
+    with serving(most_peers=3, idle_s=0.4) as server:
+        busy = Peer(server.address)  # the first of all, so that nothing but what it sends keeps it
+        eventually(lambda: server.peer_counts.peers == 1)
+        idle = []
+        while len(idle) < 2:
+            idle.append(Peer(server.address))
+            eventually(lambda: server.peer_counts.peers == 1 + len(idle))
         assert Peer(server.address).gone()  # none has been idle for long
         assert server.peer_counts.refused == 1
-        time.sleep(0.25)
-        busy.send(point_message(SIT))
-        assert answer(busy)["trusted"] is True
         first = idle[0].socket.getsockname()[1]
+        time.sleep(0.5)
+        busy.send(data)
+        eventually(lambda: server.counts.skipped + server.counts.registered == 1)
         new = Peer(server.address)
-        assert answer(new)["trusted"] is True
         assert idle[0].gone()  # the one that was silent for longest
+        assert server.peer_counts.displaced == 1
         busy.send(point_message(SIT))
         for peer in (busy, new, idle[1]):
             assert answer(peer)["trusted"] is True
-        time.sleep(0.25)
-        new.send(point_message(SIT))
-        busy.send(packed("IMAGE", "x", bytes(10)))
-        eventually(lambda: server.counts.skipped == 1)
-        newest = Peer(server.address)
-        answer(newest)
-        assert idle[1].gone()
-        assert server.peer_counts.displaced == 2
-        for peer in (*idle, busy, new, newest):
+        for peer in (*idle, busy, new):
             peer.close()
     gave_way = [text for text in server.said if "gives way to" in text]
     assert gave_way[0].startswith(f"127.0.0.1:{first} gives way to 127.0.0.1:")
     assert "it has sent nothing for" in gave_way[0]
     assert not any(f"127.0.0.1:{first} is gone" in text for text in server.said)
+
+
+class FakeWriter:
+    """A connection that nobody reads: its address, and the bytes that wait."""
+
+    def __init__(self, name, waiting=0):
+        self.name, self.waiting, self.aborted = name, waiting, False
+        self.transport = self
+
+    def get_extra_info(self, _, default=None):
+        return (self.name, 1)
+
+    def get_write_buffer_size(self):
+        return self.waiting
+
+    def abort(self):
+        self.aborted = True
+
+
+def test_a_peer_that_we_called_never_gives_way():
+    said = []
+    peers = Peers(LiveSettings(most_peers=2, idle_s=10.0), said.append)
+    writers = [FakeWriter("plus", waiting=9), FakeWriter("viewer"), FakeWriter("new"), FakeWriter("late")]
+    peers.admit(writers[0], 0.0, called=True)
+    peers.admit(writers[1], 5.0)
+    assert peers.admit(writers[2], 14.0) is None
+    assert peers.admit(writers[2], 15.0) is not None
+    assert [one.aborted for one in writers] == [False, True, True, False]
+    assert "viewer:1 gives way to new:1: it has sent nothing for 10 s" in said
+    assert peers.admit(writers[3], 20.0) is None
+    assert sum("refused" in text for text in said) == 1
+    assert (peers.counts.refused, peers.counts.displaced) == (2, 1)
 
 
 def test_a_peer_that_does_not_read_gives_way_before_one_that_is_silent_for_longer():

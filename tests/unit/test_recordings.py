@@ -123,10 +123,11 @@ def test_tools_of_ndi_are_markers_with_their_error_as_noise(tmp_path, content):
     [
         (NDI_TRACK, "nothing tells that the tracker was optical"),
         ("NDI Aurora V3\n" + NDI_TRACK, "of an Aurora is an index of quality"),
+        (NDI_OPTICAL.replace("Port 2", "Aurora 2"), "of an Aurora is an index of quality"),
         (NDI_ROWS.replace("Port:1", "Aurora 1"), "of an Aurora is an index of quality"),
         (NDI_ROWS.replace("0.25,1,OK,1,2,3", "0.25,0"), "nothing tells that the tracker was optical"),
     ],
-    ids=["unknown", "aurora", "aurora-with-markers", "no-markers"],
+    ids=["unknown", "aurora", "both", "aurora-with-markers", "no-markers"],
 )
 def test_an_index_of_quality_of_ndi_is_no_length(tmp_path, content, said):
     found = tr.read_recording(written(tmp_path, content), rate_hz=40.0)
