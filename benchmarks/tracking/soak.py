@@ -108,6 +108,13 @@ class Live:
             "cpu_s": spent.user + spent.system,
         }
 
+    def __enter__(self) -> "Live":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.process.kill()
+        self.process.wait()
+
     def connect(self) -> socket.socket:
         """Return a connection to it."""
         made = socket.create_connection(self.address, timeout=60.0)
@@ -115,8 +122,8 @@ class Live:
         return made
 
     def end(self) -> dict[str, Any]:
-        """Interrupt it, as Ctrl-C does, and return what it says at the end."""
-        self.process.send_signal(2)
+        """End it, as Ctrl-C does, and return what it says at the end."""
+        self.process.terminate()  # a process in the background of a shell ignores interrupts
         code = self.process.wait(120.0)
         said: dict[str, Any] = json.loads((self.folder / "said.json").read_text("utf-8"))
         return {**said, "exit_code": code}
@@ -176,8 +183,7 @@ def soak(minutes: float, hz: float) -> dict[str, Any]:
         "load_before": os.getloadavg()[0], "machine": machine(), "versions": versions(), **commit(), "minutes": [],
     }  # fmt: skip
     rng = np.random.default_rng(0)
-    with tempfile.TemporaryDirectory() as name:
-        live = Live(Path(name), "--record", "kept.csv")
+    with tempfile.TemporaryDirectory() as name, Live(Path(name), "--record", "kept.csv") as live:
         answer |= {"markers": len(live.names), "nodes": tr.phantom.phantom_mesh("small").n_nodes}
         tracker, viewer = live.connect(), None
         ear = Ear(tracker)
@@ -276,8 +282,7 @@ def fuzz(messages: int) -> dict[str, Any]:
     """Send broken messages, ask for the answer to a good frame after every hundred, and return what came of them."""
     rng, counts = np.random.default_rng(1), dict[str, int]()
     reconnected = answered = 0
-    with tempfile.TemporaryDirectory() as name:
-        live = Live(Path(name))
+    with tempfile.TemporaryDirectory() as name, Live(Path(name)) as live:
         poses = {one: np.eye(4) for one in live.names}
         good = [
             frame_of(live, live.places, 5.0),
@@ -380,7 +385,7 @@ def soak_section(answer: dict[str, Any]) -> Iterator[str]:
         yield f"| frames sent; registered; dropped; failed | {'; '.join(map(str, found))} |"
         found = [answer["recorded"], answer["recorded_registered"]]
         yield f"| frames in the recording; of these registered | {'; '.join(map(str, found))} |"
-        yield f"| connections so far; exit code after Ctrl-C | {said['peers']}; {said['exit_code']} |"
+        yield f"| connections so far; exit code after SIGTERM | {said['peers']}; {said['exit_code']} |"
     yield f"| answers read | {rows[-1]['read_mb'] / 1e3:.2f} GB |"
     for key, words in (
         ("step", "the tracker's own time"),
@@ -416,7 +421,7 @@ def fuzz_section(answer: dict[str, Any]) -> Iterator[str]:
     yield f"| left out; passed over; refused connections | {said['spoilt']}; {said['skipped']}; {said['refused']} |"
     for key, words in (("rss_mb", "memory, MB"), ("fds", "open files and sockets"), ("threads", "threads")):
         yield f"| {words}: after a tenth; at the end | {answer['before'][key]:.0f}; {answer['after'][key]:.0f} |"
-    yield f"| exit code after Ctrl-C | {said['exit_code']} |"
+    yield f"| exit code after SIGTERM | {said['exit_code']} |"
 
 
 def page() -> str:
