@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from math import isnan
 from pathlib import Path
-from typing import NamedTuple, TextIO
+from typing import NamedTuple
 
 import numpy as np
 
@@ -91,13 +91,13 @@ class TableRecorder:
     `full` says that the table has its largest size; frames after that are not written.
     """
 
-    def __init__(self, handle: TextIO, names: Sequence[str]) -> None:
+    def __init__(self, handle: io.RawIOBase, names: Sequence[str]) -> None:
         self.full = False
         self._handle, self._names, self._left = handle, names, 1_000_000 * FILES.recording_mb
         self._write([[*COLUMNS, REGISTERED, RECEIVED, ANSWER, SENT_AS]])
 
     def add(self, row: LiveRow) -> None:
-        """Write a frame, its numbers to the last digit."""
+        """Write a frame, its numbers to the last digit; raise `OSError` if there is no room for it."""
         told = [int(row.registered), repr(row.received_s), row.answer]
         rows = []
         for i, (name, place) in enumerate(zip(self._names, row.places.tolist(), strict=True)):
@@ -110,16 +110,27 @@ class TableRecorder:
         """Write rows, all or none: a frame without some of its markers would be another frame."""
         lines = io.StringIO()
         csv.writer(lines, lineterminator="\n").writerows(rows)
-        self._left -= len(lines.getvalue().encode())
+        data = lines.getvalue().encode()
+        self._left -= len(data)
         self.full = self.full or self._left < 0
-        if not self.full:
-            self._handle.write(lines.getvalue())
+        if self.full:
+            return
+        begin = self._handle.tell()
+        try:
+            while data:  # unbuffered: what is refused is known at once, and may have been written in part
+                data = data[self._handle.write(data) or 0 :]
+        except OSError:
+            self._handle.truncate(begin)
+            raise
 
 
 @contextmanager
 def recorder(path: Path, names: Sequence[str]) -> Iterator[TableRecorder]:
-    """Yield what writes frames of markers to a table, whole or not at all; `names`: of the markers."""
-    with atomic_file(path) as draft, draft.open("w", encoding="utf-8", newline="") as handle:
+    """Yield what writes frames of markers to a table, whole or not at all; `names`: of the markers.
+
+    A frame for which there is no room is left out; the table of those before it takes its name at the end.
+    """
+    with atomic_file(path) as draft, draft.open("wb", buffering=0) as handle:
         yield TableRecorder(handle, names)
 
 
