@@ -1,8 +1,11 @@
 """An hour of frames through the sockets of ``tissuereg live``, and broken messages -> archive/, RESULTS-live.md.
 
     python -m tracking.soak [--minutes M] [--hz F]
+    python -m tracking.soak --latency [--minutes M] [--hz F]
     python -m tracking.soak --fuzz [--messages N]
     python -m tracking.soak --page
+
+``--latency`` sends the same frames for some minutes and keeps what they took, for a machine that does little else.
 
 The server is a process of its own, as a user starts it, on the small phantom with the network of the tests; it records
 what it gets. A tracker sends all markers in a POINT and reads every answer; a viewer reads too, goes and comes back
@@ -49,7 +52,7 @@ from tissuereg.live.protocol import (
 
 HERE = Path(__file__).resolve().parent
 SOAK, SOAK_TABLES = HERE / "archive" / "soak", ("minutes/#",)
-FUZZ = HERE / "archive" / "fuzz"
+LATENCY, FUZZ = HERE / "archive" / "latency", HERE / "archive" / "fuzz"
 PAGE = HERE / "RESULTS-live.md"
 MODEL = REPOSITORY / "tests" / "data" / "small-model"
 
@@ -60,6 +63,8 @@ _PACKAGE = str(Path(tr.__file__).parents[1])
 STD_MM, LOST, BREATH_S, VISIT_S = 0.1, 0.02, 4.0, 30.0
 #: Minutes that are left out of what is said of memory: caches fill, and what is imported late.
 SETTLED = 5
+#: Frames of the recording that are replayed at the end.
+REPLAYED = 1000
 
 
 class Live:
@@ -74,13 +79,13 @@ class Live:
         rows = [f"{name},{x},{y},{z}\n" for name, (x, y, z) in zip(self.names, self.places.tolist(), strict=True)]
         (folder / "sit.csv").write_text("marker,x_mm,y_mm,z_mm\n" + "".join(rows), "utf-8")
         (folder / "targets.csv").write_text("target,x_mm,y_mm,z_mm\nlesion,5,5,20\n", "utf-8")
-        words = ["live", "body.vtu", "--reference", "sit.csv", "--targets", "targets.csv", "--model", MODEL]
-        words += ["--frame", "RAS", "--listen", "127.0.0.1:0", "--json", "said.json", *more]
+        self._given = ["--reference", "sit.csv", "--targets", "targets.csv", "--model", MODEL, "--frame", "RAS"]
+        words = ["live", "body.vtu", *self._given, "--listen", "127.0.0.1:0", "--json", "said.json", *more]
         self.folder = folder
+        self._environment = os.environ | {"TISSUEREG_CACHE": str(folder / "cache"), "PYTHONPATH": _PACKAGE}
         self.process = subprocess.Popen(
             [sys.executable, "-m", "tissuereg", *map(str, words)],
-            cwd=folder, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True,
-            env=os.environ | {"TISSUEREG_CACHE": str(folder / "cache"), "PYTHONPATH": _PACKAGE},
+            cwd=folder, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True, env=self._environment,
         )  # fmt: skip
         self.lines: list[str] = []
         self._listening = threading.Event()
@@ -107,6 +112,20 @@ class Live:
             "threads": self._seen.num_threads(),
             "cpu_s": spent.user + spent.system,
         }
+
+    def replayed(self, file: str) -> dict[str, Any]:
+        """Return what ``track --replay`` says of the first frames of a recording: how many compared, and differ."""
+        lines = (self.folder / file).read_text("utf-8").splitlines(keepends=True)
+        (self.folder / "first.csv").write_text("".join(lines[: 1 + REPLAYED * len(self.names)]), "utf-8")
+        words = ["track", "body.vtu", "--replay", "first.csv", *self._given, "--out", "again", "--quiet"]
+        done = subprocess.run(
+            [sys.executable, "-m", "tissuereg", *map(str, words)],
+            cwd=self.folder, env=self._environment, capture_output=True, text=True, check=False,
+        )  # fmt: skip
+        if done.returncode not in (0, 4):
+            raise RuntimeError(done.stderr)
+        found: dict[str, Any] = json.loads((self.folder / "again" / "track.json").read_text("utf-8"))["replay"]
+        return {"compared": found["compared"], "different": len(found["different_s"])}
 
     def __enter__(self) -> "Live":
         return self
@@ -176,7 +195,7 @@ class Ear:
                         self.answers.append((came if said["targets"] else now, said))
 
 
-def soak(minutes: float, hz: float) -> dict[str, Any]:
+def soak(minutes: float, hz: float, folder: Path) -> dict[str, Any]:
     """Send frames for some minutes, write the archive every minute, and return it."""
     answer: dict[str, Any] = {
         "schema": "tissuereg.live-soak/1", "hz": hz, "asked_minutes": minutes, "std_mm": STD_MM, "lost": LOST,
@@ -203,16 +222,17 @@ def soak(minutes: float, hz: float) -> dict[str, Any]:
             if now >= 60.0 * (done + 1):
                 done += 1
                 answer["minutes"].append(_minute(live, ear, sent, hz, now))
-                write_archive(SOAK, answer, SOAK_TABLES)
+                write_archive(folder, answer, SOAK_TABLES)
             time.sleep(max(begin + len(sent) / hz - time.perf_counter(), 0.0))
         time.sleep(2.0)
         answer["minutes"].append(_minute(live, ear, sent, hz, time.perf_counter() - begin))
         answer |= {"sent": len(sent), "seconds": time.perf_counter() - begin, "load_after": os.getloadavg()[0]}
         said = live.end()
+        answer["replay"] = live.replayed("kept.csv")
         kept = tr.read_recording(Path(name) / "kept.csv")
         answer["recorded"], answer["recorded_registered"] = len(kept), int(kept.registered.sum())
         answer["said"] = {key: said[key] for key in _SAID}
-    write_archive(SOAK, answer, SOAK_TABLES)
+    write_archive(folder, answer, SOAK_TABLES)
     return answer
 
 
@@ -238,7 +258,7 @@ def _minute(live: Live, ear: Ear, sent: list[float], hz: float, now: float) -> d
         before = came
     row: dict[str, Any] = {"s": now, "sent": len(sent), "answered": len(answers), "matched": len(total)}
     for key, values in (("total", total), ("step", own), ("added", added)):
-        row |= {f"{key}_{q}_ms": float(np.percentile(values, q)) if len(values) else None for q in (50, 99)}
+        row |= {f"{key}_{q}_ms": float(np.percentile(values, q)) if len(values) else None for q in (10, 50, 99)}
         row[f"{key}_max_ms"] = float(np.max(values)) if len(values) else None
     return {**row, **live.used(), "load": os.getloadavg()[0], "read_mb": ear.bytes / 1e6}
 
@@ -345,7 +365,7 @@ def _is_answered(live: Live, friend: socket.socket, ear: Ear, within_s: float = 
 
 HEAD = """# Live: an hour through the sockets, and broken messages
 
-Written by `make -C benchmarks/tracking soak fuzz` from `archive/soak` and `archive/fuzz`; edit none.
+Written by `make -C benchmarks/tracking soak latency fuzz` from `archive/`; edit none.
 How it works: [live](../../docs/howto/live.md).
 """
 
@@ -387,13 +407,6 @@ def soak_section(answer: dict[str, Any]) -> Iterator[str]:
         yield f"| frames in the recording; of these registered | {'; '.join(map(str, found))} |"
         yield f"| connections so far; exit code after SIGTERM | {said['peers']}; {said['exit_code']} |"
     yield f"| answers read | {rows[-1]['read_mb'] / 1e3:.2f} GB |"
-    for key, words in (
-        ("step", "the tracker's own time"),
-        ("total", "marker in to target out, through both sockets"),
-        ("added", "what the sockets add"),
-    ):
-        cells = [np.median([row[f"{key}_{q}_ms"] for row in rows if row["matched"]]) for q in (50, 99)]
-        yield f"| {words}: median; 99 % (medians of minutes) | {cells[0]:.1f}; {cells[1]:.1f} ms |"
     memory = [row["rss_mb"] for row in kept]
     yield (
         f"| memory after {SETTLED} minutes: first; last; least to most | {memory[0]:.1f}; {memory[-1]:.1f}; "
@@ -404,9 +417,28 @@ def soak_section(answer: dict[str, Any]) -> Iterator[str]:
         found = [row[key] for row in kept]
         yield f"| {words}, least to most | {min(found)} to {max(found)} |"
     yield f"| share of a core | {100.0 * rows[-1]['cpu_s'] / rows[-1]['s']:.0f} % |"
+
+
+def latency_section(answer: dict[str, Any]) -> Iterator[str]:
+    """Yield the part of the page on what frames took."""
+    rows = [row for row in answer["minutes"] if row["matched"]]
+    yield f"\n## Latency\n\n{rows[-1]['s'] / 60.0:.0f} minutes of the same frames; medians of minutes, ms.\n"
+    yield "| | 10 % | median | 99 % |\n|---|---|---|---|"
+    for key, words in (
+        ("step", "the tracker's own time"),
+        ("total", "marker in to target out, through both sockets"),
+        ("added", "what the sockets add, of frames that waited for no other"),
+    ):
+        cells = [f"{np.median([row[f'{key}_{q}_ms'] for row in rows]):.1f}" for q in (10, 50, 99)]
+        yield f"| {words} | {' | '.join(cells)} |"
+    replay = answer["replay"]
+    yield (
+        f"\nOf the first {REPLAYED} frames of the recording `track --replay` answered {replay['compared']}, "
+        f"{replay['different']} of them otherwise than they were answered live."
+    )
     load = np.median([row["load"] for row in rows])
-    if load > 1.5:
-        yield f"\nThe machine was busy with other work (load {load:.1f}): latencies are too long."
+    if load > answer["machine"]["cores"] / 2.0:
+        yield f"\nThe machine was busy with other work (load {load:.1f}): times are too long."
 
 
 def fuzz_section(answer: dict[str, Any]) -> Iterator[str]:
@@ -427,7 +459,7 @@ def fuzz_section(answer: dict[str, Any]) -> Iterator[str]:
 def page() -> str:
     """Return the page of the archives that are there."""
     lines = [HEAD]
-    for folder, section in ((SOAK, soak_section), (FUZZ, fuzz_section)):
+    for folder, section in ((SOAK, soak_section), (LATENCY, latency_section), (FUZZ, fuzz_section)):
         if (folder / "run.json").exists():
             lines += section(read_archive(folder))
     return "\n".join(lines) + "\n"
@@ -436,16 +468,19 @@ def page() -> str:
 def main() -> None:
     """Run the frames or the broken messages, or write the page again."""
     parser = argparse.ArgumentParser(description="An hour of frames through the sockets, and broken messages.")
-    parser.add_argument("--minutes", type=float, default=60.0)
+    parser.add_argument("--minutes", type=float, help="default: 60, of latencies 5")
     parser.add_argument("--hz", type=float, default=20.0)
+    parser.add_argument("--latency", action="store_true", help="what the frames took")
     parser.add_argument("--fuzz", action="store_true", help="broken messages in place of frames")
     parser.add_argument("--messages", type=int, default=10_000)
     parser.add_argument("--page", action="store_true", help="write the page again from the archives")
     given = parser.parse_args()
     if given.fuzz and not given.page:
         write_archive(FUZZ, fuzz(given.messages), ())
+    elif given.latency and not given.page:
+        soak(given.minutes or 5.0, given.hz, LATENCY)
     elif not given.page:
-        soak(given.minutes, given.hz)
+        soak(given.minutes or 60.0, given.hz, SOAK)
     PAGE.write_text(page(), "utf-8")
 
 

@@ -78,6 +78,7 @@ def test_live(copy):
     answer = read_archive(copy / "benchmarks" / "tracking" / "archive" / "soak")
     assert answer["said"]["received"] == answer["sent"] == answer["recorded"]
     assert answer["said"]["registered"] == answer["recorded_registered"] > 0
+    assert answer["replay"] == {"compared": answer["recorded_registered"], "different": 0}
     assert "| good frames answered | 3 of 3 |" in (copy / "benchmarks/tracking/RESULTS-live.md").read_text("utf-8")
 
 

@@ -39,6 +39,7 @@ def test_latencies_are_those_of_the_frames_that_were_answered_and_waits_are_not_
     assert row["total_50_ms"] == pytest.approx(30.0)
     assert row["total_max_ms"] == pytest.approx(90.0)
     assert row["step_50_ms"] == 20.0
+    assert row["step_10_ms"] == pytest.approx(9.0)
     # Of the first four: 5, 10, -10 and 60 ms.
     assert row["added_50_ms"] == pytest.approx(7.5)
     assert row["added_max_ms"] == pytest.approx(60.0)
