@@ -15,8 +15,8 @@ from typing import Any, TextIO
 from tissuereg._base.machine import machine, n_cores, versions
 from tissuereg._base.provenance import note_warning
 
-#: Exit code of an answer that was found and written, but is not to be trusted; of one that was interrupted.
-UNTRUSTED, INTERRUPTED = 4, 130
+#: Exit code of an answer that was found and written, but is not to be trusted.
+UNTRUSTED = 4
 
 
 @dataclass(frozen=True)

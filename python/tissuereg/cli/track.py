@@ -18,7 +18,7 @@ from tissuereg.cli.body_input import (
     method_of,
     read_tracked_body,
 )
-from tissuereg.cli.common import INTERRUPTED, UNTRUSTED, Outcome, Stopwatch, ended_by_signals, note, seconds_line
+from tissuereg.cli.common import UNTRUSTED, Outcome, Stopwatch, ended_by_signals, note, seconds_line
 from tissuereg.cli.options import Help, Parser, refuse, refuse_overwriting
 from tissuereg.cli.progress import progress_bar
 from tissuereg.cli.recording_input import add_recording_options, read_recorded, read_replayed, warm_up
@@ -136,7 +136,7 @@ def run(args: argparse.Namespace) -> Outcome:
     clock.lap("write")
     content["seconds"] = clock.seconds
     same = content["replay"] is None or not content["replay"]["different_s"]
-    code = INTERRUPTED if content["interrupted"] else 0 if tracked.all_trusted and same else UNTRUSTED
+    code = 130 if content["interrupted"] else 0 if tracked.all_trusted and same else UNTRUSTED
     return Outcome(content, _summary(content, args.out, verbose=args.verbose), args.threads, code)
 
 
@@ -345,16 +345,13 @@ def _summary(content: dict[str, Any], out: str, *, verbose: bool) -> str:
             seconds_line(content["seconds"], verbose=verbose),
             f"written: {out}",
             *_replay_lines(content["replay"]),
-            *([_INTERRUPTED] if content["interrupted"] else []),
+            *(["Interrupted: the frames after the last one are not registered."] if content["interrupted"] else []),
             *(event_line(event) for event in told[: KEPT.lines]),
             *([f"and {len(told) - KEPT.lines} more, see track.json"] if len(told) > KEPT.lines else []),
             *([f"not registered at {at_time(failed[0]['time_s'])} s: {failed[0]['reason']}"] if failed else []),
             *_frames_verdict(frames),
         ]
     )
-
-
-_INTERRUPTED = "Interrupted: the frames after the last one are not registered."
 
 
 def _replay_lines(replay: dict[str, Any] | None) -> list[str]:
