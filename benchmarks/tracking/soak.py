@@ -8,8 +8,9 @@
 ``--latency`` sends the same frames for some minutes and keeps what they took, for a machine that does little else.
 
 The server is a process of its own, as a user starts it, on the small phantom with the network of the tests; it records
-what it gets. A tracker sends all markers in a POINT and reads every answer; a viewer reads too, goes and comes back
-twice a minute. Archive and page are written again every minute, so that a run that is stopped leaves what it measured.
+what it gets. A tracker sends all markers in a POINT and reads every answer; viewers read too: a new one comes twice a
+minute, and where eight peers are there the oldest gives way, since it sends nothing. Archive and page are written again
+every minute, so that a run that is stopped leaves what it measured.
 """
 
 import argparse
@@ -59,7 +60,7 @@ MODEL = REPOSITORY / "tests" / "data" / "small-model"
 #: Where the package lies that this module has imported: the process takes no other one.
 _PACKAGE = str(Path(tr.__file__).parents[1])
 
-#: Noise of the markers, mm; share of them that a frame lacks; seconds of a breath, and between visits of the viewer.
+#: Noise of the markers, mm; share of them that a frame lacks; seconds of a breath, and between two viewers.
 STD_MM, LOST, BREATH_S, VISIT_S = 0.1, 0.02, 4.0, 30.0
 #: Minutes that are left out of what is said of memory: caches fill, and what is imported late.
 SETTLED = 5
@@ -204,15 +205,13 @@ def soak(minutes: float, hz: float, folder: Path) -> dict[str, Any]:
     rng = np.random.default_rng(0)
     with tempfile.TemporaryDirectory() as name, Live(Path(name), "--record", "kept.csv") as live:
         answer |= {"markers": len(live.names), "nodes": tr.phantom.phantom_mesh("small").n_nodes}
-        tracker, viewer = live.connect(), None
+        tracker = live.connect()
         ear = Ear(tracker)
         begin, sent, done, visited = time.perf_counter(), list[float](), 0, -VISIT_S
         while (now := time.perf_counter() - begin) < 60.0 * minutes:
             if now - visited >= VISIT_S:
-                if viewer is not None:
-                    viewer.close()
-                viewer, visited = live.connect(), now
-                Ear(viewer)
+                visited = now
+                Ear(live.connect())
             lean = 0.05 * np.sin(2.0 * np.pi * now / BREATH_S) * live.places[:, 2:] * np.array([1.0, 0.3, 0.0])
             places = live.places + lean + STD_MM * rng.standard_normal(live.places.shape)
             places[rng.random(len(places)) < LOST] = np.nan
@@ -373,9 +372,9 @@ How it works: [live](../../docs/howto/live.md).
 SOAK_HEAD = """## Frames
 
 {minutes:.1f} minutes of frames at {hz:g} Hz: {markers} markers with noise of {std_mm} mm in a POINT, {percent:.0f} % of
-them lost, of the small phantom ({nodes} nodes, the network of the tests). A tracker and a viewer read every answer: the
-surface with its spread, the targets, STRING and STATUS; the viewer goes and comes back every {visit:.0f} s. Every frame
-is recorded.
+them lost, of the small phantom ({nodes} nodes, the network of the tests). The tracker and viewers read every answer:
+the surface with its spread, the targets, STRING and STATUS. A new viewer comes every {visit:.0f} s; where eight peers
+are there, the oldest gives way, since it sends nothing. Every frame is recorded.
 """
 
 
@@ -405,8 +404,9 @@ def soak_section(answer: dict[str, Any]) -> Iterator[str]:
         yield f"| frames sent; registered; dropped; failed | {'; '.join(map(str, found))} |"
         found = [answer["recorded"], answer["recorded_registered"]]
         yield f"| frames in the recording; of these registered | {'; '.join(map(str, found))} |"
-        yield f"| connections so far; exit code after SIGTERM | {said['peers']}; {said['exit_code']} |"
-    yield f"| answers read | {rows[-1]['read_mb'] / 1e3:.2f} GB |"
+        found = [said["peers"], said["displaced"], said["exit_code"]]
+        yield f"| connections; of these gave way; exit code | {'; '.join(map(str, found))} |"
+    yield f"| answers read by the tracker | {rows[-1]['read_mb'] / 1e3:.2f} GB |"
     memory = [row["rss_mb"] for row in kept]
     yield (
         f"| memory after {SETTLED} minutes: first; last; least to most | {memory[0]:.1f}; {memory[-1]:.1f}; "
@@ -417,6 +417,7 @@ def soak_section(answer: dict[str, Any]) -> Iterator[str]:
         found = [row[key] for row in kept]
         yield f"| {words}, least to most | {min(found)} to {max(found)} |"
     yield f"| share of a core | {100.0 * rows[-1]['cpu_s'] / rows[-1]['s']:.0f} % |"
+    yield from _busy(answer, "frames were dropped for want of a core")
 
 
 def latency_section(answer: dict[str, Any]) -> Iterator[str]:
@@ -433,12 +434,17 @@ def latency_section(answer: dict[str, Any]) -> Iterator[str]:
         yield f"| {words} | {' | '.join(cells)} |"
     replay = answer["replay"]
     yield (
-        f"\nOf the first {REPLAYED} frames of the recording `track --replay` answered {replay['compared']}, "
+        f"\nOf the first {REPLAYED} frames of the recording `track --replay` answered {replay['compared']},\n"
         f"{replay['different']} of them otherwise than they were answered live."
     )
-    load = np.median([row["load"] for row in rows])
+    yield from _busy(answer, "times are too long")
+
+
+def _busy(answer: dict[str, Any], therefore: str) -> Iterator[str]:
+    """Yield a remark where the machine had other work to do."""
+    load = np.median([row["load"] for row in answer["minutes"]])
     if load > answer["machine"]["cores"] / 2.0:
-        yield f"\nThe machine was busy with other work (load {load:.1f}): times are too long."
+        yield f"\nThe machine was busy with other work (load {load:.1f}): {therefore}."
 
 
 def fuzz_section(answer: dict[str, Any]) -> Iterator[str]:
