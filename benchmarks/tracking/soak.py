@@ -459,7 +459,7 @@ def fuzz_section(answer: dict[str, Any]) -> Iterator[str]:
     yield f"| left out; passed over; refused connections | {said['spoilt']}; {said['skipped']}; {said['refused']} |"
     for key, words in (("rss_mb", "memory, MB"), ("fds", "open files and sockets"), ("threads", "threads")):
         yield f"| {words}: after a tenth; at the end | {answer['before'][key]:.0f}; {answer['after'][key]:.0f} |"
-    yield f"| exit code after SIGTERM | {said['exit_code']} |"
+    yield f"| exit code | {said['exit_code']} |"
 
 
 def page() -> str:
