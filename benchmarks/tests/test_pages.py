@@ -19,6 +19,7 @@ import speed.cluster as cluster
 import speed.esmda as esmda
 import speed.large_bodies as large_bodies
 import speed.solver as solver
+import tracking.soak as soak
 import tracking.tracked_beam as beam
 import tracking.tracking as tracking
 from common import read_archive, write_archive
@@ -116,6 +117,16 @@ def test_the_page_of_tracking_is_that_of_its_archives():
     rate["rows"]["contacts"]["dropped"] -= 1
     answer["model"][0]["frame by frame"][5][0] += 1.0
     assert tracking.page(answer, rate) != kept
+
+
+def test_the_page_of_live_is_that_of_its_archives():
+    kept = soak.PAGE.read_text(encoding="utf-8")
+    assert soak.page() == kept
+    answer = read_archive(soak.SOAK)
+    section = "\n".join(soak.soak_section(answer))
+    assert section in kept
+    answer["minutes"][-1]["rss_mb"] += 1.0
+    assert "\n".join(soak.soak_section(answer)) != section
 
 
 @pytest.mark.parametrize(

@@ -256,7 +256,7 @@ def test_an_alignment_that_does_not_fit_is_refused(inputs, capsys):
 
 def test_columns_offsets_and_the_noise_of_a_tracker_are_taken(inputs, capsys):
     head = "Frame#,ToolHandle,Face#,TransformStatus,Q0,Qx,Qy,Qz,Tx,Ty,Tz,Error,#Markers\n"
-    rows = [f"{k},{name},0,OK,1,0,0,0,{x - 5},{y},{z},0.5,0\n" for k, frame in enumerate([PLACES] * 2)
+    rows = [f"{k},{name},0,OK,1,0,0,0,{x - 5},{y},{z},0.5,4\n" for k, frame in enumerate([PLACES] * 2)
             for name, (x, y, z) in zip(NAMES, frame.tolist(), strict=True)]  # fmt: skip
     (inputs / "recording.csv").write_text(head + "".join(rows))
     words = [word for name in NAMES for word in ("--offset", f"{name} 5 0 0")]

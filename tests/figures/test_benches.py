@@ -19,7 +19,7 @@ def copy(tmp_path_factory):
     top = tmp_path_factory.mktemp("copy") / "main"
     kept_out = shutil.ignore_patterns("twin", "results", "__pycache__", "*.tar.xz")
     shutil.copytree(BENCHES, top / "benchmarks", ignore=kept_out)
-    for name in ("tests/support", "examples", "training/recipes", "python/tissuereg/phantom/data"):
+    for name in ("tests/support", "tests/data", "examples", "training/recipes", "python/tissuereg/phantom/data"):
         shutil.copytree(REPOSITORY / name, top / name)
     if SHARED.is_dir():
         (top.parent / "shared").symlink_to(SHARED)
@@ -70,6 +70,16 @@ def test_diagnosis(copy):
 
 def test_tracking(copy):
     run(copy, "tracking.tracking", "--seeds", 1, "--contacts-seeds", 1)
+
+
+def test_live(copy):
+    run(copy, "tracking.soak", "--minutes", 0.1, "--hz", 5)
+    run(copy, "tracking.soak", "--fuzz", "--messages", 300)
+    answer = read_archive(copy / "benchmarks" / "tracking" / "archive" / "soak")
+    assert answer["said"]["received"] == answer["sent"] == answer["recorded"]
+    assert answer["said"]["registered"] == answer["recorded_registered"] > 0
+    assert answer["replay"] == {"compared": answer["recorded_registered"], "different": 0}
+    assert "| good frames answered | 3 of 3 |" in (copy / "benchmarks/tracking/RESULTS-live.md").read_text("utf-8")
 
 
 def test_speed(copy):

@@ -171,6 +171,30 @@ def test_events_are_counted_by_marker_and_kind():
     ]
 
 
+def test_a_thinned_curve_keeps_its_peaks_its_band_and_its_gaps():
+    n = 20_000
+    times = np.arange(n) / 100.0
+    values = np.sin(times)
+    values[[7_777, 12_345]] = 9.0, -9.0
+    values[15_000:16_000] = np.nan
+    half = np.full(n, 0.1)
+    half[3_333] = 5.0
+    for band in (None, half):
+        drawn = TimeCurve("x", times, values, band).thinned()
+        assert len(drawn.times) <= 600
+        assert (np.diff(drawn.times) > 0.0).all()
+        assert {77.77, 123.45} <= set(drawn.times)
+        np.testing.assert_array_equal(drawn.values, values[np.searchsorted(times, drawn.times)])
+        assert np.isnan(drawn.values).any()
+        if band is not None:
+            assert drawn.half[np.searchsorted(drawn.times, 33.33)] == 5.0
+    # The wave between the peaks stays whole.
+    bins = np.array_split(np.abs(drawn.values[drawn.times < 77.0]), 10)
+    assert all(np.nanmax(one) > 0.99 for one in bins)
+    short = TimeCurve("x", times[:600], values[:600])
+    assert short.thinned() is short
+
+
 def test_a_chart_draws_values_band_and_doubted_frames():
     times = np.arange(5.0)
     curve = TimeCurve("x <mm>", times, np.array([0.0, 1.0, np.nan, 3.0, 4.0]), np.full(5, 0.5))

@@ -8,6 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from support.files import GOOD_MARKERS, write_experiment, write_problem
@@ -18,6 +19,7 @@ from tissuereg.io.cache import keep_entry
 from tissuereg.io.fields import write_npz
 from tissuereg.io.json import write_json
 from tissuereg.io.meshes import write_vtu
+from tissuereg.io.recordings import read_recording
 
 RECIPE = '[mesh]\nfile = "mesh.vtu"\n[data]\nmembers = 12\nchunk = 4\n[pairs]\nmembers = 4\n'
 
@@ -47,6 +49,31 @@ def inputs(tmp_path_factory):
 def no_room(size=ROOM):
     """No file of this process may grow beyond that; what is written beyond fails as on a full disk."""
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))
+
+
+def test_a_recording_without_room_keeps_the_whole_frames_before(tmp_path):
+    script = (
+        "import numpy as np, resource, signal\n"
+        "from pathlib import Path\n"
+        "from tissuereg.io.recordings.table import LiveRow, recorder\n"
+        "signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
+        f"resource.setrlimit(resource.RLIMIT_FSIZE, ({ROOM}, {ROOM}))\n"
+        "with recorder(Path('live.csv'), ['P1', 'P2', 'P3']) as kept:\n"
+        "    try:\n"
+        "        for k in range(100):\n"
+        "            kept.add(LiveRow(0.1 * k, np.full((3, 3), k / 7.0), 0.1 * k, registered=True))\n"
+        "    except OSError as error:\n"
+        "        print(k, error.errno == 27)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    count, is_too_large = done.stdout.split()
+    assert is_too_large == "True"
+    found = read_recording(tmp_path / "live.csv")
+    assert len(found) == int(count) > 5
+    assert np.isfinite(found.places).all()
+    assert (tmp_path / "live.csv").stat().st_size < ROOM
+    assert [one.name for one in tmp_path.iterdir()] == ["live.csv"]
 
 
 @pytest.mark.slow

@@ -86,8 +86,11 @@ def c3d_bytes(places, names, *, rate=50.0, floats=True, order="<", unit="mm", sc
         return struct.pack("bb", len(name), group) + name.encode() + struct.pack(order + "h", 2 + len(body)) + body
 
     group = struct.pack("bb", 5, -1) + b"POINT" + struct.pack(order + "h", 3) + b"\0"
-    labels = "".join(name.ljust(length) for name in names).encode()
-    section = group + parameter(1, "LABELS", -1, (length, n_points), labels)
+    section = group
+    for k in range(0, n_points, 255):  # as many as a parameter holds
+        some = names[k : k + 255]
+        labels = "".join(name.ljust(length) for name in some).encode()
+        section += parameter(1, "LABELS" + (str(1 + k // 255) if k else ""), -1, (length, len(some)), labels)
     section += parameter(1, "UNITS", -1, (len(unit),), unit.encode())
     section += parameter(1, "Y_SCREEN", -1, (2,), up.encode())
     section += parameter(1, "RATE", 4, (), number(rate))

@@ -1,6 +1,7 @@
 """Recordings of trackers are read as what they hold: places in mm, missing as missing, clocks that are believed."""
 
 import itertools
+import re
 
 import numpy as np
 import pytest
@@ -99,17 +100,51 @@ def test_a_file_without_a_unit_or_times_asks_for_them(tmp_path):
         tr.read_recording(written(tmp_path, "a,b\n1,2\n"))
 
 
-@pytest.mark.parametrize("content", [NDI_TRACK, NDI_ROWS])
+#: A line of a Polaris before the table; one marker counted for a tool says the same.
+NDI_OPTICAL = "Polaris Vega ST\n" + NDI_TRACK
+
+
+@pytest.mark.parametrize("content", [NDI_OPTICAL, NDI_ROWS])
 def test_tools_of_ndi_are_markers_with_their_error_as_noise(tmp_path, content):
     found = tr.read_recording(written(tmp_path, content), rate_hz=60.0)
     np.testing.assert_allclose(found.times, [2.0, 2.1, 2.2])
     seen = [[[30, 10, 40], [0, 10, 40]], [[31, 10, 40], [np.nan] * 3], [[np.nan] * 3, [1, 10, 40]]]
     np.testing.assert_array_equal(found.places, seen)
     np.testing.assert_array_equal(found.std, [[0.25, 0.1], [0.25, np.nan], [np.nan, 0.1]])
+    assert not any("index of quality" in text for text in found.notes)
     tip = tr.read_recording(written(tmp_path, content), rate_hz=60.0, offsets={found.names[0]: (10.0, 0.0, 2.0)})
     np.testing.assert_allclose(tip.places[0, 0], [30, 20, 42], atol=1e-6)
     with pytest.raises(FormatError, match="an offset must be of a tool of the file"):
         tr.read_recording(written(tmp_path, content), rate_hz=60.0, offsets={"probe": (0, 0, 1)})
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (NDI_TRACK, "nothing tells that the tracker was optical"),
+        ("NDI Aurora V3\n" + NDI_TRACK, "of an Aurora is an index of quality"),
+        (NDI_OPTICAL.replace("Port 2", "Aurora 2"), "of an Aurora is an index of quality"),
+        (NDI_ROWS.replace("Port:1", "Aurora 1"), "of an Aurora is an index of quality"),
+        (NDI_ROWS.replace("0.25,1,OK,1,2,3", "0.25,0"), "nothing tells that the tracker was optical"),
+    ],
+    ids=["unknown", "aurora", "both", "aurora-with-markers", "no-markers"],
+)
+def test_an_index_of_quality_of_ndi_is_no_length(tmp_path, content, said):
+    found = tr.read_recording(written(tmp_path, content), rate_hz=40.0)
+    assert found.std is None
+    assert sum(said in text and "--std" in text for text in found.notes) == 1
+    assert np.isfinite(found.places[0]).all()
+    # Where there is no error, nothing is said of it.
+    plain = re.sub(r",0\.(25|1)\b", ",", content)
+    assert not any("index of quality" in text for text in tr.read_recording(written(tmp_path, plain), rate_hz=40).notes)
+
+
+def test_more_than_255_points_of_c3d_have_their_names(tmp_path):
+    names = [f"M{i}" for i in range(600)]
+    places = np.arange(2 * 600 * 3, dtype=float).reshape(2, 600, 3) + 1.0
+    found = tr.read_recording(written(tmp_path, c3d_bytes(places, names)))
+    assert found.names == tuple(names)
+    np.testing.assert_allclose(found.places, places, rtol=1e-6)
 
 
 def test_times_and_lost_numbers_of_ndi(tmp_path):
@@ -199,6 +234,23 @@ def cut(track, *gaps):
         parts.append(part)
         begin = again
     return parts
+
+
+def test_made_up_numbers_join_no_markers(tmp_path):
+    track = np.cumsum(np.full((60, 3), 0.01), axis=0)
+    found = tr.read_recording(written(tmp_path, motive_of([track, track + 50.0])))
+    assert found.numbered == ("U1", "U2")
+    with pytest.raises(FormatError, match=r"made up, in the order in which unlabelled tracks appear.*--nearest"):
+        found.of(["F-1", "F-2"], "number")
+    for match, names in (("label", ["U1", "U2"]), ("order", ["a", "b"])):
+        joined = found.of(names, match)
+        assert any("U1, U2 are unlabelled tracks" in text for text in joined.notes)
+        assert joined.numbered == ()
+    # Those with names of their own are joined by their numbers, the others left out.
+    mixed = tr.read_recording(written(tmp_path, motive_of([track, track + 50.0]).replace("Unlabeled 1001", "M2")))
+    joined = mixed.of(["F-1", "F-2"], "number")
+    assert np.isnan(joined.places[:, 0]).all()
+    np.testing.assert_allclose(joined.places[:, 1], track + 50.0, atol=1e-9)
 
 
 def test_unlabelled_tracks_are_joined_across_losses(tmp_path):

@@ -2,11 +2,13 @@
 
 import contextlib
 import logging
+import signal
 import sys
 import textwrap
+import threading
 import time
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, TextIO
 
@@ -30,7 +32,7 @@ class Outcome:
     threads : int
         Requested number of threads; 0 stands for all cores.
     code : int
-        Exit code: 0, or 4 if the answer is written but not to be trusted.
+        Exit code: 0, 4 if the answer is written but not to be trusted, or 130 if it is that of a part.
     """
 
     content: dict[str, Any]
@@ -82,6 +84,34 @@ def warnings_as_lines(*, debug: bool) -> Iterator[list[str]]:
 def note(text: str) -> None:
     """Print a note, which is not a warning, on standard error in one line."""
     print(f"note: {' '.join(text.split())}", file=sys.stderr)
+
+
+@contextlib.contextmanager
+def ended_by_signals() -> Iterator[Callable[[], bool]]:
+    """Yield a function that says whether the user asked for the end, by Ctrl-C, SIGTERM or SIGHUP.
+
+    The first signal in the block is remembered, so that what is in hand can be finished; the second one interrupts.
+    Signals that are ignored stay so; in another thread than the main one nothing is changed.
+    """
+    asked: list[int] = []
+
+    def ask(number: int, _: Any) -> None:
+        asked.append(number)
+        if len(asked) > 1:
+            raise KeyboardInterrupt
+        note("what is in hand is finished and written; once more interrupts that too")
+
+    before: dict[int, Any] = {}
+    if threading.current_thread() is threading.main_thread():
+        for name in ("SIGINT", "SIGTERM", "SIGHUP"):
+            number = getattr(signal, name, None)
+            if number is not None and signal.getsignal(number) not in (signal.SIG_IGN, None):
+                before[number] = signal.signal(number, ask)
+    try:
+        yield lambda: bool(asked)
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def seconds_line(seconds: dict[str, float], *, verbose: bool = False) -> str:

@@ -1,6 +1,7 @@
 """Options of commands that read a tracker's recording: how it is read, aligned to the body, and what its noise is."""
 
 import argparse
+import contextlib
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
     from tissuereg._base.choices import Frame
     from tissuereg.body.markers import Markers
     from tissuereg.io.recordings import Recording
-    from tissuereg.tracking import Alignment
+    from tissuereg.tracking import Alignment, Tracker
 
 
 def add_recording_options(group: Any) -> None:
@@ -66,6 +67,37 @@ def read_recorded(
     found, alignment = _aligned(args, found, markers, frames)
     found = found.nearest(markers.names, markers.reference, args.nearest)
     return found, _noise_of(args, found, markers), alignment
+
+
+def read_replayed(args: argparse.Namespace, markers: "Markers") -> "Recording":
+    """Return the frames that ``tissuereg live`` registered, of its recording ``--replay``, in the mesh's frame."""
+    from tissuereg.io.recordings import read_recording
+
+    given = [name for name in _OF_OTHERS if getattr(args, name) not in (None, False, [])]
+    if given:
+        option = f"--{given[0]}"
+        refuse(f"--replay must come without {option}: what 'live' recorded is in the mesh's frame, and of it", option)
+    found = read_recording(args.replay)
+    if found.registered is None:
+        refuse("--replay must be a recording of 'tissuereg live'; others are MARKERS", "--replay")
+    if not found.registered.any():
+        refuse("--replay must hold a frame that was registered, got none", "--replay")
+    left = int((~found.registered).sum())
+    kept = found.of(markers.names).only(found.registered)
+    return kept.placed(kept.places, f"{left} frames that 'live' did not register are left out") if left else kept
+
+
+#: Options of recordings that a replay cannot have.
+_OF_OTHERS = ("columns", "offset", "nearest", "rate", "unit", "align", "match", "live", "simulations")
+
+
+def warm_up(tracker: "Tracker") -> None:
+    """Register the body at rest and forget it, so that the first frame does not wait for what is made once."""
+    from tissuereg.tracking.tracker import CANNOT_BE_REGISTERED
+
+    with contextlib.suppress(*CANNOT_BE_REGISTERED):
+        tracker.step(tracker.registrar.markers.reference, 0.0)
+    tracker.reset()
 
 
 def _whole(args: argparse.Namespace) -> "Recording":

@@ -9,8 +9,6 @@ from tissuereg.io.bounds import FILES
 #: Millimetres in each unit.
 UNITS_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
 
-_MM_PER_INCH = 25.4
-
 #: Their names in words.
 UNIT_NAMES = {"mm": "millimetres", "cm": "centimetres", "m": "metres"}
 
@@ -34,8 +32,9 @@ def check_extent(extent: float, unit: str, place: str, advice: str, *, sure: boo
     else:
         factor = UNITS_MM[likely] / UNITS_MM[unit]
         lead = f"looks like {UNIT_NAMES[likely]}; {advice.format(unit=likely, factor=factor)}"
-        if likely == "cm" and FILES.usual_least_mm <= extent * _MM_PER_INCH <= FILES.usual_most_mm:
-            lead += f", or if they are inches multiply them by {_MM_PER_INCH:g}"
+        inch_mm = 25.4
+        if likely == "cm" and FILES.usual_least_mm <= extent * inch_mm <= FILES.usual_most_mm:
+            lead += f", or if they are inches multiply them by {inch_mm:g}"
     if not possible:
         message = (
             f"extent {extent:.3g}: {lead}. The largest extent of a body must lie between {FILES.least_extent_mm:g} and "

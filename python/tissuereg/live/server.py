@@ -6,21 +6,31 @@ import socket
 import time
 from collections.abc import AsyncIterator, Callable
 from dataclasses import asdict, dataclass, field
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.errors import FormatError, TissueRegError
-from tissuereg.live.answers import LiveAnswer, NodeSpread, answer_of, not_registered, places_of, prepare
+from tissuereg.live.answers import (
+    Circumstances,
+    LiveAnswer,
+    NodeSpread,
+    answer_digest,
+    answer_of,
+    not_registered,
+    places_of,
+    prepare,
+    told,
+)
 from tissuereg.live.frames import TAKEN, Gathering, Intake, LiveFrame, check_intake
+from tissuereg.live.keeper import Keeper, Recorder
+from tissuereg.live.peers import Address, Peer, Peers, shown
 from tissuereg.live.protocol import HEADER_BYTES, header_of, message_of
 from tissuereg.live.settings import LiveSettings
+from tissuereg.tracking.align import Alignment
 from tissuereg.tracking.tracker import CANNOT_BE_REGISTERED
 
 #: Whatever a peer may do to a connection.
 _PEER_ERRORS = (FormatError, OSError, EOFError, TimeoutError)
-
-#: Where to listen, or whom to connect to.
-Address = tuple[str, int]
 
 
 class Engine(Protocol):
@@ -30,22 +40,13 @@ class Engine(Protocol):
         """Return the registration of places (n_markers, 3), mm, at a time, s."""
 
 
-class Recorder(Protocol):
-    """What keeps the frames that came in."""
-
-    def add(self, time_s: float, places: FloatArray, *, registered: bool) -> None:
-        """Keep a frame, and whether it was registered, or came too fast."""
-
-
 @dataclass
 class Counts:
-    """What a live registration did so far.
+    """What a live registration did so far, beside what `PeerCounts` says.
 
     `received`: frames that came in; `registered`, `failed`, `untrusted`: of those that were taken; `dropped`: frames
     for which there was no time; `late`: frames not later than the one before; `spoilt`: messages that break the
-    protocol; `skipped`: messages of other types, or too large; `unsent`: answers left out for slow peers; `peers`:
-    connections so far; `refused`: those beyond the most;
-    `unknown`: names that are no marker's.
+    protocol; `skipped`: messages of other types, or too large; `unknown`: names that are no marker's.
     """
 
     received: int = 0
@@ -56,9 +57,6 @@ class Counts:
     late: int = 0
     spoilt: int = 0
     skipped: int = 0
-    unsent: int = 0
-    peers: int = 0
-    refused: int = 0
     unknown: int = 0
 
     def to_json(self) -> dict[str, int]:
@@ -77,6 +75,14 @@ class _Latest:
     came: asyncio.Event = field(default_factory=asyncio.Event)
 
 
+class _Answered(NamedTuple):
+    """A frame's registration, its messages, and the digest of its answer, empty if nobody wants it."""
+
+    result: Any
+    answer: LiveAnswer
+    digest: str
+
+
 class LiveServer:
     """Registers the markers that peers send over OpenIGTLink, frame after frame, and sends them the answers.
 
@@ -93,7 +99,7 @@ class LiveServer:
     settings : LiveSettings, optional
         Times and bounds.
     recorder : Recorder, optional
-        Is given every frame, in the order of time, and whether it was registered.
+        Is given every frame, in the order of time, whether it was registered, and a digest of its answer.
     told : callable of str, optional
         Is told what happens, in words: who connected, and what was wrong.
 
@@ -105,7 +111,7 @@ class LiveServer:
     Attributes
     ----------
     counts : Counts
-        What was done so far.
+        What was done so far; of peers in `peer_counts`.
     latencies_s : list of float
         Time from a frame's arrival to its answer of the last frames, s.
     """
@@ -121,14 +127,16 @@ class LiveServer:
     ) -> None:
         check_intake(intake)
         self.counts, self.latencies_s = Counts(), list[float]()
-        self._engine, self._intake, self._recorder = engine, intake, recorder
+        self._engine, self._intake = engine, intake
         self._settings = settings or LiveSettings()
         self._told = told or (lambda _: None)
+        self._keeper = Keeper(recorder, self._settings, lambda text: self._announce("NOT_RECORDED", text))
+        self._peers = Peers(self._settings, self._told)
+        self.peer_counts = self._peers.counts
         self._gathering = Gathering(intake, self._settings)
         self._latest = _Latest()
         self._spread: NodeSpread | None = None
         self._doubts: set[str] = set()
-        self._peers: set[asyncio.StreamWriter] = set()
         self._begin = time.monotonic()
         self._ended = asyncio.Event()
 
@@ -161,9 +169,14 @@ class LiveServer:
                 for task in (ended, *tasks):
                     task.cancel()
                 await asyncio.gather(ended, *tasks, return_exceptions=True)
-                self._keep(registered=False)
-                for writer in list(self._peers):
-                    writer.transport.abort()
+                self._drop()
+                self._keeper.close()
+                self._peers.close()
+
+    @property
+    def alignment(self) -> Alignment | None:
+        """The alignment of the tracker's frame to the body's; None if there is none, or none yet."""
+        return self._gathering.alignment
 
     def stop(self) -> None:
         """End `run`; to be called on its event loop."""
@@ -176,7 +189,7 @@ class LiveServer:
             return
         server = await asyncio.start_server(self._accepted, *listen)
         address = server.sockets[0].getsockname()[:2]
-        self._told(f"listening on {address[0]}:{address[1]}")
+        self._told(f"listening on {shown(address)}")
         if ready is not None:
             ready(address)
         try:
@@ -191,46 +204,39 @@ class LiveServer:
                 reader, writer = await asyncio.open_connection(*address)
             except (OSError, UnicodeError) as error:  # the second is of a name that is none of a machine
                 if not lost:
-                    self._told(f"{address[0]}:{address[1]} is not there ({error}); it is tried again and again")
+                    self._told(f"{shown(address)} is not there ({error}); it is tried again and again")
                 lost = True
             else:
                 lost = False
-                await self._serve(reader, writer)
+                await self._serve(reader, writer, called=True)
             await asyncio.sleep(self._settings.retry_s)
 
     async def _accepted(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         with contextlib.suppress(asyncio.CancelledError):  # asyncio complains of a connection that is cancelled
             await self._serve(reader, writer)
 
-    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        """Read messages of one peer until it goes, or breaks the protocol beyond repair."""
-        peer = ":".join(map(str, writer.get_extra_info("peername", ("?",))[:2]))
-        if len(self._peers) >= self._settings.most_peers:
-            self.counts.refused += 1
-            writer.transport.abort()
+    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, *, called: bool = False) -> None:
+        """Read messages of one peer until it goes, gives way, or breaks the protocol beyond repair."""
+        peer = self._peers.admit(writer, self._now(), called=called)
+        if peer is None:
             return
-        self._peers.add(writer)
-        self.counts.peers += 1
         # A peer whose machine is gone is noticed by the system, though it never says so.
         writer.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
-        self._told(f"{peer} connected")
         why = ""
         try:
             if self._latest.answer is not None:
                 answer, stale = self._latest.answer, self._latest.stale
-                self._send(writer, answer.heavy + (answer.stale if stale else answer.light))
+                self._peers.send(peer, answer.heavy + (answer.stale if stale else answer.light))
             while True:
-                await self._message(reader)
+                await self._message(reader, peer)
         except _PEER_ERRORS as error:
             if not isinstance(error, EOFError | ConnectionError):
                 self.counts.spoilt += 1
                 why = f": {error or 'a message that did not end in time'}"
         finally:
-            self._peers.discard(writer)
-            writer.transport.abort()
-            self._told(f"{peer} is gone{why}")
+            self._peers.leave(peer, why)
 
-    async def _message(self, reader: asyncio.StreamReader) -> None:
+    async def _message(self, reader: asyncio.StreamReader, peer: Peer) -> None:
         """Read one message and take what it holds; raise what ends the connection."""
         begin = await reader.readexactly(1)
         async with asyncio.timeout(self._settings.partial_s):
@@ -241,8 +247,10 @@ class LiveServer:
             if header.type not in TAKEN or header.size > self._settings.most_bytes:
                 self.counts.skipped += 1
                 await _skip(reader, header.size)
+                peer.heard_s = self._now()
                 return
             body = await reader.readexactly(header.size)
+        peer.heard_s = self._now()
         try:
             frames = self._gathering.take(message_of(header, body), self._now())
         except FormatError as error:  # its length was right, so that the next one can be read
@@ -271,60 +279,79 @@ class LiveServer:
                 self._doubts.add(kind)
                 self._told(f"not to be trusted: {reason}")
 
+    def _announce(self, name: str, text: str) -> None:
+        """Tell peers and the user of what happened beside the frames."""
+        self._told(text)
+        self._peers.publish(told(name, text, self._now()))
+
     def _arrived(self, frames: list[LiveFrame]) -> None:
+        events, self._gathering.events = self._gathering.events, []
+        for event in events:
+            self._announce(*event)
         for frame in frames:
             self.counts.received += 1
-            self._keep(registered=False)
+            self._drop()
             self._latest.frame = frame
             self._latest.came.set()
 
-    def _keep(self, *, registered: bool) -> LiveFrame | None:
-        """Take out the frame that waits, if there is one, and hand it to the recorder; count it if it was dropped."""
+    def _drop(self) -> None:
+        """Drop the frame that waits, if there is one, since a newer one came, or the end."""
         frame, self._latest.frame = self._latest.frame, None
         if frame is not None:
-            self.counts.dropped += not registered
-            if self._recorder is not None:
-                try:
-                    self._recorder.add(frame.time_s, frame.places, registered=registered)
-                except OSError as error:  # a full disk is no reason to end, and no peer's fault
-                    self._recorder = None
-                    self._told(f"the recording ends here, since it cannot be written: {error}")
-        return frame
+            self.counts.dropped += 1
+            self._keeper.dropped(frame)
 
     async def _register(self, most: int | None) -> None:
         """Register the newest frame, again and again, until `most` were."""
         while most is None or self.counts.registered < most:
             await self._latest.came.wait()
             self._latest.came.clear()
-            frame = self._keep(registered=True)
+            frame, self._latest.frame = self._latest.frame, None
             if frame is None:
                 continue
+            if not frame.ready:
+                self.counts.failed += 1
+                self._keeper.dropped(frame)
+                why = "the tracker's frame is not aligned: all markers must be seen once"
+                self._peers.publish(not_registered(why, frame.time_s, self._said()))
+                continue
+            self._keeper.taken(frame)
             try:
-                result, answer = await asyncio.to_thread(self._answer, frame)
+                result, answer, digest = await asyncio.to_thread(self._answer, frame)
             except Exception as error:  # whatever a peer sends, the next frame is registered
                 self.counts.failed += 1
+                self._keeper.answered("failed")
                 if not isinstance(error, TissueRegError):
                     self._told(f"this is a bug, please report it: {type(error).__name__}: {error}")
-                self._publish(not_registered(str(error), frame.time_s))
+                self._peers.publish(not_registered(str(error), frame.time_s, self._said()))
             else:
                 self.counts.registered += 1
                 self.counts.untrusted += not answer.trusted
                 self._tell_reasons(result)
                 self._latest.answer, self._latest.received_s, self._latest.stale = answer, frame.received_s, False
-                self._publish(answer.heavy + answer.light)
+                self._peers.publish(answer.heavy + answer.light)
+                self._keeper.answered(digest)
                 if self._settings.surface == "spread" and self._is_old(frame.time_s):
                     await asyncio.to_thread(self._renew, result, frame.time_s)
 
-    def _answer(self, frame: LiveFrame) -> tuple[Any, LiveAnswer]:
+    def _answer(self, frame: LiveFrame) -> _Answered:
         """Return a frame's registration and its messages; the spread is of an earlier frame, where there is one."""
-        result, shown = self._engine.step(frame.places, frame.time_s), self._settings.surface
-        if shown == "spread" and self._spread is None:
+        begin = self._now()
+        result, surface = self._engine.step(frame.places, frame.time_s), self._settings.surface
+        step_s = self._now() - begin
+        if surface == "spread" and self._spread is None:
             self._renew(result, frame.time_s)
-        given = frame.time_s, self._intake.frame
-        heavy = places_of(result, *given, surface=shown != "none", spread=self._spread)
+        heavy = places_of(result, frame.time_s, self._intake.frame, surface=surface != "none", spread=self._spread)
         latency_s = self._now() - frame.received_s
         self.latencies_s = [*self.latencies_s[-999:], latency_s]
-        return result, answer_of(result, heavy, *given, latency_s=latency_s, spread=self._spread)
+        said = self._said()._replace(latency_s=latency_s, step_s=step_s, spread=self._spread)
+        answer = answer_of(result, heavy, frame.time_s, said)
+        return _Answered(result, answer, answer_digest(result, frame.time_s) if self._keeper.recording else "")
+
+    def _said(self) -> Circumstances:
+        """Return what every answer states."""
+        aligned_mm = None if self.alignment is None else self.alignment.rms_mm
+        return Circumstances(self._intake.frame, recorded=self._keeper.recording, aligned_mm=aligned_mm)
 
     def _is_old(self, time_s: float) -> bool:
         return self._spread is None or time_s - self._spread.time_s >= self._settings.spread_s
@@ -344,18 +371,7 @@ class LiveServer:
             age = self._now() - latest.received_s
             if latest.answer is not None and not latest.stale and age > settings.stale_s and latest.frame is None:
                 latest.stale = True
-                self._publish(latest.answer.stale)
-
-    def _publish(self, data: bytes) -> None:
-        for writer in list(self._peers):
-            self._send(writer, data)
-
-    def _send(self, writer: asyncio.StreamWriter, data: bytes) -> None:
-        """Hand bytes to a peer's connection, which sends them as the peer reads; leave them out if too many wait."""
-        if writer.transport.get_write_buffer_size() > self._settings.most_unsent_bytes:
-            self.counts.unsent += 1
-        elif not writer.transport.is_closing():
-            writer.write(data)
+                self._peers.publish(latest.answer.stale)
 
     def _now(self) -> float:
         return time.monotonic() - self._begin

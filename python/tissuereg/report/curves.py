@@ -44,10 +44,25 @@ class TimeCurve:
     zero: bool = False
 
     def thinned(self) -> "TimeCurve":
-        """Return the curve in so few points that it can be drawn: every nth."""
-        step = -(-len(self.times) // CHART.points)
-        half = None if self.half is None else self.half[::step]
-        return TimeCurve(self.title, self.times[::step], self.values[::step], half, self.zero)
+        """Return the curve in so few points that it can be drawn: of each bin the least and the greatest are kept.
+
+        Those of the band's edges are kept, too; a bin without any value leaves a gap.
+        """
+        if len(self.times) <= CHART.points:
+            return self
+        half = None if self.half is None else np.nan_to_num(self.half)
+        edges = [self.values] if half is None else [self.values - half, self.values + half]
+        n_bins = max(CHART.points // (2 * len(edges)), 1)
+        kept: set[int] = set()
+        for rows in np.array_split(np.arange(len(self.times)), n_bins):
+            seen = rows[np.isfinite(self.values[rows])]
+            if not len(seen):
+                kept.add(int(rows[0]))
+            for edge in edges if len(seen) else ():
+                kept |= {int(seen[np.argmin(edge[seen])]), int(seen[np.argmax(edge[seen])])}
+        rows = np.array(sorted(kept))
+        half = None if self.half is None else self.half[rows]
+        return TimeCurve(self.title, self.times[rows], self.values[rows], half, self.zero)
 
 
 def charts(curves: Sequence[TimeCurve], doubted: BoolArray) -> str:

@@ -1,6 +1,7 @@
 """Recordings of trackers, one module for each format; each file is recognised by its content, not by its ending."""
 
 import csv
+import itertools
 import os
 import struct
 from collections.abc import Callable, Mapping
@@ -97,9 +98,11 @@ def _recording(file: Path, tracks: Tracks) -> Recording:
     if far.any():
         tracks.notes.append(f"{int(far.sum())} places farther away than a kilometre are no measurements: not seen")
         tracks.places = np.where(far[..., None], np.nan, tracks.places)
-    names, places, notes = stitched(tracks.names, tracks.places[kept], tracks.unlabelled)
+    names, places, notes, numbered = stitched(tracks.names, tracks.places[kept], tracks.unlabelled)
     std = None if tracks.std is None or names != tracks.names else tracks.std[kept]
     live = None if tracks.registered is None else tracks.registered[kept]
+    received = None if tracks.received is None else frozen(tracks.received[kept])
+    answers = None if tracks.answers is None else tuple(itertools.compress(tracks.answers, kept))
     return Recording(
         frozen(np.ascontiguousarray(tracks.times[kept])),
         tuple(names),
@@ -113,6 +116,9 @@ def _recording(file: Path, tracks: Tracks) -> Recording:
         str(file),
         tuple(tracks.where),
         len(names) if tracks.listed is None else tracks.listed,
+        received,
+        answers,
+        numbered,
     )
 
 

@@ -59,7 +59,7 @@ def read_c3d(file: Path, how: HowRead) -> Tracks:
         raise FormatError(message, where=str(file)) from error
     units = _texts(parameters.get("POINT:UNITS"))
     mm = how.millimetres(units[0] if units and units[0] else None, file)
-    labels = [*_texts(parameters.get("POINT:LABELS")), *_texts(parameters.get("POINT:LABELS2"))][: layout.n_points]
+    labels = _labels(parameters)[: layout.n_points]
     names = unique([label or f"P{i + 1}" for i, label in enumerate([*labels, *[""] * (layout.n_points - len(labels))])])
     rate = layout.rate if np.isfinite(layout.rate) and layout.rate > 0.0 else how.rate_hz
     if rate is None:
@@ -69,6 +69,15 @@ def read_c3d(file: Path, how: HowRead) -> Tracks:
     times = (layout.first - 1 + np.arange(layout.n_frames)) / rate
     places, notes = without_zeros(names, mm * places)
     return Tracks("C3D", times, names, places, up=screen[0][1:2].lower() if screen else None, notes=notes)
+
+
+def _labels(parameters: Mapping[str, npt.NDArray[Any]]) -> list[str]:
+    """Return the names of all points: a parameter holds 255 of them, and LABELS2, LABELS3 ... those that follow."""
+    found, k = _texts(parameters.get("POINT:LABELS")), 2
+    while f"POINT:LABELS{k}" in parameters:
+        found += _texts(parameters[f"POINT:LABELS{k}"])
+        k += 1
+    return found
 
 
 def _parameters(data: bytes) -> tuple[str, bool, dict[str, npt.NDArray[Any]]]:

@@ -2,6 +2,9 @@
 
 Tables of NDI Track (``Tools,Port 1,Frame,Face,State,Q0,...,Error,Port 2,...``) and of the Combined API's samples
 (``Frame#,ToolHandle,Face#,TransformStatus,Q0,...,Error,#Markers,...``, also after ``timespec_s,timespec_ns``).
+
+The error of an optical tracker (Polaris, Vega) is an rms in mm; that of an electromagnetic one (Aurora) is an index of
+quality from 0 to 9.9 that is no length. It counts as noise where the file tells that it was optical, nowhere else.
 """
 
 import re
@@ -27,11 +30,16 @@ _SEEN = ("", "ok", "valid", "enabled", "tracking")
 _HINT = "a Polaris measures 60 a second or fewer, an Aurora 40"
 
 
+#: Words that tell which of the two a file is of.
+_OPTICAL, _MAGNETIC = re.compile(r"polaris|vega|spectra|vicra", re.IGNORECASE), re.compile(r"aurora", re.IGNORECASE)
+
+
 class _Group(NamedTuple):
-    """Columns of one tool: of its pose, error, status (or -1), frame, seconds and nanoseconds (or -1), and its name."""
+    """Columns of one tool: of its pose, error, count of markers, status, frame, seconds, and its name; -1 for none."""
 
     pose: int
     error: int
+    markers: int
     states: range
     frame: int
     seconds: int
@@ -40,7 +48,7 @@ class _Group(NamedTuple):
 
 
 class _Sample(NamedTuple):
-    """One pose: frame (or NaN), time in s (or NaN), tool, pose (7,), and error in mm, NaN where there is none."""
+    """One pose: frame (or NaN), time in s (or NaN), tool, pose (7,), and error, NaN where there is none."""
 
     frame: float
     time_s: float
@@ -55,8 +63,8 @@ def is_ndi(head: str) -> bool:
 
 
 def read_ndi(file: Path, how: HowRead) -> Tracks:
-    """Return the tools of an export as markers at their origins, or at their offsets; the error is the std."""
-    samples, shown = _samples(file)
+    """Return the tools of an export as markers at their origins, or at their offsets; an optical error is the std."""
+    samples, shown, optical = _samples(file)
     timed = all(np.isfinite(one.time_s) for one in samples)
     keys = [one.time_s if timed else one.frame for one in samples]
     if not np.isfinite(keys).all():
@@ -78,6 +86,13 @@ def read_ndi(file: Path, how: HowRead) -> Tracks:
         tool_places(rotations(poses[:, i, :4]), poses[:, i, 4:], how.offsets.get(name)) for i, name in enumerate(tools)
     ]
     std = np.where(seen & (errors > 0.0), errors, np.nan)
+    if np.isfinite(std).any() and not optical:
+        kind = "of an Aurora is" if optical is False else "is taken for what an Aurora's is,"
+        notes.append(
+            f"the column Error {kind} an index of quality and no length: it is not the noise, which --std says"
+            + ("" if optical is False else "; nothing tells that the tracker was optical")
+        )
+        std = np.full_like(std, np.nan)
     lost = [
         f"{name} was missing or disabled in {int((~seen[:, i]).sum())} of {len(seen)} frames"
         for i, name in enumerate(tools)
@@ -93,12 +108,20 @@ def read_ndi(file: Path, how: HowRead) -> Tracks:
     )
 
 
-def _samples(file: Path) -> tuple[list[_Sample], list[object]]:
-    """Return every pose of a file, and for each what tells the frames apart: the line, or the frame's number."""
+def _samples(file: Path) -> tuple[list[_Sample], list[object], bool | None]:
+    """Return every pose of a file, and for each what tells the frames apart: the line, or the frame's number.
+
+    And whether the tracker was optical, None if nothing tells: what stands before the poses or names a tool, or a tool
+    with markers of its own.
+    """
     groups: list[_Group] = []
     samples: list[_Sample] = []
     shown: list[object] = []
+    optical: bool | None = None
     for line, cells in rows_of(file):
+        if optical is not False:  # one word for an Aurora outweighs what else there is
+            words = " ".join(cells)
+            optical = False if _MAGNETIC.search(words) else True if _OPTICAL.search(words) else optical
         if not groups:
             groups = _groups(cells)
             continue
@@ -106,12 +129,20 @@ def _samples(file: Path) -> tuple[list[_Sample], list[object]]:
             if all(not cell for cell in cells[group.states.start : group.error]):
                 continue
             one = _sample(file, line, cells, group)
+            if optical is None and _has_markers(cells, group):
+                optical = True
             samples.append(one)
             shown.append(line if len(groups) > 1 else (one.frame, one.time_s))
     if not samples:
         message = f"{file} must hold at least one pose below a line with the columns {', '.join(_POSE)}"
         raise FormatError(message, where=str(file))
-    return samples, shown
+    return samples, shown, optical
+
+
+def _has_markers(cells: list[str], group: _Group) -> bool:
+    """Return whether a line counts markers of a tool, which optical tools alone have."""
+    count = cells[group.markers] if 0 <= group.markers < len(cells) else ""
+    return count.isascii() and count.isdigit() and int(count) > 0
 
 
 def _groups(cells: list[str]) -> list[_Group]:
@@ -135,9 +166,10 @@ def _groups(cells: list[str]) -> list[_Group]:
         titled = at["handle"] >= 0 and re.fullmatch(r"port \d+", names[at["handle"]])
         title = cells[at["handle"]] if titled else ""
         error = i + 7 if names[i + 7 : i + 8] == ["error"] else -1
+        counted = i + 8 if error >= 0 and names[i + 8 : i + 9] == ["#markers"] else -1
         # A missing tool may lack the cell of its face: its state is then one column earlier.
         first = max(start, at["handle"] + 1, at["frame"] + 1)
-        found.append(_Group(i, error, range(first, i), at["frame"], at["seconds"], at["handle"], title))
+        found.append(_Group(i, error, counted, range(first, i), at["frame"], at["seconds"], at["handle"], title))
         start = i + 8
     return found
 

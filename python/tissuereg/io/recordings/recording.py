@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import compress
 from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
@@ -76,6 +77,12 @@ class Recording:
         Where each name stands first in the file, in words; empty where that is of no use.
     listed : int
         Number of names that the first frame lists, by which markers are joined by order.
+    received : ndarray of float64, shape (n_frames,), or None
+        Of a recording of `tissuereg live`: when each frame had come, s, by a clock that never jumps.
+    answers : tuple of str or None
+        Of such a recording: digest of each frame's answer, ``failed``, or empty; `tissuereg track --replay` compares.
+    numbered : tuple of str
+        Names that were made up for unlabelled tracks, in the order in which these appear: their numbers say nothing.
     """
 
     times: FloatArray
@@ -90,6 +97,9 @@ class Recording:
     file: str = ""
     where: tuple[str, ...] = field(default=(), repr=False)
     listed: int = 0
+    received: FloatArray | None = field(default=None, repr=False)
+    answers: tuple[str, ...] | None = field(default=None, repr=False)
+    numbered: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.times)
@@ -116,7 +126,8 @@ class Recording:
         Raises
         ------
         FormatError
-            If no marker of the file is one of them, two are the same, or a table of `tissuereg` holds another one.
+            If no marker of the file is one of them, two are the same, a table of `tissuereg` holds another one, or they
+            would be joined by numbers that were made up.
         ArgumentError
             If `names` are not texts that differ.
         """
@@ -124,6 +135,15 @@ class Recording:
         names = texts("names", names, length=max(len(names), 1) if isinstance(names, list | tuple) else 1)
         sit = Labels("the reference", names)
         taken = list(range(self.listed)) if match == "order" else self._known(sit, match)
+        made_up = [self.names[i] for i in taken if self.names[i] in self.numbered]
+        if made_up and match == "number":
+            taken = [i for i in taken if self.names[i] not in made_up]
+            if not taken:
+                message = (
+                    f"numbers that join markers must be those of names; those of {listed(made_up)} in {self.file} were "
+                    "made up, in the order in which unlabelled tracks appear: join them by place with --nearest"
+                )
+                raise FormatError(message, where=self.file)
         rows = partners(sit, Labels(self.file, [self.names[i] for i in taken], [self._at(i) for i in taken]), match)
         if match == "order" and self.listed < len(self.names):
             message = (
@@ -131,7 +151,14 @@ class Recording:
                 f"'{self.names[self.listed]}' at {self._at(self.listed)} of {self.file}"
             )
             raise FormatError(message, where=self.file)
-        return self._joined(names, rows, taken)
+        found = self._joined(names, rows, taken)
+        if made_up and match != "number":
+            note = (
+                f"{listed(made_up)} are unlabelled tracks in the order in which they appear, which may be another one "
+                "in the next recording: --nearest joins them by place"
+            )
+            found = replace(found, notes=(*found.notes, note))
+        return found
 
     def nearest(self, names: Sequence[str], reference_mm: Any, within_mm: float) -> "Recording":
         """Return the recording of the markers `names`, each the one that begins near its place in the reference.
@@ -210,6 +237,7 @@ class Recording:
             notes=(*self.notes, *told),
             where=(),
             listed=len(names),
+            numbered=(),
         )
         return derived(joined, self)
 
@@ -225,7 +253,17 @@ class Recording:
         """Return the recording of the frames that a mask (n_frames,) selects."""
         std = None if self.std is None else self.std[kept]
         live = None if self.registered is None else self.registered[kept]
-        part = replace(self, times=self.times[kept], places=self.places[kept], std=std, registered=live)
+        received = None if self.received is None else self.received[kept]
+        answers = None if self.answers is None else tuple(compress(self.answers, kept))
+        part = replace(
+            self,
+            times=self.times[kept],
+            places=self.places[kept],
+            std=std,
+            registered=live,
+            received=received,
+            answers=answers,
+        )
         return derived(part, self)
 
     def _known(self, sit: Labels, match: Match) -> list[int]:

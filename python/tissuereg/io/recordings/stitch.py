@@ -38,8 +38,17 @@ class _Part(NamedTuple):
     stop: FloatArray
 
 
-def stitched(names: list[str], places: FloatArray, loose: set[str]) -> tuple[list[str], FloatArray, list[str]]:
-    """Return names, places (n_frames, n, 3), mm, and notes after the tracks whose names are in `loose` were joined.
+class Stitched(NamedTuple):
+    """Names, places (n_frames, n, 3), mm, and notes of joined tracks; `numbered`: names that were made up for them."""
+
+    names: list[str]
+    places: FloatArray
+    notes: list[str]
+    numbered: tuple[str, ...] = ()
+
+
+def stitched(names: list[str], places: FloatArray, loose: set[str]) -> Stitched:
+    """Return names, places and notes after the tracks whose names are in `loose` were joined.
 
     A link's probability weighs the motion over the gap, by how far markers of this recording move in as many frames,
     against every other track that ended before and against a marker that is new. Joined ones are called U1, U2 ... in
@@ -47,7 +56,7 @@ def stitched(names: list[str], places: FloatArray, loose: set[str]) -> tuple[lis
     """
     rows = [i for i, name in enumerate(names) if name in loose]
     if not rows:
-        return names, places, []
+        return Stitched(names, places, [])
     parts = [part for i in rows if (part := _part(i, places[:, i])) is not None]
     parts.sort(key=lambda one: one.begin)
     motion = _Drift(places, parts)
@@ -64,7 +73,7 @@ def stitched(names: list[str], places: FloatArray, loose: set[str]) -> tuple[lis
     if len(linked) > STITCH.told:
         notes.append(f"and {len(linked) - STITCH.told} more joined tracks")
     stacked = np.stack([*(places[:, i] for i in kept), *joined], axis=1) if kept or joined else places[:, :0]
-    return [*(names[i] for i in kept), *titles], stacked, notes
+    return Stitched([*(names[i] for i in kept), *titles], stacked, notes, tuple(titles))
 
 
 def _part(track: int, places: FloatArray) -> _Part | None:

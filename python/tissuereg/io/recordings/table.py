@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from math import isnan
 from pathlib import Path
-from typing import TextIO
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,19 +19,40 @@ from tissuereg.io.recordings.tracks import HowRead, Tracks, check_room
 
 COLUMNS = ("time_s", "marker", "x_mm", "y_mm", "z_mm")
 
-#: Whether a live run registered the frame, 1 or 0.
-REGISTERED = "registered"
+#: What a live run adds: whether it registered the frame, 1 or 0; when it came, by a clock that never jumps; a digest of
+#: its answer; all in a frame's first row. And what the sender calls a marker, where that is another name.
+REGISTERED, RECEIVED, ANSWER, SENT_AS = "registered", "received_s", "answer", "sent_as"
+
+
+class LiveRow(NamedTuple):
+    """A frame of a live run: `places` (n_markers, 3), mm, NaN where not seen, at `time_s`; it came at `received_s`, s.
+
+    `registered`: whether it was, others came too fast; `answer`: digest of its answer, ``failed``, or empty where none
+    is known; `sent_as`: what the sender calls each marker, empty where it was not sent.
+    """
+
+    time_s: float
+    places: FloatArray
+    received_s: float
+    sent_as: Sequence[str] = ()
+    registered: bool = False
+    answer: str = ""
 
 
 def read_own_table(file: Path, how: HowRead) -> Tracks:
-    """Return a table ``time_s,marker,x_mm,y_mm,z_mm[,registered]``, in the order of time; refuse it by its line."""
+    """Return a table ``time_s,marker,x_mm,y_mm,z_mm``, in the order of time; refuse it by its line.
+
+    One of a live run has further columns.
+    """
     times: list[float] = []
     frames: list[dict[str, tuple[float, ...]]] = []
     first: dict[str, str] = {}
     taken: list[bool] = []
+    answers: list[str] = []
+    received: list[float] = []
     lines: dict[str, int] = {}
     listed, live = 0, False
-    for row in table_rows(file, COLUMNS, (REGISTERED,), most_mb=FILES.recording_mb):
+    for row in table_rows(file, COLUMNS, (REGISTERED, RECEIVED, ANSWER, SENT_AS), most_mb=FILES.recording_mb):
         live = REGISTERED in row.cells
         time_s, name = row.number("time_s"), row.text("marker")
         if times and time_s < times[-1]:
@@ -42,6 +63,8 @@ def read_own_table(file: Path, how: HowRead) -> Tracks:
             times.append(time_s)
             frames.append({})
             taken.append(row.cells.get(REGISTERED, "1") != "0")
+            answers.append(row.cells.get(ANSWER, ""))
+            received.append(row.number(RECEIVED, may_miss=True) if RECEIVED in row.cells else np.nan)
             lines = {}
         if name in lines:
             message = f"each marker must stand once at one time; '{name}' at {_at(row)} is at line {lines[name]} too"
@@ -55,9 +78,10 @@ def read_own_table(file: Path, how: HowRead) -> Tracks:
     for k, frame in enumerate(frames):
         for name, place in frame.items():
             places[k, column[name]] = place
-    words, registered = "table time_s,marker,x_mm,y_mm,z_mm", np.array(taken) if live else None
-    found = Tracks(words, np.array(times), list(first), places, registered=registered, where=list(first.values()))
-    found.listed = listed or len(first)
+    found = Tracks("table time_s,marker,x_mm,y_mm,z_mm", np.array(times), list(first), places)
+    if live:
+        found.registered, found.received, found.answers = np.array(taken), np.array(received), answers
+    found.where, found.listed = list(first.values()), listed or len(first)
     return found
 
 
@@ -67,32 +91,46 @@ class TableRecorder:
     `full` says that the table has its largest size; frames after that are not written.
     """
 
-    def __init__(self, handle: TextIO, names: Sequence[str]) -> None:
+    def __init__(self, handle: io.RawIOBase, names: Sequence[str]) -> None:
         self.full = False
         self._handle, self._names, self._left = handle, names, 1_000_000 * FILES.recording_mb
-        self._write([[*COLUMNS, REGISTERED]])
+        self._write([[*COLUMNS, REGISTERED, RECEIVED, ANSWER, SENT_AS]])
 
-    def add(self, time_s: float, places: FloatArray, *, registered: bool) -> None:
-        """Write a frame: its time, s, places (n_markers, 3), mm, to the last digit, and whether it was registered."""
-        rows = zip(self._names, places.tolist(), strict=True)
-        self._write(
-            [repr(time_s), name, *("" if isnan(x) else repr(x) for x in place), int(registered)] for name, place in rows
-        )
+    def add(self, row: LiveRow) -> None:
+        """Write a frame, its numbers to the last digit; raise `OSError` if there is no room for it."""
+        told = [int(row.registered), repr(row.received_s), row.answer]
+        rows = []
+        for i, (name, place) in enumerate(zip(self._names, row.places.tolist(), strict=True)):
+            sent_as = row.sent_as[i] if row.sent_as and row.sent_as[i] != name else ""
+            numbers = ["" if isnan(x) else repr(x) for x in place]
+            rows.append([repr(row.time_s), name, *numbers, *(told if i == 0 else ["", "", ""]), sent_as])
+        self._write(rows)
 
     def _write(self, rows: Iterable[Sequence[object]]) -> None:
         """Write rows, all or none: a frame without some of its markers would be another frame."""
         lines = io.StringIO()
         csv.writer(lines, lineterminator="\n").writerows(rows)
-        self._left -= len(lines.getvalue().encode())
+        data = lines.getvalue().encode()
+        self._left -= len(data)
         self.full = self.full or self._left < 0
-        if not self.full:
-            self._handle.write(lines.getvalue())
+        if self.full:
+            return
+        begin = self._handle.tell()
+        try:
+            while data:  # unbuffered: what is refused is known at once, and may have been written in part
+                data = data[self._handle.write(data) or 0 :]
+        except OSError:
+            self._handle.truncate(begin)
+            raise
 
 
 @contextmanager
 def recorder(path: Path, names: Sequence[str]) -> Iterator[TableRecorder]:
-    """Yield what writes frames of markers to a table, whole or not at all; `names`: of the markers."""
-    with atomic_file(path) as draft, draft.open("w", encoding="utf-8", newline="") as handle:
+    """Yield what writes frames of markers to a table, whole or not at all; `names`: of the markers.
+
+    A frame for which there is no room is left out; the table of those before it takes its name at the end.
+    """
+    with atomic_file(path) as draft, draft.open("wb", buffering=0) as handle:
         yield TableRecorder(handle, names)
 
 

@@ -80,6 +80,8 @@ class Tracks:
     notes: list[str] = field(default_factory=list)
     unlabelled: set[str] = field(default_factory=set)
     registered: BoolArray | None = None
+    received: FloatArray | None = None
+    answers: list[str] | None = None
     where: list[str] = field(default_factory=list)
     listed: int | None = None
 

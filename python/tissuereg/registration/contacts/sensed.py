@@ -11,7 +11,7 @@ from tissuereg.simulation.sensitivity import Compliance
 Row = tuple[IntArray, FloatArray]
 
 
-class Kept:
+class KeptRows:
     """Rows of observations whose sensitivities are kept, in the order of their first use, and what is linear in them.
 
     Rows that are sums of kept ones of the same nodes (a place seen along other axes) need no solution of their own.
@@ -78,15 +78,15 @@ class Sensed:
     kept rows.
     """
 
-    def __init__(self, own: Compliance | None, kept: Kept | None = None, shares: FloatArray | None = None) -> None:
-        self._own, self._kept = own, Kept() if kept is None else kept
+    def __init__(self, own: Compliance | None, kept: KeptRows | None = None, shares: FloatArray | None = None) -> None:
+        self._own, self._kept = own, KeptRows() if kept is None else kept
         self._shares = shares = np.zeros((0, 0)) if shares is None else shares
         row, which = np.nonzero(shares)
         alone = np.array_equal(row, np.arange(len(shares))) and bool((shares[row, which] == 1.0).all())
         self._which = which if alone else None
 
     def image(self, name: Hashable | None, make: Callable[[Compliance], FloatArray]) -> FloatArray:
-        """Return what a function linear in the sensitivities makes of them, (n, ...); see `Kept.image`."""
+        """Return what a function linear in the sensitivities makes of them, (n, ...); see `KeptRows.image`."""
         if self._own is not None:
             return make(self._own)
         whole = self._kept.image(name, make)
@@ -139,4 +139,4 @@ def together(parts: list[Compliance]) -> Compliance:
     )
 
 
-__all__ = ["Kept", "Row", "Sensed", "apart", "matrix", "together"]
+__all__ = ["KeptRows", "Row", "Sensed", "apart", "matrix", "together"]

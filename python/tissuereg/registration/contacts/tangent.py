@@ -12,7 +12,7 @@ from tissuereg._base.arrays import FloatArray
 from tissuereg._base.machine import n_cores
 from tissuereg.body.material import Material
 from tissuereg.registration.contacts.columns import Columns
-from tissuereg.registration.contacts.sensed import Kept, Row, Sensed, apart, matrix, together
+from tissuereg.registration.contacts.sensed import KeptRows, Row, Sensed, apart, matrix, together
 from tissuereg.registration.contacts.settings import EFFORT
 from tissuereg.registration.contacts.state import BodyState
 from tissuereg.simulation.sensitivity import Cause, Compliance, Linearised, ModulusField, Observation, Parameter
@@ -44,7 +44,7 @@ class Tangent:
             EFFORT.block * (threads or n_cores()) if body.n_unknowns >= EFFORT.many_unknowns else sys.maxsize
         )
         self._known: dict[bytes, Compliance] = {}
-        self._kept = Kept()
+        self._kept = KeptRows()
         self._unbalanced: dict[Hashable, FloatArray] = {}
         self._lock = threading.Lock()
         self._first: Tangent | None = None
@@ -55,7 +55,7 @@ class Tangent:
         A sum has not the bits of a row that is solved, and an answer must not depend on what was registered before.
         """
         made = copy(self)
-        made._first, made._kept = self, Kept()
+        made._first, made._kept = self, KeptRows()
         return made
 
     @cached_property

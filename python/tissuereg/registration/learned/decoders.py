@@ -30,9 +30,6 @@ from tissuereg.registration.learned.batches import together
 from tissuereg.registration.learned.digits import table_in
 from tissuereg.registration.learned.onnx_bytes import OnnxGraph
 
-#: Tables of weights beside those that are numbered by layer, of which there are fewer than this.
-_WHOLE, _MOST_LAYERS = ("components_mm", "fully_connected.weight"), 32
-
 #: Activations, by their names in a closure's weights.
 _ACTIVATED: dict[str, Callable[[FloatArray], FloatArray]] = {
     "elu": lambda x: np.maximum(x, np.expm1(np.minimum(x, 0.0))),
@@ -399,8 +396,9 @@ class _Beside(Mapping[str, Any]):
 
 def _check_not_empty(weights: Archive) -> None:
     """Raise `ModelError` if a table of weights is 0 throughout, as none is that was trained."""
-    made = ("layer{}/weight", "conv{}.bases", "conv{}.coefficients")
-    names = [*_WHOLE, *(one.format(k) for one in made for k in range(_MOST_LAYERS))]
+    made, most_layers = ("layer{}/weight", "conv{}.bases", "conv{}.coefficients"), 32
+    names = ["components_mm", "fully_connected.weight"]
+    names += [one.format(k) for one in made for k in range(most_layers)]
     empty = [name for name in names if name in weights and not weights.raw(name).any()]
     if empty:
         message = f"array '{empty[0]}' in {weights.path} must hold numbers other than 0; it holds none"
