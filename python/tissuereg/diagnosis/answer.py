@@ -44,6 +44,8 @@ class Finding:
         marker's coordinate, ``chi_...`` of markers and forces in noise deviations. Empty where there are none.
     sentence : str
         The finding in words.
+    group_probability : float
+        Posterior probability of all ids of the group together; at least one half, or the finding would not be stated.
     """
 
     id: str
@@ -55,6 +57,7 @@ class Finding:
     deviations: Values
     held_out: Mapping[str, Any]
     sentence: str
+    group_probability: float
 
     def to_json(self) -> dict[str, Any]:
         """Return the finding as plain data for JSON; a number with a standard deviation becomes a pair of both."""
@@ -62,6 +65,7 @@ class Finding:
             "id": self.id,
             "group": list(self.group),
             "probability": self.probability,
+            "group_probability": self.group_probability,
             "log_bayes_factor": self.log_bayes_factor,
             "threshold": self.threshold,
             "parameters": _pairs(self.parameters, self.deviations),
@@ -84,6 +88,9 @@ class Diagnosis:
     candidates : tuple of dict
         One entry for every cause that was tried: its ``id``, ``probability``, ``log_bayes_factor`` in nats, and
         ``detectability``, the size of its effect in noise deviations.
+    possible : tuple of dict
+        Causes that came close and are not stated: ``id``, ``probability`` (of it, or of its group),
+        ``log_bayes_factor`` and the ``threshold`` that was required, nats.
     p_misfit : float
         p-value of the residual after the findings: probability that data without further effects misfit as much.
     discrepancy : dict
@@ -122,6 +129,7 @@ class Diagnosis:
     seed: int
     versions: dict[str, str]
     left: dict[str, Any] | None = None
+    possible: tuple[dict[str, Any], ...] = ()
     suspicions: tuple[RecordingSuspicion, ...] = ()
     details: dict[str, Any] = field(default_factory=dict)
     provenance: Provenance = field(default_factory=Provenance)
@@ -144,6 +152,7 @@ class Diagnosis:
             "verdict": self.verdict,
             "provisional": self.provisional,
             "causes": [finding.to_json() for finding in self.findings],
+            "possible": list(self.possible),
             "candidates": list(self.candidates),
             "p_misfit": self.p_misfit,
             "suspicions": [one.to_json() for one in self.suspicions],

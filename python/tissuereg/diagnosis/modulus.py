@@ -26,7 +26,7 @@ from tissuereg.diagnosis.proof import (
     proof_blocks,
 )
 from tissuereg.diagnosis.screen import Screen
-from tissuereg.diagnosis.search import Search, rival_columns
+from tissuereg.diagnosis.search import STATED, Search, rival_columns
 
 #: The modulus is a finding beyond this many prior deviations, if its posterior deviation is at most this share of the
 #: prior's.
@@ -43,7 +43,8 @@ def modulus_finding(target: FitTarget, screen: Screen, found: Search) -> Finding
     rival; `found`: the search with the causes found; the modulus is the first parameter of their fit. The log Bayes
     factor compares a free modulus with its log-normal prior: half the square of the distance in prior deviations, which
     is the same for half and for twice the believed modulus. The proof compares predictions of held-out data with those
-    of the model whose modulus is fixed at the believed value. The result is None where one of the three fails, and
+    of the model whose modulus is fixed at the believed value. The result is None where one of the three fails, where
+    another modulus is less likely than not, and
     where that model has no equilibrium.
     """
     target = found.target or target
@@ -69,17 +70,21 @@ def modulus_finding(target: FitTarget, screen: Screen, found: Search) -> Finding
         return None
     young = final.young(bench.young)
     values = {"young_kpa": young}
+    chance = float((1.0 - LOOK_ALIKE) / (1.0 + np.exp(-0.5 * (excess**2 - BEYOND**2) / TEMPER)))
+    if chance < STATED:
+        return None
     figures = held_out(models, figure_blocks(bench.layout, slopes, change))
     return Finding(
         id="stiffness",
         group=("stiffness",),
-        probability=float((1.0 - LOOK_ALIKE) / (1.0 + np.exp(-0.5 * (excess**2 - BEYOND**2) / TEMPER))),
+        probability=chance,
         log_bayes_factor=0.5 * excess**2,
         threshold=0.5 * BEYOND**2,
         parameters=values,
         deviations={"young_kpa": young * deviation},
         held_out=held_out_figures(bench.layout, target.noise, proof, figures),
         sentence=CAUSES["stiffness"].sentence(values),
+        group_probability=chance,
     )
 
 

@@ -25,7 +25,7 @@ from tissuereg.diagnosis.bench import Bench
 from tissuereg.diagnosis.correction import Correction, make_correction
 from tissuereg.diagnosis.discrepancy import describe, nearest_cause, residual_summary
 from tissuereg.diagnosis.evidence import Null
-from tissuereg.diagnosis.findings import candidates_of, findings_of
+from tissuereg.diagnosis.findings import candidates_of, findings_of, possible_of
 from tissuereg.diagnosis.fit import FitTarget, fit
 from tissuereg.diagnosis.generic import generic_columns
 from tissuereg.diagnosis.localisation import next_check
@@ -136,6 +136,7 @@ def _searched(
         verdict=verdict,
         findings=tuple(findings),
         candidates=candidates_of(screen, found.steps[0]),
+        possible=possible_of(found),
         p_misfit=misfit.p,
         left=residual_summary(layout, screen, found, misfit) if findings and misfit.p < MISFIT else None,
         discrepancy=describe(layout, found.base, found.final),

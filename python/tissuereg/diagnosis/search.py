@@ -1,12 +1,13 @@
 """The search for causes: forward selection with held-out proof, then elimination and exchange.
 
 Each round screens all causes on the residual of the current model, fits the likely ones, and accepts the first that
-passes its threshold and the held-out proof (`proof`). The found cause joins the model together with nuisances for its
-own error (`nuisances.effect_nuisances`, `nuisances.other_forms`). With two or more causes, each is tested for
-redundancy and exchanged for its closest rivals in the end (`revise`).
+passes its threshold and the held-out proof (`proof`) and is likelier than not. The found cause joins the model together
+with nuisances for its own error (`nuisances.effect_nuisances`, `nuisances.other_forms`). With two or more causes, each
+is tested for redundancy and exchanged for its closest rivals in the end (`revise`); those that stay pass the same tests
+again, or the answer lists them as possible.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -14,7 +15,7 @@ import numpy as np
 from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.candidates import Candidate, refitted, required_thresholds
 from tissuereg.diagnosis.causes import CAUSES
-from tissuereg.diagnosis.evidence import LOOK_ALIKE, Null, fit_amplitudes, probabilities
+from tissuereg.diagnosis.evidence import LOOK_ALIKE, TEMPER, Null, fit_amplitudes, probabilities
 from tissuereg.diagnosis.fit import Fit, FitTarget, fit
 from tissuereg.diagnosis.nuisances import effect_nuisances, other_forms
 from tissuereg.diagnosis.proof import (
@@ -28,6 +29,7 @@ from tissuereg.diagnosis.proof import (
     linear_model,
     proof_blocks,
 )
+from tissuereg.diagnosis.recorrect import corrected_fit
 from tissuereg.diagnosis.revise import exchanged, without, without_redundant
 from tissuereg.diagnosis.screen import UNKNOWN, Screen, Screened
 
@@ -41,14 +43,35 @@ SEPARABLE = 4.0
 #: Gain in log predictive density that the held-out proof requires, nats.
 PROVED = 4.0
 
-#: A cause less probable than this, given the rivals that failed the proof, is not named.
-LEAST_PROBABILITY = 0.005
+#: A cause is stated where it, or the group that the data cannot distinguish from it, is at least this probable.
+STATED = 0.5
+
+#: Number of ids in a group, at most.
+MOST_IN_GROUP = 3
+
+#: A cause within the separability of the one found is in its group if it passes the threshold too, or if its
+#: probability is at least this share of the other's.
+AS_LIKELY = 0.1
 
 #: A cause with this gain, in nats, that predicts held-out data better than all rivals may be named despite a misfit.
 CLEAR = 100.0
 
 #: Rivals that are tried in place of one of several causes: their number, and nats within which they come to it.
 MOST_RIVALS, RIVALS_WITHIN = 2, 40.0
+
+
+@dataclass(frozen=True)
+class PossibleCause:
+    """A cause that explains much and is not stated, as its evidence or its probability does not suffice.
+
+    `id`: id of the cause; `probability`: of it, or of its group; `log_bayes_factor`, `threshold`: evidence found and
+    required, nats.
+    """
+
+    id: str
+    probability: float
+    log_bayes_factor: float
+    threshold: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +84,7 @@ class Step:
     cause, with it, with the generic rival instead, the believed one; `figures`: errors of the accepted candidate on the
     held-out blocks for which errors are reported (`figure_blocks`); rows as in the proof. None where none was accepted;
     `rivals`: log predictive density, in nats, of the best rival on the held-out blocks of the proof: the generic rival,
-    or a candidate that the data distinguish from the accepted one.
+    or a candidate that the data distinguish from the accepted one; `possible`: causes that came close to acceptance.
     """
 
     screened: dict[str, Screened]
@@ -70,6 +93,7 @@ class Step:
     proof: HeldOut | None
     figures: HeldOut | None = None
     rivals: float = np.inf
+    possible: tuple[PossibleCause, ...] = ()
 
     @property
     def is_clear(self) -> bool:
@@ -104,6 +128,55 @@ class Step:
             return []
         own = next((c.gain for c in self.candidates if c.id == self.found.id), self.found.gain)
         return [c for c in self.candidates if c.id != self.found.id and c.gain > own - nats]
+
+    def group(self, threshold: float, named: Collection[str] = ()) -> tuple[str, ...]:
+        """Return the id of the accepted cause, then those the data cannot distinguish from it, likeliest first.
+
+        `threshold`: log Bayes factor required of that cause, nats; `named`: ids that are findings themselves and join
+        no group. Result: at most `MOST_IN_GROUP` ids.
+        """
+        assert self.found is not None
+        as_likely = self.close(-TEMPER * np.log(AS_LIKELY))
+        others = (c for c in self.close(0.5 * SEPARABLE**2) if c.id not in named)
+        close = [c.id for c in others if c.gain > threshold or c in as_likely]
+        return (self.found.id, *close)[:MOST_IN_GROUP]
+
+    def probability(self, threshold: float, named: Collection[str] = ()) -> float:
+        """Return the probability of the accepted cause together with its group; arguments as for `group`."""
+        chances = self.chances()
+        return sum(chances.get(name, 0.0) for name in self.group(threshold, named))
+
+    def failed(self, required: float, threshold: float, named: Collection[str] = ()) -> PossibleCause | None:
+        """Return the accepted cause as a possible one where it fails its threshold, proof or probability, else None.
+
+        `required`, `threshold`: log Bayes factors required of the cause here and as a first cause, nats.
+        """
+        assert self.found is not None
+        assert self.proof is not None
+        chance = self.probability(threshold, named)
+        if self.found.gain >= required and _proved(self.found.id, self.proof) and chance >= STATED:
+            return None
+        return PossibleCause(self.found.id, chance, self.found.gain, required)
+
+    def dropped(self, failed: PossibleCause) -> "Step":
+        """Return the round without its finding, which joins the possible causes."""
+        return replace(self, found=None, figures=None, possible=(*self.possible, failed))
+
+    def exchanged(self, top: Candidate, lead: float) -> "Step":
+        """Return the round with another cause accepted in place of the first, which it leads by `lead` nats.
+
+        `top`: the cause, with its evidence in the model of all causes. Rivals keep their distance to the cause that was
+        accepted first.
+        """
+        assert self.found is not None
+        before = next((c.gain for c in self.candidates if c.id == self.found.id), self.found.gain)
+        shift = top.gain - lead - before
+        moved = [replace(c, gain=c.gain + shift) for c in self.candidates if c.id != top.id]
+        screened = {
+            name: replace(one, log_bayes_factor=one.log_bayes_factor + shift) for name, one in self.screened.items()
+        }
+        candidates = sorted([top, *moved], key=lambda candidate: -candidate.gain)
+        return replace(self, screened=screened, candidates=candidates, found=top)
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,14 +249,22 @@ def _round(
         tried = _prove(target, references, current, candidate)
         step = replace(step, proof=step.proof or tried)
         density = tried.log_density.sum(axis=1)
-        least_gain = 0.0 if CAUSES[candidate.id].always_fitted else PROVED
-        if density[NAMED] > density[BEFORE] + least_gain and density[NAMED] > density[GENERIC]:
+        if _proved(candidate.id, tried):
             rivals = max(float(density[GENERIC]), _best_rival(target, current, candidates, candidate))
             figures = _figures(target, references, current, candidate)
             accepted = replace(step, found=candidate, proof=tried, figures=figures, rivals=rivals)
-            if accepted.chances().get(candidate.id, 0.0) >= LEAST_PROBABILITY:
+            failed = accepted.failed(required[candidate.id], thresholds[candidate.id], current.ids)
+            if failed is None:
                 return accepted
+            step = replace(step, possible=(*step.possible, failed))
     return step
+
+
+def _proved(name: str, proof: HeldOut) -> bool:
+    """Return whether a cause, by its id, predicts held-out data better than the model without it and the rival."""
+    density = proof.log_density.sum(axis=1)
+    least_gain = 0.0 if CAUSES[name].always_fitted else PROVED
+    return bool(density[NAMED] > density[BEFORE] + least_gain and density[NAMED] > density[GENERIC])
 
 
 def _best_rival(target: FitTarget, current: Fit, candidates: Sequence[Candidate], found: Candidate) -> float:
@@ -220,26 +301,75 @@ def _revised(
 ) -> tuple[FitTarget, Fit, list[Step]]:
     """Return target, fit and rounds after each cause was tested for redundancy and exchanged for its closest rivals.
 
-    `base`, `current`: fits of the believed model and with all causes; `thresholds`: nats, by id.
+    What stays has passed its tests again, in the model of all causes. `base`, `current`: fits of the believed model and
+    with all causes; `thresholds`: nats, by id.
     """
+    first = target
     found = [number for number, step in enumerate(steps) if step.found is not None]
     target, current, kept = without_redundant(target, current, thresholds)
     found = [found[part] for part in kept]
     steps = [step if number in found else replace(step, found=None) for number, step in enumerate(steps)]
+    leads: dict[int, float] = {}
     for part, number in enumerate(found):
         rivals = [c.as_rival() for c in steps[number].close(RIVALS_WITHIN) if c.id not in current.ids]
-        target, current = exchanged(target, current, part, rivals[:MOST_RIVALS])
-    for part, number in enumerate(found):
-        # The gain of a finding is the evidence that its removal costs.
-        before = without(target, current, part)
-        if before is not None:
-            gain = current.log_evidence - before.log_evidence
-            top = Candidate(current.parts[part].id, current, gain, target)
-            references = _references(target, screen, base, before)
-            proof = _prove(target, references, before, top, part)
-            figures = _figures(target, references, before, top, part)
-            steps[number] = replace(steps[number], found=top, proof=proof, figures=figures)
-    return target, current, steps
+        target, better = exchanged(target, current, part, rivals[:MOST_RIVALS])
+        if better is not current:
+            leads[number] = better.log_evidence - current.log_evidence
+            current = better
+    while found:
+        others = []
+        for part, number in enumerate(found):
+            before = without(target, current, part)
+            others.append(before)
+            if before is not None:
+                steps[number] = _judged(
+                    target, screen, base, current, before, part, steps[number], leads.pop(number, None)
+                )
+        failed = _failed([steps[number] for number in found], current.ids, thresholds)
+        if not failed:
+            return target, current, steps
+        # Of several, the one whose removal costs the least evidence: the others may pass without it.
+        part = min(failed, key=lambda part: failed[part].log_bayes_factor)
+        number, rest = found.pop(part), others[part]
+        assert rest is not None  # it was judged
+        steps[number] = steps[number].dropped(failed[part])
+        target, current = corrected_fit(target, rest)
+    return first, base, steps
+
+
+def _judged(
+    target: FitTarget,
+    screen: Screen,
+    base: Fit,
+    current: Fit,
+    before: Fit,
+    part: int,
+    step: Step,
+    lead: float | None,
+) -> Step:
+    """Return the round of a finding with its evidence and proof in the model of all causes.
+
+    `before`: fit without it; `part`: its number in the fit `current`; `lead`: nats by which it leads the cause that was
+    accepted first in its place; None where that is itself. The gain of a finding is the evidence that its removal
+    costs.
+    """
+    top = Candidate(current.parts[part].id, current, current.log_evidence - before.log_evidence, target)
+    references = _references(target, screen, base, before)
+    proof = _prove(target, references, before, top, part)
+    figures = _figures(target, references, before, top, part)
+    step = replace(step, found=top) if lead is None or step.found is None else step.exchanged(top, lead)
+    return replace(step, proof=proof, figures=figures)
+
+
+def _failed(steps: Sequence[Step], ids: Sequence[str], thresholds: Mapping[str, float]) -> dict[int, PossibleCause]:
+    """Return the findings that fail their tests, by their number; `ids`: those of all findings, in the same order."""
+    failed = {}
+    for part, (step, name) in enumerate(zip(steps, ids, strict=True)):
+        required = required_thresholds(thresholds, ids[:part])[name]
+        short = step.failed(required, thresholds[name], ids)
+        if short is not None:
+            failed[part] = short
+    return failed
 
 
 def _prove(

@@ -36,8 +36,9 @@ def answer_of(experiment: MaterialExperiment, outcome: SelectionOutcome, seed: i
             "id": finding.id,
             "group": list(finding.group),
             "probability": finding.probability,
+            "group_probability": finding.group_probability,
             "log_bayes_factor": finding.log_bayes_factor,
-            "threshold": outcome.threshold,
+            "threshold": finding.threshold,
             "parameters": parameters[finding.id],
             "held_out": _held_out(outcome),
             "sentence": _sentence(outcome, finding),
@@ -49,6 +50,15 @@ def answer_of(experiment: MaterialExperiment, outcome: SelectionOutcome, seed: i
         "kind": "material-test",
         "verdict": outcome.verdict,
         "causes": causes,
+        "possible": [
+            {
+                "id": one.id,
+                "probability": one.group_probability,
+                "log_bayes_factor": one.log_bayes_factor,
+                "threshold": one.threshold,
+            }
+            for one in outcome.possible
+        ],
         "candidates": [
             {
                 "id": c.id,

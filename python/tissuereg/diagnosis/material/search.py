@@ -28,6 +28,9 @@ _SHARE_OF_PATCH = 0.75
 #: A cause that removes this share of the misfit on held-out data may predict one fold worse.
 _MOST_OF_MISFIT = 0.5
 
+#: A cause is stated where it, or its group, is at least this probable.
+STATED = 0.5
+
 #: A modulus is a finding beyond so many prior standard deviations.
 FAR_YOUNG = 3.0
 
@@ -74,6 +77,12 @@ class MaterialFinding:
         Root of twice the difference in log posterior from each other cause of the group.
     rivals : dict of str to Hypothesis
         For each other cause of the group, the hypothesis with it in place of this one.
+    threshold : float
+        Log Bayes factor that was required of it, nats.
+    group_probability : float
+        Posterior probability of all causes of the group together.
+    proved : bool
+        Whether it predicts held-out data better than the other findings alone and than a generic misfit.
     """
 
     id: str
@@ -82,6 +91,14 @@ class MaterialFinding:
     log_bayes_factor: float
     separability: dict[str, float]
     rivals: dict[str, Hypothesis]
+    threshold: float
+    group_probability: float
+    proved: bool
+
+    @property
+    def is_stated(self) -> bool:
+        """Whether it passes all tests: threshold, proof, and a probability of at least `STATED` with its group."""
+        return self.log_bayes_factor > self.threshold and self.proved and self.group_probability >= STATED
 
 
 @dataclass(eq=False)
@@ -272,6 +289,23 @@ class MaterialSearch:
                 known = rest
         return known
 
+    def findings(
+        self, none: Hypothesis, known: Hypothesis
+    ) -> tuple[Hypothesis, tuple[MaterialFinding, ...], tuple[MaterialFinding, ...]]:
+        """Return the causes that pass their tests again, given each other: hypothesis, findings, and those that do not.
+
+        `none`: the believed model; `known`: hypothesis with all accepted causes.
+        """
+        possible: list[MaterialFinding] = []
+        while True:
+            found = [self.finding(none, known, cause) for cause in known.ids]
+            failed = [finding for finding in found if not finding.is_stated]
+            if not failed:
+                return known, tuple(found), tuple(possible)
+            # Of several, the one whose removal costs the least evidence: the others may pass without it.
+            possible.append(min(failed, key=lambda finding: finding.log_bayes_factor))
+            known = self.without(none, known, possible[-1].id)
+
     def finding(self, none: Hypothesis, known: Hypothesis, cause: str) -> MaterialFinding:
         """Return the finding of one accepted cause, with the group of causes that cannot be distinguished from it.
 
@@ -286,6 +320,9 @@ class MaterialSearch:
         tied = tied[: LARGEST_GROUP - 1]
         among = [known.evidence, rest.evidence, generic.evidence, *(r.evidence for r in racers)]
         probability = float(np.exp(known.evidence - np.logaddexp.reduce(among)))
+        own = np.logaddexp.reduce([known.evidence, *(r.evidence for r in tied)])
+        together = float(np.exp(own - np.logaddexp.reduce(among)))
+        last = Hypothesis((*rest.ids, cause), known.fit, known.evidence)
         return MaterialFinding(
             cause,
             (cause, *(r.ids[-1] for r in tied)),
@@ -293,6 +330,10 @@ class MaterialSearch:
             known.evidence - rest.evidence,
             {r.ids[-1]: apart[r.ids[-1]] for r in tied},
             {r.ids[-1]: r for r in tied},
+            self.required(rest, last),
+            together,
+            # One cause alone was proved when it was accepted.
+            not rest.ids or self.is_proved(rest, last, generic),
         )
 
 

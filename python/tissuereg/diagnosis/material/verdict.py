@@ -45,10 +45,12 @@ class SelectionOutcome:
         The reported fit of the findings; None without findings.
     findings : tuple of MaterialFinding
         Named causes; empty where the verdict is consistent or unexplained.
+    possible : tuple of MaterialFinding
+        Causes that were found and are not stated, as their evidence or probability does not suffice given the others.
     candidates : tuple of CandidateCause
         Every cause tried alone, and the generic misfit.
     threshold : float
-        Log Bayes factor that a cause must exceed, nats.
+        Log Bayes factor that a first cause must exceed, nats.
     p_misfit : float
         p-value of the residual after the findings.
     explained : float
@@ -70,6 +72,7 @@ class SelectionOutcome:
     believed: MaterialFit
     refined: Refined | None
     findings: tuple[MaterialFinding, ...]
+    possible: tuple[MaterialFinding, ...]
     candidates: tuple[CandidateCause, ...]
     threshold: float
     p_misfit: float
@@ -97,7 +100,7 @@ def find_out(experiment: MaterialExperiment, seed: int, progress: Callable[[str]
     progress("threshold from null experiments")
     limit = threshold(problem, none.fit, forms, rng)
     search = MaterialSearch(bench, forms, limit, progress)
-    known = _without_near_modulus(search, none, search.run(none))
+    known, stated, possible = search.findings(none, _without_near_modulus(search, none, search.run(none)))
     data = problem.data
     believed = plain_fit(problem, bench.noise)
     residual = data.stress - data.modelled(known.fit.model)
@@ -107,7 +110,7 @@ def find_out(experiment: MaterialExperiment, seed: int, progress: Callable[[str]
     verdict = "consistent" if p_misfit > MISFIT else "unexplained"
     findings: tuple[MaterialFinding, ...] = ()
     if known.ids and (p_misfit > MISFIT or explained > EXPLAINED):
-        findings = tuple(search.finding(none, known, cause) for cause in known.ids)
+        findings = stated
         verdict = "group" if any(len(finding.group) > 1 for finding in findings) else "named"
     progress("form and weights that predict best")
     reported = refined(search, none, known, noise) if findings else None
@@ -120,6 +123,7 @@ def find_out(experiment: MaterialExperiment, seed: int, progress: Callable[[str]
         believed,
         reported,
         findings,
+        possible,
         tuple(search.first_race),
         limit,
         p_misfit,

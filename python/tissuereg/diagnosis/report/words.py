@@ -56,9 +56,8 @@ def summary(found: "Diagnosis") -> str:
 
 def findings(found: "Diagnosis") -> str:
     """Return every finding with its parameters and evidence, as HTML."""
-    if not found.findings:
-        return "<p>No cause was accepted.</p>"
-    return "\n".join(_finding(finding) for finding in found.findings)
+    parts = [_finding(finding) for finding in found.findings] or ["<p>No cause was accepted.</p>"]
+    return "\n".join([*parts, *(_possible(one) for one in found.possible)])
 
 
 def ties(found: "Diagnosis") -> str:
@@ -153,6 +152,13 @@ def _finding(finding: "Finding") -> str:
         f"<p>{escape(finding.sentence)}</p><p>{figures}</p>{tied}"
         + table(("parameter", "value \u00b1 standard deviation"), rows)
         + f"<p>{escape(gain_words(finding))}</p></section>"
+    )
+
+
+def _possible(one: dict[str, Any]) -> str:
+    return (
+        f"<p>Possible, but not stated: {escape(plain_name(one['id']))} (probability {chance(one['probability'])}; log "
+        f"Bayes factor {one['log_bayes_factor']:.1f}, threshold {one['threshold']:.1f}).</p>"
     )
 
 
