@@ -252,7 +252,7 @@ def test_a_cause_is_named_above_its_threshold_alone_and_not_stated_where_it_fail
         assert again.run(none).ids == ids
     kept, findings, possible = searched.findings(none, known)
     assert (kept.ids, [one.id for one in findings], possible) == (("stiffening",), ["stiffening"], ())
-    assert findings[0].is_stated
+    assert findings[0].passes(0.5)
     assert findings[0].group_probability >= findings[0].probability >= 0.5
     for change in ({"log_bayes_factor": 4.9}, {"group_probability": 0.49}, {"proved": False}):
         failed = replace(findings[0], threshold=5.0, **change)

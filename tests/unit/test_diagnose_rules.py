@@ -16,12 +16,13 @@ from tissuereg.diagnosis.evidence import Null
 from tissuereg.diagnosis.fit import fit
 from tissuereg.diagnosis.misfit import Misfit
 from tissuereg.diagnosis.noise import Noise, estimate_noise
-from tissuereg.diagnosis.nuisances import EFFECT_ERROR, MESH_SHARE, effect_nuisances
-from tissuereg.diagnosis.nulls import MESH_SPREAD, draw_nulls
+from tissuereg.diagnosis.nuisances import effect_nuisances
+from tissuereg.diagnosis.nulls import draw_nulls
 from tissuereg.diagnosis.proof import BEFORE, BELIEVED, GENERIC, NAMED, HeldOut, held_out_figures, linear_model
 from tissuereg.diagnosis.report.words import ties
 from tissuereg.diagnosis.screen import UNKNOWN, Screen
 from tissuereg.diagnosis.search import Search, search
+from tissuereg.diagnosis.settings import DEFAULT
 from tissuereg.diagnosis.signals import SignalLayout
 from tissuereg.experiment.effects import Latency, MarkerSlip, Poisson
 
@@ -49,8 +50,8 @@ def test_null_draws_have_the_error_of_another_mesh(of_two):
     length = float(np.linalg.norm(along))
     sizes = np.abs(drawn @ along) / length
     # Each has the norm computed for the mesh, within a factor; noise alone has a norm of one.
-    assert sizes.min() > MESH_SHARE * length / MESH_SPREAD - 5.0
-    assert np.median(sizes) == pytest.approx(MESH_SHARE * length, rel=0.15)
+    assert sizes.min() > DEFAULT.nuisances.mesh_share * length / DEFAULT.nulls.mesh_spread - 5.0
+    assert np.median(sizes) == pytest.approx(DEFAULT.nuisances.mesh_share * length, rel=0.15)
     assert np.abs(draw_nulls(screen, of_two.null, of_two.noise, layout, [], 0).residuals @ along).max() < 6.0 * length
 
 
@@ -97,7 +98,7 @@ def test_a_found_cause_has_a_model_error_when_further_causes_are_tested(of_two):
     for p in layout.parts[1:]:
         spread = np.sqrt((p.markers(covariance)[..., 0] ** 2).sum(axis=0))
         # The change itself, and smooth patterns of the same size together.
-        np.testing.assert_allclose(spread, EFFECT_ERROR * np.sqrt(2.0), rtol=0.2)
+        np.testing.assert_allclose(spread, DEFAULT.nuisances.effect_error * np.sqrt(2.0), rtol=0.2)
     assert not layout.parts[0].markers(covariance).any()
     # Another form of the cause differs by a twentieth of its change, which these nuisances explain.
     slope = (layout.reference[:, 0] - layout.reference[:, 0].mean()) / np.ptp(layout.reference[:, 0])
@@ -189,7 +190,7 @@ def test_a_cause_is_clear_only_if_no_rival_predicts_held_out_data_as_well(monkey
     # With a rival that predicts better the named cause is not clear.
     wrong = replace(other, gain=300.0, fit=other.fit)
     monkeypatch.setattr(search_module, "refitted", lambda *_: [replace(wrong, id="latency"), true])
-    monkeypatch.setattr(search_module, "PROVED", -1e9)
+    target.bench.settings = replace(DEFAULT, search=replace(DEFAULT.search, proved=-1e9))
     monkeypatch.setattr(search_module, "GENERIC", BEFORE)
     step = search_module._round(target, screen, base, base, required, None)
     if step.found is not None and step.found.fit is wrong.fit:
@@ -251,8 +252,8 @@ def test_a_cause_less_likely_than_not_is_possible_and_not_stated(monkeypatch):
     wrong = search_module.Candidate("scale", fit(target, [part(target, "scale")]), 300.0, target)
     screen = screen_of(target, ("latency", "scale"))
     held = {"latency": True, "scale": False}
-    monkeypatch.setattr(search_module, "_proved", lambda name, proof: held[name])
-    monkeypatch.setattr(search_module, "MOST_IN_GROUP", 1)
+    monkeypatch.setattr(search_module, "_proved", lambda name, proof, rules: held[name])
+    target.bench.settings = replace(DEFAULT, search=replace(DEFAULT.search, most_in_group=1))
     monkeypatch.setattr(search_module, "refitted", lambda *_: [wrong, true])
     step = search_module._round(target, screen, base, base, {"latency": 6.0, "scale": 6.0}, None)
     assert step.found is None
@@ -275,7 +276,7 @@ def test_what_stays_after_a_revision_passes_its_threshold_again(monkeypatch, sha
     # Enough for a first cause, and for the test of redundancy; perhaps not for a further one, after a tracker's error.
     limits = {"latency": 6.0, "poisson": 6.0}
     monkeypatch.setattr(
-        search_module, "required_thresholds", lambda given, found=(): {**given, "poisson": share * gain}
+        search_module, "required_thresholds", lambda given, found, rules: {**given, "poisson": share * gain}
     )
     proof = search_module._prove(target, search_module._references(target, screen, base, base), base,
                                  search_module.Candidate("latency", first, 50.0, target))  # fmt: skip

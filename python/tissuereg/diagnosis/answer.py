@@ -8,14 +8,12 @@ from typing import Any
 
 from tissuereg._base.arguments import place
 from tissuereg._base.provenance import Provenance
-from tissuereg.diagnosis.causes import Values
+from tissuereg.diagnosis.causes import Values, catalogue
 from tissuereg.diagnosis.readings import RecordingSuspicion
+from tissuereg.diagnosis.settings import DEFAULT, DiagnoseSettings
 from tissuereg.experiment.experiment import Experiment
 
 SCHEMA = "tissuereg.diagnosis/1"
-
-#: With fewer load cases a verdict is provisional: a case that is held out is not predicted from at least two others.
-LEAST_CASES = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +114,9 @@ class Diagnosis:
     provenance : Provenance
         Date, version, call or command, hashes of the input files, warnings.
     settings : dict
-        Settings of the diagnosis, by name.
+        Arguments of the diagnosis, by name.
+    numbers : DiagnoseSettings
+        All numbers that may change a diagnosis.
     """
 
     verdict: str
@@ -134,6 +134,7 @@ class Diagnosis:
     details: dict[str, Any] = field(default_factory=dict)
     provenance: Provenance = field(default_factory=Provenance)
     settings: dict[str, Any] = field(default_factory=dict)
+    numbers: DiagnoseSettings = DEFAULT
 
     def __repr__(self) -> str:
         names = ", ".join(" or ".join(finding.group) for finding in self.findings) or "nothing named"
@@ -141,9 +142,9 @@ class Diagnosis:
 
     @property
     def provisional(self) -> bool:
-        """Whether fewer than `LEAST_CASES` cases load the body, too few to hold one out and fit several others."""
+        """Whether fewer than `least_cases` cases load the body, too few to hold one out and fit several others."""
         acts = [case for case in self.extended.cases.values() if case.displacements or case.applied_forces]
-        return len(acts) < LEAST_CASES
+        return len(acts) < self.numbers.report.least_cases
 
     def to_json(self) -> dict[str, Any]:
         """Return the diagnosis as plain data for JSON, in the schema ``tissuereg.diagnosis/1``."""
@@ -161,6 +162,7 @@ class Diagnosis:
             "extended_model": "experiment.extended.toml",
             "next_experiment": self.next_experiment,
             "seed": self.seed,
+            "settings": self.numbers.to_json(catalogue(self.numbers)),
             "versions": self.versions,
             "provenance": self.provenance.to_json(self.settings),
         }

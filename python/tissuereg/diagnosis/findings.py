@@ -35,7 +35,7 @@ def findings_of(target: FitTarget, screen: Screen, found: Search, thresholds: Ma
         values, deviations = found.final.values(part, young)
         chances = step.chances()
         earlier = (before.found.id for before in rounds[:part] if before.found is not None)
-        required = required_thresholds(thresholds, earlier)
+        required = required_thresholds(thresholds, earlier, target.bench.settings.search)
         assert step.proof is not None  # found causes were proved
         assert step.figures is not None
         findings.append(

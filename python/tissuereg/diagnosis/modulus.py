@@ -13,7 +13,6 @@ import numpy as np
 from tissuereg.diagnosis.answer import Finding
 from tissuereg.diagnosis.bench import Bench
 from tissuereg.diagnosis.causes import CAUSES
-from tissuereg.diagnosis.evidence import LOOK_ALIKE, TEMPER
 from tissuereg.diagnosis.fit import FitTarget, fit
 from tissuereg.diagnosis.proof import (
     BEFORE,
@@ -26,14 +25,7 @@ from tissuereg.diagnosis.proof import (
     proof_blocks,
 )
 from tissuereg.diagnosis.screen import Screen
-from tissuereg.diagnosis.search import STATED, Search, rival_columns
-
-#: The modulus is a finding beyond this many prior deviations, if its posterior deviation is at most this share of the
-#: prior's.
-BEYOND, DETERMINED = 3.0, 0.3
-
-#: Prior deviation, in the modulus' logarithm, that fixes it at the believed value.
-_PINNED = 1e-9
+from tissuereg.diagnosis.search import Search, rival_columns
 
 
 def modulus_finding(target: FitTarget, screen: Screen, found: Search) -> Finding | None:
@@ -49,9 +41,16 @@ def modulus_finding(target: FitTarget, screen: Screen, found: Search) -> Finding
     """
     target = found.target or target
     final, bench = found.final, target.bench
+    if "stiffness" in bench.settings.left_out:
+        return None
+    rules, evidence = bench.settings.search, bench.settings.evidence
     excess = float(abs(final.x[0])) / bench.young_spread
     deviation = float(np.sqrt(final.covariance[0, 0]))
-    if excess < BEYOND or deviation > DETERMINED * bench.young_spread or "stiffness" in final.ids:
+    if (
+        excess < rules.far_modulus
+        or deviation > rules.determined_modulus * bench.young_spread
+        or "stiffness" in final.ids
+    ):
         return None
     pinned = replace(target, bench=_pinned(bench))
     start = final.x.copy()
@@ -64,22 +63,24 @@ def modulus_finding(target: FitTarget, screen: Screen, found: Search) -> Finding
     models = [linear_model(target, before), linear_model(target, final), rival, linear_model(target, believed)]
     slopes = target.white(final.jacobian[:1]) * final.deviation[:1, None]
     change = target.white(final.prediction - before.prediction)
-    proof = held_out(models, proof_blocks(bench.layout, slopes))
+    proof = held_out(models, proof_blocks(bench.layout, slopes, rules))
     density = proof.log_density.sum(axis=1)
     if density[NAMED] <= max(density[BEFORE], density[GENERIC]):
         return None
     young = final.young(bench.young)
     values = {"young_kpa": young}
-    chance = float((1.0 - LOOK_ALIKE) / (1.0 + np.exp(-0.5 * (excess**2 - BEYOND**2) / TEMPER)))
-    if chance < STATED:
+    chance = float(
+        (1.0 - evidence.look_alike) / (1.0 + np.exp(-0.5 * (excess**2 - rules.far_modulus**2) / evidence.temper))
+    )
+    if chance < rules.stated:
         return None
-    figures = held_out(models, figure_blocks(bench.layout, slopes, change))
+    figures = held_out(models, figure_blocks(bench.layout, slopes, change, rules))
     return Finding(
         id="stiffness",
         group=("stiffness",),
         probability=chance,
         log_bayes_factor=0.5 * excess**2,
-        threshold=0.5 * BEYOND**2,
+        threshold=0.5 * rules.far_modulus**2,
         parameters=values,
         deviations={"young_kpa": young * deviation},
         held_out=held_out_figures(bench.layout, target.noise, proof, figures),
@@ -91,5 +92,5 @@ def modulus_finding(target: FitTarget, screen: Screen, found: Search) -> Finding
 def _pinned(bench: Bench) -> Bench:
     """Return a copy of the believed model whose modulus is fixed at the believed value; computed results are shared."""
     other = copy(bench)
-    other.young_spread = _PINNED
+    other.young_spread = 1e-9  # in the modulus' logarithm: fixed at the believed value
     return other

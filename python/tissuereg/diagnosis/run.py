@@ -37,18 +37,12 @@ from tissuereg.diagnosis.readings import RecordingSuspicion, suspect_recording
 from tissuereg.diagnosis.refined import entry_of, refined_predictions
 from tissuereg.diagnosis.screen import Screen
 from tissuereg.diagnosis.search import Search, search
+from tissuereg.diagnosis.settings import DEFAULT, DiagnoseSettings, NullSettings
 from tissuereg.diagnosis.signals import SignalLayout
 from tissuereg.errors import LockingWarning, TissueRegError, UnitWarning
 from tissuereg.experiment.effects import Effect, Stiffness
 from tissuereg.experiment.experiment import Experiment
 from tissuereg.simulation.experiment import simulate_plain
-
-#: Level of the misfit test: a residual with a smaller p-value is a misfit.
-MISFIT = 0.01
-
-#: Findings with a misfit are named only if they explain this share of the believed model's misfit, both in total and in
-#: the statistic that is still largest; the total alone counts where one finding is far ahead of all rivals.
-EXPLAINED = 0.5
 
 
 def diagnose_body(
@@ -59,12 +53,13 @@ def diagnose_body(
     keep: bool,
     element: Element | None,
     progress: Callable[[str], None] | None,
+    settings: DiagnoseSettings = DEFAULT,
 ) -> Diagnosis:
     """Return the diagnosis of a body: the causes of the difference between its measurements and its simulation.
 
     `experiment`: the believed model and the measurements; `seed`: seed of all random draws; `threads`: threads to use;
     0 takes all cores; `keep`: whether the cache is used; `element`: elements of the believed model, None for the
-    default; `progress`: called with the name of the step that begins. Errors are those of
+    default; `progress`: called with the name of the step that begins; `settings`: all numbers. Errors are those of
     `tissuereg.diagnosis.diagnose`.
     """
     experiment = _own_modulus(experiment)
@@ -78,13 +73,13 @@ def diagnose_body(
         warn(text)
     element = element or (simulated.element if simulated is not None and plain else "tet4")
     layout = SignalLayout(experiment)
-    noise = estimate_noise(experiment, layout)
+    noise = estimate_noise(experiment, layout, settings.noise)
     if progress is not None:
         progress("units and axes")
-    suspicions = suspect_recording(experiment, layout, element=element, threads=threads)
+    suspicions = suspect_recording(experiment, layout, element=element, threads=threads, settings=settings.readings)
     if any(one.log_odds is not None for one in suspicions):
-        return _misread(experiment, suspicions, seed)
-    bench = Bench(experiment, layout, element=element, threads=threads)
+        return _misread(experiment, suspicions, seed, settings)
+    bench = Bench(experiment, layout, element=element, threads=threads, settings=settings)
     _ = bench.base  # warnings of the believed model are the user's; those of trials are not
     with warnings.catch_warnings():
         for kind in (UnitWarning, LockingWarning):
@@ -101,6 +96,7 @@ def _searched(
     `silent`: whether forces are below their noise, so that no modulus follows from them.
     """
     experiment, layout = bench.experiment, bench.layout
+    settings, rules = bench.settings, bench.settings.nulls
     element, threads = bench.predictor.element, bench.predictor.threads
     bank = make_bank(bench, keep=keep, progress=progress)
     believed = make_believed(bench, noise, keep=keep, progress=progress)
@@ -109,19 +105,19 @@ def _searched(
     if progress is not None:
         progress("screening")
     screen = Screen(bank, generic, noise, layout, target.correction, null)
-    nulls = draw_nulls(screen, null, noise, layout, list(believed.mesh_errors), seed)
+    nulls = draw_nulls(screen, null, noise, layout, list(believed.mesh_errors), seed, settings)
     found = search(target, screen, nulls.thresholds, progress=progress)
-    battery = Battery(layout, smooth_subspaces(layout, bench.base, bench.extent, noise))
+    battery = Battery(layout, smooth_subspaces(layout, bench.base, bench.extent, noise, settings))
     before = target.null.reduced(found.base.residual)
     misfit = battery.judge(before, found.reduced, nulls.residuals)
     findings = findings_of(target, screen, found, nulls.thresholds)
     findings = [finding for finding in findings if not (silent and finding.id == "stiffness")]
-    withdrawn = bool(findings) and not _explains_enough(misfit, found)
+    withdrawn = bool(findings) and not _explains_enough(misfit, found, rules)
     if withdrawn:
         # At best the findings are the causes most similar to the true one.
         findings, found = [], found.withdrawn(target)
         misfit = battery.judge(before, found.reduced, nulls.residuals)
-    verdict = _verdict(findings, misfit.p, withdrawn=withdrawn or silent)
+    verdict = _verdict(findings, misfit.p, withdrawn=withdrawn or silent, level=rules.misfit)
     effects: tuple[Effect, ...] = found.final.effects(bench.young)
     if not silent and abs(found.final.x[0]) > 1e-6 and found.final.covariance[0, 0] < (0.5 * bench.young_spread) ** 2:
         young = found.final.young(bench.young)
@@ -131,19 +127,22 @@ def _searched(
     findings = _with_targets(findings, experiment, extended, element=element, threads=threads)
     following = advise(target, found.steps, findings)
     if verdict == "unexplained":
-        following = next_check(bench, found.reduced, nearest_cause(screen, found))
+        following = next_check(bench, found.reduced, nearest_cause(screen, found, settings.report.looks_like))
     return Diagnosis(
         verdict=verdict,
         findings=tuple(findings),
         candidates=candidates_of(screen, found.steps[0]),
         possible=possible_of(found),
         p_misfit=misfit.p,
-        left=residual_summary(layout, screen, found, misfit) if findings and misfit.p < MISFIT else None,
-        discrepancy=describe(layout, found.base, found.final),
+        left=residual_summary(layout, screen, found, misfit, settings.report)
+        if findings and misfit.p < rules.misfit
+        else None,
+        discrepancy=describe(layout, found.base, found.final, settings.report),
         extended=extended,
         next_experiment=following,
         seed=seed,
         versions=_versions(),
+        numbers=settings,
         details={
             "search": found,
             "layout": layout,
@@ -155,7 +154,9 @@ def _searched(
     )
 
 
-def _misread(experiment: Experiment, suspicions: Sequence[RecordingSuspicion], seed: int) -> Diagnosis:
+def _misread(
+    experiment: Experiment, suspicions: Sequence[RecordingSuspicion], seed: int, settings: DiagnoseSettings
+) -> Diagnosis:
     """Return the answer for a recording that is probably misread: what to write, and no cause."""
     first = suspicions[0]
     check = {"kind": "input", "name": ", ".join(first.files)}
@@ -176,6 +177,7 @@ def _misread(experiment: Experiment, suspicions: Sequence[RecordingSuspicion], s
         seed=seed,
         versions=_versions(),
         suspicions=tuple(suspicions),
+        numbers=settings,
     )
 
 
@@ -213,7 +215,8 @@ def make_believed(
         fine, others = bench.base, np.zeros((0, layout.size))
     else:
         fine, others = refined_predictions(bench, entry_of(bench.experiment) if keep else None, progress=progress)
-    correction = make_correction(layout, bench.base, fine)
+    corrected = bench.settings.model.corrected
+    correction = make_correction(layout, bench.base, fine) if corrected else Correction(layout)
     nuisances = make_nuisances(bench, others - fine, correction)
     correction = _at_modulus(bench, noise, correction, nuisances)
     white = noise.whitened(correction.at_modulus(nuisances.columns), layout)
@@ -257,16 +260,16 @@ def _own_modulus(experiment: Experiment) -> Experiment:
     return replace(experiment, material=replace(experiment.material, young=young), young_std=spread, effects=others)
 
 
-def _explains_enough(misfit: Misfit, found: Search) -> bool:
-    """Return whether findings may be named: no misfit is left, or enough of it is explained (`EXPLAINED`)."""
-    if misfit.p >= MISFIT or min(misfit.explained, misfit.explained_there) >= EXPLAINED:
+def _explains_enough(misfit: Misfit, found: Search, rules: NullSettings = DEFAULT.nulls) -> bool:
+    """Return whether findings may be named: no misfit is left, or enough of it is explained (`explained`)."""
+    if misfit.p >= rules.misfit or min(misfit.explained, misfit.explained_there) >= rules.explained:
         return True
-    return misfit.explained >= EXPLAINED and any(step.is_clear for step in found.steps)
+    return misfit.explained >= rules.explained and any(step.is_clear for step in found.steps)
 
 
-def _verdict(findings: list[Finding], misfit: float, *, withdrawn: bool) -> str:
+def _verdict(findings: list[Finding], misfit: float, *, withdrawn: bool, level: float = DEFAULT.nulls.misfit) -> str:
     if not findings:
-        return "consistent" if misfit >= MISFIT and not withdrawn else "unexplained"
+        return "consistent" if misfit >= level and not withdrawn else "unexplained"
     return "group" if any(len(finding.group) > 1 for finding in findings) else "named"
 
 

@@ -5,10 +5,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tissuereg.diagnosis.evidence import LOOK_ALIKE, TEMPER
 from tissuereg.diagnosis.report.proved import gain_words
 from tissuereg.diagnosis.report.ranking import chance, gloss, plain_name, separated
-from tissuereg.diagnosis.search import SEPARABLE
 from tissuereg.report.markup import escape, table
 
 if TYPE_CHECKING:
@@ -81,7 +79,7 @@ def ties(found: "Diagnosis") -> str:
             f"<p><b>Next experiment: {escape(advice['action'])}.</b> It separates {escape(separated(advice))}: the "
             f"predictions of the fitted models differ by {advice['separability']:.1f} noise deviations, given the "
             "uncertainty of the tracker's frame, the modulus and the forces "
-            f"({SEPARABLE:.0f} are needed to distinguish two causes).</p>"
+            f"({found.numbers.search.separable:.0f} are needed to distinguish two causes).</p>"
         )
     return "\n".join(parts)
 
@@ -102,11 +100,12 @@ def assumed(found: "Diagnosis") -> str:
             f"Young's modulus: prior {young:.4g} \u00b1 {believed:.2g} kPa; fitted together with the causes: "
             f"{search.final.young(young):.4g} \u00b1 {spread:.2g} kPa."
         )
+    evidence = found.numbers.evidence
     items += [
         "Probabilities are posterior ones among the causes of the catalogue, no cause, and the generic rival, with "
-        f"equal priors; log Bayes factors are divided by {TEMPER:g} first, because the models of noise and "
-        f"discretisation error are not exact, and {100 * LOOK_ALIKE:.0f} % of every cause's probability are assigned "
-        "to effects outside the catalogue that look like it.",
+        f"equal priors; log Bayes factors are divided by {evidence.temper:g} first, because the models of noise and "
+        f"discretisation error are not exact, and {100 * evidence.look_alike:.0f} % of every cause's probability is "
+        "assigned to effects outside the catalogue that look like it.",
         f"Seed of all random draws: {found.seed}.",
         "Versions: " + ", ".join(f"{name} {version}" for name, version in found.versions.items()) + ".",
     ]
