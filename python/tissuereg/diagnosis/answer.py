@@ -11,6 +11,7 @@ from tissuereg._base.provenance import Provenance
 from tissuereg.diagnosis.causes import Values, catalogue
 from tissuereg.diagnosis.readings import RecordingSuspicion
 from tissuereg.diagnosis.settings import DEFAULT, DiagnoseSettings
+from tissuereg.diagnosis.understated import UnderstatedNoise
 from tissuereg.experiment.experiment import Experiment
 
 SCHEMA = "tissuereg.diagnosis/1"
@@ -80,7 +81,8 @@ class Diagnosis:
     ----------
     verdict : str
         ``named`` (causes were found), ``group`` (found up to a group of causes that the data cannot distinguish),
-        ``consistent`` (the data agree with the model) or ``unexplained`` (they do not, and no cause accounts for it).
+        ``consistent`` (the data agree with the model), ``understated-noise`` (they do, but
+        for white noise larger than stated) or ``unexplained`` (they do not, and no cause accounts for it).
     findings : tuple of Finding
         Accepted causes.
     candidates : tuple of dict
@@ -111,6 +113,8 @@ class Diagnosis:
         is found.
     details : dict
         Objects that the report draws: ``search``, ``layout``, ``noise``, ``target``, ``nuisances``, ``thresholds``.
+    understated : tuple of UnderstatedNoise
+        Channels whose noise is larger than stated; the diagnosis is made with the larger one.
     provenance : Provenance
         Date, version, call or command, hashes of the input files, warnings.
     settings : dict
@@ -131,6 +135,7 @@ class Diagnosis:
     left: dict[str, Any] | None = None
     possible: tuple[dict[str, Any], ...] = ()
     suspicions: tuple[RecordingSuspicion, ...] = ()
+    understated: tuple[UnderstatedNoise, ...] = ()
     details: dict[str, Any] = field(default_factory=dict)
     provenance: Provenance = field(default_factory=Provenance)
     settings: dict[str, Any] = field(default_factory=dict)
@@ -157,6 +162,7 @@ class Diagnosis:
             "candidates": list(self.candidates),
             "p_misfit": self.p_misfit,
             "suspicions": [one.to_json() for one in self.suspicions],
+            "understated_noise": [one.to_json() for one in self.understated],
             "left": self.left,
             "discrepancy": self.discrepancy,
             "extended_model": "experiment.extended.toml",

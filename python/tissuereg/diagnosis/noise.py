@@ -25,7 +25,7 @@ class Noise:
     standard deviation of the motion common to all markers, per coordinate, mm; `memory`, `common_memory`: correlation,
     between frames that are `step_s` apart, of the markers' own noise and of the common motion; `step_s`: median time
     between frames, s; `force_std`: standard deviation of a force component, mN; `from_rest`: whether there were enough
-    rest frames for an estimate.
+    rest frames for an estimate; `evidence`, `force_evidence`: for a larger noise than stated, nats.
     """
 
     marker_std: FloatArray
@@ -35,6 +35,8 @@ class Noise:
     step_s: float
     force_std: float
     from_rest: bool
+    evidence: float = 0.0
+    force_evidence: float = 0.0
 
     def whitened(self, flat: FloatArray, layout: SignalLayout) -> FloatArray:
         """Return residuals or changes of predictions whitened by the noise; entries that were not measured become 0.
@@ -127,7 +129,25 @@ def estimate_noise(experiment: Experiment, layout: SignalLayout, settings: Noise
     common_std = float(np.sqrt(max(common - expected, 0.0))) if alike else 0.0
     step = float(np.median(np.concatenate([np.diff(part.times) for part in layout.parts])))
     common_memory = _memory(means, shapes) if alike else memory
-    return Noise(marker_std, common_std, memory, common_memory, step, force_std, True)
+    evidence = scale_evidence(float(np.median(pooled * together / stated**2)), together, settings)
+    return Noise(marker_std, common_std, memory, common_memory, step, force_std, True, evidence)
+
+
+def scale_evidence(power: float, freedom: float, settings: NoiseSettings) -> float:
+    """Return the log Bayes factor, nats, of noise larger than stated against that stated.
+
+    `power`: sum of squares over the stated variance; `freedom`: its degrees of freedom.
+    """
+    reach = 6.0 * settings.spread
+    stated, larger = np.linspace(-reach, reach, 2001), np.linspace(0.0, np.log(settings.largest_factor), 20001)
+
+    def log_mean(logs: FloatArray, prior: FloatArray) -> float:
+        values = -0.5 * power * np.exp(-2.0 * logs) - freedom * logs
+        top = float(values.max())
+        return top + float(np.log(np.average(np.exp(values - top), weights=prior)))
+
+    given = log_mean(stated, np.exp(-0.5 * (stated / settings.spread) ** 2))
+    return log_mean(larger, np.ones_like(larger)) - given
 
 
 def _still(experiment: Experiment, layout: SignalLayout, least_hold: int) -> list[tuple[FloatArray, int]]:

@@ -52,6 +52,15 @@ class NoiseSettings:
     least_frames: int = 6
     #: Least number of frames in a hold that is used.
     least_hold: int = 4
+    #: How far a rightly stated standard deviation may be off: deviation of its logarithm.
+    spread: float = 0.05
+    #: Largest factor by which a standard deviation may be understated.
+    largest_factor: float = 100.0
+    #: Least factor, and least evidence for it, nats, of understated noise.
+    least_factor: float = 1.25
+    least_evidence: float = 6.0
+    #: Least degrees of freedom of a marker, or of all forces, that count for it.
+    least_freedom: float = 6.0
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ import numpy as np
 
 from tissuereg.diagnosis.report.proved import gain_words
 from tissuereg.diagnosis.report.ranking import chance, gloss, plain_name, separated
+from tissuereg.diagnosis.understated import UNDERSTATED
 from tissuereg.report.markup import escape, table
 
 if TYPE_CHECKING:
@@ -18,6 +19,8 @@ def verdict_sentence(found: "Diagnosis") -> str:
     """Return the verdict of a diagnosis in one sentence, plain text."""
     if found.verdict == "consistent":
         return "The measurements are consistent with the simulation, within noise and nuisance parameters."
+    if found.verdict == UNDERSTATED:
+        return "The measurements are consistent with the simulation, but their noise is larger than stated."
     if found.suspicions and not found.candidates:
         return "The recording is probably misread, so that no cause was looked for."
     if found.verdict == "unexplained":
@@ -42,10 +45,11 @@ def summary(found: "Diagnosis") -> str:
         f"<h1>What the simulation of {escape(found.extended.name)} gets wrong</h1>",
         f"<p class='verdict'><b class='{tone}'>{escape(verdict_sentence(found))}</b></p>",
     ]
-    parts += [f"<p>{escape(one.sentence)}.</p>" for one in found.suspicions]
+    said = [*(one.sentence for one in found.suspicions), *(one.sentence for one in found.understated)]
+    parts += [f"<p>{escape(sentence)}.</p>" for sentence in said]
     if found.candidates or not found.suspicions:
         parts.append(f"<p>{escape(_discrepancy(found))} {escape(_left(found))}</p>")
-    if found.verdict == "unexplained" and found.next_experiment is not None:
+    if found.verdict in ("unexplained", UNDERSTATED) and found.next_experiment is not None:
         parts.append(f"<p><b>Next:</b> {escape(found.next_experiment['action'])}.</p>")
     if found.provisional:
         parts.append("<p>Provisional: with fewer than three load cases, none was predicted from several others.</p>")
