@@ -43,6 +43,7 @@ def test_a_diagnosis_reads_its_numbers_from_the_settings_that_it_is_given(of_rig
     _, read = of_rig
     # A block has no facets beside its surface; with three cases and no tie nothing is advised or located.
     seldom = {
+        "noise": {"least_evidence"},
         "shape": {"most_places", "most_patterns", "length_share", "held_variance"},
         "search": {"determined_modulus", "clear"},
         "readings": {"most_digits", "nothing", "force"},

@@ -20,7 +20,7 @@ from tissuereg.diagnosis.nuisances import frame_columns
 from tissuereg.diagnosis.patterns import force_columns
 from tissuereg.diagnosis.predictor import Predictor
 from tissuereg.diagnosis.search import Step
-from tissuereg.diagnosis.settings import DEFAULT, ReportSettings
+from tissuereg.diagnosis.settings import DEFAULT, AdviceSettings
 from tissuereg.diagnosis.signals import SignalLayout
 from tissuereg.errors import TissueRegError
 from tissuereg.experiment.experiment import Actuator, Case, Experiment
@@ -75,7 +75,7 @@ def advise(target: FitTarget, steps: Sequence[Step], findings: Sequence[Finding]
     return best
 
 
-def _actions(experiment: Experiment, settings: ReportSettings = DEFAULT.report) -> list[_Action]:
+def _actions(experiment: Experiment, settings: AdviceSettings = DEFAULT.report) -> list[_Action]:
     """Return the load cases that could be measured next with the displacement-controlled pads of an experiment.
 
     For every pad these are pushes and pulls along the three axes, as far as it has moved, and its own motion with a

@@ -9,11 +9,11 @@ from tissuereg.diagnosis.fit import Fit
 from tissuereg.diagnosis.misfit import Misfit
 from tissuereg.diagnosis.screen import UNKNOWN, Screen
 from tissuereg.diagnosis.search import Search
-from tissuereg.diagnosis.settings import DEFAULT, ReportSettings
+from tissuereg.diagnosis.settings import DEFAULT, AdviceSettings
 from tissuereg.diagnosis.signals import SignalLayout
 
 
-def describe(layout: SignalLayout, base: Fit, final: Fit, settings: ReportSettings = DEFAULT.report) -> dict[str, Any]:
+def describe(layout: SignalLayout, base: Fit, final: Fit, settings: AdviceSettings = DEFAULT.report) -> dict[str, Any]:
     """Return where, when and by how much the believed model with fitted modulus differs from the data.
 
     `layout`: order of the data; `base`, `final`: fits of the believed model and of that with all causes found. The
@@ -72,7 +72,7 @@ def _per_marker(layout: SignalLayout, white: FloatArray) -> FloatArray:
 
 
 def residual_summary(
-    layout: SignalLayout, screen: Screen, found: Search, misfit: Misfit, settings: ReportSettings = DEFAULT.report
+    layout: SignalLayout, screen: Screen, found: Search, misfit: Misfit, settings: AdviceSettings = DEFAULT.report
 ) -> dict[str, Any]:
     """Return a description of the residual that remains after the findings, where it is too large to be noise.
 
@@ -92,7 +92,7 @@ def residual_summary(
 
 
 def largest_residuals(
-    layout: SignalLayout, reduced: FloatArray, settings: ReportSettings = DEFAULT.report
+    layout: SignalLayout, reduced: FloatArray, settings: AdviceSettings = DEFAULT.report
 ) -> list[str]:
     """Return the names of the markers and pads with the largest root mean square residuals, the largest first.
 

@@ -17,7 +17,7 @@ from tissuereg._base.arrays import FloatArray, IntArray
 from tissuereg.diagnosis.bench import Bench
 from tissuereg.diagnosis.discrepancy import largest_residuals, worst_frame
 from tissuereg.diagnosis.screen import UNKNOWN
-from tissuereg.diagnosis.settings import DEFAULT, ReportSettings
+from tissuereg.diagnosis.settings import DEFAULT, AdviceSettings
 from tissuereg.diagnosis.signals import SignalLayout
 
 
@@ -114,7 +114,7 @@ def components_of(bench: Bench) -> Iterator[RigComponent]:
 
 
 def log_likelihood_gain(
-    residual: FloatArray, proximity: FloatArray, layout: SignalLayout, settings: ReportSettings = DEFAULT.report
+    residual: FloatArray, proximity: FloatArray, layout: SignalLayout, settings: AdviceSettings = DEFAULT.report
 ) -> float:
     """Return the gain in log likelihood, in nats, of an additional variance near a component over unit variance.
 
@@ -127,7 +127,7 @@ def log_likelihood_gain(
     return float(max(nats.max(), 0.0))
 
 
-def _share(residual: FloatArray, proximity: FloatArray, layout: SignalLayout, settings: ReportSettings) -> float:
+def _share(residual: FloatArray, proximity: FloatArray, layout: SignalLayout, settings: AdviceSettings) -> float:
     """Return the share of the squared residual (size,) beyond noise that lies near a component of the rig.
 
     `residual`: whitened; `proximity` (size,): weight of every measured number, 0 to 1.

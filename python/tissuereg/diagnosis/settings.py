@@ -156,7 +156,7 @@ class NullSettings:
 
 
 @dataclass(frozen=True)
-class EvidenceSettings:
+class ProbabilitySettings:
     """From evidence to probabilities."""
 
     #: Log Bayes factors are divided by this first, because the models of mesh error and noise are not exact.
@@ -244,7 +244,7 @@ class SearchSettings:
 
 
 @dataclass(frozen=True)
-class ReportSettings:
+class AdviceSettings:
     """What is described of the residual, and which experiments are advised."""
 
     #: Number of load cases below which a verdict is provisional: a held-out case is then not predicted from two others.
@@ -361,11 +361,11 @@ class DiagnoseSettings:
     nuisances: NuisanceSettings = field(default_factory=NuisanceSettings)
     shape: ShapeSettings = field(default_factory=ShapeSettings)
     nulls: NullSettings = field(default_factory=NullSettings)
-    evidence: EvidenceSettings = field(default_factory=EvidenceSettings)
+    evidence: ProbabilitySettings = field(default_factory=ProbabilitySettings)
     fit: FitSettings = field(default_factory=FitSettings)
     search: SearchSettings = field(default_factory=SearchSettings)
     readings: RecordingSettings = field(default_factory=RecordingSettings)
-    report: ReportSettings = field(default_factory=ReportSettings)
+    report: AdviceSettings = field(default_factory=AdviceSettings)
     material: MaterialSettings = field(default_factory=MaterialSettings)
     causes: "tuple[Cause, ...]" = ()
     left_out: tuple[str, ...] = ()
