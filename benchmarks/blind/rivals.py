@@ -18,13 +18,12 @@ from tissuereg.diagnosis.bank import make_bank
 from tissuereg.diagnosis.bench import Bench
 from tissuereg.diagnosis.correction import Correction, make_correction
 from tissuereg.diagnosis.evidence import Null, fit_amplitudes
-from tissuereg.diagnosis.findings import MOST_IN_GROUP
 from tissuereg.diagnosis.generic import generic_columns
 from tissuereg.diagnosis.noise import Noise, estimate_noise
 from tissuereg.diagnosis.nuisances import make_nuisances
 from tissuereg.diagnosis.proof import LinearModel
 from tissuereg.diagnosis.refined import entry_of, refined_predictions
-from tissuereg.diagnosis.search import MOST_CAUSES, SEPARABLE
+from tissuereg.diagnosis.settings import DEFAULT
 from tissuereg.diagnosis.signals import SignalLayout
 from tissuereg.experiment.effects import EFFECTS
 from tissuereg.io.experiments import read_experiment
@@ -136,7 +135,7 @@ def greedy(scene: Scene) -> dict:
     causes, n = list(hypotheses(scene)), scene.n
     residual, chosen, found = scene.null.reduced(scene.residual), [], []
     power = residual @ residual
-    while len(found) < MOST_CAUSES:
+    while len(found) < DEFAULT.search.most_causes:
         now = n * np.log(power / n)
         taken = {cause["id"] for cause in found}
         tried = {}
@@ -156,7 +155,9 @@ def greedy(scene: Scene) -> dict:
         causes = [other.cleared_of(modes) for other in causes]
         close = [name for name, bic in sorted(bics.items(), key=lambda one: one[1]) if _as_good(bic, lowest, now)]
         weights = np.exp(-0.5 * (np.array([now, *bics.values()]) - lowest))
-        found.append({"id": cause.id, "group": close[:MOST_IN_GROUP], "probability": float(1.0 / weights.sum())})
+        found.append(
+            {"id": cause.id, "group": close[: DEFAULT.search.most_in_group], "probability": float(1.0 / weights.sum())}
+        )
     return _answer(scene, found, chosen)
 
 
@@ -222,7 +223,7 @@ def hypotheses(scene: Scene) -> Iterator[Hypotheses]:
 
 def _as_good(bic: float, lowest: float, now: float) -> bool:
     """Return whether a cause is better than none, and within the diagnoser's own limit of the best."""
-    return bic < now and bic - lowest < SEPARABLE**2
+    return bic < now and bic - lowest < DEFAULT.search.separable**2
 
 
 def _directions(columns: np.ndarray) -> np.ndarray:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tissuereg.diagnosis.evidence import LOOK_ALIKE
+from tissuereg.diagnosis.settings import DEFAULT
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "diagnose_beam.py"
 
@@ -54,7 +54,7 @@ def answers(data):
 
 def assert_weight(cause):
     assert cause["group"] == ["gravity"]
-    assert cause["probability"] == pytest.approx(1.0 - LOOK_ALIKE, abs=0.01)
+    assert cause["probability"] == pytest.approx(1.0 - DEFAULT.evidence.look_alike, abs=0.01)
     assert cause["parameters"]["direction_z"][0] < -0.99
     # Weight over modulus is what the markers tell; the modulus is believed to a tenth.
     assert cause["parameters"]["g_mm_per_s2"][0] == pytest.approx(9810.0, rel=0.15)

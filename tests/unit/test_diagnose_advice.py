@@ -29,7 +29,7 @@ def apart(target, action, one, other):
 
 
 def tied(*names):
-    return Finding(names[0], names, 0.6, 9.0, 6.0, {}, {}, {}, "")
+    return Finding(names[0], names, 0.6, 9.0, 6.0, {}, {}, {}, "", 0.9)
 
 
 def step_of(target, fits, found):

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal, norm
 
-from tissuereg.diagnosis.evidence import TEMPER, Blocks, Null, fit_amplitudes, log_mean_exp, probabilities
-from tissuereg.diagnosis.nulls import LEAST_THRESHOLD, LEVEL, _thresholds
+from tissuereg.diagnosis.evidence import Blocks, Null, fit_amplitudes, log_mean_exp, probabilities
+from tissuereg.diagnosis.nulls import _thresholds
 from tissuereg.diagnosis.proof import LinearModel, held_out
+from tissuereg.diagnosis.settings import DEFAULT
 
 SIZE = 30
 
@@ -72,7 +73,7 @@ def test_log_mean_exp_survives_large_numbers():
 def test_probabilities_hold_none_and_sum_to_one():
     found = probabilities({"a": 3.0, "b": -800.0})
     assert sum(found.values()) == pytest.approx(1.0)
-    assert found["a"] / found[""] == pytest.approx(np.exp(3.0 / TEMPER))
+    assert found["a"] / found[""] == pytest.approx(np.exp(3.0 / DEFAULT.evidence.temper))
 
 
 def test_a_held_out_block_is_predicted_by_the_conditional_gaussian(rng):
@@ -96,8 +97,8 @@ def test_thresholds_share_the_false_alarms_and_are_highest_for_causes_that_null_
     # Two causes follow the error of the mesh, one the noise alone.
     drawn = {"gain": 5.0 * mesh, "layer": 2.0 * mesh, "latency": rng.standard_exponential(n) - 2.0}
     limits = _thresholds(drawn)
-    assert limits["latency"] == LEAST_THRESHOLD
-    assert limits["gain"] > 2.0 * limits["layer"] > 2.0 * LEAST_THRESHOLD
+    assert limits["latency"] == DEFAULT.nulls.least_threshold
+    assert limits["gain"] > 2.0 * limits["layer"] > 2.0 * DEFAULT.nulls.least_threshold
     alarms = np.any([drawn[name] > limits[name] for name in drawn], axis=0)
     # The two pass together, so that neither pays for the other.
-    assert 0.5 * LEVEL < alarms.mean() <= LEVEL
+    assert 0.5 * DEFAULT.nulls.level < alarms.mean() <= DEFAULT.nulls.level

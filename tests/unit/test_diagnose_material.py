@@ -1,6 +1,7 @@
 """Simulated material tests with hidden effects: named where there is one, no false alarm, no name where none fits."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,8 +10,12 @@ import support.material_curves as made
 from support.material_curves import believed, elastic, histories, in_modes
 from support.pages import assert_sound_page
 from tissuereg.diagnosis.material import diagnose_material, predicted_stresses
+from tissuereg.diagnosis.material.causes import CAUSES
+from tissuereg.diagnosis.material.hypothesis import null_hypothesis
 from tissuereg.diagnosis.material.noise import noise_of
 from tissuereg.diagnosis.material.scene import scene_of
+from tissuereg.diagnosis.material.search import MaterialSearch
+from tissuereg.diagnosis.material.verdict import bench_of
 from tissuereg.experiment.effects import Stiffening
 from tissuereg.experiment.material_experiment import Curve
 from tissuereg.io.experiment_out import write_experiment
@@ -231,3 +236,26 @@ def test_a_sweep_through_zero_is_no_unloading():
     unknown = np.full(21, np.nan)
     sweep = Curve("a", "simple-shear", np.nan, unknown, shear, shear)
     assert not scene_of(believed([sweep])).unloaded
+
+
+def test_a_cause_is_named_above_its_threshold_alone_and_not_stated_where_it_fails_a_test(monkeypatch):
+    bench, _ = bench_of(believed(in_modes(np.random.default_rng(7), ("fung", 1.0))))
+    none, scene = null_hypothesis(bench.problem), scene_of(believed(list(bench.problem.data.curves)))
+    forms = {"stiffening": CAUSES["stiffening"].forms(scene)}
+    searched = MaterialSearch(bench, forms, 5.0, lambda _: None)
+    known = searched.run(none)
+    gain = known.evidence - none.evidence
+    assert known.ids == ("stiffening",)
+    for share, ids in ((0.95, ("stiffening",)), (1.05, ())):
+        again = MaterialSearch(bench, forms, share * gain, lambda _: None)
+        monkeypatch.setattr(again, "_pair", lambda *_: None)
+        assert again.run(none).ids == ids
+    kept, findings, possible = searched.findings(none, known)
+    assert (kept.ids, [one.id for one in findings], possible) == (("stiffening",), ["stiffening"], ())
+    assert findings[0].passes(0.5)
+    assert findings[0].group_probability >= findings[0].probability >= 0.5
+    for change in ({"log_bayes_factor": 4.9}, {"group_probability": 0.49}, {"proved": False}):
+        failed = replace(findings[0], threshold=5.0, **change)
+        monkeypatch.setattr(searched, "finding", lambda *_, failed=failed: failed)
+        kept, stated, possible = searched.findings(none, known)
+        assert (kept.ids, stated, possible) == ((), (), (failed,))

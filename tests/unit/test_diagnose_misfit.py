@@ -11,7 +11,8 @@ from tissuereg.diagnosis.misfit import Battery, Misfit, smooth_subspaces
 from tissuereg.diagnosis.noise import Noise
 from tissuereg.diagnosis.proof import HeldOut
 from tissuereg.diagnosis.run import _explains_enough, _verdict
-from tissuereg.diagnosis.search import CLEAR, Step
+from tissuereg.diagnosis.search import Step
+from tissuereg.diagnosis.settings import DEFAULT
 from tissuereg.diagnosis.signals import SignalLayout
 
 N_NULLS = 300
@@ -91,11 +92,11 @@ def test_findings_with_a_misfit_are_named_where_they_explain_half_of_all_and_of_
 @pytest.mark.parametrize(
     ("search", "of_all", "named"),
     [
-        (searched(gain=2.0 * CLEAR), 0.99, True),
-        (searched(gain=2.0 * CLEAR), 0.4, False),
-        (searched(gain=0.9 * CLEAR), 0.99, False),
-        (searched(gain=2.0 * CLEAR, over_generic=-1.0), 0.99, False),
-        (searched(gain=2.0 * CLEAR, over_others=-1.0), 0.99, False),
+        (searched(gain=2.0 * DEFAULT.search.clear), 0.99, True),
+        (searched(gain=2.0 * DEFAULT.search.clear), 0.4, False),
+        (searched(gain=0.9 * DEFAULT.search.clear), 0.99, False),
+        (searched(gain=2.0 * DEFAULT.search.clear, over_generic=-1.0), 0.99, False),
+        (searched(gain=2.0 * DEFAULT.search.clear, over_others=-1.0), 0.99, False),
     ],
 )
 def test_a_finding_far_ahead_of_its_rivals_is_named_despite_a_misfit(search, of_all, named):

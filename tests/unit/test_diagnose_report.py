@@ -55,6 +55,7 @@ def finding(**changes):
             "cases": ["lean", "rest"],
         },
         sentence="A stiff inclusion lies < 5 mm deep & hides.",
+        group_probability=0.93,
     )
     return replace(made, **changes)
 

@@ -14,7 +14,8 @@ from tissuereg.diagnosis.noise import Noise
 from tissuereg.diagnosis.nuisances import make_nuisances
 from tissuereg.diagnosis.refined import flat_of
 from tissuereg.diagnosis.run import make_believed
-from tissuereg.diagnosis.shape import HEIGHT_SHARE, PLACE_SHARE, SIZE_SHARE, WAVES, shape_columns, shape_directions
+from tissuereg.diagnosis.settings import DEFAULT
+from tissuereg.diagnosis.shape import shape_columns, shape_directions
 from tissuereg.diagnosis.signals import SignalLayout
 from tissuereg.diagnosis.tangents import Tangents
 from tissuereg.experiment.effects import Relaxation
@@ -47,16 +48,16 @@ def named(experiment):
 
 
 @pytest.mark.parametrize("name", ["place of top 0", "size of side", "height of side", "tilt of top 1", "surface 0"])
-def test_derivatives_by_the_shape_are_those_of_bodies_that_are_solved_anew(name, monkeypatch):
-    monkeypatch.setattr(predictor, "TOLERANCE", 1e-10)
+def test_derivatives_by_the_shape_are_those_of_bodies_that_are_solved_anew(name):
+    sharp = replace(DEFAULT.model, tolerance=1e-10)
     believed = hill()
     layout = SignalLayout(believed)
     motion = named(believed)[name].motion
-    found = Tangents(predictor.Predictor(believed, layout)).by_shapes([motion])[0]
+    found = Tangents(predictor.Predictor(believed, layout, settings=sharp)).by_shapes([motion])[0]
     ends = []
     for step in (1e-4, -1e-4):
         mesh = tr.Mesh(believed.mesh.nodes + step * motion, believed.mesh.tets, believed.mesh.node_sets)
-        ends.append(predictor.Predictor(replace(believed, mesh=mesh), layout).predict())
+        ends.append(predictor.Predictor(replace(believed, mesh=mesh), layout, settings=sharp).predict())
     expected = (ends[0] - ends[1]) / 2e-4
     for of in (layout.of_markers(), ~layout.of_markers()):
         assert np.linalg.norm(expected[of]) > 1e-3
@@ -199,7 +200,7 @@ def test_patches_slide_along_the_surface_and_edges_of_the_body_stay():
     mesh, directions = believed.mesh, named(believed)
     sharp = sharp_nodes(mesh.nodes, mesh.surface)
     for pad in believed.actuators:
-        waves = [f"rim of {pad.name} {times} {number}" for times in WAVES for number in (0, 1)]
+        waves = [f"rim of {pad.name} {times} {number}" for times in DEFAULT.shape.waves for number in (0, 1)]
         for name in (f"place of {pad.name} 0", f"place of {pad.name} 1", f"size of {pad.name}", *waves):
             motion = directions[name].motion
             assert not motion[sharp].any()
@@ -221,7 +222,7 @@ def test_a_rim_goes_out_and_in_as_often_as_it_says():
     assert near.sum() > 12
     angle = np.arctan2(arms[near, 1], arms[near, 0])
     out = {name: (one.motion[near, :2] * arms[near, :2]).sum(axis=1) / 7.0 for name, one in directions.items()}
-    for times in WAVES:
+    for times in DEFAULT.shape.waves:
         waves = np.array([out[f"rim of top {times} {number}"] for number in (0, 1)])
         # Both together are one wave, of any phase, as high as the patch grows.
         np.testing.assert_allclose(np.linalg.norm(waves, axis=0), out["size of top"], rtol=1e-6)
@@ -271,12 +272,14 @@ def test_stated_deviations_are_taken_and_others_follow_size_and_facets():
     assert {named(stated)[f"place of top {i}"].std_mm for i in (0, 1)} == {0.9}
     assert named(stated)["size of top"].std_mm == 0.9
     own = named(believed)["place of side 0"].std_mm
-    whole, touched = (PLACE_SHARE * np.sqrt(_area(believed.mesh, side.nodes, of) / np.pi) for of in (np.all, np.any))
+    whole, touched = (
+        DEFAULT.shape.place_share * np.sqrt(_area(believed.mesh, side.nodes, of) / np.pi) for of in (np.all, np.any)
+    )
     assert whole < own < touched
     # Flat sides have no facets that lie off them.
     flat = named(rig())
-    for name, share in (("height", HEIGHT_SHARE), ("size", SIZE_SHARE)):
-        assert flat[f"{name} of side"].std_mm == pytest.approx(share / PLACE_SHARE * own)
+    for name, share in (("height", DEFAULT.shape.height_share), ("size", DEFAULT.shape.size_share)):
+        assert flat[f"{name} of side"].std_mm == pytest.approx(share / DEFAULT.shape.place_share * own)
     assert not any(name.startswith(("facets", "surface")) for name in flat)
     assert named(believed)["height of top"].std_mm > named(rig())["height of top"].std_mm
 

@@ -15,8 +15,9 @@ from tissuereg.diagnosis.causes.base import Variant
 from tissuereg.diagnosis.causes.tracker import changed_by
 from tissuereg.diagnosis.correction import Correction, make_correction
 from tissuereg.diagnosis.noise import Noise, estimate_noise
-from tissuereg.diagnosis.nuisances import FORCE_BENT, FORCE_SHARE, make_nuisances
+from tissuereg.diagnosis.nuisances import make_nuisances
 from tissuereg.diagnosis.patterns import load_history
+from tissuereg.diagnosis.settings import DEFAULT
 from tissuereg.diagnosis.signals import SignalLayout
 from tissuereg.errors import ExperimentError, NoiseError
 from tissuereg.experiment.effects import ActuatorDirection, ActuatorGain, ActuatorOffset, Gravity, Latency, Poisson
@@ -211,7 +212,7 @@ def test_forces_have_the_mean_mesh_error_in_all_components(bench):
     for part, force in pads:
         strength = np.linalg.norm(force, axis=1)
         top = load_history(part, bench.base) > 0.5
-        size = FORCE_SHARE * np.sqrt(((0.03 * strength[top] / strength.max()) ** 2).mean() / 3.0)
+        size = DEFAULT.nuisances.force_share * np.sqrt(((0.03 * strength[top] / strength.max()) ** 2).mean() / 3.0)
         for axis in range(3):
             grows, bends = (
                 part.forces(made.columns[made.names.index(f"{word} {part.name} {part.pads[0]} {axis}")])[:, 0, axis]
@@ -219,7 +220,7 @@ def test_forces_have_the_mean_mesh_error_in_all_components(bench):
             )
             assert np.allclose(grows, size * strength)
             # The rest grows with the square of the force.
-            assert np.allclose(bends, FORCE_BENT * strength**2 / strength.max())
+            assert np.allclose(bends, DEFAULT.nuisances.force_bent * strength**2 / strength.max())
 
 
 def test_an_inclusion_has_the_contrast_of_its_parameters(bench):

@@ -12,7 +12,7 @@ from tissuereg.body.material import GRAVITY_MM_PER_S2
 from tissuereg.diagnosis.bench import Bench
 from tissuereg.diagnosis.correction import Correction
 from tissuereg.diagnosis.nuisances import make_nuisances
-from tissuereg.diagnosis.patterns import LENGTH
+from tissuereg.diagnosis.settings import DEFAULT
 from tissuereg.diagnosis.signals import SignalLayout
 from tissuereg.experiment.effects import Effect, Gravity, MarkerSlip
 from tissuereg.experiment.experiment import Actuator, Boundary, Case, Experiment
@@ -86,7 +86,9 @@ def test_the_difference_between_trials_grows_with_the_motion_and_is_smooth():
     assert np.sqrt(np.diag(covariance)) == pytest.approx(0.04 * moved, rel=1e-6)
     correlation = covariance / np.sqrt(np.outer(np.diag(covariance), np.diag(covariance)))
     away = np.linalg.norm(PLACES[:, None] - PLACES, axis=2)
-    assert correlation == pytest.approx(np.exp(-0.5 * (away / (LENGTH * experiment.mesh.extent)) ** 2), abs=1e-6)
+    assert correlation == pytest.approx(
+        np.exp(-0.5 * (away / (DEFAULT.nuisances.pattern_length * experiment.mesh.extent)) ** 2), abs=1e-6
+    )
     plain = replace(experiment, trial_share=0.0)
     without = make_nuisances(Bench(plain, layout, element="tet10", threads=1), none, Correction(layout))
     assert not any(name.startswith("trial") for name in without.names)

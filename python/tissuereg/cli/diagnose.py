@@ -78,6 +78,7 @@ def _outcome(answer: dict[str, Any], clock: Stopwatch, args: argparse.Namespace)
     provisional = ", provisional" if answer.get("provisional") else ""
     lines = [f"{answer['verdict']}{provisional} (p_misfit {answer['p_misfit']:.2g})"]
     lines += [f"  {one['sentence']}" for one in answer.get("suspicions", ())]
+    lines += [f"  {one['sentence']}" for one in answer.get("understated_noise", ())]
     for cause in answer["causes"]:
         tied = f" (or {', '.join(cause['group'][1:])})" if len(cause["group"]) > 1 else ""
         lines.append(f"  {cause['id']}{tied}, P = {cause['probability']:.2f}: {cause['sentence']}")

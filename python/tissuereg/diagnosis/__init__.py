@@ -19,6 +19,7 @@ from tissuereg.experiment.material_experiment import MaterialExperiment
 if TYPE_CHECKING:
     from tissuereg.diagnosis.answer import Diagnosis
     from tissuereg.diagnosis.material import MaterialDiagnosis
+    from tissuereg.diagnosis.settings import DiagnoseSettings
 
 __all__ = ["diagnose"]
 
@@ -32,6 +33,7 @@ def diagnose(
     keep: bool = True,
     element: Element | None = None,
     progress: Callable[[str], None] | None = None,
+    settings: "DiagnoseSettings | None" = None,
 ) -> "Diagnosis": ...
 @overload
 def diagnose(
@@ -42,6 +44,7 @@ def diagnose(
     keep: bool = True,
     element: Element | None = None,
     progress: Callable[[str], None] | None = None,
+    settings: "DiagnoseSettings | None" = None,
 ) -> "MaterialDiagnosis": ...
 def diagnose(
     experiment: Experiment | MaterialExperiment,
@@ -51,6 +54,7 @@ def diagnose(
     keep: bool = True,
     element: Element | None = None,
     progress: Callable[[str], None] | None = None,
+    settings: "DiagnoseSettings | None" = None,
 ) -> "Diagnosis | MaterialDiagnosis":
     """Compare an experiment's measurements with its simulation and name the causes of the difference.
 
@@ -72,6 +76,8 @@ def diagnose(
         that occur only under a cause: use other elements for a slender body under its own weight.
     progress : callable of str, optional
         Called with the name of the step that begins.
+    settings : DiagnoseSettings, optional
+        All numbers that may change the result (`tissuereg.diagnosis.settings`); the defaults where none are given.
 
     Returns
     -------
@@ -95,21 +101,26 @@ def diagnose(
     -----
     A body of 4,000 nodes with three load cases takes some minutes the first time, most of them for the bank.
     """
+    from tissuereg.diagnosis.settings import DEFAULT, DiagnoseSettings
+
     of_kind("experiment", experiment, (Experiment, MaterialExperiment))
     check_running(seed=seed, threads=threads)
     flag("keep", keep)
     called("progress", progress)
     if element is not None:
         check_choice("element", element, ELEMENTS, ArgumentError)
-    settings = {"seed": seed, "element": element}
-    with recorded(call_text("tissuereg.diagnose", experiment=experiment, **settings)):
+    numbers = DEFAULT if settings is None else of_kind("settings", settings, DiagnoseSettings)
+    given = {"seed": seed, "element": element}
+    with recorded(call_text("tissuereg.diagnose", experiment=experiment, **given)):
         note_origins(experiment)
         if isinstance(experiment, MaterialExperiment):
             from tissuereg.diagnosis.material import diagnose_material
 
-            tested = diagnose_material(experiment, seed=seed, progress=progress)
-            return replace(tested, answer={**tested.answer, "provenance": provenance_now().to_json(settings)})
+            tested = diagnose_material(experiment, seed=seed, progress=progress, settings=numbers)
+            return replace(tested, answer={**tested.answer, "provenance": provenance_now().to_json(given)})
         from tissuereg.diagnosis.run import diagnose_body
 
-        found = diagnose_body(experiment, seed=seed, threads=threads, keep=keep, element=element, progress=progress)
-        return replace(found, provenance=provenance_now(), settings=settings)
+        found = diagnose_body(
+            experiment, seed=seed, threads=threads, keep=keep, element=element, progress=progress, settings=numbers
+        )
+        return replace(found, provenance=provenance_now(), settings=given)

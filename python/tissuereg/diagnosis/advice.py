@@ -16,19 +16,14 @@ from tissuereg.diagnosis.answer import Finding
 from tissuereg.diagnosis.candidates import Candidate
 from tissuereg.diagnosis.evidence import Null
 from tissuereg.diagnosis.fit import ABSOLUTE, Fit, FitTarget
-from tissuereg.diagnosis.nuisances import FORCE_LEFT, frame_columns
+from tissuereg.diagnosis.nuisances import frame_columns
 from tissuereg.diagnosis.patterns import force_columns
 from tissuereg.diagnosis.predictor import Predictor
 from tissuereg.diagnosis.search import Step
+from tissuereg.diagnosis.settings import DEFAULT, AdviceSettings
 from tissuereg.diagnosis.signals import SignalLayout
 from tissuereg.errors import TissueRegError
 from tissuereg.experiment.experiment import Actuator, Case, Experiment
-
-#: Assumed noise of a force where none has been measured yet, mN.
-MEASURED_TO = 5.0
-
-#: Durations in s of the ramp, the hold, and the long hold of a stock case.
-UP, HOLD, LONG = 2.0, 6.0, 30.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +63,7 @@ def advise(target: FitTarget, steps: Sequence[Step], findings: Sequence[Finding]
         return None
     tied = dict.fromkeys(candidate for pair in pairs for candidate in pair)
     best: dict[str, Any] | None = None
-    for action in _actions(target.bench.experiment):
+    for action in _actions(target.bench.experiment, target.bench.settings.report):
         try:
             outcomes = {candidate: _prediction(target, candidate.fit, action) for candidate in tied}
             least = min(_separability(target, action, one.fit, outcomes[one], outcomes[other]) for one, other in pairs)
@@ -80,7 +75,7 @@ def advise(target: FitTarget, steps: Sequence[Step], findings: Sequence[Finding]
     return best
 
 
-def _actions(experiment: Experiment) -> list[_Action]:
+def _actions(experiment: Experiment, settings: AdviceSettings = DEFAULT.report) -> list[_Action]:
     """Return the load cases that could be measured next with the displacement-controlled pads of an experiment.
 
     For every pad these are pushes and pulls along the three axes, as far as it has moved, and its own motion with a
@@ -98,22 +93,25 @@ def _actions(experiment: Experiment) -> list[_Action]:
         for axis, name in enumerate("xyz"):
             for sign in (-1.0, 1.0):
                 motion = sign * stroke * np.eye(3)[axis]
-                words = f"move {pad.name} by {sign * stroke:+.3g} mm along {name}, hold {HOLD:.0f} s"
-                actions.append(_Action(words, _case(experiment, pad, motion, HOLD, force=known)))
-        words = f"move {pad.name} as before, hold {LONG:.0f} s"
-        actions.append(_Action(words, _case(experiment, pad, along, LONG, force=known)))
+                words = f"move {pad.name} by {sign * stroke:+.3g} mm along {name}, hold {settings.hold_s:.0f} s"
+                actions.append(
+                    _Action(words, _case(experiment, pad, motion, settings.hold_s, settings.ramp_s, force=known))
+                )
+        words = f"move {pad.name} as before, hold {settings.long_hold_s:.0f} s"
+        actions.append(
+            _Action(words, _case(experiment, pad, along, settings.long_hold_s, settings.ramp_s, force=known))
+        )
         if not known:
-            words = f"measure the force at {pad.name} to {MEASURED_TO:g} mN, hold {HOLD:.0f} s"
-            actions.append(_Action(words, _case(experiment, pad, along, HOLD, force=True)))
+            words = f"measure the force at {pad.name} to {settings.measured_to:g} mN, hold {settings.hold_s:.0f} s"
+            actions.append(_Action(words, _case(experiment, pad, along, settings.hold_s, settings.ramp_s, force=True)))
     return actions
 
 
-def _case(experiment: Experiment, pad: Actuator, motion: FloatArray, hold: float, *, force: bool) -> Case:
+def _case(experiment: Experiment, pad: Actuator, motion: FloatArray, hold: float, up: float, *, force: bool) -> Case:
     begin = max(float(case.times[-1]) for case in experiment.cases.values()) + 10.0
     shares = np.array([0.0, 0.5, 1.0, 1.0, 1.0, 1.0, 1.0, 0.5, 0.0])
-    times = begin + np.array(
-        [0.0, UP / 2, UP, *(UP + hold * np.array([0.25, 0.5, 0.75, 1.0])), UP + hold + UP / 2, 2 * UP + hold]
-    )
+    held = up + hold * np.array([0.25, 0.5, 0.75, 1.0])
+    times = begin + np.array([0.0, up / 2, up, *held, up + hold + up / 2, 2 * up + hold])
     markers = np.broadcast_to(experiment.marker_reference, (len(times), *experiment.marker_reference.shape))
     given = {pad.name: shares[:, None] * motion}
     return Case("next", times, markers, given, forces={pad.name: np.zeros((len(times), 3))} if force else {})
@@ -126,7 +124,12 @@ def _measured(target: FitTarget, action: _Action) -> Experiment:
 def _prediction(target: FitTarget, fit: Fit, action: _Action) -> FloatArray:
     """Return a fitted model's prediction under an action, flat: marker displacements in mm, then pad forces in mN."""
     experiment = _measured(target, action)
-    predictor = Predictor(experiment, SignalLayout(experiment), element=target.bench.predictor.element)
+    predictor = Predictor(
+        experiment,
+        SignalLayout(experiment),
+        element=target.bench.predictor.element,
+        settings=target.bench.settings.model,
+    )
     return predictor.predict(fit.effects(target.bench.young), young=float(np.exp(fit.x[0])))
 
 
@@ -139,9 +142,13 @@ def _separability(target: FitTarget, action: _Action, fit: Fit, one: FloatArray,
     """
     layout = SignalLayout(_measured(target, action))
     markers = layout.of_markers()
-    force_std = target.noise.force_std if target.bench.experiment.force_std is not None else MEASURED_TO
+    force_std = (
+        target.noise.force_std
+        if target.bench.experiment.force_std is not None
+        else target.bench.settings.report.measured_to
+    )
     std = np.where(markers, float(target.noise.marker_std.mean()), force_std)
-    columns = [column for pair in frame_columns(layout, one) for column in pair]
+    columns = [column for pair in frame_columns(layout, one, target.bench.settings.nuisances) for column in pair]
     deviation = float(np.sqrt(fit.covariance[0, 0]))
     if target.bench.scales_forces and not any(part.id in ABSOLUTE for part in fit.parts):
         columns.append(np.where(markers, 0.0, deviation * one))
@@ -151,5 +158,5 @@ def _separability(target: FitTarget, action: _Action, fit: Fit, one: FloatArray,
     for part in layout.parts:
         for pad in range(len(part.pads)):
             strength = np.linalg.norm(part.forces(one)[:, pad], axis=1)
-            columns += list(force_columns(layout, part, pad, FORCE_LEFT * strength))
+            columns += list(force_columns(layout, part, pad, target.bench.settings.nuisances.force_left * strength))
     return float(np.linalg.norm(Null(np.array(columns) / std).reduced((one - other) / std)))

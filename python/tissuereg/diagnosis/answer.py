@@ -8,14 +8,13 @@ from typing import Any
 
 from tissuereg._base.arguments import place
 from tissuereg._base.provenance import Provenance
-from tissuereg.diagnosis.causes import Values
+from tissuereg.diagnosis.causes import Values, catalogue
 from tissuereg.diagnosis.readings import RecordingSuspicion
+from tissuereg.diagnosis.settings import DEFAULT, DiagnoseSettings
+from tissuereg.diagnosis.understated import UnderstatedNoise
 from tissuereg.experiment.experiment import Experiment
 
 SCHEMA = "tissuereg.diagnosis/1"
-
-#: With fewer load cases a verdict is provisional: a case that is held out is not predicted from at least two others.
-LEAST_CASES = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +43,8 @@ class Finding:
         marker's coordinate, ``chi_...`` of markers and forces in noise deviations. Empty where there are none.
     sentence : str
         The finding in words.
+    group_probability : float
+        Posterior probability of all ids of the group together; at least one half, or the finding would not be stated.
     """
 
     id: str
@@ -55,6 +56,7 @@ class Finding:
     deviations: Values
     held_out: Mapping[str, Any]
     sentence: str
+    group_probability: float
 
     def to_json(self) -> dict[str, Any]:
         """Return the finding as plain data for JSON; a number with a standard deviation becomes a pair of both."""
@@ -62,6 +64,7 @@ class Finding:
             "id": self.id,
             "group": list(self.group),
             "probability": self.probability,
+            "group_probability": self.group_probability,
             "log_bayes_factor": self.log_bayes_factor,
             "threshold": self.threshold,
             "parameters": _pairs(self.parameters, self.deviations),
@@ -78,12 +81,16 @@ class Diagnosis:
     ----------
     verdict : str
         ``named`` (causes were found), ``group`` (found up to a group of causes that the data cannot distinguish),
-        ``consistent`` (the data agree with the model) or ``unexplained`` (they do not, and no cause accounts for it).
+        ``consistent`` (the data agree with the model), ``understated-noise`` (they do, but
+        for white noise larger than stated) or ``unexplained`` (they do not, and no cause accounts for it).
     findings : tuple of Finding
         Accepted causes.
     candidates : tuple of dict
         One entry for every cause that was tried: its ``id``, ``probability``, ``log_bayes_factor`` in nats, and
         ``detectability``, the size of its effect in noise deviations.
+    possible : tuple of dict
+        Causes that came close and are not stated: ``id``, ``probability`` (of it, or of its group),
+        ``log_bayes_factor`` and the ``threshold`` that was required, nats.
     p_misfit : float
         p-value of the residual after the findings: probability that data without further effects misfit as much.
     discrepancy : dict
@@ -106,10 +113,14 @@ class Diagnosis:
         is found.
     details : dict
         Objects that the report draws: ``search``, ``layout``, ``noise``, ``target``, ``nuisances``, ``thresholds``.
+    understated : tuple of UnderstatedNoise
+        Channels whose noise is larger than stated; the diagnosis is made with the larger one.
     provenance : Provenance
         Date, version, call or command, hashes of the input files, warnings.
     settings : dict
-        Settings of the diagnosis, by name.
+        Arguments of the diagnosis, by name.
+    numbers : DiagnoseSettings
+        All numbers that may change a diagnosis.
     """
 
     verdict: str
@@ -122,10 +133,13 @@ class Diagnosis:
     seed: int
     versions: dict[str, str]
     left: dict[str, Any] | None = None
+    possible: tuple[dict[str, Any], ...] = ()
     suspicions: tuple[RecordingSuspicion, ...] = ()
+    understated: tuple[UnderstatedNoise, ...] = ()
     details: dict[str, Any] = field(default_factory=dict)
     provenance: Provenance = field(default_factory=Provenance)
     settings: dict[str, Any] = field(default_factory=dict)
+    numbers: DiagnoseSettings = DEFAULT
 
     def __repr__(self) -> str:
         names = ", ".join(" or ".join(finding.group) for finding in self.findings) or "nothing named"
@@ -133,9 +147,9 @@ class Diagnosis:
 
     @property
     def provisional(self) -> bool:
-        """Whether fewer than `LEAST_CASES` cases load the body, too few to hold one out and fit several others."""
+        """Whether fewer than `least_cases` cases load the body, too few to hold one out and fit several others."""
         acts = [case for case in self.extended.cases.values() if case.displacements or case.applied_forces]
-        return len(acts) < LEAST_CASES
+        return len(acts) < self.numbers.report.least_cases
 
     def to_json(self) -> dict[str, Any]:
         """Return the diagnosis as plain data for JSON, in the schema ``tissuereg.diagnosis/1``."""
@@ -144,14 +158,17 @@ class Diagnosis:
             "verdict": self.verdict,
             "provisional": self.provisional,
             "causes": [finding.to_json() for finding in self.findings],
+            "possible": list(self.possible),
             "candidates": list(self.candidates),
             "p_misfit": self.p_misfit,
             "suspicions": [one.to_json() for one in self.suspicions],
+            "understated_noise": [one.to_json() for one in self.understated],
             "left": self.left,
             "discrepancy": self.discrepancy,
             "extended_model": "experiment.extended.toml",
             "next_experiment": self.next_experiment,
             "seed": self.seed,
+            "settings": self.numbers.to_json(catalogue(self.numbers)),
             "versions": self.versions,
             "provenance": self.provenance.to_json(self.settings),
         }

@@ -16,7 +16,8 @@ import numpy as np
 from tissuereg._base.arrays import FloatArray
 from tissuereg._version import __version__
 from tissuereg.diagnosis.bench import Bench
-from tissuereg.diagnosis.causes import CAUSES, Variant
+from tissuereg.diagnosis.causes import CAUSES, Variant, catalogue
+from tissuereg.diagnosis.settings import DiagnoseSettings
 from tissuereg.experiment.effects import EFFECTS, ChainEffect
 from tissuereg.experiment.experiment import Experiment
 from tissuereg.io.cache import keep_entry, read_entry
@@ -45,12 +46,13 @@ def make_bank(bench: Bench, *, keep: bool = True, progress: Callable[[str], None
     standard deviation of each of its p amplitudes, in mm and mN, single precision. Raises `ConvergenceError` if the
     believed model itself has no equilibrium.
     """
-    entry = f"bank_{fingerprint(bench.experiment, f'{bench.predictor.element} {SCHEMA}')}"
+    entry = f"bank_{fingerprint(bench.experiment, f'{bench.predictor.element} {SCHEMA} {numbers_of(bench.settings)}')}"
     base, bank = _read(entry) if keep else (None, {})
     if base is not None:
         bench.base = base
     new = False
-    for name, cause in CAUSES.items():
+    wanted = {name: one for name, one in catalogue(bench.settings).items() if name not in bench.settings.left_out}
+    for name, cause in wanted.items():
         if name not in bank:
             if progress is not None:
                 progress(name)
@@ -58,7 +60,13 @@ def make_bank(bench: Bench, *, keep: bool = True, progress: Callable[[str], None
             new = new or name not in CLOSED_FORM
     if keep and new:
         _write(entry, bench.base, bank)
-    return {name: bank[name] for name in CAUSES if bank[name]}
+    return {name: bank[name] for name in wanted if bank[name]}
+
+
+def numbers_of(settings: DiagnoseSettings) -> str:
+    """Return the numbers of all causes and of solutions as text, on which the columns of a bank depend."""
+    of_causes = [repr(cause) for cause in catalogue(settings).values()]
+    return dumps([of_causes, repr(settings.model)])
 
 
 def fingerprint(experiment: Experiment, of: str) -> str:

@@ -16,6 +16,7 @@ from scipy import sparse
 from tissuereg._base.arrays import FloatArray
 from tissuereg._base.choices import Element
 from tissuereg.diagnosis.predictor import NO_ANSWER, Predictor
+from tissuereg.diagnosis.settings import DEFAULT, DiagnoseSettings
 from tissuereg.diagnosis.signals import SignalLayout
 from tissuereg.diagnosis.tangents import State, Tangents
 from tissuereg.experiment.effects import EFFECTS, Effect, extended
@@ -23,9 +24,6 @@ from tissuereg.experiment.experiment import Experiment
 from tissuereg.simulation.fine import FineModel
 from tissuereg.simulation.memory import goes_through_time
 from tissuereg.simulation.sensitivity import Cause, ModulusField
-
-#: Default prior deviation of the modulus, over its mean.
-YOUNG_SPREAD = 0.3
 
 #: Effects with stresses among their parameters, which are not proportional to the modulus.
 _ABSOLUTE = tuple(effect.id for effect in EFFECTS.values() if effect.absolute)
@@ -39,19 +37,26 @@ class Bench:
 
     Predictions are flat vectors of all measured numbers, (size,): displacements of markers in mm, forces in mN.
     `experiment`: the believed model, with loads and marker places; `layout`: order of these numbers; `element` {"tet4",
-    "tet4-averaged", "tet10"}: elements to use; `threads`: threads to use; 0 takes all cores. Attributes: `young`: mean
-    of the believed modulus, kPa; `young_spread`: its prior standard deviation over that mean; `extent`: extent of the
-    body, mm.
+    "tet4-averaged", "tet10"}: elements to use; `threads`: threads to use; 0 takes all cores; `settings`: all numbers.
+    Attributes: `young`: mean of the believed modulus, kPa; `young_spread`: its prior standard deviation over that mean;
+    `extent`: extent of the body, mm.
     """
 
     def __init__(
-        self, experiment: Experiment, layout: SignalLayout, *, element: Element = "tet4", threads: int = 0
+        self,
+        experiment: Experiment,
+        layout: SignalLayout,
+        *,
+        element: Element = "tet4",
+        threads: int = 0,
+        settings: DiagnoseSettings = DEFAULT,
     ) -> None:
+        self.settings = settings
         self.experiment = experiment
         self.layout = layout
-        self.predictor = Predictor(experiment, layout, element=element, threads=threads)
+        self.predictor = Predictor(experiment, layout, element=element, threads=threads, settings=settings.model)
         self.young = float(experiment.material.young_array.mean())
-        self.young_spread = (experiment.young_std or YOUNG_SPREAD * self.young) / self.young
+        self.young_spread = (experiment.young_std or settings.model.young_spread * self.young) / self.young
         self.extent = experiment.mesh.extent
 
     @cached_property

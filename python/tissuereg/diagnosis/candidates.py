@@ -5,28 +5,18 @@ likeliest hypothesis and the alternatives to it, with the discretisation error o
 its log Bayes factor.
 """
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray
-from tissuereg.diagnosis.causes import CAUSES
+from tissuereg.diagnosis.causes import catalogue
 from tissuereg.diagnosis.fit import Fit, FitTarget, FittedCause, best_start, choices_of, fit
-from tissuereg.diagnosis.recorrect import CORRECTION_GAIN, corrected_fit
+from tissuereg.diagnosis.recorrect import corrected_fit
 from tissuereg.diagnosis.screen import UNKNOWN, Screen, Screened
+from tissuereg.diagnosis.settings import DEFAULT, SearchSettings
 from tissuereg.experiment.effects import EFFECTS, ChainEffect
-
-#: Causes that are fitted: this many, and all within so many nats of the best.
-REFITTED = 4
-WITHIN = 10.0
-
-#: Linear evidence that a cause needs to be fitted, as a share of its threshold: as first and as a further cause.
-LIKELY, LIKELY_FURTHER = 0.4, 0.5
-
-#: Once a cause that acts on the body was found, a further one must exceed this many times its threshold, and at least
-#: so many nats, because the form of the found cause has an unknown error. Effects of the tracker are known exactly.
-FURTHER, LEAST_FURTHER = 1.5, 18.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,26 +53,31 @@ def refitted(
     given the current fit, by id; `current`: fit with the causes found before; `required`: log Bayes factor that each
     cause must exceed, nats, by id; `progress`: called with the name of the step that begins.
     """
+    settings = target.bench.settings
     taken = set(current.ids)
     order = sorted(
-        (name for name in screened if name != UNKNOWN and (name not in taken or _repeats(name))),
+        (
+            name
+            for name in screened
+            if name != UNKNOWN and (name not in taken or _repeats(name, settings.search.repeated))
+        ),
         key=lambda name: -screened[name].log_bayes_factor,
     )
     best = screened[order[0]].log_bayes_factor if order else -np.inf
     # Given a fitted cause, residuals are small and the linear evidence is close to that of a fit.
-    likely = LIKELY_FURTHER if current.parts else LIKELY
+    likely = settings.search.likely_further if current.parts else settings.search.likely
     chosen = [
         name
         for rank, name in enumerate(order)
         if screened[name].log_bayes_factor > likely * required[name]
-        and (rank < REFITTED or screened[name].log_bayes_factor > best - WITHIN)
+        and (rank < settings.search.refitted or screened[name].log_bayes_factor > best - settings.search.within)
     ]
     fits: dict[str, list[Fit]] = {}
     for name in chosen:
         if progress is not None:
             progress(f"fit {' + '.join([*current.ids, name])}")
         best_fit = max((forms[0].log_evidence for forms in fits.values()), default=-np.inf)
-        least = max(best_fit - CORRECTION_GAIN, current.log_evidence + required[name])
+        least = max(best_fit - settings.model.correction_gain, current.log_evidence + required[name])
         forms = _fit_forms(target, screen, screened[name], current, name, least)
         if forms:
             fits[name] = forms
@@ -90,7 +85,7 @@ def refitted(
     found = []
     for name, forms in fits.items():
         # Uncorrected, a fit may lose the evidence seen in screening: friction on a coarse mesh slips too far elsewhere.
-        least = top - CORRECTION_GAIN
+        least = top - settings.model.correction_gain
         if screened[name].log_bayes_factor < required[name]:
             least = max(least, current.log_evidence + likely * required[name])
         corrected = (corrected_fit(target, form, progress=progress) for form in forms if form.log_evidence > least)
@@ -99,7 +94,9 @@ def refitted(
     return sorted(found, key=lambda candidate: -candidate.gain)
 
 
-def required_thresholds(thresholds: Mapping[str, float], found: Iterable[str] = ()) -> dict[str, float]:
+def required_thresholds(
+    thresholds: Mapping[str, float], found: Iterable[str] = (), settings: SearchSettings = DEFAULT.search
+) -> dict[str, float]:
     """Return the log Bayes factor, in nats, that each cause must exceed, by id, given the causes found before.
 
     `thresholds`: log Bayes factors required of a first cause, nats, by id; `found`: ids of the causes found before.
@@ -107,7 +104,7 @@ def required_thresholds(thresholds: Mapping[str, float], found: Iterable[str] = 
     """
     if all(issubclass(EFFECTS[name], ChainEffect) for name in found):
         return dict(thresholds)
-    return {name: max(FURTHER * least, LEAST_FURTHER) for name, least in thresholds.items()}
+    return {name: max(settings.further * least, settings.least_further) for name, least in thresholds.items()}
 
 
 def _fit_forms(
@@ -121,20 +118,22 @@ def _fit_forms(
     """
     variant = screened.best
     assert variant is not None  # only the generic rival has none
-    alternatives = CAUSES[name].alternatives(target.bench, variant)
+    cause = catalogue(target.bench.settings)[name]
+    alternatives = cause.alternatives(target.bench, variant)
     choices = choices_of(name, screen.bank[name]) * (1 + len(alternatives))
+    gain = target.bench.settings.model.correction_gain
     fits: list[Fit] = []
     best = -np.inf
     for form in (variant, *alternatives):
-        free_parameters = CAUSES[name].free_parameters(target.bench, form, screened.amplitudes)
+        free_parameters = cause.free_parameters(target.bench, form, screened.amplitudes)
         parts = [*current.parts, FittedCause(name, free_parameters)]
         start = best_start(target, parts, current.x)
-        fitted = fit(target, parts, start=start, choices=choices, hopeless=-max(least, best - CORRECTION_GAIN))
+        fitted = fit(target, parts, start=start, choices=choices, hopeless=-max(least, best - gain))
         if fitted is not None:
             fits.append(fitted)
             best = max(best, fitted.log_evidence)
     return sorted(fits, key=lambda fitted: -fitted.log_evidence)
 
 
-def _repeats(name: str) -> bool:
-    return EFFECTS[name].repeatable
+def _repeats(name: str, repeated: Collection[str] | None) -> bool:
+    return EFFECTS[name].repeatable if repeated is None else name in repeated

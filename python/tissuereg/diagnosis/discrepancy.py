@@ -9,14 +9,11 @@ from tissuereg.diagnosis.fit import Fit
 from tissuereg.diagnosis.misfit import Misfit
 from tissuereg.diagnosis.screen import UNKNOWN, Screen
 from tissuereg.diagnosis.search import Search
+from tissuereg.diagnosis.settings import DEFAULT, AdviceSettings
 from tissuereg.diagnosis.signals import SignalLayout
 
-#: Number of markers that are listed at most, and their least root mean square in noise deviations.
-MOST_MARKERS = 5
-ABOVE = 1.3
 
-
-def describe(layout: SignalLayout, base: Fit, final: Fit) -> dict[str, Any]:
+def describe(layout: SignalLayout, base: Fit, final: Fit, settings: AdviceSettings = DEFAULT.report) -> dict[str, Any]:
     """Return where, when and by how much the believed model with fitted modulus differs from the data.
 
     `layout`: order of the data; `base`, `final`: fits of the believed model and of that with all causes found. The
@@ -34,8 +31,8 @@ def describe(layout: SignalLayout, base: Fit, final: Fit) -> dict[str, Any]:
     }
     per_marker = _per_marker(layout, base.residual)
     worst_case = max(cases, key=lambda name: max(cases[name], forces.get(name, 0.0)))
-    order = np.argsort(-per_marker)[:MOST_MARKERS]
-    where = [layout.marker_names[i] for i in order if per_marker[i] > ABOVE]
+    order = np.argsort(-per_marker)[: settings.most_markers]
+    where = [layout.marker_names[i] for i in order if per_marker[i] > settings.above]
     part = layout[worst_case]
     frames = np.sqrt((part.markers(base.residual) ** 2).mean(axis=(1, 2)))
     top = int(np.argmax(frames))
@@ -74,14 +71,9 @@ def _per_marker(layout: SignalLayout, white: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(total / np.maximum(count, 1.0)))
 
 
-#: Number of markers and pads that are listed at most, and their least root mean square in noise deviations.
-MOST_PLACES = 5
-
-#: Least log Bayes factor, in nats, with which the residual resembles a cause of the catalogue.
-LOOKS_LIKE = 6.0
-
-
-def residual_summary(layout: SignalLayout, screen: Screen, found: Search, misfit: Misfit) -> dict[str, Any]:
+def residual_summary(
+    layout: SignalLayout, screen: Screen, found: Search, misfit: Misfit, settings: AdviceSettings = DEFAULT.report
+) -> dict[str, Any]:
     """Return a description of the residual that remains after the findings, where it is too large to be noise.
 
     `layout`: order of the data; `screen`: all hypotheses, to find the cause that it resembles; `found`: the search,
@@ -89,9 +81,9 @@ def residual_summary(layout: SignalLayout, screen: Screen, found: Search, misfit
     p-value ``p``, ``where`` (names of markers and pads), the text ``when``, ``looks_like`` (an id, or ``"unknown"``),
     and the text ``sentence``.
     """
-    where = largest_residuals(layout, found.reduced)
+    where = largest_residuals(layout, found.reduced, settings)
     case, time = worst_frame(layout, found.reduced)
-    alike = nearest_cause(screen, found)
+    alike = nearest_cause(screen, found, settings.looks_like)
     when = f"most at {time:.4g} s, under case {case}"
     places = f"at {', '.join(where)}" if where else "spread over all markers and pads"
     like = "no cause of the catalogue" if alike == UNKNOWN else f"'{alike}' more than any other cause"
@@ -99,10 +91,12 @@ def residual_summary(layout: SignalLayout, screen: Screen, found: Search, misfit
     return {"p": misfit.p, "where": where, "when": when, "looks_like": alike, "sentence": sentence}
 
 
-def largest_residuals(layout: SignalLayout, reduced: FloatArray) -> list[str]:
+def largest_residuals(
+    layout: SignalLayout, reduced: FloatArray, settings: AdviceSettings = DEFAULT.report
+) -> list[str]:
     """Return the names of the markers and pads with the largest root mean square residuals, the largest first.
 
-    `reduced` (size,): whitened by noise and nuisances. At most `MOST_PLACES` are named, and only those above `ABOVE`.
+    `reduced` (size,): whitened by noise and nuisances. At most `most_places` are named, and only those above `above`.
     """
     power: dict[str, float] = {}
     count: dict[str, float] = {}
@@ -116,8 +110,8 @@ def largest_residuals(layout: SignalLayout, reduced: FloatArray) -> list[str]:
             power[name] = power.get(name, 0.0) + float((values[known] ** 2).sum())
             count[name] = count.get(name, 0.0) + float(known.sum())
     chi = {name: np.sqrt(power[name] / count[name]) for name in power if count[name]}
-    worst = sorted((name for name in chi if chi[name] > ABOVE), key=lambda name: -chi[name])
-    return worst[:MOST_PLACES]
+    worst = sorted((name for name in chi if chi[name] > settings.above), key=lambda name: -chi[name])
+    return worst[: settings.most_places]
 
 
 def worst_frame(layout: SignalLayout, reduced: FloatArray) -> tuple[str, float]:
@@ -131,13 +125,13 @@ def worst_frame(layout: SignalLayout, reduced: FloatArray) -> tuple[str, float]:
     return worst[:2]
 
 
-def nearest_cause(screen: Screen, found: Search) -> str:
+def nearest_cause(screen: Screen, found: Search, least: float = DEFAULT.report.looks_like) -> str:
     """Return the id of the further cause that the remaining residual resembles most, or ``"unknown"``.
 
-    It is ``"unknown"`` where no cause has a log Bayes factor of at least `LOOKS_LIKE` nats.
+    It is ``"unknown"`` where no cause has a log Bayes factor of at least `least` nats.
     """
     gains = {name: one.log_bayes_factor for name, one in screen.of(found.reduced).items()}
     named = set(found.final.ids)
     others = {name: gain for name, gain in gains.items() if name not in named and name != UNKNOWN}
     best = max(others, key=lambda name: others[name], default=UNKNOWN)
-    return best if others.get(best, -np.inf) >= LOOKS_LIKE else UNKNOWN
+    return best if others.get(best, -np.inf) >= least else UNKNOWN

@@ -17,6 +17,7 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.stats import norm
 
 from tissuereg._base.arrays import FloatArray
+from tissuereg.diagnosis.settings import DEFAULT
 
 
 class Null:
@@ -103,21 +104,13 @@ def log_mean_exp(values: FloatArray, axis: int = -1) -> FloatArray:
     return np.asarray(np.squeeze(top, axis) + np.log(np.exp(values - top).mean(axis=axis)))
 
 
-#: Temperature: log Bayes factors are divided by this first, because the models of mesh error and noise are not exact.
-TEMPER = 2.0
-
-#: Share of a cause's probability that is assigned to effects outside the catalogue that look like it, which no evidence
-#: can distinguish: of 159 findings with a probability above 0.8 on the blind bench seven were such effects.
-LOOK_ALIKE = 0.04
-
-
-def probabilities(log_bayes_factors: Mapping[str, float]) -> dict[str, float]:
+def probabilities(log_bayes_factors: Mapping[str, float], temper: float = DEFAULT.evidence.temper) -> dict[str, float]:
     """Return the posterior probability of every cause by id and, under an empty name, of no cause.
 
     `log_bayes_factors`: log Bayes factor of every cause against no cause, nats, by id. Prior probabilities are equal;
-    the results are proportional to ``exp(log_bayes_factor / TEMPER)`` and have the sum 1.
+    the results are proportional to ``exp(log_bayes_factor / temper)`` and have the sum 1.
     """
     names = ["", *log_bayes_factors]
-    logs = np.array([0.0, *log_bayes_factors.values()]) / TEMPER
+    logs = np.array([0.0, *log_bayes_factors.values()]) / temper
     weights = np.exp(logs - logs.max())
     return dict(zip(names, (weights / weights.sum()).tolist(), strict=True))

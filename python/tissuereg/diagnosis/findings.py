@@ -3,27 +3,18 @@
 A group holds a cause that was found and those that the data cannot distinguish from it.
 """
 
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
+from dataclasses import asdict
 from typing import Any
-
-import numpy as np
 
 from tissuereg.diagnosis.answer import Finding
 from tissuereg.diagnosis.candidates import required_thresholds
 from tissuereg.diagnosis.causes import CAUSES
-from tissuereg.diagnosis.evidence import TEMPER
 from tissuereg.diagnosis.fit import FitTarget
 from tissuereg.diagnosis.modulus import modulus_finding
 from tissuereg.diagnosis.proof import held_out_figures
 from tissuereg.diagnosis.screen import UNKNOWN, Screen
-from tissuereg.diagnosis.search import SEPARABLE, Search, Step
-
-#: Number of ids in a group, at most.
-MOST_IN_GROUP = 3
-
-#: A cause within the separability of the one found is in its group if it passes the threshold too, or if its
-#: probability is at least this share of the other's.
-AS_LIKELY = 0.1
+from tissuereg.diagnosis.search import PossibleCause, Search, Step
 
 
 def findings_of(target: FitTarget, screen: Screen, found: Search, thresholds: Mapping[str, float]) -> list[Finding]:
@@ -44,13 +35,13 @@ def findings_of(target: FitTarget, screen: Screen, found: Search, thresholds: Ma
         values, deviations = found.final.values(part, young)
         chances = step.chances()
         earlier = (before.found.id for before in rounds[:part] if before.found is not None)
-        required = required_thresholds(thresholds, earlier)
+        required = required_thresholds(thresholds, earlier, target.bench.settings.search)
         assert step.proof is not None  # found causes were proved
         assert step.figures is not None
         findings.append(
             Finding(
                 id=top.id,
-                group=group_of(step, thresholds[top.id], named),
+                group=step.group(thresholds[top.id], named),
                 probability=chances.get(top.id, 0.0),
                 log_bayes_factor=top.gain,
                 threshold=required[top.id],
@@ -58,24 +49,21 @@ def findings_of(target: FitTarget, screen: Screen, found: Search, thresholds: Ma
                 deviations=deviations,
                 held_out=held_out_figures(target.bench.layout, target.noise, step.proof, step.figures),
                 sentence=CAUSES[top.id].sentence(values),
+                group_probability=step.probability(thresholds[top.id], named),
             )
         )
     stiff = modulus_finding(target, screen, found)
     return ([stiff] if stiff is not None else []) + findings
 
 
-def group_of(step: Step, threshold: float, named: Collection[str] = ()) -> tuple[str, ...]:
-    """Return the id of the cause that a round found, then those the data cannot distinguish from it, likeliest first.
-
-    `step`: round in which a cause was found; `threshold`: log Bayes factor required of that cause, nats; `named`: ids
-    that are findings themselves and join no group. Result: at most `MOST_IN_GROUP` ids.
-    """
-    top = step.found
-    assert top is not None  # required above
-    as_likely = step.close(-TEMPER * np.log(AS_LIKELY))
-    others = (c for c in step.close(0.5 * SEPARABLE**2) if c.id not in named)
-    close = [c.id for c in others if c.gain > threshold or c in as_likely]
-    return (top.id, *close)[:MOST_IN_GROUP]
+def possible_of(found: Search) -> tuple[dict[str, Any], ...]:
+    """Return the causes that came close to a finding and are none, likeliest first, as plain data for the answer."""
+    named = {step.found.id for step in found.steps if step.found is not None}
+    best: dict[str, PossibleCause] = {}
+    for one in (one for step in found.steps for one in step.possible if one.id not in named):
+        if one.id not in best or one.probability > best[one.id].probability:
+            best[one.id] = one
+    return tuple(asdict(one) for one in sorted(best.values(), key=lambda one: -one.probability))
 
 
 def candidates_of(screen: Screen, first: Step) -> tuple[dict[str, Any], ...]:

@@ -24,22 +24,6 @@ from tissuereg.diagnosis.noise import Noise
 from tissuereg.diagnosis.predictor import NO_ANSWER, Solved
 from tissuereg.experiment.effects import Effect
 
-#: Iterations at most, and the decrease of the objective (nats) below which a step counts as no progress.
-MOST_ITERATIONS = 12
-LEAST_GAIN = 0.2
-
-#: Predicted decrease below which a step is not tried; it would move no parameter by more than a fifth of its deviation.
-LEAST_PREDICTED = 0.02
-
-#: The iterations that remain are expected to gain at most this many times the last gain, all together.
-FURTHER_GAINS = 3
-
-#: Shares of a step that the line search tries.
-SHARES = (1.0, 0.4, 0.15, 0.05)
-
-#: A step moves no parameter by more than this many prior deviations.
-LONGEST = 1.5
-
 #: Effects under which forces are not proportional to the modulus.
 ABSOLUTE = tuple(cause.id for cause in CAUSES.values() if cause.absolute)
 
@@ -160,7 +144,7 @@ def fit(
     that is not expected to come below it ends early, with an approximate Jacobian. The result is None where there is no
     equilibrium at the start.
     """
-    solver = _FitSolver(target, tuple(parts))
+    limits, solver = target.bench.settings.fit, _FitSolver(target, tuple(parts))
     x = solver.start if start is None else start.copy()
     prediction = solver.predict(x)
     if prediction is None and start is None:
@@ -173,11 +157,11 @@ def fit(
     objective, reduced = solver.objective(x, prediction)
     jacobian, exact = solver.jacobian(x, prediction), True
     slopes = solver.reduced(jacobian)
-    for remaining in reversed(range(MOST_ITERATIONS)):
+    for remaining in reversed(range(limits.most_iterations)):
         step = solver.step(x, slopes, reduced)
-        step *= min(1.0, LONGEST / max(float(np.abs(step / solver.deviation).max()), 1e-12))
+        step *= min(1.0, limits.longest / max(float(np.abs(step / solver.deviation).max()), 1e-12))
         gained, was_exact = 0.0, exact
-        for share in SHARES if solver.predicted_decrease(step, slopes) > LEAST_PREDICTED else ():
+        for share in limits.shares if solver.predicted_decrease(step, slopes) > limits.least_predicted else ():
             trial = solver.predict(x + share * step)
             if trial is None:
                 continue
@@ -189,14 +173,14 @@ def fit(
                 x, prediction, objective, reduced = x + share * step, trial, value, rest
                 solver.start_from(x)
                 break
-            if value < objective + LEAST_GAIN:
+            if value < objective + limits.least_gain:
                 # A shorter step would hardly decrease it further.
                 break
-        if gained < LEAST_GAIN:
+        if gained < limits.least_gain:
             if exact or objective > hopeless:
                 break
             jacobian, exact = solver.jacobian(x, prediction), True
-        elif objective - min(remaining, FURTHER_GAINS) * gained > hopeless:
+        elif objective - min(remaining, limits.further_gains) * gained > hopeless:
             # Gains decrease from step to step: after a step with an exact Jacobian the fit will not reach the limit.
             if was_exact or objective - remaining * gained > hopeless:
                 break

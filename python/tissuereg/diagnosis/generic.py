@@ -13,12 +13,6 @@ from tissuereg.diagnosis.bench import Bench
 from tissuereg.diagnosis.patterns import force_columns, load_history, marker_columns, smooth_patterns
 from tissuereg.diagnosis.signals import CasePart
 
-#: Sizes: of marker patterns in noise deviations, and of forces as a share of the largest.
-SIZES = ((0.7, 0.003), (2.0, 0.01), (6.0, 0.03), (20.0, 0.15))
-
-#: Prior deviation of a jammed frame, as a share of the motion since the frame before.
-JAM = 0.5
-
 
 def generic_columns(bench: Bench, marker_std: float) -> FloatArray:
     """Return the changes that the generic rival, smooth and without a physical cause, makes, for several sizes of it.
@@ -27,7 +21,7 @@ def generic_columns(bench: Bench, marker_std: float) -> FloatArray:
     all measured numbers by one prior standard deviation of each of the rival's p amplitudes, mm and mN.
     """
     layout = bench.layout
-    patterns = smooth_patterns(layout.reference, bench.extent)
+    patterns = smooth_patterns(layout.reference, bench.extent, bench.settings.nuisances)
     base = bench.base
     markers: list[FloatArray] = []
     forces: list[FloatArray] = []
@@ -42,15 +36,21 @@ def generic_columns(bench: Bench, marker_std: float) -> FloatArray:
         for frame in range(1, part.n_frames):
             if np.abs(change[frame - 1]).max() > 3.0 * marker_std:
                 column = np.zeros(layout.size)
-                part.markers(column)[frame] = JAM * change[frame - 1]
+                part.markers(column)[frame] = bench.settings.evidence.jam * change[frame - 1]
                 if part.pads:
-                    part.forces(column)[frame] = JAM * np.diff(part.forces(base), axis=0)[frame - 1]
+                    part.forces(column)[frame] = (
+                        bench.settings.evidence.jam * np.diff(part.forces(base), axis=0)[frame - 1]
+                    )
                 jams.append(column)
     smooth = np.array(markers).reshape(-1, layout.size)
     strong = np.array(forces).reshape(-1, layout.size)
     steps = np.array(jams).reshape(-1, layout.size)
     return np.array(
-        [np.concatenate([size * marker_std * smooth, share * strong, steps]) for size, share in SIZES], np.float32
+        [
+            np.concatenate([size * marker_std * smooth, share * strong, steps])
+            for size, share in bench.settings.evidence.generic_sizes
+        ],
+        np.float32,
     ).astype(np.float64)
 
 

@@ -17,16 +17,8 @@ from tissuereg._base.arrays import FloatArray, IntArray
 from tissuereg.diagnosis.bench import Bench
 from tissuereg.diagnosis.discrepancy import largest_residuals, worst_frame
 from tissuereg.diagnosis.screen import UNKNOWN
+from tissuereg.diagnosis.settings import DEFAULT, AdviceSettings
 from tissuereg.diagnosis.signals import SignalLayout
-
-#: Standard deviation of the weight's Gaussian in the distance from a component, over the body's extent.
-REACH = 0.15
-
-#: Values of ``a`` that are tried.
-_VARIANCES = np.geomspace(0.01, 1e6, 49)
-
-#: A measured number belongs to a component where its weight exceeds this.
-_NEAR = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,15 +56,16 @@ def next_check(bench: Bench, residual: FloatArray, nearest: str = UNKNOWN) -> di
     ``share`` of the misfit near it, ``where`` (markers and pads, the worst first), and ``case`` and ``time_s`` of the
     worst frame.
     """
-    layout = bench.layout
+    layout, settings = bench.layout, bench.settings.report
     components = list(components_of(bench))
     count = Counter(one.kind for one in components)
     chosen = max(
-        components, key=lambda one: log_likelihood_gain(residual, one.proximity, layout) - np.log(count[one.kind])
+        components,
+        key=lambda one: log_likelihood_gain(residual, one.proximity, layout, settings) - np.log(count[one.kind]),
     )
-    share = _share(residual, chosen.proximity, layout)
+    share = _share(residual, chosen.proximity, layout, settings)
     case, time = worst_frame(layout, residual * np.sqrt(chosen.proximity))
-    where = largest_residuals(layout, residual)
+    where = largest_residuals(layout, residual, settings)
     elements = "" if chosen.name == "tet10" else "diagnose again with the elements tet10; if the misfit remains, "
     action = _ACTIONS[chosen.kind].format(name=chosen.name, elements=elements)
     worst = f", worst at {', '.join(where)}" if where and chosen.kind not in ("marker", "case") else ""
@@ -120,26 +113,28 @@ def components_of(bench: Bench) -> Iterator[RigComponent]:
     yield RigComponent("body", bench.predictor.element, _squared_motion(layout, bench.base))
 
 
-def log_likelihood_gain(residual: FloatArray, proximity: FloatArray, layout: SignalLayout) -> float:
+def log_likelihood_gain(
+    residual: FloatArray, proximity: FloatArray, layout: SignalLayout, settings: AdviceSettings = DEFAULT.report
+) -> float:
     """Return the gain in log likelihood, in nats, of an additional variance near a component over unit variance.
 
     `residual` (size,): whitened by noise and nuisances; `proximity` (size,): weight of every measured number in the
     additional variance, 0 to 1; `layout`: order of both. The gain is the largest over the sizes of that variance.
     """
-    seen = layout.seen
-    squares, variance = residual[seen] ** 2, 1.0 + _VARIANCES[:, None] * proximity[seen]
+    seen, variances = layout.seen, np.geomspace(*settings.variances)
+    squares, variance = residual[seen] ** 2, 1.0 + variances[:, None] * proximity[seen]
     nats = 0.5 * (squares * (1.0 - 1.0 / variance) - np.log(variance)).sum(axis=1)
     return float(max(nats.max(), 0.0))
 
 
-def _share(residual: FloatArray, proximity: FloatArray, layout: SignalLayout) -> float:
+def _share(residual: FloatArray, proximity: FloatArray, layout: SignalLayout, settings: AdviceSettings) -> float:
     """Return the share of the squared residual (size,) beyond noise that lies near a component of the rig.
 
     `residual`: whitened; `proximity` (size,): weight of every measured number, 0 to 1.
     """
     seen = layout.seen
     beyond = residual[seen] ** 2 - 1.0
-    whole, there = float(beyond.sum()), float(beyond[proximity[seen] > _NEAR].sum())
+    whole, there = float(beyond.sum()), float(beyond[proximity[seen] > settings.near].sum())
     return float(np.clip(there / whole, 0.0, 1.0)) if whole > 0.0 else 0.0
 
 
@@ -154,7 +149,7 @@ def _closeness(bench: Bench, nodes: IntArray) -> FloatArray:
     """Return how close each marker at rest lies to a patch, (n_markers,): a Gaussian of the distance, 1 on it."""
     places = bench.experiment.mesh.nodes[nodes]
     apart = np.linalg.norm(bench.layout.reference[:, None] - places, axis=2).min(axis=1)
-    return np.asarray(np.exp(-0.5 * (apart / (REACH * bench.extent)) ** 2))
+    return np.asarray(np.exp(-0.5 * (apart / (bench.settings.report.reach * bench.extent)) ** 2))
 
 
 def _squared_motion(layout: SignalLayout, believed: FloatArray) -> FloatArray:

@@ -17,10 +17,8 @@ from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.generic import histories
 from tissuereg.diagnosis.noise import Noise
 from tissuereg.diagnosis.patterns import force_columns, marker_columns, smooth_patterns
+from tissuereg.diagnosis.settings import DEFAULT, DiagnoseSettings
 from tissuereg.diagnosis.signals import SignalLayout
-
-#: Number of patterns over the markers in a smooth subspace, the smoothest ones.
-SMOOTH = 3
 
 #: Singular values below this share of the largest are taken for zero.
 _LEAST = 1e-6
@@ -99,13 +97,15 @@ class Battery:
         return np.asarray(np.maximum(np.stack(rows, axis=1), 1e-12))
 
 
-def smooth_subspaces(layout: SignalLayout, base: FloatArray, extent: float, noise: Noise) -> list[FloatArray]:
+def smooth_subspaces(
+    layout: SignalLayout, base: FloatArray, extent: float, noise: Noise, settings: DiagnoseSettings = DEFAULT
+) -> list[FloatArray]:
     """Return the subspaces of smooth changes: per case, one for each time history and one for all of them together.
 
     `layout`: order of the data; `base` (size,): prediction of the believed model, mm and mN; `extent`: extent of the
     body, mm; `noise`: measurement noise. Each subspace is given by orthonormal rows (k, size) over whitened data.
     """
-    patterns = smooth_patterns(layout.reference, extent)[:SMOOTH]
+    patterns = smooth_patterns(layout.reference, extent, settings.nuisances)[: settings.nulls.smooth]
     found = []
     for part in layout.parts:
         of_case = []

@@ -13,7 +13,6 @@ import numpy as np
 from tissuereg.diagnosis.answer import Finding
 from tissuereg.diagnosis.bench import Bench
 from tissuereg.diagnosis.causes import CAUSES
-from tissuereg.diagnosis.evidence import LOOK_ALIKE, TEMPER
 from tissuereg.diagnosis.fit import FitTarget, fit
 from tissuereg.diagnosis.proof import (
     BEFORE,
@@ -28,13 +27,6 @@ from tissuereg.diagnosis.proof import (
 from tissuereg.diagnosis.screen import Screen
 from tissuereg.diagnosis.search import Search, rival_columns
 
-#: The modulus is a finding beyond this many prior deviations, if its posterior deviation is at most this share of the
-#: prior's.
-BEYOND, DETERMINED = 3.0, 0.3
-
-#: Prior deviation, in the modulus' logarithm, that fixes it at the believed value.
-_PINNED = 1e-9
-
 
 def modulus_finding(target: FitTarget, screen: Screen, found: Search) -> Finding | None:
     """Return the modulus as a finding where it lies far from its prior mean, the data determine it, and it is proved.
@@ -43,14 +35,22 @@ def modulus_finding(target: FitTarget, screen: Screen, found: Search) -> Finding
     rival; `found`: the search with the causes found; the modulus is the first parameter of their fit. The log Bayes
     factor compares a free modulus with its log-normal prior: half the square of the distance in prior deviations, which
     is the same for half and for twice the believed modulus. The proof compares predictions of held-out data with those
-    of the model whose modulus is fixed at the believed value. The result is None where one of the three fails, and
+    of the model whose modulus is fixed at the believed value. The result is None where one of the three fails, where
+    another modulus is less likely than not, and
     where that model has no equilibrium.
     """
     target = found.target or target
     final, bench = found.final, target.bench
+    if "stiffness" in bench.settings.left_out:
+        return None
+    rules, evidence = bench.settings.search, bench.settings.evidence
     excess = float(abs(final.x[0])) / bench.young_spread
     deviation = float(np.sqrt(final.covariance[0, 0]))
-    if excess < BEYOND or deviation > DETERMINED * bench.young_spread or "stiffness" in final.ids:
+    if (
+        excess < rules.far_modulus
+        or deviation > rules.determined_modulus * bench.young_spread
+        or "stiffness" in final.ids
+    ):
         return None
     pinned = replace(target, bench=_pinned(bench))
     start = final.x.copy()
@@ -63,28 +63,34 @@ def modulus_finding(target: FitTarget, screen: Screen, found: Search) -> Finding
     models = [linear_model(target, before), linear_model(target, final), rival, linear_model(target, believed)]
     slopes = target.white(final.jacobian[:1]) * final.deviation[:1, None]
     change = target.white(final.prediction - before.prediction)
-    proof = held_out(models, proof_blocks(bench.layout, slopes))
+    proof = held_out(models, proof_blocks(bench.layout, slopes, rules))
     density = proof.log_density.sum(axis=1)
     if density[NAMED] <= max(density[BEFORE], density[GENERIC]):
         return None
     young = final.young(bench.young)
     values = {"young_kpa": young}
-    figures = held_out(models, figure_blocks(bench.layout, slopes, change))
+    chance = float(
+        (1.0 - evidence.look_alike) / (1.0 + np.exp(-0.5 * (excess**2 - rules.far_modulus**2) / evidence.temper))
+    )
+    if chance < rules.stated:
+        return None
+    figures = held_out(models, figure_blocks(bench.layout, slopes, change, rules))
     return Finding(
         id="stiffness",
         group=("stiffness",),
-        probability=float((1.0 - LOOK_ALIKE) / (1.0 + np.exp(-0.5 * (excess**2 - BEYOND**2) / TEMPER))),
+        probability=chance,
         log_bayes_factor=0.5 * excess**2,
-        threshold=0.5 * BEYOND**2,
+        threshold=0.5 * rules.far_modulus**2,
         parameters=values,
         deviations={"young_kpa": young * deviation},
         held_out=held_out_figures(bench.layout, target.noise, proof, figures),
         sentence=CAUSES["stiffness"].sentence(values),
+        group_probability=chance,
     )
 
 
 def _pinned(bench: Bench) -> Bench:
     """Return a copy of the believed model whose modulus is fixed at the believed value; computed results are shared."""
     other = copy(bench)
-    other.young_spread = _PINNED
+    other.young_spread = 1e-9  # in the modulus' logarithm: fixed at the believed value
     return other

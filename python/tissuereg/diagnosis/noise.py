@@ -11,18 +11,10 @@ import numpy as np
 from scipy.stats import chi2
 
 from tissuereg._base.arrays import BoolArray, FloatArray
+from tissuereg.diagnosis.settings import DEFAULT, NoiseSettings
 from tissuereg.diagnosis.signals import CasePart, SignalLayout
 from tissuereg.errors import NoiseError
 from tissuereg.experiment.experiment import Experiment
-
-#: Level of the test of the stated standard deviations against rest frames.
-LEVEL = 1e-3
-
-#: Least estimate of the noise, as a share of the stated one: rest frames may be simulated and without noise.
-LEAST_SHARE = 0.1
-
-#: Least number of frames for an estimate, and of frames in a hold that is used.
-LEAST_FRAMES, LEAST_HOLD = 6, 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +25,7 @@ class Noise:
     standard deviation of the motion common to all markers, per coordinate, mm; `memory`, `common_memory`: correlation,
     between frames that are `step_s` apart, of the markers' own noise and of the common motion; `step_s`: median time
     between frames, s; `force_std`: standard deviation of a force component, mN; `from_rest`: whether there were enough
-    rest frames for an estimate.
+    rest frames for an estimate; `evidence`, `force_evidence`: for a larger noise than stated, nats.
     """
 
     marker_std: FloatArray
@@ -43,6 +35,8 @@ class Noise:
     step_s: float
     force_std: float
     from_rest: bool
+    evidence: float = 0.0
+    force_evidence: float = 0.0
 
     def whitened(self, flat: FloatArray, layout: SignalLayout) -> FloatArray:
         """Return residuals or changes of predictions whitened by the noise; entries that were not measured become 0.
@@ -91,7 +85,7 @@ class Noise:
         return np.asarray(white)
 
 
-def estimate_noise(experiment: Experiment, layout: SignalLayout) -> Noise:
+def estimate_noise(experiment: Experiment, layout: SignalLayout, settings: NoiseSettings = DEFAULT.noise) -> Noise:
     """Return the noise estimated from rest frames and holds, or the stated one where they do not contradict it.
 
     `experiment`: with the stated standard deviations, and optionally a rest case (a case without load); `layout`: its
@@ -107,8 +101,8 @@ def estimate_noise(experiment: Experiment, layout: SignalLayout) -> Noise:
             raise NoiseError(message, where="forces")
         force_std = 1.0
     white = Noise(stated, 0.0, 0.0, 0.0, 1.0, force_std, False)
-    still = _still(experiment, layout)
-    if sum(len(values) for values, _ in still) < LEAST_FRAMES or n_markers < 2:
+    still = _still(experiment, layout, settings.least_hold)
+    if sum(len(values) for values, _ in still) < settings.least_frames or n_markers < 2:
         return white
     axes = float(still[0][0].shape[-1])
     means = [values.mean(axis=1, keepdims=True) for values, _ in still]
@@ -123,20 +117,40 @@ def estimate_noise(experiment: Experiment, layout: SignalLayout) -> Noise:
     variance, freedom = spread**2 * whole / freedom, 0.37 * freedom
     # The median over markers, since one may be noisier; it lies below the mean of equally noisy ones.
     pooled, together = float(np.median(variance)) * freedom / float(chi2.median(freedom)), freedom * n_markers
-    marker_std = _believed(stated, np.full(n_markers, np.sqrt(pooled)), pooled * together / stated**2, together)
+    marker_std = _believed(
+        stated, np.full(n_markers, np.sqrt(pooled)), pooled * together / stated**2, together, settings
+    )
     # A marker that is noisier than the others.
-    marker_std = _believed(marker_std, np.sqrt(variance), variance * freedom / marker_std**2, freedom)
+    marker_std = _believed(marker_std, np.sqrt(variance), variance * freedom / marker_std**2, freedom, settings)
     common_freedom = axes * _expected(memory, shapes)[0]
     common = float(sum((mean**2).sum() for mean in means)) / common_freedom
     expected = float((marker_std**2).mean() / n_markers)
-    alike = chi2.sf(common_freedom * common / expected, common_freedom) < LEVEL
+    alike = chi2.sf(common_freedom * common / expected, common_freedom) < settings.level
     common_std = float(np.sqrt(max(common - expected, 0.0))) if alike else 0.0
     step = float(np.median(np.concatenate([np.diff(part.times) for part in layout.parts])))
     common_memory = _memory(means, shapes) if alike else memory
-    return Noise(marker_std, common_std, memory, common_memory, step, force_std, True)
+    evidence = scale_evidence(float(np.median(pooled * together / stated**2)), together, settings)
+    return Noise(marker_std, common_std, memory, common_memory, step, force_std, True, evidence)
 
 
-def _still(experiment: Experiment, layout: SignalLayout) -> list[tuple[FloatArray, int]]:
+def scale_evidence(power: float, freedom: float, settings: NoiseSettings) -> float:
+    """Return the log Bayes factor, nats, of noise larger than stated against that stated.
+
+    `power`: sum of squares over the stated variance; `freedom`: its degrees of freedom.
+    """
+    reach = 6.0 * settings.spread
+    stated, larger = np.linspace(-reach, reach, 2001), np.linspace(0.0, np.log(settings.largest_factor), 20001)
+
+    def log_mean(logs: FloatArray, prior: FloatArray) -> float:
+        values = -0.5 * power * np.exp(-2.0 * logs) - freedom * logs
+        top = float(values.max())
+        return top + float(np.log(np.average(np.exp(values - top), weights=prior)))
+
+    given = log_mean(stated, np.exp(-0.5 * (stated / settings.spread) ** 2))
+    return log_mean(larger, np.ones_like(larger)) - given
+
+
+def _still(experiment: Experiment, layout: SignalLayout, least_hold: int) -> list[tuple[FloatArray, int]]:
     """Return runs of frames without change of load, each with the number of parameters fitted to every coordinate.
 
     A run (n_frames, n_markers, n_axes), in mm, is the rest case minus its mean (1 parameter), or a hold minus a
@@ -162,7 +176,7 @@ def _still(experiment: Experiment, layout: SignalLayout) -> list[tuple[FloatArra
             # The first frame of a hold may still show fast relaxation.
             rows = np.arange(begin + 1, end)
             rows = rows[whole[rows]]
-            if len(rows) >= LEAST_HOLD:
+            if len(rows) >= least_hold:
                 line = np.stack([np.ones(len(rows)), part.times[rows] - part.times[rows].mean()], axis=1)
                 values = frames[rows].reshape(len(rows), -1)
                 values = values - line @ np.linalg.lstsq(line, values, rcond=None)[0]
@@ -170,14 +184,16 @@ def _still(experiment: Experiment, layout: SignalLayout) -> list[tuple[FloatArra
     return found
 
 
-def _believed(stated: FloatArray, found: FloatArray, statistic: FloatArray, freedom: float) -> FloatArray:
+def _believed(
+    stated: FloatArray, found: FloatArray, statistic: FloatArray, freedom: float, settings: NoiseSettings
+) -> FloatArray:
     """Return standard deviations (k,): stated ones where a chi-square test agrees, estimated ones elsewhere.
 
     `stated`, `found` (k,): stated and estimated standard deviations, mm; `statistic` (k,): sums of squares over the
     stated variance; `freedom`: their degrees of freedom.
     """
     tail = 2.0 * np.minimum(chi2.sf(statistic, freedom), chi2.cdf(statistic, freedom))
-    return np.where(tail < LEVEL, np.maximum(found, LEAST_SHARE * stated), stated)
+    return np.where(tail < settings.level, np.maximum(found, settings.least_share * stated), stated)
 
 
 def _memory(runs: list[FloatArray], shapes: list[tuple[int, int]]) -> float:

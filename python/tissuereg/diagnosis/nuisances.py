@@ -13,35 +13,28 @@ from tissuereg._base.arrays import BoolArray, FloatArray
 from tissuereg.diagnosis.bench import Bench
 from tissuereg.diagnosis.correction import Correction
 from tissuereg.diagnosis.patterns import force_columns, load_history, marker_columns, smooth_patterns
+from tissuereg.diagnosis.settings import DEFAULT, NuisanceSettings
 from tissuereg.diagnosis.shape import shape_columns
 from tissuereg.diagnosis.signals import SignalLayout
 from tissuereg.experiment.effects.base import rotation_from_vector
 
-#: Prior deviations of the tracker's frame: shifts in mm, turns in degrees.
-FRAME_SHIFT, FRAME_TURN = 0.02, 0.02
-
-#: Prior deviation of the drift of the camera over the whole session, mm.
-DRIFT = 0.02
-
-#: Remaining discretisation error of the corrected markers, as a share of the difference between fine meshes.
-MESH_SHARE = 0.4
-
-#: The same for forces, whose difference between meshes is in large part due to the shape of the pads.
-FORCE_SHARE = 0.2
-
-#: Least relative error of forces; and one that is quadratic in the force, as a share of the largest force: strains at
-#: the rim of a pad, where they are singular, grow faster than the load.
-FORCE_LEFT, FORCE_BENT = 0.0015, 0.007
-
-#: Error of a found cause's form and of its correction, as a share of the change it makes.
-EFFECT_ERROR = 0.07
-
-#: Error of a found cause's form along its other hypotheses, as a share of its change; which hypotheses count: those
-#: that reproduce this share of the change, in squares; and the number of directions kept.
-FORM_ERROR, ALIKE, MOST_FORMS = 0.3, 0.5, 12
-
 #: Directions shorter than this share of the change are dropped.
 _LEAST_FORM = 1e-6
+
+
+#: Nuisances of the error of mesh and shape begin with these words.
+OF_THE_MESH = (
+    "mesh ",
+    "bent ",
+    "place of ",
+    "rim of ",
+    "size of ",
+    "height of ",
+    "tilt of ",
+    "edge of ",
+    "facets",
+    "surface ",
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,20 +67,20 @@ def make_nuisances(bench: Bench, mesh_errors: FloatArray, correction: Correction
     names, columns = ["stiffness"], [bench.young_spread * bench.by_young[0]]
     clock = layout.times()
     span = max(float(np.ptp(clock)), 1e-9)
-    for axis, (shift, turn) in enumerate(frame_columns(layout, bench.base)):
+    for axis, (shift, turn) in enumerate(frame_columns(layout, bench.base, bench.settings.nuisances)):
         drift = np.zeros(layout.size)
         for part in layout.parts:
-            part.markers(drift)[..., axis] = DRIFT * (part.times[:, None] - clock.min()) / span
+            part.markers(drift)[..., axis] = bench.settings.nuisances.drift * (part.times[:, None] - clock.min()) / span
         names += [f"frame shift {axis}", f"frame turn {axis}", f"drift {axis}"]
         columns += [shift, turn, drift]
-    patterns = smooth_patterns(layout.reference, bench.extent)
+    patterns = smooth_patterns(layout.reference, bench.extent, bench.settings.nuisances)
     for part in layout.parts:
         load = load_history(part, bench.base)
         if not load.any():
             continue
         top = load > 0.5
         for axis, smooth in enumerate(marker_columns(layout, part, load, patterns)):
-            size = MESH_SHARE * _rms(part.markers(mesh_errors)[:, top][..., axis])
+            size = bench.settings.nuisances.mesh_share * _rms(part.markers(mesh_errors)[:, top][..., axis])
             names += [f"mesh {part.name} {axis} {number}" for number in range(len(patterns))]
             columns += list(size * smooth)
         for i, pad in enumerate(() if bench.is_exact else part.pads):
@@ -95,9 +88,12 @@ def make_nuisances(bench: Bench, mesh_errors: FloatArray, correction: Correction
             errors = part.forces(mesh_errors)[:, top, i] / max(float(strength.max()), 1e-9)
             # A pad on a curved body has a different tilt on every mesh, so that a difference in one component of its
             # force may as well occur in another.
-            size = max(FORCE_SHARE * _rms(errors), FORCE_LEFT)
+            size = max(bench.settings.nuisances.force_share * _rms(errors), bench.settings.nuisances.force_left)
             largest = max(float(strength.max()), 1e-9)
-            for word, history, share in (("mesh", strength, size), ("bent", strength**2 / largest, FORCE_BENT)):
+            for word, history, share in (
+                ("mesh", strength, size),
+                ("bent", strength**2 / largest, bench.settings.nuisances.force_bent),
+            ):
                 for axis, column in enumerate(force_columns(layout, part, i, history)):
                     names.append(f"{word} {part.name} {pad} {axis}")
                     columns.append(share * column)
@@ -109,10 +105,14 @@ def make_nuisances(bench: Bench, mesh_errors: FloatArray, correction: Correction
         names.append(name)
         columns.append(column)
     kept = [i for i, column in enumerate(columns) if column.any()]
+    if not bench.settings.nuisances.of_mesh:
+        kept = [i for i in kept if not names[i].startswith(OF_THE_MESH)]
     return Nuisances(tuple(names[i] for i in kept), np.array([columns[i] for i in kept]))
 
 
-def frame_columns(layout: SignalLayout, base: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:
+def frame_columns(
+    layout: SignalLayout, base: FloatArray, settings: NuisanceSettings = DEFAULT.nuisances
+) -> Iterator[tuple[FloatArray, FloatArray]]:
     """Yield for each axis the changes (size,) by a shift along it and by a rotation about it of the tracker's frame.
 
     The changes are in mm, by one prior standard deviation; those of forces are 0. `layout`: order of the entries;
@@ -121,9 +121,9 @@ def frame_columns(layout: SignalLayout, base: FloatArray) -> Iterator[tuple[Floa
     middle = layout.reference.mean(axis=0)
     for axis in range(3):
         shift, turn = np.zeros(layout.size), np.zeros(layout.size)
-        rotation = rotation_from_vector(tuple(FRAME_TURN * np.eye(3)[axis])) - np.eye(3)
+        rotation = rotation_from_vector(tuple(settings.frame_turn * np.eye(3)[axis])) - np.eye(3)
         for part in layout.parts:
-            part.markers(shift)[..., axis] = FRAME_SHIFT
+            part.markers(shift)[..., axis] = settings.frame_shift
             part.markers(turn)[:] = (layout.reference + part.markers(base) - middle) @ rotation.T
         yield shift, turn
 
@@ -162,38 +162,40 @@ def effect_nuisances(bench: Bench, change: FloatArray) -> FloatArray:
     markers and the components of every force.
     """
     layout = bench.layout
-    patterns = smooth_patterns(layout.reference, bench.extent)
+    patterns = smooth_patterns(layout.reference, bench.extent, bench.settings.nuisances)
     columns = []
     for part in layout.parts:
         mine = np.zeros(layout.size)
-        part.markers(mine)[:] = EFFECT_ERROR * part.markers(change)
+        part.markers(mine)[:] = bench.settings.nuisances.effect_error * part.markers(change)
         columns.append(mine)
-        history = EFFECT_ERROR * np.sqrt((part.markers(change) ** 2).mean(axis=(1, 2)))
+        history = bench.settings.nuisances.effect_error * np.sqrt((part.markers(change) ** 2).mean(axis=(1, 2)))
         columns += list(marker_columns(layout, part, history, patterns).reshape(-1, layout.size))
         for i in range(len(part.pads)):
-            strength = EFFECT_ERROR * np.linalg.norm(part.forces(change)[:, i], axis=1)
+            strength = bench.settings.nuisances.effect_error * np.linalg.norm(part.forces(change)[:, i], axis=1)
             columns += list(force_columns(layout, part, i, strength))
     return np.array([column for column in columns if column.any()]).reshape(-1, layout.size)
 
 
-def other_forms(hypotheses: FloatArray, change: FloatArray) -> FloatArray:
+def other_forms(
+    hypotheses: FloatArray, change: FloatArray, settings: NuisanceSettings = DEFAULT.nuisances
+) -> FloatArray:
     """Return nuisances for the form of a found cause: another place, onset, history or exponent than fitted.
 
     Without them the difference between the fitted and the true form would be taken for a further cause. `hypotheses`
     (n_variants, p, size): columns of all hypotheses of the cause, whitened by the noise; `change` (size,): change that
     the fitted cause makes, whitened. Result: (n, size), whitened changes by one prior standard deviation, orthogonal to
-    the fitted change: each hypothesis that reproduces the share `ALIKE` of it is fitted to it and scaled to its norm,
-    and its part orthogonal to it is kept; all together have the size `FORM_ERROR`.
+    the fitted change: each hypothesis that reproduces the share `form_alike` of it is fitted to it and scaled to its
+    norm, and its part orthogonal to it is kept; all together have the size `form_error`.
     """
     power, found = float(change @ change), []
     for columns in hypotheses:
         amplitudes = np.linalg.lstsq(columns.T, change, rcond=None)[0]
         alike = amplitudes @ columns
-        if float(alike @ alike) >= ALIKE * power > 0.0:
+        if float(alike @ alike) >= settings.form_alike * power > 0.0:
             alike *= np.sqrt(power / float(alike @ alike))
             found.append(alike - (alike @ change) / power * change)
     if not found:
         return np.zeros((0, len(change)))
-    _, sizes, rows = np.linalg.svd(np.array(found) * (FORM_ERROR / np.sqrt(len(found))), full_matrices=False)
+    _, sizes, rows = np.linalg.svd(np.array(found) * (settings.form_error / np.sqrt(len(found))), full_matrices=False)
     kept = sizes > _LEAST_FORM * np.sqrt(power)
-    return np.asarray((sizes[:, None] * rows)[kept][:MOST_FORMS])
+    return np.asarray((sizes[:, None] * rows)[kept][: settings.most_forms])

@@ -3,7 +3,7 @@
 A draw is the sum of measurement noise of uncertain size, nuisance parameters from their priors, and the discretisation
 error of a mesh that is neither the user's nor the correcting one; noise alone would give much lower thresholds. The log
 Bayes factors of all causes are computed for every draw, and each cause gets a quantile of its own as threshold, the
-same for all and such that any cause passes in a share `LEVEL` of the draws.
+same for all and such that any cause passes in a share `level` of the draws.
 """
 
 from collections.abc import Mapping, Sequence
@@ -14,25 +14,9 @@ import numpy as np
 from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.evidence import Null
 from tissuereg.diagnosis.noise import Noise
-from tissuereg.diagnosis.nuisances import MESH_SHARE
 from tissuereg.diagnosis.screen import UNKNOWN, Screen
+from tissuereg.diagnosis.settings import DEFAULT, DiagnoseSettings, NullSettings
 from tissuereg.diagnosis.signals import SignalLayout
-
-#: Number of draws, and the share of them in which any cause may pass its threshold (false-alarm rate).
-DRAWS = 500
-LEVEL = 0.02
-
-#: Number of false-alarm rates of a single cause that are tried.
-SHARES = 40
-
-#: Least threshold, nats.
-LEAST_THRESHOLD = 6.0
-
-#: Relative uncertainty of the noise's size, as a whole and marker by marker.
-NOISE_SPREAD, MARKER_SPREAD = 0.03, 0.05
-
-#: Discretisation errors are drawn larger or smaller than computed, by this factor at most.
-MESH_SPREAD = 1.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,43 +32,55 @@ class Nulls:
 
 
 def draw_nulls(
-    screen: Screen, null: Null, noise: Noise, layout: SignalLayout, mesh_errors: Sequence[FloatArray], seed: int
+    screen: Screen,
+    null: Null,
+    noise: Noise,
+    layout: SignalLayout,
+    mesh_errors: Sequence[FloatArray],
+    seed: int,
+    settings: DiagnoseSettings = DEFAULT,
 ) -> Nulls:
     """Return residuals drawn for data without any effect, and the thresholds that follow.
 
     `screen`: all hypotheses; `null`: covariance of noise and nuisances; `noise`: measurement noise; `layout`: order of
     the data; `mesh_errors`: for each further fine mesh the prediction (size,) on it minus that on the correcting one,
-    mm and mN; `seed`: seed of the draws. There are `DRAWS` residuals.
+    mm and mN; `seed`: seed of the draws. There are `draws` residuals.
     """
     generator = np.random.default_rng([seed, 5])
-    white = [noise.whitened(error, layout) for error in mesh_errors]
-    draws = np.empty((DRAWS, layout.size))
-    for i in range(DRAWS):
-        drawn = noise.draw(layout, generator) * (1.0 + NOISE_SPREAD * generator.standard_normal())
-        sizes = 1.0 + MARKER_SPREAD * generator.standard_normal(len(layout.marker_names))
+    alone = settings.nulls.noise_alone
+    white = [] if alone else [noise.whitened(error, layout) for error in mesh_errors]
+    nuisances = null.nuisances[: 0 if alone else None]
+    draws = np.empty((settings.nulls.draws, layout.size))
+    for i in range(settings.nulls.draws):
+        drawn = noise.draw(layout, generator) * (1.0 + settings.nulls.noise_spread * generator.standard_normal())
+        sizes = 1.0 + settings.nulls.marker_spread * generator.standard_normal(len(layout.marker_names))
         for part in layout.parts:
             part.markers(drawn)[:] *= sizes[:, None]
-        drawn += generator.standard_normal(len(null.nuisances)) @ null.nuisances
+        drawn += generator.standard_normal(len(nuisances)) @ nuisances
         if white:
-            size = generator.choice([-1.0, 1.0]) * generator.uniform(1.0 / MESH_SPREAD, MESH_SPREAD)
-            drawn += MESH_SHARE * size * white[i % len(white)]
+            size = generator.choice([-1.0, 1.0]) * generator.uniform(
+                1.0 / settings.nulls.mesh_spread, settings.nulls.mesh_spread
+            )
+            drawn += settings.nuisances.mesh_share * size * white[i % len(white)]
         draws[i] = drawn
     residuals = null.reduced(draws)
     found = screen.many(residuals)
     found.pop(UNKNOWN)
-    return Nulls(residuals, _thresholds(found))
+    required = settings.nulls.required
+    given = None if required is None else dict.fromkeys(found, required)
+    return Nulls(residuals, given or _thresholds(found, settings.nulls))
 
 
-def _thresholds(found: Mapping[str, FloatArray]) -> dict[str, float]:
-    """Return a threshold for every cause, in nats, so that any cause passes its own in at most `LEVEL` of the draws.
+def _thresholds(found: Mapping[str, FloatArray], settings: NullSettings = DEFAULT.nulls) -> dict[str, float]:
+    """Return a threshold for every cause, in nats, so that any cause passes its own in at most `level` of the draws.
 
     `found`: log Bayes factors (n,) of every cause in n draws without any effect, by id. The threshold of a cause is a
-    quantile of its own log Bayes factors, of the same order for all causes, and at least `LEAST_THRESHOLD`.
+    quantile of its own log Bayes factors, of the same order for all causes, and at least `least_threshold`.
     """
     values = np.array(list(found.values()))
     # The last share is Bonferroni's bound, which holds however the causes are correlated.
-    for share in LEVEL * np.geomspace(1.0, 1.0 / len(values), SHARES):
-        least = np.maximum(np.quantile(values, 1.0 - share, axis=1), LEAST_THRESHOLD)
-        if (values > least[:, None]).any(axis=0).mean() <= LEVEL:
+    for share in settings.level * np.geomspace(1.0, 1.0 / len(values), settings.shares):
+        least = np.maximum(np.quantile(values, 1.0 - share, axis=1), settings.least_threshold)
+        if (values > least[:, None]).any(axis=0).mean() <= settings.level:
             break
     return dict(zip(found, least.tolist(), strict=True))

@@ -6,24 +6,19 @@ A column is a flat vector of all measured numbers, (size,): displacements of mar
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray
+from tissuereg.diagnosis.settings import DEFAULT, NuisanceSettings
 from tissuereg.diagnosis.signals import CasePart, SignalLayout
 
-#: Number of patterns.
-MODES = 10
 
-#: Correlation length of the Gaussian process over the extent of the body.
-LENGTH = 0.35
-
-
-def smooth_patterns(places: FloatArray, extent: float) -> FloatArray:
+def smooth_patterns(places: FloatArray, extent: float, settings: NuisanceSettings = DEFAULT.nuisances) -> FloatArray:
     """Return the leading eigenvectors of a Gaussian process of unit variance over places.
 
-    `places` (n, 3): mm; `extent`: extent of the body, mm. Result: (n_patterns, n), dimensionless, scaled by the roots
-    of the eigenvalues, so that their squares sum to nearly 1 at every place.
+    `places` (n, 3): mm; `extent`: extent of the body, mm; `settings`: number and length. Result: (n_patterns, n),
+    dimensionless, scaled by the roots of the eigenvalues, so that their squares sum to nearly 1 at every place.
     """
     distance = np.linalg.norm(places[:, None] - places[None], axis=2)
-    values, vectors = np.linalg.eigh(np.exp(-0.5 * (distance / (LENGTH * extent)) ** 2))
-    chosen = np.argsort(values)[::-1][:MODES]
+    values, vectors = np.linalg.eigh(np.exp(-0.5 * (distance / (settings.pattern_length * extent)) ** 2))
+    chosen = np.argsort(values)[::-1][: settings.patterns]
     return np.asarray((np.sqrt(np.maximum(values[chosen], 0.0)) * vectors[:, chosen]).T)
 
 

@@ -7,6 +7,7 @@ from functools import cached_property
 from tissuereg._base.arrays import FloatArray
 from tissuereg._base.choices import Element
 from tissuereg.body.observe import MarkerObservation
+from tissuereg.diagnosis.settings import DEFAULT, ModelSettings
 from tissuereg.diagnosis.signals import SignalLayout
 from tissuereg.errors import ConvergenceError, ExperimentError, MaterialError, SupportError
 from tissuereg.experiment.effects import ChainEffect, Effect, extended, seen_markers
@@ -15,14 +16,8 @@ from tissuereg.simulation.experiment import Simulators, solve_cases
 from tissuereg.simulation.frames import FrameSettings, Rigs, Similar
 from tissuereg.simulation.memory import goes_through_time
 
-#: Residual over load. The error is some 1e-6 mm and 1e-3 mN, 1e-4 mm at most: far below any noise.
-TOLERANCE = 1e-5
-
 #: Errors of a model without equilibrium, or whose effects do not apply, on the user's mesh.
 NO_ANSWER = (ConvergenceError, ExperimentError, MaterialError, SupportError)
-
-#: Number of solutions that are kept for models that differ in the tracker alone.
-MOST_SOLVED = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,12 +41,19 @@ class Predictor:
     """The believed model of an experiment, solved with varying further effects.
 
     `experiment`: the believed model, with its own effects; `layout`: order of the predicted numbers; `element` {"tet4",
-    "tet4-averaged", "tet10"}: elements to use; `threads`: threads to use; 0 takes all cores.
+    "tet4-averaged", "tet10"}: elements to use; `threads`: threads to use; 0 takes all cores; `settings`: tolerances.
     """
 
     def __init__(
-        self, experiment: Experiment, layout: SignalLayout, *, element: Element = "tet4", threads: int = 0
+        self,
+        experiment: Experiment,
+        layout: SignalLayout,
+        *,
+        element: Element = "tet4",
+        threads: int = 0,
+        settings: ModelSettings = DEFAULT.model,
     ) -> None:
+        self.settings = settings
         self.experiment = experiment
         self.layout = layout
         self.element = element
@@ -101,7 +103,7 @@ class Predictor:
             if solved.young == young and solved.effects == bodily:
                 return solved
         found = self._solve(bodily, young, self.threads if threads is None else threads, near)
-        self._solved = [*self._solved, found][-MOST_SOLVED:]
+        self._solved = [*self._solved, found][-self.settings.most_solved :]
         return found
 
     @cached_property
@@ -120,7 +122,7 @@ class Predictor:
         solved = solve_cases(
             worked,
             cases,
-            settings=FrameSettings(self.element, TOLERANCE, threads),
+            settings=FrameSettings(self.element, self.settings.tolerance, threads),
             similar=Similar(None if near is None else near.fields, self._rigs, self._simulators),
         )
         places, forces = {}, {}

@@ -15,21 +15,11 @@ import numpy as np
 from tissuereg._base.arrays import BoolArray, FloatArray
 from tissuereg.diagnosis.fit import Fit, FitTarget
 from tissuereg.diagnosis.noise import Noise
+from tissuereg.diagnosis.settings import DEFAULT, SearchSettings
 from tissuereg.diagnosis.signals import CasePart, SignalLayout
-
-#: A case is held out only if the other data determine the cause's parameters: their posterior variance without the case
-#: is at most this share of the prior variance, on average.
-DETERMINED = 0.5
-
-#: Errors are stated for a case only if the other data determine the cause's change in it: the predictive variance of
-#: the change is at most this share of its square.
-UNDETERMINED = 0.75
 
 #: Rows of a proof: model before the cause, model with it, the former plus the generic rival, the believed model.
 BEFORE, NAMED, GENERIC, BELIEVED = range(4)
-
-#: Number of blocks of frames, where one case alone shows a cause.
-TIME_BLOCKS = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,34 +87,40 @@ def held_out(models: list[LinearModel], blocks: dict[str, BoolArray]) -> HeldOut
     return HeldOut(tuple(blocks), density, residuals)
 
 
-def proof_blocks(layout: SignalLayout, slopes: FloatArray) -> dict[str, BoolArray]:
+def proof_blocks(
+    layout: SignalLayout, slopes: FloatArray, settings: SearchSettings = DEFAULT.search
+) -> dict[str, BoolArray]:
     """Return the blocks that are held out to prove a cause by its predictive density, as masks (size,) by name.
 
     `layout`: order of the data; `slopes` (k, size): whitened changes of the prediction by one prior standard deviation
     of each of the cause's parameters. The blocks are the load cases in which the cause shows and without which its
-    parameters are still determined (`DETERMINED`); if there is none, blocks of frames of the case that shows it most.
+    parameters are still determined (`determined`); if there is none, blocks of frames of the case that shows it most.
     """
 
     def determined(mask: BoolArray) -> bool:
-        return bool(np.trace(_spread(slopes, mask)) / len(slopes) <= DETERMINED)
+        return bool(np.trace(_spread(slopes, mask)) / len(slopes) <= settings.determined)
 
-    return _blocks(layout, (slopes**2).sum(axis=0), determined)
+    return _blocks(layout, (slopes**2).sum(axis=0), determined, settings.time_blocks)
 
 
-def figure_blocks(layout: SignalLayout, slopes: FloatArray, change: FloatArray) -> dict[str, BoolArray]:
+def figure_blocks(
+    layout: SignalLayout, slopes: FloatArray, change: FloatArray, settings: SearchSettings = DEFAULT.search
+) -> dict[str, BoolArray]:
     """Return the blocks for which prediction errors with and without a cause are stated, as masks (size,) by name.
 
     `layout`: order of the data; `slopes` (k, size): whitened changes of the prediction by one prior standard deviation
     of each of the cause's parameters; `change` (size,): whitened change that the fitted cause makes. The blocks are the
-    load cases whose change the other data determine (`UNDETERMINED`); if there is none, blocks of frames of the case
+    load cases whose change the other data determine (`undetermined`); if there is none, blocks of frames of the case
     with the largest change. Undetermined parameters do no harm where their columns vanish.
     """
 
     def determined(mask: BoolArray) -> bool:
         mine = slopes[:, mask]
-        return bool(np.trace(_spread(slopes, mask) @ mine @ mine.T) <= UNDETERMINED * (change[mask] ** 2).sum())
+        return bool(
+            np.trace(_spread(slopes, mask) @ mine @ mine.T) <= settings.undetermined * (change[mask] ** 2).sum()
+        )
 
-    return _blocks(layout, change**2, determined)
+    return _blocks(layout, change**2, determined, settings.time_blocks)
 
 
 def held_out_figures(layout: SignalLayout, noise: Noise, proof: HeldOut, figures: HeldOut) -> dict[str, object]:
@@ -152,24 +148,28 @@ def held_out_figures(layout: SignalLayout, noise: Noise, proof: HeldOut, figures
     }
 
 
-def frame_blocks(layout: SignalLayout, part: CasePart) -> dict[str, BoolArray]:
-    """Return masks (size,) by name that divide one case into `TIME_BLOCKS` blocks of frames.
+def frame_blocks(
+    layout: SignalLayout, part: CasePart, n_blocks: int = DEFAULT.search.time_blocks
+) -> dict[str, BoolArray]:
+    """Return masks (size,) by name that divide one case into `n_blocks` blocks of frames.
 
-    Each block holds every `TIME_BLOCKS`-th frame; a case of fewer frames has a block for each frame.
+    Each block holds every `n_blocks`-th frame; a case of fewer frames has a block for each frame.
     """
     blocks = {}
-    for number in range(min(TIME_BLOCKS, part.n_frames)):
+    for number in range(min(n_blocks, part.n_frames)):
         mask = np.zeros(layout.size, bool)
         part_mask = np.zeros(part.n_frames, bool)
-        part_mask[number::TIME_BLOCKS] = True
+        part_mask[number::n_blocks] = True
         part.markers(mask)[part_mask] = True
         part.forces(mask)[part_mask] = True
         whole = part.n_frames == 1
-        blocks[part.name if whole else f"{part.name}, every {TIME_BLOCKS}th frame from {number}"] = mask
+        blocks[part.name if whole else f"{part.name}, every {n_blocks}th frame from {number}"] = mask
     return blocks
 
 
-def _blocks(layout: SignalLayout, shown: FloatArray, determined: Callable[[BoolArray], bool]) -> dict[str, BoolArray]:
+def _blocks(
+    layout: SignalLayout, shown: FloatArray, determined: Callable[[BoolArray], bool], n_blocks: int
+) -> dict[str, BoolArray]:
     """Return the cases that a cause changes and without which it is still determined, as masks (size,) by name.
 
     `shown` (size,): squared whitened change of every measured number; `determined`: returns whether the other data
@@ -178,7 +178,7 @@ def _blocks(layout: SignalLayout, shown: FloatArray, determined: Callable[[BoolA
     power = {part.name: float(shown[layout.of_case(part.name)].sum()) for part in layout.parts}
     masks = {name: layout.of_case(name) for name, size in power.items() if size > 1.0}
     cases = {name: mask for name, mask in masks.items() if determined(mask)}
-    return cases or frame_blocks(layout, layout[max(power, key=lambda name: power[name])])
+    return cases or frame_blocks(layout, layout[max(power, key=lambda name: power[name])], n_blocks)
 
 
 def _spread(slopes: FloatArray, mask: BoolArray) -> FloatArray:

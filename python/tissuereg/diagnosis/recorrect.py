@@ -23,12 +23,6 @@ from tissuereg.diagnosis.refined import refined_effects
 from tissuereg.errors import MeshError
 from tissuereg.experiment.effects import EFFECTS, ChainEffect
 
-#: Nats that the correction of a fit's discretisation error may add to its log evidence, at most.
-CORRECTION_GAIN = 30.0
-
-#: Discretisation error, in noise deviations, that may remain uncorrected in a fit, and number of rounds at most.
-UNCORRECTED, MOST_ROUNDS = 1.0, 6
-
 
 def corrected_fit(
     target: FitTarget, found: Fit, *, progress: Callable[[str], None] | None = None
@@ -46,14 +40,14 @@ def corrected_fit(
     nats on the user's mesh, 35 after one round, 108 after six, and 103 with ten-node elements throughout.
     """
     corrected = target, found
-    for _ in range(MOST_ROUNDS):
+    for _ in range(target.bench.settings.model.most_corrections):
         better = recorrected(target, corrected[1], progress=progress)
         start, choices = corrected[1].x, found.choices
         again = None if better is target else fit(better, found.parts, start=start, choices=choices)
         if again is None:
             break
         corrected = better, again
-        if _uncorrected(better, again) < UNCORRECTED:
+        if _uncorrected(better, again) < target.bench.settings.model.uncorrected:
             break
     return corrected
 
@@ -88,7 +82,12 @@ def recorrected(target: FitTarget, found: Fit, *, progress: Callable[[str], None
     simulated on the user's mesh.
     """
     bench = target.bench
-    if bench.is_exact or not bench.scales_forces or any(part.id in ABSOLUTE for part in found.parts):
+    if (
+        not bench.settings.model.corrected
+        or bench.is_exact
+        or not bench.scales_forces
+        or any(part.id in ABSOLUTE for part in found.parts)
+    ):
         return target
     if all(issubclass(EFFECTS[part.id], ChainEffect) for part in found.parts):
         return target

@@ -24,9 +24,6 @@ from tissuereg.simulation.memory import remembers
 #: To be increased when fine meshes give other results, so that older files are not read.
 SCHEMA = 2
 
-#: Number of fine meshes in addition to the one that corrects.
-THIRDS = 3
-
 #: Number of cached entries, some 0.1 MB each; the oldest are deleted.
 MOST_ENTRIES = 500
 
@@ -51,14 +48,15 @@ def entry_of(experiment: Experiment) -> str:
 
 
 def refined_predictions(
-    bench: Bench, entry: str | None, *, thirds: int = THIRDS, progress: Callable[[str], None] | None = None
+    bench: Bench, entry: str | None, *, thirds: int | None = None, progress: Callable[[str], None] | None = None
 ) -> tuple[FloatArray, FloatArray]:
     """Return the prediction of the believed model on the correcting fine mesh, and those on further fine meshes.
 
     `bench`: the believed model; `entry`: name of the cached entry (`entry_of`), None to use no cache; `thirds`: number
-    of further meshes; `progress`: called with the name of the step that begins. Result: (size,) and (thirds, size), mm
-    and mN. Raises `ConvergenceError` if a frame has no equilibrium.
+    of further meshes, None for that of the settings; `progress`: called with the name of the step that begins. Result:
+    (size,) and (thirds, size), mm and mN. Raises `ConvergenceError` if a frame has no equilibrium.
     """
+    thirds = bench.settings.model.thirds if thirds is None else thirds
     kept = None if entry is None else _read(entry)
     if kept is not None and kept.shape == (1 + thirds, bench.layout.size):
         return kept[0], kept[1:]

@@ -11,10 +11,7 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.fit import Fit, FitTarget, FittedCause, fit
-from tissuereg.diagnosis.recorrect import CORRECTION_GAIN, corrected_fit
-
-#: Gain in log evidence, in nats, that an exchange requires.
-BETTER = 2.0
+from tissuereg.diagnosis.recorrect import corrected_fit
 
 
 def without(target: FitTarget, current: Fit, part: int, *, hopeless: float = np.inf) -> Fit | None:
@@ -43,7 +40,11 @@ def without_redundant(
         for number, name in enumerate(current.ids):
             # The log evidence at which a fit shows that the cause it lacks is redundant.
             least = current.log_evidence - thresholds[name]
-            reached = _reaching(least, target, without(target, current, number, hopeless=CORRECTION_GAIN - least))
+            reached = _reaching(
+                least,
+                target,
+                without(target, current, number, hopeless=target.bench.settings.model.correction_gain - least),
+            )
             if reached is not None:
                 redundant.append((number, *reached))
         if not redundant:
@@ -57,7 +58,7 @@ def without_redundant(
 def exchanged(
     target: FitTarget, current: Fit, part: int, rivals: Sequence[tuple[FittedCause, FloatArray]]
 ) -> tuple[FitTarget, Fit]:
-    """Return the fit with the best of some rivals in place of one cause, where that gains `BETTER` nats.
+    """Return the fit with the best of some rivals in place of one cause, where that gains `better` nats.
 
     The discretisation error of the causes is corrected in every fit. `target`: data, believed model, noise and
     nuisances; `current`: fit with all causes; `part`: number of the cause that may be replaced; `rivals`: other causes,
@@ -69,8 +70,10 @@ def exchanged(
     for rival, free_parameters in rivals:
         parts = [*current.parts[:part], rival, *current.parts[part + 1 :]]
         start = np.concatenate([current.x[: mine.start], free_parameters, current.x[mine.stop :]])
-        least = max(best.log_evidence, current.log_evidence + BETTER)
-        reached = _reaching(least, target, fit(target, parts, start=start, hopeless=CORRECTION_GAIN - least))
+        least = max(best.log_evidence, current.log_evidence + target.bench.settings.search.better)
+        reached = _reaching(
+            least, target, fit(target, parts, start=start, hopeless=target.bench.settings.model.correction_gain - least)
+        )
         if reached is not None:
             of_best, best = reached
     return of_best, best
@@ -81,7 +84,7 @@ def _reaching(least: float, target: FitTarget, fitted: Fit | None) -> tuple[FitT
 
     Return None otherwise, and where there is no fit.
     """
-    if fitted is None or fitted.log_evidence < least - CORRECTION_GAIN:
+    if fitted is None or fitted.log_evidence < least - target.bench.settings.model.correction_gain:
         return None
     better, again = corrected_fit(target, fitted)
     return (better, again) if again.log_evidence > least else None

@@ -11,6 +11,7 @@ import platform
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -20,35 +21,30 @@ from tissuereg._base.provenance import warn
 from tissuereg._version import __version__
 from tissuereg.diagnosis.advice import advise
 from tissuereg.diagnosis.answer import Diagnosis, Finding
-from tissuereg.diagnosis.bank import make_bank
+from tissuereg.diagnosis.bank import Bank, make_bank
 from tissuereg.diagnosis.bench import Bench
 from tissuereg.diagnosis.correction import Correction, make_correction
 from tissuereg.diagnosis.discrepancy import describe, nearest_cause, residual_summary
 from tissuereg.diagnosis.evidence import Null
-from tissuereg.diagnosis.findings import candidates_of, findings_of
-from tissuereg.diagnosis.fit import FitTarget, fit
+from tissuereg.diagnosis.findings import candidates_of, findings_of, possible_of
+from tissuereg.diagnosis.fit import Fit, FitTarget, fit
 from tissuereg.diagnosis.generic import generic_columns
 from tissuereg.diagnosis.localisation import next_check
 from tissuereg.diagnosis.misfit import Battery, Misfit, smooth_subspaces
 from tissuereg.diagnosis.noise import Noise, estimate_noise
 from tissuereg.diagnosis.nuisances import Nuisances, make_nuisances
-from tissuereg.diagnosis.nulls import draw_nulls
+from tissuereg.diagnosis.nulls import Nulls, draw_nulls
 from tissuereg.diagnosis.readings import RecordingSuspicion, suspect_recording
 from tissuereg.diagnosis.refined import entry_of, refined_predictions
 from tissuereg.diagnosis.screen import Screen
 from tissuereg.diagnosis.search import Search, search
+from tissuereg.diagnosis.settings import DEFAULT, DiagnoseSettings, NullSettings
 from tissuereg.diagnosis.signals import SignalLayout
+from tissuereg.diagnosis.understated import UNDERSTATED, UnderstatedNoise, larger_noise, understated
 from tissuereg.errors import LockingWarning, TissueRegError, UnitWarning
 from tissuereg.experiment.effects import Effect, Stiffness
 from tissuereg.experiment.experiment import Experiment
 from tissuereg.simulation.experiment import simulate_plain
-
-#: Level of the misfit test: a residual with a smaller p-value is a misfit.
-MISFIT = 0.01
-
-#: Findings with a misfit are named only if they explain this share of the believed model's misfit, both in total and in
-#: the statistic that is still largest; the total alone counts where one finding is far ahead of all rivals.
-EXPLAINED = 0.5
 
 
 def diagnose_body(
@@ -59,12 +55,13 @@ def diagnose_body(
     keep: bool,
     element: Element | None,
     progress: Callable[[str], None] | None,
+    settings: DiagnoseSettings = DEFAULT,
 ) -> Diagnosis:
     """Return the diagnosis of a body: the causes of the difference between its measurements and its simulation.
 
     `experiment`: the believed model and the measurements; `seed`: seed of all random draws; `threads`: threads to use;
     0 takes all cores; `keep`: whether the cache is used; `element`: elements of the believed model, None for the
-    default; `progress`: called with the name of the step that begins. Errors are those of
+    default; `progress`: called with the name of the step that begins; `settings`: all numbers. Errors are those of
     `tissuereg.diagnosis.diagnose`.
     """
     experiment = _own_modulus(experiment)
@@ -78,13 +75,13 @@ def diagnose_body(
         warn(text)
     element = element or (simulated.element if simulated is not None and plain else "tet4")
     layout = SignalLayout(experiment)
-    noise = estimate_noise(experiment, layout)
+    noise = estimate_noise(experiment, layout, settings.noise)
     if progress is not None:
         progress("units and axes")
-    suspicions = suspect_recording(experiment, layout, element=element, threads=threads)
+    suspicions = suspect_recording(experiment, layout, element=element, threads=threads, settings=settings.readings)
     if any(one.log_odds is not None for one in suspicions):
-        return _misread(experiment, suspicions, seed)
-    bench = Bench(experiment, layout, element=element, threads=threads)
+        return _misread(experiment, suspicions, seed, settings)
+    bench = Bench(experiment, layout, element=element, threads=threads, settings=settings)
     _ = bench.base  # warnings of the believed model are the user's; those of trials are not
     with warnings.catch_warnings():
         for kind in (UnitWarning, LockingWarning):
@@ -101,27 +98,21 @@ def _searched(
     `silent`: whether forces are below their noise, so that no modulus follows from them.
     """
     experiment, layout = bench.experiment, bench.layout
+    settings, rules = bench.settings, bench.settings.nulls
     element, threads = bench.predictor.element, bench.predictor.threads
     bank = make_bank(bench, keep=keep, progress=progress)
     believed = make_believed(bench, noise, keep=keep, progress=progress)
-    target, nuisances, null = believed.target, believed.nuisances, believed.null
-    generic = generic_columns(bench, float(noise.marker_std.mean()))
-    if progress is not None:
-        progress("screening")
-    screen = Screen(bank, generic, noise, layout, target.correction, null)
-    nulls = draw_nulls(screen, null, noise, layout, list(believed.mesh_errors), seed)
-    found = search(target, screen, nulls.thresholds, progress=progress)
-    battery = Battery(layout, smooth_subspaces(layout, bench.base, bench.extent, noise))
-    before = target.null.reduced(found.base.residual)
-    misfit = battery.judge(before, found.reduced, nulls.residuals)
-    findings = findings_of(target, screen, found, nulls.thresholds)
-    findings = [finding for finding in findings if not (silent and finding.id == "stiffness")]
-    withdrawn = bool(findings) and not _explains_enough(misfit, found)
-    if withdrawn:
-        # At best the findings are the causes most similar to the true one.
-        findings, found = [], found.withdrawn(target)
-        misfit = battery.judge(before, found.reduced, nulls.residuals)
-    verdict = _verdict(findings, misfit.p, withdrawn=withdrawn or silent)
+    judged = _judged(bench, bank, believed, silent=silent, seed=seed, progress=progress)
+    if judged.misfit.p < rules.misfit:
+        again = _with_larger_noise(bench, bank, believed, judged, silent=silent, seed=seed, progress=progress)
+        if again is not None:
+            believed, judged = again
+    noise, target, nuisances = believed.target.noise, believed.target, believed.nuisances
+    found, findings, misfit, screen, nulls = judged.found, judged.findings, judged.misfit, judged.screen, judged.nulls
+    larger = understated(experiment, noise, settings.noise)
+    verdict = _verdict(findings, misfit.p, withdrawn=judged.withdrawn or silent, level=rules.misfit)
+    if verdict == "consistent" and larger:
+        verdict = UNDERSTATED
     effects: tuple[Effect, ...] = found.final.effects(bench.young)
     if not silent and abs(found.final.x[0]) > 1e-6 and found.final.covariance[0, 0] < (0.5 * bench.young_spread) ** 2:
         young = found.final.young(bench.young)
@@ -131,18 +122,25 @@ def _searched(
     findings = _with_targets(findings, experiment, extended, element=element, threads=threads)
     following = advise(target, found.steps, findings)
     if verdict == "unexplained":
-        following = next_check(bench, found.reduced, nearest_cause(screen, found))
+        following = next_check(bench, found.reduced, nearest_cause(screen, found, settings.report.looks_like))
+    if verdict == UNDERSTATED:
+        following = _state_noise(larger)
     return Diagnosis(
         verdict=verdict,
+        understated=larger,
         findings=tuple(findings),
         candidates=candidates_of(screen, found.steps[0]),
+        possible=possible_of(found),
         p_misfit=misfit.p,
-        left=residual_summary(layout, screen, found, misfit) if findings and misfit.p < MISFIT else None,
-        discrepancy=describe(layout, found.base, found.final),
+        left=residual_summary(layout, screen, found, misfit, settings.report)
+        if findings and misfit.p < rules.misfit
+        else None,
+        discrepancy=describe(layout, found.base, found.final, settings.report),
         extended=extended,
         next_experiment=following,
         seed=seed,
         versions=_versions(),
+        numbers=settings,
         details={
             "search": found,
             "layout": layout,
@@ -154,7 +152,91 @@ def _searched(
     )
 
 
-def _misread(experiment: Experiment, suspicions: Sequence[RecordingSuspicion], seed: int) -> Diagnosis:
+@dataclass(frozen=True, eq=False)
+class _Judged:
+    """The search with a noise model, and the test of what it leaves.
+
+    `best`: the best fit, which `found` lacks where its findings are withdrawn; `withdrawn`: whether they are.
+    """
+
+    screen: Screen
+    nulls: Nulls
+    found: Search
+    best: Fit
+    findings: list[Finding]
+    misfit: Misfit
+    withdrawn: bool
+
+
+def _judged(
+    bench: Bench,
+    bank: Bank,
+    believed: "BelievedModel",
+    *,
+    silent: bool,
+    seed: int,
+    progress: Callable[[str], None] | None,
+) -> _Judged:
+    """Return the causes found under the noise of a believed model; other arguments as for `_searched`."""
+    layout, settings, target, null = bench.layout, bench.settings, believed.target, believed.null
+    noise = target.noise
+    generic = generic_columns(bench, float(noise.marker_std.mean()))
+    if progress is not None:
+        progress("screening")
+    screen = Screen(bank, generic, noise, layout, target.correction, null)
+    nulls = draw_nulls(screen, null, noise, layout, list(believed.mesh_errors), seed, settings)
+    found = search(target, screen, nulls.thresholds, progress=progress)
+    battery = Battery(layout, smooth_subspaces(layout, bench.base, bench.extent, noise, settings))
+    before = target.null.reduced(found.base.residual)
+    misfit = battery.judge(before, found.reduced, nulls.residuals)
+    findings = findings_of(target, screen, found, nulls.thresholds)
+    findings = [finding for finding in findings if not (silent and finding.id == "stiffness")]
+    best, withdrawn = found.final, bool(findings) and not _explains_enough(misfit, found, settings.nulls)
+    if withdrawn:
+        # At best the findings are the causes most similar to the true one.
+        findings, found = [], found.withdrawn(target)
+        misfit = battery.judge(before, found.reduced, nulls.residuals)
+    return _Judged(screen, nulls, found, best, findings, misfit, withdrawn)
+
+
+def _with_larger_noise(
+    bench: Bench,
+    bank: Bank,
+    believed: "BelievedModel",
+    first: _Judged,
+    *,
+    silent: bool,
+    seed: int,
+    progress: Callable[[str], None] | None,
+) -> "tuple[BelievedModel, _Judged] | None":
+    """Return model and answer under larger noise where that alone explains what the best fit leaves, else None."""
+    generic = first.screen.generic_white[-1]
+    noise = larger_noise(believed.target, first.best, generic, bench.settings.noise)
+    if noise is None:
+        return None
+    if progress is not None:
+        progress("noise larger than stated")
+    other = believed.with_noise(noise)
+    again = _judged(bench, bank, other, silent=silent, seed=seed, progress=progress)
+    # A misfit that remains is no noise.
+    return (other, again) if again.misfit.p >= bench.settings.nulls.misfit and not again.withdrawn else None
+
+
+def _state_noise(larger: Sequence[UnderstatedNoise]) -> dict[str, Any]:
+    """Return what to do about understated noise, as the next experiment of an answer."""
+    write = " and ".join(f"{one.estimated:.3g} {one.unit} for {one.channel}" for one in larger)
+    action = f"state a noise of {write}, or find out why it is larger than stated, then diagnose again"
+    return {
+        "action": action,
+        "separates": [],
+        "separability": None,
+        "check": {"kind": "noise", "name": larger[0].channel},
+    }
+
+
+def _misread(
+    experiment: Experiment, suspicions: Sequence[RecordingSuspicion], seed: int, settings: DiagnoseSettings
+) -> Diagnosis:
     """Return the answer for a recording that is probably misread: what to write, and no cause."""
     first = suspicions[0]
     check = {"kind": "input", "name": ", ".join(first.files)}
@@ -175,6 +257,7 @@ def _misread(experiment: Experiment, suspicions: Sequence[RecordingSuspicion], s
         seed=seed,
         versions=_versions(),
         suspicions=tuple(suspicions),
+        numbers=settings,
     )
 
 
@@ -189,13 +272,22 @@ class BelievedModel:
     `target`: the input of fits: data, corrected model, noise, and the covariance of noise and all nuisances but the
     modulus; `nuisances`: nuisance parameters with their columns; `null`: covariance of noise and all nuisances, the
     modulus included; `mesh_errors` (n_meshes, size): predictions on further fine meshes minus those on the mesh that
-    corrects, mm and mN.
+    corrects, mm and mN; `correction`: of the discretisation error, at the believed modulus.
     """
 
     target: FitTarget
     nuisances: Nuisances
     null: Null
     mesh_errors: FloatArray
+    correction: Correction
+
+    def with_noise(self, noise: Noise) -> "BelievedModel":
+        """Return the same model and nuisances under another measurement noise."""
+        bench = self.target.bench
+        correction = _at_modulus(bench, noise, self.correction, self.nuisances)
+        white = noise.whitened(correction.at_modulus(self.nuisances.columns), bench.layout)
+        target = FitTarget(bench, noise, correction, Null(white[self.nuisances.but("stiffness")]))
+        return replace(self, target=target, null=Null(white))
 
 
 def make_believed(
@@ -212,12 +304,12 @@ def make_believed(
         fine, others = bench.base, np.zeros((0, layout.size))
     else:
         fine, others = refined_predictions(bench, entry_of(bench.experiment) if keep else None, progress=progress)
-    correction = make_correction(layout, bench.base, fine)
+    corrected = bench.settings.model.corrected
+    correction = make_correction(layout, bench.base, fine) if corrected else Correction(layout)
     nuisances = make_nuisances(bench, others - fine, correction)
-    correction = _at_modulus(bench, noise, correction, nuisances)
-    white = noise.whitened(correction.at_modulus(nuisances.columns), layout)
-    target = FitTarget(bench, noise, correction, Null(white[nuisances.but("stiffness")]))
-    return BelievedModel(target, nuisances, Null(white), others - fine)
+    bare = Null(np.zeros((0, layout.size)))
+    target = FitTarget(bench, noise, correction, bare)
+    return BelievedModel(target, nuisances, bare, others - fine, correction).with_noise(noise)
 
 
 def _at_modulus(bench: Bench, noise: Noise, correction: Correction, nuisances: Nuisances) -> Correction:
@@ -256,16 +348,16 @@ def _own_modulus(experiment: Experiment) -> Experiment:
     return replace(experiment, material=replace(experiment.material, young=young), young_std=spread, effects=others)
 
 
-def _explains_enough(misfit: Misfit, found: Search) -> bool:
-    """Return whether findings may be named: no misfit is left, or enough of it is explained (`EXPLAINED`)."""
-    if misfit.p >= MISFIT or min(misfit.explained, misfit.explained_there) >= EXPLAINED:
+def _explains_enough(misfit: Misfit, found: Search, rules: NullSettings = DEFAULT.nulls) -> bool:
+    """Return whether findings may be named: no misfit is left, or enough of it is explained (`explained`)."""
+    if misfit.p >= rules.misfit or min(misfit.explained, misfit.explained_there) >= rules.explained:
         return True
-    return misfit.explained >= EXPLAINED and any(step.is_clear for step in found.steps)
+    return misfit.explained >= rules.explained and any(step.is_clear for step in found.steps)
 
 
-def _verdict(findings: list[Finding], misfit: float, *, withdrawn: bool) -> str:
+def _verdict(findings: list[Finding], misfit: float, *, withdrawn: bool, level: float = DEFAULT.nulls.misfit) -> str:
     if not findings:
-        return "consistent" if misfit >= MISFIT and not withdrawn else "unexplained"
+        return "consistent" if misfit >= level and not withdrawn else "unexplained"
     return "group" if any(len(finding.group) > 1 for finding in findings) else "named"
 
 

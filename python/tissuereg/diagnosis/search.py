@@ -1,12 +1,13 @@
 """The search for causes: forward selection with held-out proof, then elimination and exchange.
 
 Each round screens all causes on the residual of the current model, fits the likely ones, and accepts the first that
-passes its threshold and the held-out proof (`proof`). The found cause joins the model together with nuisances for its
-own error (`nuisances.effect_nuisances`, `nuisances.other_forms`). With two or more causes, each is tested for
-redundancy and exchanged for its closest rivals in the end (`revise`).
+passes its threshold and the held-out proof (`proof`) and is likelier than not. The found cause joins the model together
+with nuisances for its own error (`nuisances.effect_nuisances`, `nuisances.other_forms`). With two or more causes, each
+is tested for redundancy and exchanged for its closest rivals in the end (`revise`); those that stay pass the same tests
+again, or the answer lists them as possible.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -14,7 +15,7 @@ import numpy as np
 from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.candidates import Candidate, refitted, required_thresholds
 from tissuereg.diagnosis.causes import CAUSES
-from tissuereg.diagnosis.evidence import LOOK_ALIKE, Null, fit_amplitudes, probabilities
+from tissuereg.diagnosis.evidence import Null, fit_amplitudes, probabilities
 from tissuereg.diagnosis.fit import Fit, FitTarget, fit
 from tissuereg.diagnosis.nuisances import effect_nuisances, other_forms
 from tissuereg.diagnosis.proof import (
@@ -28,27 +29,24 @@ from tissuereg.diagnosis.proof import (
     linear_model,
     proof_blocks,
 )
+from tissuereg.diagnosis.recorrect import corrected_fit
 from tissuereg.diagnosis.revise import exchanged, without, without_redundant
 from tissuereg.diagnosis.screen import UNKNOWN, Screen, Screened
+from tissuereg.diagnosis.settings import DEFAULT, DiagnoseSettings, SearchSettings
 
-#: Number of causes in an answer, at most.
-MOST_CAUSES = 3
 
-#: Least separability of two causes that the data distinguish: the norm of the difference between their predictions in
-#: noise deviations. The log evidence then differs by half its square.
-SEPARABLE = 4.0
+@dataclass(frozen=True)
+class PossibleCause:
+    """A cause that explains much and is not stated, as its evidence or its probability does not suffice.
 
-#: Gain in log predictive density that the held-out proof requires, nats.
-PROVED = 4.0
+    `id`: id of the cause; `probability`: of it, or of its group; `log_bayes_factor`, `threshold`: evidence found and
+    required, nats.
+    """
 
-#: A cause less probable than this, given the rivals that failed the proof, is not named.
-LEAST_PROBABILITY = 0.005
-
-#: A cause with this gain, in nats, that predicts held-out data better than all rivals may be named despite a misfit.
-CLEAR = 100.0
-
-#: Rivals that are tried in place of one of several causes: their number, and nats within which they come to it.
-MOST_RIVALS, RIVALS_WITHIN = 2, 40.0
+    id: str
+    probability: float
+    log_bayes_factor: float
+    threshold: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +59,7 @@ class Step:
     cause, with it, with the generic rival instead, the believed one; `figures`: errors of the accepted candidate on the
     held-out blocks for which errors are reported (`figure_blocks`); rows as in the proof. None where none was accepted;
     `rivals`: log predictive density, in nats, of the best rival on the held-out blocks of the proof: the generic rival,
-    or a candidate that the data distinguish from the accepted one.
+    or a candidate that the data distinguish from the accepted one; `possible`: causes that came close to acceptance.
     """
 
     screened: dict[str, Screened]
@@ -70,13 +68,17 @@ class Step:
     proof: HeldOut | None
     figures: HeldOut | None = None
     rivals: float = np.inf
+    possible: tuple[PossibleCause, ...] = ()
+    settings: DiagnoseSettings = DEFAULT
 
     @property
     def is_clear(self) -> bool:
-        """Whether the accepted candidate gains `CLEAR` nats and predicts held-out data better than every rival."""
+        """Whether the accepted candidate gains `clear` nats and predicts held-out data better than every rival."""
         if self.found is None or self.proof is None:
             return False
-        return self.found.gain >= CLEAR and float(self.proof.log_density[NAMED].sum()) > self.rivals
+        return (
+            self.found.gain >= self.settings.search.clear and float(self.proof.log_density[NAMED].sum()) > self.rivals
+        )
 
     def gains(self) -> dict[str, float]:
         """Return the log Bayes factor of every cause in the round, in nats, by id.
@@ -93,10 +95,11 @@ class Step:
             # The held-out proof has distinguished the cause from the generic rival.
             density = self.proof.log_density.sum(axis=1)
             gains[UNKNOWN] = min(gains[UNKNOWN], self.found.gain - float(density[NAMED] - density[GENERIC]))
-        chances = probabilities(gains)
+        look_alike = self.settings.evidence.look_alike
+        chances = probabilities(gains, self.settings.evidence.temper)
         own = {name: chances[name] for name in CAUSES if name in chances}
-        unknown = chances[UNKNOWN] + LOOK_ALIKE * sum(own.values())
-        return {**chances, **{name: (1.0 - LOOK_ALIKE) * chance for name, chance in own.items()}, UNKNOWN: unknown}
+        unknown = chances[UNKNOWN] + look_alike * sum(own.values())
+        return {**chances, **{name: (1.0 - look_alike) * chance for name, chance in own.items()}, UNKNOWN: unknown}
 
     def close(self, nats: float) -> list[Candidate]:
         """Return the other candidates, likeliest first, within `nats` of the accepted one's log Bayes factor."""
@@ -105,13 +108,66 @@ class Step:
         own = next((c.gain for c in self.candidates if c.id == self.found.id), self.found.gain)
         return [c for c in self.candidates if c.id != self.found.id and c.gain > own - nats]
 
+    def group(self, threshold: float, named: Collection[str] = ()) -> tuple[str, ...]:
+        """Return the id of the accepted cause, then those the data cannot distinguish from it, likeliest first.
+
+        `threshold`: log Bayes factor required of that cause, nats; `named`: ids that are findings themselves and join
+        no group. Result: at most `most_in_group` ids.
+        """
+        assert self.found is not None
+        as_likely = self.close(-self.settings.evidence.temper * np.log(self.settings.search.as_likely))
+        others = (c for c in self.close(0.5 * self.settings.search.separable**2) if c.id not in named)
+        close = [c.id for c in others if c.gain > threshold or c in as_likely]
+        return (self.found.id, *close)[: self.settings.search.most_in_group]
+
+    def probability(self, threshold: float, named: Collection[str] = ()) -> float:
+        """Return the probability of the accepted cause together with its group; arguments as for `group`."""
+        chances = self.chances()
+        return sum(chances.get(name, 0.0) for name in self.group(threshold, named))
+
+    def failed(self, required: float, threshold: float, named: Collection[str] = ()) -> PossibleCause | None:
+        """Return the accepted cause as a possible one where it fails its threshold, proof or probability, else None.
+
+        `required`, `threshold`: log Bayes factors required of the cause here and as a first cause, nats.
+        """
+        assert self.found is not None
+        assert self.proof is not None
+        chance = self.probability(threshold, named)
+        if (
+            self.found.gain >= required
+            and _proved(self.found.id, self.proof, self.settings.search)
+            and chance >= self.settings.search.stated
+        ):
+            return None
+        return PossibleCause(self.found.id, chance, self.found.gain, required)
+
+    def dropped(self, failed: PossibleCause) -> "Step":
+        """Return the round without its finding, which joins the possible causes."""
+        return replace(self, found=None, figures=None, possible=(*self.possible, failed))
+
+    def exchanged(self, top: Candidate, lead: float) -> "Step":
+        """Return the round with another cause accepted in place of the first, which it leads by `lead` nats.
+
+        `top`: the cause, with its evidence in the model of all causes. Rivals keep their distance to the cause that was
+        accepted first.
+        """
+        assert self.found is not None
+        before = next((c.gain for c in self.candidates if c.id == self.found.id), self.found.gain)
+        shift = top.gain - lead - before
+        moved = [replace(c, gain=c.gain + shift) for c in self.candidates if c.id != top.id]
+        screened = {
+            name: replace(one, log_bayes_factor=one.log_bayes_factor + shift) for name, one in self.screened.items()
+        }
+        candidates = sorted([top, *moved], key=lambda candidate: -candidate.gain)
+        return replace(self, screened=screened, candidates=candidates, found=top)
+
 
 @dataclass(frozen=True, eq=False)
 class Search:
     """All rounds of the search for causes.
 
     `base`: fit of the believed model; `final`: fit with all causes found; `steps`: rounds in order; the last one
-    accepted nothing, unless there are `MOST_CAUSES`; `reduced` (size,): residual of the final model, whitened by noise,
+    accepted nothing, unless there are `most_causes`; `reduced` (size,): residual of the final model, whitened by noise,
     nuisances and the model's own parameters; `target`: data and model of the last fit, with the discretisation error of
     the causes found corrected; None where none was found.
     """
@@ -140,7 +196,7 @@ def search(
     base = fit(target, [])
     assert base is not None  # the believed model has an equilibrium: it was solved before
     current, steps, plain = base, [], target
-    while len(current.parts) < MOST_CAUSES:
+    while len(current.parts) < target.bench.settings.search.most_causes:
         step = _round(target, screen, base, current, thresholds, progress)
         steps.append(step)
         if step.found is None:
@@ -167,23 +223,33 @@ def _round(
     `base`, `current`: fits of the believed model and with the causes found before; `thresholds`: nats, by id.
     """
     screened = screen.of(_as_screened(screen, target, current))
-    required = required_thresholds(thresholds, current.ids)
+    required = required_thresholds(thresholds, current.ids, target.bench.settings.search)
     candidates = refitted(target, screen, screened, current, required, progress)
-    step = Step(screened, candidates, None, None)
+    step = Step(screened, candidates, None, None, settings=target.bench.settings)
     passing = [candidate for candidate in candidates if candidate.gain >= required[candidate.id]]
     references = _references(target, screen, base, current) if passing else []
     for candidate in passing:
         tried = _prove(target, references, current, candidate)
         step = replace(step, proof=step.proof or tried)
         density = tried.log_density.sum(axis=1)
-        least_gain = 0.0 if CAUSES[candidate.id].always_fitted else PROVED
-        if density[NAMED] > density[BEFORE] + least_gain and density[NAMED] > density[GENERIC]:
+        if _proved(candidate.id, tried, target.bench.settings.search):
             rivals = max(float(density[GENERIC]), _best_rival(target, current, candidates, candidate))
             figures = _figures(target, references, current, candidate)
             accepted = replace(step, found=candidate, proof=tried, figures=figures, rivals=rivals)
-            if accepted.chances().get(candidate.id, 0.0) >= LEAST_PROBABILITY:
+            failed = accepted.failed(required[candidate.id], thresholds[candidate.id], current.ids)
+            if failed is None:
                 return accepted
+            step = replace(step, possible=(*step.possible, failed))
     return step
+
+
+def _proved(name: str, proof: HeldOut, rules: SearchSettings) -> bool:
+    """Return whether a cause, by its id, predicts held-out data better than the rival and than the model without it."""
+    if not rules.judged:
+        return True
+    density = proof.log_density.sum(axis=1)
+    least_gain = 0.0 if CAUSES[name].always_fitted else rules.proved
+    return bool(density[NAMED] > density[BEFORE] + least_gain and density[NAMED] > density[GENERIC])
 
 
 def _best_rival(target: FitTarget, current: Fit, candidates: Sequence[Candidate], found: Candidate) -> float:
@@ -191,8 +257,12 @@ def _best_rival(target: FitTarget, current: Fit, candidates: Sequence[Candidate]
 
     It is minus infinity where there is no such candidate.
     """
-    blocks = proof_blocks(target.bench.layout, _columns_and_change(target, current, found, -1)[0])
-    others = [other for other in candidates if other.gain <= found.gain - 0.5 * SEPARABLE**2]
+    blocks = proof_blocks(
+        target.bench.layout, _columns_and_change(target, current, found, -1)[0], target.bench.settings.search
+    )
+    others = [
+        other for other in candidates if other.gain <= found.gain - 0.5 * target.bench.settings.search.separable**2
+    ]
     held = held_out([linear_model(target, other.fit) for other in others], blocks) if others else None
     return -np.inf if held is None else float(held.log_density.sum(axis=1).max())
 
@@ -207,7 +277,11 @@ def _with_finding(
     """
     # A found cause has a model error of its own. Its discretisation error was corrected; what remains of that, and the
     # error of its form, are nuisances when further causes are tested.
-    forms = other_forms(screen.white_columns(found.id), plain.white(found.fit.prediction - before.prediction))
+    forms = other_forms(
+        screen.white_columns(found.id),
+        plain.white(found.fit.prediction - before.prediction),
+        plain.bench.settings.nuisances,
+    )
     null = Null(np.concatenate([plain.null.nuisances, forms]))
     plain = replace(plain, correction=found.target.correction, null=null)
     errors = plain.white(effect_nuisances(plain.bench, found.fit.prediction - base.prediction))
@@ -220,26 +294,75 @@ def _revised(
 ) -> tuple[FitTarget, Fit, list[Step]]:
     """Return target, fit and rounds after each cause was tested for redundancy and exchanged for its closest rivals.
 
-    `base`, `current`: fits of the believed model and with all causes; `thresholds`: nats, by id.
+    What stays has passed its tests again, in the model of all causes. `base`, `current`: fits of the believed model and
+    with all causes; `thresholds`: nats, by id.
     """
+    first, rules = target, target.bench.settings.search
     found = [number for number, step in enumerate(steps) if step.found is not None]
     target, current, kept = without_redundant(target, current, thresholds)
     found = [found[part] for part in kept]
     steps = [step if number in found else replace(step, found=None) for number, step in enumerate(steps)]
+    leads: dict[int, float] = {}
     for part, number in enumerate(found):
-        rivals = [c.as_rival() for c in steps[number].close(RIVALS_WITHIN) if c.id not in current.ids]
-        target, current = exchanged(target, current, part, rivals[:MOST_RIVALS])
-    for part, number in enumerate(found):
-        # The gain of a finding is the evidence that its removal costs.
-        before = without(target, current, part)
-        if before is not None:
-            gain = current.log_evidence - before.log_evidence
-            top = Candidate(current.parts[part].id, current, gain, target)
-            references = _references(target, screen, base, before)
-            proof = _prove(target, references, before, top, part)
-            figures = _figures(target, references, before, top, part)
-            steps[number] = replace(steps[number], found=top, proof=proof, figures=figures)
-    return target, current, steps
+        rivals = [c.as_rival() for c in steps[number].close(rules.rivals_within) if c.id not in current.ids]
+        target, better = exchanged(target, current, part, rivals[: rules.most_rivals])
+        if better is not current:
+            leads[number] = better.log_evidence - current.log_evidence
+            current = better
+    while found:
+        others = []
+        for part, number in enumerate(found):
+            before = without(target, current, part)
+            others.append(before)
+            if before is not None:
+                steps[number] = _judged(
+                    target, screen, base, current, before, part, steps[number], leads.pop(number, None)
+                )
+        failed = _failed([steps[number] for number in found], current.ids, thresholds)
+        if not failed:
+            return target, current, steps
+        # Of several, the one whose removal costs the least evidence: the others may pass without it.
+        part = min(failed, key=lambda part: failed[part].log_bayes_factor)
+        number, rest = found.pop(part), others[part]
+        assert rest is not None  # it was judged
+        steps[number] = steps[number].dropped(failed[part])
+        target, current = corrected_fit(target, rest)
+    return first, base, steps
+
+
+def _judged(
+    target: FitTarget,
+    screen: Screen,
+    base: Fit,
+    current: Fit,
+    before: Fit,
+    part: int,
+    step: Step,
+    lead: float | None,
+) -> Step:
+    """Return the round of a finding with its evidence and proof in the model of all causes.
+
+    `before`: fit without it; `part`: its number in the fit `current`; `lead`: nats by which it leads the cause that was
+    accepted first in its place; None where that is itself. The gain of a finding is the evidence that its removal
+    costs.
+    """
+    top = Candidate(current.parts[part].id, current, current.log_evidence - before.log_evidence, target)
+    references = _references(target, screen, base, before)
+    proof = _prove(target, references, before, top, part)
+    figures = _figures(target, references, before, top, part)
+    step = replace(step, found=top) if lead is None or step.found is None else step.exchanged(top, lead)
+    return replace(step, proof=proof, figures=figures)
+
+
+def _failed(steps: Sequence[Step], ids: Sequence[str], thresholds: Mapping[str, float]) -> dict[int, PossibleCause]:
+    """Return the findings that fail their tests, by their number; `ids`: those of all findings, in the same order."""
+    failed = {}
+    for part, (step, name) in enumerate(zip(steps, ids, strict=True)):
+        required = required_thresholds(thresholds, ids[:part], step.settings.search)[name]
+        short = step.failed(required, thresholds[name], ids)
+        if short is not None:
+            failed[part] = short
+    return failed
 
 
 def _prove(
@@ -251,7 +374,9 @@ def _prove(
     judged.
     """
     slopes, _ = _columns_and_change(target, current, candidate, part)
-    return held_out(_models(target, references, candidate), proof_blocks(target.bench.layout, slopes))
+    return held_out(
+        _models(target, references, candidate), proof_blocks(target.bench.layout, slopes, target.bench.settings.search)
+    )
 
 
 def _figures(
@@ -263,7 +388,10 @@ def _figures(
     judged.
     """
     slopes, change = _columns_and_change(target, current, candidate, part)
-    return held_out(_models(target, references, candidate), figure_blocks(target.bench.layout, slopes, change))
+    return held_out(
+        _models(target, references, candidate),
+        figure_blocks(target.bench.layout, slopes, change, target.bench.settings.search),
+    )
 
 
 def _columns_and_change(

@@ -23,36 +23,13 @@ from tissuereg.body.observe import MarkerObservation
 from tissuereg.diagnosis.bench import Bench
 from tissuereg.diagnosis.correction import make_correction
 from tissuereg.diagnosis.predictor import Predictor
+from tissuereg.diagnosis.settings import DEFAULT, ShapeSettings
 from tissuereg.diagnosis.tangents import Tangents
 from tissuereg.experiment.experiment import Actuator, Boundary, Experiment
 from tissuereg.simulation.fine import rough_element, without_time
 from tissuereg.simulation.fine.meshing import rim_of
 from tissuereg.simulation.fine.rims import Folds, folds_of, sharp_nodes
 from tissuereg.simulation.fine.third import gaps
-
-#: Default prior deviations, as shares of a patch's radius: of its place and its rim's waves, its radius, its height.
-PLACE_SHARE, SIZE_SHARE, HEIGHT_SHARE = 0.03, 0.01, 0.02
-
-#: Deviation of the height of a tilted patch's edge, over the deviation of the patch's height.
-TILT_SHARE = 0.5
-
-#: Numbers of periods of a rim's wave around its patch. One period would be a shift.
-WAVES = (2, 3)
-
-#: Default correlation length of the surface's offset, over the extent of the body.
-LENGTH_SHARE = 0.2
-
-#: Share of the variance of the surface's offset that the patterns kept represent, and their number at most.
-HELD_VARIANCE, MOST_PATTERNS = 0.9, 40
-
-#: Number of places from which the patterns are computed, at most.
-MOST_PLACES = 1500
-
-#: Distance over which the mesh around a patch moves with it, over the patch's radius.
-REACH = 0.6
-
-#: A patch whose unit normals have a mean below this surrounds the body, and has no plane to be shifted in.
-_ROUND = 0.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,14 +45,17 @@ class Direction:
     std_mm: float
 
 
-def shape_directions(experiment: Experiment, given: Mesh | None = None) -> list[Direction]:
+def shape_directions(
+    experiment: Experiment, given: Mesh | None = None, settings: ShapeSettings = DEFAULT.shape
+) -> list[Direction]:
     """Return the ways in which the shape of an experiment's body may deviate from its mesh.
 
     `experiment`: mesh and patches, with their deviations where stated; `given`: the mesh whose facets the experiment's
-    own mesh subdivides; gaps to the smooth surface are those of its facets; by default the experiment's own mesh.
+    own mesh subdivides; gaps to the smooth surface are those of its facets; by default the experiment's own mesh;
+    `settings`: default deviations.
     Result: ten for each pad, one for each support whose edge is no edge of the body, and those of the whole surface.
     """
-    surface = _BodySurface(experiment, given or experiment.mesh)
+    surface = _BodySurface(experiment, given or experiment.mesh, settings)
     found = [direction for pad in experiment.actuators for direction in _of_pad(surface, pad)]
     found += [direction for support in experiment.boundaries for direction in _of_support(surface, support)]
     return [*found, *_of_surface(surface, experiment)]
@@ -87,7 +67,8 @@ class _BodySurface:
     `normals` (n_nodes, 3): of unit length; `gaps` (n_nodes, 3): mm; `facets`: rms gap, mm; `sharp`: node numbers.
     """
 
-    def __init__(self, experiment: Experiment, given: Mesh) -> None:
+    def __init__(self, experiment: Experiment, given: Mesh, settings: ShapeSettings) -> None:
+        self.settings = settings
         self.mesh: Mesh = experiment.mesh
         self.folds: Folds = folds_of(self.mesh.nodes, self.mesh.surface)
         self.normals = node_normals(self.mesh, self.folds.normals * self.folds.areas[:, None])
@@ -121,15 +102,16 @@ def _of_pad(surface: _BodySurface, pad: Actuator) -> Iterator[Direction]:
     normal = surface.normals[inside].mean(axis=0) if len(inside) else np.zeros(3)
     rim = rim_of(pad)
     radius = surface.radius(inside) if rim is None else rim.radius
-    if np.linalg.norm(normal) < _ROUND:
+    if np.linalg.norm(normal) < surface.settings.round_below:
         yield from _of_grip(surface, pad, radius)
         return
     normal /= np.linalg.norm(normal)
     place, size, height = (
-        share * radius if pad.edge_std is None else pad.edge_std for share in (PLACE_SHARE, SIZE_SHARE, HEIGHT_SHARE)
+        share * radius if pad.edge_std is None else pad.edge_std
+        for share in (surface.settings.place_share, surface.settings.size_share, surface.settings.height_share)
     )
     arms = mesh.nodes - (mesh.nodes[inside].mean(axis=0) if rim is None else np.asarray(rim.centre))
-    near = np.where(surface.stays(pad), 0.0, _nearness(mesh, inside, REACH * radius))[:, None]
+    near = np.where(surface.stays(pad), 0.0, _nearness(mesh, inside, surface.settings.reach * radius))[:, None]
     first = np.linalg.svd(normal[None])[2][1]
     sides = np.array([first, np.cross(normal, first)])
     for number, side in enumerate(sides):
@@ -137,7 +119,7 @@ def _of_pad(surface: _BodySurface, pad: Actuator) -> Iterator[Direction]:
     outwards = surface.along(near * arms / radius)
     yield Direction(f"size of {pad.name}", outwards, size)
     angle = np.arctan2(arms @ sides[1], arms @ sides[0])
-    for times in WAVES:
+    for times in surface.settings.waves:
         for number, wave in enumerate((np.cos(times * angle), np.sin(times * angle))):
             yield Direction(f"rim of {pad.name} {times} {number}", wave[:, None] * outwards, place)
     # Facets lie off the smooth surface, and each at its own angle.
@@ -145,17 +127,23 @@ def _of_pad(surface: _BodySurface, pad: Actuator) -> Iterator[Direction]:
     yield Direction(f"height of {pad.name}", near * normal, across)
     for number, side in enumerate(sides):
         yield Direction(
-            f"tilt of {pad.name} {number}", (arms @ side / radius)[:, None] * near * normal, TILT_SHARE * across
+            f"tilt of {pad.name} {number}",
+            (arms @ side / radius)[:, None] * near * normal,
+            surface.settings.tilt_share * across,
         )
 
 
 def _of_grip(surface: _BodySurface, pad: Actuator, radius: float) -> Iterator[Direction]:
     """Yield the deviations of a pad that surrounds the body: shifts along its surface, and a displaced edge."""
-    near = np.where(surface.stays(pad), 0.0, _nearness(surface.mesh, surface.of(pad), REACH * radius))[:, None]
+    near = np.where(surface.stays(pad), 0.0, _nearness(surface.mesh, surface.of(pad), surface.settings.reach * radius))[
+        :, None
+    ]
     for axis, side in enumerate(np.eye(3)):
         motion = surface.along(near * side)
         if motion.any():
-            yield Direction(f"place of {pad.name} {axis}", motion, pad.edge_std or PLACE_SHARE * radius)
+            yield Direction(
+                f"place of {pad.name} {axis}", motion, pad.edge_std or surface.settings.place_share * radius
+            )
     yield from _of_support(surface, pad)
 
 
@@ -172,7 +160,7 @@ def _of_support(surface: _BodySurface, support: Actuator | Boundary) -> Iterator
     outwards = surface.along(outwards)
     motion = np.zeros_like(mesh.nodes)
     motion[rim] = outwards[rim] / np.maximum(np.linalg.norm(outwards[rim], axis=1, keepdims=True), 1e-300)
-    edge = PLACE_SHARE * surface.radius(inside) if support.edge_std is None else support.edge_std
+    edge = surface.settings.place_share * surface.radius(inside) if support.edge_std is None else support.edge_std
     yield Direction(f"edge of {support.name}", motion, edge)
 
 
@@ -186,27 +174,27 @@ def _of_surface(surface: _BodySurface, experiment: Experiment) -> Iterator[Direc
     std = float(np.hypot(experiment.surface_std, facets))
     if not std > 1e-6 * mesh.extent:
         return
-    length = experiment.surface_length or LENGTH_SHARE * mesh.extent
-    for number, pattern in enumerate(_patterns(mesh.nodes[free], length)):
+    length = experiment.surface_length or surface.settings.length_share * mesh.extent
+    for number, pattern in enumerate(_patterns(mesh.nodes[free], length, surface.settings)):
         motion = np.zeros_like(mesh.nodes)
         motion[free] = pattern[:, None] * surface.normals[free]
         yield Direction(f"surface {number}", motion, std)
 
 
-def _patterns(places: FloatArray, length: float) -> FloatArray:
+def _patterns(places: FloatArray, length: float, settings: ShapeSettings) -> FloatArray:
     """Return the leading patterns (n_patterns, n) of a Gaussian process of unit variance over places (n, 3) in mm.
 
     `length`: its correlation length, mm. Many places are thinned out evenly to compute them (Nystrom approximation).
     """
-    known = places[:: -(-len(places) // MOST_PLACES)]
+    known = places[:: -(-len(places) // settings.most_places)]
 
     def alike(of: FloatArray) -> FloatArray:
         return np.asarray(np.exp(-0.5 * ((of[:, None] - known[None]) ** 2).sum(axis=2) / length**2))
 
     values, vectors = np.linalg.eigh(alike(known))
     values, vectors = values[::-1], vectors[:, ::-1]
-    enough = int(np.searchsorted(np.cumsum(values), HELD_VARIANCE * values.sum())) + 1
-    chosen = slice(min(enough, MOST_PATTERNS))
+    enough = int(np.searchsorted(np.cumsum(values), settings.held_variance * values.sum())) + 1
+    chosen = slice(min(enough, settings.most_patterns))
     return np.asarray((alike(places) @ vectors[:, chosen] / np.sqrt(values[chosen])).T)
 
 
@@ -246,8 +234,10 @@ def shape_columns(bench: Bench, fine: FloatArray) -> Iterator[tuple[Direction, F
     experiment, element = bench.fine.fine, rough_element(bench.fine.fine)
     if not bench.is_elastic:
         experiment = without_time(experiment, element)
-    predictor = Predictor(experiment, bench.layout, element=element, threads=bench.predictor.threads)
-    directions = shape_directions(experiment, bench.experiment.mesh)
+    predictor = Predictor(
+        experiment, bench.layout, element=element, threads=bench.predictor.threads, settings=bench.settings.model
+    )
+    directions = shape_directions(experiment, bench.experiment.mesh, bench.settings.shape)
     columns = Tangents(predictor).by_shapes([direction.motion for direction in directions])
     corrected = make_correction(bench.layout, predictor.predict(), fine).of_columns(columns)
     yield from zip(directions, corrected, strict=True)

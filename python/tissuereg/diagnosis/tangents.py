@@ -25,12 +25,6 @@ from tissuereg.simulation.loading import distinct_states, pads_of, traction_of
 from tissuereg.simulation.sensitivity import Cause, Linearised, Observation
 from tissuereg.simulation.solve import Simulator
 
-#: Tangents of bodies up to this many nodes stay in memory; those of larger bodies are factored at each use.
-KEPT_UP_TO_NODES = 8000
-
-#: Step of finite differences by the shape, over the mesh's shortest edge.
-STEP = 1e-5
-
 
 @dataclass(frozen=True, eq=False)
 class State:
@@ -130,7 +124,7 @@ class Tangents:
         Costs one evaluation of the internal forces (forward difference) and one solution for each motion and state.
         """
         longest = [max(float(np.abs(motion).max()), np.finfo(float).tiny) for motion in motions]
-        step = STEP * _shortest_edge(self.worked.mesh)
+        step = self.predictor.settings.shape_step * _shortest_edge(self.worked.mesh)
         moved = [
             _Moved(self.worked, self.predictor, motion, step / most)
             for motion, most in zip(motions, longest, strict=True)
@@ -171,7 +165,7 @@ class Tangents:
         tangent = Linearised(state.simulator, state.load, material, found.all_displacement, threads=threads)
         slopes = self.predictor.observation.jacobian(found.displacement[self.predictor.observation.nodes])
         made = (tangent, slopes, found.all_displacement)
-        if self.worked.mesh.n_nodes <= KEPT_UP_TO_NODES:
+        if self.worked.mesh.n_nodes <= self.predictor.settings.kept_up_to_nodes:
             self._kept[number] = made
         return made
 

@@ -18,6 +18,7 @@ from tissuereg.diagnosis.causes.softening import SofteningCause
 from tissuereg.diagnosis.causes.stiffness import PoissonCause, StiffnessCause
 from tissuereg.diagnosis.causes.swelling import SwellingCause
 from tissuereg.diagnosis.causes.tracker import FrameCause, LatencyCause, ScaleCause, SlipCause, SwapCause
+from tissuereg.diagnosis.settings import DiagnoseSettings
 
 #: All causes by id.
 CAUSES: dict[str, Cause] = {
@@ -33,4 +34,10 @@ CAUSES: dict[str, Cause] = {
     )
 }  # fmt: skip
 
-__all__ = ["CAUSES", "Cause", "FreeParameters", "Values", "Variant"]
+
+def catalogue(settings: DiagnoseSettings) -> dict[str, Cause]:
+    """Return all causes by id, with the numbers of the settings."""
+    return CAUSES | {cause.id: cause for cause in settings.causes}
+
+
+__all__ = ["CAUSES", "Cause", "FreeParameters", "Values", "Variant", "catalogue"]

@@ -1,7 +1,7 @@
 """Errors of actuators: gain, direction and offset of the motion, position of the patch."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import ClassVar
 
@@ -16,16 +16,17 @@ from tissuereg.experiment.effects import ActuatorDirection, ActuatorGain, Actuat
 from tissuereg.experiment.experiment import Actuator
 from tissuereg.simulation.sensitivity import Cause as Moved
 
-#: Prior deviations of the gain, of each angle in degrees, and of each offset and shift in mm.
-GAIN, ANGLE, OFFSET, SHIFT = 0.08, 3.0, 0.7, 2.0
 
-
+@dataclass(frozen=True)
 class GainCause(Cause):
     """One actuator's motion is scaled."""
 
     id: ClassVar[str] = "actuator_gain"
     always_fitted: ClassVar[bool] = True
     discrete: ClassVar[tuple[str, ...]] = ("actuator",)
+
+    #: Prior deviation of the gain.
+    spread: float = 0.08
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
         """Return one hypothesis for each actuator that a case uses: its motion or force is multiplied by a gain.
@@ -41,7 +42,7 @@ class GainCause(Cause):
                 if changed is None:
                     continue
                 columns = 20.0 * changed[None]
-            yield Variant(pad.name, GAIN * columns, {"actuator": pad.name})
+            yield Variant(pad.name, self.spread * columns, {"actuator": pad.name})
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
         """Return the one free parameter of the nonlinear fit: the gain minus one.
@@ -51,7 +52,7 @@ class GainCause(Cause):
         """
         name = str(variant.settings["actuator"])
         return free_parameters(
-            [(GAIN * float(amplitudes[0]), 0.0, GAIN, 0.01)],
+            [(self.spread * float(amplitudes[0]), 0.0, self.spread, 0.01)],
             lambda x, young: (ActuatorGain(actuator=name, gain=1.0 + float(x[0])),),
             lambda x, young: {"actuator": name, "gain": 1.0 + float(x[0])},
         )
@@ -61,11 +62,15 @@ class GainCause(Cause):
         return f"Actuator '{values['actuator']}' moves by {values['gain']:.3f} times the prescribed motion."
 
 
+@dataclass(frozen=True)
 class DirectionCause(Cause):
     """One actuator's motion has another direction."""
 
     id: ClassVar[str] = "actuator_direction"
     discrete: ClassVar[tuple[str, ...]] = ("actuator",)
+
+    #: Prior deviation of each angle, degrees.
+    spread_deg: float = 3.0
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
         """Return one hypothesis for each actuator that a case uses: its motion or force is rotated.
@@ -85,7 +90,7 @@ class DirectionCause(Cause):
                 if any(change is None for change in changes):
                     continue
                 columns = np.array(changes)
-            yield Variant(pad.name, ANGLE * columns, {"actuator": pad.name, "across": across})
+            yield Variant(pad.name, self.spread_deg * columns, {"actuator": pad.name, "across": across})
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
         """Return two free parameters: angles in degrees about two axes perpendicular to the motion.
@@ -95,7 +100,7 @@ class DirectionCause(Cause):
         """
         name, across = str(variant.settings["actuator"]), np.asarray(variant.settings["across"])
         return free_parameters(
-            [(ANGLE * float(a), 0.0, ANGLE, 0.5) for a in amplitudes],
+            [(self.spread_deg * float(a), 0.0, self.spread_deg, 0.5) for a in amplitudes],
             lambda x, young: (ActuatorDirection(actuator=name, rotation_deg=three(x @ across)),),
             lambda x, young: {"actuator": name, "rotation_deg": (x @ across).tolist()},
         )
@@ -106,11 +111,16 @@ class DirectionCause(Cause):
         return f"Actuator '{values['actuator']}' moves in a direction {turn:.1f} degrees from the believed one."
 
 
+@dataclass(frozen=True)
 class OffsetCause(Cause):
     """One actuator's motion has a constant offset, or its patch has another position."""
 
     id: ClassVar[str] = "actuator_offset"
     discrete: ClassVar[tuple[str, ...]] = ("actuator", "kind")
+
+    #: Prior deviations of each offset of the motion and of each shift of the patch, mm.
+    spread_mm: float = 0.7
+    patch_mm: float = 2.0
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
         """Return up to two hypotheses for each actuator that a case uses: offset of its motion, or shift of its patch.
@@ -123,9 +133,9 @@ class OffsetCause(Cause):
         for pad in _present(bench):
             if pad.kind == "displacement" and bench.is_elastic:
                 columns = bench.by(partial(_offsets, pad), 3)
-                yield Variant(f"{pad.name} motion", OFFSET * columns, {"actuator": pad.name, "kind": "motion"})
+                yield Variant(f"{pad.name} motion", self.spread_mm * columns, {"actuator": pad.name, "kind": "motion"})
             tangents = _along_surface(bench, pad)
-            ends = [side * SHIFT * axis for axis in tangents for side in (-1.0, 1.0)]
+            ends = [side * self.patch_mm * axis for axis in tangents for side in (-1.0, 1.0)]
             changes = bench.changes([[ActuatorOffset(actuator=pad.name, shift_mm=three(end))] for end in ends])
             known = [change for change in changes if change is not None]
             if len(known) == len(ends):
@@ -142,18 +152,18 @@ class OffsetCause(Cause):
         name = str(variant.settings["actuator"])
         if variant.settings["kind"] == "motion":
             return free_parameters(
-                [(OFFSET * float(a), 0.0, OFFSET, 0.05) for a in amplitudes],
+                [(self.spread_mm * float(a), 0.0, self.spread_mm, 0.05) for a in amplitudes],
                 lambda x, young: (ActuatorOffset(actuator=name, offset_mm=three(x)),),
                 lambda x, young: {"actuator": name, "offset_mm": x.tolist()},
             )
         along = np.asarray(variant.settings["along"])
         moved = free_parameters(
-            [(SHIFT * float(a), 0.0, SHIFT, 0.5 * SHIFT) for a in amplitudes[:2]],
+            [(self.patch_mm * float(a), 0.0, self.patch_mm, 0.5 * self.patch_mm) for a in amplitudes[:2]],
             lambda x, young: (ActuatorOffset(actuator=name, shift_mm=three(x @ along)),),
             lambda x, young: {"actuator": name, "shift_mm": (x @ along).tolist()},
         )
         # On the user's mesh a patch can be shifted by whole nodes only.
-        return replace(moved, columns=variant.columns[:2] / SHIFT)
+        return replace(moved, columns=variant.columns[:2] / self.patch_mm)
 
     def sentence(self, values: Values) -> str:
         """Return the finding as a sentence; `values` has the fitted `offset_mm` or `shift_mm` of an `actuator`."""

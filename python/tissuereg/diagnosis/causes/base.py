@@ -93,12 +93,14 @@ class FreeParameters:
         return [(1.0, self.effects(x, young))] if self.between is None else self.between(x, young)
 
 
+@dataclass(frozen=True)
 class Cause(ABC):
     """One physical error of a simulation that a diagnosis can name as the cause of a misfit.
 
-    Instances have no fields. Attributes of each class: `id`: name of the cause in answers and in ``[[effect]]`` tables;
-    `discrete`: keys of `Variant.settings` that the free parameters cannot change; `always_fitted`: whether a nuisance
-    parameter describes the same error in every fit; `absolute`: whether its size does not scale with Young's modulus.
+    Fields of an instance are its numbers: sizes, prior deviations, counts. Attributes of each class: `id`: name of the
+    cause in answers and in ``[[effect]]`` tables; `discrete`: keys of `Variant.settings` that the free parameters
+    cannot change; `always_fitted`: whether a nuisance parameter describes the same error in every fit; `absolute`:
+    whether its size does not scale with Young's modulus.
     """
 
     #: Id in answers and in ``[[effect]]`` tables.

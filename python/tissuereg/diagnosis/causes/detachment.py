@@ -1,7 +1,7 @@
 """Partial detachment of a support from the body, from its rim inwards."""
 
 from collections.abc import Iterable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
@@ -21,24 +21,23 @@ from tissuereg.diagnosis.causes.base import (
 from tissuereg.experiment.effects import Detachment
 from tissuereg.experiment.effects.supports import freeing_shares, node_areas
 
-#: Number of directions by share of the boundary's area: small shares need more, to cover the whole rim.
-DIRECTIONS = {0.012: 16, 0.04: 8, 0.15: 8}
 
-#: Least share.
-LEAST_SHARE = 0.002
-
-#: Rotations in degrees from the likeliest direction, and shares, at which a fit may start.
-TURNS, STARTS = (-22.5, -11.25, 0.0, 11.25, 22.5), (0.006, 0.015, 0.035, 0.08, 0.2)
-
-#: Number of depths at which the detached area is tabulated.
-DEPTHS = 200
-
-
+@dataclass(frozen=True)
 class DetachmentCause(Cause):
     """A part of a boundary, from its rim in one direction, is free."""
 
     id: ClassVar[str] = "detachment"
     discrete: ClassVar[tuple[str, ...]] = ("boundary", "azimuth")
+
+    #: Share of the boundary's area and number of directions: small shares need more, to cover the whole rim.
+    directions: tuple[tuple[float, int], ...] = ((0.012, 16), (0.04, 8), (0.15, 8))
+    #: Least share.
+    least_share: float = 0.002
+    #: Rotations in degrees from the likeliest direction, and shares, at which a fit may start.
+    turns_deg: tuple[float, ...] = (-22.5, -11.25, 0.0, 11.25, 22.5)
+    starts: tuple[float, ...] = (0.006, 0.015, 0.035, 0.08, 0.2)
+    #: Number of depths at which the detached area is tabulated.
+    depths: int = 200
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
         """Return one hypothesis for each support, direction of the detached rim and detached share of the area.
@@ -48,7 +47,7 @@ class DetachmentCause(Cause):
         node is freed or no equilibrium exists are left out.
         """
         names = [boundary.name for boundary in bench.experiment.boundaries]
-        azimuths = [(share, 360.0 * turn / count) for share, count in DIRECTIONS.items() for turn in range(count)]
+        azimuths = [(share, 360.0 * turn / count) for share, count in self.directions for turn in range(count)]
         tried = [(name, share, azimuth) for name in names for share, azimuth in azimuths]
         # None for a boundary that is too coarse to lose a node at this share.
         changes = bench.changes([[Detachment(boundary=b, azimuth_deg=a, share=s)] for b, s, a in tried])
@@ -70,7 +69,7 @@ class DetachmentCause(Cause):
         boundary = Detachment(boundary=name, azimuth_deg=azimuth, share=share).held_by(bench.experiment)
         width = float(np.sqrt(node_areas(bench.experiment.mesh, boundary.nodes).mean()))
         # The change grows faster than the detached area.
-        start = logit(share * float(np.clip(amplitudes[0], 0.1, 4.0)) ** 0.5, LEAST_SHARE)
+        start = logit(share * float(np.clip(amplitudes[0], 0.1, 4.0)) ** 0.5, self.least_share)
 
         def effect(x: FloatArray) -> Detachment:
             return Detachment(boundary=name, azimuth_deg=float(x[0]), share=logistic(x[1]))
@@ -78,7 +77,7 @@ class DetachmentCause(Cause):
         def between(x: FloatArray, young: float) -> Mixture:
             places, areas = effect(x).edges(bench.experiment.mesh, boundary.nodes)
             # Each node's area is spread over its width, so that the edge moves continuously as the share grows.
-            depths = np.linspace(-0.5 * width, places[-1] + 0.5 * width, DEPTHS)
+            depths = np.linspace(-0.5 * width, places[-1] + 0.5 * width, self.depths)
             covered = np.clip((depths[:, None] - places) / width + 0.5, 0.0, 1.0) @ areas
             edge = float(np.interp(logistic(x[1]), covered, depths))
             places = np.concatenate([[-0.5 * width], places])
@@ -94,7 +93,7 @@ class DetachmentCause(Cause):
                 sets.append((weight, (freed,) if count else ()))
             return sets
 
-        turns, shares = azimuth + np.array(TURNS), [logit(share, LEAST_SHARE) for share in STARTS]
+        turns, shares = azimuth + np.array(self.turns_deg), [logit(share, self.least_share) for share in self.starts]
         found = free_parameters(
             [(azimuth, azimuth, 60.0, 5.0), (start, logit(0.08), 1.5, 0.2)],
             lambda x, young: (effect(x),),

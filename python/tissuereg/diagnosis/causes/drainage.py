@@ -1,6 +1,7 @@
 """Drainage: fluid leaves the body under load, so that a share of the volumetric stress relaxes."""
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
@@ -11,14 +12,17 @@ from tissuereg.diagnosis.causes.base import Cause, FreeParameters, Values, Varia
 from tissuereg.diagnosis.causes.relaxation import times_of
 from tissuereg.experiment.effects import Drainage
 
-#: Share of the volumetric stress at which changes are simulated.
-SHARE = 0.5
 
-
+@dataclass(frozen=True)
 class DrainageCause(Cause):
     """A share of the volumetric stress relaxes with one time constant."""
 
     id: ClassVar[str] = "drainage"
+
+    #: Share of the volumetric stress at which changes are simulated.
+    share: float = 0.5
+    #: Number of time constants, from the time between frames to twice the longest case.
+    times: int = 6
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
         """Return one hypothesis for each of three time constants; none where no time passes or drainage is believed.
@@ -28,8 +32,8 @@ class DrainageCause(Cause):
         """
         if bench.longest_case == 0.0 or any(effect.id == self.id for effect in bench.experiment.effects):
             return
-        times = times_of(bench)[1::2]
-        changes = bench.changes([[Drainage(share=SHARE, tau_s=float(tau))] for tau in times])
+        times = times_of(bench, self.times)[1::2]
+        changes = bench.changes([[Drainage(share=self.share, tau_s=float(tau))] for tau in times])
         for tau, changed in zip(times, changes, strict=True):
             if changed is not None:
                 yield Variant(f"{tau:.2g} s", changed[None], {"tau": tau}, positive=True)
@@ -40,10 +44,10 @@ class DrainageCause(Cause):
         `bench`: the simulation as believed; `variant`: hypothesis that starts the fit; `amplitudes` (1,): its fitted
         amplitudes, in prior standard deviations. The result has first guess, prior, step and effect of each parameter.
         """
-        tau, middle = float(variant.settings["tau"]), float(np.log(times_of(bench)).mean())
+        tau, middle = float(variant.settings["tau"]), float(np.log(times_of(bench, self.times)).mean())
         return free_parameters(
             [
-                (logit(SHARE * float(amplitudes[0])), 0.0, 1.2, 0.1),
+                (logit(self.share * float(amplitudes[0])), 0.0, 1.2, 0.1),
                 (float(np.log(tau)), middle, 1.5, 0.1),
             ],
             lambda x, young: (Drainage(share=logistic(x[0]), tau_s=float(np.exp(x[1]))),),

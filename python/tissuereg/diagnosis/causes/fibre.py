@@ -2,6 +2,7 @@
 
 import itertools
 from collections.abc import Iterable
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
@@ -11,15 +12,16 @@ from tissuereg.diagnosis.bench import Bench
 from tissuereg.diagnosis.causes.base import Cause, FreeParameters, Values, Variant, free_parameters, three
 from tissuereg.experiment.effects import Effect, Fibre
 
-#: Stiffness over the shear modulus at which changes are simulated.
-SIZE = 0.5
 
-
+@dataclass(frozen=True)
 class FibreCause(Cause):
     """One family of fibres of any direction, which carry tension only."""
 
     id: ClassVar[str] = "fibre"
     discrete: ClassVar[tuple[str, ...]] = ("direction",)
+
+    #: Stiffness over the shear modulus at which changes are simulated.
+    size: float = 0.5
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
         """Return one hypothesis for each of 13 fibre directions: the lines through neighbours in a cubic lattice.
@@ -30,7 +32,7 @@ class FibreCause(Cause):
         """
         if bench.experiment.material.fibre is not None:
             return
-        changes = bench.changes([[_effect(SIZE, direction)] for direction in _lines()])
+        changes = bench.changes([[_effect(self.size, direction)] for direction in _lines()])
         for direction, changed in zip(_lines(), changes, strict=True):
             if changed is not None:
                 name = " ".join(f"{x:.2f}" for x in direction)
@@ -51,9 +53,9 @@ class FibreCause(Cause):
             turned = along + x[1:] @ sides
             return np.asarray(turned / np.linalg.norm(turned))
 
-        start = float(np.log(SIZE * np.clip(amplitudes[0], 0.1, 4.0)))
+        start = float(np.log(self.size * np.clip(amplitudes[0], 0.1, 4.0)))
         return free_parameters(
-            [(start, float(np.log(SIZE)), 1.2, 0.05), (0.0, 0.0, 0.5, 0.05), (0.0, 0.0, 0.5, 0.05)],
+            [(start, float(np.log(self.size)), 1.2, 0.05), (0.0, 0.0, 0.5, 0.05), (0.0, 0.0, 0.5, 0.05)],
             lambda x, young: (_effect(float(np.exp(x[0])), direction(x)),),
             lambda x, young: {"k1_over_mu": float(np.exp(x[0])), "k2": 1.0, "direction": direction(x).tolist()},
         )

@@ -1,6 +1,7 @@
 """Gravity: the body's weight has another direction or size than believed, or was left out."""
 
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
@@ -16,15 +17,17 @@ from tissuereg.simulation.sensitivity import Cause as Moved
 from tissuereg.simulation.sensitivity import Linearised
 from tissuereg.simulation.solve import Simulator
 
-#: Prior deviation of each component, over standard gravity, without and with a believed weight.
-UNKNOWN, KNOWN = 0.6, 0.2
 
-
+@dataclass(frozen=True)
 class GravityCause(Cause):
     """Three components of the body's weight."""
 
     id: ClassVar[str] = "gravity"
     absolute: ClassVar[bool] = True
+
+    #: Prior deviation of each component, over standard gravity, without and with a believed weight.
+    unknown: float = 0.6
+    known: float = 0.2
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
         """Return one hypothesis, whose three amplitudes are the components of the change of the body's weight.
@@ -33,7 +36,7 @@ class GravityCause(Cause):
         measured numbers (markers in mm, forces in mN) by one prior standard deviation of each component. The list is
         empty where a simulation with a changed weight has no equilibrium.
         """
-        spread = UNKNOWN if bench.experiment.gravity is None else KNOWN
+        spread = self.unknown if bench.experiment.gravity is None else self.known
         if bench.is_elastic:
             columns = self._by_tangents(bench)
         else:

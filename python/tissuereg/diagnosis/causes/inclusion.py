@@ -1,6 +1,7 @@
 """Inclusion: a ball inside the body is stiffer or softer than its surroundings."""
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
@@ -22,23 +23,21 @@ from tissuereg.diagnosis.causes.base import (
 )
 from tissuereg.experiment.effects import Inclusion
 
-#: Radii of the hypotheses, over the extent of the body.
-RADII = (0.045, 0.075, 0.115)
 
-#: Spacing of the grid of centres, over the radius.
-SPACING = 1.3
-
-#: Prior deviation of contrast - 1 in the linear range; the effect saturates beyond.
-SPREAD = 1.5
-
-#: Least value of contrast - 1 at the start of a fit.
-LEAST_EXCESS = 0.05
-
-
+@dataclass(frozen=True)
 class InclusionCause(Cause):
     """A ball of another modulus, at any place."""
 
     id: ClassVar[str] = "inclusion"
+
+    #: Radii of the hypotheses, over the extent of the body.
+    radii: tuple[float, ...] = (0.045, 0.075, 0.115)
+    #: Spacing of the grid of centres, over the radius.
+    spacing: float = 1.3
+    #: Prior deviation of contrast - 1 in the linear range; the effect saturates beyond.
+    spread: float = 1.5
+    #: Least value of contrast - 1 at the start of a fit.
+    least_excess: float = 0.05
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
         """Return one hypothesis for each radius and each centre on a grid; none for a body with memory.
@@ -49,11 +48,11 @@ class InclusionCause(Cause):
         """
         if not bench.is_elastic:
             return
-        balls = _places(bench)
+        balls = _places(bench, self)
         for (radius, centre), column in zip(balls, bench.by_fields(_shares(bench.experiment.mesh, balls)), strict=True):
             name = " ".join(f"{x:.0f}" for x in centre)
             settings = {"centre": centre, "radius": radius}
-            yield Variant(f"at {name} radius {radius:.1f}", SPREAD * column[None], settings)
+            yield Variant(f"at {name} radius {radius:.1f}", self.spread * column[None], settings)
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
         """Return five free parameters: centre (3,) in mm, logarithm of the radius in mm, and strength of the contrast.
@@ -71,9 +70,9 @@ class InclusionCause(Cause):
         lengths, extent = np.ptp(bench.experiment.mesh.nodes, axis=0), bench.extent
         wide, step = np.minimum(0.25 * extent, 0.5 * lengths), np.minimum(0.01 * extent, 0.1 * lengths)
         # A stiff ball in a soft body saturates: its effect is (c - 1) / (1 + 0.4 (c - 1)) for small strain.
-        linear = float(np.clip(SPREAD * amplitudes[0], -0.85, 1.8))
+        linear = float(np.clip(self.spread * amplitudes[0], -0.85, 1.8))
         excess = linear / max(1.0 - 0.4 * linear, 0.2)
-        strength = float(np.log(max(excess, LEAST_EXCESS))) if excess > 0.0 else logit(-excess)
+        strength = float(np.log(max(excess, self.least_excess))) if excess > 0.0 else logit(-excess)
 
         def contrast_of(x: FloatArray) -> float:
             return 1.0 + float(np.exp(x[4])) if excess > 0.0 else 1.0 - logistic(float(x[4]))
@@ -127,17 +126,17 @@ def _shares(mesh: Mesh, balls: list[tuple[float, tuple[float, float, float]]]) -
     return sparse.csr_array(entries, shape=(mesh.n_tets, len(balls)))
 
 
-def _line(low: float, high: float, radius: float) -> FloatArray:
+def _line(low: float, high: float, radius: float, spacing: float) -> FloatArray:
     """Return grid coordinates (n,), in mm, for centres of balls between `low` and `high` along one axis.
 
     Where the body is thinner than a ball of that `radius` (mm), the middle is the only coordinate.
     """
     if high - low < 2.0 * radius:
         return np.array([0.5 * (low + high)])
-    return np.arange(low + 0.5 * radius, high, SPACING * radius)
+    return np.arange(low + 0.5 * radius, high, spacing * radius)
 
 
-def _places(bench: Bench) -> list[tuple[float, tuple[float, float, float]]]:
+def _places(bench: Bench, cause: InclusionCause) -> list[tuple[float, tuple[float, float, float]]]:
     """Return radius and centre, in mm, of every ball that is tried.
 
     Centres lie on one grid inside the body for each radius; grids of larger balls are coarser.
@@ -145,10 +144,10 @@ def _places(bench: Bench) -> list[tuple[float, tuple[float, float, float]]]:
     mesh = bench.experiment.mesh
     tree, reach = KDTree(mesh.nodes[mesh.tets].mean(axis=1)), float(np.cbrt(6.0 * mesh.volumes.max()))
     found = []
-    for share in RADII:
+    for share in cause.radii:
         radius = share * bench.extent
         low, high = mesh.nodes.min(axis=0), mesh.nodes.max(axis=0)
-        axes = [_line(float(a), float(b), radius) for a, b in zip(low, high, strict=True)]
+        axes = [_line(float(a), float(b), radius, cause.spacing) for a, b in zip(low, high, strict=True)]
         grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
         inside = grid[tree.query(grid)[0] <= reach]
         found += [(radius, (float(x), float(y), float(z))) for x, y, z in inside]

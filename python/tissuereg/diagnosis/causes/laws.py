@@ -8,7 +8,7 @@ too.
 
 from abc import abstractmethod
 from collections.abc import Iterable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
@@ -20,13 +20,14 @@ from tissuereg.diagnosis.causes.base import Cause, FreeParameters, Values, Varia
 from tissuereg.experiment.effects import Asymmetry, Effect, Mooney, Stiffening
 
 
+@dataclass(frozen=True)
 class LawCause(Cause):
     """Laws that contain the believed one at a shape parameter of zero; changes are simulated at one or more values."""
 
     discrete: ClassVar[tuple[str, ...]] = ("law",)
 
     #: Laws and values of the shape parameter at which changes are simulated.
-    tried: ClassVar[tuple[tuple[str, float], ...]]
+    tried: tuple[tuple[str, float], ...]
 
     @abstractmethod
     def effect(self, law: str, size: float, form: str) -> Effect:
@@ -73,11 +74,12 @@ def _forms(bench: Bench) -> tuple[str, ...]:
 MOONEY = "mooney-rivlin"
 
 
+@dataclass(frozen=True)
 class MooneyCause(LawCause):
     """The Mooney-Rivlin law."""
 
     id: ClassVar[str] = "mooney"
-    tried: ClassVar[tuple[tuple[str, float], ...]] = ((MOONEY, 0.5),)
+    tried: tuple[tuple[str, float], ...] = ((MOONEY, 0.5),)
 
     def effect(self, law: str, size: float, form: str) -> Effect:
         """Return the Mooney-Rivlin law in which the second invariant has the share `size` of the energy.
@@ -106,12 +108,9 @@ class MooneyCause(LawCause):
 
 #: Exponent at which Ogden's law is the neo-Hookean one, and distances from it at which changes are simulated.
 EVEN = 2.0
-DISTANCES = (-12.0, 10.0)
-
-#: Excesses of a bimodular law at which changes are simulated.
-EXCESSES = (-0.4, 0.7)
 
 
+@dataclass(frozen=True)
 class AsymmetryCause(LawCause):
     """Ogden's law with one term, or a bimodular law, whose tension and compression differ at the smallest strain.
 
@@ -119,10 +118,8 @@ class AsymmetryCause(LawCause):
     """
 
     id: ClassVar[str] = "asymmetry"
-    tried: ClassVar[tuple[tuple[str, float], ...]] = (
-        *(("ogden", distance) for distance in DISTANCES),
-        *(("bimodular", excess) for excess in EXCESSES),
-    )
+    #: Distances of Ogden's exponent from the even one, excesses of a bimodular law.
+    tried: tuple[tuple[str, float], ...] = (("ogden", -12.0), ("ogden", 10.0), ("bimodular", -0.4), ("bimodular", 0.7))
 
     def effect(self, law: str, size: float, form: str) -> Effect:
         """Return a bimodular law of excess `size`, or Ogden's law whose exponent is 2 (neo-Hookean) plus `size`.
@@ -176,21 +173,16 @@ class AsymmetryCause(LawCause):
         return f"The body is stiffer in {side} than the believed law (Ogden's exponent {exponent:.3g})."
 
 
-#: Laws, and values of their first shape parameter where secants are taken: exponents of Fung's law, a ratio of Yeoh's.
-#: Skin has exponents of some tens.
-TRIED = {"fung": (1.0, 4.0, 16.0), "yeoh": (2.0,)}
-
-#: Largest logarithm of a shape parameter; a strain of 0.1 then multiplies the modulus by some thousands.
-LARGEST = 7.0
-
-
+@dataclass(frozen=True)
 class StiffeningCause(LawCause):
     """Fung's exponential law or Yeoh's polynomial law in place of the neo-Hookean one."""
 
     id: ClassVar[str] = "stiffening"
-    tried: ClassVar[tuple[tuple[str, float], ...]] = tuple(
-        (law, size) for law, sizes in TRIED.items() for size in sizes
-    )
+
+    #: Largest logarithm of a shape parameter; a strain of 0.1 then multiplies the modulus by some thousands.
+    largest: float = 7.0
+    #: Exponents of Fung's law (skin has some tens), a ratio of Yeoh's.
+    tried: tuple[tuple[str, float], ...] = (("fung", 1.0), ("fung", 4.0), ("fung", 16.0), ("yeoh", 2.0))
 
     def effect(self, law: str, size: float, form: str) -> Effect:
         """Return the law `law` with its first shape parameter equal to `size` and all others zero.
@@ -211,8 +203,8 @@ class StiffeningCause(LawCause):
         start = float(np.log(size * np.clip(amplitudes[0], 0.1, 3.0)))
         return free_parameters(
             [(start, float(np.log(2.0)), 1.2, 0.05)],
-            lambda x, young: (self.effect(law, _shape(x), form),),
-            lambda x, young: {"law": law, main_key(law): _shape(x), "volumetric": form},
+            lambda x, young: (self.effect(law, _shape(x, self.largest), form),),
+            lambda x, young: {"law": law, main_key(law): _shape(x, self.largest), "volumetric": form},
         )
 
     def sentence(self, values: Values) -> str:
@@ -221,5 +213,5 @@ class StiffeningCause(LawCause):
         return f"The body stiffens with strain ({key} = {values[key]:.3g}): large pushes meet more than is believed."
 
 
-def _shape(x: FloatArray) -> float:
-    return float(np.exp(min(x[0], LARGEST)))
+def _shape(x: FloatArray, largest: float) -> float:
+    return float(np.exp(min(x[0], largest)))

@@ -1,6 +1,7 @@
 """Layer: an outer layer of the body is stiffer or softer than the core."""
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
@@ -12,17 +13,17 @@ from tissuereg.diagnosis.causes.base import Cause, FreeParameters, Values, Varia
 from tissuereg.experiment.effects import Layer
 from tissuereg.experiment.effects.regions import OuterLayer, share_inside
 
-#: Thicknesses of the hypotheses, over the extent of the body.
-THICKNESSES = (0.01, 0.02, 0.04, 0.08)
 
-#: Prior deviation of contrast - 1.
-SPREAD = 1.5
-
-
+@dataclass(frozen=True)
 class LayerCause(Cause):
     """A layer of constant thickness below the free surface, with another modulus."""
 
     id: ClassVar[str] = "layer"
+
+    #: Thicknesses of the hypotheses, over the extent of the body.
+    thicknesses: tuple[float, ...] = (0.01, 0.02, 0.04, 0.08)
+    #: Prior deviation of contrast - 1.
+    spread: float = 1.5
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
         """Return one hypothesis for each of several thicknesses of the layer.
@@ -32,7 +33,7 @@ class LayerCause(Cause):
         layer over that of the core), linearised.
         """
         mesh = bench.experiment.mesh
-        sizes = [share * bench.extent for share in THICKNESSES]
+        sizes = [share * bench.extent for share in self.thicknesses]
         if bench.is_elastic:
             shares = np.stack([share_inside(OuterLayer(mesh, size), mesh) for size in sizes], axis=1)
             columns = bench.by_fields(sparse.csr_array(shares))
@@ -40,7 +41,7 @@ class LayerCause(Cause):
             changes = bench.changes([[Layer(thickness_mm=size, contrast=1.5)] for size in sizes])
             columns = np.array([np.zeros(bench.layout.size) if c is None else 2.0 * c for c in changes])
         for size, column in zip(sizes, columns, strict=True):
-            yield Variant(f"{size:.1f} mm", SPREAD * column[None], {"thickness": size})
+            yield Variant(f"{size:.1f} mm", self.spread * column[None], {"thickness": size})
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
         """Return two free parameters: logarithms of the thickness in mm and of the contrast.
@@ -49,7 +50,7 @@ class LayerCause(Cause):
         hypothesis that starts the fit; `amplitudes` (1,): its fitted amplitudes, in prior standard deviations. The
         result has first guess, prior, step and effect of each parameter.
         """
-        contrast = 1.0 + float(np.clip(SPREAD * amplitudes[0], -0.85, 20.0))
+        contrast = 1.0 + float(np.clip(self.spread * amplitudes[0], -0.85, 20.0))
         thickness = float(variant.settings["thickness"])
 
         def effect(x: FloatArray, young: float) -> tuple[Layer]:

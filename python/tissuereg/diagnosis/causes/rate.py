@@ -1,6 +1,7 @@
 """Viscosity: a stress proportional to the rate of strain."""
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
@@ -10,14 +11,15 @@ from tissuereg.diagnosis.bench import Bench
 from tissuereg.diagnosis.causes.base import Cause, FreeParameters, Values, Variant, free_parameters
 from tissuereg.experiment.effects import Rate
 
-#: Viscosity over modulus and the time between frames at which the change is simulated.
-SIZE = 0.2
 
-
+@dataclass(frozen=True)
 class RateCause(Cause):
     """A viscous stress in addition to the elastic one."""
 
     id: ClassVar[str] = "rate"
+
+    #: Viscosity over modulus and the time between frames at which the change is simulated.
+    size: float = 0.2
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
         """Return one hypothesis: a fixed viscosity; none where no time passes, or where a viscosity is believed.
@@ -27,7 +29,7 @@ class RateCause(Cause):
         """
         if bench.longest_case == 0.0 or any(effect.id == self.id for effect in bench.experiment.effects):
             return
-        changed = bench.change(Rate(viscosity_kpa_s=SIZE * bench.frame_step * bench.young))
+        changed = bench.change(Rate(viscosity_kpa_s=self.size * bench.frame_step * bench.young))
         if changed is not None:
             yield Variant("viscosity", changed[None], positive=True)
 
@@ -37,7 +39,7 @@ class RateCause(Cause):
         `bench`: the simulation as believed; `variant`: hypothesis that starts the fit; `amplitudes` (1,): its fitted
         amplitudes, in prior standard deviations. The result has first guess, prior, step and effect of each parameter.
         """
-        unit = SIZE * bench.frame_step
+        unit = self.size * bench.frame_step
         return free_parameters(
             [(float(np.log(unit * np.clip(amplitudes[0], 0.05, 20.0))), float(np.log(unit)), 1.5, 0.05)],
             lambda x, young: (Rate(viscosity_kpa_s=float(np.exp(x[0])) * young),),

@@ -1,6 +1,7 @@
 """Stress relaxation with one time constant."""
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
@@ -10,23 +11,23 @@ from tissuereg.diagnosis.bench import Bench
 from tissuereg.diagnosis.causes.base import Cause, FreeParameters, Values, Variant, free_parameters, logistic, logit
 from tissuereg.experiment.effects import Relaxation
 
-#: Share that relaxes at which changes are simulated.
-SHARE = 0.25
 
-#: Number of time constants, from the time between frames to twice the longest case.
-TIMES = 6
-
-
-def times_of(bench: Bench) -> FloatArray:
+def times_of(bench: Bench, count: int) -> FloatArray:
     """Return time constants of relaxation, shape (6,), in s, from the time between frames to twice the longest case."""
-    return np.geomspace(max(bench.frame_step, 1e-3), max(2.0 * bench.longest_case, 2e-3), TIMES)
+    return np.geomspace(max(bench.frame_step, 1e-3), max(2.0 * bench.longest_case, 2e-3), count)
 
 
+@dataclass(frozen=True)
 class RelaxationCause(Cause):
     """A share of the whole stress, or of its isochoric part, relaxes with one time constant."""
 
     id: ClassVar[str] = "relaxation"
     discrete: ClassVar[tuple[str, ...]] = ("part",)
+
+    #: Share that relaxes at which changes are simulated.
+    share: float = 0.25
+    #: Number of time constants, from the time between frames to twice the longest case.
+    times: int = 6
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
         """Return hypotheses for several time constants, of the whole stress and of its isochoric part.
@@ -38,9 +39,9 @@ class RelaxationCause(Cause):
         if bench.longest_case == 0.0 or any(effect.id == self.id for effect in bench.experiment.effects):
             return
         # The two parts differ little; every second time constant suffices for the isochoric one.
-        tried = [("whole", float(tau)) for tau in times_of(bench)]
-        tried += [("isochoric", float(tau)) for tau in times_of(bench)[1::2]]
-        changes = bench.changes([[Relaxation(g=(SHARE,), tau_s=(tau,), part=part)] for part, tau in tried])
+        tried = [("whole", float(tau)) for tau in times_of(bench, self.times)]
+        tried += [("isochoric", float(tau)) for tau in times_of(bench, self.times)[1::2]]
+        changes = bench.changes([[Relaxation(g=(self.share,), tau_s=(tau,), part=part)] for part, tau in tried])
         for (part, tau), changed in zip(tried, changes, strict=True):
             if changed is not None:
                 yield Variant(f"{part} {tau:.2g} s", changed[None], {"tau": tau, "part": part}, positive=True)
@@ -52,14 +53,14 @@ class RelaxationCause(Cause):
         amplitudes, in prior standard deviations. The result has first guess, prior, step and effect of each parameter.
         """
         part, tau = str(variant.settings["part"]), float(variant.settings["tau"])
-        middle = float(np.log(times_of(bench)).mean())
+        middle = float(np.log(times_of(bench, self.times)).mean())
 
         def effect(x: FloatArray, young: float) -> tuple[Relaxation]:
             return (Relaxation(g=(logistic(x[0]),), tau_s=(float(np.exp(x[1])),), part=part),)
 
         return free_parameters(
             [
-                (logit(SHARE * min(float(amplitudes[0]), 3.5)), logit(0.2), 1.2, 0.1),
+                (logit(self.share * min(float(amplitudes[0]), 3.5)), logit(0.2), 1.2, 0.1),
                 (float(np.log(tau)), middle, 1.5, 0.1),
             ],
             effect,

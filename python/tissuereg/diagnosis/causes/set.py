@@ -1,6 +1,7 @@
 """Permanent set: a share of the largest strain remains after unloading."""
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 from typing import ClassVar
 
 from tissuereg._base.arrays import FloatArray
@@ -8,14 +9,15 @@ from tissuereg.diagnosis.bench import Bench
 from tissuereg.diagnosis.causes.base import Cause, FreeParameters, Values, Variant, free_parameters, logistic, logit
 from tissuereg.experiment.effects import Set
 
-#: Share at which the change is simulated.
-SIZE = 0.1
 
-
+@dataclass(frozen=True)
 class SetCause(Cause):
     """Permanent set."""
 
     id: ClassVar[str] = "set"
+
+    #: Share at which the change is simulated.
+    size: float = 0.1
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
         """Return one hypothesis: a fixed share of the largest strain remains; none where a set is already believed.
@@ -25,7 +27,7 @@ class SetCause(Cause):
         """
         if any(effect.id == self.id for effect in bench.experiment.effects):
             return
-        changed = bench.change(Set(fraction=SIZE))
+        changed = bench.change(Set(fraction=self.size))
         if changed is not None:
             yield Variant("share", changed[None], positive=True)
 
@@ -36,7 +38,7 @@ class SetCause(Cause):
         amplitudes, in prior standard deviations. The result has first guess, prior, step and effect of each parameter.
         """
         return free_parameters(
-            [(logit(SIZE * float(amplitudes[0]), 0.005), logit(SIZE), 1.2, 0.1)],
+            [(logit(self.size * float(amplitudes[0]), 0.005), logit(self.size), 1.2, 0.1)],
             lambda x, young: (Set(fraction=logistic(x[0])),),
             lambda x, young: {"fraction": logistic(x[0])},
         )

@@ -1,6 +1,7 @@
 """Sliding of a support, on tangential springs or with friction."""
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
@@ -10,19 +11,19 @@ from tissuereg.diagnosis.bench import Bench
 from tissuereg.diagnosis.causes.base import Cause, FreeParameters, Values, Variant, free_parameters
 from tissuereg.experiment.effects import Sliding
 
-#: Compliances of springs, times modulus over extent, at which changes are simulated.
-COMPLIANCES = (0.03, 0.3)
 
-#: Coefficient of friction, and cohesions over the modulus, at which changes are simulated.
-COEFFICIENT = 0.3
-COHESIONS = (0.03, 0.1)
-
-
+@dataclass(frozen=True)
 class SlidingCause(Cause):
     """A boundary on tangential springs, or one that slips where the tangential stress exceeds friction."""
 
     id: ClassVar[str] = "sliding"
     discrete: ClassVar[tuple[str, ...]] = ("boundary", "kind")
+
+    #: Compliances of springs, times modulus over extent, at which changes are simulated.
+    compliances: tuple[float, ...] = (0.03, 0.3)
+    #: Coefficient of friction, and cohesions over the modulus, at which changes are simulated.
+    coefficient: float = 0.3
+    cohesions: tuple[float, ...] = (0.03, 0.1)
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
         """Return four hypotheses for each support: springs of two compliances, and friction with two cohesions.
@@ -37,8 +38,10 @@ class SlidingCause(Cause):
             if name in taken or not len(_triangles(bench, name)):
                 continue
             of = {
-                **{("springs", size): _springs(bench, name, size, bench.young) for size in COMPLIANCES},
-                **{("friction", size): _friction(name, COEFFICIENT, size * bench.young) for size in COHESIONS},
+                **{("springs", size): _springs(bench, name, size, bench.young) for size in self.compliances},
+                **{
+                    ("friction", size): _friction(name, self.coefficient, size * bench.young) for size in self.cohesions
+                },
             }
             changes = bench.changes([[effect] for effect in of.values()])
             for (kind, size), changed in zip(of, changes, strict=True):
@@ -68,7 +71,7 @@ class SlidingCause(Cause):
         # A smaller cohesion slips more.
         return free_parameters(
             [
-                (float(np.log(COEFFICIENT)), float(np.log(COEFFICIENT)), 0.7, 0.1),
+                (float(np.log(self.coefficient)), float(np.log(self.coefficient)), 0.7, 0.1),
                 (float(np.log(size / np.sqrt(more))), float(np.log(0.05)), 1.0, 0.1),
             ],
             lambda x, young: (_friction(name, float(np.exp(x[0])), float(np.exp(x[1])) * young),),

@@ -1,6 +1,7 @@
 """Softening by the first large load: the Mullins effect, or damage."""
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
@@ -10,19 +11,19 @@ from tissuereg.diagnosis.bench import Bench
 from tissuereg.diagnosis.causes.base import Cause, FreeParameters, Values, Variant, free_parameters
 from tissuereg.experiment.effects import Softening
 
-#: Values of r, and of m over the modulus, at which changes are simulated.
-SIZE = 1.5
-ENERGIES = (0.003, 0.03)
 
-#: Forms with the fixed value of beta in each.
-FORMS = {"ogden-roxburgh": 0.1, "damage": 0.0}
-
-
+@dataclass(frozen=True)
 class SofteningCause(Cause):
     """Softening by the largest strain energy so far: on reloading only (Mullins), or on first loading too (damage)."""
 
     id: ClassVar[str] = "softening"
     discrete: ClassVar[tuple[str, ...]] = ("form",)
+
+    #: Values of r, and of m over the modulus, at which changes are simulated.
+    size: float = 1.5
+    energies: tuple[float, ...] = (0.003, 0.03)
+    #: Forms with the fixed value of beta in each.
+    forms: tuple[tuple[str, float], ...] = (("ogden-roxburgh", 0.1), ("damage", 0.0))
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
         """Return four hypotheses: Mullins effect and damage, each over two energies; none where one is believed.
@@ -33,8 +34,11 @@ class SofteningCause(Cause):
         """
         if any(effect.id == self.id for effect in bench.experiment.effects):
             return
-        every = [(form, energy) for form in FORMS for energy in ENERGIES]
-        tried = [[Softening(r=SIZE, m_kpa=energy * bench.young, beta=FORMS[form], form=form)] for form, energy in every]
+        betas = dict(self.forms)
+        every = [(form, energy) for form in betas for energy in self.energies]
+        tried = [
+            [Softening(r=self.size, m_kpa=energy * bench.young, beta=betas[form], form=form)] for form, energy in every
+        ]
         for (form, energy), changed in zip(every, bench.changes(tried), strict=True):
             if changed is not None:
                 settings = {"form": form, "energy": energy}
@@ -47,13 +51,14 @@ class SofteningCause(Cause):
         `bench`: the simulation as believed; `variant`: hypothesis that starts the fit; `amplitudes` (1,): its fitted
         amplitudes, in prior standard deviations. The result has first guess, prior, step and effect of each parameter.
         """
+        betas = dict(self.forms)
         # At most a share of (1 - 1/r) of the stress is lost.
-        lost = min((1.0 - 1.0 / SIZE) * float(np.clip(amplitudes[0], 0.05, 2.8)), 0.9)
+        lost = min((1.0 - 1.0 / self.size) * float(np.clip(amplitudes[0], 0.05, 2.8)), 0.9)
         energy, form = float(variant.settings["energy"]), str(variant.settings["form"])
 
         def effect(x: FloatArray, young: float) -> tuple[Softening]:
             r, m_kpa = 1.0 + float(np.exp(x[0])), float(np.exp(x[1])) * young
-            return (Softening(r=r, m_kpa=m_kpa, beta=FORMS[form], form=form),)
+            return (Softening(r=r, m_kpa=m_kpa, beta=betas[form], form=form),)
 
         return free_parameters(
             [
@@ -64,7 +69,7 @@ class SofteningCause(Cause):
             lambda x, young: {
                 "r": 1.0 + float(np.exp(x[0])),
                 "m_kpa": float(np.exp(x[1])) * young,
-                "beta": FORMS[form],
+                "beta": betas[form],
                 "form": form,
             },
         )

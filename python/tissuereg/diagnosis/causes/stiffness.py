@@ -1,6 +1,7 @@
 """Moduli: the whole body is stiffer or softer (Young), or more or less compressible (Poisson), than believed."""
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
@@ -11,15 +12,16 @@ from tissuereg.diagnosis.causes.base import Cause, FreeParameters, Values, Varia
 from tissuereg.experiment.effects import Poisson, Stiffness
 from tissuereg.simulation.sensitivity import Parameter
 
-#: Prior deviation of the logarithm of the factor on the modulus, in addition to that of the believed modulus.
-YOUNG_SPREAD = 1.0
 
-
+@dataclass(frozen=True)
 class StiffnessCause(Cause):
     """Another Young's modulus; every fit has it as a nuisance, a finding is named where it lies far from its prior."""
 
     id: ClassVar[str] = "stiffness"
     absolute: ClassVar[bool] = True
+
+    #: Prior deviation of the logarithm of the factor on the modulus, in addition to that of the believed modulus.
+    spread: float = 1.0
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
         """Return one hypothesis: another modulus in the whole body; none for a body with memory.
@@ -28,7 +30,7 @@ class StiffnessCause(Cause):
         measured numbers (markers in mm, forces in mN) by one prior standard deviation of the logarithm of the modulus,
         linearised.
         """
-        return [Variant("everywhere", YOUNG_SPREAD * bench.by_young)] if bench.is_elastic else []
+        return [Variant("everywhere", self.spread * bench.by_young)] if bench.is_elastic else []
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
         """Return one free parameter: the logarithm of a factor on Young's modulus.
@@ -37,7 +39,7 @@ class StiffnessCause(Cause):
         amplitudes, in prior standard deviations. The result has first guess, prior, step and effect of each parameter.
         """
         return free_parameters(
-            [(YOUNG_SPREAD * float(amplitudes[0]), 0.0, YOUNG_SPREAD, 0.02)],
+            [(self.spread * float(amplitudes[0]), 0.0, self.spread, 0.02)],
             lambda x, young: (Stiffness(young_kpa=young * float(np.exp(x[0]))),),
             lambda x, young: {"young_kpa": young * float(np.exp(x[0]))},
         )
@@ -47,14 +49,14 @@ class StiffnessCause(Cause):
         return f"The body's modulus is {values['young_kpa']:.3g} kPa, far from the believed one."
 
 
-#: Prior deviation of the ratio.
-POISSON_SPREAD = 0.06
-
-
+@dataclass(frozen=True)
 class PoissonCause(Cause):
     """Poisson's ratio."""
 
     id: ClassVar[str] = "poisson"
+
+    #: Prior deviation of the ratio.
+    spread: float = 0.06
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
         """Return one hypothesis: another Poisson's ratio in the whole body; none if its simulation fails.
@@ -69,7 +71,7 @@ class PoissonCause(Cause):
             if changed is None:
                 return []
             column = -changed[None] / 0.02
-        return [Variant("everywhere", POISSON_SPREAD * column)]
+        return [Variant("everywhere", self.spread * column)]
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
         """Return one free parameter: the logit of twice Poisson's ratio.
@@ -78,7 +80,7 @@ class PoissonCause(Cause):
         amplitudes, in prior standard deviations. The result has first guess, prior, step and effect of each parameter.
         """
         believed = _ratio(bench)
-        start = min(max(believed + POISSON_SPREAD * float(amplitudes[0]), 0.05), 0.495)
+        start = min(max(believed + self.spread * float(amplitudes[0]), 0.05), 0.495)
         return free_parameters(
             [(logit(2.0 * start, 0.005), logit(2.0 * believed, 0.005), 1.5, 0.05)],
             lambda x, young: (Poisson(poisson=0.5 * logistic(x[0])),),

@@ -1,7 +1,7 @@
 """Swelling: the body grows or shrinks during the measurement."""
 
 from collections.abc import Iterable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 from tissuereg._base.arrays import FloatArray
@@ -9,18 +9,19 @@ from tissuereg.diagnosis.bench import Bench
 from tissuereg.diagnosis.causes.base import Cause, FreeParameters, Values, Variant, free_parameters
 from tissuereg.experiment.effects import Effect, Swelling
 
-#: Linear strain at which changes are simulated, the prior deviation in screening.
-SIZE = 0.01
-
 #: Behaviour of pads in the hypotheses of the bank: they hold their patches against the growth.
 HOLD = "hold"
 
 
+@dataclass(frozen=True)
 class SwellingCause(Cause):
     """Growth of all lengths at a constant rate, over the whole session or a half of it."""
 
     id: ClassVar[str] = "swelling"
     discrete: ClassVar[tuple[str, ...]] = ("window", "pads")
+
+    #: Linear strain at which changes are simulated, the prior deviation in screening.
+    size: float = 0.01
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
         """Return one hypothesis for each window of time: the whole session, its first and its second half.
@@ -36,7 +37,7 @@ class SwellingCause(Cause):
             return
         middle = 0.5 * (begin + end)
         windows = ((begin, end), (begin, middle), (middle, end))
-        changes = bench.changes([[_effect(SIZE, window, HOLD)] for window in windows])
+        changes = bench.changes([[_effect(self.size, window, HOLD)] for window in windows])
         for window, changed in zip(windows, changes, strict=True):
             if changed is not None:
                 yield Variant(f"{window[0]:.3g} to {window[1]:.3g} s", changed[None], {"window": window, "pads": HOLD})
@@ -51,7 +52,7 @@ class SwellingCause(Cause):
         return (replace(variant, settings={**variant.settings, "pads": "follow"}),) if moved else ()
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
-        """Return one free parameter: the linear strain at the end of the window, in units of `SIZE` (0.01).
+        """Return one free parameter: the linear strain at the end of the window, in units of `size` (0.01).
 
         `bench`: the simulation as believed; `variant`: hypothesis that starts the fit; `amplitudes` (1,): its fitted
         amplitudes, in prior standard deviations. The result has first guess, prior, step and effect of each parameter.
@@ -59,9 +60,9 @@ class SwellingCause(Cause):
         window, pads = variant.settings["window"], str(variant.settings["pads"])
         return free_parameters(
             [(float(amplitudes[0]), 0.0, 1.5, 0.1)],
-            lambda x, young: (_effect(SIZE * float(x[0]), window, pads),),
+            lambda x, young: (_effect(self.size * float(x[0]), window, pads),),
             lambda x, young: {
-                "linear_strain": SIZE * float(x[0]),
+                "linear_strain": self.size * float(x[0]),
                 "from_time_s": float(window[0]),
                 "to_time_s": float(window[1]),
                 "pads": pads,

@@ -5,7 +5,7 @@ All of them change the predicted places in closed form; nothing is solved.
 
 import itertools
 from collections.abc import Iterable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
@@ -15,21 +15,17 @@ from tissuereg.diagnosis.bench import Bench
 from tissuereg.diagnosis.causes.base import Cause, FreeParameters, Values, Variant, free_parameters, three
 from tissuereg.experiment.effects import Effect, Frame, Latency, MarkerSlip, MarkerSwap, Scale, seen_markers
 
-#: Prior deviations: shifts in mm and rotations in degrees of the frame, scale, delay in frames, slips in mm.
-SHIFT, TURN, SCALE, DELAY, SLIP = 0.5, 0.5, 0.01, 0.5, 1.0
 
-#: Number of pairs of markers with a hypothesis of exchange.
-LIKELY_PAIRS = 15
-
-#: Number of onsets of a slip in each case, the first at its begin.
-ONSETS_A_CASE = 4
-
-
+@dataclass(frozen=True)
 class FrameCause(Cause):
     """The tracker's frame is shifted and rotated, by more than its prior as a nuisance allows."""
 
     id: ClassVar[str] = "frame"
     always_fitted: ClassVar[bool] = True
+
+    #: Prior deviations of the shift, mm, and of the rotation, degrees.
+    shift_mm: float = 0.5
+    turn_deg: float = 0.5
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
         """Return one hypothesis: the tracker's frame is shifted, and rotated about the mean marker place.
@@ -39,7 +35,7 @@ class FrameCause(Cause):
         rotations.
         """
         shifts = [changed_by(bench, _frame(bench, np.eye(6)[i])) for i in range(6)]
-        scale = np.array([SHIFT] * 3 + [TURN] * 3)
+        scale = np.array([self.shift_mm] * 3 + [self.turn_deg] * 3)
         return [Variant("frame", scale[:, None] * np.array(shifts))]
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
@@ -49,7 +45,7 @@ class FrameCause(Cause):
         hypothesis that starts the fit; `amplitudes` (6,): its fitted amplitudes, in prior standard deviations. The
         result has first guess, prior, step and effect of each parameter.
         """
-        scale = np.array([SHIFT] * 3 + [TURN] * 3)
+        scale = np.array([self.shift_mm] * 3 + [self.turn_deg] * 3)
         return free_parameters(
             [(float(s * a), 0.0, float(s), 0.05) for s, a in zip(scale, amplitudes, strict=True)],
             lambda x, young: (_frame(bench, x),),
@@ -62,10 +58,15 @@ class FrameCause(Cause):
         return f"The tracker's frame is rotated by {turn:.2f} degrees against the mesh's, and shifted."
 
 
+@dataclass(frozen=True)
 class ScaleCause(Cause):
     """The tracker's lengths have a wrong scale, about any origin."""
 
     id: ClassVar[str] = "scale"
+
+    #: Prior deviations of the scale, and of the shift, mm.
+    scale: float = 0.01
+    shift_mm: float = 0.5
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
         """Return one hypothesis: a wrong scale about the mean marker place, and three shifts.
@@ -74,8 +75,8 @@ class ScaleCause(Cause):
         measured numbers (markers in mm, forces in mN) by one prior standard deviation of the scale and of each shift.
         """
         middle = _middle(bench)
-        scale = changed_by(bench, Scale(scale=1.01, origin_mm=three(middle))) * 100.0 * SCALE
-        shifts = [SHIFT * changed_by(bench, Frame(shift_mm=three(axis))) for axis in np.eye(3)]
+        scale = changed_by(bench, Scale(scale=1.01, origin_mm=three(middle))) * 100.0 * self.scale
+        shifts = [self.shift_mm * changed_by(bench, Frame(shift_mm=three(axis))) for axis in np.eye(3)]
         return [Variant("scale", np.array([scale, *shifts]))]
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
@@ -85,7 +86,7 @@ class ScaleCause(Cause):
         the simulation as believed; `variant`: hypothesis that starts the fit; `amplitudes` (4,): its fitted amplitudes,
         in prior standard deviations. The result has first guess, prior, step and effect of each parameter.
         """
-        spread = np.array([SCALE, SHIFT, SHIFT, SHIFT])
+        spread = np.array([self.scale, self.shift_mm, self.shift_mm, self.shift_mm])
 
         def effect(x: FloatArray) -> Scale:
             # A scale 1 + s about the middle m with a shift d is a scale about m - d / s.
@@ -104,10 +105,14 @@ class ScaleCause(Cause):
         return f"The tracker's lengths are wrong by {100 * (scale - 1):+.2f} %."
 
 
+@dataclass(frozen=True)
 class LatencyCause(Cause):
     """Markers are recorded with a delay."""
 
     id: ClassVar[str] = "latency"
+
+    #: Prior deviation of the delay, in frames.
+    delay: float = 0.5
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
         """Return one hypothesis, a delay of half the time between frames; none for single frames or a believed delay.
@@ -115,7 +120,7 @@ class LatencyCause(Cause):
         `bench`: the simulation as believed. Columns of a hypothesis, shape (1, size), are the change of all `size`
         measured numbers (markers in mm, forces in mN) by that delay.
         """
-        delay = DELAY * bench.frame_step
+        delay = self.delay * bench.frame_step
         if delay == 0.0 or any(effect.id == self.id for effect in bench.experiment.effects):
             return []
         return [Variant("delay", changed_by(bench, Latency(latency_s=delay))[None])]
@@ -126,7 +131,7 @@ class LatencyCause(Cause):
         `bench`: the simulation as believed; `variant`: hypothesis that starts the fit; `amplitudes` (1,): its fitted
         amplitudes, in prior standard deviations. The result has first guess, prior, step and effect of each parameter.
         """
-        unit = DELAY * bench.frame_step
+        unit = self.delay * bench.frame_step
         return free_parameters(
             [(float(amplitudes[0]), 0.0, 1.0, 0.1)],
             lambda x, young: (Latency(latency_s=unit * float(x[0])),),
@@ -139,11 +144,17 @@ class LatencyCause(Cause):
         return f"Markers are delayed by {1000 * delay:.0f} ms against the actuators' clock."
 
 
+@dataclass(frozen=True)
 class SlipCause(Cause):
     """One marker is displaced on the body from some time on."""
 
     id: ClassVar[str] = "marker_slip"
     discrete: ClassVar[tuple[str, ...]] = ("marker", "onset")
+
+    #: Prior deviation of a slip, mm.
+    slip_mm: float = 1.0
+    #: Number of onsets of a slip in each case, the first at its begin.
+    onsets: int = 4
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
         """Return one hypothesis for each marker and each of several times at which it may slip.
@@ -151,7 +162,11 @@ class SlipCause(Cause):
         `bench`: the simulation as believed. Columns of a hypothesis, shape (3, size), are the change of all `size`
         measured numbers (markers in mm, forces in mN) by one prior standard deviation of its offset along x, y and z.
         """
-        return (_slip(bench, marker, onset) for onset in _onsets(bench) for marker in bench.layout.marker_names)
+        return (
+            self._slip(bench, marker, onset)
+            for onset in _onsets(bench, self.onsets)
+            for marker in bench.layout.marker_names
+        )
 
     def alternatives(self, bench: Bench, variant: Variant) -> tuple[Variant, ...]:
         """Return the hypothesis that the same marker slips at another frame, for each frame near the screened time.
@@ -159,12 +174,12 @@ class SlipCause(Cause):
         Frames between the screened times before and after that of `variant` are taken. `bench`: the simulation as
         believed; `variant`: hypothesis that was screened; the ones returned are fitted beside it.
         """
-        screened, mine = _onsets(bench), float(variant.settings["onset"])
+        screened, mine = _onsets(bench, self.onsets), float(variant.settings["onset"])
         before = max((onset for onset in screened if onset < mine), default=-np.inf)
         after = min((onset for onset in screened if onset > mine), default=np.inf)
         frames = sorted({float(time) for part in bench.layout.parts for time in part.times})
         onsets = (time for time in frames if before < time < after and time != mine)
-        return tuple(_slip(bench, str(variant.settings["marker"]), onset) for onset in onsets)
+        return tuple(self._slip(bench, str(variant.settings["marker"]), onset) for onset in onsets)
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
         """Return three free parameters: the offset of the marker along x, y and z in mm.
@@ -174,7 +189,7 @@ class SlipCause(Cause):
         """
         marker, onset = str(variant.settings["marker"]), float(variant.settings["onset"])
         return free_parameters(
-            [(SLIP * float(a), 0.0, SLIP, 0.1) for a in amplitudes],
+            [(self.slip_mm * float(a), 0.0, self.slip_mm, 0.1) for a in amplitudes],
             lambda x, young: (MarkerSlip(marker=marker, offset_mm=three(x), from_time_s=onset),),
             lambda x, young: {"marker": marker, "offset_mm": x.tolist(), "from_time_s": onset},
         )
@@ -184,12 +199,28 @@ class SlipCause(Cause):
         size = float(np.linalg.norm(np.asarray(values["offset_mm"])))
         return f"Marker '{values['marker']}' has slipped by {size:.2f} mm, from {values['from_time_s']:.4g} s on."
 
+    def _slip(self, bench: Bench, marker: str, onset: float) -> Variant:
+        """Return the hypothesis that `marker` slips at the time `onset` (s), with columns (3, size) in mm.
 
+        Each column is the change of all measured numbers by one prior standard deviation of the offset along x, y or z.
+        """
+        later, number = bench.layout.times() >= onset, bench.layout.marker_names.index(marker)
+        columns = np.zeros((3, bench.layout.size))
+        for part in bench.layout.parts:
+            for axis in range(3):
+                part.markers(columns)[axis, :, number, axis] = part.markers(later)[:, number, axis]
+        return Variant(f"{marker} from {onset:.4g} s", self.slip_mm * columns, {"marker": marker, "onset": onset})
+
+
+@dataclass(frozen=True)
 class SwapCause(Cause):
     """Two markers are mistaken for each other from some time on."""
 
     id: ClassVar[str] = "marker_swap"
     discrete: ClassVar[tuple[str, ...]] = ("pair", "onset")
+
+    #: Number of pairs of markers with a hypothesis of exchange.
+    pairs: int = 15
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
         """Return one hypothesis for each frame and each likely pair of markers: they are exchanged from then on.
@@ -198,7 +229,7 @@ class SwapCause(Cause):
         measured numbers (markers in mm, forces in mN) by that exchange; its amplitude is exactly 1.
         """
         for onset in sorted({float(time) for part in bench.layout.parts for time in part.times}):
-            for pair in _likely_pairs(bench):
+            for pair in _likely_pairs(bench, self.pairs):
                 changed = changed_by(bench, MarkerSwap(markers=pair, from_time_s=onset))
                 yield Variant(
                     f"{pair[0]} and {pair[1]} from {onset:.4g} s",
@@ -227,7 +258,7 @@ class SwapCause(Cause):
         return f"Markers '{one}' and '{other}' are exchanged from {values['from_time_s']:.4g} s on."
 
 
-def _likely_pairs(bench: Bench) -> list[tuple[str, str]]:
+def _likely_pairs(bench: Bench, most: int) -> list[tuple[str, str]]:
     """Return the names of the pairs of markers that are most likely exchanged, likeliest first.
 
     For two markers, the distance of each one's measured place from its predicted place is divided by that from the
@@ -243,7 +274,7 @@ def _likely_pairs(bench: Bench) -> list[tuple[str, str]]:
         other += apart.sum(axis=0)
     ratio = (own[:, None] + own) / np.maximum(other + other.T, 1e-9)
     pairs = sorted(itertools.combinations(range(len(names)), 2), key=lambda pair: -ratio[pair])
-    return [(names[i], names[j]) for i, j in pairs[:LIKELY_PAIRS]]
+    return [(names[i], names[j]) for i, j in pairs[:most]]
 
 
 def changed_by(bench: Bench, effect: Effect) -> FloatArray:
@@ -271,22 +302,9 @@ def _middle(bench: Bench) -> FloatArray:
     return np.asarray(bench.layout.reference.mean(axis=0))
 
 
-def _slip(bench: Bench, marker: str, onset: float) -> Variant:
-    """Return the hypothesis that `marker` slips at the time `onset` (s), with columns (3, size) in mm.
-
-    Each column is the change of all measured numbers by one prior standard deviation of the offset along x, y or z.
-    """
-    later, number = bench.layout.times() >= onset, bench.layout.marker_names.index(marker)
-    columns = np.zeros((3, bench.layout.size))
-    for part in bench.layout.parts:
-        for axis in range(3):
-            part.markers(columns)[axis, :, number, axis] = part.markers(later)[:, number, axis]
-    return Variant(f"{marker} from {onset:.4g} s", SLIP * columns, {"marker": marker, "onset": onset})
-
-
-def _onsets(bench: Bench) -> list[float]:
+def _onsets(bench: Bench, per_case: int) -> list[float]:
     found = []
     for part in bench.layout.parts:
-        rows = np.unique(np.linspace(0, part.n_frames - 1, ONSETS_A_CASE + 1).astype(int)[:-1])
+        rows = np.unique(np.linspace(0, part.n_frames - 1, per_case + 1).astype(int)[:-1])
         found += [float(t) for t in part.times[rows]]
     return sorted(set(found))

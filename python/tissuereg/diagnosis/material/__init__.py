@@ -18,6 +18,7 @@ from tissuereg.diagnosis.material.answer import EXTENDED_FILE, answer_of
 from tissuereg.diagnosis.material.extend import extended, predicted_stresses
 from tissuereg.diagnosis.material.report import material_page
 from tissuereg.diagnosis.material.verdict import SelectionOutcome, find_out
+from tissuereg.diagnosis.settings import DEFAULT, DiagnoseSettings
 from tissuereg.experiment.material_experiment import MaterialExperiment
 from tissuereg.io.atomic import OutputError, atomic_folder
 from tissuereg.io.experiment_out import write_experiment
@@ -86,7 +87,11 @@ class MaterialDiagnosis:
 
 
 def diagnose_material(
-    experiment: MaterialExperiment, *, seed: int = 0, progress: Callable[[str], None] | None = None
+    experiment: MaterialExperiment,
+    *,
+    seed: int = 0,
+    progress: Callable[[str], None] | None = None,
+    settings: DiagnoseSettings = DEFAULT,
 ) -> MaterialDiagnosis:
     """Return the diagnosis of a material test.
 
@@ -99,6 +104,8 @@ def diagnose_material(
         Seed of the simulated null experiments; the result is the same at each call.
     progress : callable, optional
         Called with the name of the step that begins.
+    settings : DiagnoseSettings
+        All numbers that may change the result.
 
     Returns
     -------
@@ -126,7 +133,7 @@ def diagnose_material(
     >>> [cause["id"] for cause in diagnose_material(gel).answer["causes"]]
     ['stiffening']
     """
-    outcome = find_out(experiment, seed, progress or (lambda message: None))
+    outcome = find_out(experiment, seed, progress or (lambda message: None), settings)
     answer = answer_of(experiment, outcome, seed)
     found = experiment if outcome.refined is None else extended(experiment, outcome.refined.fit)
     return MaterialDiagnosis(answer, experiment, found, outcome)

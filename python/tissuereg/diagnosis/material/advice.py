@@ -10,12 +10,11 @@ from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.material.data import data_of
 from tissuereg.diagnosis.material.history import stress_of
 from tissuereg.diagnosis.material.model import Model
-from tissuereg.diagnosis.material.noise import USUAL_FACTOR, CurveNoise, covariance
+from tissuereg.diagnosis.material.noise import CurveNoise, covariance
 from tissuereg.diagnosis.material.scene import Scene
+from tissuereg.diagnosis.settings import DEFAULT, MaterialSettings
 from tissuereg.errors import ExperimentError
 from tissuereg.experiment.material_experiment import Curve, MaterialExperiment
-
-_ROWS = 40
 
 
 @dataclass(frozen=True)
@@ -30,21 +29,29 @@ class Advice:
     separability: float
 
 
-def best_test(experiment: MaterialExperiment, scene: Scene, one: Model, other: Model) -> Advice | None:
+def best_test(
+    experiment: MaterialExperiment,
+    scene: Scene,
+    one: Model,
+    other: Model,
+    settings: MaterialSettings = DEFAULT.material,
+) -> Advice | None:
     """Return the further test, of a list of usual ones, that distinguishes two fitted models best.
 
     `experiment`: the curves measured so far; `scene`: tested modes and ranges; `one`, `other`: models fitted to these
     curves. Result: None where no test has finite stresses under both models.
     """
     tests = []
-    for action, curve in _stock(experiment, scene):
+    for action, curve in _stock(experiment, scene, settings.advised_rows):
         first, second = (stress_of(model, curve) for model in (one, other))
         if np.isfinite(first).all() and np.isfinite(second).all():
-            tests.append(Advice(action, _separability(experiment, curve, first, second)))
+            tests.append(Advice(action, _separability(experiment, curve, first, second, settings)))
     return max(tests, key=lambda advice: advice.separability, default=None)
 
 
-def _separability(experiment: MaterialExperiment, curve: Curve, first: FloatArray, second: FloatArray) -> float:
+def _separability(
+    experiment: MaterialExperiment, curve: Curve, first: FloatArray, second: FloatArray, settings: MaterialSettings
+) -> float:
     """Return the norm of the difference between two predicted stress curves, in standard deviations of the noise.
 
     `curve`: load history; `first`, `second` (n,): predictions, kPa. The noise is that of one more specimen. The norm is
@@ -54,14 +61,14 @@ def _separability(experiment: MaterialExperiment, curve: Curve, first: FloatArra
         measured = replace(curve, stress=first)
     except ExperimentError:
         return 0.0
-    data = data_of(replace(experiment, curves=(measured,)))
-    noise = CurveNoise(np.array([0.005 * float(np.abs(first).max())]), USUAL_FACTOR, 0.02, 0)
-    own = covariance(data, noise) + USUAL_FACTOR**2 * np.outer(data.stress, data.stress)
+    data = data_of(replace(experiment, curves=(measured,)), settings.most_rows)
+    noise = CurveNoise(np.array([0.005 * float(np.abs(first).max())]), settings.usual_factor, settings.usual_along, 0)
+    own = covariance(data, noise, settings) + settings.usual_factor**2 * np.outer(data.stress, data.stress)
     difference = (first - second)[data.rows[0]]
     return float(np.sqrt(difference @ np.linalg.solve(own, difference)))
 
 
-def _stock(experiment: MaterialExperiment, scene: Scene) -> list[tuple[str, Curve]]:
+def _stock(experiment: MaterialExperiment, scene: Scene, n_rows: int) -> list[tuple[str, Curve]]:
     curves = experiment.curves
     bars = [float(np.abs(c.strains).max()) for c in curves if c.mode != "simple-shear"]
     shears = [float(np.abs(c.strains).max()) for c in curves if c.mode == "simple-shear"]
@@ -79,36 +86,40 @@ def _stock(experiment: MaterialExperiment, scene: Scene) -> list[tuple[str, Curv
 
     for mode in largest:
         if mode not in scene.modes:
-            add(f"{mode.replace('-', ' ')} to a strain of {abs(largest[mode]):.2g}", mode, lambda a: _ramp(a, rate))
+            add(
+                f"{mode.replace('-', ' ')} to a strain of {abs(largest[mode]):.2g}",
+                mode,
+                lambda a: _ramp(a, rate, n_rows),
+            )
     first = scene.modes[0]
     named = first.replace("-", " ")
-    add(f"{named} with a hold of {10 * abs(largest[first]) / rate:.3g} s", first, lambda a: _hold(a, rate))
-    add(f"{named} ten times as fast", first, lambda a: _ramp(a, 10.0 * rate))
-    add(f"{named}, unloaded and loaded again", first, lambda a: _again(a, rate))
+    add(f"{named} with a hold of {10 * abs(largest[first]) / rate:.3g} s", first, lambda a: _hold(a, rate, n_rows))
+    add(f"{named} ten times as fast", first, lambda a: _ramp(a, 10.0 * rate, n_rows))
+    add(f"{named}, unloaded and loaded again", first, lambda a: _again(a, rate, n_rows))
     for mode in scene.modes:
         wide = min(1.5 * abs(largest[mode]), 0.7) if mode == "compression" else 1.5 * abs(largest[mode])
         named = mode.replace("-", " ")
         further = float(np.sign(largest[mode])) * wide
-        add(f"{named} to a strain of {wide:.2g}", mode, partial(_to, further, rate))
+        add(f"{named} to a strain of {wide:.2g}", mode, partial(_to, further, rate, n_rows))
     return tests
 
 
-def _ramp(largest: float, rate: float) -> tuple[FloatArray, FloatArray]:
-    strains = np.linspace(0.0, largest, _ROWS)
+def _ramp(largest: float, rate: float, n_rows: int) -> tuple[FloatArray, FloatArray]:
+    strains = np.linspace(0.0, largest, n_rows)
     return np.abs(strains) / rate, strains
 
 
-def _to(largest: float, rate: float, _: float) -> tuple[FloatArray, FloatArray]:
-    return _ramp(largest, rate)
+def _to(largest: float, rate: float, n_rows: int, _: float) -> tuple[FloatArray, FloatArray]:
+    return _ramp(largest, rate, n_rows)
 
 
-def _hold(largest: float, rate: float) -> tuple[FloatArray, FloatArray]:
-    times, strains = _ramp(largest, rate)
-    later = times[-1] * (1.0 + np.geomspace(0.05, 10.0, _ROWS))
-    return np.concatenate([times, later]), np.concatenate([strains, np.full(_ROWS, largest)])
+def _hold(largest: float, rate: float, n_rows: int) -> tuple[FloatArray, FloatArray]:
+    times, strains = _ramp(largest, rate, n_rows)
+    later = times[-1] * (1.0 + np.geomspace(0.05, 10.0, n_rows))
+    return np.concatenate([times, later]), np.concatenate([strains, np.full(n_rows, largest)])
 
 
-def _again(largest: float, rate: float) -> tuple[FloatArray, FloatArray]:
-    up = np.linspace(0.0, largest, _ROWS)
+def _again(largest: float, rate: float, n_rows: int) -> tuple[FloatArray, FloatArray]:
+    up = np.linspace(0.0, largest, n_rows)
     strains = np.concatenate([up, up[-2::-1], up[1:]])
     return np.cumsum(np.abs(np.diff(strains, prepend=0.0))) / rate, strains

@@ -13,8 +13,8 @@ from tissuereg.diagnosis.material.advice import best_test
 from tissuereg.diagnosis.material.causes import CAUSES
 from tissuereg.diagnosis.material.data import BoolArray
 from tissuereg.diagnosis.material.fit import MaterialFit, effects_of
-from tissuereg.diagnosis.material.search import LEAST_SEPARABILITY, MaterialFinding
-from tissuereg.diagnosis.material.verdict import MISFIT, SelectionOutcome
+from tissuereg.diagnosis.material.search import MaterialFinding
+from tissuereg.diagnosis.material.verdict import SelectionOutcome
 from tissuereg.experiment.effects import Effect
 from tissuereg.experiment.effects.history import Relaxation
 from tissuereg.experiment.material_experiment import Curve, MaterialExperiment
@@ -36,8 +36,9 @@ def answer_of(experiment: MaterialExperiment, outcome: SelectionOutcome, seed: i
             "id": finding.id,
             "group": list(finding.group),
             "probability": finding.probability,
+            "group_probability": finding.group_probability,
             "log_bayes_factor": finding.log_bayes_factor,
-            "threshold": outcome.threshold,
+            "threshold": finding.threshold,
             "parameters": parameters[finding.id],
             "held_out": _held_out(outcome),
             "sentence": _sentence(outcome, finding),
@@ -49,6 +50,15 @@ def answer_of(experiment: MaterialExperiment, outcome: SelectionOutcome, seed: i
         "kind": "material-test",
         "verdict": outcome.verdict,
         "causes": causes,
+        "possible": [
+            {
+                "id": one.id,
+                "probability": one.group_probability,
+                "log_bayes_factor": one.log_bayes_factor,
+                "threshold": one.threshold,
+            }
+            for one in outcome.possible
+        ],
         "candidates": [
             {
                 "id": c.id,
@@ -74,6 +84,7 @@ def answer_of(experiment: MaterialExperiment, outcome: SelectionOutcome, seed: i
         "weighting": outcome.refined.weighting if outcome.refined else None,
         "provisional": outcome.unit == "part",
         "seed": seed,
+        "settings": outcome.bench.problem.settings.to_json({}),
         "versions": {"tissuereg": __version__, "numpy": np.__version__, "python": platform.python_version()},
     }
 
@@ -196,7 +207,7 @@ def _sentence(outcome: SelectionOutcome, finding: MaterialFinding) -> str:
     if len(finding.group) > 1:
         tied = " or ".join(finding.group[1:])
         largest = max(finding.separability.values())
-        needed = f"separability {largest:.1f}, {LEAST_SEPARABILITY:g} are needed"
+        needed = f"separability {largest:.1f}, {outcome.bench.problem.settings.search.separable:g} are needed"
         sentence += f" These data cannot distinguish it from {tied} ({needed})."
     return sentence
 
@@ -216,7 +227,7 @@ def _sentences(outcome: SelectionOutcome) -> list[str]:
     what = {"part": "the last part of each curve", "mode": "a mode", "rate": "a rate", "specimen": "a specimen"}
     change = f"from {base.rms_all:.3g} to {named.rms_all:.3g} kPa"
     sentences.append(f"The prediction error of {what[outcome.unit]} that is held out changes {change}.")
-    if outcome.p_misfit <= MISFIT:
+    if outcome.p_misfit <= outcome.bench.problem.settings.nulls.misfit:
         sentences.append(f"A misfit beyond the noise remains: {outcome.explained:.0%} of it are explained.")
         assert outcome.refined is not None  # there are findings
         sentences.append(
@@ -255,7 +266,9 @@ def _next(experiment: MaterialExperiment, outcome: SelectionOutcome) -> dict[str
     for finding in outcome.findings:
         for rival in finding.group[1:]:
             other = finding.rivals[rival].fit.model
-            advice = best_test(experiment, outcome.scene, outcome.known.fit.model, other)
+            advice = best_test(
+                experiment, outcome.scene, outcome.known.fit.model, other, outcome.bench.problem.settings.material
+            )
             if advice is not None:
                 return {
                     "action": advice.action,

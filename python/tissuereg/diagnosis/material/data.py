@@ -9,12 +9,10 @@ import numpy.typing as npt
 from tissuereg._base.arrays import FloatArray, IntArray
 from tissuereg.diagnosis.material.history import stress_of
 from tissuereg.diagnosis.material.model import Model
+from tissuereg.diagnosis.settings import DEFAULT
 from tissuereg.experiment.material_experiment import Curve, MaterialExperiment
 
 BoolArray = npt.NDArray[np.bool_]
-
-#: Number of rows of all curves together, at most; more would only repeat the same correlated errors.
-MAX_ROWS = 320
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +92,7 @@ class Data:
         return np.concatenate(parts)
 
 
-def data_of(experiment: MaterialExperiment, max_rows: int = MAX_ROWS) -> Data:
+def data_of(experiment: MaterialExperiment, max_rows: int = DEFAULT.material.most_rows) -> Data:
     """Return the rows (measured points) of an experiment that are used in fits.
 
     `experiment`: its curves are used; `max_rows`: largest number of rows of all curves together, but a curve may keep

@@ -22,11 +22,6 @@ import numpy as np
 from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.material.fit import MaterialFit, prior_of
 from tissuereg.diagnosis.material.holdout import ProofInput
-from tissuereg.diagnosis.material.hypothesis import NO_MISFIT
-from tissuereg.diagnosis.material.weights import SHARES
-
-#: Step of finite differences over the prior standard deviation.
-_STEP = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,8 +76,10 @@ def _squared_size(
     prior = (slopes @ inverse) / unit[:, None]
     least = maker @ bench.noise @ maker.T + prior @ prior.T
     more = maker @ bench.generic @ maker.T
-    sizes = np.array([0.0, *SHARES])
-    chances = np.array([NO_MISFIT, *[(1.0 - NO_MISFIT) / len(SHARES)] * len(SHARES)])
+    numbers = bench.problem.settings.material
+    shares, none = numbers.misfit_shares, numbers.no_misfit
+    sizes = np.array([0.0, *shares])
+    chances = np.array([none, *[(1.0 - none) / len(shares)] * len(shares)])
     logs = np.log(chances) + [_log_density(found, least + size**2 * more) for size in sizes]
     weights = np.exp(logs - logs.max())
     return float(weights @ sizes**2 / weights.sum())
@@ -103,13 +100,13 @@ def _slopes(bench: ProofInput, fit: MaterialFit, scale: FloatArray) -> FloatArra
 
     `scale` (k,): prior standard deviations.
     """
-    problem = bench.problem
+    problem, step = bench.problem, bench.problem.settings.material.step
     columns = []
     for i, unit in enumerate(scale):
         ends = []
         for sign in (1.0, -1.0):
             moved = fit.x.copy()
-            moved[i] += sign * _STEP * unit
+            moved[i] += sign * step * unit
             ends.append(problem.data.modelled(problem.model(fit.forms, moved)))
-        columns.append((ends[0] - ends[1]) / (2.0 * _STEP))
+        columns.append((ends[0] - ends[1]) / (2.0 * step))
     return np.stack(columns, axis=1)

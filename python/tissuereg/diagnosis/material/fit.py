@@ -11,19 +11,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray
-from tissuereg.diagnosis.material.causes import WIDE_YOUNG, Form
+from tissuereg.diagnosis.material.causes import Form
 from tissuereg.diagnosis.material.data import Data
 from tissuereg.diagnosis.material.model import Model
 from tissuereg.diagnosis.material.weights import Weights
+from tissuereg.diagnosis.settings import DEFAULT, DiagnoseSettings
 from tissuereg.errors import TissueRegError
 from tissuereg.experiment.effects import Effect
 from tissuereg.experiment.effects.elastic import Stiffness
 
 Residuals = Callable[[FloatArray], FloatArray]
-
-#: Whitened residual where a law has no stress.
-_NO_STRESS = 1e4
-_STEP = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,6 +39,8 @@ class FitProblem:
         Prior mean of the logarithm of Young's modulus in kPa.
     young_std : float
         Prior standard deviation of that logarithm.
+    settings : DiagnoseSettings
+        All numbers of the diagnosis.
     """
 
     base: Model
@@ -49,6 +48,7 @@ class FitProblem:
     weights: Weights
     young_log: float
     young_std: float
+    settings: DiagnoseSettings = DEFAULT
 
     def model(self, forms: Sequence[Form], x: FloatArray) -> Model:
         """Return the believed model with causes in the given forms, at the parameters `x`.
@@ -120,7 +120,9 @@ def prior_of(problem: FitProblem, forms: Sequence[Form]) -> tuple[FloatArray, Fl
     """Return prior mean and standard deviation, each (n,), of the log modulus (kPa) and each form's parameters."""
     wide = any(form.effect is None for form in forms)
     mean = np.concatenate([[problem.young_log], *(form.mean for form in forms)])
-    std = np.concatenate([[WIDE_YOUNG if wide else problem.young_std], *(form.std for form in forms)])
+    std = np.concatenate(
+        [[problem.settings.material.wide_young if wide else problem.young_std], *(form.std for form in forms)]
+    )
     return mean, std
 
 
@@ -145,11 +147,11 @@ def _descent(problem: FitProblem, forms: Sequence[Form], start: FloatArray, shar
         except TissueRegError:
             modelled = np.full(len(measured), np.nan)
         if not np.isfinite(modelled).all():
-            return np.concatenate([np.full(len(measured), _NO_STRESS), z])
+            return np.concatenate([np.full(len(measured), problem.settings.material.no_stress), z])
         white = problem.weights.whitened(measured - modelled, share)
         return np.concatenate([np.clip(white, -1e8, 1e8), z])
 
-    z, value, jacobian = _levenberg(residuals, (start - mean) / std)
+    z, value, jacobian = _levenberg(residuals, (start - mean) / std, problem.settings.material.step)
     curvature = jacobian.T @ jacobian
     log_posterior = -0.5 * float(value @ value) - problem.weights.log_size(share)
     # With the prior every eigenvalue is at least 1, but for rounding errors where the stress becomes huge.
@@ -162,7 +164,7 @@ def _descent(problem: FitProblem, forms: Sequence[Form], start: FloatArray, shar
     return MaterialFit(tuple(forms), x, covariance, share, log_posterior - occam, log_posterior, model)
 
 
-def _levenberg(residuals: Residuals, z: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _levenberg(residuals: Residuals, z: FloatArray, h: float) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the point (k,) that minimises half the sum of squared residuals, with residuals (m,) and Jacobian (m, k).
 
     `residuals`: function of a point (k,), which includes the prior; `z` (k,): start. The method is damped Gauss-Newton;
@@ -170,7 +172,7 @@ def _levenberg(residuals: Residuals, z: FloatArray) -> tuple[FloatArray, FloatAr
     """
     z = np.clip(z, -6.0, 6.0)
     value = residuals(z)
-    jacobian = _differences(residuals, z, value)
+    jacobian = _differences(residuals, z, value, h)
     damping = 1e-2
     for _ in range(40):
         gradient = jacobian.T @ value
@@ -189,16 +191,16 @@ def _levenberg(residuals: Residuals, z: FloatArray) -> tuple[FloatArray, FloatAr
         gain = cost - float(new @ new)
         z, value = tried, new
         damping = max(damping / 8.0, 1e-9)
-        jacobian = _differences(residuals, z, value)
+        jacobian = _differences(residuals, z, value, h)
         if gain < 1e-3:
             break
     return z, value, jacobian
 
 
-def _differences(residuals: Residuals, z: FloatArray, value: FloatArray) -> FloatArray:
+def _differences(residuals: Residuals, z: FloatArray, value: FloatArray, h: float) -> FloatArray:
     columns = []
     for i in range(len(z)):
         moved = z.copy()
-        moved[i] += _STEP
-        columns.append((residuals(moved) - value) / _STEP)
+        moved[i] += h
+        columns.append((residuals(moved) - value) / h)
     return np.stack(columns, axis=1)

@@ -10,14 +10,8 @@ from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.material.data import BoolArray, Data
 from tissuereg.diagnosis.material.fit import FitProblem, MaterialFit, fitted
 from tissuereg.diagnosis.material.weights import block, patched, weights_of
+from tissuereg.diagnosis.settings import DEFAULT, MaterialSettings
 from tissuereg.experiment.material_experiment import HELD_OUT, MaterialExperiment
-
-#: Specimens are divided into so many folds at most.
-_MAX_FOLDS = 4
-#: Progress along the load history up to which a single curve is fitted; the rest is predicted.
-_PART = 0.8
-#: Rates with a ratio below this are held out together, because one would predict the other.
-_SAME_RATE = 1.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +86,9 @@ class HeldOutErrors:
         return sum(self.misfits.values())
 
 
-def folds_of(experiment: MaterialExperiment, data: Data) -> tuple[str, tuple[Fold, ...]]:
+def folds_of(
+    experiment: MaterialExperiment, data: Data, settings: MaterialSettings = DEFAULT.material
+) -> tuple[str, tuple[Fold, ...]]:
     """Return what is held out (a unit), and the folds: sets of rows that are held out in turn.
 
     `experiment`: its `hold_out` is the unit where it is given; else the first of mode, rate and specimen with several
@@ -102,21 +98,23 @@ def folds_of(experiment: MaterialExperiment, data: Data) -> tuple[str, tuple[Fol
     wanted = HELD_OUT if experiment.hold_out is None else (experiment.hold_out,)
     for unit in wanted:
         values = experiment.values(unit)
-        if len(values) > 1 and not (unit == "rate" and len(_alike(values)) < 2):
-            sets: Sequence[Sequence[object]] = _alike(values) if unit == "rate" else [[v] for v in values]
-            if unit == "specimen" and len(values) > _MAX_FOLDS:
-                sets = [values[i::_MAX_FOLDS] for i in range(_MAX_FOLDS)]
+        if len(values) > 1 and not (unit == "rate" and len(_alike(values, settings.same_rate)) < 2):
+            sets: Sequence[Sequence[object]] = (
+                _alike(values, settings.same_rate) if unit == "rate" else [[v] for v in values]
+            )
+            if unit == "specimen" and len(values) > settings.most_folds:
+                sets = [values[i :: settings.most_folds] for i in range(settings.most_folds)]
             own = np.array([str(getattr(curve, unit)) for curve in data.curves])[data.curve_of]
             return unit, tuple(Fold(_named(unit, s), np.isin(own, [str(v) for v in s])) for s in sets)
-    beyond = data.arc > _PART
+    beyond = data.arc > settings.part
     return "part", (Fold("the last part of the load history", beyond),)
 
 
-def _alike(rates: Sequence[object]) -> list[list[object]]:
-    """Return strain rates (1/s) in ascending order, in sets of which each rate is below 1.5 times the one before."""
+def _alike(rates: Sequence[object], same: float) -> list[list[object]]:
+    """Return strain rates (1/s) in ascending order, in sets of which each rate is below `same` times the one before."""
     sets: list[list[object]] = []
     for rate in sorted(float(str(r)) for r in rates):
-        if sets and rate < _SAME_RATE * float(str(sets[-1][-1])):
+        if sets and rate < same * float(str(sets[-1][-1])):
             sets[-1].append(rate)
         else:
             sets.append([rate])

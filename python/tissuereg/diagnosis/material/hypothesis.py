@@ -13,13 +13,7 @@ import numpy as np
 from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.material.causes import CAUSES, Form
 from tissuereg.diagnosis.material.fit import FitProblem, MaterialFit, fitted
-from tissuereg.diagnosis.material.weights import SHARES, weights_of
-
-#: Prior probability that there is no generic misfit in addition to the causes; the rest is divided among its sizes.
-NO_MISFIT = 0.5
-
-#: Log evidence that a form must gain over one with fewer parameters.
-_SIMPLER = 3.0
+from tissuereg.diagnosis.material.weights import weights_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,9 +61,10 @@ def unknown(problem: FitProblem, known: Hypothesis) -> Hypothesis:
     size of the misfit (a Gaussian process), and the log evidence averaged over all sizes; the last of its ids is
     ``unknown``.
     """
-    fits = [fitted(problem, known.fit.forms, [known.fit.x], share) for share in SHARES]
+    shares = problem.settings.material.misfit_shares
+    fits = [fitted(problem, known.fit.forms, [known.fit.x], share) for share in shares]
     best = max(fits, key=lambda fit: fit.evidence)
-    evidence = float(np.logaddexp.reduce([fit.evidence for fit in fits])) - math.log(len(SHARES))
+    evidence = float(np.logaddexp.reduce([fit.evidence for fit in fits])) - math.log(len(shares))
     return Hypothesis((*known.ids, "unknown"), best, evidence)
 
 
@@ -89,7 +84,7 @@ def with_cause(problem: FitProblem, known: Hypothesis, cause: str, forms: Sequen
         found.append(refitted(problem, (*known.fit.forms, form), starts))
     # Of forms with about the same evidence, that with the fewest parameters.
     highest = max(pair[1] for pair in found)
-    as_good = [pair for pair in found if pair[1] >= highest - _SIMPLER]
+    as_good = [pair for pair in found if pair[1] >= highest - problem.settings.material.simpler]
     best = min(as_good, key=lambda pair: (len(pair[0].x), -pair[1]))
     evidence = float(np.logaddexp.reduce([pair[1] for pair in found])) - math.log(len(forms))
     ordered = sorted(found, key=lambda pair: -pair[1])
@@ -103,14 +98,16 @@ def refitted(problem: FitProblem, forms: Sequence[Form], starts: Sequence[FloatA
     the likelier of the two; `evidence`: log of the mean evidence with and without the generic misfit, weighted by their
     prior probabilities.
     """
+    numbers = problem.settings.material
+    none = numbers.no_misfit
     plain = fitted(problem, forms, starts)
     share = _likeliest_share(problem, plain)
-    small = math.log((1.0 - NO_MISFIT) / len(SHARES))
+    small = math.log((1.0 - none) / len(numbers.misfit_shares))
     if share == 0.0:
-        return plain, plain.evidence + math.log(NO_MISFIT)
+        return plain, plain.evidence + math.log(none)
     smooth = fitted(problem, forms, [plain.x], share)
-    evidence = float(np.logaddexp(plain.evidence + math.log(NO_MISFIT), smooth.evidence + small))
-    return (smooth if smooth.evidence + small > plain.evidence + math.log(NO_MISFIT) else plain), evidence
+    evidence = float(np.logaddexp(plain.evidence + math.log(none), smooth.evidence + small))
+    return (smooth if smooth.evidence + small > plain.evidence + math.log(none) else plain), evidence
 
 
 def forms_of(cause: str, known: Sequence[str], forms: dict[str, list[Form]]) -> list[Form]:
@@ -124,13 +121,14 @@ def forms_of(cause: str, known: Sequence[str], forms: dict[str, list[Form]]) -> 
 
 def _likeliest_share(problem: FitProblem, fit: MaterialFit) -> float:
     residual = problem.data.stress - problem.data.modelled(fit.model)
+    shares, none = problem.settings.material.misfit_shares, problem.settings.material.no_misfit
 
     def score(share: float) -> float:
         white = problem.weights.whitened(residual, share)
-        prior = NO_MISFIT if share == 0.0 else (1.0 - NO_MISFIT) / len(SHARES)
+        prior = none if share == 0.0 else (1.0 - none) / len(shares)
         return -0.5 * float(white @ white) - problem.weights.log_size(share) + math.log(prior)
 
-    return max((0.0, *SHARES), key=score)
+    return max((0.0, *shares), key=score)
 
 
 def _grown(form: Form, found: Sequence[tuple[MaterialFit, float]]) -> list[list[FloatArray]]:

@@ -7,19 +7,8 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.material.data import Data, path_arc
+from tissuereg.diagnosis.settings import DEFAULT, MaterialSettings
 from tissuereg.experiment.material_experiment import Curve, MaterialExperiment
-
-#: Least noise of a stress over the curve's peak, typical of load cells and digitised plots.
-LEAST_NOISE = 1e-3
-#: Typical values where no curves are repeated: correlated error along a curve over its stress, and standard deviation
-#: of a specimen's factor. They count as `_PRIOR_REPEATS` repeats in addition to measured ones.
-USUAL_ALONG = 0.02
-USUAL_FACTOR = 0.05
-_PRIOR_REPEATS = 1.0
-#: Correlation length of the error along a curve, in progress along the load history.
-ALONG_LENGTH = 0.25
-#: Share of that error's variance which is uncorrelated between rows: corners of a path, and other rough errors.
-ROUGH = 0.2
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +33,7 @@ class CurveNoise:
     repeats: int
 
 
-def noise_of(experiment: MaterialExperiment) -> CurveNoise:
+def noise_of(experiment: MaterialExperiment, settings: MaterialSettings = DEFAULT.material) -> CurveNoise:
     """Return the estimated noise of the curves of an experiment.
 
     White noise is estimated from the difference between every row and a cubic through its four neighbours along the
@@ -52,20 +41,20 @@ def noise_of(experiment: MaterialExperiment) -> CurveNoise:
     of specimens, the remaining differences the correlated errors along a curve. Typical values are returned where no
     curve is repeated.
     """
-    std = np.array([_white(curve, experiment.stress_std) for curve in experiment.curves])
+    std = np.array([_white(curve, experiment.stress_std, settings.least_noise) for curve in experiment.curves])
     factors, rests, repeats = 0.0, 0.0, 0
     for group in _repeated(experiment.curves):
         spread, rest = _spread([experiment.curves[i] for i in group], std[group])
         factors += spread * (len(group) - 1)
         rests += rest * (len(group) - 1)
         repeats += len(group) - 1
-    weight = repeats + _PRIOR_REPEATS
-    factor = np.sqrt((factors + _PRIOR_REPEATS * USUAL_FACTOR**2) / weight)
-    along = np.sqrt((rests + _PRIOR_REPEATS * USUAL_ALONG**2) / weight)
+    weight = repeats + settings.prior_repeats
+    factor = np.sqrt((factors + settings.prior_repeats * settings.usual_factor**2) / weight)
+    along = np.sqrt((rests + settings.prior_repeats * settings.usual_along**2) / weight)
     return CurveNoise(std, float(factor), float(along), repeats)
 
 
-def covariance(data: Data, noise: CurveNoise) -> FloatArray:
+def covariance(data: Data, noise: CurveNoise, settings: MaterialSettings = DEFAULT.material) -> FloatArray:
     """Return the covariance of measured stresses about a correct law, shape (n, n), in kPa^2.
 
     `data`: the n rows used; `noise`: standard deviations.
@@ -73,8 +62,8 @@ def covariance(data: Data, noise: CurveNoise) -> FloatArray:
     level, specimens = data.level, np.array(data.specimens)
     total = np.diag(noise.std[data.curve_of] ** 2)
     together = data.curve_of[:, None] == data.curve_of[None, :]
-    lasting = np.exp(-0.5 * ((data.arc[:, None] - data.arc[None, :]) / ALONG_LENGTH) ** 2)
-    lasting = (1.0 - ROUGH) * lasting + ROUGH * np.eye(len(level))
+    lasting = np.exp(-0.5 * ((data.arc[:, None] - data.arc[None, :]) / settings.along_length) ** 2)
+    lasting = (1.0 - settings.rough) * lasting + settings.rough * np.eye(len(level))
     total += noise.along**2 * np.outer(level, level) * lasting * together
     if len(set(specimens)) > 1:
         signed = data.stress
@@ -82,12 +71,12 @@ def covariance(data: Data, noise: CurveNoise) -> FloatArray:
     return np.asarray(total)
 
 
-def _white(curve: Curve, given: float | None) -> float:
+def _white(curve: Curve, given: float | None, least: float) -> float:
     if given is not None:
         return given
     measured = np.isfinite(curve.stress)
     place, stress = path_arc(curve)[measured], curve.stress[measured]
-    least = LEAST_NOISE * float(np.abs(stress).max())
+    least *= float(np.abs(stress).max())
     if len(stress) < 7:
         return max(least, 0.01 * float(np.abs(stress).max()))
     # Adding the row number separates rows at equal progress.

@@ -7,13 +7,9 @@ import numpy as np
 from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.material.causes import Form
 from tissuereg.diagnosis.material.fit import FitProblem, MaterialFit, prior_of
-from tissuereg.diagnosis.material.weights import SHARES, Weights
+from tissuereg.diagnosis.material.weights import Weights
+from tissuereg.diagnosis.settings import MaterialSettings
 from tissuereg.errors import TissueRegError
-
-#: Least threshold, nats.
-LEAST_THRESHOLD = 5.0
-#: Relative uncertainty of the white noise, which is estimated from some tens of rows.
-_NOISE_OF_NOISE = 0.15
 
 
 def threshold(
@@ -21,15 +17,16 @@ def threshold(
     known: MaterialFit,
     forms: Mapping[str, Sequence[Form]],
     rng: np.random.Generator,
-    n_nulls: int = 400,
 ) -> float:
     """Return the log Bayes factor that the best cause exceeds in one of a hundred null experiments.
 
     Every form (formula of a cause) is linearised about its first guesses: one column of stress with a unit prior
     amplitude, in addition to the column of the modulus. `problem`: data, weights and believed model; `known`: fit of
-    the believed model; `forms`: by id of the cause; `rng`: random generator of the noise; `n_nulls`: number of null
-    experiments. Result: nats, at least `LEAST_THRESHOLD`.
+    the believed model; `forms`: by id of the cause; `rng`: random generator of the noise. Result: nats, at least
+    `least_threshold`.
     """
+    numbers = problem.settings.material
+    n_nulls = numbers.thresholds_from
     draws = rng.standard_normal((len(problem.data.stress), n_nulls))
     young = _young_column(problem, known)
     best = np.full(n_nulls, -np.inf)
@@ -40,25 +37,28 @@ def threshold(
                 scores = np.array([_evidence(draws, np.column_stack([young, c])) for c in columns.T])
                 best = np.maximum(best, np.logaddexp.reduce(scores, axis=0) - np.log(len(scores)))
     best = best - _evidence(draws, young[:, None])
-    return max(LEAST_THRESHOLD, float(np.quantile(best, 0.99)))
+    return max(numbers.least_threshold, float(np.quantile(best, numbers.quantile)))
 
 
-def misfit_probability(weights: Weights, residual: FloatArray, rng: np.random.Generator, n_nulls: int = 500) -> float:
+def misfit_probability(
+    weights: Weights, residual: FloatArray, rng: np.random.Generator, settings: MaterialSettings
+) -> float:
     """Return the p-value of the structure in a residual.
 
     The statistic is the largest log likelihood ratio of a generic misfit (a smooth Gaussian process) against none, over
     its sizes. `weights`: whitening of the rows; `residual` (n,): measured minus modelled, kPa; `rng`: random generator
-    of the noise; `n_nulls`: number of residuals of noise alone, of uncertain size. Result: from 1 / (n_nulls + 1) to 1.
+    of the noise; `settings`: number of residuals of noise alone, and how uncertain their size is. Result: above 0.
     """
-    found = _structure(weights, weights.whitened(residual)[:, None])[0]
-    scale = np.exp(_NOISE_OF_NOISE * rng.standard_normal(n_nulls))
-    nulls = _structure(weights, rng.standard_normal((len(residual), n_nulls)) * scale)
+    n_nulls, shares = settings.misfits_from, settings.misfit_shares
+    found = _structure(weights, weights.whitened(residual)[:, None], shares)[0]
+    scale = np.exp(settings.noise_spread * rng.standard_normal(n_nulls))
+    nulls = _structure(weights, rng.standard_normal((len(residual), n_nulls)) * scale, shares)
     return float((1 + (nulls >= found).sum()) / (1 + n_nulls))
 
 
-def _structure(weights: Weights, white: FloatArray) -> FloatArray:
+def _structure(weights: Weights, white: FloatArray, shares: Sequence[float]) -> FloatArray:
     gains = []
-    for share in SHARES:
+    for share in shares:
         grown = share**2 * weights.spectrum
         gains.append(0.5 * (white**2).T @ (grown / (1.0 + grown)) - 0.5 * np.log1p(grown).sum())
     return np.asarray(np.max(gains, axis=0))

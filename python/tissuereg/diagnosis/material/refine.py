@@ -21,11 +21,6 @@ from tissuereg.diagnosis.material.noise import CurveNoise
 from tissuereg.diagnosis.material.search import MaterialSearch
 from tissuereg.diagnosis.material.weights import weights_of
 
-#: Noise of a row over the peak of its curve, where all rows of a curve have equal weights.
-_ALIKE = 0.01
-#: Share by which a form with more parameters, or other weights, must lower the error.
-_WORTH = 0.1
-
 
 @dataclass(frozen=True, eq=False)
 class Refined:
@@ -75,14 +70,14 @@ def _best_form(
     best: Refined,
     benches: dict[str, ProofInput],
 ) -> Refined:
-    place = known.ids.index(cause)
+    place, least = known.ids.index(cause), search.bench.problem.settings.material.worth
     for fit in _in_each_form(search, none, known, cause):
         if fit.forms[place].label == best.fit.forms[place].label:
             continue
         for name, bench in benches.items():
             tried = _of(bench, fit, name)
             simpler = len(fit.x) < len(best.fit.x)
-            worth = 1.0 / (1.0 - _WORTH) if simpler else 1.0 - _WORTH
+            worth = 1.0 / (1.0 - least) if simpler else 1.0 - least
             if _error(search, tried) < worth * _error(search, best):
                 best = tried
     return best
@@ -129,7 +124,7 @@ def rows_alike(bench: ProofInput, noise: CurveNoise) -> ProofInput:
     """
     data = bench.problem.data
     peaks = np.array([float(np.nanmax(np.abs(curve.stress))) for curve in data.curves])
-    size = np.maximum(noise.std, _ALIKE * peaks)[data.curve_of]
+    size = np.maximum(noise.std, bench.problem.settings.material.rows_alike * peaks)[data.curve_of]
     own = np.diag(size**2)
     problem = replace(bench.problem, weights=weights_of(own, np.zeros_like(own)))
     return replace(bench, problem=problem, fitting=own)

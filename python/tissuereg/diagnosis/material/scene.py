@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray
+from tissuereg.diagnosis.settings import DEFAULT, MaterialSettings
 from tissuereg.experiment.material_experiment import Curve, MaterialExperiment
 
 
@@ -37,6 +38,8 @@ class Scene:
         Half the largest stress times its strain, kPa.
     fastest : float
         Largest rate of strain, 1/s; 0 where times are not known.
+    settings : MaterialSettings
+        Priors of the causes.
     """
 
     modes: tuple[str, ...]
@@ -52,6 +55,7 @@ class Scene:
     peak: float
     peak_energy: float
     fastest: float
+    settings: MaterialSettings = DEFAULT.material
 
     @property
     def two_sided(self) -> bool:
@@ -59,7 +63,7 @@ class Scene:
         return self.pulled and self.pushed
 
 
-def scene_of(experiment: MaterialExperiment) -> Scene:
+def scene_of(experiment: MaterialExperiment, settings: MaterialSettings = DEFAULT.material) -> Scene:
     """Return the modes and the ranges of strain, time and stress of an experiment's curves."""
     curves = experiment.curves
     bars = np.concatenate([np.zeros(1), *(c.strains for c in curves if c.mode != "simple-shear")])
@@ -85,6 +89,7 @@ def scene_of(experiment: MaterialExperiment) -> Scene:
         longest_s=longest,
         peak=max(peaks),
         peak_energy=max(energies),
+        settings=settings,
         fastest=max((_fastest(curve) for curve in timed), default=0.0),
     )
 

@@ -16,21 +16,6 @@ from tissuereg.diagnosis.material.fit import MaterialFit
 from tissuereg.diagnosis.material.holdout import HeldOutErrors, ProofInput, held_out_errors
 from tissuereg.diagnosis.material.hypothesis import Hypothesis, forms_of, refitted, unknown, with_cause
 
-#: Separability below which two causes form a group (a difference of 8 in log posterior), and its members at most.
-LEAST_SEPARABILITY = 4.0
-LARGEST_GROUP = 3
-#: Number of findings, at most.
-MOST_FINDINGS = 3
-#: Required gain in log predictive density on held-out data, nats.
-LEAST_GAIN = 4.0
-#: Required share of the generic patch's gain where specimens or rates are held out: the patch then copies other curves.
-_SHARE_OF_PATCH = 0.75
-#: A cause that removes this share of the misfit on held-out data may predict one fold worse.
-_MOST_OF_MISFIT = 0.5
-
-#: A modulus is a finding beyond so many prior standard deviations.
-FAR_YOUNG = 3.0
-
 Progress = Callable[[str], None]
 
 
@@ -74,6 +59,12 @@ class MaterialFinding:
         Root of twice the difference in log posterior from each other cause of the group.
     rivals : dict of str to Hypothesis
         For each other cause of the group, the hypothesis with it in place of this one.
+    threshold : float
+        Log Bayes factor that was required of it, nats.
+    group_probability : float
+        Posterior probability of all causes of the group together.
+    proved : bool
+        Whether it predicts held-out data better than the other findings alone and than a generic misfit.
     """
 
     id: str
@@ -82,6 +73,13 @@ class MaterialFinding:
     log_bayes_factor: float
     separability: dict[str, float]
     rivals: dict[str, Hypothesis]
+    threshold: float
+    group_probability: float
+    proved: bool
+
+    def passes(self, stated: float) -> bool:
+        """Return whether it passes its threshold, its proof, and is, with its group, as probable as `stated`."""
+        return self.log_bayes_factor > self.threshold and self.proved and self.group_probability >= stated
 
 
 @dataclass(eq=False)
@@ -103,12 +101,12 @@ class MaterialSearch:
     _tried: dict[tuple[tuple[str, ...], tuple[str, ...], str], Hypothesis] = field(default_factory=dict)
 
     def run(self, none: Hypothesis) -> Hypothesis:
-        """Return the hypothesis with the accepted causes, at most `MOST_FINDINGS` (3).
+        """Return the hypothesis with the accepted causes, at most `most_causes` (3).
 
         `none`: hypothesis of the believed model, without causes.
         """
         known = none
-        while len(known.ids) < MOST_FINDINGS:
+        while len(known.ids) < self.bench.problem.settings.search.most_causes:
             grown = self._step(known)
             if grown is None:
                 break
@@ -150,7 +148,7 @@ class MaterialSearch:
             self.first_race = candidates(known, racers, generic)
         if not racers:
             return None
-        near = racers[0].evidence - 0.5 * LEAST_SEPARABILITY**2
+        near = racers[0].evidence - 0.5 * self.bench.problem.settings.search.separable**2
         for racer in [racer for racer in racers if racer.evidence >= near]:
             enough = racer.evidence - known.evidence > self.required(known, racer)
             if enough and self.is_proved(known, racer, generic):
@@ -165,7 +163,7 @@ class MaterialSearch:
         they would need under noise twice as large.
         """
         guessed = self.bench.repeats == 0 and len(known.ids) > 0 and grown.ids[-1] != "stiffness"
-        return self.threshold * (4.0 if guessed else 1.0)
+        return self.threshold * (self.bench.problem.settings.material.further if guessed else 1.0)
 
     def _pair(self, known: Hypothesis, first: Hypothesis, generic: Hypothesis) -> Hypothesis | None:
         """Return a hypothesis with two more causes; None where two are not accepted either.
@@ -174,7 +172,7 @@ class MaterialSearch:
         without it, and with a generic misfit), but no proof on held-out data without the second.
         """
         worth = first.evidence - max(generic.evidence, known.evidence)
-        if worth < self.threshold or len(first.ids) == MOST_FINDINGS:
+        if worth < self.threshold or len(first.ids) == self.bench.problem.settings.search.most_causes:
             return None
         self.progress(f"pairs with {first.ids[-1]}")
         racers, _ = self.race(first)
@@ -193,7 +191,9 @@ class MaterialSearch:
         before, after = held_out_errors(self.bench, known.fit), held_out_errors(self.bench, grown.fit)
         if grown.ids == (*known.ids, "stiffness"):
             # Every hypothesis fits the modulus; the criterion is its distance from the prior mean.
-            return self.far_modulus(grown.fit) and after.total < before.total + LEAST_GAIN
+            return (
+                self.far_modulus(grown.fit) and after.total < before.total + self.bench.problem.settings.search.proved
+            )
         patch = held_out_errors(self.bench, known.fit, patch_share=generic.fit.share)
         if self._proved(before, after, patch):
             return True
@@ -206,26 +206,28 @@ class MaterialSearch:
     def far_modulus(self, fit: MaterialFit) -> bool:
         """Return whether the prior mean of Young's modulus is far from the fitted one.
 
-        Far is more than `FAR_YOUNG` (3) prior standard deviations of its logarithm from the range between the fitted
+        Far is more than `far_modulus` (3) prior standard deviations of its logarithm from the range between the fitted
         instantaneous and relaxed moduli.
         """
         problem, relaxation = self.bench.problem, fit.model.relaxation
         relaxed = 0.0 if relaxation is None else float(np.log1p(-min(sum(relaxation.g), 0.999)))
         above, below = fit.x[0] + relaxed - problem.young_log, problem.young_log - fit.x[0]
-        return bool(max(above, below) > FAR_YOUNG * problem.young_std)
+        return bool(max(above, below) > self.bench.problem.settings.search.far_modulus * problem.young_std)
 
     def _proved(self, before: HeldOutErrors, after: HeldOutErrors, patch: HeldOutErrors) -> bool:
         gains = np.array([before.misfits[name] - after.misfits[name] for name in after.misfits])
-        if not gains.size or gains.sum() <= LEAST_GAIN:
+        if not gains.size or gains.sum() <= self.bench.problem.settings.search.proved:
             return False
         # One fold is no proof: all folds gain, or the mean gain is significant, or most of the misfit is removed.
         clear = gains.size == 1 or gains.mean() > 2.0 * gains.std(ddof=1) / np.sqrt(gains.size)
-        if not (gains.min() > 0 or clear or gains.sum() > _MOST_OF_MISFIT * before.total):
+        if not (
+            gains.min() > 0 or clear or gains.sum() > self.bench.problem.settings.material.most_of_misfit * before.total
+        ):
             return False
         if self.bench.unit in ("specimen", "rate"):
             # A patch that copies other specimens or nearby rates is close to the best possible prediction.
             possible = before.chi - patch.chi
-            if before.chi - after.chi > _SHARE_OF_PATCH * possible:
+            if before.chi - after.chi > self.bench.problem.settings.material.share_of_patch * possible:
                 return True
         return bool(after.chi < patch.chi or after.rms_all < patch.rms_all)
 
@@ -259,7 +261,7 @@ class MaterialSearch:
         for cause in known.ids[:-1]:
             self.progress(f"exchange of {cause}")
             _, racers = self.alternatives(none, known, cause)
-            if racers and racers[0].evidence > known.evidence + 0.5 * LEAST_SEPARABILITY**2:
+            if racers and racers[0].evidence > known.evidence + 0.5 * self.bench.problem.settings.search.separable**2:
                 known = racers[0]
         return known
 
@@ -272,6 +274,23 @@ class MaterialSearch:
                 known = rest
         return known
 
+    def findings(
+        self, none: Hypothesis, known: Hypothesis
+    ) -> tuple[Hypothesis, tuple[MaterialFinding, ...], tuple[MaterialFinding, ...]]:
+        """Return the causes that pass their tests again, given each other: hypothesis, findings, and those that do not.
+
+        `none`: the believed model; `known`: hypothesis with all accepted causes.
+        """
+        possible: list[MaterialFinding] = []
+        while True:
+            found = [self.finding(none, known, cause) for cause in known.ids]
+            failed = [finding for finding in found if not finding.passes(self.bench.problem.settings.search.stated)]
+            if not failed:
+                return known, tuple(found), tuple(possible)
+            # Of several, the one whose removal costs the least evidence: the others may pass without it.
+            possible.append(min(failed, key=lambda finding: finding.log_bayes_factor))
+            known = self.without(none, known, possible[-1].id)
+
     def finding(self, none: Hypothesis, known: Hypothesis, cause: str) -> MaterialFinding:
         """Return the finding of one accepted cause, with the group of causes that cannot be distinguished from it.
 
@@ -282,10 +301,16 @@ class MaterialSearch:
         generic = unknown(self.bench.problem, rest)
         apart = {r.ids[-1]: _separability(known, r) for r in racers}
         seen = [r for r in racers if r.evidence - rest.evidence > self.required(rest, r)]
-        tied = sorted((r for r in seen if apart[r.ids[-1]] < LEAST_SEPARABILITY), key=lambda r: apart[r.ids[-1]])
-        tied = tied[: LARGEST_GROUP - 1]
+        tied = sorted(
+            (r for r in seen if apart[r.ids[-1]] < self.bench.problem.settings.search.separable),
+            key=lambda r: apart[r.ids[-1]],
+        )
+        tied = tied[: self.bench.problem.settings.search.most_in_group - 1]
         among = [known.evidence, rest.evidence, generic.evidence, *(r.evidence for r in racers)]
         probability = float(np.exp(known.evidence - np.logaddexp.reduce(among)))
+        own = np.logaddexp.reduce([known.evidence, *(r.evidence for r in tied)])
+        together = float(np.exp(own - np.logaddexp.reduce(among)))
+        last = Hypothesis((*rest.ids, cause), known.fit, known.evidence)
         return MaterialFinding(
             cause,
             (cause, *(r.ids[-1] for r in tied)),
@@ -293,6 +318,10 @@ class MaterialSearch:
             known.evidence - rest.evidence,
             {r.ids[-1]: apart[r.ids[-1]] for r in tied},
             {r.ids[-1]: r for r in tied},
+            self.required(rest, last),
+            together,
+            # One cause alone was proved when it was accepted.
+            not rest.ids or self.is_proved(rest, last, generic),
         )
 
 

@@ -19,14 +19,8 @@ from tissuereg.diagnosis.material.refine import Refined, refined
 from tissuereg.diagnosis.material.scene import Scene, scene_of
 from tissuereg.diagnosis.material.search import CandidateCause, MaterialFinding, MaterialSearch, visible
 from tissuereg.diagnosis.material.weights import generic_covariance, weights_of
+from tissuereg.diagnosis.settings import DEFAULT, DiagnoseSettings
 from tissuereg.experiment.material_experiment import MaterialExperiment
-
-#: Default standard deviation of the logarithm of the modulus.
-USUAL_YOUNG = 0.3
-#: Level of the misfit test: a residual with a smaller p-value is a misfit.
-MISFIT = 0.01
-#: Share of the misfit that findings must explain where a misfit remains.
-EXPLAINED = 0.8
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,10 +39,12 @@ class SelectionOutcome:
         The reported fit of the findings; None without findings.
     findings : tuple of MaterialFinding
         Named causes; empty where the verdict is consistent or unexplained.
+    possible : tuple of MaterialFinding
+        Causes that were found and are not stated, as their evidence or probability does not suffice given the others.
     candidates : tuple of CandidateCause
         Every cause tried alone, and the generic misfit.
     threshold : float
-        Log Bayes factor that a cause must exceed, nats.
+        Log Bayes factor that a first cause must exceed, nats.
     p_misfit : float
         p-value of the residual after the findings.
     explained : float
@@ -70,6 +66,7 @@ class SelectionOutcome:
     believed: MaterialFit
     refined: Refined | None
     findings: tuple[MaterialFinding, ...]
+    possible: tuple[MaterialFinding, ...]
     candidates: tuple[CandidateCause, ...]
     threshold: float
     p_misfit: float
@@ -83,31 +80,33 @@ class SelectionOutcome:
     scene: Scene
 
 
-def find_out(experiment: MaterialExperiment, seed: int, progress: Callable[[str], None]) -> SelectionOutcome:
+def find_out(
+    experiment: MaterialExperiment, seed: int, progress: Callable[[str], None], settings: DiagnoseSettings = DEFAULT
+) -> SelectionOutcome:
     """Return everything that a diagnosis of material tests finds, from noise and fits to the verdict.
 
     `experiment`: believed law and measured curves; `seed`: seed of the simulated null experiments; `progress`: called
     with the name of the step that begins.
     """
-    rng = np.random.default_rng(seed)
-    bench, noise = bench_of(experiment)
-    problem, scene = bench.problem, scene_of(experiment)
+    rng, rules = np.random.default_rng(seed), settings.nulls
+    bench, noise = bench_of(experiment, settings)
+    problem, scene = bench.problem, scene_of(experiment, settings.material)
     none = null_hypothesis(problem)
-    forms = visible({id: cause.forms(scene) for id, cause in CAUSES.items()})
+    forms = visible({id: cause.forms(scene) for id, cause in CAUSES.items() if id not in settings.left_out})
     progress("threshold from null experiments")
     limit = threshold(problem, none.fit, forms, rng)
     search = MaterialSearch(bench, forms, limit, progress)
-    known = _without_near_modulus(search, none, search.run(none))
+    known, stated, possible = search.findings(none, _without_near_modulus(search, none, search.run(none)))
     data = problem.data
     believed = plain_fit(problem, bench.noise)
     residual = data.stress - data.modelled(known.fit.model)
-    p_misfit = misfit_probability(problem.weights, residual, rng)
+    p_misfit = misfit_probability(problem.weights, residual, rng, settings.material)
     explained = _explained(bench, data.stress - data.modelled(believed.model), residual) if known.ids else math.nan
     generic = unknown(problem, none)
-    verdict = "consistent" if p_misfit > MISFIT else "unexplained"
+    verdict = "consistent" if p_misfit > rules.misfit else "unexplained"
     findings: tuple[MaterialFinding, ...] = ()
-    if known.ids and (p_misfit > MISFIT or explained > EXPLAINED):
-        findings = tuple(search.finding(none, known, cause) for cause in known.ids)
+    if known.ids and (p_misfit > rules.misfit or explained > settings.material.explained):
+        findings = stated
         verdict = "group" if any(len(finding.group) > 1 for finding in findings) else "named"
     progress("form and weights that predict best")
     reported = refined(search, none, known, noise) if findings else None
@@ -120,6 +119,7 @@ def find_out(experiment: MaterialExperiment, seed: int, progress: Callable[[str]
         believed,
         reported,
         findings,
+        possible,
         tuple(search.first_race),
         limit,
         p_misfit,
@@ -134,18 +134,19 @@ def find_out(experiment: MaterialExperiment, seed: int, progress: Callable[[str]
     )
 
 
-def bench_of(experiment: MaterialExperiment) -> tuple[ProofInput, CurveNoise]:
+def bench_of(experiment: MaterialExperiment, settings: DiagnoseSettings = DEFAULT) -> tuple[ProofInput, CurveNoise]:
     """Return the rows, covariances and folds that fits and proofs of an experiment need, and the noise of its curves.
 
     `experiment`: believed law and measured curves.
     """
-    data, noise = data_of(experiment), noise_of(experiment)
-    own, generic = covariance(data, noise), generic_covariance(data)
+    numbers = settings.material
+    data, noise = data_of(experiment, numbers.most_rows), noise_of(experiment, numbers)
+    own, generic = covariance(data, noise, numbers), generic_covariance(data, numbers)
     base = model_of(experiment)
     young = float(base.material.young_array[0])
-    std = USUAL_YOUNG if experiment.young_std is None else math.log1p(experiment.young_std / young)
-    problem = FitProblem(base, data, weights_of(own, generic), math.log(young), std)
-    unit, folds = folds_of(experiment, data)
+    std = numbers.young_spread if experiment.young_std is None else math.log1p(experiment.young_std / young)
+    problem = FitProblem(base, data, weights_of(own, generic), math.log(young), std, settings)
+    unit, folds = folds_of(experiment, data, numbers)
     return ProofInput(unit, folds, problem, own, generic, noise.repeats), noise
 
 

@@ -13,12 +13,7 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray, IntArray
 from tissuereg.diagnosis.material.data import Data
-from tissuereg.diagnosis.material.noise import ROUGH
-
-#: Sizes of a generic misfit over the stress.
-SHARES = (0.02, 0.04, 0.08, 0.16, 0.32, 0.64)
-#: Correlation lengths of a generic misfit: strain over the largest, progress (long and short), decades of rate.
-_STRAIN, _ARC, _SHORT_ARC, _RATE = 0.5, 0.25, 0.06, 1.0
+from tissuereg.diagnosis.settings import DEFAULT, MaterialSettings
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,16 +69,16 @@ def weights_of(noise: FloatArray, generic: FloatArray) -> Weights:
     return Weights(vectors.T @ inverse, np.maximum(spectrum, 0.0))
 
 
-def generic_covariance(data: Data) -> FloatArray:
+def generic_covariance(data: Data, settings: MaterialSettings = DEFAULT.material) -> FloatArray:
     """Return the covariance, shape (n, n), kPa^2, of a generic misfit of size 1 over the stress at the n rows."""
 
     def near(values: FloatArray, length: float) -> FloatArray:
         return np.asarray(np.exp(-0.5 * ((values[:, None] - values[None, :]) / length) ** 2))
 
     modes = np.array(data.modes)
-    path = 0.7 * near(data.arc, _ARC) + 0.3 * near(data.arc, _SHORT_ARC)
-    alike = near(data.strain, _STRAIN) * path * near(data.log_rate, _RATE)
-    alike = (1.0 - ROUGH) * alike * (modes[:, None] == modes[None, :]) + ROUGH * np.eye(len(modes))
+    path = 0.7 * near(data.arc, settings.misfit_arc) + 0.3 * near(data.arc, settings.misfit_short_arc)
+    alike = near(data.strain, settings.misfit_strain) * path * near(data.log_rate, settings.misfit_rate)
+    alike = (1.0 - settings.rough) * alike * (modes[:, None] == modes[None, :]) + settings.rough * np.eye(len(modes))
     return np.asarray(np.outer(data.level, data.level) * alike)
 
 

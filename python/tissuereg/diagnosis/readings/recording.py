@@ -6,7 +6,7 @@ import numpy as np
 
 from tissuereg._base.arrays import BoolArray, FloatArray
 from tissuereg.diagnosis.readings.response import Response, present
-from tissuereg.diagnosis.readings.settings import RECORDINGS
+from tissuereg.diagnosis.readings.settings import RECORDINGS, RecordingSettings
 from tissuereg.diagnosis.signals import CasePart, SignalLayout
 from tissuereg.experiment.experiment import Case, Experiment
 
@@ -30,21 +30,26 @@ class Recorded:
     forces: FloatArray
 
 
-def recorded(experiment: Experiment, layout: SignalLayout, known: dict[tuple[str, ...], Response]) -> list[Recorded]:
+def recorded(
+    experiment: Experiment,
+    layout: SignalLayout,
+    known: dict[tuple[str, ...], Response],
+    settings: RecordingSettings = RECORDINGS,
+) -> list[Recorded]:
     """Return the cases in which an actuator acts; `known`: responses by the actuators present."""
     found = []
     for part in layout.parts:
         case = experiment.cases[part.name]
         response = known.get(present(experiment, case))
         if response is not None:
-            one = _case(experiment, layout, part, case, response)
+            one = _case(experiment, layout, part, case, response, settings.frames)
             if one is not None:
                 found.append(one)
     return found
 
 
 def _case(
-    experiment: Experiment, layout: SignalLayout, part: CasePart, case: Case, response: Response
+    experiment: Experiment, layout: SignalLayout, part: CasePart, case: Case, response: Response, most: int
 ) -> Recorded | None:
     commands = np.array(
         [case.displacements[pad] if pad in case.displacements else case.applied_forces[pad] for pad in response.pads]
@@ -53,7 +58,7 @@ def _case(
     frames = np.flatnonzero(acts)
     if not len(frames):
         return None
-    frames = frames[np.unique(np.linspace(0, len(frames) - 1, min(len(frames), RECORDINGS.frames)).round().astype(int))]
+    frames = frames[np.unique(np.linspace(0, len(frames) - 1, min(len(frames), most)).round().astype(int))]
     measured = layout.measured
     motion, forces = part.markers(measured), part.forces(measured)
     rest = _mean(motion[~acts])

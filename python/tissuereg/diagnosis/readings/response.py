@@ -7,7 +7,7 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg._base.choices import Element
-from tissuereg.diagnosis.readings.settings import RECORDINGS
+from tissuereg.diagnosis.readings.settings import RECORDINGS, RecordingSettings
 from tissuereg.errors import TissueRegError
 from tissuereg.experiment.effects import extended
 from tissuereg.experiment.experiment import Case, Experiment
@@ -29,7 +29,9 @@ class Response:
     forces: dict[str, FloatArray]
 
 
-def responses(experiment: Experiment, *, element: Element, threads: int) -> dict[tuple[str, ...], Response]:
+def responses(
+    experiment: Experiment, *, element: Element, threads: int, settings: RecordingSettings = RECORDINGS
+) -> dict[tuple[str, ...], Response]:
     """Return the linear response of the believed model for every set of actuators that a case has, by their names.
 
     `experiment`: the believed model; weight and memory are left out; `element`: elements of the model; `threads`:
@@ -39,11 +41,11 @@ def responses(experiment: Experiment, *, element: Element, threads: int) -> dict
     if goes_through_time(plain):
         plain = replace(plain, effects=())
     sets = dict.fromkeys(present(experiment, case) for case in experiment.cases.values())
-    cases = {str(i): _unit_case(plain, str(i), pads) for i, pads in enumerate(sets) if pads}
+    cases = {str(i): _unit_case(plain, str(i), pads, settings) for i, pads in enumerate(sets) if pads}
     try:
         worked = extended(replace(plain, cases=cases, rest_case=None), element)
         solved = solve_cases(
-            worked, list(worked.cases.values()), settings=FrameSettings(element, RECORDINGS.tolerance, threads)
+            worked, list(worked.cases.values()), settings=FrameSettings(element, settings.tolerance, threads)
         )
         if any(one.failed for one in solved.values()):
             return {}
@@ -52,7 +54,7 @@ def responses(experiment: Experiment, *, element: Element, threads: int) -> dict
     found = {}
     for i, pads in enumerate(sets):
         if pads:
-            units = np.repeat([_unit(plain, pad) for pad in pads], 3)
+            units = np.repeat([_unit(plain, pad, settings) for pad in pads], 3)
             answer = solved[str(i)]
             fields = (answer.displacement[1:] - answer.displacement[0]) / units[:, None, None]
             forces = {
@@ -70,20 +72,20 @@ def present(experiment: Experiment, case: Case) -> tuple[str, ...]:
     )
 
 
-def _unit(experiment: Experiment, name: str) -> float:
+def _unit(experiment: Experiment, name: str, settings: RecordingSettings) -> float:
     extent = experiment.mesh.extent
     if experiment.actuator(name).kind == "displacement":
-        return RECORDINGS.motion * extent
-    return RECORDINGS.force * float(experiment.material.young_array.mean()) * extent**2
+        return settings.motion * extent
+    return settings.force * float(experiment.material.young_array.mean()) * extent**2
 
 
-def _unit_case(experiment: Experiment, name: str, pads: Sequence[str]) -> Case:
+def _unit_case(experiment: Experiment, name: str, pads: Sequence[str], settings: RecordingSettings) -> Case:
     """Return a case whose first frame is at rest, followed by a small command of every pad along each axis."""
     n_frames = 1 + 3 * len(pads)
     given: dict[str, FloatArray] = {}
     for i, pad in enumerate(pads):
         given[pad] = np.zeros((n_frames, 3))
-        given[pad][1 + 3 * i : 4 + 3 * i] = _unit(experiment, pad) * np.eye(3)
+        given[pad][1 + 3 * i : 4 + 3 * i] = _unit(experiment, pad, settings) * np.eye(3)
     moves = {pad: values for pad, values in given.items() if experiment.actuator(pad).kind == "displacement"}
     return Case(
         name,

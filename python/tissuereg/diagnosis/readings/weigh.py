@@ -14,7 +14,7 @@ from tissuereg._base.arrays import FloatArray
 from tissuereg.body.observe import MarkerObservation
 from tissuereg.diagnosis.readings.proposals import RecordingReading
 from tissuereg.diagnosis.readings.recording import Recorded
-from tissuereg.diagnosis.readings.settings import RECORDINGS
+from tissuereg.diagnosis.readings.settings import RECORDINGS, RecordingSettings
 from tissuereg.errors import MarkerError
 from tissuereg.experiment.experiment import Experiment
 from tissuereg.registration.readings.likelihood import standoff
@@ -70,10 +70,12 @@ class _Compared:
         power = moved**2 * self.mm + 2.0 * moved * pulled * self.mp + pulled**2 * self.pp
         return np.maximum(self.yy - 2.0 * (moved * self.ym + pulled * self.yp) + power, 0.0), power
 
-    def log_likelihood(self, noise: float, moved: FloatArray, pulled: FloatArray) -> FloatArray:
+    def log_likelihood(
+        self, noise: float, moved: FloatArray, pulled: FloatArray, errors: Sequence[float]
+    ) -> FloatArray:
         """Return the log likelihood (n_factors, n_shares); `noise`: standard deviation, mm or mN."""
         rest, power = self.at(moved, pulled)
-        variance = noise**2 + np.square(RECORDINGS.errors) * power[:, None] / self.n
+        variance = noise**2 + np.square(errors) * power[:, None] / self.n
         nats = -0.5 * (rest[:, None] / self.n / variance + np.log(variance))
         return np.asarray(self.weight * (nats + self.log_factor))
 
@@ -81,13 +83,16 @@ class _Compared:
 class Weigher:
     """Weighs readings of one experiment; `cases`: what was recorded in its cases."""
 
-    def __init__(self, experiment: Experiment, cases: Sequence[Recorded]) -> None:
+    def __init__(
+        self, experiment: Experiment, cases: Sequence[Recorded], settings: RecordingSettings = RECORDINGS
+    ) -> None:
+        self._settings = settings
         self._experiment, self._cases = experiment, cases
         self._extent = experiment.mesh.extent
         self._force_std = experiment.force_std or 1.0
         believed = float(experiment.material.young_array.mean())
-        spread = max((experiment.young_std or 0.0) / believed, RECORDINGS.modulus_std)
-        steps = np.linspace(-RECORDINGS.moduli_within, RECORDINGS.moduli_within, RECORDINGS.n_moduli)
+        spread = max((experiment.young_std or 0.0) / believed, settings.modulus_std)
+        steps = np.linspace(-settings.moduli_within, settings.moduli_within, settings.n_moduli)
         self._factors = np.exp(spread * steps)
         self._prior = -0.5 * steps**2 - np.logaddexp.reduce(-0.5 * steps**2)
         self._seen: dict[bytes, tuple[float, list[FloatArray] | None]] = {}
@@ -104,7 +109,9 @@ class Weigher:
                     for pad, given in zip(case.response.pads, case.commands, strict=True)
                 ]
             )
-            markers += _markers(case, commands, None if fields is None else fields[number], reading.markers)
+            markers += _markers(
+                case, commands, None if fields is None else fields[number], reading.markers, self._settings.markers
+            )
             for pad, one in _forces(case, commands, reading):
                 forces.setdefault(pad, []).append(one)
         nats = self._prior.copy()
@@ -112,12 +119,14 @@ class Weigher:
         if markers:
             # A stiffer body moves less under given forces, and needs larger forces for a given motion.
             nats += np.logaddexp.reduce(
-                sum(one.log_likelihood(noise, ones, 1.0 / self._factors) for one in markers), axis=1
+                sum(one.log_likelihood(noise, ones, 1.0 / self._factors, self._settings.errors) for one in markers),
+                axis=1,
             )
         if forces:
             felt = [one for parts in forces.values() for one in parts]
             nats += np.logaddexp.reduce(
-                sum(one.log_likelihood(self._force_std, self._factors, ones) for one in felt), axis=1
+                sum(one.log_likelihood(self._force_std, self._factors, ones, self._settings.errors) for one in felt),
+                axis=1,
             )
         best = int(np.argmax(nats))
         factor = float(self._factors[best])
@@ -138,9 +147,12 @@ class Weigher:
             places = self._experiment.marker_reference @ turn.T
             outside = np.maximum(skin_of(self._experiment.mesh).closest(places).distance, 0.0)
             near = -min(
-                0.5 * _counted(places) * float(np.mean((outside / standoff(self._extent)) ** 2)), RECORDINGS.most_nats
+                0.5
+                * _counted(places, self._settings.markers)
+                * float(np.mean((outside / standoff(self._extent)) ** 2)),
+                self._settings.most_nats,
             )
-            self._seen[key] = near, self._observed(places) if near > -RECORDINGS.most_nats else None
+            self._seen[key] = near, self._observed(places) if near > -self._settings.most_nats else None
         return self._seen[key]
 
     def _observed(self, places: FloatArray) -> list[FloatArray] | None:
@@ -159,23 +171,25 @@ class Weigher:
 
     def _resting(self, reading: RecordingReading) -> float:
         """Return the log likelihood of the measured places without a command."""
-        size = RECORDINGS.places * self._extent
+        size = self._settings.places * self._extent
         worst = 0.0
         for case in self._cases:
             seen = np.isfinite(case.rest).all(axis=1)
             if seen.any():
                 off = case.rest @ reading.markers.T - self._experiment.marker_reference @ reading.places.T
                 mean = float(np.mean((off[seen] / size) ** 2))
-                worst = max(worst, 1.5 * _counted(off[seen]) * mean)
-        return -min(worst, RECORDINGS.most_nats)
+                worst = max(worst, 1.5 * _counted(off[seen], self._settings.markers) * mean)
+        return -min(worst, self._settings.most_nats)
 
 
-def _markers(case: Recorded, commands: FloatArray, field: FloatArray | None, turn: FloatArray) -> list[_Compared]:
+def _markers(
+    case: Recorded, commands: FloatArray, field: FloatArray | None, turn: FloatArray, most: int
+) -> list[_Compared]:
     measured = case.motion @ turn.T
     seen = np.isfinite(measured)
     if not seen.any():
         return []
-    counted = 3.0 * _counted(measured[0][seen.any(axis=(0, 2))])
+    counted = 3.0 * _counted(measured[0][seen.any(axis=(0, 2))], most)
     if field is None:
         # Markers off the body move for no reason that the model knows.
         power = float(measured[seen] @ measured[seen])
@@ -232,5 +246,5 @@ def _log_factor(turn: FloatArray) -> float:
     return float(np.log(abs(np.linalg.det(turn)))) / 3.0
 
 
-def _counted(places: FloatArray) -> float:
-    return float(min(len(places), RECORDINGS.markers))
+def _counted(places: FloatArray, most: int) -> float:
+    return float(min(len(places), most))

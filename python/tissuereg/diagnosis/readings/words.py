@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from tissuereg.diagnosis.readings.settings import RECORDINGS
+from tissuereg.diagnosis.readings.settings import RECORDINGS, RecordingSettings
 from tissuereg.diagnosis.readings.weigh import Agreement, WeighedReading
 from tissuereg.registration.readings.settings import COSTS
 
@@ -38,7 +38,12 @@ class RecordingSuspicion:
         }
 
 
-def misread(plain: WeighedReading, best: WeighedReading, others: Sequence[WeighedReading]) -> RecordingSuspicion:
+def misread(
+    plain: WeighedReading,
+    best: WeighedReading,
+    others: Sequence[WeighedReading],
+    settings: RecordingSettings = RECORDINGS,
+) -> RecordingSuspicion:
     """Return the suspicion that another reading of the recording is right.
 
     `plain`, `best`: the recording as given, and the reading that beats it; `others`: all that were weighed, to name
@@ -47,14 +52,16 @@ def misread(plain: WeighedReading, best: WeighedReading, others: Sequence[Weighe
     reading = best.reading
     facts = []
     if best.markers is not None and plain.markers is not None:
-        facts.append(_fact("the markers' motion", plain.markers, best.markers))
-    facts += [_fact(f"the force on {pad}", plain.forces[pad], new) for pad, new in best.forces.items()]
+        facts.append(_fact("the markers' motion", plain.markers, best.markers, settings.nothing))
+    facts += [
+        _fact(f"the force on {pad}", plain.forces[pad], new, settings.nothing) for pad, new in best.forces.items()
+    ]
     facts = [fact for fact in facts if fact] or ["the places without a command are then those at rest"]
     gain = best.total - plain.total
     digits = int(gain / np.log(10.0))
     odds = (
-        f"odds more than 10^{RECORDINGS.most_digits} to 1"
-        if digits > RECORDINGS.most_digits
+        f"odds more than 10^{settings.most_digits} to 1"
+        if digits > settings.most_digits
         else f"odds about 10^{digits} to 1"
     )
     ties = sorted((one for one in others if one is not best and one.total > best.total - COSTS.tie), key=_total)
@@ -74,12 +81,12 @@ def silent(pads: Sequence[str], plain: WeighedReading, noise: float) -> Recordin
     return RecordingSuspicion("silent", sentence, write, ("forces.csv",))
 
 
-def _fact(what: str, before: Agreement, after: Agreement) -> str:
+def _fact(what: str, before: Agreement, after: Agreement, nothing: float) -> str:
     """Return what a reading changes for one channel, in words; empty where it is as far off as before."""
     if abs(before.off - after.off) < 0.05 * max(before.off, after.off):
         return ""
     told = f"{what} is then {after.off:.0%} off the believed model"
-    if before.predicted < RECORDINGS.nothing * after.predicted:
+    if before.predicted < nothing * after.predicted:
         return told  # as given, all places are about the origin
     if not -0.3 < before.ratio < 0.3 and not 0.3 < before.ratio < 3.0:
         return f"{told}, as given {before.ratio:.2g} times the believed one"

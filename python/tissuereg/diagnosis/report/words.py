@@ -5,10 +5,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tissuereg.diagnosis.evidence import LOOK_ALIKE, TEMPER
 from tissuereg.diagnosis.report.proved import gain_words
 from tissuereg.diagnosis.report.ranking import chance, gloss, plain_name, separated
-from tissuereg.diagnosis.search import SEPARABLE
+from tissuereg.diagnosis.understated import UNDERSTATED
 from tissuereg.report.markup import escape, table
 
 if TYPE_CHECKING:
@@ -20,6 +19,8 @@ def verdict_sentence(found: "Diagnosis") -> str:
     """Return the verdict of a diagnosis in one sentence, plain text."""
     if found.verdict == "consistent":
         return "The measurements are consistent with the simulation, within noise and nuisance parameters."
+    if found.verdict == UNDERSTATED:
+        return "The measurements are consistent with the simulation, but their noise is larger than stated."
     if found.suspicions and not found.candidates:
         return "The recording is probably misread, so that no cause was looked for."
     if found.verdict == "unexplained":
@@ -44,10 +45,11 @@ def summary(found: "Diagnosis") -> str:
         f"<h1>What the simulation of {escape(found.extended.name)} gets wrong</h1>",
         f"<p class='verdict'><b class='{tone}'>{escape(verdict_sentence(found))}</b></p>",
     ]
-    parts += [f"<p>{escape(one.sentence)}.</p>" for one in found.suspicions]
+    said = [*(one.sentence for one in found.suspicions), *(one.sentence for one in found.understated)]
+    parts += [f"<p>{escape(sentence)}.</p>" for sentence in said]
     if found.candidates or not found.suspicions:
         parts.append(f"<p>{escape(_discrepancy(found))} {escape(_left(found))}</p>")
-    if found.verdict == "unexplained" and found.next_experiment is not None:
+    if found.verdict in ("unexplained", UNDERSTATED) and found.next_experiment is not None:
         parts.append(f"<p><b>Next:</b> {escape(found.next_experiment['action'])}.</p>")
     if found.provisional:
         parts.append("<p>Provisional: with fewer than three load cases, none was predicted from several others.</p>")
@@ -56,9 +58,8 @@ def summary(found: "Diagnosis") -> str:
 
 def findings(found: "Diagnosis") -> str:
     """Return every finding with its parameters and evidence, as HTML."""
-    if not found.findings:
-        return "<p>No cause was accepted.</p>"
-    return "\n".join(_finding(finding) for finding in found.findings)
+    parts = [_finding(finding) for finding in found.findings] or ["<p>No cause was accepted.</p>"]
+    return "\n".join([*parts, *(_possible(one) for one in found.possible)])
 
 
 def ties(found: "Diagnosis") -> str:
@@ -82,7 +83,7 @@ def ties(found: "Diagnosis") -> str:
             f"<p><b>Next experiment: {escape(advice['action'])}.</b> It separates {escape(separated(advice))}: the "
             f"predictions of the fitted models differ by {advice['separability']:.1f} noise deviations, given the "
             "uncertainty of the tracker's frame, the modulus and the forces "
-            f"({SEPARABLE:.0f} are needed to distinguish two causes).</p>"
+            f"({found.numbers.search.separable:.0f} are needed to distinguish two causes).</p>"
         )
     return "\n".join(parts)
 
@@ -103,11 +104,12 @@ def assumed(found: "Diagnosis") -> str:
             f"Young's modulus: prior {young:.4g} \u00b1 {believed:.2g} kPa; fitted together with the causes: "
             f"{search.final.young(young):.4g} \u00b1 {spread:.2g} kPa."
         )
+    evidence = found.numbers.evidence
     items += [
         "Probabilities are posterior ones among the causes of the catalogue, no cause, and the generic rival, with "
-        f"equal priors; log Bayes factors are divided by {TEMPER:g} first, because the models of noise and "
-        f"discretisation error are not exact, and {100 * LOOK_ALIKE:.0f} % of every cause's probability are assigned "
-        "to effects outside the catalogue that look like it.",
+        f"equal priors; log Bayes factors are divided by {evidence.temper:g} first, because the models of noise and "
+        f"discretisation error are not exact, and {100 * evidence.look_alike:.0f} % of every cause's probability is "
+        "assigned to effects outside the catalogue that look like it.",
         f"Seed of all random draws: {found.seed}.",
         "Versions: " + ", ".join(f"{name} {version}" for name, version in found.versions.items()) + ".",
     ]
@@ -153,6 +155,13 @@ def _finding(finding: "Finding") -> str:
         f"<p>{escape(finding.sentence)}</p><p>{figures}</p>{tied}"
         + table(("parameter", "value \u00b1 standard deviation"), rows)
         + f"<p>{escape(gain_words(finding))}</p></section>"
+    )
+
+
+def _possible(one: dict[str, Any]) -> str:
+    return (
+        f"<p>Possible, but not stated: {escape(plain_name(one['id']))} (probability {chance(one['probability'])}; log "
+        f"Bayes factor {one['log_bayes_factor']:.1f}, threshold {one['threshold']:.1f}).</p>"
     )
 
 

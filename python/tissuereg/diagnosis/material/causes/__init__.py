@@ -8,7 +8,6 @@ from tissuereg.diagnosis.material.causes.laws import (
     POISSON,
     STIFFENING,
     STIFFNESS,
-    WIDE_YOUNG,
 )
 from tissuereg.diagnosis.material.causes.memory import RATE, RELAXATION, SET, SOFTENING
 
@@ -18,4 +17,4 @@ CAUSES: dict[str, MaterialCause] = {
     for cause in (STIFFNESS, POISSON, STIFFENING, MOONEY, ASYMMETRY, FIBRE, RELAXATION, RATE, SOFTENING, SET)
 }
 
-__all__ = ["CAUSES", "WIDE_YOUNG", "Form", "MaterialCause"]
+__all__ = ["CAUSES", "Form", "MaterialCause"]

@@ -10,6 +10,7 @@ from tissuereg._base.arrays import FloatArray
 from tissuereg.body.laws import main_key, shape_of
 from tissuereg.diagnosis.material.causes.base import Form, MaterialCause, exponential, form, sigmoid
 from tissuereg.diagnosis.material.scene import Scene
+from tissuereg.diagnosis.settings import MaterialSettings
 from tissuereg.experiment.effects.elastic import Asymmetry, Fibre, Mooney, OtherLaw, Poisson, Stiffening
 
 #: Laws of one rate of stiffening.
@@ -17,36 +18,35 @@ BY_RATE = ("fung", "veronda-westmann")
 
 _MOONEY = "mooney-rivlin"
 
-#: Spread of Ogden's exponents about 0: rubber has some -5 to 10, brain -20.
-_ALPHA = 15.0
-_LARGEST_ALPHA = 80.0
 
-
-def _ogden(kind: type[OtherLaw], x: FloatArray) -> OtherLaw:
-    alphas = [_alpha(float(value)) for value in (x[:1] if len(x) == 1 else x[:2])]
+def _ogden(kind: type[OtherLaw], x: FloatArray, largest: float) -> OtherLaw:
+    alphas = [_alpha(float(value), largest) for value in (x[:1] if len(x) == 1 else x[:2])]
     first = 1.0 if len(x) == 1 else sigmoid(float(x[2]))
     return kind(law="ogden", alpha=tuple(alphas), weight=(first, 1.0 - first)[: len(alphas)])
 
 
-def _alpha(value: float) -> float:
-    """Return an exponent of Ogden's law: `value` clipped to [-80, 80], and not zero, where the law is a logarithm."""
-    value = min(max(value, -_LARGEST_ALPHA), _LARGEST_ALPHA)
+def _alpha(value: float, largest: float) -> float:
+    """Return an exponent of Ogden's law: `value` within +- `largest`, not zero, where it is a logarithm."""
+    value = min(max(value, -largest), largest)
     return value if abs(value) > 1e-3 else 1e-3
 
 
-def _ogden_forms(kind: type[OtherLaw]) -> list[Form]:
-    prior = [(0.0, _ALPHA)]
+def _ogden_forms(kind: type[OtherLaw], settings: MaterialSettings) -> list[Form]:
+    largest = settings.largest_alpha
+    prior = [(0.0, settings.alpha_spread)]
     two = [(-20.0, 5.0, 0.0), (8.0, -3.0, 0.0), (-10.0, 18.0, 0.0), (1.5, 12.0, 2.0)]
     return [
-        form("ogden", prior, [(-20.0,), (-6.0,), (6.0,), (15.0,)], lambda x: _ogden(kind, x)),
-        form("ogden-2", [*prior, *prior, (0.0, 1.5)], [(a, b, c) for a, b, c in two], lambda x: _ogden(kind, x)),
+        form("ogden", prior, [(-20.0,), (-6.0,), (6.0,), (15.0,)], lambda x: _ogden(kind, x, largest)),
+        form(
+            "ogden-2", [*prior, *prior, (0.0, 1.5)], [(a, b, c) for a, b, c in two], lambda x: _ogden(kind, x, largest)
+        ),
     ]
 
 
 def _stiffening_forms(scene: Scene) -> list[Form]:
     forms = [*(_by_rate(law, scene.invariant) for law in BY_RATE), _by_ratios("yeoh", scene.invariant)]
     # Where pull or push alone was tested an exponent says no more than how the tangent changes.
-    return forms if scene.two_sided else [*forms, *_ogden_forms(Stiffening)]
+    return forms if scene.two_sided else [*forms, *_ogden_forms(Stiffening, scene.settings)]
 
 
 def _by_rate(law: str, invariant: float) -> Form:
@@ -81,7 +81,7 @@ def _mooney_forms(scene: Scene) -> list[Form]:
 
 
 def _asymmetry_forms(scene: Scene) -> list[Form]:
-    return _ogden_forms(Asymmetry) if scene.two_sided else []
+    return _ogden_forms(Asymmetry, scene.settings) if scene.two_sided else []
 
 
 def _stiffening_sentence(table: Mapping[str, Any]) -> str:
@@ -139,10 +139,6 @@ def _sentence(table: Mapping[str, Any]) -> str:
 
 
 FIBRE = MaterialCause("fibre", "fibre", _forms, _sentence)
-
-
-#: Prior standard deviation of the logarithm of the modulus where it is a cause.
-WIDE_YOUNG = 1.5
 
 
 def _stiffness_forms(scene: Scene) -> list[Form]:

@@ -11,16 +11,13 @@ from tissuereg.diagnosis.material.causes.base import Form, MaterialCause, expone
 from tissuereg.diagnosis.material.scene import Scene
 from tissuereg.experiment.effects.history import Rate, Relaxation, Set, Softening
 
-#: Number of Prony terms of a relaxation, at most.
-_MAX_TERMS = 3
-
 
 def _relaxation_forms(scene: Scene) -> list[Form]:
     if not (scene.timed and scene.paced and scene.longest_s > scene.shortest_s):
         return []
     low, high = math.log(scene.shortest_s), math.log(scene.longest_s)
     forms = []
-    for n in range(1, _MAX_TERMS + 1):
+    for n in range(1, scene.settings.most_terms + 1):
         # Prior means of the time constants are spread evenly over the decades that the test resolves.
         times = low + (high - low) * (np.arange(n) + 0.5) / n
         spread = (high - low) / (2.0 * n) + 0.3
