@@ -1,7 +1,8 @@
 """Variants of the simulation on development rigs of the phantom experiment: how many, and what stays beside them.
 
 ``python -m scripts.variants --variants FOLDER --halved FOLDER`` writes ``archive/variants`` and the table of
-``docs/decisions/learned-model.md``; ``--page`` writes the table alone. Nothing here is a reported rig.
+``docs/decisions/learned-model.md``; ``--rows WORDS`` measures the rows alone that begin so, on the rigs of the archive,
+and keeps the others; ``--page`` writes the table alone. Nothing here is a reported rig.
 """
 
 import argparse
@@ -14,6 +15,7 @@ from readme import write_table
 from threadpoolctl import threadpool_limits
 
 from tissuereg._base.machine import machine
+from tissuereg.parallel import Failed, Processes, in_order
 from tissuereg.phantom import phantom_mesh
 from tissuereg.registration.learned import calibration
 from tissuereg.registration.learned.registration import as_model
@@ -50,38 +52,59 @@ def settings():
     ]
 
 
-def measure(data, folder, other):
-    """Return the rows of the table: errors of each registration on each rig that has variants.
+def measure(data, folder, other, compared, names=None, jobs=1):
+    """Return rows of the table: errors of each registration on each rig that has variants, or that is named.
 
-    `folder`, `other`: variants from the ranges of the truth, and from ranges that are wrong by half.
+    `folder`, `other`: variants from the ranges of the truth, and from ranges that are wrong by half, which only rows
+    about these need; `compared`: as of `settings`; `jobs`: processes, which share the rigs.
     """
+    rigs = [rig for rig in read_rigs(data) if (folder / f"{rig.name}.npz").exists()]
+    if names is not None:
+        rigs = [rig for rig in rigs if rig.name in names]
+        if [rig.name for rig in rigs] != names:
+            message = f"--variants must hold those of {', '.join(names)}"
+            raise SystemExit(message)
+    rows = [{"words": words, "bodies": count, "rigs": {}} for words, _, _, count in compared]
+    with Processes(jobs) as executor:
+        outcomes = in_order(executor.run(of_rig, [(one, folder, other, compared) for one in rigs]))
+        for rig, outcome in zip(rigs, outcomes, strict=True):
+            if isinstance(outcome, Failed):
+                raise outcome.error
+            for row, found in zip(rows, outcome.result, strict=True):
+                row["rigs"][rig.name] = found
+    return rows
+
+
+def of_rig(given):
+    """Return what each registration that is compared does on a rig."""
+    rig, folder, other, compared = given
     mesh = phantom_mesh()
     model = as_model("phantom", mesh, 1)
-    rigs = [rig for rig in read_rigs(data) if (folder / f"{rig.name}.npz").exists()]
-    compared = settings()
-    rows = [{"words": words, "bodies": count, "rigs": {}} for words, _, _, count in compared]
-    for rig in rigs:
-        right, wrong = (read_variants(one, rig, mesh.n_nodes) for one in (folder, other))
-        markers = measured(rig, PLAIN, 0)
-        believed = Believed(rig, mesh, 1)
-        for row, (_, method, share, count) in zip(rows, compared, strict=True):
-            variants = wrong if row["words"].startswith(HALVED) else right
-            few = {part: getattr(variants, part)[:count] for part in ("fields_mm", "pushes")}
-            believed.variants = replace(variants, **few)
-            calibration.BESIDE_VARIANTS = share
-            wide = {"spread": True} if method in (Network, VariedNetwork) else {}
-            rival, trusted = method(believed.setting(PLAIN, model, None, 0), **wide), []
-            noted(rival, trusted)
+    right = read_variants(folder, rig, mesh.n_nodes)
+    markers = measured(rig, PLAIN, 0)
+    believed = Believed(rig, mesh, 1)
+    found = []
+    for words, method, share, count in compared:
+        variants = read_variants(other, rig, mesh.n_nodes) if words.startswith(HALVED) else right
+        few = {part: getattr(variants, part)[:count] for part in ("fields_mm", "pushes")}
+        believed.variants = replace(variants, **few)
+        calibration.BESIDE_VARIANTS = share
+        wide = {"spread": True} if method in (Network, VariedNetwork) else {}
+        rival, trusted = method(believed.setting(PLAIN, model, None, 0), **wide), []
+        noted(rival, trusted)
+        with threadpool_limits(limits=1, user_api="blas"):
             run = run_method(rival, believed, markers, PLAIN)
-            row["rigs"][rig.name] = {
+        found.append(
+            {
                 "trusted": trusted,
                 "sensor_mm": float(run.sensor_mm.mean()),
                 "inner_mm": float(run.inner_mm.mean()),
                 "coverage90": run.coverage90,
                 "failed": run.failed,
             }
-            print(rig.name, row["words"], row["rigs"][rig.name], flush=True)
-    return rows
+        )
+        print(rig.name, words, found[-1], flush=True)
+    return found
 
 
 def noted(rival, trusted):
@@ -121,12 +144,19 @@ def main():
     parser.add_argument("--data", type=Path, default=PAPER / "bench" / "twin" / "development")
     parser.add_argument("--variants", type=Path)
     parser.add_argument("--halved", type=Path, help="the same from ranges that are wrong by half")
+    parser.add_argument("--rows", help="measure the rows that begin with these words, and keep the others")
+    parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--page", action="store_true", help="write the table again from the archive")
     options = parser.parse_args()
     if not options.page:
-        with threadpool_limits(limits=1, user_api="blas"):
-            content = {"machine": machine(), "rows": measure(options.data, options.variants, options.halved)}
-        write_archive(ARCHIVE, content, TABLES)
+        compared, kept, names = settings(), [], None
+        if options.rows is not None:
+            kept = read_archive(ARCHIVE)["rows"]
+            compared, names = [one for one in compared if one[0].startswith(options.rows)], list(kept[0]["rigs"])
+        rows = measure(options.data, options.variants, options.halved, compared, names, options.jobs)
+        anew = {(row["words"], row["bodies"]): row for row in rows}
+        rows = [anew.get((row["words"], row["bodies"]), row) for row in kept] or rows
+        write_archive(ARCHIVE, {"machine": machine(), "rows": rows}, TABLES)
     write_table("variants", table(read_archive(ARCHIVE)), PAGE)
 
 

@@ -6,7 +6,7 @@ fields from simulations, and the test statistics of trial registrations.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -132,6 +132,17 @@ class Rehearsal:
     tail: float | None = None
     calibration_set: CalibrationSet = field(default_factory=CalibrationSet.none)
 
+    @property
+    def beside_variants(self) -> "Rehearsal":
+        """The outcome where variants of the simulation are given: the law of targets for the share that stays.
+
+        `widening` and `tail` say how badly a covariance of changes in general knows one event. Of that covariance the
+        share `BESIDE_VARIANTS` stays, the rest is that of the variants, which are of this event.
+        """
+        share = BESIDE_VARIANTS
+        tail = None if self.tail is None or share <= 0.0 else self.tail / share
+        return replace(self, widening=1.0 + share * (self.widening - 1.0), tail=tail)
+
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
@@ -244,10 +255,14 @@ class PointCalibration:
         change = None if self.change_errors is None else self.change_errors.of(rows)
         return PointCalibration(self.whole, self.errors.of(rows), change)
 
-    def rehearsal(self, anchored: bool) -> Rehearsal:
-        """Return the outcome of trials from a simulation, if `anchored` and there were any, else of those without."""
+    def rehearsal(self, anchored: bool, varied: bool = False) -> Rehearsal:
+        """Return the outcome of trials from a simulation, if `anchored` and there were any, else of those without.
+
+        `varied`: whether variants of the simulation are given.
+        """
         known = self.whole.anchored if anchored else None
-        return self.whole.alone if known is None else known
+        law = self.whole.alone if known is None else known
+        return law.beside_variants if varied else law
 
     @staticmethod
     def squared_size(size: float, varied: bool) -> float:

@@ -128,7 +128,7 @@ class CalibratedPosterior:
         how, threads = given.settings.smoother, given.settings.threads or n_cores()
         draws = normals(given.seed, len(start), how.n_members)
         found = smooth(decode, prior, screening.kept(), observed, noise, draws, how.alphas(), threads)
-        rehearsal = at.rehearsal(bool(forms))
+        rehearsal = at.rehearsal(bool(forms), varied is not None)
         field = np.zeros_like(given.mesh.nodes) if simulation is None else simulation
         anchor = _Anchor(field, simulated, size, tuple(forms), varied)
         return cls(
