@@ -15,9 +15,6 @@ import numpy.typing as npt
 from tissuereg.errors import FormatError
 from tissuereg.io.stores import Store
 
-#: At most so many times its stored bytes may an array take: that is the most that its packing can do.
-_MOST_RATIO = 1100
-
 #: What h5py raises on spoilt files.
 _SPOILT = (OSError, RuntimeError, ValueError, TypeError, KeyError, MemoryError, UnicodeDecodeError)
 
@@ -163,7 +160,8 @@ def own_dataset(file: Any, where: str, name: str) -> Any:
     if found.external or found.is_virtual:
         raise _elsewhere(where, name)
     size = int(np.prod(np.array(found.shape, object))) * found.dtype.itemsize
-    if size > _MOST_RATIO * found.id.get_storage_size():
+    most_ratio = 1100  # the most that the packing of HDF5 can do
+    if size > most_ratio * found.id.get_storage_size():
         message = f"array '{name}' in {where} must be stored; most of its {size / 1e6:.0f} MB are not"
         raise FormatError(message, where=f"{where}:{name}")
     return found

@@ -16,8 +16,8 @@ from tissuereg.io.csv import split_rows
 from tissuereg.io.recordings.tracks import HowRead, Tracks, check_room, number_in
 
 _AXES = ("x", "y", "z")
-#: Lines in which the names of columns are looked for, to say which are there, and letters that a message shows of them.
-_MOST_ABOVE, _MOST_TOLD = 50, 300
+#: Lines in which the names of columns are looked for, to say which are there.
+_MOST_ABOVE = 50
 _KEY = re.compile(r"(?:^|\s)(time|frame|marker|unit|time_unit|(?:[^\s=]+\.)?[xyz])=")
 
 
@@ -102,7 +102,7 @@ def _nearest_line(file: Path, columns: list[str]) -> str:
     # Of several, the first with most cells: units and numbers stand below the names.
     number, cells = max(lines, key=lambda one: (len(set(columns) & set(one[1])), len(one[1]), -one[0]))
     missing = ", ".join(f"'{name}'" for name in columns if name not in cells)
-    return f"; line {number} lacks {missing} and has {', '.join(cells)[:_MOST_TOLD]}"
+    return f"; line {number} lacks {missing} and has {', '.join(cells)[:300]}"
 
 
 def _cells(line: str) -> list[str]:
