@@ -104,7 +104,7 @@ class PassSettings(_Numbers):
     shortest_unmatched: float = 0.2
     as_predicted: float = 0.2
     as_predicted_on: float = 1.0
-    renew_at: int = 6
+    renew_at: int = 24
     renewed_after: int = 2
     renewed_unknowns: int = 20_000
     settled: float = 0.05
