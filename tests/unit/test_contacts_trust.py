@@ -14,7 +14,7 @@ from support.pushes import ELEMENT, MATERIAL, columns_of, push
 from tissuereg.body.observe import MarkerObservation
 from tissuereg.registration.contacts.answer import Answer, _chance
 from tissuereg.registration.contacts.evidence import MarkerEvidence
-from tissuereg.registration.contacts.settings import AdviceSettings
+from tissuereg.registration.contacts.settings import ReportSettings
 
 #: A region whose axes are not those of the tracker.
 COVARIANCE = np.array([[1.0, 0.6, -0.3], [0.6, 2.0, 0.5], [-0.3, 0.5, 0.7]])
@@ -129,7 +129,7 @@ def test_room_for_a_residual_at_a_rim_is_less_than_how_far_the_motion_differs_th
     result: tr.Registration,
 ) -> None:
     # All markers are kept and held against the room that their residual has.
-    settings = tr.ContactSettings(report=AdviceSettings(wrong=2.0))
+    settings = tr.ContactSettings(report=ReportSettings(wrong=2.0))
     markers, mesh = push().markers(), push().mesh
     observed = MarkerObservation.of(mesh, markers)
     differs = observed.variation(push().displacement[observed.nodes])

@@ -13,6 +13,7 @@ from tissuereg.registration.contacts.body import ContactBody
 from tissuereg.registration.contacts.columns import Columns
 from tissuereg.registration.contacts.measured import MarkerData, ObservedData, tail_cost, tail_variance
 from tissuereg.registration.contacts.observations import Basis, moving_variances
+from tissuereg.registration.contacts.sensed import Sensed
 from tissuereg.registration.contacts.settings import MATCHING, ContactSettings
 from tissuereg.registration.contacts.state import BodyState, RigidMotion
 from tissuereg.registration.contacts.supports import Supports
@@ -194,7 +195,7 @@ def test_a_projection_keeps_what_causes_can_do(block_mesh):
     from tissuereg.simulation.sensitivity import Linearised, Observation
 
     here = Linearised(body.simulator, tr.Load(), tr.Material(), still.displacement)
-    responses = columns.responses(here.compliance([Observation(*row) for row in reading.rows]), np.empty((0, 3)))
+    responses = columns.responses(Sensed(here.compliance([Observation(*row) for row in reading.rows])), np.empty((0, 3)))
     variances = moving_variances(columns, settings)
     basis = Basis.of(reading, responses, variances, 60)
     assert len(basis.vectors) <= 60
@@ -205,7 +206,8 @@ def test_a_projection_keeps_what_causes_can_do(block_mesh):
     assert signal.max() <= basis.dropped_signal * (len(reading.residual) - len(basis.vectors))
     assert signal.max() < 0.02 * (np.sum(white**2, axis=0) * variances).max()
     # The rows of the projection are the projection of the rows.
-    few = columns.responses(here.compliance([Observation(*row) for row in basis.rows(reading)]), np.empty((0, 3)))
+    few = here.compliance([Observation(*row) for row in basis.rows(reading)])
+    few = columns.responses(Sensed(few), np.empty((0, 3)))
     assert np.allclose(few, (basis.vectors / reading.std) @ responses, atol=1e-6 * np.abs(few).max())
 
 
