@@ -242,6 +242,16 @@ def slices_of(parts: Sequence[FittedCause]) -> list[slice]:
     return found
 
 
+def predicted(target: FitTarget, found: Fit, *, without: int) -> FloatArray:
+    """Return the prediction (size,), mm and mN, of a fitted model without one of its causes, else unchanged.
+
+    `target`: data and model of the fit; `without`: number of the cause. Raises as `at_believed_modulus`.
+    """
+    others = (*found.parts[:without], *found.parts[without + 1 :])
+    x, solver = np.delete(found.x, np.r_[found.slices()[without]]), _FitSolver(target, others)
+    return target.correction.corrected(solver.uncorrected(x), solver.factor(x))
+
+
 def at_believed_modulus(target: FitTarget, found: Fit) -> tuple[tuple[Effect, ...], FloatArray]:
     """Return the effects of a fit's causes, and the prediction with them on the user's mesh, at the believed modulus.
 

@@ -23,6 +23,7 @@ from tissuereg.diagnosis.advice import advise
 from tissuereg.diagnosis.answer import Diagnosis, Finding
 from tissuereg.diagnosis.bank import Bank, make_bank
 from tissuereg.diagnosis.bench import Bench
+from tissuereg.diagnosis.constancy import Constancy, constancies
 from tissuereg.diagnosis.correction import Correction, make_correction
 from tissuereg.diagnosis.discrepancy import describe, nearest_cause, residual_summary
 from tissuereg.diagnosis.evidence import Null
@@ -148,6 +149,7 @@ def _searched(
             "target": target,
             "nuisances": nuisances,
             "thresholds": nulls.thresholds,
+            "constancy": judged.tested,
         },
     )
 
@@ -156,7 +158,8 @@ def _searched(
 class _Judged:
     """The search with a noise model, and the test of what it leaves.
 
-    `best`: the best fit, which `found` lacks where its findings are withdrawn; `withdrawn`: whether they are.
+    `best`: the best fit, which `found` lacks where its findings are withdrawn; `withdrawn`: whether they are; `tested`:
+    the constancy of the causes that were found, of those withdrawn too.
     """
 
     screen: Screen
@@ -166,6 +169,7 @@ class _Judged:
     findings: list[Finding]
     misfit: Misfit
     withdrawn: bool
+    tested: list[Constancy]
 
 
 def _judged(
@@ -191,12 +195,15 @@ def _judged(
     misfit = battery.judge(before, found.reduced, nulls.residuals)
     findings = findings_of(target, screen, found, nulls.thresholds)
     findings = [finding for finding in findings if not (silent and finding.id == "stiffness")]
-    best, withdrawn = found.final, bool(findings) and not _explains_enough(misfit, found, settings.nulls)
+    best = found.final
+    tested = constancies(found.target or target, best, null, nulls.residuals, settings.constancy) if findings else []
+    inconstant = [one for one in tested if one.p < settings.constancy.level]
+    withdrawn = bool(findings) and (bool(inconstant) or not _explains_enough(misfit, found, settings.nulls))
     if withdrawn:
         # At best the findings are the causes most similar to the true one.
         findings, found = [], found.withdrawn(target)
         misfit = battery.judge(before, found.reduced, nulls.residuals)
-    return _Judged(screen, nulls, found, best, findings, misfit, withdrawn)
+    return _Judged(screen, nulls, found, best, findings, misfit, withdrawn, tested)
 
 
 def _with_larger_noise(

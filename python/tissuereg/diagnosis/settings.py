@@ -156,6 +156,20 @@ class NullSettings:
 
 
 @dataclass(frozen=True)
+class ConstancySettings:
+    """The test whether the change that a cause makes is the same in all parts of the data."""
+
+    #: Level of the test: findings with a smaller p-value are withdrawn; 0 withdraws none.
+    level: float = 0.005
+    #: Sizes of inconstant changes that are tried, in noise deviations.
+    sizes: tuple[float, ...] = (2.0, 5.0, 15.0)
+    #: Changes in a part of the data count if they exceed this share of the whole change.
+    least_change: float = 0.05
+    #: Directions count whose singular value exceeds this share of the largest.
+    least_direction: float = 0.05
+
+
+@dataclass(frozen=True)
 class ProbabilitySettings:
     """From evidence to probabilities."""
 
@@ -348,7 +362,7 @@ class DiagnoseSettings:
 
     Attributes
     ----------
-    model, noise, nuisances, shape, nulls, evidence, fit, search, readings, report, material
+    model, noise, nuisances, shape, nulls, constancy, evidence, fit, search, readings, report, material
         Settings of each step, a frozen dataclass each: ``replace(settings, search=SearchSettings(most_causes=1))``.
     causes : tuple of Cause
         Causes with changed numbers, in place of those of the catalogue with the same id.
@@ -361,6 +375,7 @@ class DiagnoseSettings:
     nuisances: NuisanceSettings = field(default_factory=NuisanceSettings)
     shape: ShapeSettings = field(default_factory=ShapeSettings)
     nulls: NullSettings = field(default_factory=NullSettings)
+    constancy: ConstancySettings = field(default_factory=ConstancySettings)
     evidence: ProbabilitySettings = field(default_factory=ProbabilitySettings)
     fit: FitSettings = field(default_factory=FitSettings)
     search: SearchSettings = field(default_factory=SearchSettings)

@@ -100,7 +100,8 @@ class Cause(ABC):
     Fields of an instance are its numbers: sizes, prior deviations, counts. Attributes of each class: `id`: name of the
     cause in answers and in ``[[effect]]`` tables; `discrete`: keys of `Variant.settings` that the free parameters
     cannot change; `always_fitted`: whether a nuisance parameter describes the same error in every fit; `absolute`:
-    whether its size does not scale with Young's modulus.
+    whether its size does not scale with Young's modulus; `constant`: whether its change has one size in all parts of
+    the data.
     """
 
     #: Id in answers and in ``[[effect]]`` tables.
@@ -112,6 +113,9 @@ class Cause(ABC):
     #: Whether a nuisance parameter of small prior deviation describes the same effect. Held-out data then hardly differ
     #: between the models, and the proof requires no least gain.
     always_fitted: ClassVar[bool] = False
+
+    #: Whether its change has one size in all parts of the data. That of a contact that opens or slides has not.
+    constant: ClassVar[bool] = True
 
     #: Whether what it changes is no multiple of Young's modulus, as its free_parameters have it.
     absolute: ClassVar[bool] = False

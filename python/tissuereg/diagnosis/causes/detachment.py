@@ -28,6 +28,7 @@ class DetachmentCause(Cause):
 
     id: ClassVar[str] = "detachment"
     discrete: ClassVar[tuple[str, ...]] = ("boundary", "azimuth")
+    constant: ClassVar[bool] = False
 
     #: Share of the boundary's area and number of directions: small shares need more, to cover the whole rim.
     directions: tuple[tuple[float, int], ...] = ((0.012, 16), (0.04, 8), (0.15, 8))

@@ -18,6 +18,7 @@ class SlidingCause(Cause):
 
     id: ClassVar[str] = "sliding"
     discrete: ClassVar[tuple[str, ...]] = ("boundary", "kind")
+    constant: ClassVar[bool] = False
 
     #: Compliances of springs, times modulus over extent, at which changes are simulated.
     compliances: tuple[float, ...] = (0.03, 0.3)
