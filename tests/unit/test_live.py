@@ -253,6 +253,16 @@ def test_tools_in_different_frames_are_not_mixed_unless_one_frame_is_named():
     assert np.isfinite(frames[-1].places).all()
 
 
+@pytest.mark.parametrize("tools_in", [None, "Tracker"])
+def test_made_up_frames_hold_no_memory(tools_in):
+    names = [f"{NAMES[0]}ToFrame{k}" for k in range(1200)]
+    gathering, _ = gathered(transforms(names), tools_in=tools_in)
+    assert len(gathering._into) == (1000 if tools_in is None else 0)
+    assert len(gathering.events) <= 1000
+    # The newest are the ones that are known.
+    assert names[-1].removeprefix(f"{NAMES[0]}To") in gathering._into or tools_in
+
+
 def test_a_status_of_one_tool_hides_that_tool_alone():
     poses = {f"{name}ToTracker": pose(place) for name, place in zip(NAMES, SIT, strict=True)}
 
