@@ -219,6 +219,10 @@ class Registrar:
             gone = _lost(lost, places)
             return self.registered(MomentInput(measured_mm, None, simulation, before, gone), clock)
 
+    def begin_anew(self) -> None:
+        """Take the next moment for a first one, whose markers are examined (`RegisterSettings.readings`)."""
+        self._plausible = False
+
     def made_for(self, markers: Markers) -> "Registrar":
         """Return a registrar for `markers` on the same body; itself if names and reference places are its own."""
         own = self._attached
