@@ -55,6 +55,7 @@ GROUPS = (along(0, (1, 0, 0), (0, 1, 0)), along(3, (1, 0, 0), (0, 0, 1)), along(
         [*along(3, (0.0, 0.0, 1.0)), *along(0, (0, 0, 1), (1, 0, 0))],
         [*along(0, (0.0, 0.0, 1.0)), *along(0, (0.0, 0.0, 1.0))],
         along(3, (0.8, 0.0, -0.6)),
+        along(3, (1.5, 0.0, 0.0), (0.0, 0.0, -1.0)),
     ],
 )
 def test_sums_of_kept_rows_are_the_sensitivities_of_the_sum(rows):

@@ -205,5 +205,6 @@ def _rest_key(columns: Columns, material: Material, state: BodyState, threads: i
     if loaded or state.displacement.any() or state.coefficients.any():
         return None
     springs = None if columns.springs is None else columns.springs.tobytes()
+    graded = any(family.name == "stiffness" for family in columns.families)
     # The body itself, not its address: the address of a deleted body may be reused by another.
-    return columns.body, material.digest(), springs, threads
+    return columns.body, material.digest(), springs, threads, graded
