@@ -1,4 +1,4 @@
-"""Constancy test of findings: is the change that a cause makes the same in all parts of the data?
+"""Constancy test of findings: whether the change that a cause makes is the same in all parts of the data.
 
 A wrong cause is fitted to the effect of the true one. It is right on the whole and wrong in parts: too large in one
 load case and too small in another, or during ramps and during holds. Partitions of the data (`partitions`) divide it by
@@ -8,21 +8,20 @@ it. So do its columns J, if it has several parameters. Nuisances, the modulus an
 projected out. With m orthonormal rows B and the residual z of unit root mean square, the evidence for changes of the
 size t is
 
-    a2 t^2 / (2 (1 + t^2)) - m/2 log(1 + t^2),    a2 = |B z|^2,
+    a2 t^2 / (2 (1 + t^2)) - m/2 log(1 + t^2),    a2 = |B z|^2;
 
-of which the mean over sizes is taken, and then over all subspaces. The p-value is that among residuals of data in which
-nothing but noise and nuisances is left.
+the means of its exponential over sizes, and then over all subspaces, are taken. The p-value is that among residuals of
+data in which nothing but noise and nuisances is left.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import gumbel_r
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.causes import CAUSES
-from tissuereg.diagnosis.evidence import Null, log_mean_exp
+from tissuereg.diagnosis.evidence import Null, log_mean_exp, tail_probability
 from tissuereg.diagnosis.fit import Fit, FitTarget, predicted
 from tissuereg.diagnosis.patterns import load_history
 from tissuereg.diagnosis.settings import DEFAULT, ConstancySettings
@@ -46,6 +45,65 @@ class Constancy:
     differs_by: str
 
 
+@dataclass(frozen=True, eq=False)
+class Left:
+    """What a fitted model leaves of the data, without all that its own parameters and the modulus can change.
+
+    `residual` (size,), `draws` (n, size): of the data, and of data in which nothing but noise and nuisances is left,
+    both whitened by noise and nuisances; `own` (k, size): orthonormal rows that span the changes by the parameters.
+    """
+
+    residual: FloatArray
+    draws: FloatArray
+    own: FloatArray
+
+    @classmethod
+    def of(cls, residual: FloatArray, draws: FloatArray, slopes: FloatArray) -> "Left":
+        """Return what is left of a residual and of draws, given the changes (k, size) by the parameters."""
+        own = _orthonormal(slopes, _LEAST)
+        return cls(_beside(residual, own), _beside(draws, own), own)
+
+    def test(
+        self,
+        change: FloatArray,
+        columns: FloatArray,
+        parts: Mapping[str, FloatArray],
+        reduced: Callable[[FloatArray], FloatArray],
+        settings: ConstancySettings = DEFAULT.constancy,
+    ) -> tuple[float, str] | None:
+        """Return the p-value of a cause's constancy, and the partition over which its change is least constant.
+
+        `change` (size,), `columns` (k, size): changes by the whole cause and by each of its parameters, whitened by the
+        noise; `parts`: partitions, weights (m, size) by name; `reduced`: whitens further, by the nuisances. The result
+        is None where no inconstancy would change anything that the parameters do not.
+        """
+        least = settings.least_change * float(np.linalg.norm(change))
+        spaces: list[tuple[str, FloatArray]] = []
+        for name, weights in parts.items():
+            # One parameter changes the data nearly as the whole cause does.
+            by_each = [column * weights for column in columns] if len(columns) > 1 else []
+            for rows in (change * weights, *([np.concatenate(by_each)] if by_each else [])):
+                kept = _beside(reduced(rows), self.own)
+                lengths = np.linalg.norm(kept, axis=1, keepdims=True)
+                if (lengths > least).any():
+                    kept = (kept / np.maximum(lengths, 1e-300))[lengths[:, 0] > least]
+                    spaces.append((name, _orthonormal(kept, settings.least_direction)))
+        if not spaces:
+            return None
+        rows = np.concatenate([self.residual[None], self.draws])
+        # The size of the noise is uncertain.
+        rows = rows / np.sqrt((rows**2).mean(axis=1, keepdims=True))
+        sizes = np.square(settings.sizes)
+        found = []
+        for _, basis in spaces:
+            power = ((rows @ basis.T) ** 2).sum(axis=1)[:, None]
+            of_size = 0.5 * power * sizes / (1.0 + sizes) - 0.5 * len(basis) * np.log1p(sizes)
+            found.append(log_mean_exp(of_size, axis=1))
+        evidence = np.array(found)
+        whole = log_mean_exp(evidence, axis=0)
+        return tail_probability(float(whole[0]), whole[1:]), spaces[int(evidence[:, 0].argmax())][0]
+
+
 def constancies(
     target: FitTarget, found: Fit, null: Null, draws: FloatArray, settings: ConstancySettings = DEFAULT.constancy
 ) -> list[Constancy]:
@@ -53,38 +111,19 @@ def constancies(
 
     `target`: data and model of the fit; `found`: fit with causes; `null`: covariance of noise and nuisances, the
     modulus included; `draws` (n, size): residuals of data without any effect, whitened by it (`draw_nulls`). Causes
-    whose change is not proportional to anything (`Cause.constant`) or that have no parameters are not tested.
+    whose change has not one size (`Cause.constant`) or that have no parameters are not tested.
     """
     bench = target.bench
     parts = partitions(bench.experiment, bench.layout, bench.base)
     slopes = target.white(found.jacobian) * found.deviation[:, None]
-    own = _orthonormal(null.reduced(slopes), _LEAST)
-
-    def reduced(white: FloatArray) -> FloatArray:
-        """Whiten by nuisances and project out what the model's own parameters can change."""
-        rest = null.reduced(np.where(bench.layout.seen, white, 0.0))
-        return np.asarray(rest - (rest @ own.T) @ own)
-
-    residual = reduced(found.residual)
-    drawn = draws - (draws @ own.T) @ own
+    left = Left.of(null.reduced(found.residual), draws, null.reduced(slopes))
     tested = []
     for number, (name, mine) in enumerate(zip(found.ids, found.slices(), strict=True)):
-        if not CAUSES[name].constant or mine.start == mine.stop:
-            continue
-        change = target.white(found.prediction - predicted(target, found, without=number))
-        size = float(np.linalg.norm(change))
-        spaces: list[tuple[str, FloatArray]] = []
-        for partition, weights in parts.items():
-            of_change = reduced(change * weights)
-            columns = slopes[mine]
-            of_columns = [reduced(column * weights) for column in columns] if len(columns) > 1 else []
-            for rows in (of_change, *([np.concatenate(of_columns)] if of_columns else [])):
-                kept = rows[np.linalg.norm(rows, axis=1) > settings.least_change * size]
-                if len(kept):
-                    kept = kept / np.linalg.norm(kept, axis=1, keepdims=True)
-                    spaces.append((partition, _orthonormal(kept, settings.least_direction)))
-        if spaces:
-            tested.append(_judged(name, spaces, residual, drawn, settings))
+        if CAUSES[name].constant and mine.start < mine.stop:
+            change = target.white(found.prediction - predicted(target, found, without=number))
+            judged = left.test(change, slopes[mine], parts, null.reduced, settings)
+            if judged is not None:
+                tested.append(Constancy(name, *judged))
     return tested
 
 
@@ -158,36 +197,6 @@ def phases(case: Case, part: CasePart, least: float = 0.02) -> dict[str, FloatAr
     return {name: np.asarray(frames, np.float64) for name, frames in found.items() if frames.any()}
 
 
-def tail_probability(value: float, drawn: FloatArray) -> float:
-    """Return the probability of a value at least as large, by n draws (n,) of it and, beyond them, a Gumbel tail."""
-    share = float((drawn >= value).mean())
-    # Maxima follow a Gumbel distribution; its tail extends the p-value beyond the number of draws.
-    width = float(drawn.std()) * np.sqrt(6.0) / np.pi
-    tail = float(gumbel_r.sf(value, drawn.mean() - np.euler_gamma * width, width))
-    return max(share, tail) if share > 0.0 else min(tail, 1.0 / len(drawn))
-
-
-def _judged(
-    name: str,
-    spaces: Sequence[tuple[str, FloatArray]],
-    residual: FloatArray,
-    drawn: FloatArray,
-    settings: ConstancySettings,
-) -> Constancy:
-    """Return the test of one cause, by the subspaces in which it would change the data if it were not constant."""
-    rows = np.concatenate([residual[None], drawn])
-    # The size of the noise is uncertain.
-    rows = rows / np.sqrt((rows**2).mean(axis=1, keepdims=True))
-    sizes = np.square(settings.sizes)
-    evidence = []
-    for _, basis in spaces:
-        power = ((rows @ basis.T) ** 2).sum(axis=1)[:, None]
-        evidence.append(log_mean_exp(0.5 * power * sizes / (1.0 + sizes) - 0.5 * len(basis) * np.log1p(sizes), axis=1))
-    whole = log_mean_exp(np.array(evidence), axis=0)
-    worst = int(np.argmax([one[0] for one in evidence]))
-    return Constancy(name, tail_probability(float(whole[0]), whole[1:]), spaces[worst][0])
-
-
 def _put(weights: FloatArray, part: CasePart, history: FloatArray) -> None:
     """Write a history (n_frames,) into the weights (size,) of all numbers of a case."""
     part.markers(weights)[:] = history[:, None, None]
@@ -200,9 +209,9 @@ def _orthonormal(rows: FloatArray, least: float) -> FloatArray:
     return np.asarray(basis[sizes > least * sizes[0]])
 
 
-def mapping_of(tested: Sequence[Constancy]) -> Mapping[str, dict[str, float | str]]:
-    """Return tests by the id of the cause, as plain data for the answer."""
-    return {one.id: {"p": one.p, "differs_by": one.differs_by} for one in tested}
+def _beside(rows: FloatArray, own: FloatArray) -> FloatArray:
+    """Return rows (..., size) without their part in the span of orthonormal rows (k, size)."""
+    return np.asarray(rows - (rows @ own.T) @ own)
 
 
-__all__ = ["Constancy", "constancies", "mapping_of", "partitions", "phases", "tail_probability"]
+__all__ = ["Constancy", "Left", "constancies", "partitions", "phases"]

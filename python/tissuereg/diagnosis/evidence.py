@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
-from scipy.stats import norm
+from scipy.stats import gumbel_r, norm
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.settings import DEFAULT
@@ -102,6 +102,15 @@ def log_mean_exp(values: FloatArray, axis: int = -1) -> FloatArray:
     """Return the logarithm of the mean of ``exp(values)`` along an axis, which the result lacks."""
     top = values.max(axis=axis, keepdims=True)
     return np.asarray(np.squeeze(top, axis) + np.log(np.exp(values - top).mean(axis=axis)))
+
+
+def tail_probability(value: float, drawn: FloatArray) -> float:
+    """Return the probability of a value at least as large, by n draws (n,) of it and, beyond them, a Gumbel tail."""
+    share = float((drawn >= value).mean())
+    # Maxima follow a Gumbel distribution; its tail extends the p-value beyond the number of draws.
+    width = float(drawn.std()) * np.sqrt(6.0) / np.pi
+    tail = float(gumbel_r.sf(value, drawn.mean() - np.euler_gamma * width, width))
+    return max(share, tail) if share > 0.0 else min(tail, 1.0 / len(drawn))
 
 
 def probabilities(log_bayes_factors: Mapping[str, float], temper: float = DEFAULT.evidence.temper) -> dict[str, float]:

@@ -11,9 +11,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import gumbel_r
 
 from tissuereg._base.arrays import FloatArray
+from tissuereg.diagnosis.evidence import tail_probability
 from tissuereg.diagnosis.generic import histories
 from tissuereg.diagnosis.noise import Noise
 from tissuereg.diagnosis.patterns import force_columns, marker_columns, smooth_patterns
@@ -64,12 +64,8 @@ class Battery:
         worst = int(excess.argmax())
         largest = float(excess[worst])
         of_nulls = ((logs - centre) / spread).max(axis=1)
-        share = float((of_nulls >= largest).mean())
-        # Maxima follow a Gumbel distribution; its tail extends the p-value beyond the number of draws.
-        width = float(of_nulls.std()) * np.sqrt(6.0) / np.pi
-        tail = float(gumbel_r.sf(largest, of_nulls.mean() - np.euler_gamma * width, width))
         return Misfit(
-            p=max(share, tail) if share > 0.0 else min(tail, 1.0 / len(nulls)),
+            p=tail_probability(largest, of_nulls),
             explained=_removed(sums[:, 0], drawn[:, 0], without_misfit=1.0),
             explained_there=_removed(sums[:, worst], drawn[:, worst], without_misfit=0.0),
         )

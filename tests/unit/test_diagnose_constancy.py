@@ -1,0 +1,152 @@
+"""Constancy of a cause: partitions of the data, phases of a load, and the test on data of a known kind."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from tissuereg.diagnosis.constancy import Left, partitions, phases
+from tissuereg.diagnosis.evidence import Null, tail_probability
+from tissuereg.diagnosis.settings import ConstancySettings
+from tissuereg.diagnosis.signals import SignalLayout
+from tissuereg.experiment.experiment import Actuator, Case
+
+RAMP = np.r_[0.0, 0.0, 0.5, 1.0, 1.0, 1.0, 1.0, 1.0, 0.5, 0.0, 0.0]
+PLACES = np.random.default_rng(0).uniform(0.0, 40.0, (6, 3))
+
+
+def made(mesh):
+    """Return an experiment with two cases of the same ramp, in two directions."""
+    rng, cases = np.random.default_rng(1), {}
+    for number, name in enumerate(("first", "second")):
+        command = np.zeros((len(RAMP), 3))
+        command[:, number] = RAMP
+        moved = PLACES + 0.1 * rng.standard_normal((len(RAMP), 6, 3)) + command[:, None]
+        times = 20.0 * number + np.arange(len(RAMP))
+        cases[name] = Case(name, times, moved, {"pad": command}, {}, {"pad": rng.standard_normal((len(RAMP), 3))})
+    return SimpleNamespace(
+        name="made",
+        cases=cases,
+        marker_names=tuple("abcdef"),
+        marker_reference=PLACES,
+        actuators=(Actuator("pad", np.arange(3), "displacement"),),
+    )
+
+
+@pytest.fixture(scope="module")
+def rig():
+    experiment = made(None)
+    layout = SignalLayout(experiment)
+    base = np.zeros(layout.size)
+    for part in layout.parts:
+        part.markers(base)[:] = experiment.cases[part.name].displacements["pad"][:, None]
+    return experiment, layout, base
+
+
+def test_phases_of_a_ramp_with_a_hold(rig):
+    experiment, layout, _ = rig
+    found = phases(experiment.cases["first"], layout["first"])
+    assert {name: np.flatnonzero(frames).tolist() for name, frames in found.items()} == {
+        "before": [0, 1],
+        "growing": [2, 3],
+        "held": [4, 5],
+        "held long": [6, 7],
+        "falling": [8],
+        "after": [9, 10],
+    }
+
+
+def test_a_case_without_load_is_before_it():
+    case = Case("rest", np.arange(4.0), np.zeros((4, 1, 3)))
+    found = phases(case, SimpleNamespace(n_frames=4))
+    assert list(found) == ["before"]
+    assert found["before"].tolist() == [1.0] * 4
+
+
+def test_partitions_weigh_every_number_by_what_they_are_named_for(rig):
+    experiment, layout, base = rig
+    found = partitions(experiment, layout, base)
+    for name in ("load case", "phase of the load", "axis"):
+        assert np.array_equal(found[name].sum(axis=0), np.ones(layout.size)), name
+    second = layout["second"]
+    assert np.flatnonzero(found["load case"][1]).tolist() == list(range(second.begin, second.end))
+    assert np.array_equal(found["markers and forces"][0], ~layout.of_markers())
+    whole, own = found["time"]
+    assert whole[0] == -0.5
+    assert second.forces(whole)[-1].tolist() == [[0.5] * 3]
+    assert second.markers(own)[0, 0, 0] == -0.5
+    standard = (PLACES - PLACES.mean(axis=0)) / PLACES.std(axis=0)
+    for axis in range(3):
+        assert np.allclose(second.markers(found["place"])[axis, 3, :, axis], standard[:, axis])
+        assert not second.forces(found["place"])[axis].any()
+        assert second.forces(found["axis"])[axis, 0, 0].tolist() == np.eye(3)[axis].tolist()
+    load, squared = found["size of the load"]
+    assert np.allclose(second.markers(load)[:, 0, 0], RAMP)
+    assert np.allclose(squared, load**2)
+
+
+def data(rig, seed, unlike):
+    """Return what is left of data that a cause explains but for a share `unlike` of its change in the second case."""
+    experiment, layout, base = rig
+    rng = np.random.default_rng(seed)
+    change = np.zeros(layout.size)
+    for part in layout.parts:
+        part.markers(change)[:] = RAMP[:, None, None] * np.sin(PLACES[:, :1] / 20.0 + np.arange(3.0))
+    change *= 30.0 / np.linalg.norm(change)
+    null = Null(rng.standard_normal((3, layout.size)) / np.sqrt(layout.size))
+    rows = rng.standard_normal((301, layout.size)) + rng.standard_normal((301, 3)) @ null.nuisances
+    rows[0] += unlike * (layout.of_case("second") - 0.5) * change
+    reduced = null.reduced(rows)
+    left = Left.of(reduced[0], reduced[1:], null.reduced(change[None]))
+    return left, change, partitions(experiment, layout, base), null.reduced
+
+
+def test_p_values_of_a_true_cause_are_uniform(rig):
+    found = [
+        left.test(change, change[None], parts, of)[0]
+        for left, change, parts, of in (data(rig, k, 0.0) for k in range(60))
+    ]
+    assert 0.35 < np.mean(found) < 0.65
+    assert min(found) > 1e-3
+    assert np.mean(np.array(found) < 0.25) == pytest.approx(0.25, abs=0.15)
+
+
+def test_a_cause_that_is_larger_in_one_case_is_inconstant_over_cases(rig):
+    for seed in range(5):
+        left, change, parts, reduced = data(rig, seed, 0.8)
+        p, differs_by = left.test(change, change[None], parts, reduced)
+        assert p < 1e-6
+        assert differs_by == "load case"
+
+
+def test_an_inconstancy_of_one_parameter_alone_is_found(rig):
+    layout = rig[1]
+    left, change, parts, reduced = data(rig, 3, 0.0)
+    rng = np.random.default_rng(9)
+    columns = np.stack([change, 30.0 * rng.standard_normal(layout.size) / np.sqrt(layout.size)])
+    extra = 0.5 * (layout.of_case("first") - 0.5) * columns[1]
+    own = Left.of(left.residual + reduced(extra), left.draws, reduced(columns))
+    p, differs_by = own.test(change, columns, parts, reduced)
+    assert p < 1e-3
+    assert differs_by == "load case"
+    assert own.test(change, columns[:1], parts, reduced)[0] > 0.01
+
+
+def test_what_the_parameters_themselves_change_is_no_inconstancy(rig):
+    left, change, parts, reduced = data(rig, 0, 0.0)
+    everything = np.concatenate([change * weights for weights in parts.values()])
+    own = Left.of(left.residual, left.draws, reduced(everything))
+    assert own.test(change, change[None], parts, reduced) is None
+    assert np.abs(own.draws @ own.own.T).max() < 1e-9
+
+
+def test_small_parts_of_a_change_do_not_count(rig):
+    left, change, parts, reduced = data(rig, 0, 0.8)
+    assert left.test(change, change[None], parts, reduced, ConstancySettings(least_change=1.0)) is None
+
+
+def test_a_tail_goes_on_beyond_the_draws():
+    drawn = np.random.default_rng(0).gumbel(size=2000)
+    assert tail_probability(0.0, drawn) == pytest.approx(1.0 - np.exp(-1.0), abs=0.03)
+    assert tail_probability(12.0, drawn) == pytest.approx(np.exp(-12.0), rel=0.5)
+    assert tail_probability(float(drawn.max()) + 1e-9, drawn) <= 1.0 / 2000
