@@ -195,7 +195,9 @@ def test_a_projection_keeps_what_causes_can_do(block_mesh):
     from tissuereg.simulation.sensitivity import Linearised, Observation
 
     here = Linearised(body.simulator, tr.Load(), tr.Material(), still.displacement)
-    responses = columns.responses(Sensed(here.compliance([Observation(*row) for row in reading.rows])), np.empty((0, 3)))
+    responses = columns.responses(
+        Sensed(here.compliance([Observation(*row) for row in reading.rows])), np.empty((0, 3))
+    )
     variances = moving_variances(columns, settings)
     basis = Basis.of(reading, responses, variances, 60)
     assert len(basis.vectors) <= 60
