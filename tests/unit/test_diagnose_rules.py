@@ -13,6 +13,7 @@ from tissuereg.diagnosis import search as search_module
 from tissuereg.diagnosis.causes import CAUSES
 from tissuereg.diagnosis.discrepancy import residual_summary
 from tissuereg.diagnosis.evidence import Null
+from tissuereg.diagnosis.findings import possible_of
 from tissuereg.diagnosis.fit import fit
 from tissuereg.diagnosis.misfit import Misfit
 from tissuereg.diagnosis.noise import Noise, estimate_noise
@@ -20,7 +21,7 @@ from tissuereg.diagnosis.nuisances import effect_nuisances
 from tissuereg.diagnosis.nulls import draw_nulls
 from tissuereg.diagnosis.proof import BEFORE, BELIEVED, GENERIC, NAMED, HeldOut, held_out_figures, linear_model
 from tissuereg.diagnosis.report.words import ties
-from tissuereg.diagnosis.screen import UNKNOWN, Screen
+from tissuereg.diagnosis.screen import UNKNOWN, Screen, Screened
 from tissuereg.diagnosis.search import Search, search
 from tissuereg.diagnosis.settings import DEFAULT
 from tissuereg.diagnosis.signals import SignalLayout
@@ -291,15 +292,115 @@ def test_what_stays_after_a_revision_passes_its_threshold_again(monkeypatch, sha
     assert [one.id for step in steps for one in step.possible] == [name for name in ("poisson",) if name not in named]
 
 
-def test_an_exchanged_cause_has_the_probability_by_which_it_leads_the_first():
-    found, rival, third = (
+def of_round(unknown=-50.0, proof=None):
+    """Return a round that found a latency, with two rivals and the generic one; all else is made up."""
+    candidates = [
         search_module.Candidate(name, None, gain, None)
         for name, gain in (("latency", 60.0), ("scale", 50.0), ("rate", 40.0))
-    )
-    step = search_module.Step({}, [found, rival, third], found, None)
-    top = search_module.Candidate("scale", None, 30.0, None)
-    exchanged = step.exchanged(top, 4.0)
-    assert exchanged.gains() == {"scale": 30.0, "latency": 26.0, "rate": 6.0}
+    ]
+    screened = {UNKNOWN: Screened(unknown, None, np.empty(0))}
+    return search_module.Step(screened, candidates, candidates[0], proof)
+
+
+def test_an_exchanged_cause_has_the_probability_by_which_it_leads_the_first():
+    step = of_round()
+    exchanged = step.retested(search_module.Candidate("scale", None, 30.0, None), 4.0)
+    assert exchanged.evidence() == {"scale": 30.0, "latency": 26.0, "rate": 6.0, UNKNOWN: -84.0}
     # Without the exchange's evidence the cause that came second in its round would be improbable.
-    assert replace(step, found=rival).close(1.0)[0].id == "latency"
-    assert exchanged.found is top
+    assert exchanged.chances()["scale"] == pytest.approx(0.96 / (1.0 + np.exp(-2.0)), rel=1e-3)
+    assert [c.id for c in exchanged.close(4.5)] == ["latency"]
+    # The list of what was tried stays that of the round, and a further test moves all causes alike.
+    assert exchanged.gains() == step.gains()
+    again = exchanged.retested(search_module.Candidate("scale", None, 35.0, None))
+    assert again.evidence() == {"scale": 35.0, "latency": 31.0, "rate": 11.0, UNKNOWN: -79.0}
+
+
+def test_a_retested_cause_has_the_probability_of_its_evidence_in_the_model_of_all():
+    close = of_round(unknown=59.0)
+    alone = close.probability(6.0)
+    # Beside other causes all of the round explain less, and no cause becomes as likely.
+    assert close.retested(search_module.Candidate("latency", None, 20.0, None)).probability(6.0) == pytest.approx(
+        alone, abs=1e-3
+    )
+    weak = of_round().retested(search_module.Candidate("latency", None, 1.0, None))
+    assert weak.probability(6.0) == pytest.approx(0.96 / (1.0 + np.exp(-0.5)), rel=0.01)
+    # The margin of the proof counts from the same evidence.
+    proof = HeldOut(("case",), np.array([[0.0], [9.0], [8.0], [0.0]]), np.zeros((4, 1)))
+    narrow = replace(close, proof=proof).retested(search_module.Candidate("latency", None, 20.0, None))
+    assert narrow.evidence()[UNKNOWN] == 19.0
+    assert narrow.probability(6.0) == pytest.approx(alone, abs=1e-3)
+    failed = search_module.PossibleCause("latency", 0.3, 1.0, 6.0)
+    assert weak.dropped(failed).evidence() == of_round().gains()
+
+
+def both_found(monkeypatch, target, names=("latency", "poisson")):
+    """Let the search find two causes in this order, whatever their evidence, and nothing more."""
+    monkeypatch.setattr(import_module("tissuereg.diagnosis.recorrect"), "refined_effects", lambda *_: None)
+    order, rounds = iter(names), search_module._round
+
+    def found(target, screen, base, current, thresholds, progress):
+        name, nothing = next(order, None), dict.fromkeys(thresholds, 1e9)
+        step = rounds(target, screen, base, current, nothing, progress)
+        if name is None:
+            return step
+        parts = [*current.parts, part(target, name)]
+        fitted = fit(target, parts, start=np.concatenate([current.x, parts[-1].free_parameters.start]))
+        top = search_module.Candidate(name, fitted, fitted.log_evidence - current.log_evidence, target)
+        proof = search_module._prove(target, search_module._references(target, screen, base, current), current, top)
+        return replace(step, candidates=[top], found=top, proof=proof, figures=proof, rivals=-1e9)
+
+    monkeypatch.setattr(search_module, "_round", found)
+    return screen_of(target, names)
+
+
+def test_findings_that_all_fail_leave_the_residual_of_the_believed_model(monkeypatch):
+    target = target_of(Poisson(poisson=0.38), Latency(latency_s=0.15))
+    screen = both_found(monkeypatch, target)
+    monkeypatch.setattr(search_module, "required_thresholds", lambda given, found, rules: dict.fromkeys(given, 1e9))
+    found = search(target, screen, {"latency": 6.0, "poisson": 6.0})
+    assert found.final is found.base
+    assert found.target is None
+    assert [step.found for step in found.steps] == [None, None, None]
+    assert sorted(one["id"] for one in possible_of(found)) == ["latency", "poisson"]
+    # Nuisances for the errors of causes that are not stated would explain a part of the misfit.
+    null = search_module._null_after(target, found.base)
+    np.testing.assert_allclose(found.reduced, null.reduced(found.base.residual))
+
+
+def test_a_cause_without_which_there_is_no_equilibrium_stays_or_takes_all_with_it(monkeypatch):
+    target = target_of(Poisson(poisson=0.38), Latency(latency_s=0.15))
+    screen = both_found(monkeypatch, target)
+    rest = search_module.without
+    monkeypatch.setattr(search_module, "without", lambda target, fit, part: None if part else rest(target, fit, part))
+    limits = {"latency": 6.0, "poisson": 6.0}
+    kept = search(target, screen, limits)
+    assert kept.final.ids == ("latency", "poisson")
+    second = next(step for step in kept.steps if step.found is not None and step.found.id == "poisson")
+    assert second.found.fit is kept.final
+    assert second.found.gain > 0.0
+    screen = both_found(monkeypatch, target)
+    monkeypatch.setattr(search_module, "required_thresholds", lambda given, found, rules: {**given, "poisson": 1e9})
+    gone = search(target, screen, limits)
+    assert gone.final is gone.base
+    assert [one["id"] for one in possible_of(gone)] == ["poisson"]
+
+
+def test_a_cause_keeps_its_lead_over_its_rivals_where_it_is_tested_again(monkeypatch):
+    target = target_of(Poisson(poisson=0.38), Latency(latency_s=0.15))
+    screen = both_found(monkeypatch, target)
+    base = fit(target, [])
+    both = fit(target, [part(target, "latency"), part(target, "poisson")])
+    alone = fit(target, [both.parts[1]])
+    top = search_module.Candidate("latency", both, 500.0, target)
+    proof = HeldOut(("case",), np.array([[0.0], [50.0], [0.0], [0.0]]), np.zeros((4, 1)))
+
+    def judged(rivals, lead=None):
+        step = search_module.Step({}, [top], top, proof, proof, rivals)
+        return search_module._judged(target, screen, base, both, alone, 0, step, lead)
+
+    # The densities of the model of all causes are others than those that the round's rivals were compared with.
+    assert judged(40.0).is_clear
+    assert not judged(60.0).is_clear
+    named = judged(40.0).proof.log_density[NAMED].sum()
+    assert judged(40.0).rivals == pytest.approx(max(named - 10.0, judged(40.0).proof.log_density[GENERIC].sum()))
+    assert not judged(40.0, lead=5.0).is_clear
