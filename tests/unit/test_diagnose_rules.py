@@ -16,6 +16,7 @@ from tissuereg.diagnosis.evidence import Null
 from tissuereg.diagnosis.findings import possible_of
 from tissuereg.diagnosis.fit import fit
 from tissuereg.diagnosis.misfit import Misfit
+from tissuereg.diagnosis.modulus import modulus_finding
 from tissuereg.diagnosis.noise import Noise, estimate_noise
 from tissuereg.diagnosis.nuisances import effect_nuisances
 from tissuereg.diagnosis.nulls import draw_nulls
@@ -286,7 +287,7 @@ def test_what_stays_after_a_revision_passes_its_threshold_again(monkeypatch, sha
         top = search_module.Candidate(found.parts[-1].id, found, 1e3, target)
         screened = screen.of(search_module._as_screened(screen, target, before))
         steps.append(search_module.Step(screened, [top], top, proof, proof))
-    _, final, steps = search_module._revised(target, screen, base, both, steps, limits)
+    _, final, steps = search_module._revised(target, target, screen, base, both, steps, limits)
     assert set(final.ids) == named
     assert {step.found.id for step in steps if step.found is not None} == named
     assert [one.id for step in steps for one in step.possible] == [name for name in ("poisson",) if name not in named]
@@ -403,4 +404,74 @@ def test_a_cause_keeps_its_lead_over_its_rivals_where_it_is_tested_again(monkeyp
     assert not judged(60.0).is_clear
     named = judged(40.0).proof.log_density[NAMED].sum()
     assert judged(40.0).rivals == pytest.approx(max(named - 10.0, judged(40.0).proof.log_density[GENERIC].sum()))
-    assert not judged(40.0, lead=5.0).is_clear
+    later = judged(40.0, lead=5.0)
+    assert not later.is_clear
+    # It leads the one that was accepted first, which had 500 nats in the round.
+    assert later.shift == pytest.approx(judged(40.0).shift - 5.0)
+    assert judged(40.0).shift == pytest.approx(both.log_evidence - alone.log_evidence - 500.0)
+
+
+@pytest.mark.parametrize(("gains", "named"), [((90.0, 40.0), "latency"), ((40.0, 90.0), "poisson")])
+def test_of_two_that_fail_the_one_with_less_evidence_is_taken_out_and_the_other_tested_without_it(
+    monkeypatch, gains, named
+):
+    target = target_of(Poisson(poisson=0.38), Latency(latency_s=0.15))
+    screen = both_found(monkeypatch, target)
+    tested = []
+
+    def failing(steps, ids, thresholds):
+        tested.append(ids)
+        failed = {
+            part: search_module.PossibleCause(name, 0.1, gain, 6.0)
+            for part, (name, gain) in enumerate(zip(ids, gains, strict=False))
+        }
+        return failed if len(tested) == 1 else {}
+
+    monkeypatch.setattr(search_module, "_failed", failing)
+    found = search(target, screen, {"latency": 6.0, "poisson": 6.0})
+    assert found.final.ids == (named,)
+    assert tested == [("latency", "poisson"), (named,)]
+    (step,) = [step for step in found.steps if step.found is not None]
+    # Its evidence is that against the believed model now, and nothing of the other one's error is left in the model.
+    gain = found.final.log_evidence - fit(found.target, []).log_evidence
+    assert step.found.gain == pytest.approx(gain, abs=DEFAULT.fit.least_gain)
+    change = found.target.white(found.final.prediction - found.base.prediction)
+    own = effect_nuisances(found.target.bench, found.final.prediction - found.base.prediction)
+    of_forms = len(found.target.null.nuisances) - len(own)
+    assert of_forms <= DEFAULT.nuisances.most_forms
+    assert np.abs(found.target.null.nuisances[:of_forms] @ change).max(initial=0.0) < 0.1 * (change @ change)
+
+
+def test_a_cause_is_stated_for_the_probability_of_its_group():
+    tied = of_round(unknown=-50.0, proof=HeldOut(("case",), np.array([[0.0], [9.0], [0.0], [0.0]]), np.zeros((4, 1))))
+    tied = replace(tied, candidates=[replace(tied.found, gain=60.0), replace(tied.candidates[1], gain=59.9)])
+    assert tied.chances()["latency"] == pytest.approx(0.96 / (1.0 + np.exp(-0.05)), rel=1e-3)
+    assert tied.group(6.0) == ("latency", "scale")
+    assert tied.probability(6.0) == pytest.approx(0.96)
+    assert tied.failed(6.0, 6.0) is None
+    # A rival that is a finding itself is in no group.
+    alone = tied.failed(6.0, 6.0, ("latency", "scale"))
+    assert alone.probability == pytest.approx(0.49, abs=0.01)
+    assert (alone.log_bayes_factor, alone.threshold) == (60.0, 6.0)
+    assert replace(tied, found=replace(tied.found, gain=5.9)).failed(6.0, 6.0) is not None
+
+
+def test_a_modulus_is_stated_for_its_probability_and_where_it_is_far_and_determined():
+    target = target_of(young=4.0)
+    base = fit(target, [])
+    screen = screen_of(target, ("latency",))
+
+    def found(*, left_out=(), **search):
+        target.bench.settings = replace(DEFAULT, search=replace(DEFAULT.search, **search), left_out=left_out)
+        return modulus_finding(target, screen, Search(base, base))
+
+    named = found()
+    assert named.parameters["young_kpa"] == pytest.approx(40.0, rel=0.02)
+    assert 0.9 < named.probability == named.group_probability < 0.96
+    assert found(stated=named.probability - 1e-6) is not None
+    assert found(stated=named.probability + 1e-6) is None
+    far = abs(base.x[0]) / target.bench.young_spread
+    assert found(far_modulus=0.9 * far) is not None
+    assert found(far_modulus=1.01 * far) is None
+    assert found(determined_modulus=1e-6) is None
+    assert found(left_out=("stiffness",)) is None

@@ -214,8 +214,8 @@ def test_rounds_judge_by_the_settings_of_the_bench():
                         {"evidence": {"temper": 1e9}}):  # fmt: skip
             step = round_of(patched, **changed)
             assert step.found is None, changed
-        blocks = round_of(patched, search={"determined": 0.0, "time_blocks": 2}).proof.blocks
-        assert len(blocks) == 2
+        blocks = round_of(patched, search={"determined": 0.0, "time_blocks": 3}).proof.blocks
+        assert len(blocks) == 3
 
 
 def test_charts_of_later_rounds_show_the_thresholds_that_were_required():

@@ -69,6 +69,21 @@ def test_what_is_no_noise_is_not_taken_for_it(null):
         assert (found.verdict, found.understated) == ("unexplained", ())
 
 
+def test_the_verdict_follows_the_rules_of_noise_given(null):
+    given = stated(null, markers=3.0, rest=False)
+    deaf = tr.diagnose(given, keep=False, settings=replace(DEFAULT, noise=replace(DEFAULT.noise, least_factor=50.0)))
+    assert (deaf.verdict, deaf.understated) == ("unexplained", ())
+    assert any(effect.id == "stiffness" for effect in deaf.extended.effects)
+
+
+def test_the_verdict_and_the_extended_model_follow_the_levels_given(null):
+    strict = replace(DEFAULT, nulls=replace(DEFAULT.nulls, misfit=1.0),
+                     search=replace(DEFAULT.search, known_modulus=1e-9))  # fmt: skip
+    found = tr.diagnose(null, keep=False, settings=strict)
+    assert found.verdict == "unexplained"
+    assert not any(effect.id == "stiffness" for effect in found.extended.effects)
+
+
 def test_the_evidence_allows_a_statement_to_be_a_little_off():
     rules = DEFAULT.noise
     for freedom in (50.0, 500.0, 5000.0):

@@ -210,9 +210,7 @@ def search(
     if len(current.parts) > 1:
         if progress is not None:
             progress("revision of the causes found")
-        target, current, steps = _revised(target, screen, base, current, steps, thresholds)
-    if not current.parts:
-        target = given  # without nuisances for the errors of causes that were taken out
+        target, current, steps = _revised(given, target, screen, base, current, steps, thresholds)
     reduced = _null_after(target, current).reduced(current.residual)
     return Search(base, current, steps, reduced, target if current.parts else None)
 
@@ -297,12 +295,19 @@ def _with_finding(
 
 
 def _revised(
-    target: FitTarget, screen: Screen, base: Fit, current: Fit, steps: list[Step], thresholds: Mapping[str, float]
+    given: FitTarget,
+    target: FitTarget,
+    screen: Screen,
+    base: Fit,
+    current: Fit,
+    steps: list[Step],
+    thresholds: Mapping[str, float],
 ) -> tuple[FitTarget, Fit, list[Step]]:
     """Return target, fit and rounds after each cause was tested for redundancy and exchanged for its closest rivals.
 
-    What stays has passed its tests again, in the model of all causes. `base`, `current`: fits of the believed model and
-    with all causes; `thresholds`: nats, by id.
+    What stays has passed its tests again, in the model of all causes. `given`, `target`: targets without and with
+    nuisances for the errors of the causes; `base`, `current`: fits of the believed model and with all causes;
+    `thresholds`: nats, by id.
     """
     rules = target.bench.settings.search
     found = [number for number, step in enumerate(steps) if step.found is not None]
@@ -326,15 +331,45 @@ def _revised(
             return target, current, steps
         # Of several, the one whose removal costs the least evidence: the others may pass without it.
         part = min(failed, key=lambda part: (rests[part] is None, failed[part].log_bayes_factor))
-        rest = rests[part]
-        if rest is None:  # without it the others have no equilibrium
-            steps = [replace(step, found=None, shift=0.0) for step in steps]
-            rest = base
         number = found.pop(part)
+        if rests[part] is None:  # without it the others have no equilibrium
+            steps = [step if at == number else replace(step, found=None, shift=0.0) for at, step in enumerate(steps)]
+            found = []
         steps[number] = steps[number].dropped(failed[part])
-        found = found if rest.parts else []
-        target, current = corrected_fit(target, rest)
-    return target, base, steps
+        if found:
+            target, current = corrected_fit(*_without(given, target, screen, base, current, rests, part))
+    return given, base, steps
+
+
+def _without(
+    given: FitTarget,
+    target: FitTarget,
+    screen: Screen,
+    base: Fit,
+    current: Fit,
+    rests: Sequence[Fit | None],
+    part: int,
+) -> tuple[FitTarget, Fit]:
+    """Return target and fit after a cause was taken out, without the nuisances for its error.
+
+    `given`, `target`: targets without and with nuisances for the errors of the causes; `rests`: fits without each of
+    the causes of `current`; `part`: number of the one that is taken out.
+    """
+    rest = rests[part]
+    assert rest is not None  # without it there is an equilibrium
+    others = [pair for at, pair in enumerate(zip(current.ids, rests, strict=True)) if at != part]
+    forms = [
+        other_forms(
+            screen.white_columns(name),
+            given.white(current.prediction - before.prediction),
+            given.bench.settings.nuisances,
+        )
+        for name, before in others
+        if before is not None
+    ]
+    errors = given.white(effect_nuisances(given.bench, rest.prediction - base.prediction))
+    target = replace(target, null=Null(np.concatenate([given.null.nuisances, *forms, errors])))
+    return target, fit(target, rest.parts, start=rest.x) or rest
 
 
 def _judged(
