@@ -21,7 +21,7 @@ class ModelSettings:
 
     #: Default prior deviation of the modulus, over its mean.
     young_spread: float = 0.3
-    #: Residual over load. The error is some 1e-6 mm and 1e-3 mN, 1e-4 mm at most: far below any noise.
+    #: Residual over load on the user's mesh. The error is some 1e-6 mm and 1e-3 mN, 1e-4 mm at most: far below noise.
     tolerance: float = 1e-5
     #: Number of solutions that are kept for models that differ in the tracker alone.
     most_solved: int = 4
