@@ -199,7 +199,7 @@ def _judged(
     best = found.final
     tested = constancies(found.target or target, best, null, nulls.residuals, settings.constancy) if findings else []
     inconstant = [one for one in tested if one.p < settings.constancy.level]
-    withdrawn = bool(findings) and (bool(inconstant) or not _explains_enough(misfit, found, settings.nulls))
+    withdrawn = bool(findings) and (not _explains_enough(misfit, found, settings.nulls) or bool(inconstant))
     if withdrawn:
         # At best the findings are the causes most similar to the true one.
         findings, found = [], found.withdrawn(target)
