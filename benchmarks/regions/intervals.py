@@ -22,6 +22,7 @@ def interval(counts: tuple[tuple[int, int], ...], share: float = 0.95) -> tuple[
     log = sum(betaln(inside + a, n - inside + b) - betaln(a, b) for inside, n in counts)
     # Density in the logit of m, of which the prior is m (1 - m).
     weights = np.exp(log - log.max()).sum(axis=1) * _MEANS * (1.0 - _MEANS)
-    below = np.cumsum(weights) / weights.sum()
+    # Half of a candidate's own weight lies below it.
+    below = (np.cumsum(weights) - 0.5 * weights) / weights.sum()
     low, high = np.interp([0.5 - share / 2, 0.5 + share / 2], below, _MEANS)
     return float(low), float(high)

@@ -14,6 +14,7 @@ from support.meshes import block
 from support.openigtlink import Peer, point_message
 from support.small_model import SMALL_MODEL
 from tissuereg.cli import live
+from tissuereg.cli.track import _replay_lines
 from tissuereg.io.meshes import write_vtu
 from tissuereg.live.protocol import text_in
 
@@ -174,7 +175,7 @@ def test_a_replay_is_the_same_without_a_model_and_after_the_first_frame_aligned(
     code, again, errors = run_json(capsys, "track", tmp_path / "body.vtu", "--replay", tmp_path / "live.csv", *given,
                                    "--out", tmp_path / "out")  # fmt: skip
     assert again["replay"] == {"compared": 4, "different_s": []}
-    assert "1 frames that 'live' did not register are left out" in errors
+    assert "1 frame left out, which 'live' did not register" in errors
     for one, later in zip(heard[1:], again["frames"], strict=True):
         assert one["targets"]["lesion"]["mean_mm"] == later["targets"]["lesion"]["mean_mm"]
 
@@ -195,6 +196,19 @@ def test_a_replay_is_of_a_live_recording_and_stands_alone(inputs, capsys):
     code, said, _ = run_json(capsys, "track", inputs / "body.vtu", inputs / "plain.csv", "--replay",
                              inputs / "plain.csv", *words(inputs)[1:], "--out", inputs / "out")  # fmt: skip
     assert (code, "one of them" in said["message"]) == (2, True)
+
+
+@pytest.mark.parametrize(
+    ("compared", "different_s", "said"),
+    [
+        (0, [], "the recording holds no answer to compare with"),
+        (4, [], "4 answers compared, each the one that was given live"),
+        (4, [0.5, 0.7], "2 of 4 answers are not those that were given live, the first at 0.5"),
+    ],
+)
+def test_what_a_replay_says_is_of_the_answers_that_there_are(compared, different_s, said):
+    (line,) = _replay_lines({"compared": compared, "different_s": different_s})
+    assert said in line
 
 
 def test_it_ends_in_time_and_writes_no_file_of_its_own(inputs, capsys):

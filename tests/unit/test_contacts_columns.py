@@ -2,15 +2,16 @@
 
 import numpy as np
 import pytest
+from threadpoolctl import ThreadpoolController
 
 import tissuereg as tr
 from support.pushes import MATERIAL, NOTHING, TIGHT, body, columns_of
 from tissuereg.body.observe import MarkerObservation
-from tissuereg.registration.contacts.columns import Columns, contact_sizes, log_filled
+from tissuereg.registration.contacts.columns import Columns, _by_unbalanced, contact_sizes, log_filled
 from tissuereg.registration.contacts.sensed import Sensed
 from tissuereg.registration.contacts.settings import ContactSettings
 from tissuereg.registration.contacts.state import RigidMotion
-from tissuereg.simulation.sensitivity import Linearised, Observation
+from tissuereg.simulation.sensitivity import Compliance, Linearised, Observation
 
 
 @pytest.fixture(scope="module", params=["sure", "partly", "perhaps", "free", "believed"])
@@ -64,6 +65,20 @@ def test_responses_of_every_block_are_slopes_of_solves(case):
             slope = (there - back) / (2 * step)
             assert np.abs(slope).max() > 0.0, family.name
             assert np.abs(responses[:, column] - slope).max() < 1e-4 * np.abs(slope).max(), (family.name, column)
+
+
+def test_responses_to_changes_of_the_stiffness_have_the_same_bits_at_any_number_of_threads_of_blas():
+    # A renewal makes them beside calls that change that number for the whole process.
+    rng = np.random.default_rng(2)
+    own = Compliance(rng.normal(size=(60, 4258, 3)), np.zeros((60, 3)), np.zeros((60, 0, 3)))
+    forces, found = rng.normal(size=(3, 4258, 3)), []
+    blas = ThreadpoolController().select(user_api="blas")
+    for threads in (1, 2):
+        with blas.limit(limits=threads):
+            found.append(_by_unbalanced(own, forces))
+    assert np.array_equal(*found)
+    wanted = own.forces.reshape(60, -1) @ forces.reshape(3, -1).T
+    assert np.abs(found[0] - wanted).max() < 1e-12 * np.abs(wanted).max()
 
 
 @pytest.mark.parametrize("held", ["sure", "partly", "perhaps", "free", "believed"])

@@ -2,6 +2,7 @@
 
 import gc
 import weakref
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,16 +10,18 @@ from scipy.spatial.transform import Rotation
 
 import tissuereg as tr
 from support.meshes import block
-from support.pushes import MATERIAL, TIGHT, columns_of, push
+from support.pushes import MATERIAL, NOTHING, TIGHT, body, columns_of, push
 from tissuereg.body.mesh import per_mesh
 from tissuereg.body.observe import MarkerObservation
 from tissuereg.errors import ConvergenceError
 from tissuereg.registration.contacts.body import forget_bodies
+from tissuereg.registration.contacts.columns import Columns
 from tissuereg.registration.contacts.measured import MarkerData
-from tissuereg.registration.contacts.settings import EFFORT
+from tissuereg.registration.contacts.settings import EFFORT, ContactSettings
 from tissuereg.registration.contacts.state import BodyState, RigidMotion
 from tissuereg.registration.contacts.tangent import Tangent, forget_rest, tangent_at
 from tissuereg.registration.readings.skin import skin_of
+from tissuereg.simulation.sensitivity import Linearised, ModulusField, Parameter
 
 
 @pytest.fixture(autouse=True)
@@ -84,6 +87,57 @@ def test_remembered_observations_have_the_same_bits_and_cost_nothing():
     twice, solved = tangent.compliance([*rows([102]), *rows([102])])
     assert solved == 3
     assert np.array_equal(twice.forces[:3], twice.forces[3:])
+
+
+def test_known_kept_and_missing_rows_come_in_the_order_that_is_asked_for(monkeypatch):
+    columns = columns_of()
+    first, _ = tangent_at(columns, MATERIAL, at_rest(columns), 1)
+    first.compliance(rows([402]))
+    nodes = [302, 402, 202]
+    wanted = Tangent(first.linearised).compliance(rows(nodes))[0]
+    # Of another registration, which knows one of them and keeps none.
+    found, solved = first.anew().compliance(rows(nodes))
+    assert solved == 6
+    # One is kept, two known from the other registration, one missing, and there is no room for more.
+    crowded = first.anew()
+    crowded.compliance(rows([202]))
+    monkeypatch.setattr("tissuereg.registration.contacts.tangent.EFFORT", replace(EFFORT, remembered=8))
+    more, solved = crowded.compliance(rows([102, *nodes]))
+    assert solved == 3
+    assert len(crowded._kept) == 3
+    for part in ("forces", "body_force", "prescribed"):
+        assert np.array_equal(getattr(found, part), getattr(wanted, part))
+        assert np.array_equal(getattr(more, part)[3:], getattr(wanted, part))
+    assert np.array_equal(more.forces[:3], Tangent(first.linearised).compliance(rows([102]))[0].forces)
+
+
+def test_uncertain_parameters_of_one_name_are_told_apart():
+    columns = columns_of()
+    coefficients = np.zeros(columns.n_columns)
+    coefficients[[3, 40]] = 0.5
+    load, simulator = columns.load(coefficients), columns.body.simulator
+    moved = simulator.solve(load, MATERIAL, **TIGHT).all_displacement
+    pushed, n_tets = Linearised(simulator, load, MATERIAL, moved), columns.body.mesh.n_tets
+    tangent = Tangent(pushed)
+    halves = [ModulusField("young", (np.arange(n_tets) < n_tets // 2) == first) for first in (True, False)]
+    whole = [ModulusField(name, np.ones(n_tets)) for name in ("young", "poisson")]
+    sensed, _ = tangent.sensed(rows([302, 202]))
+    for cause in [*halves, *whole, Parameter("young")]:
+        slope = pushed.derivatives([cause]).displacement[0, [302, 202]].ravel()
+        assert np.abs(tangent.by_cause(sensed, cause) + slope).max() < 1e-6 * np.abs(slope).max()
+
+
+def test_a_tangent_at_rest_is_that_of_its_changes_of_stiffness():
+    plain = columns_of()
+    graded = Columns.of(body(), MATERIAL, NOTHING, ContactSettings(), stiffness=(0.1, 0.5))
+    made = [tangent_at(columns, MATERIAL, at_rest(columns), 1)[0] for columns in (plain, graded, graded)]
+    assert [len(tangent.stiffness_forces) for tangent in made] == [0, 3, 3]
+    # At rest no stiffness moves anything; under other forces both registrations answer alike.
+    forces = np.random.default_rng(3).normal(size=made[1].stiffness_forces.shape)
+    made[1]._first.stiffness_forces = forces
+    wanted = made[1].linearised.responses(forces)
+    assert np.array_equal(made[1].by_stiffness, wanted)
+    assert np.array_equal(made[2].by_stiffness, wanted)
 
 
 def test_an_answer_does_not_depend_on_what_was_registered_before():

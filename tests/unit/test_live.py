@@ -2,6 +2,7 @@
 
 import dataclasses
 import gc
+import io
 import itertools
 import json
 import struct
@@ -13,7 +14,7 @@ import pytest
 from support.openigtlink import BODY, NAMES, SIT, FastEngine, Peer, eventually, point_message, serving
 from tissuereg.errors import FormatError
 from tissuereg.io.recordings import read_recording
-from tissuereg.io.recordings.table import LiveRow, recorder
+from tissuereg.io.recordings.table import LiveRow, TableRecorder, recorder
 from tissuereg.live import LiveServer, LiveSettings
 from tissuereg.live.answers import answer_digest
 from tissuereg.live.frames import FirstFrame, Gathering, Intake, LiveFrame
@@ -251,6 +252,43 @@ def test_tools_in_different_frames_are_not_mixed_unless_one_frame_is_named():
     later = transforms([f"{name}ToReference" for name in NAMES], (100.0, 100.5))
     _, frames = gathered([*transforms(names[:1]), *later])
     assert np.isfinite(frames[-1].places).all()
+
+
+class Disk(io.BytesIO):
+    """A file that takes half of what is written while `full`."""
+
+    full = False
+
+    def write(self, data):
+        if not self.full:
+            return super().write(data)
+        super().write(data[: len(data) // 2])
+        raise OSError(28, "No space left on device")
+
+
+def test_a_frame_for_which_there_was_no_room_leaves_no_hole_before_the_next_one():
+    disk = Disk()
+    kept, whole = TableRecorder(disk, NAMES), TableRecorder(Disk(), NAMES)
+    for k in range(3):
+        row = LiveRow(0.1 * k, SIT, 0.1 * k)
+        disk.full = k == 1
+        if k == 1:
+            with pytest.raises(OSError, match="No space left"):
+                kept.add(row)
+        else:
+            kept.add(row)
+            whole.add(row)
+    assert disk.getvalue() == whole._handle.getvalue()
+
+
+@pytest.mark.parametrize("tools_in", [None, "Tracker"])
+def test_made_up_frames_hold_no_memory(tools_in):
+    names = [f"{NAMES[0]}ToFrame{k}" for k in range(1200)]
+    gathering, _ = gathered(transforms(names), tools_in=tools_in)
+    assert len(gathering._into) == (1000 if tools_in is None else 0)
+    assert len(gathering.events) <= 1000
+    # The newest are the ones that are known.
+    assert names[-1].removeprefix(f"{NAMES[0]}To") in gathering._into or tools_in
 
 
 def test_a_status_of_one_tool_hides_that_tool_alone():

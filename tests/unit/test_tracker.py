@@ -14,6 +14,7 @@ from support.meshes import block
 from tissuereg._base.choices import RESTARTS
 from tissuereg.body.observe import MarkerObservation, TargetObservation
 from tissuereg.errors import ArgumentError, MarkerError
+from tissuereg.registration import inputs
 from tissuereg.registration.contacts.settings import ContactSettings
 from tissuereg.tracking import FemPhysics, TablePhysics, fitted, fitted_prior
 
@@ -174,6 +175,19 @@ def test_a_fitted_prior_is_made_once_for_all_frames_and_markers(monkeypatch):
         seen[k] = np.nan
         tracker.step(seen, FRAME_S * k, actuator=share)
     assert made == [1]
+
+
+def test_the_first_frame_after_a_reset_is_examined_for_misreadings_as_the_first_of_all(monkeypatch):
+    examined, plain = [], inputs.suspect
+    monkeypatch.setattr(inputs, "suspect", lambda *given: examined.append(1) or plain(*given))
+    tracker, rng = tr.Tracker(registrar(), simulator=physics()), np.random.default_rng(5)
+    counts = []
+    for k, share in enumerate((0.2, 0.3, 0.2, 0.3)):
+        if k == 2:
+            tracker.reset()  # as after the frame by which a live registration gets warm
+        assert tracker.step(measured(share, rng), FRAME_S * k, actuator=share).trust.ok
+        counts.append(len(examined))
+    assert counts == [1, 1, 2, 2]
 
 
 def test_markers_come_and_go_and_a_frame_without_any_leaves_the_tracker_as_it_was():

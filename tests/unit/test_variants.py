@@ -248,6 +248,8 @@ def test_the_law_of_targets_beside_variants_is_that_of_the_share_that_stays(mesh
     assert (varied.widening, varied.tail) == (1.5, 16.0)
     assert varied.calibration_set is at.rehearsal(anchored=True).calibration_set
     assert (at.rehearsal(anchored=True).widening, at.rehearsal(anchored=True).tail) == (3.0, 4.0)
+    # Trials without a simulation say nothing of changes from one.
+    assert at.rehearsal(anchored=False, varied=True) is known.alone
     # A Gaussian law stays one, and covariances that rehearsals left as they are stay, too.
     plain = Rehearsal(np.ones(1), np.ones((1, 1))).beside_variants
     assert (plain.widening, plain.tail) == (1.0, None)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.stats import betabinom
 
 from common import read_archive
 from regions.cases import body_of
@@ -19,6 +20,22 @@ def test_intervals_of_five_clusters_hold_the_share_that_made_them(mean, correlat
         held += low <= mean <= high
     # 95 % of 40, less three standard deviations of that number.
     assert held >= 34
+
+
+@pytest.mark.parametrize("share", [0.95, 0.5])
+@pytest.mark.parametrize(
+    "counts", [((9, 10), (7, 10), (10, 10)), ((470, 480), (480, 480), (400, 480)), ((30, 30),) * 5]
+)
+def test_an_interval_is_that_of_the_law_on_an_even_grid(counts, share):
+    means, correlations = (np.arange(1000) + 0.5) / 1000, (np.arange(100) + 0.5) / 100
+    size = 1.0 / correlations - 1.0
+    a, b = means[:, None] * size, (1.0 - means)[:, None] * size
+    logs = sum(betabinom.logpmf(inside, n, a, b) for inside, n in counts)
+    weights = np.exp(logs - logs.max()).sum(axis=1)
+    below = (np.cumsum(weights) - 0.5 * weights) / weights.sum()
+    wanted = np.interp([0.5 - share / 2, 0.5 + share / 2], below, means)
+    # Both grids are of steps of up to 0.0075 in between which they are linear.
+    assert interval(counts, share) == pytest.approx(wanted, abs=1e-3)
 
 
 def test_an_interval_shrinks_with_clusters_and_not_with_targets_of_one():

@@ -10,6 +10,7 @@ from tissuereg._base.fields import choice, number
 from tissuereg.cli.body_input import only_given
 from tissuereg.cli.options import add_option, refuse
 from tissuereg.io.points import MM_PER_UNIT
+from tissuereg.report.words import counted
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -84,7 +85,9 @@ def read_replayed(args: argparse.Namespace, markers: "Markers") -> "Recording":
         refuse("--replay must hold a frame that was registered, got none", "--replay")
     left = int((~found.registered).sum())
     kept = found.of(markers.names).only(found.registered)
-    return kept.placed(kept.places, f"{left} frames that 'live' did not register are left out") if left else kept
+    return (
+        kept.placed(kept.places, f"{counted(left, 'frame')} left out, which 'live' did not register") if left else kept
+    )
 
 
 #: Options of recordings that a replay cannot have.

@@ -358,6 +358,8 @@ def _replay_lines(replay: dict[str, Any] | None) -> list[str]:
     if replay is None:
         return []
     count, different = replay["compared"], replay["different_s"]
+    if not count:
+        return ["replayed: the recording holds no answer to compare with"]
     if not different:
         return [f"replayed: {count} answers compared, each the one that was given live, to the last bit"]
     return [

@@ -243,11 +243,13 @@ class Gathering:
             self._note_stranger(device)
         if row is None or not into or into == self._intake.tools_in:
             return row
-        self._into[into] = device, now
         if self._intake.tools_in is not None:
             self._tell("SEVERAL_FRAMES", f"'{device}' does not end in To{self._intake.tools_in}: it is left out")
             return None
-        self._into = {frame: one for frame, one in self._into.items() if now - one[1] <= self._settings.idle_s}
+        self._into.pop(into, None)  # the last one heard of stands last
+        self._into[into] = device, now
+        recent = [one for one in self._into.items() if now - one[1][1] <= self._settings.idle_s]
+        self._into = dict(recent[-self._settings.most_names :])
         others = [name for frame, (name, _) in self._into.items() if frame != into]
         if not others:
             return row

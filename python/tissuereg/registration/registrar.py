@@ -6,10 +6,9 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
-from threadpoolctl import ThreadpoolController
-
 from tissuereg._base.arguments import called, check_running, found, maybe, named
 from tissuereg._base.arrays import FloatArray, float_array
+from tissuereg._base.blas import BlasThreads
 from tissuereg._base.clock import Clock, Listener
 from tissuereg._base.provenance import call_text, note_origins, note_record, provenance_now, recorded, warn
 from tissuereg.body.load import Load
@@ -111,10 +110,10 @@ class Registrar:
             _refuse_with_model(body, self._load, how)
         self._examines = model is None or how.readings == "always"
         self._plausible = False
-        self._blas = ThreadpoolController().select(user_api="blas")
+        self._blas = BlasThreads()
         if not isinstance(reference_mm, Markers):
             reference_mm = Markers(float_array("reference_mm", reference_mm, (None, 3)))
-        with recorded() as self._record, self._blas.limit(limits=1):
+        with recorded() as self._record, self._blas.one():
             note_origins(body.mesh, body.material, reference_mm, targets)
             self._attached = Attachment.of(body, reference_mm, targets, how, seed)
             self._model = None if model is None else as_model(model, body.mesh, how.threads)
@@ -219,6 +218,10 @@ class Registrar:
             gone = _lost(lost, places)
             return self.registered(MomentInput(measured_mm, None, simulation, before, gone), clock)
 
+    def begin_anew(self) -> None:
+        """Take the next moment for a first one, whose markers are examined (`RegisterSettings.readings`)."""
+        self._plausible = False
+
     def made_for(self, markers: Markers) -> "Registrar":
         """Return a registrar for `markers` on the same body; itself if names and reference places are its own."""
         own = self._attached
@@ -277,7 +280,7 @@ class Registrar:
     def _answer(self, moment: MomentInput, clock: Clock) -> tuple[Registration, FloatArray | None]:
         """Return the registration of one moment, and the displacement (n_nodes, 3), mm, from which it starts."""
         field, varied = self._simulated(moment)
-        with self._blas.limit(limits=1):
+        with self._blas.one():
             if field is None and varied is None and self._points is not None and self._load is not None:
                 with clock.stage("simulate"):
                     solver, own = self._solver.simulator, self._attached
@@ -350,7 +353,7 @@ class Registrar:
         simulated displacement to which the estimate is added, mm. Result: None if the body can move freely or is too
         large, or no marker is left.
         """
-        with self._blas.limit(limits=1):
+        with self._blas.one():
             return None if self._elastic is None else self._elastic.about(markers, used, start)
 
     @cached_property

@@ -145,6 +145,7 @@ class Tracker:
 
     def reset(self) -> None:
         """Forget all frames, so that the next one is a first one; the count of dropped frames stays."""
+        self._registrar.begin_anew()
         self._prior = TemporalPrior(self._noise_mm**2)
         self._lineage = Lineage(self._noise_mm)
         self._watch = Watch(self._registrar.markers)

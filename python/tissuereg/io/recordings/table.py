@@ -121,6 +121,7 @@ class TableRecorder:
                 data = data[self._handle.write(data) or 0 :]
         except OSError:
             self._handle.truncate(begin)
+            self._handle.seek(begin)  # there may be room again for the next one
             raise
 
 

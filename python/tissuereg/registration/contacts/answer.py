@@ -55,7 +55,9 @@ def known_of(given: RegisterInput, fit: ContactFit, spread: Spread) -> Known:
     here = state.moved[observed.nodes]
     moved = np.concatenate([inner.predict(state.moved[inner.nodes]), observed.predict(here)])
     reference = np.concatenate([inner.reference.reshape(-1, 3), given.markers.reference])
-    of_markers = observed.rows(here) if len(lost) else []
+    # Where the tangent is, as those of other markers: then later moments ask for the same rows.
+    moved_there = fit.tangent.moved if fit.tangent.moved is not None else state.moved[: given.mesh.n_nodes]
+    of_markers = observed.rows_of(moved_there) if len(lost) else []
     rows = [*inner.rows(), *(of_markers[3 * marker + axis] for marker in lost for axis in range(3))]
     some = np.concatenate([np.arange(n_targets), n_targets + lost])
     points = spread.points(rows, (reference + moved)[some], given.seed)

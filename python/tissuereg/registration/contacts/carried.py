@@ -56,7 +56,8 @@ class Carried:
         tangent, renewal = fit.tangent, draw.renewal
         if renewal is not None and draw.moments + 1 >= renewal.moment:
             tangent, renewal = renewal.tangent() or tangent, None
-        return cls(fit.columns, fit.state, samples, tangent, list(draw.further), left, draw.moments, renewal)
+        further = list(draw.further)
+        return cls(fit.columns, fit.state, samples, tangent.onwards(), further, left, draw.moments, renewal)
 
     def columns_for(self, columns: Columns) -> Columns | None:
         """Return the next moment's causes with the spring stiffness that was found here.

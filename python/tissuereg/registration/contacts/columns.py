@@ -207,9 +207,7 @@ class Columns:
         if "frame" in self._offsets:
             out[:, self._offsets["frame"]] = self.rigid_field(places).reshape(6, -1).T if rigid is None else rigid
         if beside is not None and "stiffness" in self._offsets:
-            out[:, self._offsets["stiffness"]] = sensed.image(
-                "stiffness", lambda one: np.einsum("onx,snx->os", one.forces, beside[1], optimize=True)
-            )
+            out[:, self._offsets["stiffness"]] = sensed.image("stiffness", lambda one: _by_unbalanced(one, beside[1]))
         if beside is not None and self.unexplained is not None:
             out[:, self._offsets["unexplained"]] = self.unexplained.responses(beside[0])
         return out
@@ -378,6 +376,14 @@ def _spread(patches: Patches, units: FloatArray) -> FloatArray:
     """
     on_nodes = np.asarray(patches.shapes.T @ np.moveaxis(units, 0, 1).reshape(patches.n_patches, -1))
     return np.moveaxis(on_nodes.reshape(-1, len(units), 3), 1, 0)
+
+
+def _by_unbalanced(compliance: Compliance, forces: FloatArray) -> FloatArray:
+    """Return the displacements (n_rows, n), mm, of observations by nodal forces (n, n_element_nodes, 3), mN.
+
+    Not by BLAS, whose bits depend on its number of threads: a renewal runs beside calls that change that number.
+    """
+    return np.asarray(np.einsum("onx,snx->os", compliance.forces, forces))
 
 
 def _in_mm(size: tuple[float, float], extent: float) -> tuple[float, float]:

@@ -249,11 +249,14 @@ def _carried(after: Registration | None, given: RegisterInput) -> Carried | None
     """Return the end of an earlier registration of the same markers, to start from; None if it cannot be continued.
 
     `after`: the earlier registration, or None; `given`: this moment's input. A registration with points of the surface,
-    or with other markers, cannot be continued.
+    with other markers, or of another material, whose tangent would solve for its own, cannot be continued.
     """
     if not isinstance(after, ContactRegistration) or not isinstance(after.draw, Draws):
         return None
     if given.surface is not None or after.surface is not None:
+        return None
+    theirs, ours = after.draw.material, given.body.material
+    if theirs is not ours and theirs.digest() != ours.digest():
         return None
     names, observed = after.all_markers.names, np.isfinite(after.all_markers.measured).any(axis=1)
     now = np.isfinite(given.markers.measured).any(axis=1)

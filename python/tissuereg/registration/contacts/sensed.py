@@ -1,7 +1,7 @@
 """Sensitivities of observations to nodal forces, as sums of rows that are kept, and what is linear in them."""
 
 import threading
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Iterator
 
 import numpy as np
 
@@ -22,7 +22,15 @@ class KeptRows:
         self._blocks: list[Compliance] = []
         self._by_nodes: dict[bytes, tuple[list[int], FloatArray, FloatArray]] = {}
         self._images: dict[Hashable, FloatArray] = {}
-        self.lock = threading.RLock()
+        self.lock = threading.Lock()
+
+    def copy(self) -> "KeptRows":
+        """Return the same rows, to which others can be added than to these; sensitivities are shared."""
+        made = KeptRows()
+        with self.lock:
+            made._index, made._blocks = dict(self._index), list(self._blocks)
+            made._by_nodes, made._images = dict(self._by_nodes), dict(self._images)
+        return made
 
     def __len__(self) -> int:
         return len(self._index)
@@ -54,20 +62,23 @@ class KeptRows:
                 numbers, weights = [*before[0], *numbers], np.concatenate([before[1], weights])
             self._by_nodes[name] = numbers, weights, np.asarray(np.linalg.pinv(weights), np.float64)
 
-    def image(self, name: Hashable | None, make: Callable[[Compliance], FloatArray]) -> FloatArray:
+    def blocks(self) -> Iterator[tuple[int, Compliance]]:
+        """Yield the kept sensitivities in parts, each with the number of its first row."""
+        first = 0
+        for block in self._blocks:
+            yield first, block
+            first += len(block.forces)
+
+    def image(self, name: Hashable, make: Callable[[Compliance], FloatArray]) -> FloatArray:
         """Return what a function linear in the sensitivities makes of all kept rows, (n_kept, ...).
 
-        `name`: the function's, under which its values are kept; None not to keep them.
+        `name`: the function's, under which its values are kept.
         """
-        done = self._images.get(name) if name is not None else None
-        parts, first = [] if done is None else [done], 0
-        for block in self._blocks:
-            if done is None or first >= len(done):
-                parts.append(make(block))
-            first += len(block.forces)
+        done = self._images.get(name)
+        parts, n_done = ([], 0) if done is None else ([done], len(done))
+        parts += [make(block) for first, block in self.blocks() if first >= n_done]
         whole = parts[0] if len(parts) == 1 else np.concatenate(parts)
-        if name is not None:
-            self._images[name] = whole
+        self._images[name] = whole
         return whole
 
 
@@ -86,13 +97,36 @@ class Sensed:
         self._which = which if alone else None
 
     def image(self, name: Hashable | None, make: Callable[[Compliance], FloatArray]) -> FloatArray:
-        """Return what a function linear in the sensitivities makes of them, (n, ...); see `KeptRows.image`."""
+        """Return what a function linear in the sensitivities makes of them, (n, ...).
+
+        `name`: the function's, under which its values for kept rows are kept; None not to keep them.
+        """
         if self._own is not None:
             return make(self._own)
+        if name is None:
+            return self._made(make)
         whole = self._kept.image(name, make)
         if self._which is not None:
             return whole[self._which]
         return np.asarray(np.tensordot(self._shares, whole[: self._shares.shape[1]], 1))
+
+    def _made(self, make: Callable[[Compliance], FloatArray]) -> FloatArray:
+        """Return what a function makes of them, of no more kept rows at a time than were added together."""
+        found: FloatArray | None = None
+        for first, block in self._kept.blocks():
+            shares = self._shares[:, first : first + len(block.forces)]
+            rows = np.flatnonzero(shares.any(axis=1))
+            if not len(rows) and found is not None:
+                continue
+            values = make(block)
+            if found is None:
+                found = np.zeros((len(self._shares), *values.shape[1:]))
+            if self._which is not None:
+                found[rows] = values[self._which[rows] - first]
+            else:
+                found[rows] += np.tensordot(shares[rows], values, 1)
+        assert found is not None  # sums are of kept rows, of which there are some
+        return found
 
     @property
     def compliance(self) -> Compliance:

@@ -58,6 +58,15 @@ class Tangent:
         made._first, made._kept = self, KeptRows()
         return made
 
+    def onwards(self) -> "Tangent":
+        """Return this tangent for the registration of a later moment: it knows the same rows, and adds to none of here.
+
+        Several may go on from one moment, and none of them depends on the others.
+        """
+        made = copy(self)
+        made._kept = self._kept.copy()
+        return made
+
     @cached_property
     def stiffness_forces(self) -> FloatArray:
         """Forces that unit changes of the stiffness leave unbalanced, (n, n_element_nodes, 3), mN."""
@@ -196,5 +205,6 @@ def _rest_key(columns: Columns, material: Material, state: BodyState, threads: i
     if loaded or state.displacement.any() or state.coefficients.any():
         return None
     springs = None if columns.springs is None else columns.springs.tobytes()
+    graded = any(family.name == "stiffness" for family in columns.families)
     # The body itself, not its address: the address of a deleted body may be reused by another.
-    return columns.body, material.digest(), springs, threads
+    return columns.body, material.digest(), springs, threads, graded

@@ -258,11 +258,12 @@ class PointCalibration:
     def rehearsal(self, anchored: bool, varied: bool = False) -> Rehearsal:
         """Return the outcome of trials from a simulation, if `anchored` and there were any, else of those without.
 
-        `varied`: whether variants of the simulation are given.
+        `varied`: whether variants of the simulation are given, of which trials without one know nothing.
         """
         known = self.whole.anchored if anchored else None
-        law = self.whole.alone if known is None else known
-        return law.beside_variants if varied else law
+        if known is None:
+            return self.whole.alone
+        return known.beside_variants if varied else known
 
     @staticmethod
     def squared_size(size: float, varied: bool) -> float:
