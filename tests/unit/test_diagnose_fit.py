@@ -353,7 +353,7 @@ def test_candidates_close_to_the_one_found_are_counted_from_its_own_round():
     candidates = [
         Candidate(name, None, gain, None) for name, gain in (("layer", 30.0), ("fibre", 25.0), ("scale", 10.0))
     ]
-    step = Step({}, candidates, Candidate("layer", None, 300.0, None), None)
+    step = Step({}, candidates, candidates[0], None).retested(Candidate("layer", None, 300.0, None))
     assert [c.id for c in step.close(8.0)] == ["fibre"]
     assert replace(step, found=None).close(8.0) == []
 

@@ -1,6 +1,7 @@
 """Many diagnoses: each is that of `diagnose`, none is made twice, and one that fails is alone in it."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ import tissuereg as tr
 from support.answers import told, undated
 from support.files import write_experiment
 from tissuereg.diagnosis import many
+from tissuereg.diagnosis.settings import DEFAULT
 from tissuereg.errors import ArgumentError, FormatError
 from tissuereg.parallel import Failed, InProcess, Processes
 
@@ -88,6 +90,10 @@ def test_what_is_there_is_kept_and_what_has_changed_is_made_again(tests, tmp_pat
     (tmp_path / "out" / "soft" / "diagnosis.json").write_text("{half", encoding="utf-8")
     assert made(seed=1) == ["soft"]
     assert len(quick) == 6
+    changed = replace(DEFAULT, search=replace(DEFAULT.search, stated=0.9))
+    assert made(seed=1, settings=changed) == ["soft", "stiff"]
+    assert [settings["settings"] for _, settings in quick] == [DEFAULT] * 6 + [changed] * 2
+    assert made(seed=1, settings=changed) == []
 
 
 def test_a_rig_without_files_fails_alone_and_bodies_and_tests_go_together(tests, tmp_path, quick):

@@ -13,6 +13,7 @@ from tissuereg.diagnosis.material import diagnose_material, predicted_stresses
 from tissuereg.diagnosis.material.causes import CAUSES
 from tissuereg.diagnosis.material.hypothesis import null_hypothesis
 from tissuereg.diagnosis.material.noise import noise_of
+from tissuereg.diagnosis.material.report import material_page
 from tissuereg.diagnosis.material.scene import scene_of
 from tissuereg.diagnosis.material.search import MaterialSearch
 from tissuereg.diagnosis.material.verdict import bench_of
@@ -259,3 +260,29 @@ def test_a_cause_is_named_above_its_threshold_alone_and_not_stated_where_it_fail
         monkeypatch.setattr(searched, "finding", lambda *_, failed=failed: failed)
         kept, stated, possible = searched.findings(none, known)
         assert (kept.ids, stated, possible) == ((), (), (failed,))
+
+
+def test_a_cause_that_is_left_alone_is_proved_alone(monkeypatch):
+    bench, _ = bench_of(believed(in_modes(np.random.default_rng(7), ("fung", 1.0))))
+    none, scene = null_hypothesis(bench.problem), scene_of(believed(list(bench.problem.data.curves)))
+    forms = {name: CAUSES[name].forms(scene) for name in ("stiffening", "mooney")}
+    searched = MaterialSearch(bench, forms, 5.0, lambda _: None)
+    known = searched.run(none)
+    assert known.ids == ("stiffening",)
+    tried = []
+    monkeypatch.setattr(searched, "is_proved", lambda *_: tried.append(1) or False)
+    assert searched.finding(none, known, "stiffening").proved  # it was accepted as it is
+    assert not tried
+    # The same cause after another one was taken out.
+    assert searched.findings(none, replace(known))[1] == ()
+    assert tried == [1]
+
+
+def test_what_is_possible_and_what_a_group_is_worth_stand_on_the_page(tmp_path):
+    found = diagnose_material(believed(in_modes(np.random.default_rng(6), ("fung", 1.0))))
+    (cause,) = found.answer["causes"]
+    possible = {"id": "mooney", "probability": 0.3, "log_bayes_factor": 7.5, "threshold": 6.0}
+    tied = {**cause, "group": [cause["id"], "fibre"], "probability": 0.4, "group_probability": 0.7}
+    text = material_page(replace(found, answer={**found.answer, "causes": [tied], "possible": [possible]}), tmp_path)
+    assert "Possible, but not stated: mooney (probability 0.30; log Bayes factor 7.5, threshold 6.0)." in text
+    assert "Probability 0.40, of the group 0.70; log Bayes factor" in text

@@ -1,5 +1,6 @@
 """The page of a diagnosis, from made-up answers: it holds the findings, and no external resources."""
 
+import argparse
 import json
 import re
 from dataclasses import replace
@@ -12,6 +13,8 @@ import tissuereg as tr
 from support.browser import needs_browser, opened
 from support.files import EXPERIMENT, TABLES, write_experiment
 from support.pages import assert_sound_page, scenes_of, unpacked
+from tissuereg.cli import diagnose as diagnose_command
+from tissuereg.cli.common import Stopwatch
 from tissuereg.diagnosis.answer import Diagnosis, Finding
 from tissuereg.diagnosis.bench import Bench
 from tissuereg.diagnosis.candidates import Candidate
@@ -24,9 +27,12 @@ from tissuereg.diagnosis.report.history import curves
 from tissuereg.diagnosis.report.proved import blocks_words
 from tissuereg.diagnosis.report.ranking import ranking
 from tissuereg.diagnosis.report.scene import drawn_surface, scene
+from tissuereg.diagnosis.report.words import summary
 from tissuereg.diagnosis.screen import Screened
 from tissuereg.diagnosis.search import Search, Step
+from tissuereg.diagnosis.settings import DEFAULT
 from tissuereg.diagnosis.signals import SignalLayout
+from tissuereg.diagnosis.understated import UnderstatedNoise
 from tissuereg.experiment.effects import Inclusion, MarkerSlip
 from tissuereg.report.viewer import script_text
 
@@ -155,7 +161,8 @@ def test_a_page_holds_every_finding_with_its_figures(rig, tmp_path):
     for said in (
         "A stiff inclusion lies &lt; 5 mm deep &amp; hides.",
         "P1 slipped.",
-        "Probability 0.87; log Bayes factor 123.4 (threshold 6.5).",
+        "Probability 0.87, of the group 0.93; log Bayes factor 123.4 (threshold 6.5).",
+        "Probability 0.87; log Bayes factor 44.4 (threshold 6.5).",
         "log Bayes factor 44.4",
         "15 \u00b1 0.31<br>10 \u00b1 0.32<br>20 \u00b1 0.33",
         "6 \u00b1 1.2",
@@ -395,3 +402,45 @@ def test_the_extended_model_is_read_back_from_its_final_folder(rig, tmp_path, mo
     said = (Path(place) / "experiment.extended.toml").read_text(encoding="utf-8")
     page = (Path(place) / "report.html").read_text(encoding="utf-8")
     assert said.replace('"', "&quot;") in page
+
+
+def test_page_and_command_agree_on_what_is_stated(rig, tmp_path):
+    possible = {"id": "layer", "probability": 0.31, "log_bayes_factor": 9.25, "threshold": 6.5}
+    tied = finding(probability=0.4, group_probability=0.7)
+    noise = UnderstatedNoise("forces", 2.0, 5.0, 2.5, 33.0)
+    answer = made_up(rig, [tied], [BALL], possible=(possible,), understated=(noise,), verdict="group")
+    page = read_page(answer, tmp_path / "report.html")
+    said = told_by_command(answer)
+    for text in (page, said):
+        assert "The noise of the forces is understated: 2 mN are stated, 5 mN are found, 2.5 times as much" in text
+    assert "Possible, but not stated: layer (probability 0.31; log Bayes factor 9.2, threshold 6.5)." in page
+    assert "possible, but not stated: layer, P = 0.31, log Bayes factor 9.2 of 6.5" in said
+    assert "Probability 0.40, of the group 0.70;" in page
+    assert "inclusion (or layer), P = 0.40, 0.70 together:" in said
+    assert answer.to_json()["possible"] == [possible]
+
+
+@pytest.mark.parametrize("verdict", ["consistent", "understated-noise", "unexplained", "named", "group"])
+def test_the_exit_code_is_that_of_the_verdict(rig, verdict):
+    answer = made_up(rig, verdict=verdict)
+    code = outcome_of(answer, exit_code=True).code
+    assert (code == 0) == (verdict == "consistent")
+    assert outcome_of(answer).code == 0
+    assert told_by_command(answer).startswith(f"{verdict}, provisional")
+
+
+def test_a_provisional_answer_names_the_number_of_cases_that_it_lacks(rig):
+    many = replace(DEFAULT, report=replace(DEFAULT.report, least_cases=7))
+    assert "fewer than 7 load cases" in summary(made_up(rig, numbers=many))
+    few = replace(DEFAULT, report=replace(DEFAULT.report, least_cases=1))
+    assert "Provisional" not in summary(made_up(rig, numbers=few))
+
+
+def outcome_of(answer, **changed):
+    given = argparse.Namespace(out=None, verbose=False, threads=1, exit_code=False)
+    vars(given).update(changed)
+    return diagnose_command._outcome(answer.to_json(), Stopwatch(), given)
+
+
+def told_by_command(answer):
+    return outcome_of(answer).summary

@@ -13,14 +13,16 @@ from tissuereg.diagnosis import search as search_module
 from tissuereg.diagnosis.causes import CAUSES
 from tissuereg.diagnosis.discrepancy import residual_summary
 from tissuereg.diagnosis.evidence import Null
+from tissuereg.diagnosis.findings import possible_of
 from tissuereg.diagnosis.fit import fit
 from tissuereg.diagnosis.misfit import Misfit
+from tissuereg.diagnosis.modulus import modulus_finding
 from tissuereg.diagnosis.noise import Noise, estimate_noise
 from tissuereg.diagnosis.nuisances import effect_nuisances
 from tissuereg.diagnosis.nulls import draw_nulls
 from tissuereg.diagnosis.proof import BEFORE, BELIEVED, GENERIC, NAMED, HeldOut, held_out_figures, linear_model
 from tissuereg.diagnosis.report.words import ties
-from tissuereg.diagnosis.screen import UNKNOWN, Screen
+from tissuereg.diagnosis.screen import UNKNOWN, Screen, Screened
 from tissuereg.diagnosis.search import Search, search
 from tissuereg.diagnosis.settings import DEFAULT
 from tissuereg.diagnosis.signals import SignalLayout
@@ -285,21 +287,191 @@ def test_what_stays_after_a_revision_passes_its_threshold_again(monkeypatch, sha
         top = search_module.Candidate(found.parts[-1].id, found, 1e3, target)
         screened = screen.of(search_module._as_screened(screen, target, before))
         steps.append(search_module.Step(screened, [top], top, proof, proof))
-    _, final, steps = search_module._revised(target, screen, base, both, steps, limits)
+    _, final, steps = search_module._revised(target, target, screen, base, both, steps, limits)
     assert set(final.ids) == named
     assert {step.found.id for step in steps if step.found is not None} == named
     assert [one.id for step in steps for one in step.possible] == [name for name in ("poisson",) if name not in named]
 
 
-def test_an_exchanged_cause_has_the_probability_by_which_it_leads_the_first():
-    found, rival, third = (
+def of_round(unknown=-50.0, proof=None):
+    """Return a round that found a latency, with two rivals and the generic one; all else is made up."""
+    candidates = [
         search_module.Candidate(name, None, gain, None)
         for name, gain in (("latency", 60.0), ("scale", 50.0), ("rate", 40.0))
-    )
-    step = search_module.Step({}, [found, rival, third], found, None)
-    top = search_module.Candidate("scale", None, 30.0, None)
-    exchanged = step.exchanged(top, 4.0)
-    assert exchanged.gains() == {"scale": 30.0, "latency": 26.0, "rate": 6.0}
+    ]
+    screened = {UNKNOWN: Screened(unknown, None, np.empty(0))}
+    return search_module.Step(screened, candidates, candidates[0], proof)
+
+
+def test_an_exchanged_cause_has_the_probability_by_which_it_leads_the_first():
+    step = of_round()
+    exchanged = step.retested(search_module.Candidate("scale", None, 30.0, None), 4.0)
+    assert exchanged.evidence() == {"scale": 30.0, "latency": 26.0, "rate": 6.0, UNKNOWN: -84.0}
     # Without the exchange's evidence the cause that came second in its round would be improbable.
-    assert replace(step, found=rival).close(1.0)[0].id == "latency"
-    assert exchanged.found is top
+    assert exchanged.chances()["scale"] == pytest.approx(0.96 / (1.0 + np.exp(-2.0)), rel=1e-3)
+    assert [c.id for c in exchanged.close(4.5)] == ["latency"]
+    # The list of what was tried stays that of the round, and a further test moves all causes alike.
+    assert exchanged.gains() == step.gains()
+    again = exchanged.retested(search_module.Candidate("scale", None, 35.0, None))
+    assert again.evidence() == {"scale": 35.0, "latency": 31.0, "rate": 11.0, UNKNOWN: -79.0}
+
+
+def test_a_retested_cause_has_the_probability_of_its_evidence_in_the_model_of_all():
+    close = of_round(unknown=59.0)
+    alone = close.probability(6.0)
+    # Beside other causes all of the round explain less, and no cause becomes as likely.
+    assert close.retested(search_module.Candidate("latency", None, 20.0, None)).probability(6.0) == pytest.approx(
+        alone, abs=1e-3
+    )
+    weak = of_round().retested(search_module.Candidate("latency", None, 1.0, None))
+    assert weak.probability(6.0) == pytest.approx(0.96 / (1.0 + np.exp(-0.5)), rel=0.01)
+    # The margin of the proof counts from the same evidence.
+    proof = HeldOut(("case",), np.array([[0.0], [9.0], [8.0], [0.0]]), np.zeros((4, 1)))
+    narrow = replace(close, proof=proof).retested(search_module.Candidate("latency", None, 20.0, None))
+    assert narrow.evidence()[UNKNOWN] == 19.0
+    assert narrow.probability(6.0) == pytest.approx(alone, abs=1e-3)
+    failed = search_module.PossibleCause("latency", 0.3, 1.0, 6.0)
+    assert weak.dropped(failed).evidence() == of_round().gains()
+
+
+def both_found(monkeypatch, target, names=("latency", "poisson")):
+    """Let the search find two causes in this order, whatever their evidence, and nothing more."""
+    monkeypatch.setattr(import_module("tissuereg.diagnosis.recorrect"), "refined_effects", lambda *_: None)
+    order, rounds = iter(names), search_module._round
+
+    def found(target, screen, base, current, thresholds, progress):
+        name, nothing = next(order, None), dict.fromkeys(thresholds, 1e9)
+        step = rounds(target, screen, base, current, nothing, progress)
+        if name is None:
+            return step
+        parts = [*current.parts, part(target, name)]
+        fitted = fit(target, parts, start=np.concatenate([current.x, parts[-1].free_parameters.start]))
+        top = search_module.Candidate(name, fitted, fitted.log_evidence - current.log_evidence, target)
+        proof = search_module._prove(target, search_module._references(target, screen, base, current), current, top)
+        return replace(step, candidates=[top], found=top, proof=proof, figures=proof, rivals=-1e9)
+
+    monkeypatch.setattr(search_module, "_round", found)
+    return screen_of(target, names)
+
+
+def test_findings_that_all_fail_leave_the_residual_of_the_believed_model(monkeypatch):
+    target = target_of(Poisson(poisson=0.38), Latency(latency_s=0.15))
+    screen = both_found(monkeypatch, target)
+    monkeypatch.setattr(search_module, "required_thresholds", lambda given, found, rules: dict.fromkeys(given, 1e9))
+    found = search(target, screen, {"latency": 6.0, "poisson": 6.0})
+    assert found.final is found.base
+    assert found.target is None
+    assert [step.found for step in found.steps] == [None, None, None]
+    assert sorted(one["id"] for one in possible_of(found)) == ["latency", "poisson"]
+    # Nuisances for the errors of causes that are not stated would explain a part of the misfit.
+    null = search_module._null_after(target, found.base)
+    np.testing.assert_allclose(found.reduced, null.reduced(found.base.residual))
+
+
+def test_a_cause_without_which_there_is_no_equilibrium_stays_or_takes_all_with_it(monkeypatch):
+    target = target_of(Poisson(poisson=0.38), Latency(latency_s=0.15))
+    screen = both_found(monkeypatch, target)
+    rest = search_module.without
+    monkeypatch.setattr(search_module, "without", lambda target, fit, part: None if part else rest(target, fit, part))
+    limits = {"latency": 6.0, "poisson": 6.0}
+    kept = search(target, screen, limits)
+    assert kept.final.ids == ("latency", "poisson")
+    second = next(step for step in kept.steps if step.found is not None and step.found.id == "poisson")
+    assert second.found.fit is kept.final
+    assert second.found.gain > 0.0
+    screen = both_found(monkeypatch, target)
+    monkeypatch.setattr(search_module, "required_thresholds", lambda given, found, rules: {**given, "poisson": 1e9})
+    gone = search(target, screen, limits)
+    assert gone.final is gone.base
+    assert [one["id"] for one in possible_of(gone)] == ["poisson"]
+
+
+def test_a_cause_keeps_its_lead_over_its_rivals_where_it_is_tested_again(monkeypatch):
+    target = target_of(Poisson(poisson=0.38), Latency(latency_s=0.15))
+    screen = both_found(monkeypatch, target)
+    base = fit(target, [])
+    both = fit(target, [part(target, "latency"), part(target, "poisson")])
+    alone = fit(target, [both.parts[1]])
+    top = search_module.Candidate("latency", both, 500.0, target)
+    proof = HeldOut(("case",), np.array([[0.0], [50.0], [0.0], [0.0]]), np.zeros((4, 1)))
+
+    def judged(rivals, lead=None):
+        step = search_module.Step({}, [top], top, proof, proof, rivals)
+        return search_module._judged(target, screen, base, both, alone, 0, step, lead)
+
+    # The densities of the model of all causes are others than those that the round's rivals were compared with.
+    assert judged(40.0).is_clear
+    assert not judged(60.0).is_clear
+    named = judged(40.0).proof.log_density[NAMED].sum()
+    assert judged(40.0).rivals == pytest.approx(max(named - 10.0, judged(40.0).proof.log_density[GENERIC].sum()))
+    later = judged(40.0, lead=5.0)
+    assert not later.is_clear
+    # It leads the one that was accepted first, which had 500 nats in the round.
+    assert later.shift == pytest.approx(judged(40.0).shift - 5.0)
+    assert judged(40.0).shift == pytest.approx(both.log_evidence - alone.log_evidence - 500.0)
+
+
+@pytest.mark.parametrize(("gains", "named"), [((90.0, 40.0), "latency"), ((40.0, 90.0), "poisson")])
+def test_of_two_that_fail_the_one_with_less_evidence_is_taken_out_and_the_other_tested_without_it(
+    monkeypatch, gains, named
+):
+    target = target_of(Poisson(poisson=0.38), Latency(latency_s=0.15))
+    screen = both_found(monkeypatch, target)
+    tested = []
+
+    def failing(steps, ids, thresholds):
+        tested.append(ids)
+        failed = {
+            part: search_module.PossibleCause(name, 0.1, gain, 6.0)
+            for part, (name, gain) in enumerate(zip(ids, gains, strict=False))
+        }
+        return failed if len(tested) == 1 else {}
+
+    monkeypatch.setattr(search_module, "_failed", failing)
+    found = search(target, screen, {"latency": 6.0, "poisson": 6.0})
+    assert found.final.ids == (named,)
+    assert tested == [("latency", "poisson"), (named,)]
+    (step,) = [step for step in found.steps if step.found is not None]
+    # Its evidence is that against the believed model now, and nothing of the other one's error is left in the model.
+    gain = found.final.log_evidence - fit(found.target, []).log_evidence
+    assert step.found.gain == pytest.approx(gain, abs=DEFAULT.fit.least_gain)
+    change = found.target.white(found.final.prediction - found.base.prediction)
+    own = effect_nuisances(found.target.bench, found.final.prediction - found.base.prediction)
+    of_forms = len(found.target.null.nuisances) - len(own)
+    assert of_forms <= DEFAULT.nuisances.most_forms
+    assert np.abs(found.target.null.nuisances[:of_forms] @ change).max(initial=0.0) < 0.1 * (change @ change)
+
+
+def test_a_cause_is_stated_for_the_probability_of_its_group():
+    tied = of_round(unknown=-50.0, proof=HeldOut(("case",), np.array([[0.0], [9.0], [0.0], [0.0]]), np.zeros((4, 1))))
+    tied = replace(tied, candidates=[replace(tied.found, gain=60.0), replace(tied.candidates[1], gain=59.9)])
+    assert tied.chances()["latency"] == pytest.approx(0.96 / (1.0 + np.exp(-0.05)), rel=1e-3)
+    assert tied.group(6.0) == ("latency", "scale")
+    assert tied.probability(6.0) == pytest.approx(0.96)
+    assert tied.failed(6.0, 6.0) is None
+    # A rival that is a finding itself is in no group.
+    alone = tied.failed(6.0, 6.0, ("latency", "scale"))
+    assert alone.probability == pytest.approx(0.49, abs=0.01)
+    assert (alone.log_bayes_factor, alone.threshold) == (60.0, 6.0)
+    assert replace(tied, found=replace(tied.found, gain=5.9)).failed(6.0, 6.0) is not None
+
+
+def test_a_modulus_is_stated_for_its_probability_and_where_it_is_far_and_determined():
+    target = target_of(young=4.0)
+    base = fit(target, [])
+    screen = screen_of(target, ("latency",))
+
+    def found(*, left_out=(), **search):
+        target.bench.settings = replace(DEFAULT, search=replace(DEFAULT.search, **search), left_out=left_out)
+        return modulus_finding(target, screen, Search(base, base))
+
+    named = found()
+    assert named.parameters["young_kpa"] == pytest.approx(40.0, rel=0.02)
+    assert 0.9 < named.probability == named.group_probability < 0.96
+    assert found(stated=named.probability - 1e-6) is not None
+    assert found(stated=named.probability + 1e-6) is None
+    far = abs(base.x[0]) / target.bench.young_spread
+    assert found(far_modulus=0.9 * far) is not None
+    assert found(far_modulus=1.01 * far) is None
+    assert found(determined_modulus=1e-6) is None
+    assert found(left_out=("stiffness",)) is None

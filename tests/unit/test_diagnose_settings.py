@@ -1,7 +1,9 @@
 """Settings of a diagnosis: they are passed in, used, and written whole."""
 
 import json
+from copy import copy
 from dataclasses import asdict, fields, is_dataclass, replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,11 +11,23 @@ import pytest
 import tissuereg as tr
 from support.material_curves import believed, in_modes
 from support.rigs import rig
+from support.targets import part, target_of
+from tissuereg.diagnosis import search as search_module
 from tissuereg.diagnosis.bank import numbers_of
+from tissuereg.diagnosis.bench import Bench
 from tissuereg.diagnosis.causes import CAUSES
+from tissuereg.diagnosis.fit import fit
+from tissuereg.diagnosis.generic import generic_columns
 from tissuereg.diagnosis.material import diagnose_material
+from tissuereg.diagnosis.misfit import smooth_subspaces
+from tissuereg.diagnosis.noise import estimate_noise
+from tissuereg.diagnosis.proof import HeldOut
+from tissuereg.diagnosis.report.ranking import rankings
+from tissuereg.diagnosis.screen import Screen, Screened
 from tissuereg.diagnosis.settings import DEFAULT, DiagnoseSettings
+from tissuereg.diagnosis.signals import SignalLayout
 from tissuereg.errors import ArgumentError
+from tissuereg.experiment.effects import Latency, Poisson
 
 GROUPS = [f.name for f in fields(DiagnoseSettings) if is_dataclass(getattr(DEFAULT, f.name))]
 
@@ -23,12 +37,16 @@ def watched(group, read):
     kind = type(group)
 
     class Watched(kind):
+        __repr__ = object.__repr__  # the name of a bank has all numbers, whether used or not
+
         def __getattribute__(self, name):
             if name in kind.__dataclass_fields__:
                 read.add(name)
             return super().__getattribute__(name)
 
-    return Watched(**asdict(group))
+    made = Watched(**asdict(group))
+    read.clear()  # what was checked
+    return made
 
 
 @pytest.fixture(scope="module")
@@ -41,8 +59,10 @@ def of_rig():
 
 def test_a_diagnosis_reads_its_numbers_from_the_settings_that_it_is_given(of_rig):
     _, read = of_rig
-    # A block has no facets beside its surface; with three cases and no tie nothing is advised or located.
+    # The rig states how well its modulus is known; a block has no facets beside its surface; with three cases and no
+    # tie nothing is advised or located.
     seldom = {
+        "model": {"young_spread"},
         "noise": {"least_evidence"},
         "shape": {"most_places", "most_patterns", "length_share", "held_variance"},
         "search": {"determined_modulus", "clear"},
@@ -59,11 +79,8 @@ def test_a_diagnosis_reads_its_numbers_from_the_settings_that_it_is_given(of_rig
 
 def test_all_numbers_stand_in_the_answer(of_rig):
     found, _ = of_rig
-    said = json.loads(
-        json.dumps(
-            tr.diagnose(rig(), keep=False, settings=replace(DEFAULT, left_out=("gravity",))).to_json()["settings"]
-        )
-    )
+    given = replace(found, numbers=replace(DEFAULT, left_out=("gravity",)))
+    said = json.loads(json.dumps(given.to_json()["settings"]))
     for name in GROUPS:
         for one in fields(getattr(DEFAULT, name)):
             assert json.loads(json.dumps(getattr(getattr(DEFAULT, name), one.name))) == said[name][one.name]
@@ -103,3 +120,119 @@ def test_a_material_test_reads_them_too():
 def test_settings_of_another_type_are_refused():
     with pytest.raises(ArgumentError, match="settings"):
         tr.diagnose(rig(), settings={"search": 1})
+    with pytest.raises(ArgumentError, match=r"`search` must be of the kind SearchSettings"):
+        replace(DEFAULT, search=DEFAULT.nulls)
+
+
+@pytest.mark.parametrize(
+    ("changed", "where"),
+    [
+        ({"left_out": ("gravty",)}, "settings.left_out"),
+        ({"causes": ("poisson",)}, "settings.causes"),
+        ({"search": replace(DEFAULT.search, repeated=("slip",))}, "settings.search.repeated"),
+    ],
+)
+def test_a_cause_that_the_catalogue_lacks_is_refused_and_not_passed_over(changed, where):
+    for given in (rig(), believed(in_modes(np.random.default_rng(6), ("fung", 1.0)))):
+        with pytest.raises(ArgumentError, match=where) as caught:
+            tr.diagnose(given, settings=replace(DEFAULT, **changed))
+        assert caught.value.where == where
+    with pytest.raises(ArgumentError, match=where):
+        tr.diagnose_many([], "out", settings=replace(DEFAULT, **changed))
+
+
+@pytest.mark.parametrize(
+    "changed", [{"spread": 0.0}, {"largest_factor": 1.0}, {"least_factor": 0.0}, {"least_freedom": 0.0}]
+)
+def test_numbers_of_noise_without_sense_are_refused(changed):
+    (name,) = changed
+    with pytest.raises(ArgumentError, match=f"`noise.{name}` must be a"):
+        replace(DEFAULT.noise, **changed)
+
+
+def of_groups(**changed):
+    return replace(DEFAULT, **{name: replace(getattr(DEFAULT, name), **values) for name, values in changed.items()})
+
+
+def test_the_noise_is_estimated_by_the_numbers_given():
+    given = rig()
+    layout = SignalLayout(given)
+    rest = layout["rest"].markers(layout.measured)
+    rest[:] = 0.2 * np.cumsum(np.random.default_rng(3).standard_normal(rest.shape), axis=0)
+    usual = estimate_noise(given, layout)
+    assert usual.memory > 0.3
+    assert usual.evidence > DEFAULT.noise.least_evidence
+    assert estimate_noise(given, layout, replace(DEFAULT.noise, correlated=1e3)).memory == 0.0
+    assert not estimate_noise(given, layout, replace(DEFAULT.noise, least_frames=99)).from_rest
+    assert estimate_noise(given, layout, replace(DEFAULT.noise, spread=1.0)).evidence < 0.5 * usual.evidence
+    assert estimate_noise(given, layout, replace(DEFAULT.noise, level=0.0)).marker_std[0] == given.marker_std
+
+
+def test_the_modulus_has_the_spread_of_the_settings_where_the_experiment_states_none():
+    given = replace(rig(), young_std=None)
+    layout = SignalLayout(given)
+    assert Bench(given, layout).young_spread == pytest.approx(DEFAULT.model.young_spread)
+    assert Bench(given, layout, settings=of_groups(model={"young_spread": 0.1})).young_spread == pytest.approx(0.1)
+
+
+def test_the_generic_rival_and_the_misfit_test_follow_their_numbers():
+    target = target_of(Poisson(poisson=0.38))
+
+    def shapes(**evidence):
+        bench = copy(target.bench)
+        bench.settings = of_groups(evidence=evidence)
+        return generic_columns(bench, 0.01), smooth_subspaces(
+            bench.layout, bench.base, bench.extent, target.noise, bench.settings
+        )
+
+    columns, spaces = shapes()
+    slow, others = shapes(fading=2.0)
+    assert slow.shape == columns.shape
+    assert not np.allclose(slow, columns)
+    assert any(a.shape != b.shape or not np.allclose(np.abs(a), np.abs(b)) for a, b in zip(spaces, others, strict=True))
+    still, _ = shapes(jam_above=1e6)
+    assert still.shape[1] < columns.shape[1]
+    assert len(shapes(generic_sizes=((1.0, 0.01),))[0]) == 1
+
+
+def test_rounds_judge_by_the_settings_of_the_bench():
+    target = target_of(Latency(latency_s=0.15))
+    base = fit(target, [])
+    found = search_module.Candidate("latency", fit(target, [part(target, "latency")]), 20.0, target)
+    bank = {"latency": list(CAUSES["latency"].variants(target.bench))}
+    screen = Screen(bank, np.zeros((1, 1, target.bench.layout.size)), target.noise, target.bench.layout,
+                    target.correction, target.null)  # fmt: skip
+
+    def round_of(monkeypatch, **changed):
+        target.bench.settings = of_groups(**changed)
+        monkeypatch.setattr(search_module, "refitted", lambda *_: [found])
+        return search_module._round(target, screen, base, base, {"latency": 6.0}, None)
+
+    with pytest.MonkeyPatch.context() as patched:
+        assert round_of(patched).found is found
+        for changed in ({"search": {"stated": 1.0}}, {"search": {"proved": 1e9}}, {"evidence": {"look_alike": 0.6}},
+                        {"evidence": {"temper": 1e9}}):  # fmt: skip
+            step = round_of(patched, **changed)
+            assert step.found is None, changed
+        blocks = round_of(patched, search={"determined": 0.0, "time_blocks": 3}).proof.blocks
+        assert len(blocks) == 3
+
+
+def test_charts_of_later_rounds_show_the_thresholds_that_were_required():
+    held = HeldOut(("case",), np.zeros((4, 1)), np.zeros((4, 1)))
+    body, slip = (search_module.Candidate(name, None, 50.0, None) for name in ("layer", "marker_slip"))
+    screened = {"layer": Screened(9.0, None, np.ones(1)), "fibre": Screened(1.0, None, np.ones(1))}
+    steps = [search_module.Step(screened, [one], one, held, held) for one in (body, slip)]
+    findings = [SimpleNamespace(id=one.id, group=(one.id,), threshold=6.0) for one in (body, slip)]
+    drawn = {
+        number: rankings(
+            SimpleNamespace(
+                details={"search": SimpleNamespace(steps=steps), "thresholds": {"layer": 6.0, "fibre": 6.0}},
+                findings=findings, candidates=(), numbers=of_groups(search={"least_further": number}),
+            )
+        )
+        for number in (18.0, 44.0)
+    }  # fmt: skip
+    assert "threshold 18.0" in drawn[18.0]
+    assert "threshold 44.0" in drawn[44.0]
+    assert "threshold 18.0" not in drawn[44.0]

@@ -8,10 +8,14 @@ import pytest
 import tissuereg as tr
 from support.files import run_json
 from support.rig_folders import write_rig
+from support.targets import FORCE_STD, MARKER_STD, target_of
 from tissuereg.cli import main
+from tissuereg.diagnosis.evidence import Null
+from tissuereg.diagnosis.fit import fit
 from tissuereg.diagnosis.noise import scale_evidence
 from tissuereg.diagnosis.report.words import summary
 from tissuereg.diagnosis.settings import DEFAULT
+from tissuereg.diagnosis.understated import larger_noise, understated
 
 
 @pytest.fixture(scope="module")
@@ -65,12 +69,127 @@ def test_what_is_no_noise_is_not_taken_for_it(null):
         assert (found.verdict, found.understated) == ("unexplained", ())
 
 
+def test_the_verdict_follows_the_rules_of_noise_given(null):
+    given = stated(null, markers=3.0, rest=False)
+    deaf = tr.diagnose(given, keep=False, settings=replace(DEFAULT, noise=replace(DEFAULT.noise, least_factor=50.0)))
+    assert (deaf.verdict, deaf.understated) == ("unexplained", ())
+    assert any(effect.id == "stiffness" for effect in deaf.extended.effects)
+
+
+def test_the_verdict_and_the_extended_model_follow_the_levels_given(null):
+    strict = replace(DEFAULT, nulls=replace(DEFAULT.nulls, misfit=1.0),
+                     search=replace(DEFAULT.search, known_modulus=1e-9))  # fmt: skip
+    found = tr.diagnose(null, keep=False, settings=strict)
+    assert found.verdict == "unexplained"
+    assert not any(effect.id == "stiffness" for effect in found.extended.effects)
+
+
 def test_the_evidence_allows_a_statement_to_be_a_little_off():
     rules = DEFAULT.noise
     for freedom in (50.0, 500.0, 5000.0):
         assert scale_evidence(freedom, freedom, rules) < 0.0
         assert scale_evidence(1.05**2 * freedom, freedom, rules) < rules.least_evidence
         assert scale_evidence(3.0**2 * freedom, freedom, rules) > rules.least_evidence
+
+
+RULES = DEFAULT.noise
+
+
+def assumed(markers=1.0, forces=1.0, n_nuisances=0):
+    """Return a target of data without any effect whose noise is assumed so many times too small."""
+    target = target_of()
+    size = target.bench.layout.size
+    free = 100.0 * np.random.default_rng(5).standard_normal((n_nuisances, size))
+    stated = MARKER_STD / markers, FORCE_STD / forces
+    target.bench.experiment = replace(target.bench.experiment, marker_std=stated[0], force_std=stated[1])
+    noise = replace(target.noise, marker_std=np.full(len(target.noise.marker_std), stated[0]), force_std=stated[1])
+    return replace(target, noise=noise, null=Null(free))
+
+
+def found_in(target, generic=None, rules=RULES):
+    size = target.bench.layout.size
+    return larger_noise(target, fit(target, []), np.zeros((1, size)) if generic is None else generic, rules)
+
+
+@pytest.mark.parametrize("n_nuisances", [0, 150])
+@pytest.mark.parametrize(("markers", "forces"), [(1.0, 1.0), (1.15, 1.15), (3.0, 1.0), (1.0, 4.0), (2.0, 3.0)])
+def test_the_factor_on_the_noise_is_found_whatever_share_of_it_the_model_takes(markers, forces, n_nuisances):
+    target = assumed(markers, forces, n_nuisances)
+    found = found_in(target)
+    large = [factor for factor in (markers, forces) if factor > 1.2]
+    if not large:
+        assert found is None
+        return
+    # Some 100 and 20 degrees of freedom are left at least: standard deviations within a fifth and a third. Nuisances
+    # that act on both do not make the noise of one that of the other.
+    markers, forces = (factor if factor > 1.2 else 1.0 for factor in (markers, forces))
+    np.testing.assert_allclose(found.marker_std / target.noise.marker_std, markers, rtol=0.2)
+    assert found.force_std / target.noise.force_std == pytest.approx(forces, rel=0.35)
+    assert (found.evidence > RULES.least_evidence) == (markers > 1.0)
+    assert (found.force_evidence > RULES.least_evidence) == (forces > 1.0)
+
+
+def test_what_the_generic_rival_can_change_is_no_noise():
+    target = assumed()
+    layout = target.bench.layout
+    smooth = np.zeros((3, layout.size))
+    for part in layout.parts:
+        for axis in range(3):
+            part.markers(smooth)[axis, ..., axis] = 1.0
+    layout.measured[:] += 0.05 * np.where(layout.of_markers(), smooth.sum(axis=0), 0.0)
+    assert found_in(target) is not None
+    assert found_in(target, 1e-3 * smooth) is None
+
+
+def test_one_marker_that_jumps_is_no_noise_of_all():
+    target = assumed()
+    for part in target.bench.layout.parts:
+        part.markers(target.bench.layout.measured)[:, 2] *= -3.0
+    assert found_in(target) is None
+
+
+def test_the_rules_of_understated_noise_are_those_given():
+    target = assumed(markers=2.0)
+    found = found_in(target)
+    assert found is not None
+    for changed in (
+        {"least_factor": 2.6},
+        {"least_evidence": found.evidence + 1.0},
+        {"least_freedom": 1e4},
+        {"spread": 2.0},
+    ):
+        assert found_in(target, rules=replace(RULES, **changed)) is None, changed
+    wide = replace(target, noise=replace(target.noise, common_std=0.01))
+    more = found_in(wide)
+    assert more.common_std / 0.01 == pytest.approx(more.marker_std[0] / wide.noise.marker_std[0])
+
+
+def test_evidence_for_a_larger_noise_is_that_against_the_statement():
+    # Rest frames have shown a factor of two, and the residual shows two again.
+    target = assumed(markers=2.0)
+    alone = found_in(target).evidence
+    stated = replace(target.bench.experiment, marker_std=float(target.noise.marker_std[0]) / 2.0)
+    target.bench.experiment = stated
+    found = found_in(replace(target, noise=replace(target.noise, evidence=7.0)))
+    (one,) = understated(stated, found, RULES)
+    assert (one.channel, one.unit) == ("markers", "mm")
+    assert one.factor == pytest.approx(4.0, rel=0.15)
+    assert one.factor == pytest.approx(one.estimated / one.stated)
+    assert one.log_bayes_factor == found.evidence > 2.0 * alone
+
+
+@pytest.mark.parametrize(("factor", "evidence", "named"), [(1.26, 6.1, True), (1.24, 99.0, False), (3.0, 5.9, False)])
+def test_a_channel_is_understated_by_the_least_factor_with_the_least_evidence(factor, evidence, named):
+    target = target_of()
+    given = replace(target.bench.experiment, marker_std=MARKER_STD, force_std=FORCE_STD)
+    for channel, changed in (
+        ("markers", {"marker_std": factor * target.noise.marker_std, "evidence": evidence}),
+        ("forces", {"force_std": factor * FORCE_STD, "force_evidence": evidence}),
+    ):
+        said = understated(given, replace(target.noise, **changed), RULES)
+        assert [one.channel for one in said] == ([channel] if named else [])
+    assert understated(replace(given, force_std=None), replace(target.noise, force_std=99.0, force_evidence=9.0),
+                       RULES) == ()  # fmt: skip
 
 
 def test_the_command_says_it(tmp_path, capsys):

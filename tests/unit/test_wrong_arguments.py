@@ -473,6 +473,7 @@ CALLS = {
             "keep": False,
             "element": "tet4",
             "progress": None,
+            "settings": None,
         },
     ),
     "diagnose_many": (
@@ -485,6 +486,7 @@ CALLS = {
             "keep": False,
             "element": "tet4",
             "progress": None,
+            "settings": None,
         },
     ),
     "simulate_experiment": (

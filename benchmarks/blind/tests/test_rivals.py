@@ -11,6 +11,7 @@ from tissuereg.diagnosis.causes import Variant
 from tissuereg.diagnosis.correction import Correction
 from tissuereg.diagnosis.evidence import Null
 from tissuereg.diagnosis.noise import estimate_noise
+from tissuereg.diagnosis.settings import DEFAULT
 from tissuereg.diagnosis.signals import SignalLayout
 from tissuereg.io.experiments import read_experiment
 
@@ -50,7 +51,7 @@ def answer_of(rig, monkeypatch):
             measured = measured + LENGTH * noise.whitened(columns[name][number].sum(axis=0), layout)
         free = noise.whitened(np.where(layout.of_markers(), 0.02, 0.0)[None], layout)
         untouched = Correction(layout)
-        bench = SimpleNamespace(base=base, layout=layout, extent=extent)
+        bench = SimpleNamespace(base=base, layout=layout, extent=extent, settings=DEFAULT)
         scene = rivals.Scene(layout, bench, noise, untouched, measured, Null(free))
         monkeypatch.setattr(rivals, "look_at", lambda folder, threads: scene)
         return rival(None)

@@ -81,7 +81,13 @@ def _outcome(answer: dict[str, Any], clock: Stopwatch, args: argparse.Namespace)
     lines += [f"  {one['sentence']}" for one in answer.get("understated_noise", ())]
     for cause in answer["causes"]:
         tied = f" (or {', '.join(cause['group'][1:])})" if len(cause["group"]) > 1 else ""
-        lines.append(f"  {cause['id']}{tied}, P = {cause['probability']:.2f}: {cause['sentence']}")
+        together = f", {cause['group_probability']:.2f} together" if tied else ""
+        lines.append(f"  {cause['id']}{tied}, P = {cause['probability']:.2f}{together}: {cause['sentence']}")
+    lines += [
+        f"  possible, but not stated: {one['id']}, P = {one['probability']:.2f}, log Bayes factor "
+        f"{one['log_bayes_factor']:.1f} of {one['threshold']:.1f}"
+        for one in answer["possible"]
+    ]
     if answer.get("left"):
         lines.append(f"  {answer['left']['sentence']}")
     if answer.get("next_experiment"):

@@ -78,6 +78,7 @@ def diagnose(
         Called with the name of the step that begins.
     settings : DiagnoseSettings, optional
         All numbers that may change the result (`tissuereg.diagnosis.settings`); the defaults where none are given.
+        A material test has numbers of its own (`MaterialSettings`), and none of a cause.
 
     Returns
     -------
@@ -87,7 +88,7 @@ def diagnose(
     Raises
     ------
     ArgumentError
-        If an argument has the wrong type or is out of range.
+        If an argument has the wrong type or is out of range, or `settings` name a cause that the catalogue lacks.
     ExperimentError
         If nothing was measured.
     NoiseError
@@ -101,15 +102,13 @@ def diagnose(
     -----
     A body of 4,000 nodes with three load cases takes some minutes the first time, most of them for the bank.
     """
-    from tissuereg.diagnosis.settings import DEFAULT, DiagnoseSettings
-
     of_kind("experiment", experiment, (Experiment, MaterialExperiment))
     check_running(seed=seed, threads=threads)
     flag("keep", keep)
     called("progress", progress)
     if element is not None:
         check_choice("element", element, ELEMENTS, ArgumentError)
-    numbers = DEFAULT if settings is None else of_kind("settings", settings, DiagnoseSettings)
+    numbers = check_settings(settings)
     given = {"seed": seed, "element": element}
     with recorded(call_text("tissuereg.diagnose", experiment=experiment, **given)):
         note_origins(experiment)
@@ -124,3 +123,25 @@ def diagnose(
             experiment, seed=seed, threads=threads, keep=keep, element=element, progress=progress, settings=numbers
         )
         return replace(found, provenance=provenance_now(), settings=given)
+
+
+def check_settings(settings: "DiagnoseSettings | None") -> "DiagnoseSettings":
+    """Return the settings of a diagnosis, the default ones for None, after checking that they name known causes.
+
+    Raises `ArgumentError` if they are of another type, or name a cause that the catalogue lacks.
+    """
+    from tissuereg.diagnosis.settings import DEFAULT, DiagnoseSettings
+
+    numbers = DEFAULT if settings is None else of_kind("settings", settings, DiagnoseSettings)
+    if numbers.left_out or numbers.causes or numbers.search.repeated:
+        from tissuereg.diagnosis.causes import CAUSES, Cause
+
+        changed = [of_kind("settings.causes", one, Cause).id for one in numbers.causes]
+        for where, ids in (
+            ("settings.left_out", numbers.left_out),
+            ("settings.causes", changed),
+            ("settings.search.repeated", numbers.search.repeated or ()),
+        ):
+            for name in ids:
+                check_choice(where, name, CAUSES, ArgumentError)
+    return numbers

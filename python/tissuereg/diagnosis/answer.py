@@ -26,7 +26,7 @@ class Finding:
     id : str
         Id of the likeliest cause.
     group : tuple of str
-        Ids of the causes that the data cannot distinguish, `id` itself first; three at most.
+        Ids of the causes that the data cannot distinguish, `id` itself first; `most_in_group` at most.
     probability : float
         Posterior probability of the id among all causes tried, no cause, and the generic rival (a smooth change without
         a physical cause).
@@ -44,7 +44,7 @@ class Finding:
     sentence : str
         The finding in words.
     group_probability : float
-        Posterior probability of all ids of the group together; at least one half, or the finding would not be stated.
+        Posterior probability of all ids of the group together; at least `stated`, or it would be no finding.
     """
 
     id: str
@@ -81,8 +81,8 @@ class Diagnosis:
     ----------
     verdict : str
         ``named`` (causes were found), ``group`` (found up to a group of causes that the data cannot distinguish),
-        ``consistent`` (the data agree with the model), ``understated-noise`` (they do, but
-        for white noise larger than stated) or ``unexplained`` (they do not, and no cause accounts for it).
+        ``consistent`` (the data agree with the model), ``understated-noise`` (they do, but for noise that is larger
+        than stated) or ``unexplained`` (they do not, and no cause accounts for it).
     findings : tuple of Finding
         Accepted causes.
     candidates : tuple of dict

@@ -11,6 +11,7 @@ import numpy as np
 from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.bench import Bench
 from tissuereg.diagnosis.patterns import force_columns, load_history, marker_columns, smooth_patterns
+from tissuereg.diagnosis.settings import DEFAULT
 from tissuereg.diagnosis.signals import CasePart
 
 
@@ -27,14 +28,14 @@ def generic_columns(bench: Bench, marker_std: float) -> FloatArray:
     forces: list[FloatArray] = []
     jams: list[FloatArray] = []
     for part in layout.parts:
-        for history in histories(part, base):
+        for history in histories(part, base, bench.settings.evidence.fading):
             markers += list(marker_columns(layout, part, history, patterns).reshape(-1, layout.size))
             for i in range(len(part.pads)):
                 largest = np.abs(part.forces(base)[:, i]).max()
                 forces += list(force_columns(layout, part, i, history * largest))
         change = np.diff(part.markers(base), axis=0)
         for frame in range(1, part.n_frames):
-            if np.abs(change[frame - 1]).max() > 3.0 * marker_std:
+            if np.abs(change[frame - 1]).max() > bench.settings.evidence.jam_above * marker_std:
                 column = np.zeros(layout.size)
                 part.markers(column)[frame] = bench.settings.evidence.jam * change[frame - 1]
                 if part.pads:
@@ -54,12 +55,13 @@ def generic_columns(bench: Bench, marker_std: float) -> FloatArray:
     ).astype(np.float64)
 
 
-def histories(part: CasePart, base: FloatArray) -> list[FloatArray]:
+def histories(part: CasePart, base: FloatArray, fading: float = DEFAULT.evidence.fading) -> list[FloatArray]:
     """Return the time histories, each (n_frames,), that a generic change may have in a case.
 
     They are load, load squared (minus load), fading memory of the load, clock and constant; without load only a
-    constant and the clock. `part`: the case; `base` (size,): prediction of the believed model, mm and mN. The histories
-    are dimensionless and of about unit size.
+    constant and the clock. `part`: the case; `base` (size,): prediction of the believed model, mm and mN; `fading`:
+    time in which the memory fades, over the duration of the case. The histories are dimensionless and of about unit
+    size.
     """
     load = load_history(part, base)
     span = float(part.times[-1] - part.times[0]) if part.n_frames > 1 else 1.0
@@ -68,6 +70,6 @@ def histories(part: CasePart, base: FloatArray) -> list[FloatArray]:
         return [np.ones(part.n_frames), clock - 0.5]
     memory = np.zeros(part.n_frames)
     for frame in range(1, part.n_frames):
-        fade = np.exp(-(part.times[frame] - part.times[frame - 1]) / max(0.25 * span, 1e-9))
+        fade = np.exp(-(part.times[frame] - part.times[frame - 1]) / max(fading * span, 1e-9))
         memory[frame] = fade * memory[frame - 1] + (1.0 - fade) * load[frame]
     return [load, load**2 - load, memory, clock, np.ones(part.n_frames)]

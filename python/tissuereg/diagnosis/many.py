@@ -7,18 +7,21 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from tissuereg._base.arguments import called, check_choice, check_running, flag, found, of_kind, place
 from tissuereg._base.choices import ELEMENTS, Element
 from tissuereg._base.machine import machine, versions
 from tissuereg._version import __version__
-from tissuereg.diagnosis import diagnose
+from tissuereg.diagnosis import check_settings, diagnose
 from tissuereg.errors import ArgumentError
 from tissuereg.io.atomic import OutputError, check_folder_target
 from tissuereg.io.experiments import is_material_test, read_experiment
 from tissuereg.io.material_experiments import read_material_experiment
 from tissuereg.parallel import Executor, Failed, InProcess, in_order
+
+if TYPE_CHECKING:
+    from tissuereg.diagnosis.settings import DiagnoseSettings
 
 #: Entry of ``diagnosis.json`` that says what it was made from.
 _MARK = "given_sha256"
@@ -47,7 +50,7 @@ class Diagnosed:
 
     @property
     def verdict(self) -> str:
-        """Verdict of the diagnosis: ``named``, ``group``, ``consistent`` or ``unexplained``."""
+        """Verdict of the diagnosis, as `Diagnosis.verdict`, or that of a material test."""
         return str(self.answer["verdict"])
 
 
@@ -61,6 +64,7 @@ def diagnose_many(
     keep: bool = True,
     element: Element | None = None,
     progress: Callable[[int, int], None] | None = None,
+    settings: "DiagnoseSettings | None" = None,
 ) -> Iterator[Diagnosed | Failed]:
     """Diagnose many experiments and write each result into a folder of its own.
 
@@ -76,9 +80,10 @@ def diagnose_many(
         machines must reach it and the experiments by the same paths.
     executor : tissuereg.parallel.Executor, optional
         Processes or machines that make the diagnoses. By default they are made in this process, one after another.
-    seed, keep, element
+    seed, keep, element, settings
         Seed of all random draws; whether the bank of hypotheses and the predictions on fine meshes are cached; elements
-        of the believed model of a body. Types and defaults are those of `diagnose`.
+        of the believed model of a body; all numbers that may change a result. Types and defaults are those of
+        `diagnose`.
     threads : int, optional
         Threads of a diagnosis; 0 takes all cores. By default 0, and 1 where there is an `executor`.
     progress : callable of (int, int), optional
@@ -104,6 +109,7 @@ def diagnose_many(
     called("progress", progress)
     if element is not None:
         check_choice("element", element, ELEMENTS, ArgumentError)
+    numbers = check_settings(settings)
     if executor is not None:
         of_kind("executor", executor, Executor)
     if isinstance(experiments, str | bytes) or not isinstance(experiments, Iterable):
@@ -119,7 +125,7 @@ def diagnose_many(
         message = f"`experiments` must have names that differ, as their results have; twice: {', '.join(twice)}"
         raise ArgumentError(message, where="experiments")
     tasks = [
-        _DiagnosisTask(path, name, target / name, seed, n_threads, keep, element)
+        _DiagnosisTask(path, name, target / name, seed, n_threads, keep, element, numbers)
         for path, name in zip(paths, names, strict=True)
     ]
     return _diagnosed(tasks, InProcess() if executor is None else executor, progress)
@@ -134,6 +140,7 @@ class _DiagnosisTask:
     threads: int
     keep: bool
     element: Element | None
+    settings: "DiagnoseSettings"
 
 
 def _diagnosed(
@@ -156,7 +163,9 @@ def _diagnose_one(task: _DiagnosisTask) -> Diagnosed:
     if kept is not None:
         return Diagnosed(task.name, task.folder, kept, made=False)
     element = None if is_test else task.element
-    made = diagnose(experiment, seed=task.seed, threads=task.threads, keep=task.keep, element=element)
+    made = diagnose(
+        experiment, seed=task.seed, threads=task.threads, keep=task.keep, element=element, settings=task.settings
+    )
     extra = {
         "threads": task.threads,
         "machine": machine(),
@@ -176,7 +185,7 @@ def _name(path: Path) -> str:
 def _fingerprint(files: list[Path], mesh: str, task: _DiagnosisTask) -> str:
     """Return a hash, hexadecimal, of an experiment's files, its mesh and the settings with which it is diagnosed."""
     contents = [[file.name, hashlib.sha256(file.read_bytes()).hexdigest()] for file in files]
-    identity = json.dumps([contents, mesh, task.seed, task.element, __version__])
+    identity = json.dumps([contents, mesh, task.seed, task.element, repr(task.settings), __version__])
     return hashlib.sha256(identity.encode()).hexdigest()
 
 

@@ -16,12 +16,9 @@ from scipy.stats import gumbel_r
 from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.generic import histories
 from tissuereg.diagnosis.noise import Noise
-from tissuereg.diagnosis.patterns import force_columns, marker_columns, smooth_patterns
+from tissuereg.diagnosis.patterns import force_columns, marker_columns, orthonormal, smooth_patterns
 from tissuereg.diagnosis.settings import DEFAULT, DiagnoseSettings
 from tissuereg.diagnosis.signals import SignalLayout
-
-#: Singular values below this share of the largest are taken for zero.
-_LEAST = 1e-6
 
 
 @dataclass(frozen=True)
@@ -109,11 +106,11 @@ def smooth_subspaces(
     found = []
     for part in layout.parts:
         of_case = []
-        for history in histories(part, base):
+        for history in histories(part, base, settings.evidence.fading):
             markers = marker_columns(layout, part, history, patterns).reshape(-1, layout.size)
             forces = [force_columns(layout, part, pad, history) for pad in range(len(part.pads))]
             of_case.append(noise.whitened(np.concatenate([markers, *forces]), layout))
-        found += [_basis(columns) for columns in (*of_case, np.concatenate(of_case))]
+        found += [orthonormal(columns) for columns in (*of_case, np.concatenate(of_case))]
     return [basis for basis in found if len(basis)]
 
 
@@ -125,13 +122,3 @@ def _removed(sums: FloatArray, drawn: FloatArray, without_misfit: float) -> floa
     """
     (before, after), expected = sums.tolist(), float(drawn.mean())
     return float((before - after) / (before - expected)) if before > expected else without_misfit
-
-
-def _basis(columns: FloatArray) -> FloatArray:
-    """Return orthonormal rows (m, size) that span the same space as the given vectors (k, size), with m at most k."""
-    lengths = np.linalg.norm(columns, axis=1)
-    columns = columns[lengths > 0.0] / lengths[lengths > 0.0, None]
-    if not len(columns):
-        return columns
-    _, sizes, rows = np.linalg.svd(columns, full_matrices=False)
-    return np.asarray(rows[sizes > _LEAST * sizes[0]])

@@ -35,9 +35,8 @@ def modulus_finding(target: FitTarget, screen: Screen, found: Search) -> Finding
     rival; `found`: the search with the causes found; the modulus is the first parameter of their fit. The log Bayes
     factor compares a free modulus with its log-normal prior: half the square of the distance in prior deviations, which
     is the same for half and for twice the believed modulus. The proof compares predictions of held-out data with those
-    of the model whose modulus is fixed at the believed value. The result is None where one of the three fails, where
-    another modulus is less likely than not, and
-    where that model has no equilibrium.
+    of the model whose modulus is fixed at the believed value. The result is None where one of the three fails,
+    where its probability is less than `stated`, and where that model has no equilibrium.
     """
     target = found.target or target
     final, bench = found.final, target.bench

@@ -108,7 +108,7 @@ def estimate_noise(experiment: Experiment, layout: SignalLayout, settings: Noise
     means = [values.mean(axis=1, keepdims=True) for values, _ in still]
     own = [values - mean for (values, _), mean in zip(still, means, strict=True)]
     shapes = [(len(values), fitted) for values, fitted in still]
-    memory = _memory(own, shapes)
+    memory = _memory(own, shapes, settings.correlated)
     # Subtracting the mean of correlated frames removes a part of the noise.
     freedom = axes * (1.0 - 1.0 / n_markers) * _expected(memory, shapes)[0]
     # Median absolute deviations: a single jump does not make a marker noisy. Their efficiency is 0.37.
@@ -128,8 +128,8 @@ def estimate_noise(experiment: Experiment, layout: SignalLayout, settings: Noise
     alike = chi2.sf(common_freedom * common / expected, common_freedom) < settings.level
     common_std = float(np.sqrt(max(common - expected, 0.0))) if alike else 0.0
     step = float(np.median(np.concatenate([np.diff(part.times) for part in layout.parts])))
-    common_memory = _memory(means, shapes) if alike else memory
-    evidence = scale_evidence(float(np.median(pooled * together / stated**2)), together, settings)
+    common_memory = _memory(means, shapes, settings.correlated) if alike else memory
+    evidence = scale_evidence(pooled * together / experiment.marker_std**2, together, settings)
     return Noise(marker_std, common_std, memory, common_memory, step, force_std, True, evidence)
 
 
@@ -196,11 +196,12 @@ def _believed(
     return np.where(tail < settings.level, np.maximum(found, settings.least_share * stated), stated)
 
 
-def _memory(runs: list[FloatArray], shapes: list[tuple[int, int]]) -> float:
+def _memory(runs: list[FloatArray], shapes: list[tuple[int, int]], above: float) -> float:
     """Return the correlation of noise from one frame to the next, over all runs of frames; 0 if there is none.
 
     `runs`: arrays (n_frames, k, n_axes) in mm, from each of which a mean or a line in time was subtracted; `shapes`:
-    for each run its number of frames and the number of parameters subtracted, 1 (mean) or 2 (line).
+    for each run its number of frames and the number of parameters subtracted, 1 (mean) or 2 (line); `above`: standard
+    errors of white noise beyond which there is one.
     """
     power = float(sum((values**2).sum() for values in runs))
     if power == 0.0:
@@ -209,7 +210,7 @@ def _memory(runs: list[FloatArray], shapes: list[tuple[int, int]]) -> float:
     tried = np.linspace(0.0, 0.95, 96)
     expected = np.array([pairs / squares for squares, pairs in (_expected(memory, shapes) for memory in tried)])
     error = 1.0 / np.sqrt(sum(values[1:].size for values in runs))
-    return float(tried[np.argmin(np.abs(expected - found))]) if found > expected[0] + 4.0 * error else 0.0
+    return float(tried[np.argmin(np.abs(expected - found))]) if found > expected[0] + above * error else 0.0
 
 
 def _expected(memory: float, shapes: list[tuple[int, int]]) -> tuple[float, float]:

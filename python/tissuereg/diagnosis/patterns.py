@@ -9,6 +9,9 @@ from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.settings import DEFAULT, NuisanceSettings
 from tissuereg.diagnosis.signals import CasePart, SignalLayout
 
+#: Singular values below this share of the largest are taken for zero.
+_LEAST = 1e-6
+
 
 def smooth_patterns(places: FloatArray, extent: float, settings: NuisanceSettings = DEFAULT.nuisances) -> FloatArray:
     """Return the leading eigenvectors of a Gaussian process of unit variance over places.
@@ -54,3 +57,13 @@ def force_columns(layout: SignalLayout, part: CasePart, pad: int, history: Float
     for axis in range(3):
         part.forces(columns)[axis, :, pad, axis] = history
     return columns
+
+
+def orthonormal(columns: FloatArray) -> FloatArray:
+    """Return orthonormal rows (m, size) that span the same space as the given vectors (k, size), with m at most k."""
+    lengths = np.linalg.norm(columns, axis=1)
+    columns = columns[lengths > 0.0] / lengths[lengths > 0.0, None]
+    if not len(columns):
+        return columns
+    _, sizes, rows = np.linalg.svd(columns, full_matrices=False)
+    return np.asarray(rows[sizes > _LEAST * sizes[0]])

@@ -22,7 +22,8 @@ def without(target: FitTarget, current: Fit, part: int, *, hopeless: float = np.
     """
     mine = current.slices()[part]
     others = [*current.parts[:part], *current.parts[part + 1 :]]
-    return fit(target, others, start=np.delete(current.x, np.r_[mine]), hopeless=hopeless)
+    start = np.delete(current.x, np.r_[mine])
+    return fit(target, others, start=start, hopeless=hopeless) or fit(target, others, hopeless=hopeless)
 
 
 def without_redundant(

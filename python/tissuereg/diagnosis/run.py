@@ -114,7 +114,8 @@ def _searched(
     if verdict == "consistent" and larger:
         verdict = UNDERSTATED
     effects: tuple[Effect, ...] = found.final.effects(bench.young)
-    if not silent and abs(found.final.x[0]) > 1e-6 and found.final.covariance[0, 0] < (0.5 * bench.young_spread) ** 2:
+    known = np.sqrt(found.final.covariance[0, 0]) < settings.search.known_modulus * bench.young_spread
+    if not silent and abs(found.final.x[0]) > 1e-6 and known:
         young = found.final.young(bench.young)
         if not any(isinstance(effect, Stiffness) for effect in effects):
             effects = (Stiffness(young_kpa=young), *effects)

@@ -59,7 +59,8 @@ class Step:
     cause, with it, with the generic rival instead, the believed one; `figures`: errors of the accepted candidate on the
     held-out blocks for which errors are reported (`figure_blocks`); rows as in the proof. None where none was accepted;
     `rivals`: log predictive density, in nats, of the best rival on the held-out blocks of the proof: the generic rival,
-    or a candidate that the data distinguish from the accepted one; `possible`: causes that came close to acceptance.
+    or a candidate that the data distinguish from the accepted one; `possible`: causes that came close to acceptance;
+    `shift`: evidence of every cause in the model of all causes found minus that in the round, nats.
     """
 
     screened: dict[str, Screened]
@@ -69,6 +70,7 @@ class Step:
     figures: HeldOut | None = None
     rivals: float = np.inf
     possible: tuple[PossibleCause, ...] = ()
+    shift: float = 0.0
     settings: DiagnoseSettings = DEFAULT
 
     @property
@@ -88,9 +90,14 @@ class Step:
         screened = {name: screened.log_bayes_factor for name, screened in self.screened.items()}
         return screened | {candidate.id: candidate.gain for candidate in self.candidates}
 
+    def evidence(self) -> dict[str, float]:
+        """Return the log Bayes factors as `gains` does, but in the model of all causes found."""
+        gains = {name: gain + self.shift for name, gain in self.gains().items()}
+        return gains if self.found is None else {**gains, self.found.id: self.found.gain}
+
     def chances(self) -> dict[str, float]:
         """Return the posterior probability, by id, of every cause in the round, the generic rival and no cause."""
-        gains = self.gains()
+        gains = self.evidence()
         if self.found is not None and self.proof is not None:
             # The held-out proof has distinguished the cause from the generic rival.
             density = self.proof.log_density.sum(axis=1)
@@ -102,11 +109,15 @@ class Step:
         return {**chances, **{name: (1.0 - look_alike) * chance for name, chance in own.items()}, UNKNOWN: unknown}
 
     def close(self, nats: float) -> list[Candidate]:
-        """Return the other candidates, likeliest first, within `nats` of the accepted one's log Bayes factor."""
+        """Return the other candidates, likeliest first, within `nats` of the accepted one's log Bayes factor.
+
+        Their log Bayes factors are those of `evidence`.
+        """
         if self.found is None:
             return []
-        own = next((c.gain for c in self.candidates if c.id == self.found.id), self.found.gain)
-        return [c for c in self.candidates if c.id != self.found.id and c.gain > own - nats]
+        least = self.found.gain - nats
+        others = [replace(c, gain=c.gain + self.shift) for c in self.candidates if c.id != self.found.id]
+        return [c for c in others if c.gain > least]
 
     def group(self, threshold: float, named: Collection[str] = ()) -> tuple[str, ...]:
         """Return the id of the accepted cause, then those the data cannot distinguish from it, likeliest first.
@@ -115,10 +126,11 @@ class Step:
         no group. Result: at most `most_in_group` ids.
         """
         assert self.found is not None
-        as_likely = self.close(-self.settings.evidence.temper * np.log(self.settings.search.as_likely))
-        others = (c for c in self.close(0.5 * self.settings.search.separable**2) if c.id not in named)
-        close = [c.id for c in others if c.gain > threshold or c in as_likely]
-        return (self.found.id, *close)[: self.settings.search.most_in_group]
+        rules = self.settings.search
+        as_likely = self.found.gain + self.settings.evidence.temper * np.log(rules.as_likely)
+        others = (c for c in self.close(0.5 * rules.separable**2) if c.id not in named)
+        close = [c.id for c in others if c.gain > min(threshold, as_likely)]
+        return (self.found.id, *close)[: rules.most_in_group]
 
     def probability(self, threshold: float, named: Collection[str] = ()) -> float:
         """Return the probability of the accepted cause together with its group; arguments as for `group`."""
@@ -143,23 +155,16 @@ class Step:
 
     def dropped(self, failed: PossibleCause) -> "Step":
         """Return the round without its finding, which joins the possible causes."""
-        return replace(self, found=None, figures=None, possible=(*self.possible, failed))
+        return replace(self, found=None, figures=None, shift=0.0, possible=(*self.possible, failed))
 
-    def exchanged(self, top: Candidate, lead: float) -> "Step":
-        """Return the round with another cause accepted in place of the first, which it leads by `lead` nats.
+    def retested(self, top: Candidate, lead: float = 0.0) -> "Step":
+        """Return the round with the evidence of its finding in the model of all causes.
 
-        `top`: the cause, with its evidence in the model of all causes. Rivals keep their distance to the cause that was
-        accepted first.
+        `top`: the cause with that evidence; `lead`: nats by which it leads the cause that was accepted first; 0 where
+        it is that itself. All causes of the round keep their distance to the latter.
         """
         assert self.found is not None
-        before = next((c.gain for c in self.candidates if c.id == self.found.id), self.found.gain)
-        shift = top.gain - lead - before
-        moved = [replace(c, gain=c.gain + shift) for c in self.candidates if c.id != top.id]
-        screened = {
-            name: replace(one, log_bayes_factor=one.log_bayes_factor + shift) for name, one in self.screened.items()
-        }
-        candidates = sorted([top, *moved], key=lambda candidate: -candidate.gain)
-        return replace(self, screened=screened, candidates=candidates, found=top)
+        return replace(self, found=top, shift=self.shift + top.gain - lead - self.found.gain)
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,7 +185,7 @@ class Search:
 
     def withdrawn(self, target: FitTarget) -> "Search":
         """Return the same rounds with all findings withdrawn, so that the final model is the believed one."""
-        steps = [replace(step, found=None) for step in self.steps]
+        steps = [replace(step, found=None, shift=0.0) for step in self.steps]
         return Search(self.base, self.base, steps, target.null.reduced(self.base.residual))
 
 
@@ -195,7 +200,7 @@ def search(
     """
     base = fit(target, [])
     assert base is not None  # the believed model has an equilibrium: it was solved before
-    current, steps, plain = base, [], target
+    given, current, steps, plain = target, base, [], target
     while len(current.parts) < target.bench.settings.search.most_causes:
         step = _round(target, screen, base, current, thresholds, progress)
         steps.append(step)
@@ -205,7 +210,7 @@ def search(
     if len(current.parts) > 1:
         if progress is not None:
             progress("revision of the causes found")
-        target, current, steps = _revised(target, screen, base, current, steps, thresholds)
+        target, current, steps = _revised(given, target, screen, base, current, steps, thresholds)
     reduced = _null_after(target, current).reduced(current.residual)
     return Search(base, current, steps, reduced, target if current.parts else None)
 
@@ -290,14 +295,21 @@ def _with_finding(
 
 
 def _revised(
-    target: FitTarget, screen: Screen, base: Fit, current: Fit, steps: list[Step], thresholds: Mapping[str, float]
+    given: FitTarget,
+    target: FitTarget,
+    screen: Screen,
+    base: Fit,
+    current: Fit,
+    steps: list[Step],
+    thresholds: Mapping[str, float],
 ) -> tuple[FitTarget, Fit, list[Step]]:
     """Return target, fit and rounds after each cause was tested for redundancy and exchanged for its closest rivals.
 
-    What stays has passed its tests again, in the model of all causes. `base`, `current`: fits of the believed model and
-    with all causes; `thresholds`: nats, by id.
+    What stays has passed its tests again, in the model of all causes. `given`, `target`: targets without and with
+    nuisances for the errors of the causes; `base`, `current`: fits of the believed model and with all causes;
+    `thresholds`: nats, by id.
     """
-    first, rules = target, target.bench.settings.search
+    rules = target.bench.settings.search
     found = [number for number, step in enumerate(steps) if step.found is not None]
     target, current, kept = without_redundant(target, current, thresholds)
     found = [found[part] for part in kept]
@@ -310,24 +322,54 @@ def _revised(
             leads[number] = better.log_evidence - current.log_evidence
             current = better
     while found:
-        others = []
+        rests = [without(target, current, part) for part in range(len(found))]
         for part, number in enumerate(found):
-            before = without(target, current, part)
-            others.append(before)
-            if before is not None:
-                steps[number] = _judged(
-                    target, screen, base, current, before, part, steps[number], leads.pop(number, None)
-                )
+            lead = leads.pop(number, None)
+            steps[number] = _judged(target, screen, base, current, rests[part], part, steps[number], lead)
         failed = _failed([steps[number] for number in found], current.ids, thresholds)
         if not failed:
             return target, current, steps
         # Of several, the one whose removal costs the least evidence: the others may pass without it.
-        part = min(failed, key=lambda part: failed[part].log_bayes_factor)
-        number, rest = found.pop(part), others[part]
-        assert rest is not None  # it was judged
+        part = min(failed, key=lambda part: (rests[part] is None, failed[part].log_bayes_factor))
+        number = found.pop(part)
+        if rests[part] is None:  # without it the others have no equilibrium
+            steps = [step if at == number else replace(step, found=None, shift=0.0) for at, step in enumerate(steps)]
+            found = []
         steps[number] = steps[number].dropped(failed[part])
-        target, current = corrected_fit(target, rest)
-    return first, base, steps
+        if found:
+            target, current = corrected_fit(*_without(given, target, screen, base, current, rests, part))
+    return given, base, steps
+
+
+def _without(
+    given: FitTarget,
+    target: FitTarget,
+    screen: Screen,
+    base: Fit,
+    current: Fit,
+    rests: Sequence[Fit | None],
+    part: int,
+) -> tuple[FitTarget, Fit]:
+    """Return target and fit after a cause was taken out, without the nuisances for its error.
+
+    `given`, `target`: targets without and with nuisances for the errors of the causes; `rests`: fits without each of
+    the causes of `current`; `part`: number of the one that is taken out.
+    """
+    rest = rests[part]
+    assert rest is not None  # without it there is an equilibrium
+    others = [pair for at, pair in enumerate(zip(current.ids, rests, strict=True)) if at != part]
+    forms = [
+        other_forms(
+            screen.white_columns(name),
+            given.white(current.prediction - before.prediction),
+            given.bench.settings.nuisances,
+        )
+        for name, before in others
+        if before is not None
+    ]
+    errors = given.white(effect_nuisances(given.bench, rest.prediction - base.prediction))
+    target = replace(target, null=Null(np.concatenate([given.null.nuisances, *forms, errors])))
+    return target, fit(target, rest.parts, start=rest.x) or rest
 
 
 def _judged(
@@ -335,23 +377,35 @@ def _judged(
     screen: Screen,
     base: Fit,
     current: Fit,
-    before: Fit,
+    before: Fit | None,
     part: int,
     step: Step,
     lead: float | None,
 ) -> Step:
     """Return the round of a finding with its evidence and proof in the model of all causes.
 
-    `before`: fit without it; `part`: its number in the fit `current`; `lead`: nats by which it leads the cause that was
-    accepted first in its place; None where that is itself. The gain of a finding is the evidence that its removal
-    costs.
+    `before`: fit without it; None where there is no equilibrium, and evidence and proof are those of its round; `part`:
+    its number in the fit `current`; `lead`: nats by which it leads the cause that was accepted first in its place; None
+    where that is itself. The gain of a finding is the evidence that its removal costs.
     """
-    top = Candidate(current.parts[part].id, current, current.log_evidence - before.log_evidence, target)
+    assert step.found is not None
+    gain = step.found.gain + (lead or 0.0) if before is None else current.log_evidence - before.log_evidence
+    top = Candidate(current.parts[part].id, current, gain, target)
+    led, step = _led(step), step.retested(top, lead or 0.0)
+    if before is None:
+        return step
     references = _references(target, screen, base, before)
     proof = _prove(target, references, before, top, part)
     figures = _figures(target, references, before, top, part)
-    step = replace(step, found=top) if lead is None or step.found is None else step.exchanged(top, lead)
-    return replace(step, proof=proof, figures=figures)
+    # Rivals were not fitted beside the other causes: they keep their distance. That to an exchanged one is not known.
+    density = proof.log_density.sum(axis=1)
+    rivals = max(float(density[GENERIC]), float(density[NAMED]) - led) if lead is None else np.inf
+    return replace(step, proof=proof, figures=figures, rivals=rivals)
+
+
+def _led(step: Step) -> float:
+    """Return the nats by which the accepted cause of a round predicts held-out data better than its best rival."""
+    return -np.inf if step.proof is None else float(step.proof.log_density[NAMED].sum()) - step.rivals
 
 
 def _failed(steps: Sequence[Step], ids: Sequence[str], thresholds: Mapping[str, float]) -> dict[int, PossibleCause]:

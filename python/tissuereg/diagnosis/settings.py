@@ -5,9 +5,10 @@ class (`causes`): a changed cause is passed in `DiagnoseSettings.causes`.
 """
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields
-from typing import TYPE_CHECKING, Any
+from dataclasses import MISSING, asdict, dataclass, field, fields
+from typing import TYPE_CHECKING, Any, cast
 
+from tissuereg._base.arguments import of_kind, real
 from tissuereg.diagnosis.readings.settings import RecordingSettings
 
 if TYPE_CHECKING:
@@ -20,7 +21,7 @@ class ModelSettings:
 
     #: Default prior deviation of the modulus, over its mean.
     young_spread: float = 0.3
-    #: Residual over load. The error is some 1e-6 mm and 1e-3 mN, 1e-4 mm at most: far below any noise.
+    #: Residual over load on the user's mesh. The error is some 1e-6 mm and 1e-3 mN, 1e-4 mm at most: far below noise.
     tolerance: float = 1e-5
     #: Number of solutions that are kept for models that differ in the tracker alone.
     most_solved: int = 4
@@ -52,6 +53,8 @@ class NoiseSettings:
     least_frames: int = 6
     #: Least number of frames in a hold that is used.
     least_hold: int = 4
+    #: Frames count as correlated beyond this many standard errors of the correlation of white noise.
+    correlated: float = 4.0
     #: How far a rightly stated standard deviation may be off: deviation of its logarithm.
     spread: float = 0.05
     #: Largest factor by which a standard deviation may be understated.
@@ -61,6 +64,11 @@ class NoiseSettings:
     least_evidence: float = 6.0
     #: Least degrees of freedom of a marker, or of all forces, that count for it.
     least_freedom: float = 6.0
+
+    def __post_init__(self) -> None:
+        for name in ("spread", "least_factor", "least_freedom"):
+            real(f"noise.{name}", getattr(self, name), above=0.0)
+        real("noise.largest_factor", self.largest_factor, above=1.0)
 
 
 @dataclass(frozen=True)
@@ -168,6 +176,10 @@ class ProbabilitySettings:
     generic_sizes: tuple[tuple[float, float], ...] = ((0.7, 0.003), (2.0, 0.01), (6.0, 0.03), (20.0, 0.15))
     #: Prior deviation of a jammed frame, as a share of the motion since the frame before.
     jam: float = 0.5
+    #: A frame may be jammed where a marker moves by more than this many noise deviations since the frame before.
+    jam_above: float = 3.0
+    #: Time in which the load's memory fades, over the duration of a case: of the generic rival and the misfit test.
+    fading: float = 0.25
 
 
 @dataclass(frozen=True)
@@ -241,6 +253,8 @@ class SearchSettings:
     far_modulus: float = 3.0
     #: And only if its posterior deviation is at most this share of the prior's.
     determined_modulus: float = 0.3
+    #: The fitted modulus is in the extended model where its posterior deviation is below this share of the prior's.
+    known_modulus: float = 0.5
 
 
 @dataclass(frozen=True)
@@ -351,7 +365,7 @@ class DiagnoseSettings:
     model, noise, nuisances, shape, nulls, evidence, fit, search, readings, report, material
         Settings of each step, a frozen dataclass each: ``replace(settings, search=SearchSettings(most_causes=1))``.
     causes : tuple of Cause
-        Causes with changed numbers, in place of those of the catalogue with the same id.
+        Causes of bodies with changed numbers, in place of those of the catalogue with the same id.
     left_out : tuple of str
         Ids of the catalogue that are not tried.
     """
@@ -369,6 +383,11 @@ class DiagnoseSettings:
     material: MaterialSettings = field(default_factory=MaterialSettings)
     causes: "tuple[Cause, ...]" = ()
     left_out: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        for one in fields(self):
+            if one.default_factory is not MISSING:
+                of_kind(one.name, getattr(self, one.name), cast("type[Any]", one.default_factory))
 
     def to_json(self, catalogue: "Mapping[str, Cause]") -> dict[str, Any]:
         """Return all settings as plain data, those of the causes of a catalogue, by id, included."""

@@ -1,4 +1,4 @@
-"""Understated noise: what the best fit leaves is white, and larger than the stated noise.
+"""Understated noise: what the best fit leaves is like noise, and larger than the stated one.
 
 A wrong model leaves smooth residuals. Their part orthogonal to all nuisances, to the fit's own parameters and to the
 generic rival (any smooth change over markers, load and time) is noise, whatever the model misses. Its size is compared
@@ -7,7 +7,8 @@ with the statement by the evidence for one factor s on the standard deviations o
     log p(q | s) = -q / (2 s^2) - n log s,      log s ~ N(0, spread) as stated, U(0, log(largest)) understated,
 
 with q the sum of squares and n its degrees of freedom. The sum is n times a median over the markers, so that single
-markers that slip or are exchanged do not count as noise.
+markers that slip or are exchanged do not count as noise. Nuisances that act on markers and forces carry the noise of
+one into the left-over of the other; both are therefore estimated in units of their own noise.
 """
 
 from dataclasses import asdict, dataclass, replace
@@ -19,12 +20,19 @@ from scipy.stats import chi2
 from tissuereg._base.arrays import BoolArray, FloatArray
 from tissuereg.diagnosis.fit import Fit, FitTarget
 from tissuereg.diagnosis.noise import Noise, scale_evidence
+from tissuereg.diagnosis.patterns import orthonormal
 from tissuereg.diagnosis.settings import NoiseSettings
 from tissuereg.diagnosis.signals import SignalLayout
 from tissuereg.experiment.experiment import Experiment
 
 #: Verdict of data that are consistent with the model, but not with the stated noise.
 UNDERSTATED = "understated-noise"
+
+#: The noise of both channels is estimated again until it changes by less than this share, or so many times.
+_SETTLED, _MOST_ROUNDS = 0.01, 30
+
+#: Variances over the assumed one are not taken for smaller: data that are simulated may have no noise.
+_LEAST_VARIANCE = 1e-4
 
 
 @dataclass(frozen=True)
@@ -58,9 +66,9 @@ class UnderstatedNoise:
     def sentence(self) -> str:
         """The same in words."""
         return (
-            f"The noise of the {self.channel} is understated: stated are {self.stated:.3g} {self.unit}, but what the "
-            f"model leaves is white and {self.factor:.2g} times as large, {self.estimated:.3g} {self.unit} (log Bayes "
-            f"factor {self.log_bayes_factor:.0f})"
+            f"The noise of the {self.channel} is understated: {self.stated:.3g} {self.unit} are stated, "
+            f"{self.estimated:.3g} {self.unit} are found, {self.factor:.2g} times as much (log Bayes factor "
+            f"{self.log_bayes_factor:.0f})"
         )
 
     def to_json(self) -> dict[str, Any]:
@@ -75,16 +83,14 @@ def larger_noise(target: FitTarget, left: Fit, generic: FloatArray, settings: No
     """
     layout, noise = target.bench.layout, target.noise
     slopes = target.white(left.jacobian) * left.deviation[:, None]
-    basis = _basis(np.concatenate([target.null.nuisances, slopes, generic]))
-    squares = (left.residual - (left.residual @ basis.T) @ basis) ** 2
-    freedom = np.where(layout.seen, 1.0 - (basis**2).sum(axis=0), 0.0)
-    markers = layout.of_markers()
-    of_markers = _factor(squares, freedom, _rows_of_markers(layout), settings)
-    of_forces = _factor(squares, freedom, [~markers], settings)
-    if of_markers is None and of_forces is None:
+    rows = np.concatenate([target.null.nuisances, slopes, generic])
+    of_markers, of_forces = _channels(rows, left.residual, layout, settings)
+    # Rest frames may already have shown a part of what is not stated.
+    before = float(np.median(noise.marker_std)) / target.bench.experiment.marker_std
+    by_markers, evidence = _larger(of_markers, settings, before) or (1.0, noise.evidence)
+    by_forces, force_evidence = _larger(of_forces, settings) or (1.0, noise.force_evidence)
+    if by_markers == by_forces == 1.0:
         return None
-    by_markers, evidence = of_markers or (1.0, noise.evidence)
-    by_forces, force_evidence = of_forces or (1.0, 0.0)
     return replace(
         noise,
         marker_std=by_markers * noise.marker_std,
@@ -107,23 +113,59 @@ def understated(experiment: Experiment, noise: Noise, settings: NoiseSettings) -
     )
 
 
-def _factor(
-    squares: FloatArray, freedom: FloatArray, groups: list[BoolArray], settings: NoiseSettings
-) -> tuple[float, float] | None:
-    """Return the factor on the standard deviation that a left-over shows, and its evidence; None where it shows none.
+@dataclass(frozen=True)
+class _Spread:
+    """The noise of a channel: its `variance` over the assumed one, from so many degrees of `freedom`; 0 without any."""
 
-    `squares`, `freedom` (size,): squared left-over and degrees of freedom of every number; `groups`: masks of the
-    numbers that are pooled before the median is taken.
+    variance: float
+    freedom: float
+
+
+def _channels(
+    rows: FloatArray, residual: FloatArray, layout: SignalLayout, settings: NoiseSettings
+) -> tuple[_Spread, _Spread]:
+    """Return the noise of markers and forces in the part of a residual (size,) that the rows (k, size) cannot change.
+
+    Rows that act on both carry the noise of one into the left-over of the other, unless both are in units of their own
+    noise: the two are estimated again in these units until they stay.
+    """
+    markers, groups = layout.of_markers(), _rows_of_markers(layout)
+    span, scale = orthonormal(rows), np.ones(layout.size)
+    of_markers = of_forces = _Spread(1.0, 0.0)
+    for _ in range(_MOST_ROUNDS):
+        basis, white = np.linalg.qr((span / scale).T)[0].T, residual / scale
+        squares = (scale * (white - (white @ basis.T) @ basis)) ** 2
+        freedom = np.where(layout.seen, 1.0 - (basis**2).sum(axis=0), 0.0)
+        of_markers = _pooled(squares, freedom, groups, settings)
+        of_forces = _pooled(squares, freedom, [~markers], settings)
+        last, scale = scale, np.sqrt(np.where(markers, of_markers.variance, of_forces.variance))
+        if np.allclose(scale, last, rtol=_SETTLED):
+            break
+    return of_markers, of_forces
+
+
+def _pooled(squares: FloatArray, freedom: FloatArray, groups: list[BoolArray], settings: NoiseSettings) -> _Spread:
+    """Return the noise of a channel, from the squares and degrees of freedom (size,) of its numbers.
+
+    `groups`: masks (size,) of the numbers that are pooled before the median is taken.
     """
     sums = [(float(squares[rows].sum()), float(freedom[rows].sum())) for rows in groups]
     enough = [(q, n) for q, n in sums if n >= settings.least_freedom]
     if not enough:
-        return None
+        return _Spread(1.0, 0.0)
     variance = float(np.median([q / chi2.median(n) for q, n in enough]))
-    total = sum(n for _, n in enough)
-    evidence = scale_evidence(total * variance, total, settings)
-    factor = float(np.sqrt(variance))
-    return (factor, evidence) if factor >= settings.least_factor and evidence >= settings.least_evidence else None
+    return _Spread(max(variance, _LEAST_VARIANCE), sum(n for _, n in enough))
+
+
+def _larger(found: _Spread, settings: NoiseSettings, before: float = 1.0) -> tuple[float, float] | None:
+    """Return the factor on the assumed standard deviation and the evidence against the stated one, nats.
+
+    `before`: the assumed standard deviation over the stated one. None where the noise is not larger than assumed.
+    """
+    factor, power = float(np.sqrt(found.variance)), found.freedom * found.variance
+    if factor < settings.least_factor or scale_evidence(power, found.freedom, settings) < settings.least_evidence:
+        return None
+    return factor, scale_evidence(power * before**2, found.freedom, settings)
 
 
 def _rows_of_markers(layout: SignalLayout) -> list[BoolArray]:
@@ -134,10 +176,3 @@ def _rows_of_markers(layout: SignalLayout) -> list[BoolArray]:
             part.markers(rows)[:, number] = True
         groups.append(rows)
     return groups
-
-
-def _basis(rows: FloatArray) -> FloatArray:
-    """Return orthonormal rows that span the same space as the given ones (k, size)."""
-    rows = rows[np.linalg.norm(rows, axis=1) > 0.0]
-    _, sizes, basis = np.linalg.svd(rows / np.linalg.norm(rows, axis=1)[:, None], full_matrices=False)
-    return np.asarray(basis[sizes > 1e-6 * sizes[0]] if len(sizes) else basis)

@@ -9,7 +9,7 @@ import numpy as np
 from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.material.extend import predicted_stresses
 from tissuereg.diagnosis.material.history import stress_of
-from tissuereg.diagnosis.report.ranking import chance, plain_name, ranking, separated
+from tissuereg.diagnosis.report.ranking import chance, plain_name, possible_words, probable, ranking, separated
 from tissuereg.io.experiment_out import experiment_text
 from tissuereg.report import svg
 from tissuereg.report.markup import document, escape, table
@@ -57,6 +57,7 @@ def material_page(found: "MaterialDiagnosis", folder: Path) -> str:
         *(f"<p>{escape(sentence)}</p>" for sentence in answer["sentences"]),
         f"<p>{escape(_discrepancy(answer))}</p>",
         *(_finding(cause) for cause in answer["causes"]),
+        *(f"<p>{escape(possible_words(one))}</p>" for one in answer["possible"]),
         "<h2>Curves</h2>",
         f"<p class='key'>{_key(found)}</p>",
         *_charts(found),
@@ -93,8 +94,9 @@ def _finding(cause: dict[str, Any]) -> str:
     tied = ", ".join(plain_name(name) for name in cause["group"][1:])
     return (
         f"<h3>{escape(plain_name(cause['id']))} <code>{escape(cause['id'])}</code></h3>"
-        f"<p>Probability {chance(cause['probability'])}; log Bayes factor {cause['log_bayes_factor']:.1f} (threshold "
-        f"{cause['threshold']:.1f}).{f' Tied with: {escape(tied)}.' if tied else ''}</p>"
+        f"<p>{probable(cause['probability'], cause['group_probability'], len(cause['group']))}; log Bayes factor "
+        f"{cause['log_bayes_factor']:.1f} (threshold {cause['threshold']:.1f})."
+        f"{f' Tied with: {escape(tied)}.' if tied else ''}</p>"
         + table(("parameter", "value \u00b1 standard deviation"), rows)
     )
 

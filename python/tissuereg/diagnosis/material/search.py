@@ -99,6 +99,8 @@ class MaterialSearch:
     #: The race of single causes against the believed model, for the answer.
     first_race: list[CandidateCause] = field(default_factory=list)
     _tried: dict[tuple[tuple[str, ...], tuple[str, ...], str], Hypothesis] = field(default_factory=dict)
+    #: The hypothesis with one cause that was proved when it was accepted.
+    _proved_alone: Hypothesis | None = None
 
     def run(self, none: Hypothesis) -> Hypothesis:
         """Return the hypothesis with the accepted causes, at most `most_causes` (3).
@@ -152,6 +154,7 @@ class MaterialSearch:
         for racer in [racer for racer in racers if racer.evidence >= near]:
             enough = racer.evidence - known.evidence > self.required(known, racer)
             if enough and self.is_proved(known, racer, generic):
+                self._proved_alone = None if known.ids else racer
                 return racer
         return self._pair(known, racers[0], generic)
 
@@ -320,8 +323,7 @@ class MaterialSearch:
             {r.ids[-1]: r for r in tied},
             self.required(rest, last),
             together,
-            # One cause alone was proved when it was accepted.
-            not rest.ids or self.is_proved(rest, last, generic),
+            known is self._proved_alone or self.is_proved(rest, last, generic),
         )
 
 

@@ -31,6 +31,19 @@ def separated(advice: Mapping[str, Any]) -> str:
     return "; ".join(" from ".join(plain_name(name) for name in pair) for pair in advice["separates"])
 
 
+def probable(cause: float, group: float, n_ids: int) -> str:
+    """Return the probabilities of a cause and of its group of `n_ids` ids as words for a text."""
+    return f"Probability {chance(cause)}" + (f", of the group {chance(group)}" if n_ids > 1 else "")
+
+
+def possible_words(one: Mapping[str, Any]) -> str:
+    """Return a cause that came close and is not stated as a sentence, plain text."""
+    return (
+        f"Possible, but not stated: {plain_name(one['id'])} (probability {chance(one['probability'])}; log Bayes "
+        f"factor {one['log_bayes_factor']:.1f}, threshold {one['threshold']:.1f})."
+    )
+
+
 def gloss(cause: str) -> str:
     """Return one line of text that explains a cause, given its id."""
     if cause == UNKNOWN:
@@ -63,7 +76,8 @@ def rankings(found: "Diagnosis") -> str:
         before = [earlier.found.id for earlier in steps[:number] if earlier.found is not None]
         known = ", ".join(map(plain_name, before)) if before else "a cause that was removed later"
         title = f"Round {number + 1}: further causes, given {known}"
-        chart = ranking(_rows(step, before), required_thresholds(thresholds, before), groups.get(number, set()), title)
+        required = required_thresholds(thresholds, before, found.numbers.search)
+        chart = ranking(_rows(step, before), required, groups.get(number, set()), title)
         parts.append(f"<details><summary>{escape(title)}</summary>{chart}</details>")
     return "\n".join(parts)
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tissuereg.diagnosis.report.proved import gain_words
-from tissuereg.diagnosis.report.ranking import chance, gloss, plain_name, separated
+from tissuereg.diagnosis.report.ranking import chance, gloss, plain_name, possible_words, probable, separated
 from tissuereg.diagnosis.understated import UNDERSTATED
 from tissuereg.report.markup import escape, table
 
@@ -52,14 +52,15 @@ def summary(found: "Diagnosis") -> str:
     if found.verdict in ("unexplained", UNDERSTATED) and found.next_experiment is not None:
         parts.append(f"<p><b>Next:</b> {escape(found.next_experiment['action'])}.</p>")
     if found.provisional:
-        parts.append("<p>Provisional: with fewer than three load cases, none was predicted from several others.</p>")
+        least = found.numbers.report.least_cases
+        parts.append(f"<p>Provisional: with fewer than {least} load cases, none was predicted from several others.</p>")
     return "\n".join(parts)
 
 
 def findings(found: "Diagnosis") -> str:
     """Return every finding with its parameters and evidence, as HTML."""
     parts = [_finding(finding) for finding in found.findings] or ["<p>No cause was accepted.</p>"]
-    return "\n".join([*parts, *(_possible(one) for one in found.possible)])
+    return "\n".join([*parts, *(f"<p>{escape(possible_words(one))}</p>" for one in found.possible)])
 
 
 def ties(found: "Diagnosis") -> str:
@@ -147,21 +148,14 @@ def _finding(finding: "Finding") -> str:
         others = _listed([plain_name(name) for name in finding.group[1:]], "or")
         tied = f"<p>These data cannot distinguish it from: {escape(others)}.</p>"
     figures = (
-        f"Probability {chance(finding.probability)}; log Bayes factor {finding.log_bayes_factor:.1f} (threshold "
-        f"{finding.threshold:.1f})."
+        f"{probable(finding.probability, finding.group_probability, len(finding.group))}; log Bayes factor "
+        f"{finding.log_bayes_factor:.1f} (threshold {finding.threshold:.1f})."
     )
     return (
         f"<section class='finding'><h3>{escape(plain_name(finding.id))} <code>{escape(finding.id)}</code></h3>"
         f"<p>{escape(finding.sentence)}</p><p>{figures}</p>{tied}"
         + table(("parameter", "value \u00b1 standard deviation"), rows)
         + f"<p>{escape(gain_words(finding))}</p></section>"
-    )
-
-
-def _possible(one: dict[str, Any]) -> str:
-    return (
-        f"<p>Possible, but not stated: {escape(plain_name(one['id']))} (probability {chance(one['probability'])}; log "
-        f"Bayes factor {one['log_bayes_factor']:.1f}, threshold {one['threshold']:.1f}).</p>"
     )
 
 
