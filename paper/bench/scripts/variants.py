@@ -15,7 +15,7 @@ from readme import write_table
 from threadpoolctl import threadpool_limits
 
 from tissuereg._base.machine import machine
-from tissuereg.parallel import Failed, Processes, in_order
+from tissuereg.parallel import Failed, InProcess, Processes, in_order
 from tissuereg.phantom import phantom_mesh
 from tissuereg.registration.learned import calibration
 from tissuereg.registration.learned.registration import as_model
@@ -65,7 +65,7 @@ def measure(data, folder, other, compared, names=None, jobs=1):
             message = f"--variants must hold those of {', '.join(names)}"
             raise SystemExit(message)
     rows = [{"words": words, "bodies": count, "rigs": {}} for words, _, _, count in compared]
-    with Processes(jobs) as executor:
+    with InProcess() if jobs == 1 else Processes(jobs) as executor:
         outcomes = in_order(executor.run(of_rig, [(one, folder, other, compared) for one in rigs]))
         for rig, outcome in zip(rigs, outcomes, strict=True):
             if isinstance(outcome, Failed):
