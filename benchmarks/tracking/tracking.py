@@ -241,8 +241,8 @@ def replayed_trackers(motion: Motion, threads: int) -> dict[str, Callable[[], tr
     }
 
 
-def replayed(motion: Motion, tracker: tr.Tracker, **clock: Any) -> dict[str, Any]:
-    """Return latencies, drops and errors of a tracker on a replay at the recorded rate.
+def replayed(motion: Motion, tracker: tr.Tracker, every: int = 1, **clock: Any) -> dict[str, Any]:
+    """Return latencies, drops and errors of a tracker on a replay at the recorded rate, of every n-th frame.
 
     What the first frames make for all is made before. ``clock`` are the clock and the wait of `Tracker.run`.
     """
@@ -250,7 +250,7 @@ def replayed(motion: Motion, tracker: tr.Tracker, **clock: Any) -> dict[str, Any
     frames = [
         (k / HZ, seen, float(share) if known else None)
         for k, (seen, share) in enumerate(zip(motion.measured, motion.shares, strict=True))
-    ]
+    ][::every]
     for time_s, seen, share in frames[:3]:
         tracker.step(seen, time_s, actuator=share)
     tracker.reset()
@@ -277,6 +277,8 @@ def rate(truth: tuple[Any, Any], threads: int, tell: Callable[[str], None]) -> d
     for name, make in replayed_trackers(motion, threads).items():
         tell(f"replay: {name}")
         rows[name] = replayed(motion, make())
+    tell("replay: contacts, every second frame")
+    rows[f"contacts, {HZ // 2} Hz"] = replayed(motion, tr.Tracker(by_contacts(motion, threads)), every=2)
     return {
         "schema": "tissuereg.tracking-rate/1",
         "hz": HZ,

@@ -296,6 +296,7 @@ class Linearised:
         springs: _Floats | None = None,
         tolerance: float = 1e-9,
         max_iterations: int = 1000,
+        threads: int | None = None,
     ) -> Solution: ...
     @property
     def report(self) -> dict[str, Any]: ...

@@ -1,5 +1,7 @@
 """A tangent that is renewed beside the moments of measurement: when it is made, when it is used, what it holds."""
 
+import threading
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +12,10 @@ from support.meshes import block
 from tissuereg.body.observe import MarkerObservation
 from tissuereg.errors import ConvergenceError
 from tissuereg.registration.contacts import renewal
-from tissuereg.registration.contacts.settings import ContactSettings, PassSettings
+from tissuereg.registration.contacts.answer import Answer
+from tissuereg.registration.contacts.fit import Passes
+from tissuereg.registration.contacts.settings import ContactSettings, EvidenceSettings, PassSettings
+from tissuereg.simulation.sensitivity import Linearised
 
 MESH = block(cells=(2, 2, 3))
 MATERIAL, STD = tr.Material(young=10.0, poisson=0.4), 0.05
@@ -20,7 +25,7 @@ PLACES = MESH.nodes[FREE[::2]] + [0.5, 0.3, 0.2]
 SHARES = (0.5, 0.55, 0.6, 0.65, 0.7)
 
 
-def settings(**steps):
+def settings(threads=1, every=10, **steps):
     contacts = ContactSettings(
         n_chains=4,
         n_chains_first=4,
@@ -28,13 +33,17 @@ def settings(**steps):
         n_kept=2,
         powers=(0.1, 1.0, 1.0),
         n_draws=4,
-        steps=PassSettings(**steps),
+        evidence=EvidenceSettings(every=every),
+        steps=PassSettings(**{"renewed_needs": 0, **steps}),
     )
-    return tr.RegisterSettings(threads=1, contacts=contacts)
+    return tr.RegisterSettings(threads=threads, contacts=contacts)
 
 
-def chain(lost=(), **steps):
-    """Return the registrations of moments that follow each other; markers of the numbers `lost` are seen at first."""
+def chain(lost=(), before_use=None, **steps):
+    """Return the registrations of moments that follow each other; markers of the numbers `lost` are seen at first.
+
+    `before_use`: called before a renewed tangent is used.
+    """
     body = tr.Body(MESH, MATERIAL)
     registrar = tr.Registrar(
         body, tr.Markers(PLACES, std=STD), None, {"deep": (15.0, 10.0, 20.0)}, settings=settings(**steps)
@@ -49,6 +58,9 @@ def chain(lost=(), **steps):
         places = PLACES + moved + STD * rng.standard_normal(moved.shape)
         if last is not None:
             places[list(lost)] = np.nan
+            renewed = last.draw.renewal
+            if before_use is not None and renewed is not None and last.draw.moments + 1 >= renewed.moment:
+                before_use()
         last = registrar.register(places, after=last)
         results.append(last)
     return results
@@ -160,10 +172,60 @@ def test_moments_that_go_on_from_one_know_the_same_rows_and_add_to_their_own():
     assert np.array_equal(*(tangent.sensed(deep)[0].compliance.forces for tangent in tangents[1:]))
 
 
-def test_a_moment_that_takes_few_iterations_renews_nothing():
-    most = max(result.work["iterations"] for result in chain(renew_at=10**6)[1:])
-    assert all(result.draw.renewal is None for result in chain(renew_at=most + 1))
-    assert any(result.draw.renewal is not None for result in chain(renew_at=most))
+def test_a_tangent_is_renewed_once_moments_have_lost_as_much_by_it_as_a_new_one_takes():
+    old = chain(renew_at=10**6, renewed_needs=2)
+    lost = np.cumsum([max(0, result.work["iterations"] - 2) for result in old[1:]])
+    assert [result.draw.fit.tangent.spent for result in old] == [0, *lost.tolist()]
+    at = int(lost[1])
+    assert lost[0] < at
+    begun = chain(renew_at=at, renewed_needs=2, renewed_after=2)
+    assert [result.draw.renewal is not None for result in begun[:3]] == [False, False, True]
+    # The new one has lost nothing yet.
+    assert begun[4].draw.fit.tangent.spent == max(0, begun[4].work["iterations"] - 2)
+
+
+def test_a_moment_beside_a_renewal_leaves_it_a_core_and_has_the_same_bits(monkeypatch):
+    held, given = threading.Event(), []
+
+    def waits(*arguments):
+        held.wait(10.0)
+        return made(*arguments)
+
+    def noted(passes, *arguments):
+        given.append(passes.threads)
+        return sample(passes, *arguments)
+
+    made, sample, alone = renewal._made, Passes._sample, chain(renew_at=1, renewed_after=2)
+    monkeypatch.setattr(renewal, "_made", waits)
+    monkeypatch.setattr(Passes, "_sample", noted)
+    monkeypatch.setattr(renewal, "n_cores", lambda: 4)
+    beside = chain(renew_at=1, renewed_after=2, threads=0, before_use=held.set)
+    assert [result.draw.fit.samples[0].tolist() for result in beside] == [
+        result.draw.fit.samples[0].tolist() for result in alone
+    ]
+    assert all(np.array_equal(one.displacement, two.displacement) for one, two in zip(alone, beside, strict=True))
+    assert set(given) == {0, 3}
+
+
+def test_evidence_is_not_weighed_beside_a_renewal(monkeypatch):
+    weighed = []
+    monkeypatch.setattr(Answer, "_unlike_stated", lambda answer: weighed.append(answer.kept is None) or [])
+    chain(renew_at=10**6, every=2)
+    assert weighed == [True, False, True, False, True]
+    weighed.clear()
+    # From the second to the fourth moment one is made, from the fourth on the next.
+    chain(renew_at=1, renewed_after=2, every=1)
+    assert weighed == [True, True, False, True, False]
+
+
+def test_solves_near_by_go_side_by_side_with_any_threads():
+    simulator = tr.Simulator(MESH)
+    here = Linearised(simulator, tr.Load(), MATERIAL, np.zeros_like(MESH.nodes), threads=1)
+    loads = [tr.Load(body_force=(0.0, 0.0, size)) for size in (0.01, 0.02, 0.03)]
+    alone = [here.solve_near(load).displacement for load in loads]
+    with ThreadPoolExecutor(3) as pool:
+        found = list(pool.map(lambda load: here.solve_near(load, threads=2).displacement, loads))
+    assert all(np.array_equal(one, two) for one, two in zip(alone, found, strict=True))
 
 
 def test_an_end_that_is_off_the_linear_model_is_linearised_at_once_only_if_it_is_far_off():
@@ -172,7 +234,7 @@ def test_an_end_that_is_off_the_linear_model_is_linearised_at_once_only_if_it_is
     assert any(result.work.get("factorisations", 0) == 1 for result in far[1:])
 
 
-@pytest.mark.parametrize("name", ["renew_at", "renewed_after", "as_predicted_on"])
+@pytest.mark.parametrize("name", ["renew_at", "renewed_needs", "renewed_after", "as_predicted_on"])
 def test_settings_of_the_renewal_are_numbers(name):
     with pytest.raises(tr.TissueRegError, match=name):
         replace(PassSettings(), **{name: float("nan")})

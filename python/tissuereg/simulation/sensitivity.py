@@ -266,21 +266,29 @@ class Linearised:
         return self._core.unbalanced([core_cause(self.simulator, cause) for cause in causes])
 
     def solve_near(
-        self, load: Load, *, springs: Any = None, tolerance: float = 1e-9, max_iterations: int = 1000
+        self,
+        load: Load,
+        *,
+        springs: Any = None,
+        tolerance: float = 1e-9,
+        max_iterations: int = 1000,
+        threads: int | None = None,
     ) -> Simulation:
         """Return the equilibrium under another load, starting from this one with its factor.
 
         `load`: the load; `springs` (n_sets, 2): stiffness of the simulator's springs, along the normal and in the
         plane, in kPa/mm; by default that given to the simulator; `tolerance`: norm of the residual over the norm of the
-        load, free degrees of freedom; `max_iterations`: iterations allowed. Result: displacement in mm and reactions in
-        mN, with the material of this equilibrium. Raises `ConvergenceError` if no equilibrium is found; `LoadError` or
-        `ShapeError` if the load does not fit the body.
+        load, free degrees of freedom; `max_iterations`: iterations allowed; `threads`: threads to use, by default those
+        of this object. Several threads may call it at once. Result: displacement in mm and reactions in mN, with the
+        material of this equilibrium. Raises `ConvergenceError` if no equilibrium is found; `LoadError` or `ShapeError`
+        if the load does not fit the body.
         """
         found = self._core.solve_near(
             **self.simulator.load_parts(load),
             springs=stiffness_array(springs, (self.simulator.n_springs, 2)),
             tolerance=tolerance,
             max_iterations=max_iterations,
+            threads=threads,
         )
         return self.simulator.simulation(found)
 

@@ -1,7 +1,7 @@
 //! Derivatives of an equilibrium: what a body is linearised at, by what, and what is observed.
 
 use std::sync::atomic::AtomicBool;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, PoisonError, RwLock};
 
 use numpy::{PyArray2, PyArray3};
 use pyo3::prelude::*;
@@ -98,8 +98,8 @@ type Weights<'py> = (Bound<'py, PyAny>, Bound<'py, PyAny>, Bound<'py, PyAny>, Bo
 /// An equilibrium with its exact tangent, factored.
 #[pyclass(frozen, module = "tissuereg._core")]
 pub(crate) struct Linearised {
-    /// Locked by a call for as long as it takes: it takes the call's flag.
-    inner: Arc<Mutex<Inner>>,
+    /// Locked by a call for as long as it takes, which takes the call's flag; solves near by go side by side.
+    inner: Arc<RwLock<Inner>>,
     owner: Supported,
     /// That of the settings, for solves near by.
     threads: usize,
@@ -119,7 +119,7 @@ impl Linearised {
             move || Inner::in_precision(own, &material, &load, &displacement, &settings, precision);
         let inner = lock::run_watched(py, &cancel, |_| Ok(()), work)?
             .map_err(|error| errors::from_fem(py, &error, None))?;
-        Ok(Self { inner: Arc::new(Mutex::new(inner)), owner: owner.clone(), threads })
+        Ok(Self { inner: Arc::new(RwLock::new(inner)), owner: owner.clone(), threads })
     }
 
     /// Numbers of nodes and of held ones.
@@ -136,7 +136,7 @@ impl Linearised {
         let (inner, cancel) = (self.inner.clone(), Arc::new(AtomicBool::new(false)));
         let flag = cancel.clone();
         let watched = move || {
-            let mut inner = inner.lock().unwrap_or_else(PoisonError::into_inner);
+            let mut inner = inner.write().unwrap_or_else(PoisonError::into_inner);
             inner.cancel_by(Some(flag));
             work(&inner)
         };
@@ -217,9 +217,10 @@ impl Linearised {
         arrays::from_vec(py, found.into_flattened(), [n, self.sizes()[0], 3])
     }
 
-    /// Equilibrium of the same body and material under another load, sought from here with the factor at hand.
+    /// Equilibrium of the same body and material under another load, sought from here with the factor at hand; several
+    /// threads may ask at once.
     #[pyo3(signature = (*, forces=None, body_force=None, prescribed=None, springs=None, tolerance=1e-9,
-                        max_iterations=1000))]
+                        max_iterations=1000, threads=None))]
     #[allow(clippy::too_many_arguments)] // keywords in Python
     fn solve_near(
         &self,
@@ -230,13 +231,18 @@ impl Linearised {
         springs: Option<&Bound<'_, PyAny>>,
         tolerance: f64,
         max_iterations: usize,
+        threads: Option<usize>,
     ) -> PyResult<Solution> {
         let load = self.owner.load(forces, body_force, prescribed, springs)?;
-        let settings = settings_of(py, tolerance, max_iterations, "auto", 0, self.threads)?;
-        let answer = self.call(py, move |inner| {
-            let settings = settings.with_cancel(inner.cancel_flag());
-            inner.solve_near(&load, &settings)
-        })?;
+        let threads = threads.unwrap_or(self.threads);
+        let (inner, cancel) = (self.inner.clone(), Arc::new(AtomicBool::new(false)));
+        let settings = settings_of(py, tolerance, max_iterations, "auto", 0, threads)?
+            .with_cancel(Some(cancel.clone()));
+        let work = move || {
+            inner.read().unwrap_or_else(PoisonError::into_inner).solve_near(&load, &settings)
+        };
+        let answer = lock::run_watched(py, &cancel, |_| Ok(()), work)?
+            .map_err(|error| errors::from_fem(py, &error, None))?;
         Solution::new(py, answer, tolerance)
     }
 
@@ -245,7 +251,7 @@ impl Linearised {
     fn report<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let inner = self.inner.clone();
         let report =
-            py.detach(move || inner.lock().unwrap_or_else(PoisonError::into_inner).report());
+            py.detach(move || inner.read().unwrap_or_else(PoisonError::into_inner).report());
         let dict = PyDict::new(py);
         dict.set_item(
             "precision",

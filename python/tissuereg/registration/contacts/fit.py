@@ -177,6 +177,7 @@ class Passes:
                 springs=self.columns.springs,
                 tolerance=DISCRETISATION.tolerance,
                 max_iterations=self.steps.most_iterations,
+                threads=self.threads,
             )
         except ConvergenceError:
             return made  # of which there is then no tangent
@@ -356,6 +357,7 @@ class Passes:
                 springs=self.columns.springs,
                 tolerance=DISCRETISATION.tolerance if self.before is None else _tolerance_on(state, coefficients),
                 max_iterations=self.steps.most_iterations,
+                threads=self.threads,
             )
         except ConvergenceError:
             return None

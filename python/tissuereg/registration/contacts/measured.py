@@ -131,7 +131,7 @@ class MarkerData:
         """Numbers of the measured coordinates, int64 (n_obs,): 3 m + i for axis i of marker m."""
         return np.flatnonzero(self.mask.ravel())
 
-    @property
+    @cached_property
     def groups(self) -> list[list[int]]:
         """For each marker that was seen, in order, the positions in `rows` of its measured coordinates."""
         owner = self.rows // 3

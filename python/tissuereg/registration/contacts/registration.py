@@ -75,14 +75,21 @@ def register_by_contacts(
     observed = ObservedData.of(MarkerData(given.observed, given.markers, settings.model_error), points)
     if after is None:
         announce(body, observed, given, clock)
-    found, note = _ContactSearch(given, body, observed, settings, clock, _carried(after, given)).least_left(believed)
+    carried = _carried(after, given)
+    # A tangent that is being renewed has a thread of its own; no answer depends on their number.
+    threads = (
+        given.threads if carried is None or carried.renewal is None else carried.renewal.threads_beside(given.threads)
+    )
+    found, note = _ContactSearch(given, body, observed, settings, clock, threads, carried).least_left(believed)
     if note:
         given = replace(given, suspicions=(*given.suspicions, note))
     with clock.stage("spread"):
-        spread = Spread(found.fit, settings, given.threads, found.further)
+        spread = Spread(found.fit, settings, threads, found.further)
         known = known_of(given, found.fit, spread)
-    renewal = found.renewal
-    if renewal is None and found.moments > 1 and found.fit.counters["iterations"] >= settings.steps.renew_at:
+    renewal, tangent = found.renewal, found.fit.tangent
+    if found.moments > 1:
+        tangent.spent += max(0, found.fit.counters["iterations"] - settings.steps.renewed_needs)
+    if renewal is None and tangent.spent >= settings.steps.renew_at:
         sizes = math.ceil(body.simulator.body.n_unknowns / max(settings.steps.renewed_unknowns, 1))
         use = found.moments + sizes * settings.steps.renewed_after
         renewal = Renewal(found.fit, observed, given.targets.rows(), given.body.material, use)
@@ -95,8 +102,9 @@ def register_by_contacts(
             fields = draw(given.settings.ensemble)
     deviations = DeviationsOfContacts(spread, given.seed, fields)
     fared = surface_fit(given, points, found.start, found.fit.state)
-    # Evidence is weighed now and then.
-    kept = tuple(after.trust.reasons) if after is not None and (found.moments - 1) % settings.evidence.every else None
+    # Evidence is weighed now and then, and not beside a renewal, which takes a core.
+    later = (found.moments - 1) % settings.evidence.every or found.renewal is not None
+    kept = tuple(after.trust.reasons) if after is not None and later else None
     answer = Answer(given, found.fit, found.start, believed.any_load, known, deviations, draw, fared, kept)
     return answer.registration(clock)
 
@@ -131,6 +139,7 @@ class _ContactSearch:
     observed: ObservedData
     settings: ContactSettings
     clock: Clock
+    threads: int
     carried: Carried | None = None
 
     def least_left(self, believed: ContactInput) -> tuple[_Found, str]:
@@ -183,7 +192,7 @@ class _ContactSearch:
                 unexplained=self._unexplained(frame),
             )
         rng = np.random.default_rng([given.seed, 7])
-        passes = Passes(columns, self.observed, material, settings, rng, given.threads, clock)
+        passes = Passes(columns, self.observed, material, settings, rng, self.threads, clock)
         if self.carried is not None:
             gone_on = self._gone_on(self.carried, passes, field, frame)
             if gone_on is not None:
@@ -193,7 +202,7 @@ class _ContactSearch:
             passes, further = _supported(passes, frame)
         further += _regions(given.body)
         with clock.stage("simulate"):
-            start = start_of(passes.columns, passes.material, field, frame, given.threads)
+            start = start_of(passes.columns, passes.material, field, frame, self.threads)
         return _Found(passes.run(start), start, further)
 
     def _unexplained(self, frame: RigidMotion) -> Unexplained | None:
@@ -227,11 +236,14 @@ class _ContactSearch:
         def solve(coefficients: FloatArray) -> FloatArray:
             near = carried.tangent.linearised
             return near.solve_near(
-                columns.load(coefficients), springs=columns.springs, tolerance=DISCRETISATION.tolerance
+                columns.load(coefficients),
+                springs=columns.springs,
+                tolerance=DISCRETISATION.tolerance,
+                threads=passes.threads,
             ).all_displacement
 
         with self.clock.stage("simulate"):
-            start = start_of(columns, passes.material, field, frame, self.given.threads)
+            start = start_of(columns, passes.material, field, frame, self.threads)
             begin = carried.begin(columns, solve)
         if begin is None:
             return None

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from tissuereg._base.machine import n_cores
 from tissuereg.body.material import Material
 from tissuereg.errors import TissueRegError
 from tissuereg.registration.contacts.fit import ContactFit
@@ -34,6 +35,10 @@ class Renewal:
         self._thread = threading.Thread(target=self._run, args=(fit, observed, list(targets), material))
         self._thread.start()
 
+    def threads_beside(self, threads: int) -> int:
+        """Return how many of some threads, 0 for all cores, are left to a moment that is registered beside it."""
+        return max(1, (threads or n_cores()) - 1) if self._thread.is_alive() else threads
+
     def tangent(self) -> Tangent | None:
         """Return the tangent, once it is made; None if there is none, as at a limit point of the load.
 
@@ -58,7 +63,7 @@ def _made(fit: ContactFit, observed: ObservedData, targets: list[Row], material:
     columns, state = fit.columns, fit.state
     # Moments that follow each other meet equilibrium only nearly.
     settled = fit.tangent.linearised.solve_near(
-        columns.load(state.coefficients), springs=columns.springs, tolerance=DISCRETISATION.tolerance
+        columns.load(state.coefficients), springs=columns.springs, tolerance=DISCRETISATION.tolerance, threads=1
     )
     state = replace(state, displacement=settled.all_displacement)
     made, _ = tangent_at(columns, material, state, 1)

@@ -67,8 +67,9 @@ class PassSettings(_Numbers):
         exceeds the predicted one by no more than this, in standard deviations.
     as_predicted_on : float
         The same for a moment that goes on from the one before: the tangent is then renewed beside the next moments.
-    renew_at : int
-        A tangent is renewed if a moment took this many iterations of the solver.
+    renew_at, renewed_needs : int
+        A tangent is renewed once moments have lost so many iterations of the solver by it, about as long as a new one
+        takes; those with a new one take the second number each.
     renewed_after, renewed_unknowns : int
         Number of moments after which a tangent that is being renewed is used, for a body of so many unknowns at most;
         twice as many for up to twice the unknowns, and so on: a factorisation then takes more moments.
@@ -104,7 +105,8 @@ class PassSettings(_Numbers):
     shortest_unmatched: float = 0.2
     as_predicted: float = 0.2
     as_predicted_on: float = 1.0
-    renew_at: int = 24
+    renew_at: int = 80
+    renewed_needs: int = 4
     renewed_after: int = 2
     renewed_unknowns: int = 20_000
     settled: float = 0.05

@@ -25,8 +25,8 @@ class Tangent:
     """A linearised equilibrium, with a cache of the sensitivities of observations to nodal forces.
 
     `linearised`: the equilibrium; `threads`: threads to use, 0 takes all cores; `stiffness`: changes of the stiffness;
-    `moved` (n_nodes, 3): displacement of the body there, mm, at which observations are linearised too; None for that of
-    the moment.
+    `spent`: iterations that moments have taken with it, beyond those with a tangent of their own; `moved` (n_nodes, 3):
+    displacement of the body there, mm, at which observations are linearised too; None for that of the moment.
     """
 
     def __init__(
@@ -38,6 +38,7 @@ class Tangent:
     ) -> None:
         self.linearised = linearised
         self.moved = moved
+        self.spent = 0
         self._stiffness = stiffness
         body = linearised.simulator.body
         self._at_once = (
