@@ -84,6 +84,11 @@ def _outcome(answer: dict[str, Any], clock: Stopwatch, args: argparse.Namespace)
         together = f", {cause['group_probability']:.2f} together" if tied else ""
         lines.append(f"  {cause['id']}{tied}, P = {cause['probability']:.2f}{together}: {cause['sentence']}")
     lines += [
+        f"  not stated: {one['id']} fits best, but its change differs by {one['differs_by']}, p = {one['p']:.1g}"
+        for one in answer.get("constancy", ())
+        if not one["holds"]
+    ]
+    lines += [
         f"  possible, but not stated: {one['id']}, P = {one['probability']:.2f}, log Bayes factor "
         f"{one['log_bayes_factor']:.1f} of {one['threshold']:.1f}"
         for one in answer["possible"]

@@ -9,6 +9,7 @@ from typing import Any
 from tissuereg._base.arguments import place
 from tissuereg._base.provenance import Provenance
 from tissuereg.diagnosis.causes import Values, catalogue
+from tissuereg.diagnosis.constancy import Constancy
 from tissuereg.diagnosis.readings import RecordingSuspicion
 from tissuereg.diagnosis.settings import DEFAULT, DiagnoseSettings
 from tissuereg.diagnosis.understated import UnderstatedNoise
@@ -91,6 +92,9 @@ class Diagnosis:
     possible : tuple of dict
         Causes that came close and are not stated: ``id``, ``probability`` (of it, or of its group),
         ``log_bayes_factor`` and the ``threshold`` that was required, nats.
+    constancy : tuple of Constancy
+        For every cause that was found whether its change is the same in all parts of the data; where one is not, no
+        cause is stated.
     p_misfit : float
         p-value of the residual after the findings: probability that data without further effects misfit as much.
     discrepancy : dict
@@ -134,6 +138,7 @@ class Diagnosis:
     versions: dict[str, str]
     left: dict[str, Any] | None = None
     possible: tuple[dict[str, Any], ...] = ()
+    constancy: tuple[Constancy, ...] = ()
     suspicions: tuple[RecordingSuspicion, ...] = ()
     understated: tuple[UnderstatedNoise, ...] = ()
     details: dict[str, Any] = field(default_factory=dict)
@@ -159,6 +164,7 @@ class Diagnosis:
             "provisional": self.provisional,
             "causes": [finding.to_json() for finding in self.findings],
             "possible": list(self.possible),
+            "constancy": [one.to_json() for one in self.constancy],
             "candidates": list(self.candidates),
             "p_misfit": self.p_misfit,
             "suspicions": [one.to_json() for one in self.suspicions],

@@ -16,6 +16,7 @@ data in which nothing but noise and nuisances is left.
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -37,12 +38,22 @@ class Constancy:
     """Result of the constancy test of one finding.
 
     `id`: the cause; `p`: probability that data which it explains are as inconstant; `differs_by`: the partition of the
-    data over which its change is least constant.
+    data over which its change is least constant; `level`: p-value below which it is not stated.
     """
 
     id: str
     p: float
     differs_by: str
+    level: float
+
+    @property
+    def holds(self) -> bool:
+        """Whether the cause may be stated."""
+        return self.p >= self.level
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the test as plain data for JSON."""
+        return {"id": self.id, "p": self.p, "differs_by": self.differs_by, "holds": self.holds}
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,7 +134,7 @@ def constancies(
             change = target.white(found.prediction - predicted(target, found, without=number))
             judged = left.test(change, slopes[mine], parts, null.reduced, settings)
             if judged is not None:
-                tested.append(Constancy(name, *judged))
+                tested.append(Constancy(name, *judged, settings.level))
     return tested
 
 

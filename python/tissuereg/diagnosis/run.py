@@ -133,6 +133,7 @@ def _searched(
         findings=tuple(findings),
         candidates=candidates_of(screen, found.steps[0]),
         possible=possible_of(found),
+        constancy=tuple(judged.tested),
         p_misfit=misfit.p,
         left=residual_summary(layout, screen, found, misfit, settings.report)
         if findings and misfit.p < rules.misfit
@@ -150,7 +151,6 @@ def _searched(
             "target": target,
             "nuisances": nuisances,
             "thresholds": nulls.thresholds,
-            "constancy": judged.tested,
         },
     )
 
@@ -198,8 +198,8 @@ def _judged(
     findings = [finding for finding in findings if not (silent and finding.id == "stiffness")]
     best = found.final
     tested = constancies(found.target or target, best, null, nulls.residuals, settings.constancy) if findings else []
-    inconstant = [one for one in tested if one.p < settings.constancy.level]
-    withdrawn = bool(findings) and (not _explains_enough(misfit, found, settings.nulls) or bool(inconstant))
+    enough = _explains_enough(misfit, found, settings.nulls)
+    withdrawn = bool(findings) and not (enough and all(one.holds for one in tested))
     if withdrawn:
         # At best the findings are the causes most similar to the true one.
         findings, found = [], found.withdrawn(target)

@@ -114,7 +114,8 @@ class Cause(ABC):
     #: between the models, and the proof requires no least gain.
     always_fitted: ClassVar[bool] = False
 
-    #: Whether its change has one size in all parts of the data. That of a contact that opens or slides has not.
+    #: Whether its change has one size in all parts of the data. That of a contact that opens, or of what slips, has
+    #: not.
     constant: ClassVar[bool] = True
 
     #: Whether what it changes is no multiple of Young's modulus, as its free_parameters have it.

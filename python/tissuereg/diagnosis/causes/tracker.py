@@ -150,6 +150,7 @@ class SlipCause(Cause):
 
     id: ClassVar[str] = "marker_slip"
     discrete: ClassVar[tuple[str, ...]] = ("marker", "onset")
+    constant: ClassVar[bool] = False
 
     #: Prior deviation of a slip, mm.
     slip_mm: float = 1.0

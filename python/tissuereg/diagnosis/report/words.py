@@ -6,7 +6,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tissuereg.diagnosis.report.proved import gain_words
-from tissuereg.diagnosis.report.ranking import chance, gloss, plain_name, possible_words, probable, separated
+from tissuereg.diagnosis.report.ranking import (
+    chance,
+    gloss,
+    inconstant_words,
+    plain_name,
+    possible_words,
+    probable,
+    separated,
+)
 from tissuereg.diagnosis.understated import UNDERSTATED
 from tissuereg.report.markup import escape, table
 
@@ -60,7 +68,9 @@ def summary(found: "Diagnosis") -> str:
 def findings(found: "Diagnosis") -> str:
     """Return every finding with its parameters and evidence, as HTML."""
     parts = [_finding(finding) for finding in found.findings] or ["<p>No cause was accepted.</p>"]
-    return "\n".join([*parts, *(f"<p>{escape(possible_words(one))}</p>" for one in found.possible)])
+    said = [inconstant_words(one.to_json()) for one in found.constancy if not one.holds]
+    said += [possible_words(one) for one in found.possible]
+    return "\n".join([*parts, *(f"<p>{escape(sentence)}</p>" for sentence in said)])
 
 
 def ties(found: "Diagnosis") -> str:
