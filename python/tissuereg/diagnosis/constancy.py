@@ -24,6 +24,7 @@ from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.causes import CAUSES
 from tissuereg.diagnosis.evidence import Null, log_mean_exp, tail_probability
 from tissuereg.diagnosis.fit import Fit, FitTarget, predicted
+from tissuereg.diagnosis.nuisances import effect_nuisances
 from tissuereg.diagnosis.patterns import load_history
 from tissuereg.diagnosis.settings import DEFAULT, ConstancySettings
 from tissuereg.diagnosis.signals import CasePart, SignalLayout
@@ -116,25 +117,37 @@ class Left:
 
 
 def constancies(
-    target: FitTarget, found: Fit, null: Null, draws: FloatArray, settings: ConstancySettings = DEFAULT.constancy
+    target: FitTarget, found: Fit, null: Null, draws: FloatArray, seed: int, settings: ConstancySettings
 ) -> list[Constancy]:
     """Return the constancy test of every cause of a fit that has one, in their order.
 
     `target`: data and model of the fit; `found`: fit with causes; `null`: covariance of noise and nuisances, the
-    modulus included; `draws` (n, size): residuals of data without any effect, whitened by it (`draw_nulls`). Causes
-    whose change has not one size (`Cause.constant`) or that have no parameters are not tested.
+    modulus included; `draws` (n, size): residuals of data without any effect, whitened by it (`draw_nulls`); `seed`:
+    seed of further draws. Causes whose change has not one size (`Cause.constant`) or that have no parameters are not
+    tested. The other causes may be off in their form, as when a further cause is looked for.
     """
     bench = target.bench
     parts = partitions(bench.experiment, bench.layout, bench.base)
     slopes = target.white(found.jacobian) * found.deviation[:, None]
-    left = Left.of(null.reduced(found.residual), draws, null.reduced(slopes))
+    changes = [found.prediction - predicted(target, found, without=number) for number in range(len(found.parts))]
     tested = []
     for number, (name, mine) in enumerate(zip(found.ids, found.slices(), strict=True)):
-        if CAUSES[name].constant and mine.start < mine.stop:
-            change = target.white(found.prediction - predicted(target, found, without=number))
-            judged = left.test(change, slopes[mine], parts, null.reduced, settings)
-            if judged is not None:
-                tested.append(Constancy(name, *judged, settings.level))
+        if not CAUSES[name].constant or mine.start == mine.stop:
+            continue
+        others = [effect_nuisances(bench, change) for i, change in enumerate(changes) if i != number]
+        errors = null.reduced(target.white(np.concatenate([np.zeros((0, bench.layout.size)), *others])))
+        beside = Null(errors)
+        generator = np.random.default_rng([seed, 11, number])
+
+        def reduced(white: FloatArray, beside: Null = beside) -> FloatArray:
+            """Whiten by all nuisances what the noise has whitened."""
+            return beside.reduced(null.reduced(white))
+
+        drawn = beside.reduced(draws + generator.standard_normal((len(draws), len(errors))) @ errors)
+        left = Left.of(reduced(found.residual), drawn, reduced(slopes))
+        judged = left.test(target.white(changes[number]), slopes[mine], parts, reduced, settings)
+        if judged is not None:
+            tested.append(Constancy(name, *judged, settings.level))
     return tested
 
 

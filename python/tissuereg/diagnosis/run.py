@@ -197,7 +197,9 @@ def _judged(
     findings = findings_of(target, screen, found, nulls.thresholds)
     findings = [finding for finding in findings if not (silent and finding.id == "stiffness")]
     best = found.final
-    tested = constancies(found.target or target, best, null, nulls.residuals, settings.constancy) if findings else []
+    tested = (
+        constancies(found.target or target, best, null, nulls.residuals, seed, settings.constancy) if findings else []
+    )
     enough = _explains_enough(misfit, found, settings.nulls)
     withdrawn = bool(findings) and not (enough and all(one.holds for one in tested))
     if withdrawn:
