@@ -1,14 +1,25 @@
 """Constancy of a cause: partitions of the data, phases of a load, and the test on data of a known kind."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from tissuereg.diagnosis.constancy import Left, partitions, phases
+import tissuereg as tr
+from support import targets
+from support.rig_folders import write_rig
+from tissuereg.cli import main
+from tissuereg.diagnosis import constancy, run
+from tissuereg.diagnosis.causes import CAUSES
+from tissuereg.diagnosis.constancy import AfterFit, Constancy, constancies, partitions, phases
 from tissuereg.diagnosis.evidence import Null, tail_probability
-from tissuereg.diagnosis.settings import ConstancySettings
+from tissuereg.diagnosis.fit import fit
+from tissuereg.diagnosis.nuisances import effect_nuisances
+from tissuereg.diagnosis.report.words import findings
+from tissuereg.diagnosis.settings import DEFAULT, ConstancySettings
 from tissuereg.diagnosis.signals import SignalLayout
+from tissuereg.experiment.effects import Latency, Poisson
 from tissuereg.experiment.experiment import Actuator, Case
 
 RAMP = np.r_[0.0, 0.0, 0.5, 1.0, 1.0, 1.0, 1.0, 1.0, 0.5, 0.0, 0.0]
@@ -97,7 +108,7 @@ def data(rig, seed, unlike):
     rows = rng.standard_normal((301, layout.size)) + rng.standard_normal((301, 3)) @ null.nuisances
     rows[0] += unlike * (layout.of_case("second") - 0.5) * change
     reduced = null.reduced(rows)
-    left = Left.of(reduced[0], reduced[1:], null.reduced(change[None]))
+    left = AfterFit.of(reduced[0], reduced[1:], null.reduced(change[None]))
     return left, change, partitions(experiment, layout, base), null.reduced
 
 
@@ -125,7 +136,7 @@ def test_an_inconstancy_of_one_parameter_alone_is_found(rig):
     rng = np.random.default_rng(9)
     columns = np.stack([change, 30.0 * rng.standard_normal(layout.size) / np.sqrt(layout.size)])
     extra = 0.5 * (layout.of_case("first") - 0.5) * columns[1]
-    own = Left.of(left.residual + reduced(extra), left.draws, reduced(columns))
+    own = AfterFit.of(left.residual + reduced(extra), left.draws, reduced(columns))
     p, differs_by = own.test(change, columns, parts, reduced)
     assert p < 1e-3
     assert differs_by == "load case"
@@ -135,7 +146,7 @@ def test_an_inconstancy_of_one_parameter_alone_is_found(rig):
 def test_what_the_parameters_themselves_change_is_no_inconstancy(rig):
     left, change, parts, reduced = data(rig, 0, 0.0)
     everything = np.concatenate([change * weights for weights in parts.values()])
-    own = Left.of(left.residual, left.draws, reduced(everything))
+    own = AfterFit.of(left.residual, left.draws, reduced(everything))
     assert own.test(change, change[None], parts, reduced) is None
     assert np.abs(own.draws @ own.own.T).max() < 1e-9
 
@@ -150,3 +161,78 @@ def test_a_tail_goes_on_beyond_the_draws():
     assert tail_probability(0.0, drawn) == pytest.approx(1.0 - np.exp(-1.0), abs=0.03)
     assert tail_probability(12.0, drawn) == pytest.approx(np.exp(-12.0), rel=0.5)
     assert tail_probability(float(drawn.max()) + 1e-9, drawn) <= 1.0 / 2000
+
+
+def judged_causes(truth, *parts, seed=0):
+    """Return the tests of causes that are fitted to data with other effects, by id."""
+    target = targets.target_of(*truth, marker_std=0.01)
+    found = fit(
+        target, [targets.part(target, *one) if isinstance(one, tuple) else targets.part(target, one) for one in parts]
+    )
+    by_modulus = target.white(target.bench.young_spread * target.bench.by_young[:1])
+    null = Null(np.where(target.bench.layout.seen, by_modulus, 0.0))
+    draws = np.stack([target.noise.draw(target.bench.layout, np.random.default_rng([2, k])) for k in range(300)])
+    drawn = null.reduced(draws + np.random.default_rng(3).standard_normal((300, 1)) @ null.nuisances)
+    return {one.id: one for one in constancies(target, found, null, drawn, seed, DEFAULT.constancy)}
+
+
+def test_a_true_cause_is_constant_and_one_that_stands_for_it_is_not():
+    right = judged_causes([Poisson(poisson=0.47)], "poisson")["poisson"]
+    assert right.holds
+    assert right.p > 0.01
+    wrong = judged_causes([Poisson(poisson=0.47)], "actuator_gain")["actuator_gain"]
+    assert not wrong.holds
+    assert wrong.p < 1e-6
+    assert wrong.to_json() == {"id": wrong.id, "p": wrong.p, "differs_by": wrong.differs_by, "holds": False}
+
+
+def test_each_of_two_causes_is_tested_beside_the_error_of_the_other(monkeypatch):
+    given = []
+
+    def noted(bench, change):
+        given.append(change)
+        return effect_nuisances(bench, change)
+
+    monkeypatch.setattr(constancy, "effect_nuisances", noted)
+    both = judged_causes([Poisson(poisson=0.47), Latency(latency_s=0.3)], "poisson", "latency")
+    assert set(both) == {"poisson", "latency"}
+    assert all(one.holds for one in both.values())
+    # The tracker's delay moves no force, and nothing at rest.
+    forces = ~SignalLayout(targets.rig()).of_markers()
+    assert [bool(np.abs(change[forces]).max() > 1e-9) for change in given] == [False, True]
+
+
+@pytest.mark.parametrize("name", ["marker_slip", "sliding", "detachment"])
+def test_what_begins_to_act_somewhere_is_not_tested(name):
+    assert not CAUSES[name].constant
+    if name == "marker_slip":
+        assert judged_causes([Poisson(poisson=0.47)], name) == {}
+
+
+def test_an_inconstant_cause_is_said_on_the_page_and_no_finding(tmp_path, monkeypatch):
+    given, asked = [], []
+
+    def judged(*arguments):
+        asked.append(arguments[-1])
+        return [Constancy("latency", given[-1], "time", 0.001)]
+
+    monkeypatch.setattr(run, "constancies", judged)
+    rig = write_rig(tmp_path / "rig", "sets")
+    main(["simulate", str(rig), "--plain", "--noise", "--seed", "1", "--out", str(tmp_path / "made"), "--quiet"])
+    made, late = tr.read_experiment(tmp_path / "made"), Latency(latency_s=0.4)
+    cases = {
+        name: replace(case, markers=late.seen(case.markers, case.times, made.marker_names))
+        for name, case in made.cases.items()
+    }
+    experiment = replace(made, cases=cases)
+    given.append(0.5)
+    stated = tr.diagnose(experiment, keep=False)
+    assert [one.id for one in stated.findings] == ["latency"]
+    assert stated.to_json()["constancy"] == [{"id": "latency", "p": 0.5, "differs_by": "time", "holds": True}]
+    given.append(1e-5)
+    found = tr.diagnose(experiment, keep=False)
+    assert (found.verdict, found.findings) == ("unexplained", ())
+    assert found.to_json()["constancy"][0]["holds"] is False
+    assert asked == [DEFAULT.constancy] * len(asked)
+    assert "its change differs by time (p = 1e-05)" in findings(found)
+    assert "its change differs" not in findings(stated)

@@ -58,7 +58,7 @@ class Constancy:
 
 
 @dataclass(frozen=True, eq=False)
-class Left:
+class AfterFit:
     """What a fitted model leaves of the data, without all that its own parameters and the modulus can change.
 
     `residual` (size,), `draws` (n, size): of the data, and of data in which nothing but noise and nuisances is left,
@@ -70,7 +70,7 @@ class Left:
     own: FloatArray
 
     @classmethod
-    def of(cls, residual: FloatArray, draws: FloatArray, slopes: FloatArray) -> "Left":
+    def of(cls, residual: FloatArray, draws: FloatArray, slopes: FloatArray) -> "AfterFit":
         """Return what is left of a residual and of draws, given the changes (k, size) by the parameters."""
         own = _orthonormal(slopes, _LEAST)
         return cls(_beside(residual, own), _beside(draws, own), own)
@@ -144,7 +144,7 @@ def constancies(
             return beside.reduced(null.reduced(white))
 
         drawn = beside.reduced(draws + generator.standard_normal((len(draws), len(errors))) @ errors)
-        left = Left.of(reduced(found.residual), drawn, reduced(slopes))
+        left = AfterFit.of(reduced(found.residual), drawn, reduced(slopes))
         judged = left.test(target.white(changes[number]), slopes[mine], parts, reduced, settings)
         if judged is not None:
             tested.append(Constancy(name, *judged, settings.level))
@@ -238,4 +238,4 @@ def _beside(rows: FloatArray, own: FloatArray) -> FloatArray:
     return np.asarray(rows - (rows @ own.T) @ own)
 
 
-__all__ = ["Constancy", "Left", "constancies", "partitions", "phases"]
+__all__ = ["Constancy", "AfterFit", "constancies", "partitions", "phases"]

@@ -114,7 +114,7 @@ def understated(experiment: Experiment, noise: Noise, settings: NoiseSettings) -
 
 
 @dataclass(frozen=True)
-class _Spread:
+class _NoiseSize:
     """The noise of a channel: its `variance` over the assumed one, from so many degrees of `freedom`; 0 without any."""
 
     variance: float
@@ -123,7 +123,7 @@ class _Spread:
 
 def _channels(
     rows: FloatArray, residual: FloatArray, layout: SignalLayout, settings: NoiseSettings
-) -> tuple[_Spread, _Spread]:
+) -> tuple[_NoiseSize, _NoiseSize]:
     """Return the noise of markers and forces in the part of a residual (size,) that the rows (k, size) cannot change.
 
     Rows that act on both carry the noise of one into the left-over of the other, unless both are in units of their own
@@ -131,7 +131,7 @@ def _channels(
     """
     markers, groups = layout.of_markers(), _rows_of_markers(layout)
     span, scale = orthonormal(rows), np.ones(layout.size)
-    of_markers = of_forces = _Spread(1.0, 0.0)
+    of_markers = of_forces = _NoiseSize(1.0, 0.0)
     for _ in range(_MOST_ROUNDS):
         basis, white = np.linalg.qr((span / scale).T)[0].T, residual / scale
         squares = (scale * (white - (white @ basis.T) @ basis)) ** 2
@@ -144,7 +144,7 @@ def _channels(
     return of_markers, of_forces
 
 
-def _pooled(squares: FloatArray, freedom: FloatArray, groups: list[BoolArray], settings: NoiseSettings) -> _Spread:
+def _pooled(squares: FloatArray, freedom: FloatArray, groups: list[BoolArray], settings: NoiseSettings) -> _NoiseSize:
     """Return the noise of a channel, from the squares and degrees of freedom (size,) of its numbers.
 
     `groups`: masks (size,) of the numbers that are pooled before the median is taken.
@@ -152,12 +152,12 @@ def _pooled(squares: FloatArray, freedom: FloatArray, groups: list[BoolArray], s
     sums = [(float(squares[rows].sum()), float(freedom[rows].sum())) for rows in groups]
     enough = [(q, n) for q, n in sums if n >= settings.least_freedom]
     if not enough:
-        return _Spread(1.0, 0.0)
+        return _NoiseSize(1.0, 0.0)
     variance = float(np.median([q / chi2.median(n) for q, n in enough]))
-    return _Spread(max(variance, _LEAST_VARIANCE), sum(n for _, n in enough))
+    return _NoiseSize(max(variance, _LEAST_VARIANCE), sum(n for _, n in enough))
 
 
-def _larger(found: _Spread, settings: NoiseSettings, before: float = 1.0) -> tuple[float, float] | None:
+def _larger(found: _NoiseSize, settings: NoiseSettings, before: float = 1.0) -> tuple[float, float] | None:
     """Return the factor on the assumed standard deviation and the evidence against the stated one, nats.
 
     `before`: the assumed standard deviation over the stated one. None where the noise is not larger than assumed.
