@@ -143,6 +143,12 @@ def test_an_inconstancy_of_one_parameter_alone_is_found(rig):
     assert own.test(change, columns[:1], parts, reduced)[0] > 0.01
 
 
+def test_the_size_of_the_noise_counts_for_nothing(rig):
+    left, change, parts, reduced = data(rig, 4, 0.3)
+    louder = AfterFit(1.3 * left.residual, left.draws, left.own)
+    assert louder.test(change, change[None], parts, reduced) == left.test(change, change[None], parts, reduced)
+
+
 def test_what_the_parameters_themselves_change_is_no_inconstancy(rig):
     left, change, parts, reduced = data(rig, 0, 0.0)
     everything = np.concatenate([change * weights for weights in parts.values()])
@@ -200,6 +206,22 @@ def test_each_of_two_causes_is_tested_beside_the_error_of_the_other(monkeypatch)
     # The tracker's delay moves no force, and nothing at rest.
     forces = ~SignalLayout(targets.rig()).of_markers()
     assert [bool(np.abs(change[forces]).max() > 1e-9) for change in given] == [False, True]
+
+
+def test_data_are_drawn_with_the_error_of_the_other_cause_too(monkeypatch):
+    drawn, direction = [], np.zeros(SignalLayout(targets.rig()).size)
+    direction[:7] = 0.5
+
+    def noted(residual, draws, slopes):
+        drawn.append(draws)
+        return AfterFit(residual, draws, np.zeros((0, len(residual))))
+
+    monkeypatch.setattr(constancy, "effect_nuisances", lambda bench, change: direction[None])
+    monkeypatch.setattr(constancy.AfterFit, "of", noted)
+    judged_causes([Poisson(poisson=0.47), Latency(latency_s=0.3)], "poisson", "latency")
+    for draws in drawn:
+        # The error is fifty noise deviations long; whitened by it too, the draws have unit variance along it.
+        assert np.std(draws @ direction / np.linalg.norm(direction)) == pytest.approx(1.0, abs=0.15)
 
 
 @pytest.mark.parametrize("name", ["marker_slip", "sliding", "detachment"])
