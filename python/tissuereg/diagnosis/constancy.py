@@ -124,7 +124,8 @@ def constancies(
     `target`: data and model of the fit; `found`: fit with causes; `null`: covariance of noise and nuisances, the
     modulus included; `draws` (n, size): residuals of data without any effect, whitened by it (`draw_nulls`); `seed`:
     seed of further draws. Causes whose change has not one size (`Cause.constant`) or that have no parameters are not
-    tested. The other causes may be off in their form, as when a further cause is looked for.
+    tested. Each cause may be off in its form, by `NuisanceSettings.effect_error` in any part of the data, and the others
+    as when a further cause is looked for.
     """
     bench = target.bench
     parts = partitions(bench.experiment, bench.layout, bench.base)
@@ -134,8 +135,10 @@ def constancies(
     for number, (name, mine) in enumerate(zip(found.ids, found.slices(), strict=True)):
         if not CAUSES[name].constant or mine.start == mine.stop:
             continue
-        others = [effect_nuisances(bench, change) for i, change in enumerate(changes) if i != number]
-        errors = null.reduced(target.white(np.concatenate([np.zeros((0, bench.layout.size)), *others])))
+        others = [target.white(effect_nuisances(bench, other)) for i, other in enumerate(changes) if i != number]
+        change = target.white(changes[number])
+        form = bench.settings.nuisances.effect_error * np.concatenate([change * weights for weights in parts.values()])
+        errors = null.reduced(np.concatenate([form, *others]))
         beside = Null(errors)
         generator = np.random.default_rng([seed, 11, number])
 
@@ -145,7 +148,7 @@ def constancies(
 
         drawn = beside.reduced(draws + generator.standard_normal((len(draws), len(errors))) @ errors)
         left = AfterFit.of(reduced(found.residual), drawn, reduced(slopes))
-        judged = left.test(target.white(changes[number]), slopes[mine], parts, reduced, settings)
+        judged = left.test(change, slopes[mine], parts, reduced, settings)
         if judged is not None:
             tested.append(Constancy(name, *judged, settings.level))
     return tested
@@ -238,4 +241,4 @@ def _beside(rows: FloatArray, own: FloatArray) -> FloatArray:
     return np.asarray(rows - (rows @ own.T) @ own)
 
 
-__all__ = ["Constancy", "AfterFit", "constancies", "partitions", "phases"]
+__all__ = ["AfterFit", "Constancy", "constancies", "partitions", "phases"]
