@@ -124,8 +124,8 @@ def constancies(
     `target`: data and model of the fit; `found`: fit with causes; `null`: covariance of noise and nuisances, the
     modulus included; `draws` (n, size): residuals of data without any effect, whitened by it (`draw_nulls`); `seed`:
     seed of further draws. Causes whose change has not one size (`Cause.constant`) or that have no parameters are not
-    tested. Each cause may be off in its form, by `NuisanceSettings.effect_error` in any part of the data, and the others
-    as when a further cause is looked for.
+    tested. Each may be off in its form, by `NuisanceSettings.effect_error` in any part of the data, and the others as
+    when a further cause is looked for.
     """
     bench = target.bench
     parts = partitions(bench.experiment, bench.layout, bench.base)
