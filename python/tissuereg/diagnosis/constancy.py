@@ -5,8 +5,8 @@ load case and too small in another, or during ramps and during holds. Partitions
 case, phase of the load, time, place, axis, channel and size of the load. In each partition the change c that the cause
 makes, weighted part by part, spans a subspace: a cause whose size differs from part to part would change the data in
 it. So do its columns J, if it has several parameters. Nuisances, the modulus and the cause's own parameters are
-projected out. With m orthonormal rows B and the residual z of unit root mean square, the evidence for changes of the
-size t is
+projected out. With m orthonormal rows B and the residual z, scaled down to the size of noise where it is larger, the
+evidence for changes of the size t is
 
     a2 t^2 / (2 (1 + t^2)) - m/2 log(1 + t^2),    a2 = |B z|^2;
 
@@ -103,8 +103,9 @@ class AfterFit:
         if not spaces:
             return None
         rows = np.concatenate([self.residual[None], self.draws])
-        # The size of the noise is uncertain.
-        rows = rows / np.sqrt((rows**2).mean(axis=1, keepdims=True))
+        # The size of the noise is uncertain. A residual below it is none the more inconstant for that.
+        rms = np.sqrt((rows**2).mean(axis=1, keepdims=True))
+        rows = rows / np.maximum(rms / np.median(rms[1:]), 1.0)
         sizes = np.square(settings.sizes)
         found = []
         for _, basis in spaces:
@@ -124,8 +125,8 @@ def constancies(
     `target`: data and model of the fit; `found`: fit with causes; `null`: covariance of noise and nuisances, the
     modulus included; `draws` (n, size): residuals of data without any effect, whitened by it (`draw_nulls`); `seed`:
     seed of further draws. Causes whose change has not one size (`Cause.constant`) or that have no parameters are not
-    tested. Each may be off in its form, by `NuisanceSettings.effect_error` in any part of the data, and the others as
-    when a further cause is looked for.
+    tested. Each may be off in its form by a share of its change in any part of the data, and the others as when a
+    further cause is looked for.
     """
     bench = target.bench
     parts = partitions(bench.experiment, bench.layout, bench.base)
@@ -137,7 +138,7 @@ def constancies(
             continue
         others = [target.white(effect_nuisances(bench, other)) for i, other in enumerate(changes) if i != number]
         change = target.white(changes[number])
-        form = bench.settings.nuisances.effect_error * np.concatenate([change * weights for weights in parts.values()])
+        form = settings.form_error * np.concatenate([change * weights for weights in parts.values()])
         errors = null.reduced(np.concatenate([form, *others]))
         beside = Null(errors)
         generator = np.random.default_rng([seed, 11, number])

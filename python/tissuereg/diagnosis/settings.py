@@ -172,6 +172,8 @@ class ConstancySettings:
     level: float = 0.001
     #: Sizes of inconstant changes that are tried, in noise deviations.
     sizes: tuple[float, ...] = (2.0, 5.0, 15.0)
+    #: A true cause may be off in its form by this share of its change, in any part of the data.
+    form_error: float = 0.03
     #: Changes in a part of the data count if they exceed this share of the whole change.
     least_change: float = 0.05
     #: Directions count whose singular value exceeds this share of the largest.
