@@ -145,8 +145,11 @@ def test_an_inconstancy_of_one_parameter_alone_is_found(rig):
 
 def test_the_size_of_the_noise_counts_for_nothing(rig):
     left, change, parts, reduced = data(rig, 4, 0.3)
-    louder = AfterFit(1.3 * left.residual, left.draws, left.own)
-    assert louder.test(change, change[None], parts, reduced) == left.test(change, change[None], parts, reduced)
+    loud, louder = (AfterFit(size * left.residual, left.draws, left.own) for size in (1.3, 2.0))
+    p, _ = loud.test(change, change[None], parts, reduced)
+    assert louder.test(change, change[None], parts, reduced)[0] == pytest.approx(p, rel=1e-6)
+    # A residual below the noise speaks against no cause.
+    assert AfterFit(0.3 * left.residual, left.draws, left.own).test(change, change[None], parts, reduced)[0] > 0.3
 
 
 def test_what_the_parameters_themselves_change_is_no_inconstancy(rig):
