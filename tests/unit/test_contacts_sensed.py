@@ -101,7 +101,7 @@ def test_a_function_is_made_once_of_each_kept_row():
     found = sensed_of(kept, every).image("counted", counted)
     assert made == [2, 2, 1]
     assert np.array_equal(found, true_sensitivities(every).body_force)
-    # One that is not kept is made of what is asked for alone.
+    # Values that are not kept are computed for the rows that are asked for, and for no others.
     made.clear()
     sensed_of(kept, GROUPS[0]).image(None, counted)
     assert made == [2]

@@ -56,7 +56,7 @@ def rig():
 
 def test_phases_of_a_ramp_with_a_hold(rig):
     experiment, layout, _ = rig
-    found = phases(experiment.cases["first"], layout["first"])
+    found = phases(experiment.cases["first"], layout["first"], 0.02)
     assert {name: np.flatnonzero(frames).tolist() for name, frames in found.items()} == {
         "before": [0, 1],
         "growing": [2, 3],
@@ -69,7 +69,7 @@ def test_phases_of_a_ramp_with_a_hold(rig):
 
 def test_a_case_without_load_is_before_it():
     case = Case("rest", np.arange(4.0), np.zeros((4, 1, 3)))
-    found = phases(case, SimpleNamespace(n_frames=4))
+    found = phases(case, SimpleNamespace(n_frames=4), 0.02)
     assert list(found) == ["before"]
     assert found["before"].tolist() == [1.0] * 4
 

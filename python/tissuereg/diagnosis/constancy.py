@@ -129,7 +129,7 @@ def constancies(
     further cause is looked for.
     """
     bench = target.bench
-    parts = partitions(bench.experiment, bench.layout, bench.base)
+    parts = partitions(bench.experiment, bench.layout, bench.base, settings)
     slopes = target.white(found.jacobian) * found.deviation[:, None]
     changes = [found.prediction - predicted(target, found, without=number) for number in range(len(found.parts))]
     tested = []
@@ -155,7 +155,9 @@ def constancies(
     return tested
 
 
-def partitions(experiment: Experiment, layout: SignalLayout, base: FloatArray) -> dict[str, FloatArray]:
+def partitions(
+    experiment: Experiment, layout: SignalLayout, base: FloatArray, settings: ConstancySettings = DEFAULT.constancy
+) -> dict[str, FloatArray]:
     """Return the partitions of the data, by name, each as weights (k, size) of all measured numbers.
 
     `experiment`: with the commands of its cases; `layout`: order of the data; `base` (size,): prediction of the
@@ -172,7 +174,7 @@ def partitions(experiment: Experiment, layout: SignalLayout, base: FloatArray) -
     force, load = np.zeros((1, size)), np.zeros((2, size))
     for number, part in enumerate(parts):
         cases[number, part.begin : part.end] = 1.0
-        for name, frames in phases(experiment.cases[part.name], part).items():
+        for name, frames in phases(experiment.cases[part.name], part, settings.least_load).items():
             _put(by_phase.setdefault(name, np.zeros(size)), part, frames)
         own = (part.times - part.times[0]) / max(float(part.times[-1] - part.times[0]), 1e-9)
         _put(time[0], part, (part.times - begin) / span - 0.5)
@@ -196,7 +198,7 @@ def partitions(experiment: Experiment, layout: SignalLayout, base: FloatArray) -
     }
 
 
-def phases(case: Case, part: CasePart, least: float = 0.02) -> dict[str, FloatArray]:
+def phases(case: Case, part: CasePart, least: float) -> dict[str, FloatArray]:
     """Return the frames of each phase of a case, 0 or 1 (n_frames,), by name.
 
     They are those before the load, in which it grows, the first and second half of every hold, in which it falls, and

@@ -174,6 +174,8 @@ class ConstancySettings:
     sizes: tuple[float, ...] = (2.0, 5.0, 15.0)
     #: A true cause may be off in its form by this share of its change, in any part of the data.
     form_error: float = 0.03
+    #: Commands below this share of a case's largest are no load.
+    least_load: float = 0.02
     #: Changes in a part of the data count if they exceed this share of the whole change.
     least_change: float = 0.05
     #: Directions count whose singular value exceeds this share of the largest.

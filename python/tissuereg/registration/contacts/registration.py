@@ -89,7 +89,7 @@ def register_by_contacts(
     renewal, tangent = found.renewal, found.fit.tangent
     if found.moments > 1:
         tangent.spent += max(0, found.fit.counters["iterations"] - settings.steps.renewed_needs)
-    if renewal is None and tangent.spent >= settings.steps.renew_at:
+    if renewal is None and found.moments > 1 and tangent.spent >= settings.steps.renew_at:
         sizes = math.ceil(body.simulator.body.n_unknowns / max(settings.steps.renewed_unknowns, 1))
         use = found.moments + sizes * settings.steps.renewed_after
         renewal = Renewal(found.fit, observed, given.targets.rows(), given.body.material, use)
