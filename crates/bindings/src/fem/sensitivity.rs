@@ -117,8 +117,7 @@ impl Linearised {
         let own = owner.body.clone();
         let work =
             move || Inner::in_precision(own, &material, &load, &displacement, &settings, precision);
-        let inner = lock::run_watched(py, &cancel, |_| Ok(()), work)?
-            .map_err(|error| errors::from_fem(py, &error, None))?;
+        let inner = watched(py, &cancel, work)?;
         Ok(Self { inner: Arc::new(RwLock::new(inner)), owner: owner.clone(), threads })
     }
 
@@ -135,14 +134,23 @@ impl Linearised {
     ) -> PyResult<T> {
         let (inner, cancel) = (self.inner.clone(), Arc::new(AtomicBool::new(false)));
         let flag = cancel.clone();
-        let watched = move || {
+        let work = move || {
             let mut inner = inner.write().unwrap_or_else(PoisonError::into_inner);
             inner.cancel_by(Some(flag));
             work(&inner)
         };
-        lock::run_watched(py, &cancel, |_| Ok(()), watched)?
-            .map_err(|error| errors::from_fem(py, &error, None))
+        watched(py, &cancel, work)
     }
+}
+
+/// Run work that Ctrl-C ends by a flag.
+fn watched<T: Send + 'static>(
+    py: Python<'_>,
+    cancel: &Arc<AtomicBool>,
+    work: impl FnOnce() -> Result<T, FemError> + Send + 'static,
+) -> PyResult<T> {
+    lock::run_watched(py, cancel, |_| Ok(()), work)?
+        .map_err(|error| errors::from_fem(py, &error, None))
 }
 
 #[pymethods]
@@ -241,8 +249,7 @@ impl Linearised {
         let work = move || {
             inner.read().unwrap_or_else(PoisonError::into_inner).solve_near(&load, &settings)
         };
-        let answer = lock::run_watched(py, &cancel, |_| Ok(()), work)?
-            .map_err(|error| errors::from_fem(py, &error, None))?;
+        let answer = watched(py, &cancel, work)?;
         Solution::new(py, answer, tolerance)
     }
 

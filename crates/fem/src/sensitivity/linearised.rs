@@ -196,11 +196,6 @@ impl<B: Borrow<Body> + Send + Sync> Linearised<B> {
         self.settings.cancel = flag;
     }
 
-    /// The flag that ends calls.
-    pub fn cancel_flag(&self) -> Option<Arc<AtomicBool>> {
-        self.settings.cancel.clone()
-    }
-
     /// Derivatives of displacement and reactions by each cause.
     ///
     /// # Errors
