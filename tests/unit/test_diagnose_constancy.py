@@ -172,7 +172,7 @@ def test_a_tail_goes_on_beyond_the_draws():
     assert tail_probability(float(drawn.max()) + 1e-9, drawn) <= 1.0 / 2000
 
 
-def judged_causes(truth, *parts, seed=0):
+def judged_causes(truth, *parts, seed=0, settings=DEFAULT.constancy):
     """Return the tests of causes that are fitted to data with other effects, by id."""
     target = targets.target_of(*truth, marker_std=0.01)
     found = fit(
@@ -182,7 +182,7 @@ def judged_causes(truth, *parts, seed=0):
     null = Null(np.where(target.bench.layout.seen, by_modulus, 0.0))
     draws = np.stack([target.noise.draw(target.bench.layout, np.random.default_rng([2, k])) for k in range(300)])
     drawn = null.reduced(draws + np.random.default_rng(3).standard_normal((300, 1)) @ null.nuisances)
-    return {one.id: one for one in constancies(target, found, null, drawn, seed, DEFAULT.constancy)}
+    return {one.id: one for one in constancies(target, found, null, drawn, seed, settings)}
 
 
 def test_a_true_cause_is_constant_and_one_that_stands_for_it_is_not():
@@ -193,6 +193,16 @@ def test_a_true_cause_is_constant_and_one_that_stands_for_it_is_not():
     assert not wrong.holds
     assert wrong.p < 1e-6
     assert wrong.to_json() == {"id": wrong.id, "p": wrong.p, "differs_by": wrong.differs_by, "holds": False}
+
+
+def test_a_form_that_may_be_off_explains_more():
+    found = [
+        judged_causes([Poisson(poisson=0.47)], "actuator_gain", settings=ConstancySettings(form_error=share))
+        for share in (0.0, 0.03, 0.3)
+    ]
+    exact, usual, loose = (one["actuator_gain"].p for one in found)
+    assert 1e3 * exact < usual
+    assert 1e3 * usual < loose
 
 
 def test_each_of_two_causes_is_tested_beside_the_error_of_the_other(monkeypatch):
