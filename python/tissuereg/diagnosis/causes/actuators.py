@@ -29,11 +29,7 @@ class GainCause(Cause):
     spread: float = 0.08
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return one hypothesis for each actuator that a case uses: its motion or force is multiplied by a gain.
-
-        `bench`: the simulation as believed. Columns of a hypothesis, shape (1, size), are the change of all `size`
-        measured numbers (markers in mm, forces in mN) by one prior standard deviation of the gain.
-        """
+        """Return one hypothesis for each actuator that a case uses: its motion or force is multiplied by a gain."""
         for pad in _present(bench):
             if bench.is_elastic and pad.kind == "displacement":
                 columns = bench.by(partial(_gains, pad), 1)
@@ -45,16 +41,11 @@ class GainCause(Cause):
             yield Variant(pad.name, self.spread * columns, {"actuator": pad.name})
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
-        """Return the one free parameter of the nonlinear fit: the gain minus one.
-
-        `bench`: the simulation as believed; `variant`: hypothesis that starts the fit; `amplitudes` (1,): its fitted
-        amplitudes, in prior standard deviations. The result has first guess, prior, step and effect of each parameter.
-        """
+        """Return the one free parameter of the nonlinear fit: the gain minus one."""
         name = str(variant.settings["actuator"])
         return free_parameters(
             [(self.spread * float(amplitudes[0]), 0.0, self.spread, 0.01)],
             lambda x, young: (ActuatorGain(actuator=name, gain=1.0 + float(x[0])),),
-            lambda x, young: {"actuator": name, "gain": 1.0 + float(x[0])},
         )
 
     def sentence(self, values: Values) -> str:
@@ -75,9 +66,7 @@ class DirectionCause(Cause):
     def variants(self, bench: Bench) -> Iterable[Variant]:
         """Return one hypothesis for each actuator that a case uses: its motion or force is rotated.
 
-        `bench`: the simulation as believed. Columns of a hypothesis, shape (2, size), are the change of all `size`
-        measured numbers (markers in mm, forces in mN) by one prior standard deviation of each of two angles, about axes
-        perpendicular to the motion.
+        It is rotated by two angles, about axes perpendicular to the motion.
         """
         for pad in _present(bench):
             across = _across(bench, pad)
@@ -93,16 +82,11 @@ class DirectionCause(Cause):
             yield Variant(pad.name, self.spread_deg * columns, {"actuator": pad.name, "across": across})
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
-        """Return two free parameters: angles in degrees about two axes perpendicular to the motion.
-
-        `bench`: the simulation as believed; `variant`: hypothesis that starts the fit; `amplitudes` (2,): its fitted
-        amplitudes, in prior standard deviations. The result has first guess, prior, step and effect of each parameter.
-        """
+        """Return two free parameters: angles in degrees about two axes perpendicular to the motion."""
         name, across = str(variant.settings["actuator"]), np.asarray(variant.settings["across"])
         return free_parameters(
             [(self.spread_deg * float(a), 0.0, self.spread_deg, 0.5) for a in amplitudes],
             lambda x, young: (ActuatorDirection(actuator=name, rotation_deg=three(x @ across)),),
-            lambda x, young: {"actuator": name, "rotation_deg": (x @ across).tolist()},
         )
 
     def sentence(self, values: Values) -> str:
@@ -125,10 +109,9 @@ class OffsetCause(Cause):
     def variants(self, bench: Bench) -> Iterable[Variant]:
         """Return up to two hypotheses for each actuator that a case uses: offset of its motion, or shift of its patch.
 
-        `bench`: the simulation as believed. Columns of a hypothesis, shape (3, size), are the change of all `size`
-        measured numbers (markers in mm, forces in mN) by one prior standard deviation of each offset along x, y and z,
-        or of each of two shifts along the surface; the third column of a shift is zero. The offset is tried only for
-        prescribed displacements of a body without memory.
+        Columns (3, size): changes by one prior standard deviation of each offset along x, y and z, or of each of two
+        shifts along the surface; the third column of a shift is zero. The offset is tried only for prescribed
+        displacements of a body without memory.
         """
         for pad in _present(bench):
             if pad.kind == "displacement" and bench.is_elastic:
@@ -144,23 +127,17 @@ class OffsetCause(Cause):
                 yield Variant(f"{pad.name} patch", columns, settings)
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
-        """Return the offset of the motion (three parameters), or the shift along the surface (two), in mm.
-
-        `bench`: the simulation as believed; `variant`: hypothesis that starts the fit; `amplitudes` (3,): its fitted
-        amplitudes, in prior standard deviations. The result has first guess, prior, step and effect of each parameter.
-        """
+        """Return the offset of the motion (three parameters), or the shift along the surface (two), in mm."""
         name = str(variant.settings["actuator"])
         if variant.settings["kind"] == "motion":
             return free_parameters(
                 [(self.spread_mm * float(a), 0.0, self.spread_mm, 0.05) for a in amplitudes],
                 lambda x, young: (ActuatorOffset(actuator=name, offset_mm=three(x)),),
-                lambda x, young: {"actuator": name, "offset_mm": x.tolist()},
             )
         along = np.asarray(variant.settings["along"])
         moved = free_parameters(
             [(self.patch_mm * float(a), 0.0, self.patch_mm, 0.5 * self.patch_mm) for a in amplitudes[:2]],
             lambda x, young: (ActuatorOffset(actuator=name, shift_mm=three(x @ along)),),
-            lambda x, young: {"actuator": name, "shift_mm": (x @ along).tolist()},
         )
         # On the user's mesh a patch can be shifted by whole nodes only.
         return replace(moved, columns=variant.columns[:2] / self.patch_mm)

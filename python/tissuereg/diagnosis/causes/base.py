@@ -7,7 +7,7 @@ normal priors, from which the effects of a simulation and the parameters of the 
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
@@ -172,24 +172,45 @@ class Cause(ABC):
         """
         return ()
 
+    def believed(self, bench: Bench) -> bool:
+        """Return whether the believed model has an effect of this cause already."""
+        return any(effect.id == self.id for effect in bench.experiment.effects)
+
     @abstractmethod
     def sentence(self, values: Values) -> str:
         """Return the finding as a sentence; `values`: its fitted parameters by key of the ``[[effect]]`` table."""
 
 
+def simulated(bench: Bench, tried: Iterable[tuple[str, Effect, Mapping[str, Any]]]) -> Iterator[Variant]:
+    """Yield a hypothesis of positive amplitude, whose column is simulated, for each of some effects.
+
+    `tried`: label, effect and settings of each hypothesis; effects that do not apply, or with which the body has no
+    equilibrium, have none.
+    """
+    every = list(tried)
+    changes = bench.changes([[effect] for _, effect, _ in every])
+    for (label, _, settings), changed in zip(every, changes, strict=True):
+        if changed is not None:
+            yield Variant(label, changed[None], settings, positive=True)
+
+
 def free_parameters(
     coordinates: Iterable[tuple[float, float, float, float]],
     effects: Callable[[FloatArray, float], tuple[Effect, ...]],
-    values: Callable[[FloatArray, float], Values],
+    values: Callable[[FloatArray, float], Values] | None = None,
 ) -> FreeParameters:
     """Return k free parameters of a cause from four numbers for each: first guess, prior mean, deviation and step.
 
     `coordinates`: k rows of these numbers; the deviation is the prior standard deviation, the step that of difference
     quotients. `effects`, `values`: functions of the parameters (k,) and the body's Young's modulus in kPa; they return
-    the changes of a simulation and the physical parameters of the answer.
+    the changes of a simulation and the physical parameters of the answer, by default the keys of the effect's table.
     """
-    start, mean, deviation, step = np.array(list(coordinates), np.float64).T
-    return FreeParameters(start, mean, deviation, effects, values, step)
+
+    def stated(x: FloatArray, young: float) -> Values:
+        return {key: value for key, value in effects(x, young)[0].table().items() if key != "id"}
+
+    start, mean, deviation, step = np.array(list(coordinates), np.float64).reshape(-1, 4).T
+    return FreeParameters(start, mean, deviation, effects, values or stated, step)
 
 
 def three(vector: FloatArray | Sequence[float]) -> tuple[float, float, float]:

@@ -17,6 +17,7 @@ from tissuereg.diagnosis.causes.base import (
     free_parameters,
     logistic,
     logit,
+    simulated,
 )
 from tissuereg.experiment.effects import Detachment
 from tissuereg.experiment.effects.supports import freeing_shares, node_areas
@@ -43,27 +44,28 @@ class DetachmentCause(Cause):
     def variants(self, bench: Bench) -> Iterable[Variant]:
         """Return one hypothesis for each support, direction of the detached rim and detached share of the area.
 
-        `bench`: the simulation as believed. Columns of a hypothesis, shape (1, size), are the change of all `size`
-        measured numbers (markers in mm, forces in mN) by the detachment of that share, simulated. Choices at which no
-        node is freed or no equilibrium exists are left out.
+        Choices at which no node is freed or no equilibrium exists are left out.
         """
         names = [boundary.name for boundary in bench.experiment.boundaries]
         azimuths = [(share, 360.0 * turn / count) for share, count in self.directions for turn in range(count)]
-        tried = [(name, share, azimuth) for name in names for share, azimuth in azimuths]
-        # None for a boundary that is too coarse to lose a node at this share.
-        changes = bench.changes([[Detachment(boundary=b, azimuth_deg=a, share=s)] for b, s, a in tried])
-        for (name, share, azimuth), changed in zip(tried, changes, strict=True):
-            if changed is not None:
-                settings = {"boundary": name, "azimuth": azimuth, "share": share}
-                yield Variant(f"{name} {azimuth:.0f} deg {share:g}", changed[None], settings, positive=True)
+        return simulated(
+            bench,
+            (
+                (
+                    f"{name} {azimuth:.0f} deg {share:g}",
+                    Detachment(boundary=name, azimuth_deg=azimuth, share=share),
+                    {"boundary": name, "azimuth": azimuth, "share": share},
+                )
+                for name in names
+                for share, azimuth in azimuths
+            ),
+        )
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
         """Return two free parameters: direction of the rim (degrees from x to y) and logit of the detached share.
 
         A node is either free or held, so that a simulation on the user's mesh changes in jumps. The prediction is
         therefore interpolated between the two simulations whose edges lie at the nodes next to the detachment's edge.
-        `bench`: the simulation as believed; `variant`: hypothesis that starts the fit; `amplitudes` (1,): its fitted
-        amplitudes, in prior standard deviations. The result has first guess, prior, step and effect of each parameter.
         """
         name, share = str(variant.settings["boundary"]), float(variant.settings["share"])
         azimuth = float(variant.settings["azimuth"])
@@ -98,11 +100,6 @@ class DetachmentCause(Cause):
         found = free_parameters(
             [(azimuth, azimuth, 60.0, 5.0), (start, logit(0.08), 1.5, 0.2)],
             lambda x, young: (effect(x),),
-            lambda x, young: {
-                "boundary": name,
-                "azimuth_deg": float(x[0]),
-                "share": logistic(x[1]),
-            },
         )
         return replace(found, between=between, starts=np.array([(turn, share) for turn in turns for share in shares]))
 

@@ -8,7 +8,16 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.bench import Bench
-from tissuereg.diagnosis.causes.base import Cause, FreeParameters, Values, Variant, free_parameters, logistic, logit
+from tissuereg.diagnosis.causes.base import (
+    Cause,
+    FreeParameters,
+    Values,
+    Variant,
+    free_parameters,
+    logistic,
+    logit,
+    simulated,
+)
 from tissuereg.diagnosis.causes.relaxation import times_of
 from tissuereg.experiment.effects import Drainage
 
@@ -25,25 +34,16 @@ class DrainageCause(Cause):
     times: int = 6
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return one hypothesis for each of three time constants; none where no time passes or drainage is believed.
-
-        `bench`: the simulation as believed. Columns of a hypothesis, shape (1, size), are the change of all `size`
-        measured numbers (markers in mm, forces in mN) by drainage of a fixed share of the volumetric stress.
-        """
-        if bench.longest_case == 0.0 or any(effect.id == self.id for effect in bench.experiment.effects):
-            return
+        """Return one hypothesis for each of three time constants; none where no time passes or drainage is believed."""
+        if bench.longest_case == 0.0 or self.believed(bench):
+            return []
         times = times_of(bench, self.times)[1::2]
-        changes = bench.changes([[Drainage(share=self.share, tau_s=float(tau))] for tau in times])
-        for tau, changed in zip(times, changes, strict=True):
-            if changed is not None:
-                yield Variant(f"{tau:.2g} s", changed[None], {"tau": tau}, positive=True)
+        return simulated(
+            bench, ((f"{tau:.2g} s", Drainage(share=self.share, tau_s=float(tau)), {"tau": tau}) for tau in times)
+        )
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
-        """Return two free parameters: logit of the share that relaxes, and logarithm of the time constant in s.
-
-        `bench`: the simulation as believed; `variant`: hypothesis that starts the fit; `amplitudes` (1,): its fitted
-        amplitudes, in prior standard deviations. The result has first guess, prior, step and effect of each parameter.
-        """
+        """Return two free parameters: logit of the share that relaxes, and logarithm of the time constant in s."""
         tau, middle = float(variant.settings["tau"]), float(np.log(times_of(bench, self.times)).mean())
         return free_parameters(
             [
@@ -51,7 +51,6 @@ class DrainageCause(Cause):
                 (float(np.log(tau)), middle, 1.5, 0.1),
             ],
             lambda x, young: (Drainage(share=logistic(x[0]), tau_s=float(np.exp(x[1]))),),
-            lambda x, young: {"share": logistic(x[0]), "tau_s": float(np.exp(x[1]))},
         )
 
     def sentence(self, values: Values) -> str:

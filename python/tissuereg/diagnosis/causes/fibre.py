@@ -9,7 +9,7 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.bench import Bench
-from tissuereg.diagnosis.causes.base import Cause, FreeParameters, Values, Variant, free_parameters, three
+from tissuereg.diagnosis.causes.base import Cause, FreeParameters, Values, Variant, free_parameters, simulated, three
 from tissuereg.experiment.effects import Effect, Fibre
 
 
@@ -26,17 +26,12 @@ class FibreCause(Cause):
     def variants(self, bench: Bench) -> Iterable[Variant]:
         """Return one hypothesis for each of 13 fibre directions: the lines through neighbours in a cubic lattice.
 
-        `bench`: the simulation as believed. Columns of a hypothesis, shape (1, size), are the change of all `size`
-        measured numbers (markers in mm, forces in mN) by fibres of fixed stiffness. There is none where the believed
-        material has fibres.
+        Their stiffness is fixed. There is none where the believed material has fibres.
         """
         if bench.experiment.material.fibre is not None:
-            return
-        changes = bench.changes([[_effect(self.size, direction)] for direction in _lines()])
-        for direction, changed in zip(_lines(), changes, strict=True):
-            if changed is not None:
-                name = " ".join(f"{x:.2f}" for x in direction)
-                yield Variant(f"along {name}", changed[None], {"direction": direction}, positive=True)
+            return []
+        named = ((f"along {' '.join(f'{x:.2f}' for x in direction)}", direction) for direction in _lines())
+        return simulated(bench, ((name, _effect(self.size, way), {"direction": way}) for name, way in named))
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
         """Return three free parameters: the logarithm of the stiffness, and two rotations of the direction.

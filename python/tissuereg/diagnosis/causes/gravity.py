@@ -32,9 +32,8 @@ class GravityCause(Cause):
     def variants(self, bench: Bench) -> Iterable[Variant]:
         """Return one hypothesis, whose three amplitudes are the components of the change of the body's weight.
 
-        `bench`: the simulation as believed. Columns of a hypothesis, shape (3, size), are the change of all `size`
-        measured numbers (markers in mm, forces in mN) by one prior standard deviation of each component. The list is
-        empty where a simulation with a changed weight has no equilibrium.
+        Columns (3, size): changes by one prior standard deviation of each component. The list is empty where a
+        simulation with a changed weight has no equilibrium.
         """
         spread = self.unknown if bench.experiment.gravity is None else self.known
         if bench.is_elastic:
@@ -48,11 +47,7 @@ class GravityCause(Cause):
         return [Variant("weight", spread * columns, {"spread": spread})]
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
-        """Return three free parameters: the components of the gravity vector over standard gravity.
-
-        `bench`: the simulation as believed; `variant`: hypothesis that starts the fit; `amplitudes` (3,): its fitted
-        amplitudes, in prior standard deviations. The result has first guess, prior, step and effect of each parameter.
-        """
+        """Return three free parameters: the components of the gravity vector over standard gravity."""
         spread, believed = float(variant.settings["spread"]), _believed(bench)
         return free_parameters(
             [(float(b + spread * a), float(b), spread, 0.02) for a, b in zip(amplitudes, believed, strict=True)],

@@ -40,11 +40,9 @@ class InclusionCause(Cause):
     least_excess: float = 0.05
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return one hypothesis for each radius and each centre on a grid; none for a body with memory.
+        """Return one hypothesis, linear in the contrast, for each radius and each centre on a grid.
 
-        `bench`: the simulation as believed. Columns of a hypothesis, shape (1, size), are the change of all `size`
-        measured numbers (markers in mm, forces in mN) by one prior standard deviation of the contrast (modulus of the
-        ball over that around it), linearised.
+        There is none for a body with memory.
         """
         if not bench.is_elastic:
             return
@@ -60,9 +58,7 @@ class InclusionCause(Cause):
         The contrast is the ball's modulus over that around it; its strength is the logarithm of ``contrast - 1`` for a
         stiff ball, and the logit of ``1 - contrast`` for a soft one. A small ball of high contrast and a large one of
         low contrast have nearly the same effect. In the logarithms of the radius and of ``contrast - 1`` that valley of
-        the objective is straight, in that of the contrast it is not. `bench`: the simulation as believed; `variant`:
-        hypothesis that starts the fit; `amplitudes` (1,): its fitted amplitudes, in prior standard deviations. The
-        result has first guess, prior, step and effect of each parameter.
+        the objective is straight, in that of the contrast it is not.
         """
         centre, radius = np.asarray(variant.settings["centre"]), float(variant.settings["radius"])
         middle = bench.experiment.mesh.nodes.mean(axis=0)
@@ -81,10 +77,6 @@ class InclusionCause(Cause):
             size = float(np.exp(x[3]))
             return (Inclusion(centre_mm=three(x[:3]), semi_axes_mm=(size, size, size), contrast=contrast_of(x)),)
 
-        def values(x: FloatArray, young: float) -> Values:
-            size = float(np.exp(x[3]))
-            return {"centre_mm": x[:3].tolist(), "semi_axes_mm": [size] * 3, "contrast": contrast_of(x)}
-
         return free_parameters(
             [
                 *((float(centre[i]), float(middle[i]), float(wide[i]), float(step[i])) for i in range(3)),
@@ -92,7 +84,6 @@ class InclusionCause(Cause):
                 (strength, 0.0, 1.0, 0.05),
             ],
             effect,
-            values,
         )
 
     def sentence(self, values: Values) -> str:

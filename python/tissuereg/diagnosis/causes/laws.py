@@ -16,7 +16,16 @@ import numpy as np
 from tissuereg._base.arrays import FloatArray
 from tissuereg.body.laws import main_key, shape_of
 from tissuereg.diagnosis.bench import Bench
-from tissuereg.diagnosis.causes.base import Cause, FreeParameters, Values, Variant, free_parameters, logistic, logit
+from tissuereg.diagnosis.causes.base import (
+    Cause,
+    FreeParameters,
+    Values,
+    Variant,
+    free_parameters,
+    logistic,
+    logit,
+    simulated,
+)
 from tissuereg.experiment.effects import Asymmetry, Effect, Mooney, Stiffening
 
 
@@ -40,23 +49,19 @@ class LawCause(Cause):
     def variants(self, bench: Bench) -> Iterable[Variant]:
         """Return one hypothesis for each law and shape parameter tried; none unless the believed law is neo-Hookean.
 
-        `bench`: the simulation as believed. Columns of a hypothesis, shape (1, size), are the change of all `size`
-        measured numbers (markers in mm, forces in mN) by that law. Its energy of volume change is the one with which it
-        contains the believed law.
+        Its energy of volume change is the one with which it contains the believed law.
         """
-        for form in _forms(bench)[:1]:
-            changes = bench.changes([[self.effect(law, size, form)] for law, size in self.tried])
-            for (law, size), changed in zip(self.tried, changes, strict=True):
-                if changed is not None:
-                    settings = {"law": law, "size": size, "volumetric": form}
-                    yield Variant(f"{law} {size:g}", changed[None], settings, positive=True)
+        return simulated(
+            bench,
+            (
+                (f"{law} {size:g}", self.effect(law, size, form), {"law": law, "size": size, "volumetric": form})
+                for form in _forms(bench)[:1]
+                for law, size in self.tried
+            ),
+        )
 
     def alternatives(self, bench: Bench, variant: Variant) -> tuple[Variant, ...]:
-        """Return the hypothesis with the same law for each other form of the energy of volume change.
-
-        `bench`: the simulation as believed; `variant`: hypothesis that was screened; the ones returned, with the same
-        columns, are fitted beside it.
-        """
+        """Return the hypothesis with the same law for each other form of the energy of volume change."""
         return tuple(replace(variant, settings={**variant.settings, "volumetric": form}) for form in _forms(bench)[1:])
 
 
@@ -89,11 +94,7 @@ class MooneyCause(LawCause):
         return Mooney(law=law, volumetric=form, **shape_of(law, size))
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
-        """Return one free parameter: the logit of the share of the energy that follows the second invariant.
-
-        `bench`: the simulation as believed; `variant`: hypothesis that starts the fit; `amplitudes` (1,): its fitted
-        amplitudes, in prior standard deviations. The result has first guess, prior, step and effect of each parameter.
-        """
+        """Return one free parameter: the logit of the share of the energy that follows the second invariant."""
         form = str(variant.settings["volumetric"])
         return free_parameters(
             [(logit(0.5 * float(amplitudes[0])), 0.0, 1.5, 0.1)],
@@ -138,8 +139,6 @@ class AsymmetryCause(LawCause):
         """Return one free parameter: Ogden's exponent minus 2, or the logarithm of the stiffness ratio.
 
         The ratio is that of the bimodular law, of tension over compression; an exponent of 2 is the neo-Hookean law.
-        `bench`: the simulation as believed; `variant`: hypothesis that starts the fit; `amplitudes` (1,): its fitted
-        amplitudes, in prior standard deviations. The result has first guess, prior, step and effect of each parameter.
         """
         form, law = str(variant.settings["volumetric"]), str(variant.settings["law"])
         start = float(variant.settings["size"]) * min(max(float(amplitudes[0]), 0.1), 2.0)
@@ -158,8 +157,7 @@ class AsymmetryCause(LawCause):
     def alternatives(self, bench: Bench, variant: Variant) -> tuple[Variant, ...]:
         """Return the hypothesis with the same Ogden exponent for each other form of the energy of volume change.
 
-        There is none for a bimodular law. `bench`: the simulation as believed; `variant`: hypothesis that was screened;
-        the ones returned, with the same columns, are fitted beside it.
+        There is none for a bimodular law.
         """
         return () if variant.settings["law"] == "bimodular" else super().alternatives(bench, variant)
 
@@ -193,11 +191,7 @@ class StiffeningCause(LawCause):
         return Stiffening(law=law, volumetric=form, **shape_of(law, size))
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
-        """Return one free parameter: the logarithm of the law's first shape parameter, which is dimensionless.
-
-        `bench`: the simulation as believed; `variant`: hypothesis that starts the fit; `amplitudes` (1,): its fitted
-        amplitudes, in prior standard deviations. The result has first guess, prior, step and effect of each parameter.
-        """
+        """Return one free parameter: the logarithm of the law's first shape parameter, which is dimensionless."""
         law, size = str(variant.settings["law"]), float(variant.settings["size"])
         form = str(variant.settings["volumetric"])
         start = float(np.log(size * np.clip(amplitudes[0], 0.1, 3.0)))

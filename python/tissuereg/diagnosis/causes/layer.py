@@ -26,12 +26,7 @@ class LayerCause(Cause):
     spread: float = 1.5
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return one hypothesis for each of several thicknesses of the layer.
-
-        `bench`: the simulation as believed. Columns of a hypothesis, shape (1, size), are the change of all `size`
-        measured numbers (markers in mm, forces in mN) by one prior standard deviation of the contrast (modulus of the
-        layer over that of the core), linearised.
-        """
+        """Return one hypothesis for each of several thicknesses of the layer, linear in the contrast."""
         mesh = bench.experiment.mesh
         sizes = [share * bench.extent for share in self.thicknesses]
         if bench.is_elastic:
@@ -46,9 +41,7 @@ class LayerCause(Cause):
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
         """Return two free parameters: logarithms of the thickness in mm and of the contrast.
 
-        The contrast is the modulus of the layer over that of the core. `bench`: the simulation as believed; `variant`:
-        hypothesis that starts the fit; `amplitudes` (1,): its fitted amplitudes, in prior standard deviations. The
-        result has first guess, prior, step and effect of each parameter.
+        The contrast is the modulus of the layer over that of the core.
         """
         contrast = 1.0 + float(np.clip(self.spread * amplitudes[0], -0.85, 20.0))
         thickness = float(variant.settings["thickness"])
@@ -62,7 +55,6 @@ class LayerCause(Cause):
                 (float(np.log(contrast)), 0.0, 1.2, 0.05),
             ],
             effect,
-            lambda x, young: {"thickness_mm": float(np.exp(x[0])), "contrast": float(np.exp(x[1]))},
         )
 
     def sentence(self, values: Values) -> str:

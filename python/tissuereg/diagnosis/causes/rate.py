@@ -8,7 +8,7 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.bench import Bench
-from tissuereg.diagnosis.causes.base import Cause, FreeParameters, Values, Variant, free_parameters
+from tissuereg.diagnosis.causes.base import Cause, FreeParameters, Values, Variant, free_parameters, simulated
 from tissuereg.experiment.effects import Rate
 
 
@@ -22,28 +22,18 @@ class RateCause(Cause):
     size: float = 0.2
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return one hypothesis: a fixed viscosity; none where no time passes, or where a viscosity is believed.
-
-        `bench`: the simulation as believed. Columns of a hypothesis, shape (1, size), are the change of all `size`
-        measured numbers (markers in mm, forces in mN) by that viscosity.
-        """
-        if bench.longest_case == 0.0 or any(effect.id == self.id for effect in bench.experiment.effects):
-            return
-        changed = bench.change(Rate(viscosity_kpa_s=self.size * bench.frame_step * bench.young))
-        if changed is not None:
-            yield Variant("viscosity", changed[None], positive=True)
+        """Return one hypothesis: a fixed viscosity; none where no time passes, or where a viscosity is believed."""
+        if bench.longest_case == 0.0 or self.believed(bench):
+            return []
+        effect = Rate(viscosity_kpa_s=self.size * bench.frame_step * bench.young)
+        return simulated(bench, [("viscosity", effect, {})])
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
-        """Return one free parameter: the logarithm of the viscosity over Young's modulus, in s.
-
-        `bench`: the simulation as believed; `variant`: hypothesis that starts the fit; `amplitudes` (1,): its fitted
-        amplitudes, in prior standard deviations. The result has first guess, prior, step and effect of each parameter.
-        """
+        """Return one free parameter: the logarithm of the viscosity over Young's modulus, in s."""
         unit = self.size * bench.frame_step
         return free_parameters(
             [(float(np.log(unit * np.clip(amplitudes[0], 0.05, 20.0))), float(np.log(unit)), 1.5, 0.05)],
             lambda x, young: (Rate(viscosity_kpa_s=float(np.exp(x[0])) * young),),
-            lambda x, young: {"viscosity_kpa_s": float(np.exp(x[0])) * young},
         )
 
     def sentence(self, values: Values) -> str:

@@ -8,7 +8,16 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.bench import Bench
-from tissuereg.diagnosis.causes.base import Cause, FreeParameters, Values, Variant, free_parameters, logistic, logit
+from tissuereg.diagnosis.causes.base import (
+    Cause,
+    FreeParameters,
+    Values,
+    Variant,
+    free_parameters,
+    logistic,
+    logit,
+    simulated,
+)
 from tissuereg.experiment.effects import Relaxation
 
 
@@ -32,26 +41,21 @@ class RelaxationCause(Cause):
     def variants(self, bench: Bench) -> Iterable[Variant]:
         """Return hypotheses for several time constants, of the whole stress and of its isochoric part.
 
-        `bench`: the simulation as believed. Columns of a hypothesis, shape (1, size), are the change of all `size`
-        measured numbers (markers in mm, forces in mN) by the relaxation of a fixed share. There is none where no time
-        passes, or where relaxation is already believed.
+        A fixed share relaxes. There is none where no time passes, or where relaxation is already believed.
         """
-        if bench.longest_case == 0.0 or any(effect.id == self.id for effect in bench.experiment.effects):
-            return
+        if bench.longest_case == 0.0 or self.believed(bench):
+            return []
         # The two parts differ little; every second time constant suffices for the isochoric one.
         tried = [("whole", float(tau)) for tau in times_of(bench, self.times)]
         tried += [("isochoric", float(tau)) for tau in times_of(bench, self.times)[1::2]]
-        changes = bench.changes([[Relaxation(g=(self.share,), tau_s=(tau,), part=part)] for part, tau in tried])
-        for (part, tau), changed in zip(tried, changes, strict=True):
-            if changed is not None:
-                yield Variant(f"{part} {tau:.2g} s", changed[None], {"tau": tau, "part": part}, positive=True)
+        effects = [Relaxation(g=(self.share,), tau_s=(tau,), part=part) for part, tau in tried]
+        return simulated(
+            bench,
+            [(f"{one.part} {one.tau_s[0]:.2g} s", one, {"tau": one.tau_s[0], "part": one.part}) for one in effects],
+        )
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
-        """Return two free parameters: logit of the share that relaxes, and logarithm of the time constant in s.
-
-        `bench`: the simulation as believed; `variant`: hypothesis that starts the fit; `amplitudes` (1,): its fitted
-        amplitudes, in prior standard deviations. The result has first guess, prior, step and effect of each parameter.
-        """
+        """Return two free parameters: logit of the share that relaxes, and logarithm of the time constant in s."""
         part, tau = str(variant.settings["part"]), float(variant.settings["tau"])
         middle = float(np.log(times_of(bench, self.times)).mean())
 
@@ -64,7 +68,6 @@ class RelaxationCause(Cause):
                 (float(np.log(tau)), middle, 1.5, 0.1),
             ],
             effect,
-            lambda x, young: {"g": [logistic(x[0])], "tau_s": [float(np.exp(x[1]))], "part": part},
         )
 
     def sentence(self, values: Values) -> str:

@@ -6,7 +6,16 @@ from typing import ClassVar
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.bench import Bench
-from tissuereg.diagnosis.causes.base import Cause, FreeParameters, Values, Variant, free_parameters, logistic, logit
+from tissuereg.diagnosis.causes.base import (
+    Cause,
+    FreeParameters,
+    Values,
+    Variant,
+    free_parameters,
+    logistic,
+    logit,
+    simulated,
+)
 from tissuereg.experiment.effects import Set
 
 
@@ -20,27 +29,14 @@ class SetCause(Cause):
     size: float = 0.1
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return one hypothesis: a fixed share of the largest strain remains; none where a set is already believed.
-
-        `bench`: the simulation as believed. Columns of a hypothesis, shape (1, size), are the change of all `size`
-        measured numbers (markers in mm, forces in mN) by that set.
-        """
-        if any(effect.id == self.id for effect in bench.experiment.effects):
-            return
-        changed = bench.change(Set(fraction=self.size))
-        if changed is not None:
-            yield Variant("share", changed[None], positive=True)
+        """Return one hypothesis: a fixed share of the largest strain remains; none where a set is already believed."""
+        return [] if self.believed(bench) else simulated(bench, [("share", Set(fraction=self.size), {})])
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
-        """Return one free parameter: the logit of the share of the largest strain that remains.
-
-        `bench`: the simulation as believed; `variant`: hypothesis that starts the fit; `amplitudes` (1,): its fitted
-        amplitudes, in prior standard deviations. The result has first guess, prior, step and effect of each parameter.
-        """
+        """Return one free parameter: the logit of the share of the largest strain that remains."""
         return free_parameters(
             [(logit(self.size * float(amplitudes[0]), 0.005), logit(self.size), 1.2, 0.1)],
             lambda x, young: (Set(fraction=logistic(x[0])),),
-            lambda x, young: {"fraction": logistic(x[0])},
         )
 
     def sentence(self, values: Values) -> str:

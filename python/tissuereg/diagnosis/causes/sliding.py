@@ -8,7 +8,7 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.bench import Bench
-from tissuereg.diagnosis.causes.base import Cause, FreeParameters, Values, Variant, free_parameters
+from tissuereg.diagnosis.causes.base import Cause, FreeParameters, Values, Variant, free_parameters, simulated
 from tissuereg.experiment.effects import Sliding
 
 
@@ -29,34 +29,28 @@ class SlidingCause(Cause):
     def variants(self, bench: Bench) -> Iterable[Variant]:
         """Return four hypotheses for each support: springs of two compliances, and friction with two cohesions.
 
-        `bench`: the simulation as believed. Columns of a hypothesis, shape (1, size), are the change of all `size`
-        measured numbers (markers in mm, forces in mN) by that sliding. A support already believed to slide, or without
-        a whole surface triangle, has none.
+        A support already believed to slide, or without a whole surface triangle, has none.
         """
         taken = {getattr(effect, "boundary", None) for effect in bench.experiment.effects if effect.id == self.id}
         for boundary in bench.experiment.boundaries:
             name = boundary.name
             if name in taken or not len(_triangles(bench, name)):
                 continue
-            of = {
-                **{("springs", size): _springs(bench, name, size, bench.young) for size in self.compliances},
-                **{
-                    ("friction", size): _friction(name, self.coefficient, size * bench.young) for size in self.cohesions
-                },
-            }
-            changes = bench.changes([[effect] for effect in of.values()])
-            for (kind, size), changed in zip(of, changes, strict=True):
-                if changed is not None:
-                    settings = {"boundary": name, "kind": kind, "size": size}
-                    yield Variant(f"{name} {kind} {size:g}", changed[None], settings, positive=True)
+            own = [("springs", size, _springs(bench, name, size, bench.young)) for size in self.compliances]
+            own += [("friction", c, _friction(name, self.coefficient, c * bench.young)) for c in self.cohesions]
+            yield from simulated(
+                bench,
+                (
+                    (f"{name} {kind} {size:g}", effect, {"boundary": name, "kind": kind, "size": size})
+                    for kind, size, effect in own
+                ),
+            )
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
         """Return the logarithm of the compliance of springs, or the logarithms of friction coefficient and cohesion.
 
         The compliance is Young's modulus over spring stiffness and extent of the body; the cohesion is given over the
-        modulus. All are dimensionless. `bench`: the simulation as believed; `variant`: hypothesis that starts the fit;
-        `amplitudes` (1,): its fitted amplitudes, in prior standard deviations. The result has first guess, prior, step
-        and effect of each parameter.
+        modulus. All are dimensionless.
         """
         name, size = str(variant.settings["boundary"]), float(variant.settings["size"])
         more = float(np.clip(amplitudes[0], 0.1, 10.0))
@@ -64,10 +58,6 @@ class SlidingCause(Cause):
             return free_parameters(
                 [(float(np.log(size * more)), float(np.log(0.1)), 1.5, 0.1)],
                 lambda x, young: (_springs(bench, name, float(np.exp(x[0])), young),),
-                lambda x, young: {
-                    "boundary": name,
-                    "spring_kpa_per_mm": young / (float(np.exp(x[0])) * bench.extent),
-                },
             )
         # A smaller cohesion slips more.
         return free_parameters(
@@ -76,11 +66,6 @@ class SlidingCause(Cause):
                 (float(np.log(size / np.sqrt(more))), float(np.log(0.05)), 1.0, 0.1),
             ],
             lambda x, young: (_friction(name, float(np.exp(x[0])), float(np.exp(x[1])) * young),),
-            lambda x, young: {
-                "boundary": name,
-                "friction": float(np.exp(x[0])),
-                "cohesion_kpa": float(np.exp(x[1])) * young,
-            },
         )
 
     def sentence(self, values: Values) -> str:

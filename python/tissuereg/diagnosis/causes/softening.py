@@ -8,7 +8,7 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.bench import Bench
-from tissuereg.diagnosis.causes.base import Cause, FreeParameters, Values, Variant, free_parameters
+from tissuereg.diagnosis.causes.base import Cause, FreeParameters, Values, Variant, free_parameters, simulated
 from tissuereg.experiment.effects import Softening
 
 
@@ -28,28 +28,27 @@ class SofteningCause(Cause):
     def variants(self, bench: Bench) -> Iterable[Variant]:
         """Return four hypotheses: Mullins effect and damage, each over two energies; none where one is believed.
 
-        `bench`: the simulation as believed. Columns of a hypothesis, shape (1, size), are the change of all `size`
-        measured numbers (markers in mm, forces in mN) by that softening, which acts on reloading only (Mullins) or on
-        first loading too (damage).
+        The former acts on reloading only, the latter on first loading too.
         """
-        if any(effect.id == self.id for effect in bench.experiment.effects):
-            return
-        betas = dict(self.forms)
-        every = [(form, energy) for form in betas for energy in self.energies]
-        tried = [
-            [Softening(r=self.size, m_kpa=energy * bench.young, beta=betas[form], form=form)] for form, energy in every
-        ]
-        for (form, energy), changed in zip(every, bench.changes(tried), strict=True):
-            if changed is not None:
-                settings = {"form": form, "energy": energy}
-                yield Variant(f"{form}, energy {energy:g}", changed[None], settings, positive=True)
+        if self.believed(bench):
+            return []
+        return simulated(
+            bench,
+            (
+                (
+                    f"{form}, energy {energy:g}",
+                    Softening(r=self.size, m_kpa=energy * bench.young, beta=beta, form=form),
+                    {"form": form, "energy": energy},
+                )
+                for form, beta in self.forms
+                for energy in self.energies
+            ),
+        )
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
         """Return two free parameters: the logarithms of r - 1 and of m over Young's modulus, both dimensionless.
 
         The body loses at most the share 1/r of the stress (damage: 1 - 1/r), over an energy density of about m (kPa).
-        `bench`: the simulation as believed; `variant`: hypothesis that starts the fit; `amplitudes` (1,): its fitted
-        amplitudes, in prior standard deviations. The result has first guess, prior, step and effect of each parameter.
         """
         betas = dict(self.forms)
         # At most a share of (1 - 1/r) of the stress is lost.
@@ -66,12 +65,6 @@ class SofteningCause(Cause):
                 (float(np.log(energy)), float(np.log(0.01)), 1.5, 0.1),
             ],
             effect,
-            lambda x, young: {
-                "r": 1.0 + float(np.exp(x[0])),
-                "m_kpa": float(np.exp(x[1])) * young,
-                "beta": betas[form],
-                "form": form,
-            },
         )
 
     def sentence(self, values: Values) -> str:

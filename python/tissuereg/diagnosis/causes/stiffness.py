@@ -24,24 +24,14 @@ class StiffnessCause(Cause):
     spread: float = 1.0
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return one hypothesis: another modulus in the whole body; none for a body with memory.
-
-        `bench`: the simulation as believed. Columns of a hypothesis, shape (1, size), are the change of all `size`
-        measured numbers (markers in mm, forces in mN) by one prior standard deviation of the logarithm of the modulus,
-        linearised.
-        """
+        """Return one hypothesis: another modulus in the whole body; none for a body with memory."""
         return [Variant("everywhere", self.spread * bench.by_young)] if bench.is_elastic else []
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
-        """Return one free parameter: the logarithm of a factor on Young's modulus.
-
-        `bench`: the simulation as believed; `variant`: hypothesis that starts the fit; `amplitudes` (1,): its fitted
-        amplitudes, in prior standard deviations. The result has first guess, prior, step and effect of each parameter.
-        """
+        """Return one free parameter: the logarithm of a factor on Young's modulus."""
         return free_parameters(
             [(self.spread * float(amplitudes[0]), 0.0, self.spread, 0.02)],
             lambda x, young: (Stiffness(young_kpa=young * float(np.exp(x[0]))),),
-            lambda x, young: {"young_kpa": young * float(np.exp(x[0]))},
         )
 
     def sentence(self, values: Values) -> str:
@@ -59,11 +49,7 @@ class PoissonCause(Cause):
     spread: float = 0.06
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return one hypothesis: another Poisson's ratio in the whole body; none if its simulation fails.
-
-        `bench`: the simulation as believed. Columns of a hypothesis, shape (1, size), are the change of all `size`
-        measured numbers (markers in mm, forces in mN) by one prior standard deviation of the ratio, linearised.
-        """
+        """Return one hypothesis: another Poisson's ratio in the whole body; none if its simulation fails."""
         if bench.is_elastic:
             column = bench.by(lambda state: [Parameter("poisson")], 1)
         else:
@@ -74,17 +60,12 @@ class PoissonCause(Cause):
         return [Variant("everywhere", self.spread * column)]
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
-        """Return one free parameter: the logit of twice Poisson's ratio.
-
-        `bench`: the simulation as believed; `variant`: hypothesis that starts the fit; `amplitudes` (1,): its fitted
-        amplitudes, in prior standard deviations. The result has first guess, prior, step and effect of each parameter.
-        """
+        """Return one free parameter: the logit of twice Poisson's ratio."""
         believed = _ratio(bench)
         start = min(max(believed + self.spread * float(amplitudes[0]), 0.05), 0.495)
         return free_parameters(
             [(logit(2.0 * start, 0.005), logit(2.0 * believed, 0.005), 1.5, 0.05)],
             lambda x, young: (Poisson(poisson=0.5 * logistic(x[0])),),
-            lambda x, young: {"poisson": 0.5 * logistic(x[0])},
         )
 
     def sentence(self, values: Values) -> str:

@@ -26,11 +26,10 @@ class SwellingCause(Cause):
     def variants(self, bench: Bench) -> Iterable[Variant]:
         """Return one hypothesis for each window of time: the whole session, its first and its second half.
 
-        `bench`: the simulation as believed. Columns of a hypothesis, shape (1, size), are the change of all `size`
-        measured numbers (markers in mm, forces in mN) by a fixed linear strain that is reached at the end of the
-        window. There is none where no time passes, or where swelling is already believed.
+        A fixed linear strain is reached at the end of the window. There is none where no time passes, or where swelling
+        is already believed.
         """
-        if any(effect.id == self.id for effect in bench.experiment.effects):
+        if self.believed(bench):
             return
         begin, end = bench.first_time, bench.last_time
         if end <= begin:
@@ -43,30 +42,16 @@ class SwellingCause(Cause):
                 yield Variant(f"{window[0]:.3g} to {window[1]:.3g} s", changed[None], {"window": window, "pads": HOLD})
 
     def alternatives(self, bench: Bench, variant: Variant) -> tuple[Variant, ...]:
-        """Return the hypothesis of the same growth with pads that move with the body; none where no pad is moved.
-
-        `bench`: the simulation as believed; `variant`: hypothesis that was screened; the one returned, with the same
-        columns, is fitted beside it.
-        """
+        """Return the hypothesis of the same growth with pads that move with the body; none where no pad is moved."""
         moved = any(case.displacements for case in bench.experiment.cases.values())
         return (replace(variant, settings={**variant.settings, "pads": "follow"}),) if moved else ()
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
-        """Return one free parameter: the linear strain at the end of the window, in units of `size` (0.01).
-
-        `bench`: the simulation as believed; `variant`: hypothesis that starts the fit; `amplitudes` (1,): its fitted
-        amplitudes, in prior standard deviations. The result has first guess, prior, step and effect of each parameter.
-        """
+        """Return one free parameter: the linear strain at the end of the window, in units of `size` (0.01)."""
         window, pads = variant.settings["window"], str(variant.settings["pads"])
         return free_parameters(
             [(float(amplitudes[0]), 0.0, 1.5, 0.1)],
             lambda x, young: (_effect(self.size * float(x[0]), window, pads),),
-            lambda x, young: {
-                "linear_strain": self.size * float(x[0]),
-                "from_time_s": float(window[0]),
-                "to_time_s": float(window[1]),
-                "pads": pads,
-            },
         )
 
     def sentence(self, values: Values) -> str:

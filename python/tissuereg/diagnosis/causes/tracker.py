@@ -30,9 +30,7 @@ class FrameCause(Cause):
     def variants(self, bench: Bench) -> Iterable[Variant]:
         """Return one hypothesis: the tracker's frame is shifted, and rotated about the mean marker place.
 
-        `bench`: the simulation as believed. Columns of a hypothesis, shape (6, size), are the change of all `size`
-        measured numbers (markers in mm, forces in mN) by one prior standard deviation of each of three shifts and three
-        rotations.
+        Columns (6, size): changes by one prior standard deviation of each of three shifts and three rotations.
         """
         shifts = [changed_by(bench, _frame(bench, np.eye(6)[i])) for i in range(6)]
         scale = np.array([self.shift_mm] * 3 + [self.turn_deg] * 3)
@@ -41,15 +39,12 @@ class FrameCause(Cause):
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
         """Return six free parameters: shifts along x, y and z in mm, then a rotation vector in degrees.
 
-        The rotation is about the mean reference place of the markers. `bench`: the simulation as believed; `variant`:
-        hypothesis that starts the fit; `amplitudes` (6,): its fitted amplitudes, in prior standard deviations. The
-        result has first guess, prior, step and effect of each parameter.
+        The rotation is about the mean reference place of the markers.
         """
         scale = np.array([self.shift_mm] * 3 + [self.turn_deg] * 3)
         return free_parameters(
             [(float(s * a), 0.0, float(s), 0.05) for s, a in zip(scale, amplitudes, strict=True)],
             lambda x, young: (_frame(bench, x),),
-            lambda x, young: {k: v for k, v in _frame(bench, x).table().items() if k != "id"},
         )
 
     def sentence(self, values: Values) -> str:
@@ -71,8 +66,7 @@ class ScaleCause(Cause):
     def variants(self, bench: Bench) -> Iterable[Variant]:
         """Return one hypothesis: a wrong scale about the mean marker place, and three shifts.
 
-        `bench`: the simulation as believed. Columns of a hypothesis, shape (4, size), are the change of all `size`
-        measured numbers (markers in mm, forces in mN) by one prior standard deviation of the scale and of each shift.
+        Columns (4, size): changes by one prior standard deviation of the scale and of each shift.
         """
         middle = _middle(bench)
         scale = changed_by(bench, Scale(scale=1.01, origin_mm=three(middle))) * 100.0 * self.scale
@@ -82,9 +76,7 @@ class ScaleCause(Cause):
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
         """Return four free parameters: the scale minus one, then shifts along x, y and z in mm.
 
-        The scale is about the mean reference place of the markers; with the shifts it is one about any origin. `bench`:
-        the simulation as believed; `variant`: hypothesis that starts the fit; `amplitudes` (4,): its fitted amplitudes,
-        in prior standard deviations. The result has first guess, prior, step and effect of each parameter.
+        The scale is about the mean reference place of the markers; with the shifts it is one about any origin.
         """
         spread = np.array([self.scale, self.shift_mm, self.shift_mm, self.shift_mm])
 
@@ -96,7 +88,6 @@ class ScaleCause(Cause):
         return free_parameters(
             [(float(s * a), 0.0, float(s), 0.1 * float(s)) for s, a in zip(spread, amplitudes, strict=True)],
             lambda x, young: (effect(x),),
-            lambda x, young: {k: v for k, v in effect(x).table().items() if k != "id"},
         )
 
     def sentence(self, values: Values) -> str:
@@ -115,27 +106,18 @@ class LatencyCause(Cause):
     delay: float = 0.5
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return one hypothesis, a delay of half the time between frames; none for single frames or a believed delay.
-
-        `bench`: the simulation as believed. Columns of a hypothesis, shape (1, size), are the change of all `size`
-        measured numbers (markers in mm, forces in mN) by that delay.
-        """
+        """Return one hypothesis: a delay of half the time between frames; none for single frames or a believed one."""
         delay = self.delay * bench.frame_step
-        if delay == 0.0 or any(effect.id == self.id for effect in bench.experiment.effects):
+        if delay == 0.0 or self.believed(bench):
             return []
         return [Variant("delay", changed_by(bench, Latency(latency_s=delay))[None])]
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
-        """Return one free parameter: the delay in units of half the time between frames.
-
-        `bench`: the simulation as believed; `variant`: hypothesis that starts the fit; `amplitudes` (1,): its fitted
-        amplitudes, in prior standard deviations. The result has first guess, prior, step and effect of each parameter.
-        """
+        """Return one free parameter: the delay in units of half the time between frames."""
         unit = self.delay * bench.frame_step
         return free_parameters(
             [(float(amplitudes[0]), 0.0, 1.0, 0.1)],
             lambda x, young: (Latency(latency_s=unit * float(x[0])),),
-            lambda x, young: {"latency_s": unit * float(x[0])},
         )
 
     def sentence(self, values: Values) -> str:
@@ -160,8 +142,7 @@ class SlipCause(Cause):
     def variants(self, bench: Bench) -> Iterable[Variant]:
         """Return one hypothesis for each marker and each of several times at which it may slip.
 
-        `bench`: the simulation as believed. Columns of a hypothesis, shape (3, size), are the change of all `size`
-        measured numbers (markers in mm, forces in mN) by one prior standard deviation of its offset along x, y and z.
+        Columns (3, size): changes by one prior standard deviation of its offset along x, y and z.
         """
         return (
             self._slip(bench, marker, onset)
@@ -183,16 +164,11 @@ class SlipCause(Cause):
         return tuple(self._slip(bench, str(variant.settings["marker"]), onset) for onset in onsets)
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
-        """Return three free parameters: the offset of the marker along x, y and z in mm.
-
-        `bench`: the simulation as believed; `variant`: hypothesis that starts the fit; `amplitudes` (3,): its fitted
-        amplitudes, in prior standard deviations. The result has first guess, prior, step and effect of each parameter.
-        """
+        """Return three free parameters: the offset of the marker along x, y and z in mm."""
         marker, onset = str(variant.settings["marker"]), float(variant.settings["onset"])
         return free_parameters(
             [(self.slip_mm * float(a), 0.0, self.slip_mm, 0.1) for a in amplitudes],
             lambda x, young: (MarkerSlip(marker=marker, offset_mm=three(x), from_time_s=onset),),
-            lambda x, young: {"marker": marker, "offset_mm": x.tolist(), "from_time_s": onset},
         )
 
     def sentence(self, values: Values) -> str:
@@ -224,34 +200,17 @@ class SwapCause(Cause):
     pairs: int = 15
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return one hypothesis for each frame and each likely pair of markers: they are exchanged from then on.
-
-        `bench`: the simulation as believed. Columns of a hypothesis, shape (1, size), are the change of all `size`
-        measured numbers (markers in mm, forces in mN) by that exchange; its amplitude is exactly 1.
-        """
+        """Return one hypothesis for each frame and each likely pair of markers: they are exchanged from then on."""
         for onset in sorted({float(time) for part in bench.layout.parts for time in part.times}):
             for pair in _likely_pairs(bench, self.pairs):
                 changed = changed_by(bench, MarkerSwap(markers=pair, from_time_s=onset))
-                yield Variant(
-                    f"{pair[0]} and {pair[1]} from {onset:.4g} s",
-                    changed[None],
-                    {"pair": pair, "onset": onset},
-                    fixed=True,
-                )
+                label = f"{pair[0]} and {pair[1]} from {onset:.4g} s"
+                yield Variant(label, changed[None], {"pair": pair, "onset": onset}, fixed=True)
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
-        """Return no free parameters (k = 0): the pair of markers and the time of the exchange are fixed.
-
-        `bench`: the simulation as believed; `variant`: the hypothesis; `amplitudes` (1,): not used. The result holds
-        the functions that return the effect and the reported values.
-        """
-        pair, onset, none = tuple(variant.settings["pair"]), float(variant.settings["onset"]), np.empty(0)
-        return FreeParameters(
-            none, none, none,
-            lambda x, young: (MarkerSwap(markers=pair, from_time_s=onset),),
-            lambda x, young: {"markers": list(pair), "from_time_s": onset},
-            none,
-        )  # fmt: skip
+        """Return no free parameters (k = 0): the pair of markers and the time of the exchange are fixed."""
+        swap = MarkerSwap(markers=tuple(variant.settings["pair"]), from_time_s=float(variant.settings["onset"]))
+        return free_parameters([], lambda x, young: (swap,))
 
     def sentence(self, values: Values) -> str:
         """Return the finding as a sentence; `values` has the fitted `markers` (two names) and `from_time_s`."""
