@@ -35,7 +35,7 @@ def ours(folder: Path, ids: Collection[str] = (), *, threads: int = 0) -> dict:
 def answer(experiment: Experiment, threads: int, settings: DiagnoseSettings = DEFAULT) -> dict:
     """Return a diagnosis as in its JSON, with the errors of the models before and after it on held-out blocks."""
     found = diagnose(experiment, threads=threads, settings=settings)
-    target, searched = found.details["target"], found.details["search"]
+    target, searched = found.details.target, found.details.search
     base, final = (linear_model(target, fit) for fit in (searched.base, searched.final))
     return plain({**found.to_json(), "by_block": by_block(base, final, target.bench.layout)})
 

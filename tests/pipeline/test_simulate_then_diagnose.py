@@ -36,7 +36,7 @@ def test_a_plain_simulation_is_compared_with_its_own_mesh_and_not_with_a_fine_on
     given = tr.read_experiment(made)
     own = tr.diagnose(given, keep=False)
     assert own.verdict == "consistent"
-    assert not any(name.startswith(("size", "tilt", "mesh")) for name in own.details["nuisances"].names)
+    assert not any(name.startswith(("size", "tilt", "mesh")) for name in own.details.nuisances.names)
     assert own.discrepancy["in_sigma"] == pytest.approx(1.0, abs=0.1)
 
 

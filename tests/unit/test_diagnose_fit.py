@@ -61,10 +61,10 @@ def test_the_form_of_a_law_is_the_one_that_the_data_have(form):
 def refitted(monkeypatch, cause, seen, fits, corrected_fit):
     """Return the candidate from a cause's fits, given a believed model of -100 nats and a threshold of six."""
     monkeypatch.setattr(candidates, "_fit_forms", lambda *_: fits)
-    monkeypatch.setattr(candidates, "corrected_fit", lambda target, fitted, progress: corrected_fit(target, fitted))
+    monkeypatch.setattr(candidates, "corrected_fit", corrected_fit)
     believed = SimpleNamespace(ids=(), parts=(), log_evidence=-100.0)
     own = SimpleNamespace(bench=SimpleNamespace(settings=DEFAULT))
-    (found,) = candidates.refitted(own, None, {cause: Screened(seen, None, np.empty(0))}, believed, {cause: 6.0}, None)
+    (found,) = candidates.refitted(own, None, {cause: Screened(seen, None, np.empty(0))}, believed, {cause: 6.0})
     return found
 
 
@@ -182,7 +182,8 @@ def test_an_effect_that_becomes_another_one_is_corrected_again():
     # Effects that only change in size need one fine solve.
     calls = []
     fitted = fit(target, [part(target, "poisson")])
-    corrected_fit(target, fitted, progress=calls.append)
+    target.bench.progress = calls.append
+    corrected_fit(target, fitted)
     assert len(calls) == 1
 
 

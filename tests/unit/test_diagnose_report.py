@@ -15,13 +15,14 @@ from support.files import EXPERIMENT, TABLES, write_experiment
 from support.pages import assert_sound_page, scenes_of, unpacked
 from tissuereg.cli import diagnose as diagnose_command
 from tissuereg.cli.common import Stopwatch
-from tissuereg.diagnosis.answer import Diagnosis, Finding
+from tissuereg.diagnosis.answer import Diagnosis, DiagnosisDetails, Finding
 from tissuereg.diagnosis.bench import Bench
 from tissuereg.diagnosis.candidates import Candidate
 from tissuereg.diagnosis.correction import Correction
 from tissuereg.diagnosis.evidence import Null
 from tissuereg.diagnosis.fit import Fit, FitTarget, FittedCause
 from tissuereg.diagnosis.noise import estimate_noise
+from tissuereg.diagnosis.nuisances import Nuisances
 from tissuereg.diagnosis.proof import HeldOut
 from tissuereg.diagnosis.report.history import curves
 from tissuereg.diagnosis.report.proved import blocks_words
@@ -126,13 +127,12 @@ def made_up(believed, findings=(), effects=(), **changes):
         next_experiment=None,
         seed=4711,
         versions={"tissuereg": "9.8.7"},
-        details={
-            "search": Search(base, final, steps, final.residual),
-            "layout": layout,
-            "noise": noise,
-            "target": target,
-            "thresholds": {"inclusion": 6.5, "layer": 6.5},
-        },
+        details=DiagnosisDetails(
+            Search(base, final, steps, final.residual),
+            target,
+            Nuisances(("stiffness",), np.zeros((1, layout.size))),
+            {"inclusion": 6.5, "layer": 6.5},
+        ),
     )
     return replace(answer, **changes)
 
@@ -188,14 +188,18 @@ def test_a_page_holds_every_finding_with_its_figures(rig, tmp_path):
 
 def test_a_believed_inclusion_is_not_drawn_as_found(rig):
     answer = made_up(replace(rig, effects=(BALL,)))
-    layers = layers_of(scene(answer).to_json())
+    layers = layers_of(scene(answer, answer.details).to_json())
     assert "inclusion found" not in layers
     assert len(layers["inclusion believed"]["names"]) == 1
 
 
 def test_the_scene_holds_measured_minus_predicted(rig):
     answer = made_up(rig, [finding()], [BALL])
-    drawn, layout, search = scene(answer).to_json(), answer.details["layout"], answer.details["search"]
+    drawn, layout, search = (
+        scene(answer, answer.details).to_json(),
+        answer.details.target.bench.layout,
+        answer.details.search,
+    )
     layers, lean = layers_of(drawn), [case["name"] for case in drawn["cases"]].index("lean")
     for state, fit in enumerate((search.base, search.final)):
         left = layout["lean"].markers(layout.measured - fit.prediction)
@@ -214,8 +218,8 @@ def test_the_scene_holds_measured_minus_predicted(rig):
 
 def test_curves_are_root_mean_squares_of_what_was_seen(rig):
     answer = made_up(rig, [finding()], [BALL])
-    layout, search = answer.details["layout"], answer.details["search"]
-    markers, force = curves(answer)["lean"]
+    layout, search = answer.details.target.bench.layout, answer.details.search
+    markers, force = curves(answer.details)["lean"]
     white = layout["lean"].markers(search.base.residual)
     assert markers.before[1] == pytest.approx(np.sqrt((white[1, 0] ** 2).mean()))  # P2 was not seen
     assert markers.before[2] == pytest.approx(np.sqrt((white[2] ** 2).mean()))
@@ -281,22 +285,22 @@ def test_no_forces_and_one_case(tmp_path):
 def test_a_finding_without_proof_and_an_answer_without_details(rig, tmp_path):
     stiff = finding(id="stiffness", group=("stiffness",), held_out={}, sentence="Stiffer.")
     answer = made_up(rig, [stiff, finding()], [BALL])
-    search = answer.details["search"]
-    answer.details["search"] = replace(search, steps=search.steps[1:])
+    search = answer.details.search
+    answer = replace(answer, details=replace(answer.details, search=replace(search, steps=search.steps[1:])))
     text = read_page(answer, tmp_path / "report.html")
     assert "Stiffer." in text
     assert text.count("e<sup>") == 1
-    bare = read_page(made_up(rig, [finding()], [BALL], details={}), tmp_path / "bare.html")
+    bare = read_page(made_up(rig, [finding()], [BALL], details=None), tmp_path / "bare.html")
     assert "log Bayes factor 123.4" in bare
     assert "class='viewer'" not in bare
 
 
 def test_a_cause_that_was_removed_later_leaves_its_round_unmarked(rig, tmp_path):
     answer = made_up(rig, [finding(), finding(id="layer", group=("layer",))], [BALL])
-    search = answer.details["search"]
+    search = answer.details.search
     dropped = replace(search.steps[0], found=None)
-    answer = replace(answer, findings=answer.findings[1:])
-    answer.details["search"] = replace(search, steps=[dropped, *search.steps[1:]])
+    details = replace(answer.details, search=replace(search, steps=[dropped, *search.steps[1:]]))
+    answer = replace(answer, findings=answer.findings[1:], details=details)
     text = read_page(answer, tmp_path / "report.html")
     charts = re.findall(r"<svg[^>]*aria-label='((?:First r|R)ound[^']*)'(.*?)</svg>", text)
     assert charts[1][0] == "Round 2: further causes, given a cause that was removed later"
@@ -343,8 +347,8 @@ def test_blocks_of_frames_are_named_together():
 
 def test_long_histories_are_thinned(rig):
     answer = made_up(rig)
-    assert [len(one.times) for one in scene(answer).cases] == [2, 3]
-    assert [len(one.times) for one in scene(answer, most=10).cases] == [1, 2]
+    assert [len(one.times) for one in scene(answer, answer.details).cases] == [2, 3]
+    assert [len(one.times) for one in scene(answer, answer.details, most=10).cases] == [1, 2]
 
 
 def test_text_cannot_end_its_script():
@@ -369,8 +373,8 @@ def test_the_viewer_draws_arrows_inclusion_and_figures(rig, tmp_path):
         const cases = [...viewers[0].querySelectorAll("option")].map((one) => one.textContent);
         return { seen, moment, tips: [...tips], cases };""",
     )
-    layout, search = answer.details["layout"], answer.details["search"]
-    start = scene(answer).start
+    layout, search = answer.details.target.bench.layout, answer.details.search
+    start = scene(answer, answer.details).start
     part, row = layout.parts[start[1]], start[2]
     left = [part.markers(layout.measured - fit.prediction)[row] for fit in (search.base, search.final)]
     arrows = int(np.isfinite(left[0]).all(axis=1).sum())

@@ -153,9 +153,9 @@ def test_a_cause_that_a_later_one_makes_redundant_is_removed(of_two, monkeypatch
     order = iter(("poisson", "latency"))
     rounds = search_module._round
 
-    def misled(target, screen, base, current, thresholds, progress):
+    def misled(target, screen, base, current, thresholds):
         name = next(order, None)
-        step = rounds(target, screen, base, current, {"latency": 1e9, "poisson": 1e9}, progress)
+        step = rounds(target, screen, base, current, {"latency": 1e9, "poisson": 1e9})
         if name is None:
             return step
         parts = [*current.parts, part(target, name)]
@@ -186,7 +186,7 @@ def test_a_cause_is_clear_only_if_no_rival_predicts_held_out_data_as_well(monkey
     required = {"latency": 6.0, "scale": 6.0}
     for candidates, clear in (([true], True), ([replace(true, gain=300.0), replace(other, gain=150.0)], True)):
         monkeypatch.setattr(search_module, "refitted", lambda *_, c=candidates: c)
-        step = search_module._round(target, screen, base, base, required, None)
+        step = search_module._round(target, screen, base, base, required)
         assert step.found.id == "latency"
         assert step.is_clear == clear
     # With a rival that predicts better the named cause is not clear.
@@ -194,7 +194,7 @@ def test_a_cause_is_clear_only_if_no_rival_predicts_held_out_data_as_well(monkey
     monkeypatch.setattr(search_module, "refitted", lambda *_: [replace(wrong, id="latency"), true])
     target.bench.settings = replace(DEFAULT, search=replace(DEFAULT.search, proved=-1e9))
     monkeypatch.setattr(search_module, "GENERIC", BEFORE)
-    step = search_module._round(target, screen, base, base, required, None)
+    step = search_module._round(target, screen, base, base, required)
     if step.found is not None and step.found.fit is wrong.fit:
         assert not step.is_clear
 
@@ -242,7 +242,7 @@ def test_a_cause_is_named_above_its_threshold_alone(of_two, monkeypatch, share, 
     found = fit(target, [part(target, "latency")])
     candidate = search_module.Candidate("latency", found, 20.0, target)
     monkeypatch.setattr(search_module, "refitted", lambda *_: [candidate])
-    step = search_module._round(target, screen_of(target, ("latency",)), base, base, {"latency": 20.0 / share}, None)
+    step = search_module._round(target, screen_of(target, ("latency",)), base, base, {"latency": 20.0 / share})
     assert (step.found is not None) == named
 
 
@@ -257,7 +257,7 @@ def test_a_cause_less_likely_than_not_is_possible_and_not_stated(monkeypatch):
     monkeypatch.setattr(search_module, "_proved", lambda name, proof, rules: held[name])
     target.bench.settings = replace(DEFAULT, search=replace(DEFAULT.search, most_in_group=1))
     monkeypatch.setattr(search_module, "refitted", lambda *_: [wrong, true])
-    step = search_module._round(target, screen, base, base, {"latency": 6.0, "scale": 6.0}, None)
+    step = search_module._round(target, screen, base, base, {"latency": 6.0, "scale": 6.0})
     assert step.found is None
     (listed,) = step.possible
     assert (listed.id, listed.log_bayes_factor, listed.threshold) == ("latency", 150.0, 6.0)
@@ -339,9 +339,9 @@ def both_found(monkeypatch, target, names=("latency", "poisson")):
     monkeypatch.setattr(import_module("tissuereg.diagnosis.recorrect"), "refined_effects", lambda *_: None)
     order, rounds = iter(names), search_module._round
 
-    def found(target, screen, base, current, thresholds, progress):
+    def found(target, screen, base, current, thresholds):
         name, nothing = next(order, None), dict.fromkeys(thresholds, 1e9)
-        step = rounds(target, screen, base, current, nothing, progress)
+        step = rounds(target, screen, base, current, nothing)
         if name is None:
             return step
         parts = [*current.parts, part(target, name)]

@@ -35,7 +35,7 @@ def test_a_modulus_that_an_effect_states_is_the_one_that_is_fitted():
 
 def test_an_extended_model_is_diagnosed_with_a_modulus_that_may_move():
     diagnosis = tr.diagnose(replace(rig(), effects=(Stiffness(young_kpa=25.0),)), keep=False)
-    target, found = diagnosis.details["target"], diagnosis.details["search"].base
+    target, found = diagnosis.details.target, diagnosis.details.search.base
     assert target.bench.young == 25.0
     # Forces of noise alone fit a softer body.
     assert found.x[0] < -0.01

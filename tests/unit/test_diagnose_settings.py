@@ -13,6 +13,7 @@ from support.material_curves import believed, in_modes
 from support.rigs import rig
 from support.targets import part, target_of
 from tissuereg.diagnosis import search as search_module
+from tissuereg.diagnosis.answer import DiagnosisDetails
 from tissuereg.diagnosis.bank import numbers_of
 from tissuereg.diagnosis.bench import Bench
 from tissuereg.diagnosis.causes import CAUSES
@@ -99,7 +100,7 @@ def test_a_changed_value_changes_the_answer_and_the_name_of_its_bank(of_rig):
     assert set(tried) - set(again) == {"layer"}
     assert again["poisson"] != tried["poisson"]
     assert again["fibre"] == tried["fibre"]
-    assert min(other.details["thresholds"].values()) >= 9.0 > min(found.details["thresholds"].values())
+    assert min(other.details.thresholds.values()) >= 9.0 > min(found.details.thresholds.values())
     assert numbers_of(changed) != numbers_of(DEFAULT)
     assert numbers_of(replace(DEFAULT, search=replace(DEFAULT.search, clear=1.0))) == numbers_of(DEFAULT)
 
@@ -206,7 +207,7 @@ def test_rounds_judge_by_the_settings_of_the_bench():
     def round_of(monkeypatch, **changed):
         target.bench.settings = of_groups(**changed)
         monkeypatch.setattr(search_module, "refitted", lambda *_: [found])
-        return search_module._round(target, screen, base, base, {"latency": 6.0}, None)
+        return search_module._round(target, screen, base, base, {"latency": 6.0})
 
     with pytest.MonkeyPatch.context() as patched:
         assert round_of(patched).found is found
@@ -227,7 +228,7 @@ def test_charts_of_later_rounds_show_the_thresholds_that_were_required():
     drawn = {
         number: rankings(
             SimpleNamespace(
-                details={"search": SimpleNamespace(steps=steps), "thresholds": {"layer": 6.0, "fibre": 6.0}},
+                details=DiagnosisDetails(SimpleNamespace(steps=steps), None, None, {"layer": 6.0, "fibre": 6.0}),
                 findings=findings, candidates=(), numbers=of_groups(search={"least_further": number}),
             )
         )

@@ -15,7 +15,7 @@ from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.answer import Finding
 from tissuereg.diagnosis.candidates import Candidate
 from tissuereg.diagnosis.evidence import Null
-from tissuereg.diagnosis.fit import ABSOLUTE, Fit, FitTarget
+from tissuereg.diagnosis.fit import Fit, FitTarget
 from tissuereg.diagnosis.nuisances import frame_columns
 from tissuereg.diagnosis.patterns import force_columns
 from tissuereg.diagnosis.predictor import Predictor
@@ -150,7 +150,7 @@ def _separability(target: FitTarget, action: _Action, fit: Fit, one: FloatArray,
     std = np.where(markers, float(target.noise.marker_std.mean()), force_std)
     columns = [column for pair in frame_columns(layout, one, target.bench.settings.nuisances) for column in pair]
     deviation = float(np.sqrt(fit.covariance[0, 0]))
-    if target.bench.scales_forces and not any(part.id in ABSOLUTE for part in fit.parts):
+    if target.scales_forces(fit.ids):
         columns.append(np.where(markers, 0.0, deviation * one))
     else:
         stiffer = replace(fit, x=fit.x + deviation * np.eye(len(fit.x))[0])

@@ -4,7 +4,7 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from tissuereg._base.arguments import place
 from tissuereg._base.provenance import Provenance
@@ -14,6 +14,11 @@ from tissuereg.diagnosis.readings import RecordingSuspicion
 from tissuereg.diagnosis.settings import DEFAULT, DiagnoseSettings
 from tissuereg.diagnosis.understated import UnderstatedNoise
 from tissuereg.experiment.experiment import Experiment
+
+if TYPE_CHECKING:
+    from tissuereg.diagnosis.fit import FitTarget
+    from tissuereg.diagnosis.nuisances import Nuisances
+    from tissuereg.diagnosis.search import Search
 
 SCHEMA = "tissuereg.diagnosis/1"
 
@@ -75,6 +80,20 @@ class Finding:
 
 
 @dataclass(frozen=True, eq=False)
+class DiagnosisDetails:
+    """What the report draws of a diagnosis.
+
+    `search`: all rounds of the search for causes; `target`: data, believed model and noise of its first fit;
+    `nuisances`: nuisance parameters of every model; `thresholds`: log Bayes factor required of a first cause, nats.
+    """
+
+    search: "Search"
+    target: "FitTarget"
+    nuisances: "Nuisances"
+    thresholds: Mapping[str, float]
+
+
+@dataclass(frozen=True, eq=False)
 class Diagnosis:
     """The result of a diagnosis.
 
@@ -115,8 +134,8 @@ class Diagnosis:
         Reason to suspect that the recording is misread; empty if it is plausible. Where it is in another unit, frame or
         sign, no cause is looked for and the verdict is ``unexplained``; where forces are below their noise, no modulus
         is found.
-    details : dict
-        Objects that the report draws: ``search``, ``layout``, ``noise``, ``target``, ``nuisances``, ``thresholds``.
+    details : DiagnosisDetails or None
+        Objects that the report draws; None where no cause was looked for.
     understated : tuple of UnderstatedNoise
         Channels whose noise is larger than stated; the diagnosis is made with the larger one.
     provenance : Provenance
@@ -141,7 +160,7 @@ class Diagnosis:
     constancy: tuple[Constancy, ...] = ()
     suspicions: tuple[RecordingSuspicion, ...] = ()
     understated: tuple[UnderstatedNoise, ...] = ()
-    details: dict[str, Any] = field(default_factory=dict)
+    details: DiagnosisDetails | None = None
     provenance: Provenance = field(default_factory=Provenance)
     settings: dict[str, Any] = field(default_factory=dict)
     numbers: DiagnoseSettings = DEFAULT

@@ -8,7 +8,7 @@ hash of all that they depend on.
 import hashlib
 import io
 import json
-from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -18,7 +18,6 @@ from tissuereg._version import __version__
 from tissuereg.diagnosis.bench import Bench
 from tissuereg.diagnosis.causes import CAUSES, Variant, catalogue
 from tissuereg.diagnosis.settings import DiagnoseSettings
-from tissuereg.experiment.effects import EFFECTS, ChainEffect
 from tissuereg.experiment.experiment import Experiment
 from tissuereg.io.cache import keep_entry, read_entry
 from tissuereg.io.json import dumps
@@ -26,25 +25,20 @@ from tissuereg.io.json import dumps
 #: To be increased when columns change their meaning, so that older files are not read.
 SCHEMA = 11
 
-#: Causes whose columns are closed forms: computed at each call, never cached.
-CLOSED_FORM = tuple(name for name in CAUSES if issubclass(EFFECTS[name], ChainEffect))
-
 #: Number of cached banks; the oldest are deleted.
 MOST_ENTRIES = 24
-
 
 #: Hypotheses by id of the cause; causes without a hypothesis in an experiment are left out.
 Bank = dict[str, list[Variant]]
 
 
-def make_bank(bench: Bench, *, keep: bool = True, progress: Callable[[str], None] | None = None) -> Bank:
+def make_bank(bench: Bench, *, keep: bool = True) -> Bank:
     """Return the bank: for every hypothesis of every cause, the change that it makes to the predicted data.
 
     `bench`: the believed model; its prediction is taken from the cache too; `keep`: whether to read and write the
-    cache; `progress`: called with the id of the cause whose columns are computed. The result lists the hypotheses of
-    each cause by its id; the columns (p, size) of a hypothesis are changes of all measured numbers by one prior
-    standard deviation of each of its p amplitudes, in mm and mN, single precision. Raises `ConvergenceError` if the
-    believed model itself has no equilibrium.
+    cache. The result lists the hypotheses of each cause by its id; the columns (p, size) of a hypothesis are changes of
+    all measured numbers by one prior standard deviation of each of its p amplitudes, in mm and mN, single precision.
+    Raises `ConvergenceError` if the believed model itself has no equilibrium.
     """
     entry = f"bank_{fingerprint(bench.experiment, f'{bench.predictor.element} {SCHEMA} {numbers_of(bench.settings)}')}"
     base, bank = _read(entry) if keep else (None, {})
@@ -54,10 +48,9 @@ def make_bank(bench: Bench, *, keep: bool = True, progress: Callable[[str], None
     wanted = {name: one for name, one in catalogue(bench.settings).items() if name not in bench.settings.left_out}
     for name, cause in wanted.items():
         if name not in bank:
-            if progress is not None:
-                progress(name)
-            bank[name] = [_single(variant) for variant in cause.variants(bench)]
-            new = new or name not in CLOSED_FORM
+            bench.progress(name)
+            bank[name] = [replace(v, columns=v.columns.astype(np.float32)) for v in cause.variants(bench)]
+            new = new or not cause.closed_form
     if keep and new:
         _write(entry, bench.base, bank)
     return {name: bank[name] for name in wanted if bank[name]}
@@ -102,21 +95,11 @@ def fingerprint(experiment: Experiment, of: str) -> str:
     return digest.hexdigest()[:32]
 
 
-def _single(variant: Variant) -> Variant:
-    return Variant(
-        variant.label,
-        variant.columns.astype(np.float32),
-        variant.settings,
-        variant.positive,
-        variant.fixed,
-    )
-
-
 def _write(entry: str, base: FloatArray, bank: Bank) -> None:
     arrays: dict[str, Any] = {"base": base}
     card: dict[str, list[dict[str, object]]] = {}
     for name, several in bank.items():
-        if name in CLOSED_FORM:
+        if CAUSES[name].closed_form:
             continue
         card[name] = [
             {"label": v.label, "settings": dict(v.settings), "positive": v.positive, "fixed": v.fixed} for v in several

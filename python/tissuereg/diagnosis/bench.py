@@ -19,14 +19,11 @@ from tissuereg.diagnosis.predictor import NO_ANSWER, Predictor
 from tissuereg.diagnosis.settings import DEFAULT, DiagnoseSettings
 from tissuereg.diagnosis.signals import SignalLayout
 from tissuereg.diagnosis.tangents import State, Tangents
-from tissuereg.experiment.effects import EFFECTS, Effect, extended
+from tissuereg.experiment.effects import Effect, extended
 from tissuereg.experiment.experiment import Experiment
 from tissuereg.simulation.fine import FineModel
 from tissuereg.simulation.memory import goes_through_time
 from tissuereg.simulation.sensitivity import Cause, ModulusField
-
-#: Effects with stresses among their parameters, which are not proportional to the modulus.
-_ABSOLUTE = tuple(effect.id for effect in EFFECTS.values() if effect.absolute)
 
 _In = TypeVar("_In")
 _Out = TypeVar("_Out")
@@ -37,9 +34,9 @@ class Bench:
 
     Predictions are flat vectors of all measured numbers, (size,): displacements of markers in mm, forces in mN.
     `experiment`: the believed model, with loads and marker places; `layout`: order of these numbers; `element` {"tet4",
-    "tet4-averaged", "tet10"}: elements to use; `threads`: threads to use; 0 takes all cores; `settings`: all numbers.
-    Attributes: `young`: mean of the believed modulus, kPa; `young_spread`: its prior standard deviation over that mean;
-    `extent`: extent of the body, mm.
+    "tet4-averaged", "tet10"}: elements to use; `threads`: threads to use; 0 takes all cores; `settings`: all numbers;
+    `progress`: called with the name of every step that begins. Attributes: `young`: mean of the believed modulus, kPa;
+    `young_spread`: its prior standard deviation over that mean; `extent`: extent of the body, mm.
     """
 
     def __init__(
@@ -50,8 +47,10 @@ class Bench:
         element: Element = "tet4",
         threads: int = 0,
         settings: DiagnoseSettings = DEFAULT,
+        progress: Callable[[str], None] = lambda step: None,
     ) -> None:
         self.settings = settings
+        self.progress = progress
         self.experiment = experiment
         self.layout = layout
         self.predictor = Predictor(experiment, layout, element=element, threads=threads, settings=settings.model)
@@ -84,7 +83,7 @@ class Bench:
     def scales_forces(self) -> bool:
         """Whether a factor on the modulus scales forces and moves no marker, as displacements alone drive the body."""
         driven = any(case.applied_forces for case in self.experiment.cases.values())
-        absolute = any(effect.id in _ABSOLUTE for effect in self.experiment.effects)
+        absolute = any(effect.absolute for effect in self.experiment.effects)
         return self.experiment.gravity is None and not driven and not absolute
 
     @cached_property

@@ -5,18 +5,18 @@ likeliest hypothesis and the alternatives to it, with the discretisation error o
 its log Bayes factor.
 """
 
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray
-from tissuereg.diagnosis.causes import catalogue
+from tissuereg.diagnosis.causes import CAUSES, catalogue
 from tissuereg.diagnosis.fit import Fit, FitTarget, FittedCause, best_start, choices_of, fit
 from tissuereg.diagnosis.recorrect import corrected_fit
 from tissuereg.diagnosis.screen import UNKNOWN, Screen, Screened
 from tissuereg.diagnosis.settings import DEFAULT, SearchSettings
-from tissuereg.experiment.effects import EFFECTS, ChainEffect
+from tissuereg.experiment.effects import EFFECTS
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,14 +44,13 @@ def refitted(
     screened: Mapping[str, Screened],
     current: Fit,
     required: Mapping[str, float],
-    progress: Callable[[str], None] | None,
 ) -> list[Candidate]:
     """Return the causes with enough linear evidence, each fitted with those found before, likeliest first.
 
     For candidates that come near to acceptance the discretisation error of the causes is corrected. `target`: data,
     believed model, noise and nuisances; `screen`: all hypotheses of the bank; `screened`: linear evidence of all causes
     given the current fit, by id; `current`: fit with the causes found before; `required`: log Bayes factor that each
-    cause must exceed, nats, by id; `progress`: called with the name of the step that begins.
+    cause must exceed, nats, by id.
     """
     settings = target.bench.settings
     taken = set(current.ids)
@@ -74,8 +73,7 @@ def refitted(
     ]
     fits: dict[str, list[Fit]] = {}
     for name in chosen:
-        if progress is not None:
-            progress(f"fit {' + '.join([*current.ids, name])}")
+        target.bench.progress(f"fit {' + '.join([*current.ids, name])}")
         best_fit = max((forms[0].log_evidence for forms in fits.values()), default=-np.inf)
         least = max(best_fit - settings.model.correction_gain, current.log_evidence + required[name])
         forms = _fit_forms(target, screen, screened[name], current, name, least)
@@ -88,7 +86,7 @@ def refitted(
         least = top - settings.model.correction_gain
         if screened[name].log_bayes_factor < required[name]:
             least = max(least, current.log_evidence + likely * required[name])
-        corrected = (corrected_fit(target, form, progress=progress) for form in forms if form.log_evidence > least)
+        corrected = (corrected_fit(target, form) for form in forms if form.log_evidence > least)
         own, fitted = max(corrected, key=lambda pair: pair[1].log_evidence, default=(target, forms[0]))
         found.append(Candidate(name, fitted, fitted.log_evidence - current.log_evidence, own))
     return sorted(found, key=lambda candidate: -candidate.gain)
@@ -102,7 +100,7 @@ def required_thresholds(
     `thresholds`: log Bayes factors required of a first cause, nats, by id; `found`: ids of the causes found before.
     Unless these are only errors of the marker tracker, more is required of a further cause.
     """
-    if all(issubclass(EFFECTS[name], ChainEffect) for name in found):
+    if all(CAUSES[name].closed_form for name in found):
         return dict(thresholds)
     return {name: max(settings.further * least, settings.least_further) for name, least in thresholds.items()}
 

@@ -9,7 +9,7 @@ to step, and it is evaluated again where steps no longer reduce the objective. W
 deviations, the log evidence is -objective - 1/2 log det H - log(number of discrete choices).
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,9 +23,6 @@ from tissuereg.diagnosis.evidence import Null
 from tissuereg.diagnosis.noise import Noise
 from tissuereg.diagnosis.predictor import NO_ANSWER, Solved
 from tissuereg.experiment.effects import Effect
-
-#: Effects under which forces are not proportional to the modulus.
-ABSOLUTE = tuple(cause.id for cause in CAUSES.values() if cause.absolute)
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +41,10 @@ class FitTarget:
     def white(self, flat: FloatArray) -> FloatArray:
         """Return differences (..., size) of data and predictions, given in mm and mN, whitened by the noise alone."""
         return self.noise.whitened(flat, self.bench.layout)
+
+    def scales_forces(self, ids: Iterable[str]) -> bool:
+        """Return whether a factor on the modulus only scales forces, in a model with the causes of these ids."""
+        return self.bench.scales_forces and not any(CAUSES[name].absolute for name in ids)
 
 
 @dataclass(frozen=True, eq=False)
@@ -281,7 +282,7 @@ class _FitSolver:
             [[target.bench.young_spread], *(part.free_parameters.deviation for part in parts)]
         )
         self.steps = np.concatenate([[0.02], *(part.free_parameters.step for part in parts)])
-        self.scales = target.bench.scales_forces and not any(part.id in ABSOLUTE for part in parts)
+        self.scales = target.scales_forces(part.id for part in parts)
         layout = target.bench.layout
         self.measured = np.where(layout.seen, layout.measured, 0.0)
         self.seen = layout.seen

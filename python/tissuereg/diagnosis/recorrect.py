@@ -12,25 +12,22 @@ the correction is computed again: on 600 nodes friction slips ten times too far,
 friction.
 """
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
-from tissuereg.diagnosis.fit import ABSOLUTE, Fit, FitTarget, at_believed_modulus, fit
+from tissuereg.diagnosis.causes import CAUSES
+from tissuereg.diagnosis.fit import Fit, FitTarget, at_believed_modulus, fit
 from tissuereg.diagnosis.predictor import NO_ANSWER
 from tissuereg.diagnosis.refined import refined_effects
 from tissuereg.errors import MeshError
-from tissuereg.experiment.effects import EFFECTS, ChainEffect
 
 
-def corrected_fit(
-    target: FitTarget, found: Fit, *, progress: Callable[[str], None] | None = None
-) -> tuple[FitTarget, Fit]:
+def corrected_fit(target: FitTarget, found: Fit) -> tuple[FitTarget, Fit]:
     """Return a target whose correction covers a fitted model, and the fit to it: correct and refit until they agree.
 
-    `target`: data, believed model and correction of the fit; `found`: fit with causes; `progress`: called before each
-    solution on the fine mesh. The two given ones are returned where `recorrected` changes nothing.
+    `target`: data, believed model and correction of the fit; `found`: fit with causes. The two given ones are
+    returned where `recorrected` changes nothing.
 
     Notes
     -----
@@ -41,7 +38,7 @@ def corrected_fit(
     """
     corrected = target, found
     for _ in range(target.bench.settings.model.most_corrections):
-        better = recorrected(target, corrected[1], progress=progress)
+        better = recorrected(target, corrected[1])
         start, choices = corrected[1].x, found.choices
         again = None if better is target else fit(better, found.parts, start=start, choices=choices)
         if again is None:
@@ -73,26 +70,19 @@ def _uncorrected(target: FitTarget, found: Fit) -> float:
     return remainder * error / effect if effect > 0.0 else 0.0
 
 
-def recorrected(target: FitTarget, found: Fit, *, progress: Callable[[str], None] | None = None) -> FitTarget:
+def recorrected(target: FitTarget, found: Fit) -> FitTarget:
     """Return a target whose correction is exact for the believed model and for a fitted model with causes.
 
-    `target`: data, believed model and correction of the fit; `found`: fit with causes; `progress`: called before the
-    solution on the fine mesh. The given target is returned where the modulus does more than scale forces, where all
-    causes are errors of the tracker or one is memory, where the fine mesh has no equilibrium, and for data that were
-    simulated on the user's mesh.
+    `target`: data, believed model and correction of the fit; `found`: fit with causes. The given target is returned
+    where the modulus does more than scale forces, where all causes are errors of the tracker or one is memory, where
+    the fine mesh has no equilibrium, and for data that were simulated on the user's mesh.
     """
     bench = target.bench
-    if (
-        not bench.settings.model.corrected
-        or bench.is_exact
-        or not bench.scales_forces
-        or any(part.id in ABSOLUTE for part in found.parts)
-    ):
+    if not bench.settings.model.corrected or bench.is_exact or not target.scales_forces(found.ids):
         return target
-    if all(issubclass(EFFECTS[part.id], ChainEffect) for part in found.parts):
+    if all(CAUSES[name].closed_form for name in found.ids):
         return target
-    if progress is not None:
-        progress(f"fine mesh with {' + '.join(found.ids)}")
+    bench.progress(f"fine mesh with {' + '.join(found.ids)}")
     try:
         effects, coarse = at_believed_modulus(target, found)
         fine = refined_effects(bench, effects)

@@ -4,7 +4,7 @@ Meshing and solving take long; predictions of the believed model are cached, nam
 """
 
 import io
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -47,23 +47,19 @@ def entry_of(experiment: Experiment) -> str:
     return f"fine_{fingerprint(experiment, f'tet10 {SCHEMA}')}"
 
 
-def refined_predictions(
-    bench: Bench, entry: str | None, *, thirds: int | None = None, progress: Callable[[str], None] | None = None
-) -> tuple[FloatArray, FloatArray]:
+def refined_predictions(bench: Bench, entry: str | None) -> tuple[FloatArray, FloatArray]:
     """Return the prediction of the believed model on the correcting fine mesh, and those on further fine meshes.
 
-    `bench`: the believed model; `entry`: name of the cached entry (`entry_of`), None to use no cache; `thirds`: number
-    of further meshes, None for that of the settings; `progress`: called with the name of the step that begins. Result:
-    (size,) and (thirds, size), mm and mN. Raises `ConvergenceError` if a frame has no equilibrium.
+    `bench`: the believed model; `entry`: name of the cached entry (`entry_of`), None to use no cache. Result: (size,)
+    and (thirds, size), mm and mN. Raises `ConvergenceError` if a frame has no equilibrium.
     """
-    thirds = bench.settings.model.thirds if thirds is None else thirds
+    thirds = bench.settings.model.thirds
     kept = None if entry is None else _read(entry)
     if kept is not None and kept.shape == (1 + thirds, bench.layout.size):
         return kept[0], kept[1:]
     found = []
     for number, model in enumerate(_models(bench, thirds)):
-        if progress is not None:
-            progress("fine mesh" if number == 0 else f"other mesh {number}")
+        bench.progress("fine mesh" if number == 0 else f"other mesh {number}")
         found.append(flat_of(bench.layout, model.simulate(threads=bench.predictor.threads)))
     made = np.array(found)
     if entry is not None:

@@ -20,7 +20,7 @@ from tissuereg._base.choices import Element
 from tissuereg._base.provenance import warn
 from tissuereg._version import __version__
 from tissuereg.diagnosis.advice import advise
-from tissuereg.diagnosis.answer import Diagnosis, Finding
+from tissuereg.diagnosis.answer import Diagnosis, DiagnosisDetails, Finding
 from tissuereg.diagnosis.bank import Bank, make_bank
 from tissuereg.diagnosis.bench import Bench
 from tissuereg.diagnosis.constancy import Constancy, constancies
@@ -77,23 +77,21 @@ def diagnose_body(
     element = element or (simulated.element if simulated is not None and plain else "tet4")
     layout = SignalLayout(experiment)
     noise = estimate_noise(experiment, layout, settings.noise)
-    if progress is not None:
-        progress("units and axes")
+    said = progress or (lambda step: None)
+    said("units and axes")
     suspicions = suspect_recording(experiment, layout, element=element, threads=threads, settings=settings.readings)
     if any(one.log_odds is not None for one in suspicions):
         return _misread(experiment, suspicions, seed, settings)
-    bench = Bench(experiment, layout, element=element, threads=threads, settings=settings)
+    bench = Bench(experiment, layout, element=element, threads=threads, settings=settings, progress=said)
     _ = bench.base  # warnings of the believed model are the user's; those of trials are not
     with warnings.catch_warnings():
         for kind in (UnitWarning, LockingWarning):
             warnings.simplefilter("ignore", kind)
-        found = _searched(bench, noise, silent=bool(suspicions), seed=seed, keep=keep, progress=progress)
+        found = _searched(bench, noise, silent=bool(suspicions), seed=seed, keep=keep)
     return replace(found, suspicions=tuple(suspicions))
 
 
-def _searched(
-    bench: Bench, noise: Noise, *, silent: bool, seed: int, keep: bool, progress: Callable[[str], None] | None
-) -> Diagnosis:
+def _searched(bench: Bench, noise: Noise, *, silent: bool, seed: int, keep: bool) -> Diagnosis:
     """Return the diagnosis of a recording that is read rightly; arguments as for `diagnose_body`.
 
     `silent`: whether forces are below their noise, so that no modulus follows from them.
@@ -101,16 +99,17 @@ def _searched(
     experiment, layout = bench.experiment, bench.layout
     settings, rules = bench.settings, bench.settings.nulls
     element, threads = bench.predictor.element, bench.predictor.threads
-    bank = make_bank(bench, keep=keep, progress=progress)
-    believed = make_believed(bench, noise, keep=keep, progress=progress)
-    judged = _judged(bench, bank, believed, silent=silent, seed=seed, progress=progress)
+    bank = make_bank(bench, keep=keep)
+    believed = make_believed(bench, noise, keep=keep)
+    judged = _judged(bank, believed, silent=silent, seed=seed)
     if judged.misfit.p < rules.misfit:
-        again = _with_larger_noise(bench, bank, believed, judged, silent=silent, seed=seed, progress=progress)
+        again = _with_larger_noise(bank, believed, judged, silent=silent, seed=seed)
         if again is not None:
             believed, judged = again
-    noise, target, nuisances = believed.target.noise, believed.target, believed.nuisances
-    found, findings, misfit, screen, nulls = judged.found, judged.findings, judged.misfit, judged.screen, judged.nulls
-    larger = understated(experiment, noise, settings.noise)
+    target, found, findings, misfit, screen = (
+        believed.target, judged.found, judged.findings, judged.misfit, judged.screen,
+    )  # fmt: skip
+    larger = understated(experiment, target.noise, settings.noise)
     verdict = _verdict(findings, misfit.p, withdrawn=judged.withdrawn or silent, level=rules.misfit)
     if verdict == "consistent" and larger:
         verdict = UNDERSTATED
@@ -144,14 +143,7 @@ def _searched(
         seed=seed,
         versions=_versions(),
         numbers=settings,
-        details={
-            "search": found,
-            "layout": layout,
-            "noise": noise,
-            "target": target,
-            "nuisances": nuisances,
-            "thresholds": nulls.thresholds,
-        },
+        details=DiagnosisDetails(found, target, believed.nuisances, judged.nulls.thresholds),
     )
 
 
@@ -173,24 +165,15 @@ class _Judged:
     tested: list[Constancy]
 
 
-def _judged(
-    bench: Bench,
-    bank: Bank,
-    believed: "BelievedModel",
-    *,
-    silent: bool,
-    seed: int,
-    progress: Callable[[str], None] | None,
-) -> _Judged:
+def _judged(bank: Bank, believed: "BelievedModel", *, silent: bool, seed: int) -> _Judged:
     """Return the causes found under the noise of a believed model; other arguments as for `_searched`."""
-    layout, settings, target, null = bench.layout, bench.settings, believed.target, believed.null
-    noise = target.noise
+    target, null, noise = believed.target, believed.null, believed.target.noise
+    bench, layout, settings = target.bench, target.bench.layout, target.bench.settings
     generic = generic_columns(bench, float(noise.marker_std.mean()))
-    if progress is not None:
-        progress("screening")
+    bench.progress("screening")
     screen = Screen(bank, generic, noise, layout, target.correction, null)
     nulls = draw_nulls(screen, null, noise, layout, list(believed.mesh_errors), seed, settings)
-    found = search(target, screen, nulls.thresholds, progress=progress)
+    found = search(target, screen, nulls.thresholds)
     battery = Battery(layout, smooth_subspaces(layout, bench.base, bench.extent, noise, settings))
     before = target.null.reduced(found.base.residual)
     misfit = battery.judge(before, found.reduced, nulls.residuals)
@@ -210,24 +193,16 @@ def _judged(
 
 
 def _with_larger_noise(
-    bench: Bench,
-    bank: Bank,
-    believed: "BelievedModel",
-    first: _Judged,
-    *,
-    silent: bool,
-    seed: int,
-    progress: Callable[[str], None] | None,
+    bank: Bank, believed: "BelievedModel", first: _Judged, *, silent: bool, seed: int
 ) -> "tuple[BelievedModel, _Judged] | None":
     """Return model and answer under larger noise where that alone explains what the best fit leaves, else None."""
-    generic = first.screen.generic_white[-1]
+    bench, generic = believed.target.bench, first.screen.generic_white[-1]
     noise = larger_noise(believed.target, first.best, generic, bench.settings.noise)
     if noise is None:
         return None
-    if progress is not None:
-        progress("noise larger than stated")
+    bench.progress("noise larger than stated")
     other = believed.with_noise(noise)
-    again = _judged(bench, bank, other, silent=silent, seed=seed, progress=progress)
+    again = _judged(bank, other, silent=silent, seed=seed)
     # A misfit that remains is no noise.
     return (other, again) if again.misfit.p >= bench.settings.nulls.misfit and not again.withdrawn else None
 
@@ -300,20 +275,17 @@ class BelievedModel:
         return replace(self, target=target, null=Null(white))
 
 
-def make_believed(
-    bench: Bench, noise: Noise, *, keep: bool = True, progress: Callable[[str], None] | None = None
-) -> BelievedModel:
+def make_believed(bench: Bench, noise: Noise, *, keep: bool = True) -> BelievedModel:
     """Return the believed model, corrected for discretisation error, with its nuisance parameters.
 
     `bench`: the believed model; `noise`: measurement noise; `keep`: whether predictions on fine meshes are read from
-    and written to the cache; `progress`: called with the name of the step that begins. Raises `ConvergenceError` if a
-    frame has no equilibrium on a fine mesh.
+    and written to the cache. Raises `ConvergenceError` if a frame has no equilibrium on a fine mesh.
     """
     layout = bench.layout
     if bench.is_exact:
         fine, others = bench.base, np.zeros((0, layout.size))
     else:
-        fine, others = refined_predictions(bench, entry_of(bench.experiment) if keep else None, progress=progress)
+        fine, others = refined_predictions(bench, entry_of(bench.experiment) if keep else None)
     corrected = bench.settings.model.corrected
     correction = make_correction(layout, bench.base, fine) if corrected else Correction(layout)
     nuisances = make_nuisances(bench, others - fine, correction)

@@ -7,7 +7,7 @@ is tested for redundancy and exchanged for its closest rivals in the end (`revis
 again, or the answer lists them as possible.
 """
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -189,47 +189,36 @@ class Search:
         return Search(self.base, self.base, steps, target.null.reduced(self.base.residual))
 
 
-def search(
-    target: FitTarget, screen: Screen, thresholds: Mapping[str, float], *, progress: Callable[[str], None] | None = None
-) -> Search:
+def search(target: FitTarget, screen: Screen, thresholds: Mapping[str, float]) -> Search:
     """Return the causes that the data show, with all rounds of the search for them.
 
     `target`: data, believed model, noise and nuisances; `screen`: all hypotheses of the bank; `thresholds`: log Bayes
-    factor that each cause must exceed, nats, by id; `progress`: called with the name of the step that begins. The
-    result is without causes where none is accepted.
+    factor that each cause must exceed, nats, by id. The result is without causes where none is accepted.
     """
     base = fit(target, [])
     assert base is not None  # the believed model has an equilibrium: it was solved before
     given, current, steps, plain = target, base, [], target
     while len(current.parts) < target.bench.settings.search.most_causes:
-        step = _round(target, screen, base, current, thresholds, progress)
+        step = _round(target, screen, base, current, thresholds)
         steps.append(step)
         if step.found is None:
             break
         plain, target, current = _with_finding(plain, screen, base, current, step.found)
     if len(current.parts) > 1:
-        if progress is not None:
-            progress("revision of the causes found")
+        target.bench.progress("revision of the causes found")
         target, current, steps = _revised(given, target, screen, base, current, steps, thresholds)
     reduced = _null_after(target, current).reduced(current.residual)
     return Search(base, current, steps, reduced, target if current.parts else None)
 
 
-def _round(
-    target: FitTarget,
-    screen: Screen,
-    base: Fit,
-    current: Fit,
-    thresholds: Mapping[str, float],
-    progress: Callable[[str], None] | None,
-) -> Step:
+def _round(target: FitTarget, screen: Screen, base: Fit, current: Fit, thresholds: Mapping[str, float]) -> Step:
     """Return one round: the candidates for a further cause, and the likeliest that passes the held-out proof.
 
     `base`, `current`: fits of the believed model and with the causes found before; `thresholds`: nats, by id.
     """
     screened = screen.of(_as_screened(screen, target, current))
     required = required_thresholds(thresholds, current.ids, target.bench.settings.search)
-    candidates = refitted(target, screen, screened, current, required, progress)
+    candidates = refitted(target, screen, screened, current, required)
     step = Step(screened, candidates, None, None, settings=target.bench.settings)
     passing = [candidate for candidate in candidates if candidate.gain >= required[candidate.id]]
     references = _references(target, screen, base, current) if passing else []

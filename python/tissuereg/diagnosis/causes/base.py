@@ -15,7 +15,7 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.bench import Bench
-from tissuereg.experiment.effects import Effect
+from tissuereg.experiment.effects import EFFECTS, ChainEffect, Effect
 
 #: Physical parameters as in an answer: numbers, lists of numbers, names.
 Values = dict[str, Any]
@@ -101,7 +101,7 @@ class Cause(ABC):
     cause in answers and in ``[[effect]]`` tables; `discrete`: keys of `Variant.settings` that the free parameters
     cannot change; `always_fitted`: whether a nuisance parameter describes the same error in every fit; `absolute`:
     whether its size does not scale with Young's modulus; `constant`: whether its change has one size in all parts of
-    the data.
+    the data; `closed_form`: whether its change is a closed form.
     """
 
     #: Id in answers and in ``[[effect]]`` tables.
@@ -120,6 +120,11 @@ class Cause(ABC):
 
     #: Whether what it changes is no multiple of Young's modulus, as its free_parameters have it.
     absolute: ClassVar[bool] = False
+
+    @property
+    def closed_form(self) -> bool:
+        """Whether it is an error of the tracker, whose change is a closed form: computed at each call, never cached."""
+        return issubclass(EFFECTS[self.id], ChainEffect)
 
     @abstractmethod
     def variants(self, bench: Bench) -> Iterable[Variant]:

@@ -11,9 +11,9 @@ from tissuereg.report import svg
 from tissuereg.report.markup import escape
 
 if TYPE_CHECKING:
-    from tissuereg.diagnosis.answer import Diagnosis
+    from tissuereg.diagnosis.answer import DiagnosisDetails
     from tissuereg.diagnosis.signals import CasePart
-    from tissuereg.experiment.experiment import Case
+    from tissuereg.experiment.experiment import Case, Experiment
 
 #: Share of frames that lie in the band where there is noise alone.
 SHARE = 0.95
@@ -50,13 +50,13 @@ class ChannelCurve:
         )
 
 
-def curves(found: "Diagnosis") -> dict[str, list[ChannelCurve]]:
+def curves(details: "DiagnosisDetails") -> dict[str, list[ChannelCurve]]:
     """Return the curves of every case by its name: one of the markers, then one of every measured force.
 
     Residuals are whitened by noise and nuisances (tracker frame, drift, discretisation error), so that a correct model
     leaves uncorrelated noise of unit variance.
     """
-    search, layout, target = found.details["search"], found.details["layout"], found.details["target"]
+    search, target, layout = details.search, details.target, details.target.bench.layout
     before = target.null.reduced(search.base.residual)
     after = target.null.reduced(search.final.residual)
     if search.final.parts and len(search.reduced):
@@ -75,12 +75,11 @@ def curves(found: "Diagnosis") -> dict[str, list[ChannelCurve]]:
     return charts
 
 
-def histories(found: "Diagnosis") -> str:
-    """Return the charts of residuals over time in all cases, as HTML."""
-    cases = found.extended.cases
+def histories(extended: "Experiment", details: "DiagnosisDetails") -> str:
+    """Return the charts of residuals over time in all cases of an experiment, as HTML."""
     parts = [
-        f"<h3>{escape(name)}</h3>" + _chart(name, several, _load(cases[name]))
-        for name, several in curves(found).items()
+        f"<h3>{escape(name)}</h3>" + _chart(name, several, _load(extended.cases[name]))
+        for name, several in curves(details).items()
         if several
     ]
     return "\n".join(parts)

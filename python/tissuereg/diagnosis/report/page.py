@@ -18,7 +18,7 @@ from tissuereg.report.svg import AFTER, BEFORE, FLOOR, GENERIC, swatch
 from tissuereg.report.viewer import viewer, viewer_script
 
 if TYPE_CHECKING:
-    from tissuereg.diagnosis.answer import Diagnosis
+    from tissuereg.diagnosis.answer import Diagnosis, DiagnosisDetails
 
 #: File of the extended model in the page's folder.
 MODEL = "experiment.extended.toml"
@@ -49,38 +49,37 @@ def write_report(found: "Diagnosis", path: Path, *, seen_from: str | os.PathLike
 
 def page_parts(found: "Diagnosis", folder: Path) -> list[str]:
     """Return the sections of a diagnosis' page, as HTML; `folder`: the folder in which the page will lie."""
-    drawn = {"search", "layout", "target"} <= set(found.details)
     parts = [summary(found), "<h2>Findings</h2>", findings(found)]
-    if drawn:
-        parts += [_body(found), _history(found)]
+    if found.details is not None:
+        parts += [_body(found, found.details), _history(found, found.details)]
     parts += [_ranking(found), "<h2>Prediction of what was not fitted</h2>", proved(found)]
     parts += ["<h2>Causes that cannot be distinguished, and what to measure next</h2>", ties(found)]
     parts += ["<h2>What was assumed</h2>", assumed(found), _model(found, folder)]
     parts.append(provenance_section(found.provenance.to_json(found.settings)))
-    if drawn:
+    if found.details is not None:
         parts.append(viewer_script())
     return parts
 
 
-def _body(found: "Diagnosis") -> str:
-    same = "" if found.details["search"].final.parts else " No cause was added, so that both are the same."
+def _body(found: "Diagnosis", details: "DiagnosisDetails") -> str:
+    same = "" if details.search.final.parts else " No cause was added, so that both are the same."
     return f"""<h2>Where the simulation is wrong</h2>
 <p>The body at rest, with the residual (measured minus predicted) at every marker:
 <b style='color:{BEFORE}'>before</b>, of the believed model, and <b style='color:{AFTER}'>after</b>, of the extended
 one.{same} Residuals of forces at pads are <b style='color:{FLOOR}'>green</b>, on a scale of their own.
 A red cage is an inclusion that was found, a grey one was in the believed model;
 circles mark markers that a finding names.</p>
-{viewer(scene(found))}"""
+{viewer(scene(found, details))}"""
 
 
-def _history(found: "Diagnosis") -> str:
-    after = swatch(AFTER, "after, with the findings") if found.details["search"].final.parts else ""
+def _history(found: "Diagnosis", details: "DiagnosisDetails") -> str:
+    after = swatch(AFTER, "after, with the findings") if details.search.final.parts else ""
     lines = swatch(BEFORE, "before") + after
     return f"""<h2>When, and under which load</h2>
 <p>Root mean square residual of every frame in noise deviations, whitened by noise and nuisance parameters. Noise alone
 lies in the green band in {100 * SHARE:.0f} % of all frames.</p>
 <p class='key'>{lines}{swatch(FLOOR, "noise")}</p>
-{histories(found)}"""
+{histories(found.extended, details)}"""
 
 
 def _ranking(found: "Diagnosis") -> str:

@@ -25,14 +25,14 @@ _MODELS = (
 
 def proved(found: "Diagnosis") -> str:
     """Return the errors of every finding on data that were left out of its fit, as HTML."""
-    proofs = proofs_of(found)
+    details, proofs = found.details, proofs_of(found)
     parts = []
     for number, finding in enumerate(found.findings):
         if not finding.held_out:
             continue
         title = f"<h3>{escape(plain_name(finding.id))}</h3>"
         proof = proofs.get(number)
-        by_case = "" if proof is None else _by_case(proof, found.details["layout"])
+        by_case = "" if details is None or proof is None else _by_case(proof, details.target.bench.layout)
         parts.append(title + _overall(finding) + by_case)
     if not parts:
         return "<p>No finding was proved on data held out.</p>"
@@ -41,8 +41,7 @@ def proved(found: "Diagnosis") -> str:
 
 def proofs_of(found: "Diagnosis") -> dict[int, "HeldOut"]:
     """Return the held-out predictions of every finding by its number; a finding of the modulus has none."""
-    search = found.details.get("search")
-    steps = [step for step in search.steps if step.found is not None] if search is not None else []
+    steps = [] if found.details is None else [step for step in found.details.search.steps if step.found is not None]
     # Findings are in the order of the steps; only the modulus may precede them.
     first = len(found.findings) - len(steps)
     return {first + i: step.figures for i, step in enumerate(steps) if step.figures is not None}

@@ -64,16 +64,15 @@ def thresholds_of(found: "Diagnosis") -> dict[str, float]:
 
     Where the diagnosis lacks its details they are those of the findings alone, without the modulus.
     """
-    if "thresholds" in found.details:
-        return dict(found.details["thresholds"])
+    if found.details is not None:
+        return dict(found.details.thresholds)
     return {finding.id: finding.threshold for finding in found.findings if finding.id != "stiffness"}
 
 
 def rankings(found: "Diagnosis") -> str:
     """Return the chart of causes in the first round, and those of later rounds in collapsed sections, as HTML."""
     thresholds = thresholds_of(found)
-    search = found.details.get("search")
-    steps = [] if search is None else search.steps
+    steps = [] if found.details is None else found.details.search.steps
     # Findings are in the order of the steps; only the modulus may precede them.
     first = max(0, len(found.findings) - sum(step.found is not None for step in steps))
     rounds = [number for number, step in enumerate(steps) if step.found is not None]

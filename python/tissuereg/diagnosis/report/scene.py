@@ -1,18 +1,20 @@
 """What the view of a diagnosis shows: surface with its pads, residuals of markers and forces, inclusions."""
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray
-from tissuereg.experiment.effects import Inclusion
+from tissuereg.experiment.effects import Effect, Inclusion
 from tissuereg.report.scene import TARGET, WRONG
 from tissuereg.report.solid import DrawnBody
 from tissuereg.report.svg import AFTER, BEFORE, FLOOR
 from tissuereg.report.viewer import LOOK, ShownCase, Signs, ViewScene
 
 if TYPE_CHECKING:
-    from tissuereg.diagnosis.answer import Diagnosis
+    from tissuereg.diagnosis.answer import Diagnosis, DiagnosisDetails
+    from tissuereg.diagnosis.signals import SignalLayout
     from tissuereg.experiment.experiment import Experiment
 
 #: Number of residual vectors in a page, before and after together, at most; of longer cases every nth frame is shown.
@@ -22,25 +24,29 @@ MOST_VECTORS = 60_000
 _COLOURS = ("#c3cad3", "#7d858e", "#d6aa3c", "#78aa5a", "#9678be", "#5aaab4")
 
 
-def scene(found: "Diagnosis", most: int = MOST_VECTORS) -> ViewScene:
-    """Return what the view of a diagnosis, with its details, shows; `most`: number of residual vectors at most.
+def scene(found: "Diagnosis", details: "DiagnosisDetails", most: int = MOST_VECTORS) -> ViewScene:
+    """Return what the view of a diagnosis with these details shows; `most`: number of residual vectors at most.
 
     Residuals, measured minus predicted, are those before and after the findings, in mm and mN, NaN = not measured.
     """
-    layout, body = found.details["layout"], found.extended
+    layout, body = details.target.bench.layout, found.extended
     stride = max(1, -(-2 * sum(part.n_frames * part.n_markers for part in layout.parts) // most))
     cases = [ShownCase(part.name, np.round(part.times[::stride], 4).tolist()) for part in layout.parts]
-    residuals = [_residuals(found, fit, stride) for fit in ("base", "final")]
+    residuals = [
+        _residuals(body, layout, fit.prediction, stride) for fit in (details.search.base, details.search.final)
+    ]
     forces = [[pair[1] for pair in one] for one in residuals]
     markers = [[pair[0] for pair in one] for one in residuals]
     case, frame = _worst(markers[0])
+    believed = details.target.bench.experiment.effects
+    new = [effect for effect in body.effects if not any(effect is other for other in believed)]
     pads = [f"pad {actuator.name}" for actuator in body.actuators]
     patches = ["free surface", "held", *pads]
     return ViewScene(
         title="Residuals on the body at rest",
         body=drawn_surface(body),
         patches=[(name, _COLOURS[i if i < 2 else 2 + (i - 2) % 4]) for i, name in enumerate(patches)],
-        layers=[*_body_layers(found), *_marker_layers(found, markers), *_force_layers(body, forces)],
+        layers=[*_body_layers(body, new), *_marker_layers(layout, new, markers), *_force_layers(body, forces)],
         states=("before", "after"),
         cases=cases,
         start=(0, case, frame, 0),
@@ -58,11 +64,12 @@ def drawn_surface(experiment: "Experiment", most: int | None = None) -> DrawnBod
     return DrawnBody.of(mesh, [patch, *(actuator.nodes for actuator in experiment.actuators)], **limit)
 
 
-def _residuals(found: "Diagnosis", fit: str, stride: int) -> list[tuple[FloatArray, FloatArray]]:
+def _residuals(
+    body: "Experiment", layout: "SignalLayout", prediction: FloatArray, stride: int
+) -> list[tuple[FloatArray, FloatArray]]:
     """Return for each case the residuals of markers (n_frames, n_markers, 3) and of all pads' forces, likewise."""
-    layout, search = found.details["layout"], found.details["search"]
-    left = np.where(layout.seen, layout.measured - getattr(search, fit).prediction, np.nan)
-    names = [actuator.name for actuator in found.extended.actuators]
+    left = np.where(layout.seen, layout.measured - prediction, np.nan)
+    names = [actuator.name for actuator in body.actuators]
     cases = []
     for part in layout.parts:
         forces = np.full((part.n_frames, len(names), 3), np.nan)
@@ -78,8 +85,7 @@ def _worst(cases: list[FloatArray]) -> tuple[int, int]:
     return max(sizes)[1:] if sizes else (0, 0)
 
 
-def _body_layers(found: "Diagnosis") -> list[Signs]:
-    body, new = found.extended, _new(found)
+def _body_layers(body: "Experiment", new: Sequence[Effect]) -> list[Signs]:
     layers = []
     for title, colour, chosen in (("inclusion found", "#b0143c", True), ("inclusion believed", "#3c3c3c", False)):
         some = [one for one in body.effects if isinstance(one, Inclusion) and any(one is x for x in new) == chosen]
@@ -110,12 +116,11 @@ def _body_layers(found: "Diagnosis") -> list[Signs]:
     return layers
 
 
-def _marker_layers(found: "Diagnosis", residuals: list[list[FloatArray]]) -> list[Signs]:
-    layout = found.details["layout"]
+def _marker_layers(layout: "SignalLayout", new: Sequence[Effect], residuals: list[list[FloatArray]]) -> list[Signs]:
     names, places = list(layout.marker_names), layout.reference
     seen = [[np.where(np.isfinite(one), places, np.nan) for one in cases] for cases in residuals]
     unseen = [[np.where(np.isfinite(one), np.nan, places) for one in cases] for cases in residuals]
-    accused = sorted({name for effect in _new(found) for name in _markers_of(effect)} & set(names))
+    accused = sorted({name for effect in new for name in _markers_of(effect)} & set(names))
     layers = [
         Signs(kind="points", title="markers", colour="#20262e", places=seen, size=3.0),
         Signs(kind="points", title="markers not seen", colour="#7d858e", places=unseen, shape="ring"),
@@ -175,13 +180,6 @@ def _force_layers(body: "Experiment", forces: list[list[FloatArray]]) -> list[Si
             )
         )
     return layers
-
-
-def _new(found: "Diagnosis") -> tuple[Any, ...]:
-    """Return the effects that the diagnosis added to the believed model."""
-    target = found.details.get("target")
-    believed = () if target is None else target.bench.experiment.effects
-    return tuple(effect for effect in found.extended.effects if not any(effect is other for other in believed))
 
 
 def _markers_of(effect: Any) -> tuple[str, ...]:

@@ -101,13 +101,11 @@ def ties(found: "Diagnosis") -> str:
 
 def assumed(found: "Diagnosis") -> str:
     """Return noise model, nuisance parameters, modulus, prior probabilities, seed and versions, as HTML."""
-    items = []
-    noise = found.details.get("noise")
-    if noise is not None:
-        items += _noise(noise, found)
-    items += _nuisances(found)
-    search, target = found.details.get("search"), found.details.get("target")
-    if search is not None and target is not None:
+    details = found.details
+    items = [] if details is None else _noise(details.target.noise, found)
+    items += _nuisances(["stiffness"] if details is None else details.nuisances.names)
+    if details is not None:
+        search, target = details.search, details.target
         young = target.bench.young
         spread = young * float(np.sqrt(search.final.covariance[0, 0])) * float(np.exp(search.final.x[0]))
         believed = target.bench.young_spread * young
@@ -191,9 +189,7 @@ def _noise(noise: "Noise", found: "Diagnosis") -> list[str]:
     return items
 
 
-def _nuisances(found: "Diagnosis") -> list[str]:
-    nuisances = found.details.get("nuisances")
-    names = ["stiffness"] if nuisances is None else list(nuisances.names)
+def _nuisances(names: Sequence[str]) -> list[str]:
     kinds = {
         "stiffness": "Young's modulus within its prior",
         "frame shift": "a small shift of the tracker's frame",
