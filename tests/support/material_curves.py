@@ -13,7 +13,7 @@ import numpy as np
 
 import tissuereg as tr
 from tissuereg.diagnosis.material.data import data_of, path_arc
-from tissuereg.diagnosis.material.weights import generic_covariance
+from tissuereg.diagnosis.material.noise import generic_covariance
 from tissuereg.experiment.material_experiment import Curve, MaterialExperiment
 
 MU = 10.0 / 3.0

@@ -4,11 +4,10 @@ import numpy as np
 
 from tissuereg.diagnosis.material.answer import parameters_of
 from tissuereg.diagnosis.material.causes import CAUSES
-from tissuereg.diagnosis.material.deviations import stated
+from tissuereg.diagnosis.material.data import scene_of
 from tissuereg.diagnosis.material.fit import fitted
 from tissuereg.diagnosis.material.hypothesis import refitted
-from tissuereg.diagnosis.material.refine import rows_alike
-from tissuereg.diagnosis.material.scene import scene_of
+from tissuereg.diagnosis.material.refine import rows_alike, stated
 from tissuereg.diagnosis.material.verdict import bench_of
 
 
@@ -40,5 +39,5 @@ def numbers(fit, *causes):
 def both(experiment, cause, label, weighting="lasting errors"):
     """Return the numbers with the stated deviations, those for a form without error, and the form error."""
     fit, bench = fit_and_bench(experiment, cause, label, weighting)
-    fitted = stated(bench, fit)
-    return numbers(fitted.fit, cause), numbers(fit, cause), fitted.form_error
+    with_deviations, form_error = stated(bench, fit)
+    return numbers(with_deviations, cause), numbers(fit, cause), form_error

@@ -63,7 +63,7 @@ def refitted(monkeypatch, cause, seen, fits, corrected_fit):
     monkeypatch.setattr(candidates, "_fit_forms", lambda *_: fits)
     monkeypatch.setattr(candidates, "corrected_fit", corrected_fit)
     believed = SimpleNamespace(ids=(), parts=(), log_evidence=-100.0)
-    own = SimpleNamespace(bench=SimpleNamespace(settings=DEFAULT))
+    own = SimpleNamespace(bench=SimpleNamespace(settings=DEFAULT, progress=lambda _: None))
     (found,) = candidates.refitted(own, None, {cause: Screened(seen, None, np.empty(0))}, believed, {cause: 6.0})
     return found
 

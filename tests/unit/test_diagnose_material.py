@@ -11,10 +11,10 @@ from support.material_curves import believed, elastic, histories, in_modes
 from support.pages import assert_sound_page
 from tissuereg.diagnosis.material import diagnose_material, predicted_stresses
 from tissuereg.diagnosis.material.causes import CAUSES
+from tissuereg.diagnosis.material.data import scene_of
 from tissuereg.diagnosis.material.hypothesis import null_hypothesis
 from tissuereg.diagnosis.material.noise import noise_of
 from tissuereg.diagnosis.material.report import material_page
-from tissuereg.diagnosis.material.scene import scene_of
 from tissuereg.diagnosis.material.search import MaterialSearch
 from tissuereg.diagnosis.material.verdict import bench_of
 from tissuereg.experiment.effects import Stiffening

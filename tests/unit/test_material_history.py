@@ -7,8 +7,7 @@ import support.material_curves as made
 import tissuereg as tr
 from support.meshes import block
 from tissuereg import _core
-from tissuereg.diagnosis.material.elastic import plane_second_pk, shear_metric
-from tissuereg.diagnosis.material.history import stress_of
+from tissuereg.diagnosis.material.history import plane_second_pk, shear_metric, stress_of
 from tissuereg.diagnosis.material.model import Model
 from tissuereg.experiment.effects.history import Rate, Relaxation, Set, Softening
 from tissuereg.experiment.material_tests import shear_stress

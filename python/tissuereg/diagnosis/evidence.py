@@ -9,8 +9,9 @@ and the log Bayes factor is 1/2 b^T M^-1 b - 1/2 log det M with b = A^T C0^-1 r 
 columns are first multiplied by C0^-1/2 ("reduced"), which integrates the nuisances out; C0 is then the identity.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from itertools import accumulate, pairwise
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -96,6 +97,25 @@ class Blocks:
         if self.positive:
             log_factor += np.log(2.0) + norm.logcdf(half[..., 0])
         return np.asarray(log_factor)
+
+
+def log_bayes_factors(residuals: FloatArray, columns: FloatArray) -> FloatArray:
+    """Return the log Bayes factors (n,), in nats, of one hypothesis for n residuals (size, n), whitened.
+
+    `columns` (size, p): whitened changes by one prior standard deviation of each of its amplitudes.
+    """
+    inner = np.eye(columns.shape[1]) + columns.T @ columns
+    along = columns.T @ residuals
+    gain = 0.5 * np.einsum("in,in->n", along, np.linalg.solve(inner, along))
+    return np.asarray(gain - 0.5 * np.linalg.slogdet(inner)[1])
+
+
+def slices_of(sizes: Iterable[int]) -> list[slice]:
+    """Return where the parameters of each cause lie in the vector x, whose first entry is that of the modulus.
+
+    `sizes`: number of parameters of each cause.
+    """
+    return [slice(first, last) for first, last in pairwise(accumulate(sizes, initial=1))]
 
 
 def log_mean_exp(values: FloatArray, axis: int = -1) -> FloatArray:

@@ -19,7 +19,7 @@ from tissuereg.diagnosis.bench import Bench
 from tissuereg.diagnosis.causes import CAUSES, FreeParameters, Values, Variant
 from tissuereg.diagnosis.causes.base import Mixture
 from tissuereg.diagnosis.correction import Correction
-from tissuereg.diagnosis.evidence import Null
+from tissuereg.diagnosis.evidence import Null, slices_of
 from tissuereg.diagnosis.noise import Noise
 from tissuereg.diagnosis.predictor import NO_ANSWER, Solved
 from tissuereg.experiment.effects import Effect
@@ -89,7 +89,7 @@ class Fit:
 
     def slices(self) -> list[slice]:
         """Return for every cause the slice of `x` that holds its parameters."""
-        return slices_of(self.parts)
+        return slices_of(len(part.free_parameters.start) for part in self.parts)
 
     def young(self, believed: float) -> float:
         """Return the fitted modulus in kPa; `believed`: believed modulus, kPa."""
@@ -234,15 +234,6 @@ def choices_of(cause: str, variants: Sequence[Variant]) -> int:
     return max(1, len({tuple(str(v.settings.get(key)) for key in keys) for v in variants}))
 
 
-def slices_of(parts: Sequence[FittedCause]) -> list[slice]:
-    """Return for every cause the slice of its parameters in the vector x, whose first entry is that of the modulus."""
-    found, at = [], 1
-    for part in parts:
-        found.append(slice(at, at + len(part.free_parameters.start)))
-        at += len(part.free_parameters.start)
-    return found
-
-
 def predicted(target: FitTarget, found: Fit, *, without: int) -> FloatArray:
     """Return the prediction (size,), mm and mN, of a fitted model without one of its causes, else unchanged.
 
@@ -275,6 +266,7 @@ class _FitSolver:
     def __init__(self, target: FitTarget, parts: tuple[FittedCause, ...]) -> None:
         self.target = target
         self.parts = parts
+        self.slices = slices_of(len(part.free_parameters.start) for part in parts)
         # The first parameter is the logarithm of the modulus over the believed one; the modulus' prior is log-normal.
         self.start = np.concatenate([[0.0], *(part.free_parameters.start for part in parts)])
         self.mean = np.concatenate([[0.0], *(part.free_parameters.mean for part in parts)])
@@ -300,7 +292,7 @@ class _FitSolver:
         """Return the prediction (size,) on the user's mesh for parameters (k,), mm and mN."""
         factor = self.factor(x)
         total = np.zeros(len(self.measured))
-        for part, mine in zip(self.parts, slices_of(self.parts), strict=True):
+        for part, mine in zip(self.parts, self.slices, strict=True):
             if part.free_parameters.columns is not None:
                 total += x[mine] @ part.free_parameters.columns
         for weight, effects in self.mixture(x):
@@ -329,7 +321,7 @@ class _FitSolver:
         """
         young = self.target.bench.young * (1.0 if self.scales else self.factor(x))
         mixture: Mixture = [(1.0, ())]
-        for part, mine in zip(self.parts, slices_of(self.parts), strict=True):
+        for part, mine in zip(self.parts, self.slices, strict=True):
             if part.free_parameters.columns is None:
                 own = part.free_parameters.mixture(x[mine], young)
                 mixture = [(a * b, (*before, *more)) for a, before in mixture for b, more in own if b > 0.0]

@@ -2,9 +2,8 @@
 
 `diagnose_material` runs all steps: `noise` (measurement error of the curves), `hypothesis` (fits of causes and their
 evidence), `nulls` (threshold and p-value from simulated null experiments), `search` (selection of causes, held-out
-proof, groups), `verdict`, `refine` (form and weights of the reported fit), `deviations` (its standard deviations),
-`answer`, `extend` and `report`. `causes` has one module for each family of causes; `history.stress_of` computes the
-stress of a model along a curve.
+proof, groups), `verdict`, `refine` (form, weights and standard deviations of the reported fit), `answer` and
+`report`. `causes` is the catalogue; `history.stress_of` computes the stress of a model along a curve.
 """
 
 import os
@@ -15,7 +14,8 @@ from typing import Any
 
 from tissuereg._base.arguments import place
 from tissuereg.diagnosis.material.answer import EXTENDED_FILE, answer_of
-from tissuereg.diagnosis.material.extend import extended, predicted_stresses
+from tissuereg.diagnosis.material.fit import extended
+from tissuereg.diagnosis.material.history import predicted_stresses
 from tissuereg.diagnosis.material.report import material_page
 from tissuereg.diagnosis.material.verdict import SelectionOutcome, find_out
 from tissuereg.diagnosis.settings import DEFAULT, DiagnoseSettings

@@ -1,17 +1,14 @@
 """Which further test would distinguish two causes that the measured curves cannot."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray
-from tissuereg.diagnosis.material.data import data_of
+from tissuereg.diagnosis.material.data import Scene, data_of
 from tissuereg.diagnosis.material.history import stress_of
 from tissuereg.diagnosis.material.model import Model
 from tissuereg.diagnosis.material.noise import CurveNoise, covariance
-from tissuereg.diagnosis.material.scene import Scene
 from tissuereg.diagnosis.settings import DEFAULT, MaterialSettings
 from tissuereg.errors import ExperimentError
 from tissuereg.experiment.material_experiment import Curve, MaterialExperiment
@@ -78,39 +75,30 @@ def _stock(experiment: MaterialExperiment, scene: Scene, n_rows: int) -> list[tu
     rate = min((c.rate for c in curves if not np.isnan(c.rate)), default=0.01)
     tests: list[tuple[str, Curve]] = []
 
-    def add(action: str, mode: str, path: Callable[[float], tuple[FloatArray, FloatArray]]) -> None:
-        times, strains = path(largest[mode])
+    def add(action: str, mode: str, path: tuple[FloatArray, FloatArray]) -> None:
+        times, strains = path
         amounts = strains if mode == "simple-shear" else 1.0 + strains
         # The stress is a placeholder of the right sign: the models use the path alone.
         tests.append((action, Curve("next", mode, rate, times, amounts, strains)))
 
-    for mode in largest:
+    for mode, far in largest.items():
         if mode not in scene.modes:
-            add(
-                f"{mode.replace('-', ' ')} to a strain of {abs(largest[mode]):.2g}",
-                mode,
-                lambda a: _ramp(a, rate, n_rows),
-            )
+            add(f"{mode.replace('-', ' ')} to a strain of {abs(far):.2g}", mode, _ramp(far, rate, n_rows))
     first = scene.modes[0]
-    named = first.replace("-", " ")
-    add(f"{named} with a hold of {10 * abs(largest[first]) / rate:.3g} s", first, lambda a: _hold(a, rate, n_rows))
-    add(f"{named} ten times as fast", first, lambda a: _ramp(a, 10.0 * rate, n_rows))
-    add(f"{named}, unloaded and loaded again", first, lambda a: _again(a, rate, n_rows))
+    named, far = first.replace("-", " "), largest[first]
+    add(f"{named} with a hold of {10 * abs(far) / rate:.3g} s", first, _hold(far, rate, n_rows))
+    add(f"{named} ten times as fast", first, _ramp(far, 10.0 * rate, n_rows))
+    add(f"{named}, unloaded and loaded again", first, _again(far, rate, n_rows))
     for mode in scene.modes:
         wide = min(1.5 * abs(largest[mode]), 0.7) if mode == "compression" else 1.5 * abs(largest[mode])
-        named = mode.replace("-", " ")
         further = float(np.sign(largest[mode])) * wide
-        add(f"{named} to a strain of {wide:.2g}", mode, partial(_to, further, rate, n_rows))
+        add(f"{mode.replace('-', ' ')} to a strain of {wide:.2g}", mode, _ramp(further, rate, n_rows))
     return tests
 
 
 def _ramp(largest: float, rate: float, n_rows: int) -> tuple[FloatArray, FloatArray]:
     strains = np.linspace(0.0, largest, n_rows)
     return np.abs(strains) / rate, strains
-
-
-def _to(largest: float, rate: float, n_rows: int, _: float) -> tuple[FloatArray, FloatArray]:
-    return _ramp(largest, rate, n_rows)
 
 
 def _hold(largest: float, rate: float, n_rows: int) -> tuple[FloatArray, FloatArray]:

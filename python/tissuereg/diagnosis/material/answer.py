@@ -3,15 +3,15 @@
 import platform
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 
-from tissuereg._base.arrays import FloatArray
+from tissuereg._base.arrays import BoolArray, FloatArray
 from tissuereg._version import __version__
 from tissuereg.diagnosis.material.advice import best_test
 from tissuereg.diagnosis.material.causes import CAUSES
-from tissuereg.diagnosis.material.data import BoolArray
 from tissuereg.diagnosis.material.fit import MaterialFit, effects_of
 from tissuereg.diagnosis.material.search import MaterialFinding
 from tissuereg.diagnosis.material.verdict import SelectionOutcome
@@ -59,15 +59,7 @@ def answer_of(experiment: MaterialExperiment, outcome: SelectionOutcome, seed: i
             }
             for one in outcome.possible
         ],
-        "candidates": [
-            {
-                "id": c.id,
-                "probability": c.probability,
-                "log_bayes_factor": c.log_bayes_factor,
-                "detectability": c.detectability,
-            }
-            for c in outcome.candidates
-        ],
+        "candidates": [asdict(one) for one in outcome.candidates],
         "p_misfit": outcome.p_misfit,
         "explained": outcome.explained if outcome.known.ids else None,
         "held_out": _held_out(outcome),
@@ -82,7 +74,7 @@ def answer_of(experiment: MaterialExperiment, outcome: SelectionOutcome, seed: i
         "next_experiment": _next(experiment, outcome),
         "sentences": _sentences(outcome),
         "weighting": outcome.refined.weighting if outcome.refined else None,
-        "provisional": outcome.unit == "part",
+        "provisional": outcome.bench.unit == "part",
         "seed": seed,
         "settings": outcome.bench.problem.settings.to_json({}),
         "versions": {"tissuereg": __version__, "numpy": np.__version__, "python": platform.python_version()},
@@ -134,7 +126,7 @@ def _held_out(outcome: SelectionOutcome) -> dict[str, Any]:
     }
     noise = float(np.sqrt(np.mean(np.diag(outcome.bench.noise))))
     return {
-        "unit": outcome.unit,
+        "unit": outcome.bench.unit,
         "cases": list(base.rms),
         "rms_base_kpa": base.rms_all,
         "rms_named_kpa": named.rms_all,
@@ -226,7 +218,7 @@ def _sentences(outcome: SelectionOutcome) -> list[str]:
         ]
     what = {"part": "the last part of each curve", "mode": "a mode", "rate": "a rate", "specimen": "a specimen"}
     change = f"from {base.rms_all:.3g} to {named.rms_all:.3g} kPa"
-    sentences.append(f"The prediction error of {what[outcome.unit]} that is held out changes {change}.")
+    sentences.append(f"The prediction error of {what[outcome.bench.unit]} that is held out changes {change}.")
     if outcome.p_misfit <= outcome.bench.problem.settings.nulls.misfit:
         sentences.append(f"A misfit beyond the noise remains: {outcome.explained:.0%} of it are explained.")
         assert outcome.refined is not None  # there are findings
@@ -234,7 +226,7 @@ def _sentences(outcome: SelectionOutcome) -> list[str]:
             f"The form found has a model error of some {outcome.refined.form_error:.1%} of the stress; the stated "
             "deviations include it for the modes, rates and strains tested."
         )
-    if outcome.unit == "part":
+    if outcome.bench.unit == "part":
         sentences.append(
             "Only the last part of the curves could be held out: provisional until another mode, rate or specimen is "
             "tested; the stated deviations do not cover those."

@@ -1,42 +1,29 @@
-"""The data of fits: thinned rows of every curve, with the coordinates on which a smooth misfit may depend."""
+"""What was measured: thinned rows of every curve that are fitted, and what the curves can show at all.
+
+Rows have the coordinates on which a smooth misfit may depend.
+"""
 
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from tissuereg._base.arrays import FloatArray, IntArray
+from tissuereg._base.arrays import BoolArray, FloatArray, IntArray
 from tissuereg.diagnosis.material.history import stress_of
 from tissuereg.diagnosis.material.model import Model
-from tissuereg.diagnosis.settings import DEFAULT
+from tissuereg.diagnosis.settings import DEFAULT, MaterialSettings
 from tissuereg.experiment.material_experiment import Curve, MaterialExperiment
-
-BoolArray = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
 class Data:
     """The n rows (measured points) of all curves that are used in fits, curve after curve.
 
-    Attributes
-    ----------
-    curves : tuple of Curve
-        Curves of the experiment; some of them may have no rows.
-    rows : tuple of ndarray of int64
-        For each curve, the indices of its rows that are used.
-    stress : ndarray of float64, shape (n,)
-        Nominal stress, kPa, compression negative.
-    curve_of : ndarray of int64, shape (n,)
-        Index of the curve.
-    level : ndarray of float64, shape (n,)
-        Size of the stress plus a tenth of the curve's peak, kPa; relative errors are multiplied by it.
-    arc : ndarray of float64, shape (n,)
-        Progress along the load history, 0 to 1, strain and time counting half each.
-    strain : ndarray of float64, shape (n,)
-        Strain over the largest strain of its mode, -1 to 1.
-    log_rate : ndarray of float64, shape (n,)
-        Decadic logarithm of the strain rate in 1/s; 0 where it is not known.
+    `curves`: curves of the experiment; some may have no rows; `rows`: for each curve, the indices of its rows that are
+    used; `stress` (n,): nominal stress, kPa, compression negative; `curve_of` (n,): index of the curve; `level` (n,):
+    size of the stress plus a tenth of the curve's peak, kPa, by which relative errors are multiplied; `arc` (n,):
+    progress along the load history, 0 to 1, strain and time counting half each; `strain` (n,): strain over the largest
+    strain of its mode, -1 to 1; `log_rate` (n,): decadic logarithm of the strain rate in 1/s; 0 where it is not known.
     """
 
     curves: tuple[Curve, ...]
@@ -59,35 +46,13 @@ class Data:
         return [self.curves[c].specimen for c in self.curve_of]
 
     def part(self, kept: BoolArray) -> "Data":
-        """Return the data with some of the rows.
-
-        Parameters
-        ----------
-        kept : ndarray of bool, shape (n,)
-            Whether each row is kept.
-
-        Returns
-        -------
-        Data
-            Data with all curves; those without rows contribute nothing.
-        """
+        """Return the data with the rows of a mask (n,); curves without rows contribute nothing."""
         rows = tuple(rows[kept[self.curve_of == i]] for i, rows in enumerate(self.rows))
         columns: tuple[Any, ...] = (self.stress, self.curve_of, self.level, self.arc, self.strain, self.log_rate)
         return Data(self.curves, rows, *(column[kept] for column in columns))
 
     def modelled(self, model: Model) -> FloatArray:
-        """Return the nominal stresses that a model predicts at the rows.
-
-        Parameters
-        ----------
-        model : Model
-            Law, with effects of time and load history.
-
-        Returns
-        -------
-        ndarray of float64, shape (n,)
-            Stress at the rows, kPa; NaN where the law has no solution.
-        """
+        """Return the nominal stresses (n,) that a model predicts at the rows, kPa; NaN where it has no solution."""
         parts = [stress_of(model, c, rows) for c, rows in zip(self.curves, self.rows, strict=True) if len(rows)]
         return np.concatenate(parts)
 
@@ -155,3 +120,108 @@ def _with_count(arc: FloatArray) -> FloatArray:
     count = np.linspace(0.0, 1.0, len(arc))
     span = float(arc[-1] - arc[0]) or 1.0
     return np.asarray(0.5 * (arc - arc[0]) / span + 0.5 * count)
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Tested modes and ranges of a set of curves, which set the priors and decide what causes can be observed.
+
+    `modes`: tested modes; `poisson`: believed Poisson's ratio; `invariant`: largest ``I1 - 3``, with I1 the first
+    invariant of the right Cauchy-Green tensor at preserved volume; `pulled`, `pushed`: whether a bar was stretched and
+    compressed, each by more than 1 %; `timed`: whether times or rates are known; `paced`: whether effects of time can
+    be distinguished from those of strain (holds, unloading, or two rates that differ by a fifth); `unloaded`: whether
+    the strain falls below nine tenths of its largest so far; `shortest_s`, `longest_s`: range of time constants that
+    the curves can resolve, s; `peak`: largest stress, kPa; `peak_energy`: half the largest stress times its strain,
+    kPa; `fastest`: largest rate of strain, 1/s; 0 where times are not known; `settings`: priors of the causes.
+    """
+
+    modes: tuple[str, ...]
+    poisson: float
+    invariant: float
+    pulled: bool
+    pushed: bool
+    timed: bool
+    paced: bool
+    unloaded: bool
+    shortest_s: float
+    longest_s: float
+    peak: float
+    peak_energy: float
+    fastest: float
+    settings: MaterialSettings = DEFAULT.material
+
+    @property
+    def two_sided(self) -> bool:
+        """Whether tension and compression were both tested."""
+        return self.pulled and self.pushed
+
+
+def scene_of(experiment: MaterialExperiment, settings: MaterialSettings = DEFAULT.material) -> Scene:
+    """Return the modes and the ranges of strain, time and stress of an experiment's curves."""
+    curves = experiment.curves
+    bars = np.concatenate([np.zeros(1), *(c.strains for c in curves if c.mode != "simple-shear")])
+    timed = [curve for curve in curves if curve.timed]
+    steps = np.concatenate([np.zeros(0), *(np.diff(curve.clock) for curve in timed)])
+    lengths = [float(curve.clock[-1] - curve.clock[0]) for curve in timed]
+    longest = max(lengths, default=0.0)
+    positive = steps[steps > 0]
+    rates = {curve.rate for curve in curves if not np.isnan(curve.rate)}
+    peaks = [float(np.nanmax(np.abs(curve.stress))) for curve in curves]
+    energies = [0.5 * p * float(np.abs(c.strains).max()) for p, c in zip(peaks, curves, strict=True)]
+    unloaded = any(_unloaded(curve) for curve in curves)
+    return Scene(
+        modes=tuple(dict.fromkeys(curve.mode for curve in curves)),
+        poisson=float(experiment.material.poisson_array[0]),
+        invariant=max(float(_invariant(curve).max()) for curve in curves),
+        pulled=bool(bars.max() > 0.01),
+        pushed=bool(bars.min() < -0.01),
+        timed=bool(timed) and longest > 0,
+        paced=bool(timed) and (unloaded or _two_paces(rates) or any(_holds(curve) for curve in timed)),
+        unloaded=unloaded,
+        shortest_s=max(float(np.median(positive)) if len(positive) else 0.0, longest * 1e-4),
+        longest_s=longest,
+        peak=max(peaks),
+        peak_energy=max(energies),
+        settings=settings,
+        fastest=max((_fastest(curve) for curve in timed), default=0.0),
+    )
+
+
+def _invariant(curve: Curve) -> FloatArray:
+    if curve.mode == "simple-shear":
+        return np.asarray(curve.amounts**2)
+    return np.asarray(curve.amounts**2 + 2.0 / curve.amounts - 3.0)
+
+
+def _unloaded(curve: Curve) -> bool:
+    sizes = np.abs(curve.strains)
+    falls = sizes < 0.9 * np.maximum.accumulate(sizes)
+    # A sweep from tension through zero to compression is no unloading.
+    return bool((falls & (np.sign(curve.strains) == np.sign(_of_largest(curve)))).any()) and not _sweeps(curve)
+
+
+def _of_largest(curve: Curve) -> FloatArray:
+    sizes = np.abs(curve.strains)
+    source = np.maximum.accumulate(np.where(sizes >= np.maximum.accumulate(sizes), np.arange(len(sizes)), 0))
+    return np.asarray(curve.strains[source])
+
+
+def _sweeps(curve: Curve) -> bool:
+    moves = np.diff(curve.strains)
+    return bool((moves >= 0).all() or (moves <= 0).all()) and curve.strains.min() < 0 < curve.strains.max()
+
+
+def _holds(curve: Curve) -> bool:
+    steps, moves = np.diff(curve.clock), np.abs(np.diff(curve.strains))
+    still = moves < 1e-3 * np.abs(curve.strains).max()
+    return bool(steps[still].sum() > 0.1 * steps.sum())
+
+
+def _two_paces(rates: set[float]) -> bool:
+    return len(rates) > 1 and max(rates) > 1.2 * min(rates)
+
+
+def _fastest(curve: Curve) -> float:
+    steps, moves = np.diff(curve.clock), np.abs(np.diff(curve.strains))
+    moving = steps > 0
+    return float(np.quantile(moves[moving] / steps[moving], 0.95)) if moving.any() else 0.0

@@ -6,19 +6,21 @@ by z and Lambda the spectrum of the generic misfit (`weights`).
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray
+from tissuereg.diagnosis.evidence import slices_of
 from tissuereg.diagnosis.material.causes import Form
 from tissuereg.diagnosis.material.data import Data
 from tissuereg.diagnosis.material.model import Model
-from tissuereg.diagnosis.material.weights import Weights
+from tissuereg.diagnosis.material.noise import Weights
 from tissuereg.diagnosis.settings import DEFAULT, DiagnoseSettings
 from tissuereg.errors import TissueRegError
 from tissuereg.experiment.effects import Effect
-from tissuereg.experiment.effects.elastic import Stiffness
+from tissuereg.experiment.effects.elastic import OtherLaw, Stiffness
+from tissuereg.experiment.material_experiment import MaterialExperiment
 
 Residuals = Callable[[FloatArray], FloatArray]
 
@@ -27,20 +29,9 @@ Residuals = Callable[[FloatArray], FloatArray]
 class FitProblem:
     """Data, weights and believed model that all fits to a material test share.
 
-    Attributes
-    ----------
-    base : Model
-        The believed model.
-    data : Data
-        Rows (measured points) that are fitted.
-    weights : Weights
-        Whitening of the residuals of these rows.
-    young_log : float
-        Prior mean of the logarithm of Young's modulus in kPa.
-    young_std : float
-        Prior standard deviation of that logarithm.
-    settings : DiagnoseSettings
-        All numbers of the diagnosis.
+    `base`: the believed model; `data`: rows (measured points) that are fitted; `weights`: whitening of their residuals;
+    `young_log`, `young_std`: prior mean and standard deviation of the logarithm of Young's modulus in kPa; `settings`:
+    all numbers of the diagnosis.
     """
 
     base: Model
@@ -55,34 +46,19 @@ class FitProblem:
 
         `x` (n,): the logarithm of Young's modulus in kPa, then the parameters of every form.
         """
-        model = self.base.with_material(young=float(np.exp(np.clip(x[0], -30.0, 30.0))))
-        for effect in effects_of(forms, x):
-            if not isinstance(effect, Stiffness):
-                model = model.with_effect(effect)
-        return model
+        model = self.base.with_young(float(np.exp(np.clip(x[0], -30.0, 30.0))))
+        return model.with_effects(one for one in effects_of(forms, x) if not isinstance(one, Stiffness))
 
 
 @dataclass(frozen=True, eq=False)
 class MaterialFit:
     """A fitted hypothesis: the believed law with some causes, each in one form (formula of a law or effect).
 
-    Attributes
-    ----------
-    forms : tuple of Form
-        Forms of its causes.
-    x : ndarray of float64, shape (n,)
-        Logarithm of Young's modulus in kPa, then the parameters of each form.
-    covariance : ndarray of float64, shape (n, n)
-        Covariance of `x`, from the curvature; valid if form and noise model are correct. `deviations.stated` gives the
-        covariance that is reported.
-    share : float
-        Size of the generic misfit (a smooth Gaussian process) in its covariance, over the stress; 0 for none.
-    evidence : float
-        Log evidence, up to a constant that all hypotheses have in common.
-    log_posterior : float
-        Log posterior density at `x`: the log evidence without Occam's factor.
-    model : Model
-        The model at `x`.
+    `forms`: forms of its causes; `x` (n,): logarithm of Young's modulus in kPa, then the parameters of each form;
+    `covariance` (n, n): of `x`, from the curvature; valid if form and noise model are correct (`refine.stated` gives
+    the one that is reported); `share`: size of the generic misfit (a smooth Gaussian process) in its covariance, over
+    the stress; 0 for none; `evidence`: log evidence, up to a constant that all hypotheses have in common;
+    `log_posterior`: log posterior density at `x`: the log evidence without Occam's factor; `model`: the model at `x`.
     """
 
     forms: tuple[Form, ...]
@@ -98,22 +74,21 @@ class MaterialFit:
         """Effects (changes of the believed model) at the fitted parameters, one for each form, in their order."""
         return effects_of(self.forms, self.x)
 
+    @property
+    def slices(self) -> list[slice]:
+        """For every form the slice of `x` that holds its parameters."""
+        return slices_of(len(form.mean) for form in self.forms)
+
 
 def effects_of(forms: Sequence[Form], x: FloatArray) -> list[Effect]:
     """Return the effects (changes of the believed model) at the parameters `x`, one for each form.
 
     `x` (n,): the logarithm of Young's modulus in kPa, then the parameters of each form.
     """
-    effects: list[Effect] = []
-    first = 1
-    for form in forms:
-        last = first + len(form.mean)
-        if form.effect is None:
-            effects.append(Stiffness(young_kpa=float(np.exp(x[0]))))
-        else:
-            effects.append(form.effect(x[first:last]))
-        first = last
-    return effects
+    return [
+        Stiffness(young_kpa=float(np.exp(x[0]))) if form.effect is None else form.effect(x[mine])
+        for form, mine in zip(forms, slices_of(len(form.mean) for form in forms), strict=True)
+    ]
 
 
 def prior_of(problem: FitProblem, forms: Sequence[Form]) -> tuple[FloatArray, FloatArray]:
@@ -204,3 +179,22 @@ def _differences(residuals: Residuals, z: FloatArray, value: FloatArray, h: floa
         moved[i] += h
         columns.append((residuals(moved) - value) / h)
     return np.stack(columns, axis=1)
+
+
+def extended(experiment: MaterialExperiment, fit: MaterialFit) -> MaterialExperiment:
+    """Return an experiment with the causes found as its effects; `fit`: fit of the causes found.
+
+    Each new effect replaces an older one of the same id, or an older law; Young's modulus is the fitted one, unless it
+    is itself a finding.
+    """
+
+    def replaced(old: Effect) -> bool:
+        return any(old.id == new.id or (isinstance(old, OtherLaw) and isinstance(new, OtherLaw)) for new in fit.effects)
+
+    kept = [old for old in experiment.effects if not replaced(old)]
+    changed = replace(experiment, effects=(*kept, *fit.effects))
+    if any(effect.id == "stiffness" for effect in changed.effects):
+        return changed
+    young = float(np.exp(fit.x[0]))
+    std = young * float(np.sqrt(fit.covariance[0, 0]))
+    return replace(changed, material=replace(experiment.material, young=young), young_std=std)

@@ -5,22 +5,23 @@ time steps. Relaxation acts on the second Piola-Kirchhoff stress with an instant
 isochoric stress; the set is a stress-free stretch ``exp(fraction E_max)``, constant within a step; viscosity is the
 Cauchy stress ``2 eta D``. The lateral stress of a bar is zero: without lateral elastic stress there is none to relax
 either, so relaxation is exact at any Poisson's ratio; softening and viscosity of a bar are those of its incompressible
-limit (with an error of the order of 1 - 2 nu).
+limit (with an error of the order of 1 - 2 nu). The elastic response, stress and energy, is that of the solver's own law
+at a point; memory acts on parts of the stress, so that plane deformations need its whole tensor, from the first
+Piola-Kirchhoff stress at ``F = C^(1/2)``.
 """
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray, IntArray
 from tissuereg.body.material import Fibre, Material
-from tissuereg.diagnosis.material.elastic import axial_second_pk, isochoric_energy, plane_second_pk, shear_metric
 from tissuereg.diagnosis.material.model import Model
 from tissuereg.experiment.effects.history import Relaxation, Softening
-from tissuereg.experiment.material_experiment import Curve
+from tissuereg.experiment.material_experiment import Curve, MaterialExperiment
 from tissuereg.experiment.material_tests import shear_stress, uniaxial_stress
 
 
@@ -61,6 +62,35 @@ def stress_of(model: Model, curve: Curve, rows: Sequence[int] | IntArray | None 
             return shear_stress(model.material, amounts) if sheared else uniaxial_stress(model.material, amounts)
         stress = (_sheared if curve.mode == "simple-shear" else _stretched)(model, curve)
         return np.asarray(stress[1:][wanted])
+
+
+def predicted_stresses(experiment: MaterialExperiment) -> list[FloatArray]:
+    """Return the stresses that an experiment's model predicts along its curves.
+
+    Parameters
+    ----------
+    experiment : MaterialExperiment
+        Experiment whose effects are applied, for instance from an ``experiment.extended.toml``.
+
+    Returns
+    -------
+    list of ndarray of float64
+        For each curve, shape (n_rows,): nominal stress of every row, kPa, compression negative; NaN where the law has
+        no solution.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> import numpy as np
+    >>> import tissuereg as tr
+    >>> from tissuereg.experiment.material_experiment import Curve, MaterialExperiment
+    >>> shear = Curve("a", "simple-shear", np.nan, [np.nan] * 3, [0.1, 0.2, 0.3], [0.1, 0.2, 0.3])
+    >>> gel = MaterialExperiment("gel", Path("."), tr.Material(3.0, 0.49), None, None, (shear,))
+    >>> predicted_stresses(gel)[0].round(4).tolist()
+    [0.1007, 0.2013, 0.302]
+    """
+    model = Model(experiment.material).with_effects(experiment.effects)
+    return [stress_of(model, curve) for curve in experiment.curves]
 
 
 def _law_of(model: Model) -> _Law:
@@ -121,7 +151,7 @@ def _stretched_unit(law: _Law, curve: Curve) -> tuple[FloatArray, FloatArray]:
     elastic = stretch / stays
     across = elastic**-0.5
     energy = isochoric_energy(material, np.stack([elastic, across, across], axis=1))
-    return axial_second_pk(material, elastic) / stays**2, energy
+    return uniaxial_stress(material, elastic) / elastic / stays**2, energy
 
 
 def _sheared(model: Model, curve: Curve) -> FloatArray:
@@ -241,3 +271,56 @@ def _viscous_shear(shear: FloatArray, times: FloatArray) -> FloatArray:
     flow = inverse @ np.diff(metric, axis=0) @ inverse
     nominal = flow[:, 0, 1] + shear[1:] * flow[:, 1, 1]
     return np.concatenate([[0.0], np.where(steps > 0, nominal / np.where(steps > 0, steps, 1.0), 0.0)])
+
+
+def shear_metric(shear: FloatArray) -> FloatArray:
+    """Return the right Cauchy-Green tensor in the plane of simple shear ``F = I + shear e0 e1``, shape (n, 2, 2).
+
+    `shear` (n,): amounts of shear. The tensors have the determinant 1.
+    """
+    metric = np.zeros((len(shear), 2, 2))
+    metric[:, 0, 0] = 1.0
+    metric[:, 0, 1] = metric[:, 1, 0] = shear
+    metric[:, 1, 1] = 1.0 + shear**2
+    return metric
+
+
+def plane_second_pk(material: Material, metric: FloatArray) -> FloatArray:
+    """Return the in-plane second Piola-Kirchhoff stress of an area-preserving plane deformation, (n, 2, 2), kPa.
+
+    `material`: homogeneous; not of the law hooke; `metric` (n, 2, 2): right Cauchy-Green tensor in the plane, of
+    determinant 1.
+    """
+    identity = np.eye(2)
+    # The root of a matrix of determinant 1.
+    stretch = (metric + identity) / np.sqrt(metric[:, 0, 0] + metric[:, 1, 1] + 2.0)[:, None, None]
+    gradients = np.zeros((len(metric), 3, 3))
+    gradients[:, :2, :2] = stretch - identity
+    _, stress = material.core_law().response(gradients, *_moduli(material))
+    return np.asarray(_inverse(stretch) @ stress[:, :2, :2])
+
+
+def isochoric_energy(material: Material, stretches: FloatArray) -> FloatArray:
+    """Return the energy density at volume-preserving principal stretches, shape (n,), in kPa, without fibres.
+
+    `material`: homogeneous; `stretches` (n, 3): principal stretches of product 1.
+    """
+    young, poisson = _moduli(material)
+    # Without a lambda, St. Venant and Kirchhoff's energy is that of the change of shape; Hooke's is taken for it.
+    law = "st-venant-kirchhoff" if material.law == "hooke" else material.law
+    gradients = np.zeros((len(stretches), 3, 3))
+    gradients[:, range(3), range(3)] = stretches - 1.0
+    plain = replace(material, law=law, fibre=None)
+    return plain.core_law().response(gradients, young / (1.0 + poisson), 0.0)[0]
+
+
+def _moduli(material: Material) -> tuple[float, float]:
+    return float(material.young_array[0]), float(material.poisson_array[0])
+
+
+def _inverse(metric: FloatArray) -> FloatArray:
+    inverse = np.empty_like(metric)
+    inverse[:, 0, 0], inverse[:, 1, 1] = metric[:, 1, 1], metric[:, 0, 0]
+    inverse[:, 0, 1] = inverse[:, 1, 0] = -metric[:, 0, 1]
+    determinant = metric[:, 0, 0] * metric[:, 1, 1] - metric[:, 0, 1] ** 2
+    return np.asarray(inverse / determinant[:, None, None])

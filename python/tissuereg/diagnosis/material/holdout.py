@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tissuereg._base.arrays import FloatArray
-from tissuereg.diagnosis.material.data import BoolArray, Data
+from tissuereg._base.arrays import BoolArray, FloatArray
+from tissuereg.diagnosis.material.data import Data
 from tissuereg.diagnosis.material.fit import FitProblem, MaterialFit, fitted
-from tissuereg.diagnosis.material.weights import block, patched, weights_of
+from tissuereg.diagnosis.material.noise import patched, weights_of
 from tissuereg.diagnosis.settings import DEFAULT, MaterialSettings
 from tissuereg.experiment.material_experiment import HELD_OUT, MaterialExperiment
 
@@ -18,12 +18,7 @@ from tissuereg.experiment.material_experiment import HELD_OUT, MaterialExperimen
 class Fold:
     """A set of rows (measured points) that are held out of a fit together.
 
-    Attributes
-    ----------
-    name : str
-        Name of what is held out, for instance ``compression``.
-    held_out : ndarray of bool, shape (n,)
-        Whether each row is held out.
+    `name`: what is held out, for instance ``compression``; `held_out` (n,): whether each row is held out.
     """
 
     name: str
@@ -34,20 +29,11 @@ class Fold:
 class ProofInput:
     """The n rows, covariances and folds that held-out proofs need.
 
-    Attributes
-    ----------
-    unit : str
-        What each fold holds out: a ``mode``, a ``rate``, a ``specimen``, or the last ``part`` of the curves.
-    folds : tuple of Fold
-        Sets of rows; every row is held out once at most.
-    problem : FitProblem
-        Data, weights and believed model of all rows.
-    noise, generic : ndarray of float64, shape (n, n)
-        Covariances of the noise and of a generic misfit (a smooth Gaussian process) of size 1, kPa^2.
-    repeats : int
-        Number of curves that repeat another one; without any the noise is an assumption.
-    fitting : ndarray of float64, shape (n, n), optional
-        Covariance that weights the fits, in place of `noise`, kPa^2.
+    `unit`: what each fold holds out: a ``mode``, a ``rate``, a ``specimen``, or the last ``part`` of the curves;
+    `folds`: sets of rows; every row is held out once at most; `problem`: data, weights and believed model of all rows;
+    `noise`, `generic` (n, n): covariances of the noise and of a generic misfit (a smooth Gaussian process) of size 1,
+    kPa^2; `fitting` (n, n): covariance that weights the fits, kPa^2; `repeats`: number of curves that repeat another
+    one; without any the noise is an assumption.
     """
 
     unit: str
@@ -55,24 +41,17 @@ class ProofInput:
     problem: FitProblem
     noise: FloatArray
     generic: FloatArray
-    repeats: int = 0
-    fitting: FloatArray | None = None
+    fitting: FloatArray
+    repeats: int
 
 
 @dataclass(frozen=True)
 class HeldOutErrors:
     """Errors of a hypothesis' predictions of held-out rows, by fold (set of rows held out together) and in all.
 
-    Attributes
-    ----------
-    rms : dict of str to float
-        Root mean square error by name of the fold, kPa.
-    chi : float
-        Root mean square of the error over its standard deviation, all folds together; NaN without predictions.
-    misfits : dict of str to float
-        Half the sum of squared whitened errors, by name of the fold, dimensionless.
-    rms_all : float
-        Root mean square error of all folds together, kPa; NaN without predictions.
+    `rms`: root mean square error by name of the fold, kPa; `chi`: root mean square of the error over its standard
+    deviation, all folds together; NaN without predictions; `misfits`: half the sum of squared whitened errors, by name
+    of the fold, dimensionless; `rms_all`: root mean square error of all folds together, kPa; NaN without predictions.
     """
 
     rms: dict[str, float]
@@ -141,10 +120,10 @@ def held_out_errors(bench: ProofInput, fit: MaterialFit, *, patch_share: float |
         known, left_out = np.flatnonzero(~fold.held_out), np.flatnonzero(fold.held_out)
         if not len(left_out) or len(known) <= len(fit.x):
             continue
-        own = block(bench.noise if bench.fitting is None else bench.fitting, known)
+        own = bench.fitting[np.ix_(known, known)]
         if not fit.forms and patch_share is None:
             own = np.diag(np.diag(own))
-        weights = weights_of(own, block(bench.generic, known))
+        weights = weights_of(own, bench.generic[np.ix_(known, known)])
         problem = replace(bench.problem, data=data.part(~fold.held_out), weights=weights)
         again = fitted(problem, fit.forms, [fit.x], fit.share if patch_share is None else patch_share)
         error = data.stress[left_out] - data.part(fold.held_out).modelled(again.model)
@@ -153,7 +132,7 @@ def held_out_errors(bench: ProofInput, fit: MaterialFit, *, patch_share: float |
             error = error - patched(bench.noise, bench.generic, patch_share, known, left_out, residual)
         # Where the law has no stress, the prediction is zero.
         error = np.where(np.isfinite(error), error, data.stress[left_out])
-        own = block(bench.noise, left_out)
+        own = bench.noise[np.ix_(left_out, left_out)]
         white = np.linalg.solve(np.linalg.cholesky(own), error)
         misfits[fold.name] = 0.5 * float(white @ white)
         pointwise.append(error / np.sqrt(np.diag(own)))

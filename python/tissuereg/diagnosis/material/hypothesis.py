@@ -13,23 +13,16 @@ import numpy as np
 from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.material.causes import CAUSES, Form
 from tissuereg.diagnosis.material.fit import FitProblem, MaterialFit, fitted
-from tissuereg.diagnosis.material.weights import weights_of
+from tissuereg.diagnosis.material.noise import weights_of
 
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
     """A set of causes, fitted together, each in one form (formula of a law or effect with fitted parameters).
 
-    Attributes
-    ----------
-    ids : tuple of str
-        Ids of the causes in the order of their discovery; empty for the believed model.
-    fit : MaterialFit
-        Fit in the best forms.
-    evidence : float
-        Log evidence, averaged over the forms tried and over the sizes of a generic misfit.
-    forms : tuple of MaterialFit
-        Fits with the newest cause in each form tried, likeliest first.
+    `ids`: ids of the causes in the order of their discovery; empty for the believed model; `fit`: fit in the best
+    forms; `evidence`: log evidence, averaged over the forms tried and over the sizes of a generic misfit; `forms`: fits
+    with the newest cause in each form tried, likeliest first.
     """
 
     ids: tuple[str, ...]

@@ -1,11 +1,19 @@
-"""The noise model of curves: white noise of a stress, a factor for each specimen, correlated errors along a curve."""
+"""Covariances of curves, and whitening by them: the noise, with or without a generic misfit.
+
+The noise is white noise of a stress, a factor for each specimen, and correlated errors along a curve. The generic
+misfit is a Gaussian process in strain, progress and rate, common to all curves of a mode, whose standard deviation is
+`share` times the stress. In the eigenvectors U of its covariance, whitened by the noise, with eigenvalues Lambda, the
+whitening for any share is a division:
+
+    C(share) = L U (1 + share^2 Lambda) U^T L^T,      L L^T = noise
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from tissuereg._base.arrays import FloatArray
+from tissuereg._base.arrays import FloatArray, IntArray
 from tissuereg.diagnosis.material.data import Data, path_arc
 from tissuereg.diagnosis.settings import DEFAULT, MaterialSettings
 from tissuereg.experiment.material_experiment import Curve, MaterialExperiment
@@ -15,16 +23,9 @@ from tissuereg.experiment.material_experiment import Curve, MaterialExperiment
 class CurveNoise:
     """Standard deviations of the errors of measured stress curves.
 
-    Attributes
-    ----------
-    std : ndarray of float64, shape (n_curves,)
-        White noise of one stress, kPa.
-    factor : float
-        Standard deviation of the factor by which the stresses of specimens differ, dimensionless.
-    along : float
-        Correlated error along a curve, over its stress.
-    repeats : int
-        Number of curves in sets of repeated ones, minus the number of such sets.
+    `std` (n_curves,): white noise of one stress, kPa; `factor`: standard deviation of the factor by which the stresses
+    of specimens differ; `along`: correlated error along a curve, over its stress; `repeats`: number of curves in sets
+    of repeated ones, minus the number of such sets.
     """
 
     std: FloatArray
@@ -62,13 +63,77 @@ def covariance(data: Data, noise: CurveNoise, settings: MaterialSettings = DEFAU
     level, specimens = data.level, np.array(data.specimens)
     total = np.diag(noise.std[data.curve_of] ** 2)
     together = data.curve_of[:, None] == data.curve_of[None, :]
-    lasting = np.exp(-0.5 * ((data.arc[:, None] - data.arc[None, :]) / settings.along_length) ** 2)
-    lasting = (1.0 - settings.rough) * lasting + settings.rough * np.eye(len(level))
+    lasting = (1.0 - settings.rough) * _near(data.arc, settings.along_length) + settings.rough * np.eye(len(level))
     total += noise.along**2 * np.outer(level, level) * lasting * together
     if len(set(specimens)) > 1:
         signed = data.stress
         total += noise.factor**2 * np.outer(signed, signed) * (specimens[:, None] == specimens[None, :])
     return np.asarray(total)
+
+
+@dataclass(frozen=True, eq=False)
+class Weights:
+    """Whitening of measured stresses, for any size of a generic misfit (a smooth Gaussian process).
+
+    With noise covariance ``L L^T`` and generic covariance G, ``L^-1 G L^-T = U Lambda U^T``, an eigendecomposition:
+    `whitener` (n, n): ``U^T L^-1``, 1/kPa; `spectrum` (n,): diagonal of ``Lambda``.
+    """
+
+    whitener: FloatArray
+    spectrum: FloatArray
+
+    def whitened(self, residual: FloatArray, share: float = 0.0) -> FloatArray:
+        """Return residuals, (n,) or (n, k) in kPa, over their standard deviations and without correlation.
+
+        `share`: size of the generic misfit over the stress.
+        """
+        turned = self.whitener @ residual
+        size = np.sqrt(1.0 + share**2 * self.spectrum)
+        return np.asarray(turned / (size if turned.ndim == 1 else size[:, None]))
+
+    def log_size(self, share: float) -> float:
+        """Return half the log of the determinant of noise plus generic covariance (size `share`) over that of noise."""
+        return 0.5 * float(np.log1p(share**2 * self.spectrum).sum())
+
+
+def weights_of(noise: FloatArray, generic: FloatArray) -> Weights:
+    """Return the whitening for a noise covariance and the covariance of a generic misfit.
+
+    `noise`, `generic` (n, n): kPa^2; `generic` for a misfit of size 1 over the stress. It costs one Cholesky factor and
+    one eigenvalue problem.
+    """
+    factor = np.linalg.cholesky(noise)
+    inverse = np.linalg.inv(factor)
+    spectrum, vectors = np.linalg.eigh(inverse @ generic @ inverse.T)
+    return Weights(vectors.T @ inverse, np.maximum(spectrum, 0.0))
+
+
+def generic_covariance(data: Data, settings: MaterialSettings = DEFAULT.material) -> FloatArray:
+    """Return the covariance, shape (n, n), kPa^2, of a generic misfit of size 1 over the stress at the n rows."""
+    modes = np.array(data.modes)
+    path = 0.7 * _near(data.arc, settings.misfit_arc) + 0.3 * _near(data.arc, settings.misfit_short_arc)
+    alike = _near(data.strain, settings.misfit_strain) * path * _near(data.log_rate, settings.misfit_rate)
+    alike = (1.0 - settings.rough) * alike * (modes[:, None] == modes[None, :]) + settings.rough * np.eye(len(modes))
+    return np.asarray(np.outer(data.level, data.level) * alike)
+
+
+def patched(
+    noise: FloatArray, generic: FloatArray, share: float, known: IntArray, left_out: IntArray, residual: FloatArray
+) -> FloatArray:
+    """Return the posterior mean of a generic misfit at some rows, given the residual at others.
+
+    `noise`, `generic` (n, n): covariances, kPa^2; `share`: size of the misfit over the stress; `known`, `left_out`:
+    indices of the rows with and without a residual; `residual` (n_known,): measured minus modelled there, kPa. Result:
+    (n_left_out,), to be added to the model, kPa.
+    """
+    own = noise[np.ix_(known, known)] + share**2 * generic[np.ix_(known, known)]
+    across = share**2 * generic[np.ix_(left_out, known)]
+    return np.asarray(across @ np.linalg.solve(own, residual))
+
+
+def _near(values: FloatArray, length: float) -> FloatArray:
+    """Return the correlation (n, n) of a Gaussian process of a correlation length at places `values` (n,)."""
+    return np.asarray(np.exp(-0.5 * ((values[:, None] - values[None, :]) / length) ** 2))
 
 
 def _white(curve: Curve, given: float | None, least: float) -> float:

@@ -5,9 +5,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray
+from tissuereg.diagnosis.evidence import log_bayes_factors
 from tissuereg.diagnosis.material.causes import Form
 from tissuereg.diagnosis.material.fit import FitProblem, MaterialFit, prior_of
-from tissuereg.diagnosis.material.weights import Weights
+from tissuereg.diagnosis.material.noise import Weights
 from tissuereg.diagnosis.settings import MaterialSettings
 from tissuereg.errors import TissueRegError
 
@@ -34,9 +35,9 @@ def threshold(
         for form in kinds:
             columns = _columns(problem, known, form)
             if columns.size:
-                scores = np.array([_evidence(draws, np.column_stack([young, c])) for c in columns.T])
+                scores = np.array([log_bayes_factors(draws, np.column_stack([young, c])) for c in columns.T])
                 best = np.maximum(best, np.logaddexp.reduce(scores, axis=0) - np.log(len(scores)))
-    best = best - _evidence(draws, young[:, None])
+    best = best - log_bayes_factors(draws, young[:, None])
     return max(numbers.least_threshold, float(np.quantile(best, numbers.quantile)))
 
 
@@ -62,18 +63,6 @@ def _structure(weights: Weights, white: FloatArray, shares: Sequence[float]) -> 
         grown = share**2 * weights.spectrum
         gains.append(0.5 * (white**2).T @ (grown / (1.0 + grown)) - 0.5 * np.log1p(grown).sum())
     return np.asarray(np.max(gains, axis=0))
-
-
-def _evidence(draws: FloatArray, columns: FloatArray) -> FloatArray:
-    """Return the log Bayes factor (n_draws,) of a linear-Gaussian model against none, from `draws` (n, n_draws).
-
-    `draws`: residuals of n stresses, whitened; `columns` (n, p): their whitened change by each amplitude, whose prior
-    is the unit normal.
-    """
-    inner = np.eye(columns.shape[1]) + columns.T @ columns
-    pulled = columns.T @ draws
-    gain = 0.5 * np.einsum("in,in->n", pulled, np.linalg.solve(inner, pulled))
-    return np.asarray(gain - 0.5 * np.linalg.slogdet(inner)[1])
 
 
 def _young_column(problem: FitProblem, known: MaterialFit) -> FloatArray:

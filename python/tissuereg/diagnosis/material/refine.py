@@ -4,7 +4,20 @@ Evidence needs the full noise covariance, with correlated errors along curves. S
 levels; where a law is slightly wrong, they may predict worse than equal weights for all rows of a curve. Held-out data
 decide between the two, and between the forms of a law; for a single curve, whose last part is no fair test of forms,
 the fit itself decides. The weights affect the parameters only: their standard deviations follow from the full noise
-covariance and the model error of the form (`deviations`).
+covariance and the model error of the form.
+
+To first order an error `e` of the rows changes the parameters by ``dx = G e``, with ``G = (J^T W J + 1)^-1 J^T W`` in
+units of the prior, J the Jacobian and W the weights of the fit. The error itself does not depend on the weights: it is
+the noise of the curves, with correlated errors and factors of specimens, plus the model error of the form. The latter
+is modelled by the generic misfit (the rival ``unknown``) with an unknown size s:
+
+    cov(x) = sum_s p(s | q) G (noise + s^2 generic) G^T + (J^T W J + 1)^-2
+
+The last term comes from the prior. The posterior p(s | q) of the size is based on the sum q of squared residuals, each
+over the variance of its noise; its density under every size is approximated by a Gamma distribution with the exact mean
+and variance, corrected for the fitted parameters. The likelihood of the whole residual is not used: it would derive the
+size from the residual's roughness, which is far smaller than the model error of a form with the wrong curvature. The
+approach follows Kennedy and O'Hagan, J. R. Stat. Soc. B 63, 2001, on calibration with a model discrepancy.
 """
 
 import math
@@ -12,30 +25,23 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tissuereg.diagnosis.material.causes import CAUSES, Form
-from tissuereg.diagnosis.material.deviations import stated
-from tissuereg.diagnosis.material.fit import MaterialFit, fitted
+from tissuereg._base.arrays import FloatArray
+from tissuereg.diagnosis.material.causes import CAUSES
+from tissuereg.diagnosis.material.fit import MaterialFit, fitted, prior_of
 from tissuereg.diagnosis.material.holdout import HeldOutErrors, ProofInput, held_out_errors
 from tissuereg.diagnosis.material.hypothesis import Hypothesis
-from tissuereg.diagnosis.material.noise import CurveNoise
+from tissuereg.diagnosis.material.noise import CurveNoise, weights_of
 from tissuereg.diagnosis.material.search import MaterialSearch
-from tissuereg.diagnosis.material.weights import weights_of
 
 
 @dataclass(frozen=True, eq=False)
 class Refined:
     """The reported fit of the causes found.
 
-    Attributes
-    ----------
-    fit : MaterialFit
-        Fit to all rows; its covariance includes the model error of its form (the formula of the law).
-    held_out : HeldOutErrors
-        Errors on held-out data with the same form and weights.
-    weighting : {"lasting errors", "rows alike"}
-        Weights of the rows: by the full covariance with correlated errors, or equal within a curve.
-    form_error : float
-        Root mean square of the form's model error, over the stress; NaN until it is estimated.
+    `fit`: fit to all rows; its covariance includes the model error of its form (the formula of the law); `held_out`:
+    errors on held-out data with the same form and weights; `weighting`: ``lasting errors`` (rows weighted by the full
+    covariance with correlated errors) or ``rows alike`` (equally within a curve); `form_error`: root mean square of the
+    form's model error, over the stress; NaN until it is estimated.
     """
 
     fit: MaterialFit
@@ -58,8 +64,8 @@ def refined(search: MaterialSearch, none: Hypothesis, known: Hypothesis, noise: 
     best = min((_of(bench, known.fit, name) for name, bench in benches.items()), key=lambda r: _error(search, r))
     for cause in (cause for cause in known.ids if CAUSES[cause].slot == "law"):
         best = _best_form(search, none, replace(known, fit=best.fit), cause, best, benches)
-    with_deviations = stated(benches[best.weighting], best.fit)
-    return replace(best, fit=with_deviations.fit, form_error=with_deviations.form_error)
+    fit, form_error = stated(benches[best.weighting], best.fit)
+    return replace(best, fit=fit, form_error=form_error)
 
 
 def _best_form(
@@ -92,13 +98,9 @@ def _in_each_form(search: MaterialSearch, none: Hypothesis, known: Hypothesis, c
 
 def _reordered(fit: MaterialFit, order: list[str], wanted: tuple[str, ...]) -> MaterialFit:
     """Return a fit whose forms and parameters, now in the order of the ids `order`, are in that of the ids `wanted`."""
-    parts: dict[str, tuple[Form, slice]] = {}
-    first = 1
-    for id, form in zip(order, fit.forms, strict=True):
-        parts[id] = form, slice(first, first + len(form.mean))
-        first += len(form.mean)
-    index = np.concatenate([[0], *(np.arange(len(fit.x))[parts[id][1]] for id in wanted)]).astype(np.int64)
-    forms = tuple(parts[id][0] for id in wanted)
+    places = [order.index(id) for id in wanted]
+    index = np.concatenate([[0], *(np.arange(len(fit.x))[fit.slices[place]] for place in places)]).astype(np.int64)
+    forms = tuple(fit.forms[place] for place in places)
     return replace(fit, forms=forms, x=fit.x[index], covariance=fit.covariance[np.ix_(index, index)])
 
 
@@ -128,3 +130,75 @@ def rows_alike(bench: ProofInput, noise: CurveNoise) -> ProofInput:
     own = np.diag(size**2)
     problem = replace(bench.problem, weights=weights_of(own, np.zeros_like(own)))
     return replace(bench, problem=problem, fitting=own)
+
+
+def stated(bench: ProofInput, fit: MaterialFit) -> tuple[MaterialFit, float]:
+    """Return a fit with the covariance due to noise, the model error of its form, and the prior; and that error.
+
+    `bench`: its `noise` is the covariance of the curves' errors, its `fitting` the one that weights fits; `fit`: fit to
+    all rows, which is otherwise unchanged. The error is the root mean square of that of the form (the formula of the
+    law), over the stress. A form that agrees with the curves within their noise shows none here; only other modes,
+    rates or strains can show whether it has one elsewhere.
+    """
+    data = bench.problem.data
+    _, scale = prior_of(bench.problem, fit.forms)
+    slopes = _slopes(bench, fit, scale)
+    weighed = np.linalg.solve(bench.fitting + fit.share**2 * bench.generic, slopes)
+    inverse = np.asarray(np.linalg.inv(slopes.T @ weighed + np.eye(len(scale))), np.float64)
+    gain = inverse @ weighed.T
+    residual = data.stress - data.modelled(fit.model)
+    squared = _squared_size(bench, slopes, gain, inverse, residual)
+    errors = gain @ (bench.noise + squared * bench.generic) @ gain.T + inverse @ inverse
+    return replace(fit, covariance=scale[:, None] * errors * scale[None, :]), math.sqrt(squared)
+
+
+def _squared_size(
+    bench: ProofInput, slopes: FloatArray, gain: FloatArray, inverse: FloatArray, residual: FloatArray
+) -> float:
+    """Return the posterior mean square of the form's model error, over the stress.
+
+    `slopes` (n, k): derivatives of stresses, kPa per prior deviation; `gain` (k, n): change of parameters by errors,
+    1/kPa; `inverse` (k, k): covariance by the curvature, over prior deviations; `residual` (n,): measured minus
+    modelled stress, kPa.
+    """
+    unit = np.sqrt(np.diag(bench.noise))
+    # Simulated curves may be fitted to the last digit.
+    found = max(float(np.sum((residual / unit) ** 2)), float(np.finfo(np.float64).tiny))
+    maker = (np.eye(len(unit)) - slopes @ gain) / unit[:, None]
+    prior = (slopes @ inverse) / unit[:, None]
+    least = maker @ bench.noise @ maker.T + prior @ prior.T
+    more = maker @ bench.generic @ maker.T
+    numbers = bench.problem.settings.material
+    shares, none = numbers.misfit_shares, numbers.no_misfit
+    sizes = np.array([0.0, *shares])
+    chances = np.array([none, *[(1.0 - none) / len(shares)] * len(shares)])
+    logs = np.log(chances) + [_log_density(found, least + size**2 * more) for size in sizes]
+    weights = np.exp(logs - logs.max())
+    return float(weights @ sizes**2 / weights.sum())
+
+
+def _log_density(found: float, covariance: FloatArray) -> float:
+    """Return the log density, at `found`, of a sum of squared Gaussian numbers of mean 0 and given covariance (n, n).
+
+    The density is approximated by that of a Gamma distribution of the same mean and variance.
+    """
+    mean, variance = float(np.trace(covariance)), 2.0 * float(np.sum(covariance**2))
+    shape, unit = mean**2 / variance, variance / mean
+    return (shape - 1.0) * math.log(found) - found / unit - math.lgamma(shape) - shape * math.log(unit)
+
+
+def _slopes(bench: ProofInput, fit: MaterialFit, scale: FloatArray) -> FloatArray:
+    """Return the derivatives of the n stresses by the k parameters, shape (n, k), in kPa per prior standard deviation.
+
+    `scale` (k,): prior standard deviations.
+    """
+    problem, step = bench.problem, bench.problem.settings.material.step
+    columns = []
+    for i, unit in enumerate(scale):
+        ends = []
+        for sign in (1.0, -1.0):
+            moved = fit.x.copy()
+            moved[i] += sign * step * unit
+            ends.append(problem.data.modelled(problem.model(fit.forms, moved)))
+        columns.append((ends[0] - ends[1]) / (2.0 * step))
+    return np.stack(columns, axis=1)

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray
-from tissuereg.diagnosis.material.extend import predicted_stresses
-from tissuereg.diagnosis.material.history import stress_of
+from tissuereg.diagnosis.material.history import predicted_stresses, stress_of
 from tissuereg.diagnosis.report.ranking import chance, plain_name, possible_words, probable, ranking, separated
 from tissuereg.io.experiment_out import experiment_text
 from tissuereg.report import svg

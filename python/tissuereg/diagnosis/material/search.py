@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from tissuereg.diagnosis.material.causes import CAUSES, Form
+from tissuereg.diagnosis.material.causes import Form
 from tissuereg.diagnosis.material.fit import MaterialFit
 from tissuereg.diagnosis.material.holdout import HeldOutErrors, ProofInput, held_out_errors
 from tissuereg.diagnosis.material.hypothesis import Hypothesis, forms_of, refitted, unknown, with_cause
@@ -23,48 +23,28 @@ Progress = Callable[[str], None]
 class CandidateCause:
     """One cause of the first round, in which each is added alone to the believed model.
 
-    Attributes
-    ----------
-    id : str
-        Id of the cause, or ``unknown`` for a generic misfit.
-    log_bayes_factor : float
-        Log Bayes factor of the hypothesis with the cause against that without it, nats.
-    detectability : float
-        Root of twice the gain in log posterior, about the size of the effect in standard deviations of the noise.
-    probability : float
-        Posterior probability among all causes, no cause, and a generic misfit.
+    `id`: id of the cause, or ``unknown`` for a generic misfit; `probability`: posterior probability among all causes,
+    no cause, and a generic misfit; `log_bayes_factor`: of the hypothesis with the cause against that without it, nats;
+    `detectability`: root of twice the gain in log posterior, about the size of the effect in noise deviations.
     """
 
     id: str
+    probability: float
     log_bayes_factor: float
     detectability: float
-    probability: float
 
 
 @dataclass(frozen=True, eq=False)
 class MaterialFinding:
     """An accepted cause, with the group of causes that the data cannot distinguish from it.
 
-    Attributes
-    ----------
-    id : str
-        Id of the likeliest cause.
-    group : tuple of str
-        Ids that these data cannot distinguish from it, itself first.
-    probability : float
-        Posterior probability among all causes, no cause, and a generic misfit, given the other findings.
-    log_bayes_factor : float
-        Log Bayes factor of all findings against the other findings without it, nats.
-    separability : dict of str to float
-        Root of twice the difference in log posterior from each other cause of the group.
-    rivals : dict of str to Hypothesis
-        For each other cause of the group, the hypothesis with it in place of this one.
-    threshold : float
-        Log Bayes factor that was required of it, nats.
-    group_probability : float
-        Posterior probability of all causes of the group together.
-    proved : bool
-        Whether it predicts held-out data better than the other findings alone and than a generic misfit.
+    `id`: id of the likeliest cause; `group`: ids that these data cannot distinguish from it, itself first;
+    `probability`: posterior probability among all causes, no cause, and a generic misfit, given the other findings;
+    `log_bayes_factor`: of all findings against the other findings without it, nats; `separability`: root of twice the
+    difference in log posterior from each other cause of the group; `rivals`: for each of these, the hypothesis with it
+    in place of this one; `threshold`: log Bayes factor that was required of it, nats; `group_probability`: posterior
+    probability of all causes of the group together; `proved`: whether it predicts held-out data better than the other
+    findings alone and than a generic misfit.
     """
 
     id: str
@@ -102,13 +82,17 @@ class MaterialSearch:
     #: The hypothesis with one cause that was proved when it was accepted.
     _proved_alone: Hypothesis | None = None
 
+    def __post_init__(self) -> None:
+        settings = self.bench.problem.settings
+        self.rules, self.numbers = settings.search, settings.material
+
     def run(self, none: Hypothesis) -> Hypothesis:
         """Return the hypothesis with the accepted causes, at most `most_causes` (3).
 
         `none`: hypothesis of the believed model, without causes.
         """
         known = none
-        while len(known.ids) < self.bench.problem.settings.search.most_causes:
+        while len(known.ids) < self.rules.most_causes:
             grown = self._step(known)
             if grown is None:
                 break
@@ -150,7 +134,7 @@ class MaterialSearch:
             self.first_race = candidates(known, racers, generic)
         if not racers:
             return None
-        near = racers[0].evidence - 0.5 * self.bench.problem.settings.search.separable**2
+        near = racers[0].evidence - 0.5 * self.rules.separable**2
         for racer in [racer for racer in racers if racer.evidence >= near]:
             enough = racer.evidence - known.evidence > self.required(known, racer)
             if enough and self.is_proved(known, racer, generic):
@@ -166,7 +150,7 @@ class MaterialSearch:
         they would need under noise twice as large.
         """
         guessed = self.bench.repeats == 0 and len(known.ids) > 0 and grown.ids[-1] != "stiffness"
-        return self.threshold * (self.bench.problem.settings.material.further if guessed else 1.0)
+        return self.threshold * (self.numbers.further if guessed else 1.0)
 
     def _pair(self, known: Hypothesis, first: Hypothesis, generic: Hypothesis) -> Hypothesis | None:
         """Return a hypothesis with two more causes; None where two are not accepted either.
@@ -175,7 +159,7 @@ class MaterialSearch:
         without it, and with a generic misfit), but no proof on held-out data without the second.
         """
         worth = first.evidence - max(generic.evidence, known.evidence)
-        if worth < self.threshold or len(first.ids) == self.bench.problem.settings.search.most_causes:
+        if worth < self.threshold or len(first.ids) == self.rules.most_causes:
             return None
         self.progress(f"pairs with {first.ids[-1]}")
         racers, _ = self.race(first)
@@ -194,9 +178,7 @@ class MaterialSearch:
         before, after = held_out_errors(self.bench, known.fit), held_out_errors(self.bench, grown.fit)
         if grown.ids == (*known.ids, "stiffness"):
             # Every hypothesis fits the modulus; the criterion is its distance from the prior mean.
-            return (
-                self.far_modulus(grown.fit) and after.total < before.total + self.bench.problem.settings.search.proved
-            )
+            return self.far_modulus(grown.fit) and after.total < before.total + self.rules.proved
         patch = held_out_errors(self.bench, known.fit, patch_share=generic.fit.share)
         if self._proved(before, after, patch):
             return True
@@ -215,22 +197,20 @@ class MaterialSearch:
         problem, relaxation = self.bench.problem, fit.model.relaxation
         relaxed = 0.0 if relaxation is None else float(np.log1p(-min(sum(relaxation.g), 0.999)))
         above, below = fit.x[0] + relaxed - problem.young_log, problem.young_log - fit.x[0]
-        return bool(max(above, below) > self.bench.problem.settings.search.far_modulus * problem.young_std)
+        return bool(max(above, below) > self.rules.far_modulus * problem.young_std)
 
     def _proved(self, before: HeldOutErrors, after: HeldOutErrors, patch: HeldOutErrors) -> bool:
         gains = np.array([before.misfits[name] - after.misfits[name] for name in after.misfits])
-        if not gains.size or gains.sum() <= self.bench.problem.settings.search.proved:
+        if not gains.size or gains.sum() <= self.rules.proved:
             return False
         # One fold is no proof: all folds gain, or the mean gain is significant, or most of the misfit is removed.
         clear = gains.size == 1 or gains.mean() > 2.0 * gains.std(ddof=1) / np.sqrt(gains.size)
-        if not (
-            gains.min() > 0 or clear or gains.sum() > self.bench.problem.settings.material.most_of_misfit * before.total
-        ):
+        if not (gains.min() > 0 or clear or gains.sum() > self.numbers.most_of_misfit * before.total):
             return False
         if self.bench.unit in ("specimen", "rate"):
             # A patch that copies other specimens or nearby rates is close to the best possible prediction.
             possible = before.chi - patch.chi
-            if before.chi - after.chi > self.bench.problem.settings.material.share_of_patch * possible:
+            if before.chi - after.chi > self.numbers.share_of_patch * possible:
                 return True
         return bool(after.chi < patch.chi or after.rms_all < patch.rms_all)
 
@@ -246,25 +226,20 @@ class MaterialSearch:
 
     def without(self, none: Hypothesis, known: Hypothesis, cause: str) -> Hypothesis:
         """Return the hypothesis `known` without one cause (an id), fitted again; `none` where no cause is left."""
-        kept = [(id, form) for id, form in zip(known.ids, known.fit.forms, strict=True) if id != cause]
+        kept = [place for place, id in enumerate(known.ids) if id != cause]
         if not kept:
             return none
-        forms = tuple(form for _, form in kept)
-        first, parts = 1, [known.fit.x[:1]]
-        for id, form in zip(known.ids, known.fit.forms, strict=True):
-            last = first + len(form.mean)
-            if id != cause:
-                parts.append(known.fit.x[first:last])
-            first = last
-        fit, evidence = refitted(self.bench.problem, forms, [np.concatenate(parts)])
-        return Hypothesis(tuple(id for id, _ in kept), fit, evidence)
+        fit = known.fit
+        start = np.concatenate([fit.x[:1], *(fit.x[fit.slices[place]] for place in kept)])
+        fit, evidence = refitted(self.bench.problem, [fit.forms[place] for place in kept], [start])
+        return Hypothesis(tuple(known.ids[place] for place in kept), fit, evidence)
 
     def _swapped(self, none: Hypothesis, known: Hypothesis) -> Hypothesis:
         """Return `known` with each cause but the last exchanged for another where that raises the evidence clearly."""
         for cause in known.ids[:-1]:
             self.progress(f"exchange of {cause}")
             _, racers = self.alternatives(none, known, cause)
-            if racers and racers[0].evidence > known.evidence + 0.5 * self.bench.problem.settings.search.separable**2:
+            if racers and racers[0].evidence > known.evidence + 0.5 * self.rules.separable**2:
                 known = racers[0]
         return known
 
@@ -287,7 +262,7 @@ class MaterialSearch:
         possible: list[MaterialFinding] = []
         while True:
             found = [self.finding(none, known, cause) for cause in known.ids]
-            failed = [finding for finding in found if not finding.passes(self.bench.problem.settings.search.stated)]
+            failed = [finding for finding in found if not finding.passes(self.rules.stated)]
             if not failed:
                 return known, tuple(found), tuple(possible)
             # Of several, the one whose removal costs the least evidence: the others may pass without it.
@@ -305,10 +280,10 @@ class MaterialSearch:
         apart = {r.ids[-1]: _separability(known, r) for r in racers}
         seen = [r for r in racers if r.evidence - rest.evidence > self.required(rest, r)]
         tied = sorted(
-            (r for r in seen if apart[r.ids[-1]] < self.bench.problem.settings.search.separable),
+            (r for r in seen if apart[r.ids[-1]] < self.rules.separable),
             key=lambda r: apart[r.ids[-1]],
         )
-        tied = tied[: self.bench.problem.settings.search.most_in_group - 1]
+        tied = tied[: self.rules.most_in_group - 1]
         among = [known.evidence, rest.evidence, generic.evidence, *(r.evidence for r in racers)]
         probability = float(np.exp(known.evidence - np.logaddexp.reduce(among)))
         own = np.logaddexp.reduce([known.evidence, *(r.evidence for r in tied)])
@@ -338,17 +313,12 @@ def candidates(known: Hypothesis, racers: list[Hypothesis], generic: Hypothesis)
     return [
         CandidateCause(
             hypothesis.ids[-1],
-            hypothesis.evidence - known.evidence,
-            float(np.sqrt(max(0.0, 2.0 * (hypothesis.fit.log_posterior - known.fit.log_posterior)))),
             float(np.exp(hypothesis.evidence - total)),
+            hypothesis.evidence - known.evidence,
+            _separability(hypothesis, known),
         )
         for hypothesis in everyone
     ]
-
-
-def visible(forms: dict[str, list[Form]]) -> dict[str, list[Form]]:
-    """Return the causes, with their forms, that the curves can show: those with a form, in the catalogue's order."""
-    return {id: forms[id] for id in CAUSES if forms.get(id)}
 
 
 def _separability(one: Hypothesis, other: Hypothesis) -> float:

@@ -8,17 +8,15 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.material.causes import CAUSES
-from tissuereg.diagnosis.material.data import data_of
+from tissuereg.diagnosis.material.data import Scene, data_of, scene_of
 from tissuereg.diagnosis.material.fit import FitProblem, MaterialFit
 from tissuereg.diagnosis.material.holdout import HeldOutErrors, ProofInput, folds_of, held_out_errors
 from tissuereg.diagnosis.material.hypothesis import Hypothesis, null_hypothesis, plain_fit, unknown
-from tissuereg.diagnosis.material.model import model_of
-from tissuereg.diagnosis.material.noise import CurveNoise, covariance, noise_of
+from tissuereg.diagnosis.material.model import Model
+from tissuereg.diagnosis.material.noise import CurveNoise, covariance, generic_covariance, noise_of, weights_of
 from tissuereg.diagnosis.material.nulls import misfit_probability, threshold
 from tissuereg.diagnosis.material.refine import Refined, refined
-from tissuereg.diagnosis.material.scene import Scene, scene_of
-from tissuereg.diagnosis.material.search import CandidateCause, MaterialFinding, MaterialSearch, visible
-from tissuereg.diagnosis.material.weights import generic_covariance, weights_of
+from tissuereg.diagnosis.material.search import CandidateCause, MaterialFinding, MaterialSearch
 from tissuereg.diagnosis.settings import DEFAULT, DiagnoseSettings
 from tissuereg.experiment.material_experiment import MaterialExperiment
 
@@ -27,38 +25,15 @@ from tissuereg.experiment.material_experiment import MaterialExperiment
 class SelectionOutcome:
     """Everything that a diagnosis of material tests found, from which its answer and report are made.
 
-    Attributes
-    ----------
-    verdict : {"named", "group", "consistent", "unexplained"}
-        Causes are named, or known up to a group; or the curves are consistent with the believed law, or unexplained.
-    known : Hypothesis
-        The believed law with the causes found.
-    believed : MaterialFit
-        The believed law, fitted with independent rows.
-    refined : Refined or None
-        The reported fit of the findings; None without findings.
-    findings : tuple of MaterialFinding
-        Named causes; empty where the verdict is consistent or unexplained.
-    possible : tuple of MaterialFinding
-        Causes that were found and are not stated, as their evidence or probability does not suffice given the others.
-    candidates : tuple of CandidateCause
-        Every cause tried alone, and the generic misfit.
-    threshold : float
-        Log Bayes factor that a first cause must exceed, nats.
-    p_misfit : float
-        p-value of the residual after the findings.
-    explained : float
-        Share of the misfit (in squared units of noise) that the findings explain; NaN without findings.
-    before, after, patch : HeldOutErrors
-        Errors on held-out data of the believed law, with the findings, and with a generic misfit.
-    unit : str
-        What was held out in turn: a mode, a rate, a specimen or a part of a curve.
-    noise : CurveNoise
-        Noise of the curves.
-    bench : ProofInput
-        Rows, covariances and the parts that are held out.
-    scene : Scene
-        Tested modes and ranges of strain, time and stress.
+    `verdict` {"named", "group", "consistent", "unexplained"}; `known`: the believed law with the causes found;
+    `believed`: the believed law, fitted with independent rows; `refined`: the reported fit of the findings; None
+    without findings; `findings`: named causes; none where the verdict is consistent or unexplained; `possible`: causes
+    that were found and are not stated, as their evidence or probability does not suffice given the others;
+    `candidates`: every cause tried alone, and the generic misfit; `threshold`: log Bayes factor that a first cause must
+    exceed, nats; `p_misfit`: p-value of the residual after the findings; `explained`: share of the misfit (in squared
+    units of noise) that the findings explain; NaN without findings; `before`, `after`, `patch`: errors on held-out data
+    of the believed law, with the findings, and with a generic misfit; `noise`: noise of the curves; `bench`: rows,
+    covariances and the parts that are held out; `scene`: tested modes and ranges of strain, time and stress.
     """
 
     verdict: str
@@ -74,7 +49,6 @@ class SelectionOutcome:
     before: HeldOutErrors
     after: HeldOutErrors
     patch: HeldOutErrors
-    unit: str
     noise: CurveNoise
     bench: ProofInput
     scene: Scene
@@ -92,7 +66,8 @@ def find_out(
     bench, noise = bench_of(experiment, settings)
     problem, scene = bench.problem, scene_of(experiment, settings.material)
     none = null_hypothesis(problem)
-    forms = visible({id: cause.forms(scene) for id, cause in CAUSES.items() if id not in settings.left_out})
+    tried = {id: cause.forms(scene) for id, cause in CAUSES.items() if id not in settings.left_out}
+    forms = {id: forms for id, forms in tried.items() if forms}
     progress("threshold from null experiments")
     limit = threshold(problem, none.fit, forms, rng)
     search = MaterialSearch(bench, forms, limit, progress)
@@ -127,7 +102,6 @@ def find_out(
         before,
         after,
         patch,
-        bench.unit,
         noise,
         bench,
         scene,
@@ -142,12 +116,12 @@ def bench_of(experiment: MaterialExperiment, settings: DiagnoseSettings = DEFAUL
     numbers = settings.material
     data, noise = data_of(experiment, numbers.most_rows), noise_of(experiment, numbers)
     own, generic = covariance(data, noise, numbers), generic_covariance(data, numbers)
-    base = model_of(experiment)
+    base = Model(experiment.material).with_effects(experiment.effects)
     young = float(base.material.young_array[0])
     std = numbers.young_spread if experiment.young_std is None else math.log1p(experiment.young_std / young)
     problem = FitProblem(base, data, weights_of(own, generic), math.log(young), std, settings)
     unit, folds = folds_of(experiment, data, numbers)
-    return ProofInput(unit, folds, problem, own, generic, noise.repeats), noise
+    return ProofInput(unit, folds, problem, own, generic, own, noise.repeats), noise
 
 
 def _without_near_modulus(search: MaterialSearch, none: Hypothesis, known: Hypothesis) -> Hypothesis:
