@@ -1,19 +1,24 @@
 """The result of a diagnosis: verdict, findings, discrepancy and extended model, as a record and as JSON."""
 
 import os
-from collections.abc import Mapping
+import platform
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from tissuereg._base.arguments import place
 from tissuereg._base.provenance import Provenance
+from tissuereg._version import __version__
 from tissuereg.diagnosis.causes import Values, catalogue
 from tissuereg.diagnosis.constancy import Constancy
 from tissuereg.diagnosis.readings import RecordingSuspicion
 from tissuereg.diagnosis.settings import DEFAULT, DiagnoseSettings
 from tissuereg.diagnosis.understated import UnderstatedNoise
 from tissuereg.experiment.experiment import Experiment
+from tissuereg.experiment.material_experiment import MaterialExperiment
 
 if TYPE_CHECKING:
     from tissuereg.diagnosis.fit import FitTarget
@@ -21,6 +26,7 @@ if TYPE_CHECKING:
     from tissuereg.diagnosis.search import Search
 
 SCHEMA = "tissuereg.diagnosis/1"
+EXTENDED_FILE = "experiment.extended.toml"
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,7 +196,7 @@ class Diagnosis:
             "understated_noise": [one.to_json() for one in self.understated],
             "left": self.left,
             "discrepancy": self.discrepancy,
-            "extended_model": "experiment.extended.toml",
+            "extended_model": EXTENDED_FILE,
             "next_experiment": self.next_experiment,
             "seed": self.seed,
             "settings": self.numbers.to_json(catalogue(self.numbers)),
@@ -218,10 +224,13 @@ class Diagnosis:
         OutputError
             If the file cannot be written.
         """
-        from tissuereg.diagnosis.report.page import write_report
-        from tissuereg.io.atomic import OutputError
+        from tissuereg.diagnosis.report.page import page
+        from tissuereg.io.atomic import OutputError, atomic_file
 
-        return write_report(self, place("path", path, error=OutputError))
+        target = place("path", path, error=OutputError)
+        with atomic_file(target) as draft:
+            draft.write_text(page(self, target.parent), encoding="utf-8")
+        return target
 
     def save(self, folder: str | os.PathLike[str], extra: Mapping[str, Any] | None = None) -> Path:
         """Write ``diagnosis.json``, ``experiment.extended.toml`` and ``report.html``, all or none.
@@ -245,18 +254,44 @@ class Diagnosis:
         OutputError
             If the folder cannot be written.
         """
-        from tissuereg.diagnosis.report.page import write_report
-        from tissuereg.io.atomic import OutputError, atomic_folder
-        from tissuereg.io.experiment_out import write_experiment
-        from tissuereg.io.json import write_json
+        from tissuereg.diagnosis.report.page import page
 
-        out = place("folder", folder, error=OutputError)
-        with atomic_folder(out) as draft:
-            write_json(draft / "diagnosis.json", {**self.to_json(), **(extra or {})})
-            # Paths in the model are relative to the final folder.
-            write_experiment(self.extended, draft / "experiment.extended.toml", seen_from=out)
-            write_report(self, draft / "report.html", seen_from=out)
-        return out
+        return save_answer(folder, {**self.to_json(), **(extra or {})}, self.extended, lambda out: page(self, out))
+
+
+def save_answer(
+    folder: str | os.PathLike[str],
+    answer: Mapping[str, Any],
+    extended: Experiment | MaterialExperiment,
+    page: Callable[[Path], str],
+) -> Path:
+    """Write an answer, its extended model and its page into a folder as `Diagnosis.save`, and return the folder.
+
+    `page`: returns the page, HTML, for the final folder, to which paths in it and in the model are relative.
+    """
+    from tissuereg.io.atomic import OutputError, atomic_folder
+    from tissuereg.io.experiment_out import write_experiment
+    from tissuereg.io.json import write_json
+
+    out = place("folder", folder, error=OutputError)
+    with atomic_folder(out) as draft:
+        write_json(draft / "diagnosis.json", answer)
+        write_experiment(extended, draft / EXTENDED_FILE, seen_from=out)
+        (draft / "report.html").write_text(page(out), encoding="utf-8")
+    return out
+
+
+def to_check(action: str, kind: str, name: str, **more: Any) -> dict[str, Any]:
+    """Return the next experiment of an answer, where it is to check something and separates no causes.
+
+    `action`: what to do; `kind`, `name`, `more`: what to check.
+    """
+    return {"action": action, "separates": [], "separability": None, "check": {"kind": kind, "name": name, **more}}
+
+
+def versions_now() -> dict[str, str]:
+    """Return the versions of the package, numpy and Python that an answer states."""
+    return {"tissuereg": __version__, "numpy": np.__version__, "python": platform.python_version()}
 
 
 def _pairs(values: Values, deviations: Values) -> dict[str, Any]:

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray, IntArray
+from tissuereg.diagnosis.answer import to_check
 from tissuereg.diagnosis.bench import Bench
 from tissuereg.diagnosis.discrepancy import largest_residuals, worst_frame
 from tissuereg.diagnosis.screen import UNKNOWN
@@ -72,19 +73,8 @@ def next_check(bench: Bench, residual: FloatArray, nearest: str = UNKNOWN) -> di
     like = "" if nearest == UNKNOWN else f"; the cause of the catalogue that comes nearest is '{nearest}'"
     whole = "the misfit is spread over the body, in proportion to its motion"
     place = whole if chosen.kind == "body" else f"{share:.0%} of the misfit is there"
-    return {
-        "action": f"{action} ({place}{worst}, most at {time:.4g} s under case {case}{like})",
-        "separates": [],
-        "separability": None,
-        "check": {
-            "kind": chosen.kind,
-            "name": chosen.name,
-            "share": share,
-            "where": where,
-            "case": case,
-            "time_s": time,
-        },
-    }
+    action = f"{action} ({place}{worst}, most at {time:.4g} s under case {case}{like})"
+    return to_check(action, chosen.kind, chosen.name, share=share, where=where, case=case, time_s=time)
 
 
 def components_of(bench: Bench) -> Iterator[RigComponent]:

@@ -7,7 +7,6 @@ residual, verdict and advice.
 Each is a module of this package; ``docs/diagnose.md`` describes them in this order.
 """
 
-import platform
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -18,9 +17,8 @@ import numpy as np
 from tissuereg._base.arrays import FloatArray
 from tissuereg._base.choices import Element
 from tissuereg._base.provenance import warn
-from tissuereg._version import __version__
 from tissuereg.diagnosis.advice import advise
-from tissuereg.diagnosis.answer import Diagnosis, DiagnosisDetails, Finding
+from tissuereg.diagnosis.answer import Diagnosis, DiagnosisDetails, Finding, to_check, versions_now
 from tissuereg.diagnosis.bank import Bank, make_bank
 from tissuereg.diagnosis.bench import Bench
 from tissuereg.diagnosis.constancy import Constancy, constancies
@@ -141,7 +139,7 @@ def _searched(bench: Bench, noise: Noise, *, silent: bool, seed: int, keep: bool
         extended=extended,
         next_experiment=following,
         seed=seed,
-        versions=_versions(),
+        versions=versions_now(),
         numbers=settings,
         details=DiagnosisDetails(found, target, believed.nuisances, judged.nulls.thresholds),
     )
@@ -211,12 +209,7 @@ def _state_noise(larger: Sequence[UnderstatedNoise]) -> dict[str, Any]:
     """Return what to do about understated noise, as the next experiment of an answer."""
     write = " and ".join(f"{one.estimated:.3g} {one.unit} for {one.channel}" for one in larger)
     action = f"state a noise of {write}, or find out why it is larger than stated, then diagnose again"
-    return {
-        "action": action,
-        "separates": [],
-        "separability": None,
-        "check": {"kind": "noise", "name": larger[0].channel},
-    }
+    return to_check(action, "noise", larger[0].channel)
 
 
 def _misread(
@@ -224,7 +217,6 @@ def _misread(
 ) -> Diagnosis:
     """Return the answer for a recording that is probably misread: what to write, and no cause."""
     first = suspicions[0]
-    check = {"kind": "input", "name": ", ".join(first.files)}
     return Diagnosis(
         verdict="unexplained",
         findings=(),
@@ -233,21 +225,12 @@ def _misread(
         p_misfit=0.0 if first.log_odds is None else float(np.exp(-first.log_odds)),
         discrepancy={},
         extended=experiment,
-        next_experiment={
-            "action": f"{first.write}, then diagnose again",
-            "separates": [],
-            "separability": None,
-            "check": check,
-        },
+        next_experiment=to_check(f"{first.write}, then diagnose again", "input", ", ".join(first.files)),
         seed=seed,
-        versions=_versions(),
+        versions=versions_now(),
         suspicions=tuple(suspicions),
         numbers=settings,
     )
-
-
-def _versions() -> dict[str, str]:
-    return {"tissuereg": __version__, "numpy": np.__version__, "python": platform.python_version()}
 
 
 @dataclass(frozen=True, eq=False)

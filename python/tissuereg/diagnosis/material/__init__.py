@@ -12,17 +12,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from tissuereg._base.arguments import place
-from tissuereg.diagnosis.material.answer import EXTENDED_FILE, answer_of
+from tissuereg.diagnosis.answer import save_answer
+from tissuereg.diagnosis.material.answer import answer_of
 from tissuereg.diagnosis.material.fit import extended
 from tissuereg.diagnosis.material.history import predicted_stresses
 from tissuereg.diagnosis.material.report import material_page
 from tissuereg.diagnosis.material.verdict import SelectionOutcome, find_out
 from tissuereg.diagnosis.settings import DEFAULT, DiagnoseSettings
 from tissuereg.experiment.material_experiment import MaterialExperiment
-from tissuereg.io.atomic import OutputError, atomic_folder
-from tissuereg.io.experiment_out import write_experiment
-from tissuereg.io.json import write_json
 
 __all__ = ["MaterialDiagnosis", "diagnose_material", "predicted_stresses"]
 
@@ -58,32 +55,9 @@ class MaterialDiagnosis:
         return self.answer
 
     def save(self, folder: str | os.PathLike[str], extra: Mapping[str, Any] | None = None) -> Path:
-        """Write ``diagnosis.json``, ``experiment.extended.toml`` and ``report.html``, all or none.
-
-        Parameters
-        ----------
-        folder : path-like
-            Folder of the files; files of these names in it are replaced, others stay.
-        extra : mapping, optional
-            Entries that are added to the JSON, or that replace those of the answer.
-
-        Returns
-        -------
-        Path
-            The folder.
-
-        Raises
-        ------
-        OutputError
-            If the files cannot be written there.
-        """
-        out = place("folder", folder, error=OutputError)
-        with atomic_folder(out) as draft:
-            write_json(draft / "diagnosis.json", {**self.answer, **(extra or {})})
-            # Paths in the model are relative to the final folder.
-            write_experiment(self.extended, draft / EXTENDED_FILE, seen_from=out)
-            (draft / "report.html").write_text(material_page(self, out), encoding="utf-8")
-        return out
+        """Write answer, extended model and report into a folder, as `Diagnosis.save` does for bodies."""
+        answer = {**self.answer, **(extra or {})}
+        return save_answer(folder, answer, self.extended, lambda out: material_page(self, out))
 
 
 def diagnose_material(

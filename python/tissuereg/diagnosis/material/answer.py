@@ -1,6 +1,5 @@
 """The answer as JSON and sentences: schema ``tissuereg.diagnosis/1`` with stresses in kPa in place of millimetres."""
 
-import platform
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
@@ -9,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from tissuereg._base.arrays import BoolArray, FloatArray
-from tissuereg._version import __version__
+from tissuereg.diagnosis.answer import EXTENDED_FILE, SCHEMA, to_check, versions_now
 from tissuereg.diagnosis.material.advice import best_test
 from tissuereg.diagnosis.material.causes import CAUSES
 from tissuereg.diagnosis.material.fit import MaterialFit, effects_of
@@ -18,9 +17,6 @@ from tissuereg.diagnosis.material.verdict import SelectionOutcome
 from tissuereg.experiment.effects import Effect
 from tissuereg.experiment.effects.history import Relaxation
 from tissuereg.experiment.material_experiment import Curve, MaterialExperiment
-
-SCHEMA = "tissuereg.diagnosis/1"
-EXTENDED_FILE = "experiment.extended.toml"
 
 
 def answer_of(experiment: MaterialExperiment, outcome: SelectionOutcome, seed: int) -> dict[str, Any]:
@@ -77,7 +73,7 @@ def answer_of(experiment: MaterialExperiment, outcome: SelectionOutcome, seed: i
         "provisional": outcome.bench.unit == "part",
         "seed": seed,
         "settings": outcome.bench.problem.settings.to_json({}),
-        "versions": {"tissuereg": __version__, "numpy": np.__version__, "python": platform.python_version()},
+        "versions": versions_now(),
     }
 
 
@@ -244,8 +240,7 @@ def _again(outcome: SelectionOutcome) -> dict[str, Any]:
         f"measure {mode} again with {with_what}, with more rows {worst['when']}: the residual is largest there, worst "
         f"in {' and '.join(worst['where'])}; a deviation that does not repeat is no property of the material"
     )
-    check = {"kind": "mode", "name": worst["under"], "where": worst["where"], "when": worst["when"]}
-    return {"action": action, "separates": [], "separability": None, "check": check}
+    return to_check(action, "mode", worst["under"], where=worst["where"], when=worst["when"])
 
 
 def _next(experiment: MaterialExperiment, outcome: SelectionOutcome) -> dict[str, Any] | None:

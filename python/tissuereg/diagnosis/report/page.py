@@ -1,16 +1,15 @@
 """The HTML page of a diagnosis: its sections in order, with the view's data and script."""
 
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from tissuereg.diagnosis.answer import EXTENDED_FILE
 from tissuereg.diagnosis.report.history import SHARE, histories
 from tissuereg.diagnosis.report.proved import proved
 from tissuereg.diagnosis.report.ranking import rankings
 from tissuereg.diagnosis.report.scene import scene
 from tissuereg.diagnosis.report.words import assumed, findings, summary, ties
 from tissuereg.errors import ExperimentError
-from tissuereg.io.atomic import atomic_file
 from tissuereg.io.experiment_out import experiment_text
 from tissuereg.report.markup import document, escape
 from tissuereg.report.provenance import provenance_section
@@ -19,9 +18,6 @@ from tissuereg.report.viewer import viewer, viewer_script
 
 if TYPE_CHECKING:
     from tissuereg.diagnosis.answer import Diagnosis, DiagnosisDetails
-
-#: File of the extended model in the page's folder.
-MODEL = "experiment.extended.toml"
 
 _STYLE = """
 .verdict { font-size: 1.2rem; } .finding { border-left: 4px solid #1f5fa8; padding-left: 1rem; margin: 1rem 0; }
@@ -33,22 +29,11 @@ summary { cursor: pointer; }
 """
 
 
-def write_report(found: "Diagnosis", path: Path, *, seen_from: str | os.PathLike[str] | None = None) -> Path:
-    """Write the page of a diagnosis, whole or not at all, and return its path.
+def page(found: "Diagnosis", folder: Path) -> str:
+    """Return the page of a diagnosis, HTML; `folder`: the folder in which it will lie.
 
-    `found`: the diagnosis; without its `details` the page has text and the ranking alone; `path`: file to write;
-    `seen_from`: final folder of the page, where it is written elsewhere first. Raises `OutputError` if the file cannot
-    be written.
+    Without the `details` of the diagnosis the page has text and the ranking alone.
     """
-    folder = Path(path).parent if seen_from is None else Path(seen_from)
-    text = document("Diagnosis", page_parts(found, folder), _STYLE)
-    with atomic_file(path) as draft:
-        draft.write_text(text, encoding="utf-8")
-    return path
-
-
-def page_parts(found: "Diagnosis", folder: Path) -> list[str]:
-    """Return the sections of a diagnosis' page, as HTML; `folder`: the folder in which the page will lie."""
     parts = [summary(found), "<h2>Findings</h2>", findings(found)]
     if found.details is not None:
         parts += [_body(found, found.details), _history(found, found.details)]
@@ -58,7 +43,7 @@ def page_parts(found: "Diagnosis", folder: Path) -> list[str]:
     parts.append(provenance_section(found.provenance.to_json(found.settings)))
     if found.details is not None:
         parts.append(viewer_script())
-    return parts
+    return document("Diagnosis", parts, _STYLE)
 
 
 def _body(found: "Diagnosis", details: "DiagnosisDetails") -> str:
@@ -100,6 +85,6 @@ def _model(found: "Diagnosis", folder: Path) -> str:
     return (
         f"<h2>The extended model</h2><p>The believed experiment with the findings as effects, and with the fitted "
         "modulus where the data determine it, "
-        f"<a href='{MODEL}'>{MODEL}</a>, runs in <code>simulate</code>, <code>register</code> and "
+        f"<a href='{EXTENDED_FILE}'>{EXTENDED_FILE}</a>, runs in <code>simulate</code>, <code>register</code> and "
         f"<code>diagnose</code> like any other.</p><details><summary>Its text</summary>{text}</details>"
     )
