@@ -18,9 +18,9 @@ from tissuereg.diagnosis.bank import make_bank
 from tissuereg.diagnosis.bench import Bench
 from tissuereg.diagnosis.correction import Correction, make_correction
 from tissuereg.diagnosis.evidence import Null, fit_amplitudes
-from tissuereg.diagnosis.generic import generic_columns
 from tissuereg.diagnosis.noise import Noise, estimate_noise
 from tissuereg.diagnosis.nuisances import make_nuisances
+from tissuereg.diagnosis.patterns import generic_columns
 from tissuereg.diagnosis.proof import LinearModel
 from tissuereg.diagnosis.refined import entry_of, refined_predictions
 from tissuereg.diagnosis.settings import DEFAULT

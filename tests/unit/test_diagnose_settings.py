@@ -18,10 +18,10 @@ from tissuereg.diagnosis.bank import numbers_of
 from tissuereg.diagnosis.bench import Bench
 from tissuereg.diagnosis.causes import CAUSES
 from tissuereg.diagnosis.fit import fit
-from tissuereg.diagnosis.generic import generic_columns
 from tissuereg.diagnosis.material import diagnose_material
 from tissuereg.diagnosis.misfit import smooth_subspaces
 from tissuereg.diagnosis.noise import estimate_noise
+from tissuereg.diagnosis.patterns import generic_columns
 from tissuereg.diagnosis.proof import HeldOut
 from tissuereg.diagnosis.report.ranking import rankings
 from tissuereg.diagnosis.screen import Screen, Screened

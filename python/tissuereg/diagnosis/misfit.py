@@ -14,9 +14,8 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.evidence import tail_probability
-from tissuereg.diagnosis.generic import histories
 from tissuereg.diagnosis.noise import Noise
-from tissuereg.diagnosis.patterns import force_columns, marker_columns, orthonormal, smooth_patterns
+from tissuereg.diagnosis.patterns import force_columns, histories, marker_columns, orthonormal, smooth_patterns
 from tissuereg.diagnosis.settings import DEFAULT, DiagnoseSettings
 from tissuereg.diagnosis.signals import SignalLayout
 

@@ -27,12 +27,12 @@ from tissuereg.diagnosis.discrepancy import describe, nearest_cause, residual_su
 from tissuereg.diagnosis.evidence import Null
 from tissuereg.diagnosis.findings import candidates_of, findings_of, possible_of
 from tissuereg.diagnosis.fit import Fit, FitTarget, fit
-from tissuereg.diagnosis.generic import generic_columns
 from tissuereg.diagnosis.localisation import next_check
 from tissuereg.diagnosis.misfit import Battery, Misfit, smooth_subspaces
 from tissuereg.diagnosis.noise import Noise, estimate_noise
 from tissuereg.diagnosis.nuisances import Nuisances, make_nuisances
 from tissuereg.diagnosis.nulls import Nulls, draw_nulls
+from tissuereg.diagnosis.patterns import generic_columns
 from tissuereg.diagnosis.readings import RecordingSuspicion, suspect_recording
 from tissuereg.diagnosis.refined import entry_of, refined_predictions
 from tissuereg.diagnosis.screen import Screen

@@ -228,7 +228,7 @@ def _round(target: FitTarget, screen: Screen, base: Fit, current: Fit, threshold
         density = tried.log_density.sum(axis=1)
         if _proved(candidate.id, tried, target.bench.settings.search):
             rivals = max(float(density[GENERIC]), _best_rival(target, current, candidates, candidate))
-            figures = _figures(target, references, current, candidate)
+            figures = _prove(target, references, current, candidate, stated=True)
             accepted = replace(step, found=candidate, proof=tried, figures=figures, rivals=rivals)
             failed = accepted.failed(required[candidate.id], thresholds[candidate.id], current.ids)
             if failed is None:
@@ -271,11 +271,7 @@ def _with_finding(
     """
     # A found cause has a model error of its own. Its discretisation error was corrected; what remains of that, and the
     # error of its form, are nuisances when further causes are tested.
-    forms = other_forms(
-        screen.white_columns(found.id),
-        plain.white(found.fit.prediction - before.prediction),
-        plain.bench.settings.nuisances,
-    )
+    forms = _forms(plain, screen, found.id, found.fit.prediction - before.prediction)
     null = Null(np.concatenate([plain.null.nuisances, forms]))
     plain = replace(plain, correction=found.target.correction, null=null)
     errors = plain.white(effect_nuisances(plain.bench, found.fit.prediction - base.prediction))
@@ -348,17 +344,18 @@ def _without(
     assert rest is not None  # without it there is an equilibrium
     others = [pair for at, pair in enumerate(zip(current.ids, rests, strict=True)) if at != part]
     forms = [
-        other_forms(
-            screen.white_columns(name),
-            given.white(current.prediction - before.prediction),
-            given.bench.settings.nuisances,
-        )
+        _forms(given, screen, name, current.prediction - before.prediction)
         for name, before in others
         if before is not None
     ]
     errors = given.white(effect_nuisances(given.bench, rest.prediction - base.prediction))
     target = replace(target, null=Null(np.concatenate([given.null.nuisances, *forms, errors])))
     return target, fit(target, rest.parts, start=rest.x) or rest
+
+
+def _forms(target: FitTarget, screen: Screen, name: str, change: FloatArray) -> FloatArray:
+    """Return nuisances for the form of a cause, by its id, that was found to make a change (size,), mm and mN."""
+    return other_forms(screen.white_columns(name), target.white(change), target.bench.settings.nuisances)
 
 
 def _judged(
@@ -385,7 +382,7 @@ def _judged(
         return step
     references = _references(target, screen, base, before)
     proof = _prove(target, references, before, top, part)
-    figures = _figures(target, references, before, top, part)
+    figures = _prove(target, references, before, top, part, stated=True)
     # Rivals were not fitted beside the other causes: they keep their distance. That to an exchanged one is not known.
     density = proof.log_density.sum(axis=1)
     rivals = max(float(density[GENERIC]), float(density[NAMED]) - led) if lead is None else np.inf
@@ -409,32 +406,24 @@ def _failed(steps: Sequence[Step], ids: Sequence[str], thresholds: Mapping[str, 
 
 
 def _prove(
-    target: FitTarget, references: list[LinearModel], current: Fit, candidate: Candidate, part: int = -1
+    target: FitTarget,
+    references: list[LinearModel],
+    current: Fit,
+    candidate: Candidate,
+    part: int = -1,
+    *,
+    stated: bool = False,
 ) -> HeldOut:
-    """Return the predictive densities of the compared models on held-out blocks of the data.
+    """Return the predictions of the compared models on held-out blocks: of a proof, or those whose errors are stated.
 
     `references`: models the candidate is compared with; `current`: fit without it; `part`: which cause of the fit is
-    judged.
-    """
-    slopes, _ = _columns_and_change(target, current, candidate, part)
-    return held_out(
-        _models(target, references, candidate), proof_blocks(target.bench.layout, slopes, target.bench.settings.search)
-    )
-
-
-def _figures(
-    target: FitTarget, references: list[LinearModel], current: Fit, candidate: Candidate, part: int = -1
-) -> HeldOut:
-    """Return the prediction errors of the compared models on held-out blocks, as they are reported.
-
-    `references`: models the candidate is compared with; `current`: fit without it; `part`: which cause of the fit is
-    judged.
+    judged; `stated`: whether the blocks are those whose errors are stated (`figure_blocks`).
     """
     slopes, change = _columns_and_change(target, current, candidate, part)
-    return held_out(
-        _models(target, references, candidate),
-        figure_blocks(target.bench.layout, slopes, change, target.bench.settings.search),
-    )
+    layout, rules = target.bench.layout, target.bench.settings.search
+    blocks = figure_blocks(layout, slopes, change, rules) if stated else proof_blocks(layout, slopes, rules)
+    before, *others = references
+    return held_out([before, linear_model(target, candidate.fit), *others], blocks)
 
 
 def _columns_and_change(
@@ -454,11 +443,6 @@ def _references(target: FitTarget, screen: Screen, base: Fit, current: Fit) -> l
     """Return three models to compare a cause with: one without it, that plus the generic rival, the believed one."""
     rival = linear_model(target, current, rival_columns(screen, target, current))
     return [linear_model(target, current), rival, linear_model(target, base)]
-
-
-def _models(target: FitTarget, references: list[LinearModel], candidate: Candidate) -> list[LinearModel]:
-    before, *others = references
-    return [before, linear_model(target, candidate.fit), *others]
 
 
 def rival_columns(screen: Screen, target: FitTarget, current: Fit) -> FloatArray:

@@ -28,19 +28,11 @@ Mixture = list[tuple[float, tuple[Effect, ...]]]
 class Variant:
     """One hypothesis of a cause: its discrete choices are fixed, and p amplitudes are free.
 
-    Attributes
-    ----------
-    label : str
-        Name that distinguishes the hypothesis from the others of the same cause.
-    columns : ndarray of float64, shape (p, size)
-        Change of all `size` measured numbers by one prior standard deviation of each amplitude: marker displacements in
-        mm and forces in mN.
-    settings : mapping
-        The discrete choices by name, for instance ``{"actuator": "left pad"}``, and values at which the fit starts.
-    positive : bool
-        Whether the amplitude cannot be negative; there is then one (p = 1).
-    fixed : bool
-        Whether the amplitude is exactly 1, as for two markers that are exchanged; there is then one (p = 1).
+    `label`: name that distinguishes it from the others of the same cause; `columns` (p, size): change of all `size`
+    measured numbers by one prior standard deviation of each amplitude: marker displacements in mm and forces in mN;
+    `settings`: the discrete choices by name, for instance ``{"actuator": "left pad"}``, and values at which the fit
+    starts; `positive`: whether the amplitude cannot be negative; there is then one (p = 1); `fixed`: whether the
+    amplitude is exactly 1, as for two markers that are exchanged; there is then one (p = 1).
     """
 
     label: str
@@ -54,24 +46,13 @@ class Variant:
 class FreeParameters:
     """The k parameters that the nonlinear fit of one cause varies: real numbers without bounds, with normal priors.
 
-    Attributes
-    ----------
-    start, mean, deviation : ndarray of float64, shape (k,)
-        First guess, prior mean and prior standard deviation.
-    effects : callable
-        Takes parameters (k,) and the body's Young's modulus in kPa; returns effects, each a change of the simulation.
-    values : callable
-        Takes the same arguments; returns the physical parameters of the answer, by key of the effect's table.
-    step : ndarray of float64, shape (k,)
-        Steps of difference quotients.
-    columns : ndarray of float64, shape (k, size), optional
-        Linear change of all measured numbers by a unit of every parameter, mm and mN, used in fits instead of
-        simulations where those would change in jumps on the user's mesh.
-    between : callable, optional
-        Takes the same arguments; returns pairs of a weight and effects. Predictions with these effects are averaged in
-        fits where a simulation would jump from one to the other on the user's mesh.
-    starts : ndarray of float64, shape (n, k), optional
-        Further n first guesses.
+    `start`, `mean`, `deviation` (k,): first guess, prior mean and prior standard deviation; `effects`: takes parameters
+    (k,) and the body's Young's modulus in kPa; returns effects, each a change of the simulation; `values`: takes the
+    same; returns the physical parameters of the answer, by key of the effect's table; `step` (k,): steps of difference
+    quotients; `columns` (k, size): linear change of all measured numbers by a unit of every parameter, mm and mN, used
+    in fits instead of simulations where those would change in jumps on the user's mesh; `between`: takes the same as
+    `effects`; returns pairs of a weight and effects, whose predictions are averaged in fits where a simulation would
+    jump from one to the other on the user's mesh; `starts` (n, k): further n first guesses.
     """
 
     start: FloatArray
@@ -101,7 +82,7 @@ class Cause(ABC):
     cause in answers and in ``[[effect]]`` tables; `discrete`: keys of `Variant.settings` that the free parameters
     cannot change; `always_fitted`: whether a nuisance parameter describes the same error in every fit; `absolute`:
     whether its size does not scale with Young's modulus; `constant`: whether its change has one size in all parts of
-    the data; `closed_form`: whether its change is a closed form.
+    the data.
     """
 
     #: Id in answers and in ``[[effect]]`` tables.
@@ -130,50 +111,23 @@ class Cause(ABC):
     def variants(self, bench: Bench) -> Iterable[Variant]:
         """Return the hypotheses of the cause in an experiment; none where it cannot occur or cannot be observed.
 
-        Parameters
-        ----------
-        bench : Bench
-            The believed model of the experiment, with its prediction and sensitivities.
-
-        Returns
-        -------
-        iterable of Variant
-            Hypotheses, all with the same number p of columns.
+        `bench`: the believed model of the experiment, with its prediction and sensitivities. All hypotheses have the
+        same number p of columns.
         """
 
     @abstractmethod
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
-        """Return the free parameters of the nonlinear fit.
+        """Return the free parameters of the nonlinear fit: first guess, prior and step of each, and its effects.
 
-        Parameters
-        ----------
-        bench : Bench
-            The believed model.
-        variant : Variant
-            Hypothesis from which the fit starts.
-        amplitudes : ndarray of float64, shape (p,)
-            Fitted linear amplitudes of its columns, in prior standard deviations.
-
-        Returns
-        -------
-        FreeParameters
-            First guess, prior and step of each parameter; its effects have the discrete choices of the hypothesis.
+        `bench`: the believed model; `variant`: hypothesis from which the fit starts, whose discrete choices the effects
+        have; `amplitudes` (p,): fitted linear amplitudes of its columns, in prior standard deviations.
         """
 
     def alternatives(self, bench: Bench, variant: Variant) -> tuple[Variant, ...]:
         """Return hypotheses that differ too little from a screened one to be screened; each is fitted beside it.
 
-        Parameters
-        ----------
-        bench : Bench
-            The believed model.
-        variant : Variant
-            Hypothesis that was screened.
-
-        Returns
-        -------
-        tuple of Variant
-            Hypotheses with other discrete choices; empty by default.
+        `bench`: the believed model; `variant`: hypothesis that was screened. Result: hypotheses with other discrete
+        choices; none by default.
         """
         return ()
 

@@ -1,15 +1,46 @@
-"""Decision whether a recording is misread: `suspect_recording` weighs all readings against the input as given."""
+"""Whether a recording is misread: all readings are weighed against the input as given; suspicions are put in words."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
 
 from tissuereg._base.choices import Element
 from tissuereg.diagnosis.readings.proposals import AS_GIVEN, proposals
-from tissuereg.diagnosis.readings.recording import recorded
-from tissuereg.diagnosis.readings.response import responses
+from tissuereg.diagnosis.readings.recording import recorded, responses
 from tissuereg.diagnosis.readings.settings import RECORDINGS, RecordingSettings
 from tissuereg.diagnosis.readings.weigh import Agreement, WeighedReading, Weigher
-from tissuereg.diagnosis.readings.words import RecordingSuspicion, misread, silent
 from tissuereg.diagnosis.signals import SignalLayout
 from tissuereg.experiment.experiment import Experiment
 from tissuereg.registration.readings.settings import COSTS
+
+
+@dataclass(frozen=True)
+class RecordingSuspicion:
+    """One reason to suspect that the recording of an experiment is misread.
+
+    `kind`: ``unit``, ``frame``, ``mirrored``, ``sign`` or ``silent`` (forces below their noise where the model predicts
+    far larger ones); `sentence`: the reason with its evidence, which starts with the kind; `write`: what to write in
+    the files; `files`: those concerned; `log_odds`: of the other reading over the input as given, nats; None where
+    there is none.
+    """
+
+    kind: str
+    sentence: str
+    write: str
+    files: tuple[str, ...]
+    log_odds: float | None = None
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the suspicion as plain data for JSON."""
+        return {
+            "kind": self.kind,
+            "sentence": self.sentence,
+            "write": self.write,
+            "files": list(self.files),
+            "log_odds": self.log_odds,
+        }
 
 
 def suspect_recording(
@@ -43,14 +74,14 @@ def suspect_recording(
     others = [weigher.weigh(one) for one in proposals(moved, [name for name in kinds if name not in moved], felt)]
     best = max(others, key=lambda one: one.total)
     if best.total > plain.total + COSTS.margin and _explains(best, settings):
-        return [misread(plain, best, others, settings)]
+        return [_misread(plain, best, others, settings)]
     noise = experiment.force_std or 1.0
     quiet = [
         pad
         for pad, one in plain.forces.items()
         if one.predicted > settings.loud * noise and one.measured < settings.quiet * noise
     ]
-    return [silent(quiet, plain, noise)] if quiet else []
+    return [_silent(quiet, plain, noise)] if quiet else []
 
 
 def _explains(one: WeighedReading, settings: RecordingSettings) -> bool:
@@ -60,3 +91,63 @@ def _explains(one: WeighedReading, settings: RecordingSettings) -> bool:
     if moves and one.markers is not None:
         changed.append(one.markers)
     return bool(changed) and all(own.explained >= settings.explained for own in changed)
+
+
+def _misread(
+    plain: WeighedReading,
+    best: WeighedReading,
+    others: Sequence[WeighedReading],
+    settings: RecordingSettings = RECORDINGS,
+) -> RecordingSuspicion:
+    """Return the suspicion that another reading of the recording is right.
+
+    `plain`, `best`: the recording as given, and the reading that beats it; `others`: all that were weighed, to name
+    those that fit equally well.
+    """
+    reading = best.reading
+    facts = []
+    if best.markers is not None and plain.markers is not None:
+        facts.append(_fact("the markers' motion", plain.markers, best.markers, settings.nothing))
+    facts += [
+        _fact(f"the force on {pad}", plain.forces[pad], new, settings.nothing) for pad, new in best.forces.items()
+    ]
+    facts = [fact for fact in facts if fact] or ["the places without a command are then those at rest"]
+    gain = best.total - plain.total
+    digits = int(gain / np.log(10.0))
+    odds = (
+        f"odds more than 10^{settings.most_digits} to 1"
+        if digits > settings.most_digits
+        else f"odds about 10^{digits} to 1"
+    )
+    ties = sorted((one for one in others if one is not best and one.total > best.total - COSTS.tie), key=_total)
+    also = f"; as good: {ties[-1].reading.words}" if ties else ""
+    sentence = f"{reading.kind}: {reading.words} fits better: {'; '.join(facts)} ({odds}){also}"
+    return RecordingSuspicion(reading.kind, sentence, reading.write, reading.files, gain)
+
+
+def _silent(pads: Sequence[str], plain: WeighedReading, noise: float) -> RecordingSuspicion:
+    """Return the suspicion that pads felt nothing, for no other reading explains it; `noise`: of a force, mN."""
+    predicted = max(plain.forces[pad].predicted for pad in pads)
+    sentence = (
+        f"silent: the measured force on {', '.join(pads)} is no larger than its noise ({noise:.3g} mN), where the "
+        f"believed model predicts {predicted:.3g} mN (rms); no modulus follows from it"
+    )
+    write = "check sensor, unit and columns of forces.csv, or leave the rows of these pads out"
+    return RecordingSuspicion("silent", sentence, write, ("forces.csv",))
+
+
+def _fact(what: str, before: Agreement, after: Agreement, nothing: float) -> str:
+    """Return what a reading changes for one channel, in words; empty where it is as far off as before."""
+    if abs(before.off - after.off) < 0.05 * max(before.off, after.off):
+        return ""
+    told = f"{what} is then {after.off:.0%} off the believed model"
+    if before.predicted < nothing * after.predicted:
+        return told  # as given, all places are about the origin
+    if not -0.3 < before.ratio < 0.3 and not 0.3 < before.ratio < 3.0:
+        return f"{told}, as given {before.ratio:.2g} times the believed one"
+    scale = f", {before.ratio:.2g} times the believed one" if 0.0 < before.ratio < 0.3 else ""
+    return f"{told} instead of {before.off:.0%}{scale}"
+
+
+def _total(one: WeighedReading) -> float:
+    return one.total
