@@ -109,7 +109,7 @@ def of_a_right_form(outcome: SelectionOutcome) -> Numbers:
     assert outcome.refined is not None
     bench, fit = outcome.bench, outcome.refined.fit
     if outcome.refined.weighting == "rows alike":
-        bench = rows_alike(bench, outcome.noise)
+        bench = rows_alike(bench)
     again = fitted(bench.problem, fit.forms, [fit.x], fit.share)
     return numbers(again, *outcome.known.ids)
 

@@ -18,11 +18,11 @@ def form_of(experiment, cause, label):
 
 def fit_and_bench(experiment, cause, label, weighting="lasting errors"):
     """Return the fit of one form, with the covariance for a form without error, and its bench."""
-    bench, noise = bench_of(experiment)
+    bench = bench_of(experiment)
     form = form_of(experiment, cause, label)
     starts = [np.array([bench.problem.young_log, *start]) for start in form.starts]
     if weighting == "rows alike":
-        bench = rows_alike(bench, noise)
+        bench = rows_alike(bench)
         return fitted(bench.problem, [form], starts), bench
     return refitted(bench.problem, [form], starts)[0], bench
 

@@ -240,7 +240,7 @@ def test_a_sweep_through_zero_is_no_unloading():
 
 
 def test_a_cause_is_named_above_its_threshold_alone_and_not_stated_where_it_fails_a_test(monkeypatch):
-    bench, _ = bench_of(believed(in_modes(np.random.default_rng(7), ("fung", 1.0))))
+    bench = bench_of(believed(in_modes(np.random.default_rng(7), ("fung", 1.0))))
     none, scene = null_hypothesis(bench.problem), scene_of(believed(list(bench.problem.data.curves)))
     forms = {"stiffening": CAUSES["stiffening"].forms(scene)}
     searched = MaterialSearch(bench, forms, 5.0, lambda _: None)
@@ -263,7 +263,7 @@ def test_a_cause_is_named_above_its_threshold_alone_and_not_stated_where_it_fail
 
 
 def test_a_cause_that_is_left_alone_is_proved_alone(monkeypatch):
-    bench, _ = bench_of(believed(in_modes(np.random.default_rng(7), ("fung", 1.0))))
+    bench = bench_of(believed(in_modes(np.random.default_rng(7), ("fung", 1.0))))
     none, scene = null_hypothesis(bench.problem), scene_of(believed(list(bench.problem.data.curves)))
     forms = {name: CAUSES[name].forms(scene) for name in ("stiffening", "mooney")}
     searched = MaterialSearch(bench, forms, 5.0, lambda _: None)

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray
+from tissuereg.diagnosis.evidence import rms
 from tissuereg.diagnosis.fit import Fit
 from tissuereg.diagnosis.misfit import Misfit
 from tissuereg.diagnosis.screen import UNKNOWN, Screen
@@ -22,53 +23,42 @@ def describe(layout: SignalLayout, base: Fit, final: Fit, settings: AdviceSettin
     ``chi_by_case``, ``chi_forces_by_case`` and ``chi_by_marker``, root mean square residuals in noise deviations by
     name; and ``after``, with ``rms_mm`` and ``in_sigma`` of the final model.
     """
-    seen = layout.seen
-    error = np.where(seen, layout.measured - base.prediction, np.nan)
+    seen, white = layout.seen, base.residual
     markers = layout.of_markers() & seen
-    cases = {part.name: _chi(part.markers(base.residual), part.markers(_shown(layout))) for part in layout.parts}
-    forces = {
-        part.name: _chi(part.forces(base.residual), part.forces(_shown(layout))) for part in layout.parts if part.pads
-    }
-    per_marker = _per_marker(layout, base.residual)
+    cases = {part.name: rms(part.markers(white)[part.markers(seen)]) for part in layout.parts}
+    forces = {part.name: rms(part.forces(white)[part.forces(seen)]) for part in layout.parts if part.pads}
+    per_marker = {name: rms(values) for name, values in _by_place(layout, white, pads=False).items()}
     worst_case = max(cases, key=lambda name: max(cases[name], forces.get(name, 0.0)))
-    order = np.argsort(-per_marker)[: settings.most_markers]
-    where = [layout.marker_names[i] for i in order if per_marker[i] > settings.above]
+    order = sorted(per_marker, key=lambda name: -per_marker[name])[: settings.most_markers]
     part = layout[worst_case]
-    frames = np.sqrt((part.markers(base.residual) ** 2).mean(axis=(1, 2)))
-    top = int(np.argmax(frames))
-    rms = float(np.sqrt(np.mean(error[markers] ** 2))) if markers.any() else 0.0
+    top = int(np.argmax((part.markers(white) ** 2).mean(axis=(1, 2))))
     return {
-        "rms_mm": rms,
-        "in_sigma": float(np.sqrt(np.mean(base.residual[markers] ** 2))) if markers.any() else 0.0,
-        "where": where,
+        "rms_mm": rms((layout.measured - base.prediction)[markers]),
+        "in_sigma": rms(white[markers]),
+        "where": [name for name in order if per_marker[name] > settings.above],
         "when": f"most at {part.times[top]:.4g} s ({part.times[top] - part.times[0]:.3g} s into the case)",
         "under": worst_case,
         "chi_by_case": cases,
         "chi_forces_by_case": forces,
-        "chi_by_marker": dict(zip(layout.marker_names, per_marker.tolist(), strict=True)),
+        "chi_by_marker": per_marker,
         "after": {
-            "rms_mm": float(np.sqrt(np.mean((layout.measured - final.prediction)[markers] ** 2)))
-            if markers.any()
-            else 0.0,
-            "in_sigma": float(np.sqrt(np.mean(final.residual[markers] ** 2))) if markers.any() else 0.0,
+            "rms_mm": rms((layout.measured - final.prediction)[markers]),
+            "in_sigma": rms(final.residual[markers]),
         },
     }
 
 
-def _shown(layout: SignalLayout) -> FloatArray:
-    return layout.seen.astype(np.float64)
-
-
-def _chi(white: FloatArray, shown: FloatArray) -> float:
-    return float(np.sqrt((white**2).sum() / max(float(shown.sum()), 1.0)))
-
-
-def _per_marker(layout: SignalLayout, white: FloatArray) -> FloatArray:
-    total, count = np.zeros(len(layout.marker_names)), np.zeros(len(layout.marker_names))
+def _by_place(layout: SignalLayout, white: FloatArray, *, pads: bool) -> dict[str, FloatArray]:
+    """Return what was measured of a whitened residual (size,) at each marker, and at each pad with `pads`, by name."""
+    found: dict[str, list[FloatArray]] = {name: [] for name in layout.marker_names}
     for part in layout.parts:
-        total += (part.markers(white) ** 2).sum(axis=(0, 2))
-        count += part.markers(_shown(layout)).sum(axis=(0, 2))
-    return np.asarray(np.sqrt(total / np.maximum(count, 1.0)))
+        values, seen = part.markers(white), part.markers(layout.seen)
+        for i, name in enumerate(layout.marker_names):
+            found[name].append(values[:, i][seen[:, i]])
+        values, seen = part.forces(white), part.forces(layout.seen)
+        for i, name in enumerate(part.pads if pads else ()):
+            found.setdefault(name, []).append(values[:, i][seen[:, i]])
+    return {name: np.concatenate(parts) for name, parts in found.items()}
 
 
 def residual_summary(
@@ -98,18 +88,7 @@ def largest_residuals(
 
     `reduced` (size,): whitened by noise and nuisances. At most `most_places` are named, and only those above `above`.
     """
-    power: dict[str, float] = {}
-    count: dict[str, float] = {}
-    seen = layout.seen
-    for part in layout.parts:
-        rows = [
-            (name, part.markers(reduced)[:, i], part.markers(seen)[:, i]) for i, name in enumerate(layout.marker_names)
-        ]
-        rows += [(name, part.forces(reduced)[:, i], part.forces(seen)[:, i]) for i, name in enumerate(part.pads)]
-        for name, values, known in rows:
-            power[name] = power.get(name, 0.0) + float((values[known] ** 2).sum())
-            count[name] = count.get(name, 0.0) + float(known.sum())
-    chi = {name: np.sqrt(power[name] / count[name]) for name in power if count[name]}
+    chi = {name: rms(values) for name, values in _by_place(layout, reduced, pads=True).items()}
     worst = sorted((name for name in chi if chi[name] > settings.above), key=lambda name: -chi[name])
     return worst[: settings.most_places]
 

@@ -118,6 +118,11 @@ def slices_of(sizes: Iterable[int]) -> list[slice]:
     return [slice(first, last) for first, last in pairwise(accumulate(sizes, initial=1))]
 
 
+def rms(values: FloatArray) -> float:
+    """Return the root mean square of an array of any shape; 0 where it is empty."""
+    return float(np.sqrt(np.mean(values**2))) if values.size else 0.0
+
+
 def log_mean_exp(values: FloatArray, axis: int = -1) -> FloatArray:
     """Return the logarithm of the mean of ``exp(values)`` along an axis, which the result lacks."""
     top = values.max(axis=axis, keepdims=True)

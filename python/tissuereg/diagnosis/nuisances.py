@@ -12,6 +12,7 @@ import numpy as np
 from tissuereg._base.arrays import BoolArray, FloatArray
 from tissuereg.diagnosis.bench import Bench
 from tissuereg.diagnosis.correction import Correction
+from tissuereg.diagnosis.evidence import rms
 from tissuereg.diagnosis.patterns import force_columns, load_history, marker_columns, smooth_patterns
 from tissuereg.diagnosis.settings import DEFAULT, NuisanceSettings
 from tissuereg.diagnosis.shape import shape_columns
@@ -80,7 +81,7 @@ def make_nuisances(bench: Bench, mesh_errors: FloatArray, correction: Correction
             continue
         top = load > 0.5
         for axis, smooth in enumerate(marker_columns(layout, part, load, patterns)):
-            size = bench.settings.nuisances.mesh_share * _rms(part.markers(mesh_errors)[:, top][..., axis])
+            size = bench.settings.nuisances.mesh_share * rms(part.markers(mesh_errors)[:, top][..., axis])
             names += [f"mesh {part.name} {axis} {number}" for number in range(len(patterns))]
             columns += list(size * smooth)
         for i, pad in enumerate(() if bench.is_exact else part.pads):
@@ -88,7 +89,7 @@ def make_nuisances(bench: Bench, mesh_errors: FloatArray, correction: Correction
             errors = part.forces(mesh_errors)[:, top, i] / max(float(strength.max()), 1e-9)
             # A pad on a curved body has a different tilt on every mesh, so that a difference in one component of its
             # force may as well occur in another.
-            size = max(bench.settings.nuisances.force_share * _rms(errors), bench.settings.nuisances.force_left)
+            size = max(bench.settings.nuisances.force_share * rms(errors), bench.settings.nuisances.force_left)
             largest = max(float(strength.max()), 1e-9)
             for word, history, share in (
                 ("mesh", strength, size),
@@ -126,11 +127,6 @@ def frame_columns(
             part.markers(shift)[..., axis] = settings.frame_shift
             part.markers(turn)[:] = (layout.reference + part.markers(base) - middle) @ rotation.T
         yield shift, turn
-
-
-def _rms(errors: FloatArray) -> float:
-    """Return the root mean square of an array of any shape; 0 where it is empty."""
-    return float(np.sqrt((errors**2).mean())) if errors.size else 0.0
 
 
 def _trials(bench: Bench, patterns: FloatArray) -> Iterator[tuple[str, FloatArray]]:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tissuereg._base.arrays import BoolArray, FloatArray
+from tissuereg.diagnosis.evidence import rms
 from tissuereg.diagnosis.fit import Fit, FitTarget
 from tissuereg.diagnosis.noise import Noise
 from tissuereg.diagnosis.settings import DEFAULT, SearchSettings
@@ -132,13 +133,13 @@ def held_out_figures(layout: SignalLayout, noise: Noise, proof: HeldOut, figures
     ``log_density_gain`` in nats, and ``cases``, the names of the blocks.
     """
     markers = layout.of_markers() & layout.seen
-    chi = [_rms(row[layout.seen & np.isfinite(row)]) for row in figures.residuals]
+    chi = [rms(row[layout.seen & np.isfinite(row)]) for row in figures.residuals]
     typical = float(noise.marker_std.mean())
-    rms = [typical * _rms(row[markers & np.isfinite(row)]) for row in figures.residuals]
+    markers_mm = [typical * rms(row[markers & np.isfinite(row)]) for row in figures.residuals]
     return {
-        "rms_base_mm": rms[BELIEVED],
-        "rms_named_mm": rms[NAMED],
-        "rms_generic_mm": rms[GENERIC],
+        "rms_base_mm": markers_mm[BELIEVED],
+        "rms_named_mm": markers_mm[NAMED],
+        "rms_generic_mm": markers_mm[GENERIC],
         "noise_mm": typical,
         "chi_base": chi[BELIEVED],
         "chi_named": chi[NAMED],
@@ -188,7 +189,3 @@ def _spread(slopes: FloatArray, mask: BoolArray) -> FloatArray:
     """
     others = slopes[:, ~mask]
     return np.asarray(np.linalg.inv(np.eye(len(slopes)) + others @ others.T))
-
-
-def _rms(values: FloatArray) -> float:
-    return float(np.sqrt(np.mean(values**2))) if values.size else 0.0

@@ -24,7 +24,7 @@ from tissuereg.diagnosis.bench import Bench
 from tissuereg.diagnosis.constancy import Constancy, constancies
 from tissuereg.diagnosis.correction import Correction, make_correction
 from tissuereg.diagnosis.discrepancy import describe, nearest_cause, residual_summary
-from tissuereg.diagnosis.evidence import Null
+from tissuereg.diagnosis.evidence import Null, rms
 from tissuereg.diagnosis.findings import candidates_of, findings_of, possible_of
 from tissuereg.diagnosis.fit import Fit, FitTarget, fit
 from tissuereg.diagnosis.localisation import next_check
@@ -343,4 +343,4 @@ def target_rms(experiment: Experiment, *, element: Element, threads: int) -> flo
     differences = [answers[case].targets[name] - found for case, of in measured.items() for name, found in of.items()]
     errors = np.concatenate([difference.ravel() for difference in differences])
     errors = errors[np.isfinite(errors)]
-    return float(np.sqrt(np.mean(errors**2))) if errors.size else None
+    return rms(errors) if errors.size else None

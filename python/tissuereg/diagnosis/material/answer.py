@@ -9,6 +9,7 @@ import numpy as np
 
 from tissuereg._base.arrays import BoolArray, FloatArray
 from tissuereg.diagnosis.answer import EXTENDED_FILE, SCHEMA, to_check, versions_now
+from tissuereg.diagnosis.evidence import rms
 from tissuereg.diagnosis.material.advice import best_test
 from tissuereg.diagnosis.material.causes import CAUSES
 from tissuereg.diagnosis.material.fit import MaterialFit, effects_of
@@ -61,10 +62,10 @@ def answer_of(experiment: MaterialExperiment, outcome: SelectionOutcome, seed: i
         "held_out": _held_out(outcome),
         "discrepancy": _discrepancy(outcome),
         "noise": {
-            "std_kpa": dict(zip(_names(experiment.curves), outcome.noise.std.tolist(), strict=True)),
-            "specimen_factor": outcome.noise.factor,
-            "along_curve": outcome.noise.along,
-            "repeats": outcome.noise.repeats,
+            "std_kpa": dict(zip(_names(experiment.curves), outcome.bench.errors.std.tolist(), strict=True)),
+            "specimen_factor": outcome.bench.errors.factor,
+            "along_curve": outcome.bench.errors.along,
+            "repeats": outcome.bench.errors.repeats,
         },
         "extended_model": EXTENDED_FILE,
         "next_experiment": _next(experiment, outcome),
@@ -141,16 +142,14 @@ def _discrepancy(outcome: SelectionOutcome) -> dict[str, Any]:
     residual = data.stress - data.modelled(outcome.believed.model)
     chi = residual / np.sqrt(np.diag(outcome.bench.noise))
     sizes = {
-        name: float(np.sqrt(np.mean(chi[data.curve_of == i] ** 2)))
-        for i, name in enumerate(_names(data.curves))
-        if (data.curve_of == i).any()
+        name: rms(chi[data.curve_of == i]) for i, name in enumerate(_names(data.curves)) if (data.curve_of == i).any()
     }
     worst = sorted(sizes, key=lambda name: -sizes[name])[:2]
     modes = np.array(data.modes)
     under = max(dict.fromkeys(modes.tolist()), key=lambda mode: float(np.mean(chi[modes == mode] ** 2)))
     return {
-        "rms_kpa": float(np.sqrt(np.mean(residual**2))),
-        "in_sigma": float(np.sqrt(np.mean(chi**2))),
+        "rms_kpa": rms(residual),
+        "in_sigma": rms(chi),
         "where": worst,
         "when": _when(outcome, chi),
         "under": under,

@@ -7,9 +7,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tissuereg._base.arrays import BoolArray, FloatArray
+from tissuereg.diagnosis.evidence import rms
 from tissuereg.diagnosis.material.data import Data
 from tissuereg.diagnosis.material.fit import FitProblem, MaterialFit, fitted
-from tissuereg.diagnosis.material.noise import patched, weights_of
+from tissuereg.diagnosis.material.noise import CurveNoise, patched, weights_of
 from tissuereg.diagnosis.settings import DEFAULT, MaterialSettings
 from tissuereg.experiment.material_experiment import HELD_OUT, MaterialExperiment
 
@@ -32,8 +33,8 @@ class ProofInput:
     `unit`: what each fold holds out: a ``mode``, a ``rate``, a ``specimen``, or the last ``part`` of the curves;
     `folds`: sets of rows; every row is held out once at most; `problem`: data, weights and believed model of all rows;
     `noise`, `generic` (n, n): covariances of the noise and of a generic misfit (a smooth Gaussian process) of size 1,
-    kPa^2; `fitting` (n, n): covariance that weights the fits, kPa^2; `repeats`: number of curves that repeat another
-    one; without any the noise is an assumption.
+    kPa^2; `fitting` (n, n): covariance that weights the fits, kPa^2; `errors`: noise of the curves, from which
+    `noise` follows.
     """
 
     unit: str
@@ -42,7 +43,7 @@ class ProofInput:
     noise: FloatArray
     generic: FloatArray
     fitting: FloatArray
-    repeats: int
+    errors: CurveNoise
 
 
 @dataclass(frozen=True)
@@ -115,7 +116,7 @@ def held_out_errors(bench: ProofInput, fit: MaterialFit, *, patch_share: float |
     with correlated errors a wrong law would be fitted to slopes alone. Result: NaN where no fold could be predicted.
     """
     data = bench.problem.data
-    errors, pointwise, rms, misfits = [], [], {}, {}
+    errors, pointwise, sizes, misfits = [], [], {}, {}
     for fold in bench.folds:
         known, left_out = np.flatnonzero(~fold.held_out), np.flatnonzero(fold.held_out)
         if not len(left_out) or len(known) <= len(fit.x):
@@ -137,8 +138,7 @@ def held_out_errors(bench: ProofInput, fit: MaterialFit, *, patch_share: float |
         misfits[fold.name] = 0.5 * float(white @ white)
         pointwise.append(error / np.sqrt(np.diag(own)))
         errors.append(error)
-        rms[fold.name] = float(np.sqrt(np.mean(error**2)))
+        sizes[fold.name] = rms(error)
     if not errors:
         return HeldOutErrors({}, math.nan, {}, math.nan)
-    point, every = np.concatenate(pointwise), np.concatenate(errors)
-    return HeldOutErrors(rms, float(np.sqrt(np.mean(point**2))), misfits, float(np.sqrt(np.mean(every**2))))
+    return HeldOutErrors(sizes, rms(np.concatenate(pointwise)), misfits, rms(np.concatenate(errors)))

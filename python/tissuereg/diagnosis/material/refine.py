@@ -26,11 +26,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray
+from tissuereg.diagnosis.evidence import rms
 from tissuereg.diagnosis.material.causes import CAUSES
 from tissuereg.diagnosis.material.fit import MaterialFit, fitted, prior_of
 from tissuereg.diagnosis.material.holdout import HeldOutErrors, ProofInput, held_out_errors
 from tissuereg.diagnosis.material.hypothesis import Hypothesis
-from tissuereg.diagnosis.material.noise import CurveNoise, weights_of
+from tissuereg.diagnosis.material.noise import weights_of
 from tissuereg.diagnosis.material.search import MaterialSearch
 
 
@@ -50,14 +51,13 @@ class Refined:
     form_error: float = math.nan
 
 
-def refined(search: MaterialSearch, none: Hypothesis, known: Hypothesis, noise: CurveNoise) -> Refined:
+def refined(search: MaterialSearch, none: Hypothesis, known: Hypothesis) -> Refined:
     """Return the fit of the causes found in the form and with the weights that predict held-out data best.
 
     `search`: search that found them, with its data; `none`, `known`: the believed law without and with the causes
-    found; `noise`: noise of the curves. Result: with one of the forms (formulas) tried of each cause, and its
-    deviations.
+    found. Result: with one of the forms (formulas) tried of each cause, and its deviations.
     """
-    benches = {"lasting errors": search.bench, "rows alike": rows_alike(search.bench, noise)}
+    benches = {"lasting errors": search.bench, "rows alike": rows_alike(search.bench)}
     if search.bench.unit == "part":
         # In a single curve only the noise model separates correlated errors from memory; other laws need none.
         del benches["rows alike" if known.fit.model.remembers else "lasting errors"]
@@ -115,18 +115,17 @@ def _error(search: MaterialSearch, refined: Refined) -> float:
     if search.bench.unit != "part":
         return refined.held_out.rms_all
     data = search.bench.problem.data
-    return float(np.sqrt(np.mean((data.stress - data.modelled(refined.fit.model)) ** 2)))
+    return rms(data.stress - data.modelled(refined.fit.model))
 
 
-def rows_alike(bench: ProofInput, noise: CurveNoise) -> ProofInput:
+def rows_alike(bench: ProofInput) -> ProofInput:
     """Return a bench (data, covariances and folds) on which the rows of a curve have equal weights in fits.
 
-    `bench`: rows, covariances and folds; `noise`: noise of the curves. Result: prediction errors are still measured in
-    units of the full noise covariance.
+    Prediction errors are still measured in units of the full noise covariance.
     """
     data = bench.problem.data
     peaks = np.array([float(np.nanmax(np.abs(curve.stress))) for curve in data.curves])
-    size = np.maximum(noise.std, bench.problem.settings.material.rows_alike * peaks)[data.curve_of]
+    size = np.maximum(bench.errors.std, bench.problem.settings.material.rows_alike * peaks)[data.curve_of]
     own = np.diag(size**2)
     problem = replace(bench.problem, weights=weights_of(own, np.zeros_like(own)))
     return replace(bench, problem=problem, fitting=own)

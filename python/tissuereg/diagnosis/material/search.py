@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from tissuereg.diagnosis.evidence import probabilities
 from tissuereg.diagnosis.material.causes import Form
 from tissuereg.diagnosis.material.fit import MaterialFit
 from tissuereg.diagnosis.material.holdout import HeldOutErrors, ProofInput, held_out_errors
@@ -149,7 +150,7 @@ class MaterialSearch:
         model error of the first cause is easily taken for another cause: further causes then need the evidence that
         they would need under noise twice as large.
         """
-        guessed = self.bench.repeats == 0 and len(known.ids) > 0 and grown.ids[-1] != "stiffness"
+        guessed = self.bench.errors.repeats == 0 and len(known.ids) > 0 and grown.ids[-1] != "stiffness"
         return self.threshold * (self.numbers.further if guessed else 1.0)
 
     def _pair(self, known: Hypothesis, first: Hypothesis, generic: Hypothesis) -> Hypothesis | None:
@@ -279,25 +280,19 @@ class MaterialSearch:
         generic = unknown(self.bench.problem, rest)
         apart = {r.ids[-1]: _separability(known, r) for r in racers}
         seen = [r for r in racers if r.evidence - rest.evidence > self.required(rest, r)]
-        tied = sorted(
-            (r for r in seen if apart[r.ids[-1]] < self.rules.separable),
-            key=lambda r: apart[r.ids[-1]],
-        )
-        tied = tied[: self.rules.most_in_group - 1]
-        among = [known.evidence, rest.evidence, generic.evidence, *(r.evidence for r in racers)]
-        probability = float(np.exp(known.evidence - np.logaddexp.reduce(among)))
-        own = np.logaddexp.reduce([known.evidence, *(r.evidence for r in tied)])
-        together = float(np.exp(own - np.logaddexp.reduce(among)))
+        tied = sorted((r for r in seen if apart[r.ids[-1]] < self.rules.separable), key=lambda r: apart[r.ids[-1]])
+        rivals = {r.ids[-1]: r for r in tied[: self.rules.most_in_group - 1]}
         last = Hypothesis((*rest.ids, cause), known.fit, known.evidence)
+        chances = probabilities({h.ids[-1]: h.evidence - rest.evidence for h in (last, generic, *racers)}, 1.0)
         return MaterialFinding(
             cause,
-            (cause, *(r.ids[-1] for r in tied)),
-            probability,
+            (cause, *rivals),
+            chances[cause],
             known.evidence - rest.evidence,
-            {r.ids[-1]: apart[r.ids[-1]] for r in tied},
-            {r.ids[-1]: r for r in tied},
+            {name: apart[name] for name in rivals},
+            rivals,
             self.required(rest, last),
-            together,
+            sum(chances[name] for name in (cause, *rivals)),
             known is self._proved_alone or self.is_proved(rest, last, generic),
         )
 
@@ -308,16 +303,11 @@ def candidates(known: Hypothesis, racers: list[Hypothesis], generic: Hypothesis)
     `known`: hypothesis without them; `racers`: hypotheses with one of them each; `generic`: hypothesis with a generic
     misfit (a smooth Gaussian process).
     """
-    everyone = [*racers, generic]
-    total = np.logaddexp.reduce([known.evidence, *(h.evidence for h in everyone)])
+    everyone = {hypothesis.ids[-1]: hypothesis for hypothesis in (*racers, generic)}
+    gains = {name: one.evidence - known.evidence for name, one in everyone.items()}
+    chances = probabilities(gains, 1.0)
     return [
-        CandidateCause(
-            hypothesis.ids[-1],
-            float(np.exp(hypothesis.evidence - total)),
-            hypothesis.evidence - known.evidence,
-            _separability(hypothesis, known),
-        )
-        for hypothesis in everyone
+        CandidateCause(name, chances[name], gains[name], _separability(one, known)) for name, one in everyone.items()
     ]
 
 

@@ -13,7 +13,7 @@ from tissuereg.diagnosis.material.fit import FitProblem, MaterialFit
 from tissuereg.diagnosis.material.holdout import HeldOutErrors, ProofInput, folds_of, held_out_errors
 from tissuereg.diagnosis.material.hypothesis import Hypothesis, null_hypothesis, plain_fit, unknown
 from tissuereg.diagnosis.material.model import Model
-from tissuereg.diagnosis.material.noise import CurveNoise, covariance, generic_covariance, noise_of, weights_of
+from tissuereg.diagnosis.material.noise import covariance, generic_covariance, noise_of, weights_of
 from tissuereg.diagnosis.material.nulls import misfit_probability, threshold
 from tissuereg.diagnosis.material.refine import Refined, refined
 from tissuereg.diagnosis.material.search import CandidateCause, MaterialFinding, MaterialSearch
@@ -32,7 +32,7 @@ class SelectionOutcome:
     `candidates`: every cause tried alone, and the generic misfit; `threshold`: log Bayes factor that a first cause must
     exceed, nats; `p_misfit`: p-value of the residual after the findings; `explained`: share of the misfit (in squared
     units of noise) that the findings explain; NaN without findings; `before`, `after`, `patch`: errors on held-out data
-    of the believed law, with the findings, and with a generic misfit; `noise`: noise of the curves; `bench`: rows,
+    of the believed law, with the findings, and with a generic misfit; `bench`: rows,
     covariances and the parts that are held out; `scene`: tested modes and ranges of strain, time and stress.
     """
 
@@ -49,7 +49,6 @@ class SelectionOutcome:
     before: HeldOutErrors
     after: HeldOutErrors
     patch: HeldOutErrors
-    noise: CurveNoise
     bench: ProofInput
     scene: Scene
 
@@ -63,7 +62,7 @@ def find_out(
     with the name of the step that begins.
     """
     rng, rules = np.random.default_rng(seed), settings.nulls
-    bench, noise = bench_of(experiment, settings)
+    bench = bench_of(experiment, settings)
     problem, scene = bench.problem, scene_of(experiment, settings.material)
     none = null_hypothesis(problem)
     tried = {id: cause.forms(scene) for id, cause in CAUSES.items() if id not in settings.left_out}
@@ -84,7 +83,7 @@ def find_out(
         findings = stated
         verdict = "group" if any(len(finding.group) > 1 for finding in findings) else "named"
     progress("form and weights that predict best")
-    reported = refined(search, none, known, noise) if findings else None
+    reported = refined(search, none, known) if findings else None
     before = held_out_errors(bench, believed)
     after = before if reported is None else reported.held_out
     patch = held_out_errors(bench, none.fit, patch_share=generic.fit.share)
@@ -102,17 +101,13 @@ def find_out(
         before,
         after,
         patch,
-        noise,
         bench,
         scene,
     )
 
 
-def bench_of(experiment: MaterialExperiment, settings: DiagnoseSettings = DEFAULT) -> tuple[ProofInput, CurveNoise]:
-    """Return the rows, covariances and folds that fits and proofs of an experiment need, and the noise of its curves.
-
-    `experiment`: believed law and measured curves.
-    """
+def bench_of(experiment: MaterialExperiment, settings: DiagnoseSettings = DEFAULT) -> ProofInput:
+    """Return the rows, covariances and folds that fits and proofs of an experiment need."""
     numbers = settings.material
     data, noise = data_of(experiment, numbers.most_rows), noise_of(experiment, numbers)
     own, generic = covariance(data, noise, numbers), generic_covariance(data, numbers)
@@ -121,7 +116,7 @@ def bench_of(experiment: MaterialExperiment, settings: DiagnoseSettings = DEFAUL
     std = numbers.young_spread if experiment.young_std is None else math.log1p(experiment.young_std / young)
     problem = FitProblem(base, data, weights_of(own, generic), math.log(young), std, settings)
     unit, folds = folds_of(experiment, data, numbers)
-    return ProofInput(unit, folds, problem, own, generic, own, noise.repeats), noise
+    return ProofInput(unit, folds, problem, own, generic, own, noise)
 
 
 def _without_near_modulus(search: MaterialSearch, none: Hypothesis, known: Hypothesis) -> Hypothesis:
