@@ -280,8 +280,7 @@ def test_what_stays_after_a_revision_passes_its_threshold_again(monkeypatch, sha
     monkeypatch.setattr(
         search_module, "required_thresholds", lambda given, found, rules: {**given, "poisson": share * gain}
     )
-    proof = search_module._prove(target, search_module._references(target, screen, base, base), base,
-                                 search_module.Candidate("latency", first, 50.0, target))  # fmt: skip
+    proof = search_module.prove(target, search_module.references_of(target, screen, base, base), base, first)
     steps = []
     for before, found in ((base, first), (first, both)):
         top = search_module.Candidate(found.parts[-1].id, found, 1e3, target)
@@ -347,7 +346,7 @@ def both_found(monkeypatch, target, names=("latency", "poisson")):
         parts = [*current.parts, part(target, name)]
         fitted = fit(target, parts, start=np.concatenate([current.x, parts[-1].free_parameters.start]))
         top = search_module.Candidate(name, fitted, fitted.log_evidence - current.log_evidence, target)
-        proof = search_module._prove(target, search_module._references(target, screen, base, current), current, top)
+        proof = search_module.prove(target, search_module.references_of(target, screen, base, current), current, fitted)
         return replace(step, candidates=[top], found=top, proof=proof, figures=proof, rivals=-1e9)
 
     monkeypatch.setattr(search_module, "_round", found)

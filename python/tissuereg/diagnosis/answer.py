@@ -85,6 +85,20 @@ class Finding:
         }
 
 
+@dataclass(frozen=True)
+class PossibleCause:
+    """A cause that explains much and is not stated, as its evidence or its probability does not suffice.
+
+    `id`: id of the cause; `probability`: of it, or of its group; `log_bayes_factor`, `threshold`: evidence found and
+    required, nats.
+    """
+
+    id: str
+    probability: float
+    log_bayes_factor: float
+    threshold: float
+
+
 @dataclass(frozen=True, eq=False)
 class DiagnosisDetails:
     """What the report draws of a diagnosis.

@@ -7,14 +7,14 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
-from tissuereg.diagnosis.answer import Finding
+from tissuereg.diagnosis.answer import Finding, PossibleCause
 from tissuereg.diagnosis.candidates import required_thresholds
 from tissuereg.diagnosis.causes import CAUSES
 from tissuereg.diagnosis.fit import FitTarget
 from tissuereg.diagnosis.modulus import modulus_finding
 from tissuereg.diagnosis.proof import held_out_figures
 from tissuereg.diagnosis.screen import UNKNOWN, Screen
-from tissuereg.diagnosis.search import PossibleCause, Search, Step
+from tissuereg.diagnosis.search import Search, Step
 
 
 def findings_of(target: FitTarget, screen: Screen, found: Search, thresholds: Mapping[str, float]) -> list[Finding]:

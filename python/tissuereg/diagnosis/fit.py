@@ -42,6 +42,10 @@ class FitTarget:
         """Return differences (..., size) of data and predictions, given in mm and mN, whitened by the noise alone."""
         return self.noise.whitened(flat, self.bench.layout)
 
+    def slopes(self, found: "Fit") -> FloatArray:
+        """Return the changes (k, size) by one prior deviation of each parameter of a fit, whitened by the noise."""
+        return self.white(found.jacobian) * found.deviation[:, None]
+
     def scales_forces(self, ids: Iterable[str]) -> bool:
         """Return whether a factor on the modulus only scales forces, in a model with the causes of these ids."""
         return self.bench.scales_forces and not any(CAUSES[name].absolute for name in ids)

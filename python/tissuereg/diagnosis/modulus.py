@@ -14,18 +14,9 @@ from tissuereg.diagnosis.answer import Finding
 from tissuereg.diagnosis.bench import Bench
 from tissuereg.diagnosis.causes import CAUSES
 from tissuereg.diagnosis.fit import FitTarget, fit
-from tissuereg.diagnosis.proof import (
-    BEFORE,
-    GENERIC,
-    NAMED,
-    figure_blocks,
-    held_out,
-    held_out_figures,
-    linear_model,
-    proof_blocks,
-)
+from tissuereg.diagnosis.proof import BEFORE, GENERIC, NAMED, held_out_figures
 from tissuereg.diagnosis.screen import Screen
-from tissuereg.diagnosis.search import Search, rival_columns
+from tissuereg.diagnosis.search import Search, prove, references_of
 
 
 def modulus_finding(target: FitTarget, screen: Screen, found: Search) -> Finding | None:
@@ -58,11 +49,8 @@ def modulus_finding(target: FitTarget, screen: Screen, found: Search) -> Finding
     believed = fit(pinned, []) if final.parts else before
     if before is None or believed is None:
         return None
-    rival = linear_model(target, before, rival_columns(screen, target, before))
-    models = [linear_model(target, before), linear_model(target, final), rival, linear_model(target, believed)]
-    slopes = target.white(final.jacobian[:1]) * final.deviation[:1, None]
-    change = target.white(final.prediction - before.prediction)
-    proof = held_out(models, proof_blocks(bench.layout, slopes, rules))
+    references = references_of(target, screen, believed, before)
+    proof = prove(target, references, before, final, None)
     density = proof.log_density.sum(axis=1)
     if density[NAMED] <= max(density[BEFORE], density[GENERIC]):
         return None
@@ -73,7 +61,7 @@ def modulus_finding(target: FitTarget, screen: Screen, found: Search) -> Finding
     )
     if chance < rules.stated:
         return None
-    figures = held_out(models, figure_blocks(bench.layout, slopes, change, rules))
+    figures = prove(target, references, before, final, None, stated=True)
     return Finding(
         id="stiffness",
         group=("stiffness",),

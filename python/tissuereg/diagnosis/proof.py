@@ -54,7 +54,7 @@ def linear_model(target: FitTarget, fit: Fit, extra: FloatArray | None = None) -
     `target`: data, believed model, noise and nuisances; `fit`: the fit, about which the model is linear; `extra` (p,
     size): further columns, whitened by the noise, times prior standard deviations; None for none.
     """
-    slopes = target.white(fit.jacobian) * fit.deviation[:, None]
+    slopes = target.slopes(fit)
     # The model is linear about the fit; x = 0 is the prior mean.
     residual = fit.residual + slopes.T @ ((fit.x - fit.mean) / fit.deviation)
     parts = [target.null.nuisances, slopes] + ([] if extra is None else [extra])

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray
+from tissuereg.diagnosis.answer import PossibleCause
 from tissuereg.diagnosis.candidates import Candidate, refitted, required_thresholds
 from tissuereg.diagnosis.causes import CAUSES
 from tissuereg.diagnosis.evidence import Null, fit_amplitudes, probabilities
@@ -33,20 +34,6 @@ from tissuereg.diagnosis.recorrect import corrected_fit
 from tissuereg.diagnosis.revise import exchanged, without, without_redundant
 from tissuereg.diagnosis.screen import UNKNOWN, Screen, Screened
 from tissuereg.diagnosis.settings import DEFAULT, DiagnoseSettings, SearchSettings
-
-
-@dataclass(frozen=True)
-class PossibleCause:
-    """A cause that explains much and is not stated, as its evidence or its probability does not suffice.
-
-    `id`: id of the cause; `probability`: of it, or of its group; `log_bayes_factor`, `threshold`: evidence found and
-    required, nats.
-    """
-
-    id: str
-    probability: float
-    log_bayes_factor: float
-    threshold: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,14 +208,14 @@ def _round(target: FitTarget, screen: Screen, base: Fit, current: Fit, threshold
     candidates = refitted(target, screen, screened, current, required)
     step = Step(screened, candidates, None, None, settings=target.bench.settings)
     passing = [candidate for candidate in candidates if candidate.gain >= required[candidate.id]]
-    references = _references(target, screen, base, current) if passing else []
+    references = references_of(target, screen, base, current) if passing else []
     for candidate in passing:
-        tried = _prove(target, references, current, candidate)
+        tried = prove(target, references, current, candidate.fit)
         step = replace(step, proof=step.proof or tried)
         density = tried.log_density.sum(axis=1)
         if _proved(candidate.id, tried, target.bench.settings.search):
             rivals = max(float(density[GENERIC]), _best_rival(target, current, candidates, candidate))
-            figures = _prove(target, references, current, candidate, stated=True)
+            figures = prove(target, references, current, candidate.fit, stated=True)
             accepted = replace(step, found=candidate, proof=tried, figures=figures, rivals=rivals)
             failed = accepted.failed(required[candidate.id], thresholds[candidate.id], current.ids)
             if failed is None:
@@ -252,7 +239,7 @@ def _best_rival(target: FitTarget, current: Fit, candidates: Sequence[Candidate]
     It is minus infinity where there is no such candidate.
     """
     blocks = proof_blocks(
-        target.bench.layout, _columns_and_change(target, current, found, -1)[0], target.bench.settings.search
+        target.bench.layout, _columns_and_change(target, current, found.fit, -1)[0], target.bench.settings.search
     )
     others = [
         other for other in candidates if other.gain <= found.gain - 0.5 * target.bench.settings.search.separable**2
@@ -380,9 +367,9 @@ def _judged(
     led, step = _led(step), step.retested(top, lead or 0.0)
     if before is None:
         return step
-    references = _references(target, screen, base, before)
-    proof = _prove(target, references, before, top, part)
-    figures = _prove(target, references, before, top, part, stated=True)
+    references = references_of(target, screen, base, before)
+    proof = prove(target, references, before, current, part)
+    figures = prove(target, references, before, current, part, stated=True)
     # Rivals were not fitted beside the other causes: they keep their distance. That to an exchanged one is not known.
     density = proof.log_density.sum(axis=1)
     rivals = max(float(density[GENERIC]), float(density[NAMED]) - led) if lead is None else np.inf
@@ -405,57 +392,52 @@ def _failed(steps: Sequence[Step], ids: Sequence[str], thresholds: Mapping[str, 
     return failed
 
 
-def _prove(
+def prove(
     target: FitTarget,
     references: list[LinearModel],
     current: Fit,
-    candidate: Candidate,
-    part: int = -1,
+    found: Fit,
+    part: int | None = -1,
     *,
     stated: bool = False,
 ) -> HeldOut:
     """Return the predictions of the compared models on held-out blocks: of a proof, or those whose errors are stated.
 
-    `references`: models the candidate is compared with; `current`: fit without it; `part`: which cause of the fit is
-    judged; `stated`: whether the blocks are those whose errors are stated (`figure_blocks`).
+    `references`: models that a cause is compared with; `current`, `found`: fits without and with it; `part`: number of
+    the judged cause in the latter; None for the modulus; `stated`: whether the blocks are those whose errors are stated
+    (`figure_blocks`).
     """
-    slopes, change = _columns_and_change(target, current, candidate, part)
+    slopes, change = _columns_and_change(target, current, found, part)
     layout, rules = target.bench.layout, target.bench.settings.search
     blocks = figure_blocks(layout, slopes, change, rules) if stated else proof_blocks(layout, slopes, rules)
     before, *others = references
-    return held_out([before, linear_model(target, candidate.fit), *others], blocks)
+    return held_out([before, linear_model(target, found), *others], blocks)
 
 
-def _columns_and_change(
-    target: FitTarget, current: Fit, candidate: Candidate, part: int
-) -> tuple[FloatArray, FloatArray]:
+def _columns_and_change(target: FitTarget, current: Fit, found: Fit, part: int | None) -> tuple[FloatArray, FloatArray]:
     """Return the change of the prediction by each parameter of a cause (k, size), and by the whole cause (size,).
 
-    Both are whitened by the noise, the former by one prior deviation; `current`: fit without it; `part`: its number.
+    Both are whitened by the noise, the former by one prior deviation; `current`, `found`, `part`: as for `prove`.
     """
-    mine = candidate.fit.slices()[part]
-    slopes = target.white(candidate.fit.jacobian[mine]) * candidate.fit.deviation[mine, None]
-    change = target.white(candidate.fit.prediction - current.prediction)
+    slopes = target.slopes(found)[slice(1) if part is None else found.slices()[part]]
+    change = target.white(found.prediction - current.prediction)
     return (slopes if len(slopes) else change[None]), change
 
 
-def _references(target: FitTarget, screen: Screen, base: Fit, current: Fit) -> list[LinearModel]:
-    """Return three models to compare a cause with: one without it, that plus the generic rival, the believed one."""
-    rival = linear_model(target, current, rival_columns(screen, target, current))
-    return [linear_model(target, current), rival, linear_model(target, base)]
+def references_of(target: FitTarget, screen: Screen, base: Fit, current: Fit) -> list[LinearModel]:
+    """Return three models to compare a cause with: one without it, that plus the generic rival, the believed one.
 
-
-def rival_columns(screen: Screen, target: FitTarget, current: Fit) -> FloatArray:
-    """Return the generic rival's whitened columns (p, size), in the size that has the most evidence given a fit."""
+    `base`, `current`: fits of the believed model and without the cause. The rival has the size of most evidence.
+    """
     reduced = target.null.reduced(current.residual)
     gains = [fit_amplitudes(reduced, target.null.reduced(columns)).log_bayes_factor for columns in screen.generic_white]
-    return np.asarray(screen.generic_white[int(np.argmax(gains))])
+    rival = linear_model(target, current, np.asarray(screen.generic_white[int(np.argmax(gains))]))
+    return [linear_model(target, current), rival, linear_model(target, base)]
 
 
 def _null_after(target: FitTarget, current: Fit) -> Null:
     """Return the covariance of noise and nuisances given the causes found, whose parameters are nuisances in it too."""
-    slopes = target.white(current.jacobian) * current.deviation[:, None]
-    return Null(np.concatenate([target.null.nuisances, slopes]))
+    return Null(np.concatenate([target.null.nuisances, target.slopes(current)]))
 
 
 def _as_screened(screen: Screen, target: FitTarget, current: Fit) -> FloatArray:

@@ -82,8 +82,7 @@ def larger_noise(target: FitTarget, left: Fit, generic: FloatArray, settings: No
     `left`: the best fit; `generic` (p, size): whitened columns of the generic rival.
     """
     layout, noise = target.bench.layout, target.noise
-    slopes = target.white(left.jacobian) * left.deviation[:, None]
-    rows = np.concatenate([target.null.nuisances, slopes, generic])
+    rows = np.concatenate([target.null.nuisances, target.slopes(left), generic])
     of_markers, of_forces = _channels(rows, left.residual, layout, settings)
     # Rest frames may already have shown a part of what is not stated.
     before = float(np.median(noise.marker_std)) / target.bench.experiment.marker_std

@@ -47,15 +47,7 @@ def answer_of(experiment: MaterialExperiment, outcome: SelectionOutcome, seed: i
         "kind": "material-test",
         "verdict": outcome.verdict,
         "causes": causes,
-        "possible": [
-            {
-                "id": one.id,
-                "probability": one.group_probability,
-                "log_bayes_factor": one.log_bayes_factor,
-                "threshold": one.threshold,
-            }
-            for one in outcome.possible
-        ],
+        "possible": [asdict(one) for one in outcome.possible],
         "candidates": [asdict(one) for one in outcome.candidates],
         "p_misfit": outcome.p_misfit,
         "explained": outcome.explained if outcome.known.ids else None,

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from tissuereg.diagnosis.answer import PossibleCause
 from tissuereg.diagnosis.evidence import probabilities
 from tissuereg.diagnosis.material.causes import Form
 from tissuereg.diagnosis.material.fit import MaterialFit
@@ -255,20 +256,21 @@ class MaterialSearch:
 
     def findings(
         self, none: Hypothesis, known: Hypothesis
-    ) -> tuple[Hypothesis, tuple[MaterialFinding, ...], tuple[MaterialFinding, ...]]:
+    ) -> tuple[Hypothesis, tuple[MaterialFinding, ...], tuple[PossibleCause, ...]]:
         """Return the causes that pass their tests again, given each other: hypothesis, findings, and those that do not.
 
         `none`: the believed model; `known`: hypothesis with all accepted causes.
         """
-        possible: list[MaterialFinding] = []
+        possible: list[PossibleCause] = []
         while True:
             found = [self.finding(none, known, cause) for cause in known.ids]
             failed = [finding for finding in found if not finding.passes(self.rules.stated)]
             if not failed:
                 return known, tuple(found), tuple(possible)
             # Of several, the one whose removal costs the least evidence: the others may pass without it.
-            possible.append(min(failed, key=lambda finding: finding.log_bayes_factor))
-            known = self.without(none, known, possible[-1].id)
+            one = min(failed, key=lambda finding: finding.log_bayes_factor)
+            possible.append(PossibleCause(one.id, one.group_probability, one.log_bayes_factor, one.threshold))
+            known = self.without(none, known, one.id)
 
     def finding(self, none: Hypothesis, known: Hypothesis, cause: str) -> MaterialFinding:
         """Return the finding of one accepted cause, with the group of causes that cannot be distinguished from it.

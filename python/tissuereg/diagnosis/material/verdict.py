@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray
+from tissuereg.diagnosis.answer import PossibleCause
 from tissuereg.diagnosis.material.causes import CAUSES
 from tissuereg.diagnosis.material.data import Scene, data_of, scene_of
 from tissuereg.diagnosis.material.fit import FitProblem, MaterialFit
@@ -41,7 +42,7 @@ class SelectionOutcome:
     believed: MaterialFit
     refined: Refined | None
     findings: tuple[MaterialFinding, ...]
-    possible: tuple[MaterialFinding, ...]
+    possible: tuple[PossibleCause, ...]
     candidates: tuple[CandidateCause, ...]
     threshold: float
     p_misfit: float
