@@ -19,8 +19,7 @@ from tissuereg.diagnosis.fit import FitTarget, FittedCause, at_believed_modulus,
 from tissuereg.diagnosis.modulus import _pinned, modulus_finding
 from tissuereg.diagnosis.nuisances import other_forms
 from tissuereg.diagnosis.proof import figure_blocks, proof_blocks
-from tissuereg.diagnosis.recorrect import corrected_fit, recorrected
-from tissuereg.diagnosis.refined import refined_effects
+from tissuereg.diagnosis.refined import corrected_fit, recorrected, refined_effects
 from tissuereg.diagnosis.revise import exchanged, without, without_redundant
 from tissuereg.diagnosis.screen import UNKNOWN, Screen, Screened
 from tissuereg.diagnosis.search import Search, Step, _with_finding

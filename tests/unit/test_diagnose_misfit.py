@@ -7,8 +7,8 @@ import pytest
 
 from support.rigs import rig
 from tissuereg.diagnosis.bench import Bench
-from tissuereg.diagnosis.misfit import Battery, Misfit, smooth_subspaces
 from tissuereg.diagnosis.noise import Noise
+from tissuereg.diagnosis.nulls import Battery, Misfit, smooth_subspaces
 from tissuereg.diagnosis.proof import HeldOut
 from tissuereg.diagnosis.run import _explains_enough, _verdict
 from tissuereg.diagnosis.search import Step

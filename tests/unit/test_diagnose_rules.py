@@ -15,11 +15,10 @@ from tissuereg.diagnosis.discrepancy import residual_summary
 from tissuereg.diagnosis.evidence import Null
 from tissuereg.diagnosis.findings import possible_of
 from tissuereg.diagnosis.fit import fit
-from tissuereg.diagnosis.misfit import Misfit
 from tissuereg.diagnosis.modulus import modulus_finding
 from tissuereg.diagnosis.noise import Noise, estimate_noise
 from tissuereg.diagnosis.nuisances import effect_nuisances
-from tissuereg.diagnosis.nulls import draw_nulls
+from tissuereg.diagnosis.nulls import Misfit, draw_nulls
 from tissuereg.diagnosis.proof import BEFORE, BELIEVED, GENERIC, NAMED, HeldOut, held_out_figures, linear_model
 from tissuereg.diagnosis.report.words import ties
 from tissuereg.diagnosis.screen import UNKNOWN, Screen, Screened
@@ -146,7 +145,7 @@ def test_causes_that_cannot_be_distinguished_are_a_group():
 
 def test_a_cause_that_a_later_one_makes_redundant_is_removed(of_two, monkeypatch):
     # Two rounds find a cause that explains a part, then the one that explains all of it.
-    monkeypatch.setattr(import_module("tissuereg.diagnosis.recorrect"), "refined_effects", lambda *_: None)
+    monkeypatch.setattr(import_module("tissuereg.diagnosis.refined"), "refined_effects", lambda *_: None)
     target = target_of(Latency(latency_s=0.15))
     screen = screen_of(target, ("latency", "poisson"))
     base = fit(target, [])
@@ -266,7 +265,7 @@ def test_a_cause_less_likely_than_not_is_possible_and_not_stated(monkeypatch):
 
 @pytest.mark.parametrize(("share", "named"), [(0.9, {"latency", "poisson"}), (1.1, {"latency"})])
 def test_what_stays_after_a_revision_passes_its_threshold_again(monkeypatch, share, named):
-    monkeypatch.setattr(import_module("tissuereg.diagnosis.recorrect"), "refined_effects", lambda *_: None)
+    monkeypatch.setattr(import_module("tissuereg.diagnosis.refined"), "refined_effects", lambda *_: None)
     target = target_of(Poisson(poisson=0.38), Latency(latency_s=0.15))
     screen = screen_of(target, ("latency", "poisson"))
     base = fit(target, [])
@@ -335,7 +334,7 @@ def test_a_retested_cause_has_the_probability_of_its_evidence_in_the_model_of_al
 
 def both_found(monkeypatch, target, names=("latency", "poisson")):
     """Let the search find two causes in this order, whatever their evidence, and nothing more."""
-    monkeypatch.setattr(import_module("tissuereg.diagnosis.recorrect"), "refined_effects", lambda *_: None)
+    monkeypatch.setattr(import_module("tissuereg.diagnosis.refined"), "refined_effects", lambda *_: None)
     order, rounds = iter(names), search_module._round
 
     def found(target, screen, base, current, thresholds):

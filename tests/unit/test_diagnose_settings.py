@@ -19,8 +19,8 @@ from tissuereg.diagnosis.bench import Bench
 from tissuereg.diagnosis.causes import CAUSES
 from tissuereg.diagnosis.fit import fit
 from tissuereg.diagnosis.material import diagnose_material
-from tissuereg.diagnosis.misfit import smooth_subspaces
 from tissuereg.diagnosis.noise import estimate_noise
+from tissuereg.diagnosis.nulls import smooth_subspaces
 from tissuereg.diagnosis.patterns import generic_columns
 from tissuereg.diagnosis.proof import HeldOut
 from tissuereg.diagnosis.report.ranking import rankings

@@ -15,6 +15,7 @@ from tissuereg._version import __version__
 from tissuereg.diagnosis.causes import Values, catalogue
 from tissuereg.diagnosis.constancy import Constancy
 from tissuereg.diagnosis.readings import RecordingSuspicion
+from tissuereg.diagnosis.report import EXTENDED_FILE
 from tissuereg.diagnosis.settings import DEFAULT, DiagnoseSettings
 from tissuereg.diagnosis.understated import UnderstatedNoise
 from tissuereg.experiment.experiment import Experiment
@@ -26,7 +27,6 @@ if TYPE_CHECKING:
     from tissuereg.diagnosis.search import Search
 
 SCHEMA = "tissuereg.diagnosis/1"
-EXTENDED_FILE = "experiment.extended.toml"
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,7 +142,7 @@ class Diagnosis:
         The believed experiment with the findings as effects, and the fitted modulus where the data determine it.
     next_experiment : dict or None
         Action that would distinguish causes that these data cannot; where the verdict is ``unexplained``, what to check
-        (`localisation`).
+        (`discrepancy.next_check`).
     left : dict or None
         Residual misfit after the findings, None where there is none: its p-value ``p``, ``where`` (markers and pads),
         ``when``, the cause that it ``looks_like``, and a ``sentence``.

@@ -1,7 +1,7 @@
 """Candidates of one round of the search: causes with enough linear evidence, fitted nonlinearly and corrected.
 
 Input is the screening of all causes given the current model; output, for each candidate, its best fit over its
-likeliest hypothesis and the alternatives to it, with the discretisation error of the cause corrected (`recorrect`), and
+likeliest hypothesis and the alternatives to it, with the discretisation error of the cause corrected (`refined`), and
 its log Bayes factor.
 """
 
@@ -13,7 +13,7 @@ import numpy as np
 from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.causes import CAUSES, catalogue
 from tissuereg.diagnosis.fit import Fit, FitTarget, FittedCause, best_start, choices_of, fit
-from tissuereg.diagnosis.recorrect import corrected_fit
+from tissuereg.diagnosis.refined import corrected_fit
 from tissuereg.diagnosis.screen import UNKNOWN, Screen, Screened
 from tissuereg.diagnosis.settings import DEFAULT, SearchSettings
 from tissuereg.experiment.effects import EFFECTS

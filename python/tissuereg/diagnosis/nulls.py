@@ -1,9 +1,15 @@
-"""Null draws: residuals of effect-free data of the same rig, and the thresholds that follow from them.
+"""Null draws: residuals of effect-free data of the same rig, the thresholds that follow, and the test of a residual.
 
 A draw is the sum of measurement noise of uncertain size, nuisance parameters from their priors, and the discretisation
 error of a mesh that is neither the user's nor the correcting one; noise alone would give much lower thresholds. The log
 Bayes factors of all causes are computed for every draw, and each cause gets a quantile of its own as threshold, the
 same for all and such that any cause passes in a share `level` of the draws.
+
+In the misfit test of a model's residual a battery of statistics is computed, each a sum of squares (over everything, a
+case, a pad's force, a smooth subspace) or a largest one (over markers, over frames). Sums over single cases, markers
+and frames detect large local residuals. A wrong cause leaves small, smooth residuals in phase with the load; sums over
+subspaces of smooth patterns, which hold little of the noise, detect those. The logarithm of each statistic is
+standardised by its mean and standard deviation over null draws, and the p-value is that of the largest of them.
 """
 
 from collections.abc import Mapping, Sequence
@@ -12,8 +18,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray
-from tissuereg.diagnosis.evidence import Null
+from tissuereg.diagnosis.evidence import Null, tail_probability
 from tissuereg.diagnosis.noise import Noise
+from tissuereg.diagnosis.patterns import force_columns, histories, marker_columns, orthonormal, smooth_patterns
 from tissuereg.diagnosis.screen import UNKNOWN, Screen
 from tissuereg.diagnosis.settings import DEFAULT, DiagnoseSettings, NullSettings
 from tissuereg.diagnosis.signals import SignalLayout
@@ -84,3 +91,102 @@ def _thresholds(found: Mapping[str, FloatArray], settings: NullSettings = DEFAUL
         if (values > least[:, None]).any(axis=0).mean() <= settings.level:
             break
     return dict(zip(found, least.tolist(), strict=True))
+
+
+@dataclass(frozen=True)
+class Misfit:
+    """Result of the misfit test.
+
+    `p`: p-value: probability that data without any effect misfit as much; `explained`, `explained_there`: share of the
+    believed model's misfit (statistic minus its mean over draws of such data) that the judged model removes: in the sum
+    of all squares, and in the statistic that is largest for the judged model.
+    """
+
+    p: float
+    explained: float
+    explained_there: float
+
+
+class Battery:
+    """The statistics of the misfit test, each a sum of squares of residuals or the largest of several such sums.
+
+    `layout`: order of the data; `subspaces`: for each subspace of smooth changes, orthonormal rows (k, size) that span
+    it (`smooth_subspaces`).
+    """
+
+    def __init__(self, layout: SignalLayout, subspaces: Sequence[FloatArray]) -> None:
+        self.layout = layout
+        self.subspaces = subspaces
+
+    def judge(self, before: FloatArray, after: FloatArray, nulls: FloatArray) -> Misfit:
+        """Return the misfit test of a model's residual.
+
+        `before`, `after` (size,): residuals, whitened by noise and nuisances (`Null.reduced`), of the believed model
+        and of the model that is judged; `nulls` (n, size): likewise whitened residuals of null draws, that is of data
+        without any effect. The p-value is the rank of the largest standardised statistic among those of the null draws,
+        and the tail of a Gumbel distribution fitted to them by moments where it exceeds all draws.
+        """
+        sums, drawn = self.sums(np.stack([before, after])), self.sums(nulls)
+        logs = np.log(drawn)
+        centre, spread = logs.mean(axis=0), np.maximum(logs.std(axis=0), 1e-9)
+        excess = (np.log(sums[1]) - centre) / spread
+        worst = int(excess.argmax())
+        largest = float(excess[worst])
+        of_nulls = ((logs - centre) / spread).max(axis=1)
+        return Misfit(
+            p=tail_probability(largest, of_nulls),
+            explained=_removed(sums[:, 0], drawn[:, 0], without_misfit=1.0),
+            explained_there=_removed(sums[:, worst], drawn[:, worst], without_misfit=0.0),
+        )
+
+    def sums(self, residuals: FloatArray) -> FloatArray:
+        """Return all statistics, shape (n, n_statistics), of residuals (n, size) whitened by noise and nuisances.
+
+        The statistics are positive; the sum of all squares is the first.
+        """
+        layout, rows = self.layout, [(residuals**2).sum(axis=1)]
+        per_marker = np.zeros((len(residuals), len(layout.marker_names)))
+        per_frame = []
+        for part in layout.parts:
+            markers = part.markers(residuals) ** 2
+            rows.append(markers.sum(axis=(1, 2, 3)))
+            per_marker += markers.sum(axis=(1, 3))
+            per_frame.append(markers.sum(axis=(2, 3)))
+            for i in range(len(part.pads)):
+                forces = part.forces(residuals)[:, :, i] ** 2
+                rows.append(forces.sum(axis=(1, 2)))
+                per_frame.append(forces.sum(axis=2))
+        rows.append(per_marker.max(axis=1))
+        rows.append(np.concatenate(per_frame, axis=1).max(axis=1))
+        rows += [((residuals @ basis.T) ** 2).sum(axis=1) for basis in self.subspaces]
+        return np.asarray(np.maximum(np.stack(rows, axis=1), 1e-12))
+
+
+def smooth_subspaces(
+    layout: SignalLayout, base: FloatArray, extent: float, noise: Noise, settings: DiagnoseSettings = DEFAULT
+) -> list[FloatArray]:
+    """Return the subspaces of smooth changes: per case, one for each time history and one for all of them together.
+
+    `layout`: order of the data; `base` (size,): prediction of the believed model, mm and mN; `extent`: extent of the
+    body, mm; `noise`: measurement noise. Each subspace is given by orthonormal rows (k, size) over whitened data.
+    """
+    patterns = smooth_patterns(layout.reference, extent, settings.nuisances)[: settings.nulls.smooth]
+    found = []
+    for part in layout.parts:
+        of_case = []
+        for history in histories(part, base, settings.evidence.fading):
+            markers = marker_columns(layout, part, history, patterns).reshape(-1, layout.size)
+            forces = [force_columns(layout, part, pad, history) for pad in range(len(part.pads))]
+            of_case.append(noise.whitened(np.concatenate([markers, *forces]), layout))
+        found += [orthonormal(columns) for columns in (*of_case, np.concatenate(of_case))]
+    return [basis for basis in found if len(basis)]
+
+
+def _removed(sums: FloatArray, drawn: FloatArray, without_misfit: float) -> float:
+    """Return the share of a statistic's excess, over its mean in data drawn without any effect, that a model removes.
+
+    `sums` (2,): the statistic before and after, that is of the believed model and of the one judged; `drawn` (n,): the
+    statistic of the draws; `without_misfit`: value returned where there is no excess.
+    """
+    (before, after), expected = sums.tolist(), float(drawn.mean())
+    return float((before - after) / (before - expected)) if before > expected else without_misfit

@@ -11,7 +11,7 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.fit import Fit, FitTarget, FittedCause, fit
-from tissuereg.diagnosis.recorrect import corrected_fit
+from tissuereg.diagnosis.refined import corrected_fit
 
 
 def without(target: FitTarget, current: Fit, part: int, *, hopeless: float = np.inf) -> Fit | None:

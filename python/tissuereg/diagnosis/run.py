@@ -23,15 +23,13 @@ from tissuereg.diagnosis.bank import Bank, make_bank
 from tissuereg.diagnosis.bench import Bench
 from tissuereg.diagnosis.constancy import Constancy, constancies
 from tissuereg.diagnosis.correction import Correction, make_correction
-from tissuereg.diagnosis.discrepancy import describe, nearest_cause, residual_summary
+from tissuereg.diagnosis.discrepancy import describe, nearest_cause, next_check, residual_summary
 from tissuereg.diagnosis.evidence import Null, rms
 from tissuereg.diagnosis.findings import candidates_of, findings_of, possible_of
 from tissuereg.diagnosis.fit import Fit, FitTarget, fit
-from tissuereg.diagnosis.localisation import next_check
-from tissuereg.diagnosis.misfit import Battery, Misfit, smooth_subspaces
 from tissuereg.diagnosis.noise import Noise, estimate_noise
 from tissuereg.diagnosis.nuisances import Nuisances, make_nuisances
-from tissuereg.diagnosis.nulls import Nulls, draw_nulls
+from tissuereg.diagnosis.nulls import Battery, Misfit, Nulls, draw_nulls, smooth_subspaces
 from tissuereg.diagnosis.patterns import generic_columns
 from tissuereg.diagnosis.readings import RecordingSuspicion, suspect_recording
 from tissuereg.diagnosis.refined import entry_of, refined_predictions

@@ -30,7 +30,7 @@ from tissuereg.diagnosis.proof import (
     linear_model,
     proof_blocks,
 )
-from tissuereg.diagnosis.recorrect import corrected_fit
+from tissuereg.diagnosis.refined import corrected_fit
 from tissuereg.diagnosis.revise import exchanged, without, without_redundant
 from tissuereg.diagnosis.screen import UNKNOWN, Screen, Screened
 from tissuereg.diagnosis.settings import DEFAULT, DiagnoseSettings, SearchSettings

@@ -8,13 +8,14 @@ from typing import Any
 import numpy as np
 
 from tissuereg._base.arrays import BoolArray, FloatArray
-from tissuereg.diagnosis.answer import EXTENDED_FILE, SCHEMA, to_check, versions_now
+from tissuereg.diagnosis.answer import SCHEMA, to_check, versions_now
 from tissuereg.diagnosis.evidence import rms
 from tissuereg.diagnosis.material.advice import best_test
 from tissuereg.diagnosis.material.causes import CAUSES
 from tissuereg.diagnosis.material.fit import MaterialFit, effects_of
 from tissuereg.diagnosis.material.search import MaterialFinding
 from tissuereg.diagnosis.material.verdict import SelectionOutcome
+from tissuereg.diagnosis.report import EXTENDED_FILE
 from tissuereg.experiment.effects import Effect
 from tissuereg.experiment.effects.history import Relaxation
 from tissuereg.experiment.material_experiment import Curve, MaterialExperiment

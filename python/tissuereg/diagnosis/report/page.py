@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from tissuereg.diagnosis.answer import EXTENDED_FILE
+from tissuereg.diagnosis.report import EXTENDED_FILE
 from tissuereg.diagnosis.report.history import SHARE, histories
 from tissuereg.diagnosis.report.proved import proved
 from tissuereg.diagnosis.report.ranking import rankings
