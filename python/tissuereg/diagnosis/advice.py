@@ -81,8 +81,13 @@ def _actions(experiment: Experiment, settings: AdviceSettings = DEFAULT.report) 
     For every pad these are pushes and pulls along the three axes, as far as it has moved, and its own motion with a
     long hold; where no forces were measured, also its own motion with a measurement of its force.
     """
-    actions = []
+    actions: list[_Action] = []
     known = experiment.force_std is not None
+
+    def add(words: str, pad: Actuator, motion: FloatArray, hold: float, *, force: bool) -> None:
+        words = f"{words}, hold {hold:.0f} s"
+        actions.append(_Action(words, _case(experiment, pad, motion, hold, settings.ramp_s, force=force)))
+
     for pad in experiment.actuators:
         given = [case.displacements[pad.name] for case in experiment.cases.values() if pad.name in case.displacements]
         if pad.kind != "displacement" or not given:
@@ -90,20 +95,13 @@ def _actions(experiment: Experiment, settings: AdviceSettings = DEFAULT.report) 
         stroke = float(np.linalg.norm(np.concatenate(given), axis=1).max())
         own = max((motion for motion in given), key=lambda motion: float(np.linalg.norm(motion, axis=1).max()))
         along = own[int(np.argmax(np.linalg.norm(own, axis=1)))]
-        for axis, name in enumerate("xyz"):
-            for sign in (-1.0, 1.0):
-                motion = sign * stroke * np.eye(3)[axis]
-                words = f"move {pad.name} by {sign * stroke:+.3g} mm along {name}, hold {settings.hold_s:.0f} s"
-                actions.append(
-                    _Action(words, _case(experiment, pad, motion, settings.hold_s, settings.ramp_s, force=known))
-                )
-        words = f"move {pad.name} as before, hold {settings.long_hold_s:.0f} s"
-        actions.append(
-            _Action(words, _case(experiment, pad, along, settings.long_hold_s, settings.ramp_s, force=known))
-        )
+        for axis, name in zip(np.eye(3), "xyz", strict=True):
+            for far in (-stroke, stroke):
+                add(f"move {pad.name} by {far:+.3g} mm along {name}", pad, far * axis, settings.hold_s, force=known)
+        add(f"move {pad.name} as before", pad, along, settings.long_hold_s, force=known)
         if not known:
-            words = f"measure the force at {pad.name} to {settings.measured_to:g} mN, hold {settings.hold_s:.0f} s"
-            actions.append(_Action(words, _case(experiment, pad, along, settings.hold_s, settings.ramp_s, force=True)))
+            words = f"measure the force at {pad.name} to {settings.measured_to:g} mN"
+            add(words, pad, along, settings.hold_s, force=True)
     return actions
 
 

@@ -64,51 +64,43 @@ def make_nuisances(bench: Bench, mesh_errors: FloatArray, correction: Correction
     markers and the three components of every force in each case, of the size by which fine meshes differ; where
     ``trial_share`` is stated, the difference between trials of one case.
     """
-    layout = bench.layout
-    names, columns = ["stiffness"], [bench.young_spread * bench.by_young[0]]
+    layout, base, numbers = bench.layout, bench.base, bench.settings.nuisances
+    rows = [("stiffness", bench.young_spread * bench.by_young[0])]
     clock = layout.times()
     span = max(float(np.ptp(clock)), 1e-9)
-    for axis, (shift, turn) in enumerate(frame_columns(layout, bench.base, bench.settings.nuisances)):
+    for axis, (shift, turn) in enumerate(frame_columns(layout, base, numbers)):
         drift = np.zeros(layout.size)
         for part in layout.parts:
-            part.markers(drift)[..., axis] = bench.settings.nuisances.drift * (part.times[:, None] - clock.min()) / span
-        names += [f"frame shift {axis}", f"frame turn {axis}", f"drift {axis}"]
-        columns += [shift, turn, drift]
-    patterns = smooth_patterns(layout.reference, bench.extent, bench.settings.nuisances)
+            part.markers(drift)[..., axis] = numbers.drift * (part.times[:, None] - clock.min()) / span
+        rows += [(f"frame shift {axis}", shift), (f"frame turn {axis}", turn), (f"drift {axis}", drift)]
+    patterns = smooth_patterns(layout.reference, bench.extent, numbers)
     for part in layout.parts:
-        load = load_history(part, bench.base)
+        load = load_history(part, base)
         if not load.any():
             continue
         top = load > 0.5
         for axis, smooth in enumerate(marker_columns(layout, part, load, patterns)):
-            size = bench.settings.nuisances.mesh_share * rms(part.markers(mesh_errors)[:, top][..., axis])
-            names += [f"mesh {part.name} {axis} {number}" for number in range(len(patterns))]
-            columns += list(size * smooth)
+            size = numbers.mesh_share * rms(part.markers(mesh_errors)[:, top][..., axis])
+            rows += [(f"mesh {part.name} {axis} {number}", column) for number, column in enumerate(size * smooth)]
         for i, pad in enumerate(() if bench.is_exact else part.pads):
-            strength = np.linalg.norm(part.forces(bench.base)[:, i], axis=1)
-            errors = part.forces(mesh_errors)[:, top, i] / max(float(strength.max()), 1e-9)
+            strength = np.linalg.norm(part.forces(base)[:, i], axis=1)
+            largest = max(float(strength.max()), 1e-9)
             # A pad on a curved body has a different tilt on every mesh, so that a difference in one component of its
             # force may as well occur in another.
-            size = max(bench.settings.nuisances.force_share * rms(errors), bench.settings.nuisances.force_left)
-            largest = max(float(strength.max()), 1e-9)
-            for word, history, share in (
-                ("mesh", strength, size),
-                ("bent", strength**2 / largest, bench.settings.nuisances.force_bent),
-            ):
-                for axis, column in enumerate(force_columns(layout, part, i, history)):
-                    names.append(f"{word} {part.name} {pad} {axis}")
-                    columns.append(share * column)
-    for name, column in _trials(bench, patterns):
-        names.append(name)
-        columns.append(column)
-    columns = list(correction.of_columns(np.array(columns)))
-    for name, column in _shapes(bench, correction):
-        names.append(name)
-        columns.append(column)
-    kept = [i for i, column in enumerate(columns) if column.any()]
-    if not bench.settings.nuisances.of_mesh:
-        kept = [i for i in kept if not names[i].startswith(OF_THE_MESH)]
-    return Nuisances(tuple(names[i] for i in kept), np.array([columns[i] for i in kept]))
+            size = max(numbers.force_share * rms(part.forces(mesh_errors)[:, top, i] / largest), numbers.force_left)
+            for word, history in (("mesh", size * strength), ("bent", numbers.force_bent * (strength**2 / largest))):
+                own = force_columns(layout, part, i, history)
+                rows += [(f"{word} {part.name} {pad} {axis}", column) for axis, column in enumerate(own)]
+    rows += _trials(bench, patterns)
+    carried = correction.of_columns(np.array([column for _, column in rows]))
+    rows = [(name, column) for (name, _), column in zip(rows, carried, strict=True)]
+    rows += _shapes(bench, correction)
+    kept = [
+        (name, column)
+        for name, column in rows
+        if column.any() and (numbers.of_mesh or not name.startswith(OF_THE_MESH))
+    ]
+    return Nuisances(tuple(name for name, _ in kept), np.array([column for _, column in kept]))
 
 
 def frame_columns(

@@ -132,18 +132,17 @@ def held_out_figures(layout: SignalLayout, noise: Noise, proof: HeldOut, figures
     by the believed model. The entries are ``rms_..._mm`` and ``chi_...`` of three models, ``noise_mm``,
     ``log_density_gain`` in nats, and ``cases``, the names of the blocks.
     """
-    markers = layout.of_markers() & layout.seen
-    chi = [rms(row[layout.seen & np.isfinite(row)]) for row in figures.residuals]
     typical = float(noise.marker_std.mean())
-    markers_mm = [typical * rms(row[markers & np.isfinite(row)]) for row in figures.residuals]
+    rows = {"base": BELIEVED, "named": NAMED, "generic": GENERIC}
+
+    def of(row: int, entries: BoolArray) -> float:
+        left = figures.residuals[row]
+        return rms(left[entries & layout.seen & np.isfinite(left)])
+
     return {
-        "rms_base_mm": markers_mm[BELIEVED],
-        "rms_named_mm": markers_mm[NAMED],
-        "rms_generic_mm": markers_mm[GENERIC],
+        **{f"rms_{key}_mm": typical * of(row, layout.of_markers()) for key, row in rows.items()},
         "noise_mm": typical,
-        "chi_base": chi[BELIEVED],
-        "chi_named": chi[NAMED],
-        "chi_generic": chi[GENERIC],
+        **{f"chi_{key}": of(row, layout.seen) for key, row in rows.items()},
         "log_density_gain": float(proof.log_density[NAMED].sum() - proof.log_density[BEFORE].sum()),
         "cases": list(figures.blocks),
     }

@@ -105,27 +105,14 @@ def _numbers(effect: Effect) -> dict[str, float]:
 
 
 def _held_out(outcome: SelectionOutcome) -> dict[str, Any]:
-    base, named, generic = outcome.before, outcome.after, outcome.patch
-    by_case = {
-        case: {
-            "rms_base_kpa": base.rms[case],
-            "rms_named_kpa": named.rms.get(case),
-            "rms_generic_kpa": generic.rms.get(case),
-        }
-        for case in base.rms
-    }
-    noise = float(np.sqrt(np.mean(np.diag(outcome.bench.noise))))
+    models, cases = outcome.held_out, list(outcome.held_out["base"].rms)
     return {
         "unit": outcome.bench.unit,
-        "cases": list(base.rms),
-        "rms_base_kpa": base.rms_all,
-        "rms_named_kpa": named.rms_all,
-        "rms_generic_kpa": generic.rms_all,
-        "noise_kpa": noise,
-        "chi_base": base.chi,
-        "chi_named": named.chi,
-        "chi_generic": generic.chi,
-        "by_case": by_case,
+        "cases": cases,
+        **{f"rms_{key}_kpa": one.rms_all for key, one in models.items()},
+        "noise_kpa": float(np.sqrt(np.mean(np.diag(outcome.bench.noise)))),
+        **{f"chi_{key}": one.chi for key, one in models.items()},
+        "by_case": {case: {f"rms_{key}_kpa": one.rms.get(case) for key, one in models.items()} for case in cases},
     }
 
 
@@ -193,7 +180,7 @@ def _sentence(outcome: SelectionOutcome, finding: MaterialFinding) -> str:
 
 
 def _sentences(outcome: SelectionOutcome) -> list[str]:
-    base, named = outcome.before, outcome.after
+    base, named = outcome.held_out["base"], outcome.held_out["named"]
     sentences = [_sentence(outcome, finding) for finding in outcome.findings]
     if outcome.verdict == "consistent":
         return [f"The believed law explains these curves within their noise (p = {outcome.p_misfit:.2g})."]

@@ -32,9 +32,9 @@ class SelectionOutcome:
     that were found and are not stated, as their evidence or probability does not suffice given the others;
     `candidates`: every cause tried alone, and the generic misfit; `threshold`: log Bayes factor that a first cause must
     exceed, nats; `p_misfit`: p-value of the residual after the findings; `explained`: share of the misfit (in squared
-    units of noise) that the findings explain; NaN without findings; `before`, `after`, `patch`: errors on held-out data
-    of the believed law, with the findings, and with a generic misfit; `bench`: rows,
-    covariances and the parts that are held out; `scene`: tested modes and ranges of strain, time and stress.
+    units of noise) that the findings explain; NaN without findings; `held_out`: errors on held-out data of the believed
+    law (``base``), with the findings (``named``), and with a generic misfit (``generic``); `bench`: rows, covariances
+    and the parts that are held out; `scene`: tested modes and ranges of strain, time and stress.
     """
 
     verdict: str
@@ -47,9 +47,7 @@ class SelectionOutcome:
     threshold: float
     p_misfit: float
     explained: float
-    before: HeldOutErrors
-    after: HeldOutErrors
-    patch: HeldOutErrors
+    held_out: dict[str, HeldOutErrors]
     bench: ProofInput
     scene: Scene
 
@@ -85,8 +83,8 @@ def find_out(
         verdict = "group" if any(len(finding.group) > 1 for finding in findings) else "named"
     progress("form and weights that predict best")
     reported = refined(search, none, known) if findings else None
-    before = held_out_errors(bench, believed)
-    after = before if reported is None else reported.held_out
+    base = held_out_errors(bench, believed)
+    named = base if reported is None else reported.held_out
     patch = held_out_errors(bench, none.fit, patch_share=generic.fit.share)
     return SelectionOutcome(
         verdict,
@@ -99,9 +97,7 @@ def find_out(
         limit,
         p_misfit,
         explained,
-        before,
-        after,
-        patch,
+        {"base": base, "named": named, "generic": patch},
         bench,
         scene,
     )

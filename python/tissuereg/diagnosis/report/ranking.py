@@ -1,7 +1,7 @@
 """Charts of the log Bayes factors of all causes that were tried, with their thresholds."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from tissuereg.diagnosis.candidates import required_thresholds
@@ -104,12 +104,13 @@ def ranking(rows: Sequence[Mapping[str, Any]], thresholds: Mapping[str, float], 
     least = min([_scaled(max(v, _LEAST)) for v in values] + [0.0])
     across = svg.PixelScale(least, most, _LEFT, _WIDTH - _RIGHT)
     bottom = 26.0 + _ROW * len(rows)
-    heads = (
-        ("log_bayes_factor", "log Bayes factor", _WIDTH - _RIGHT + 10.0, "start"),
-        ("probability", "probability", _WIDTH - 80.0, "end"),
-        ("detectability", "size, sd", _WIDTH, "end"),
+    columns: tuple[tuple[str, str, float, str, Callable[[float], str]], ...] = (
+        ("log_bayes_factor", "log Bayes factor", _WIDTH - _RIGHT + 10.0, "start", "{:.1f}".format),
+        ("probability", "probability", _WIDTH - 80.0, "end", chance),
+        ("detectability", "size, sd", _WIDTH, "end", "{:.1f}".format),
     )
-    parts = [svg.text(x, 12.0, head, anchor, more="font-size='11'") for key, head, x, anchor in heads if key in rows[0]]
+    columns = tuple(column for column in columns if column[0] in rows[0])
+    parts = [svg.text(x, 12.0, head, anchor, more="font-size='11'") for _, head, x, anchor, _ in columns]
     for tick in (*(-t for t in _TICKS), 0.0, *_TICKS):
         if least <= _scaled(tick) <= most:
             parts.append(svg.upright(across(_scaled(tick)), 20.0, bottom, "#e3e6ea"))
@@ -127,17 +128,7 @@ def ranking(rows: Sequence[Mapping[str, Any]], thresholds: Mapping[str, float], 
             f"<g><title>{escape(tip)}</title>"
             + svg.text(_LEFT - 8.0, y + 14.0, plain_name(name), "end", more=weight)
             + svg.bar(across(0.0), y + 3.0, across(_scaled(max(value, _LEAST))) - across(0.0), _ROW - 6.0, colour)
-            + svg.text(_WIDTH - _RIGHT + 10.0, y + 14.0, f"{value:.1f}", more=weight)
-            + (
-                svg.text(_WIDTH - 80.0, y + 14.0, chance(row["probability"]), "end", more=weight)
-                if "probability" in row
-                else ""
-            )
-            + (
-                svg.text(_WIDTH, y + 14.0, f"{row['detectability']:.1f}", "end", more=weight)
-                if "detectability" in row
-                else ""
-            )
+            + "".join(svg.text(x, y + 14.0, said(row[key]), anchor, more=weight) for key, _, x, anchor, said in columns)
             + line
             + "</g>"
         )
