@@ -85,7 +85,7 @@ def test_another_catalogue_leaves_stored_banks_valid(experiment, tmp_path, monke
 
     class FakeCause:
         def __init__(self, name, value):
-            self.name, self.value = name, value
+            self.name, self.value, self.closed_form = name, value, name == "scale"
 
         def variants(self, bench):
             made.append(self.name)
@@ -97,7 +97,9 @@ def test_another_catalogue_leaves_stored_banks_valid(experiment, tmp_path, monke
     def bank_of(*ids):
         made.clear()
         settings = replace(DEFAULT, left_out=tuple(name for name in causes if name not in ids))
-        bench = SimpleNamespace(experiment=experiment, predictor=predictor, base=np.zeros(3), settings=settings)
+        bench = SimpleNamespace(
+            experiment=experiment, predictor=predictor, base=np.zeros(3), settings=settings, progress=lambda _: None
+        )
         return {name: float(several[0].columns[0, 0]) for name, several in bank.make_bank(bench).items()}
 
     with monkeypatch.context() as patched:
