@@ -1,7 +1,6 @@
 """Fits of known causes, revision of several, and a search whose findings are withdrawn."""
 
 from dataclasses import replace
-from importlib import import_module
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,7 +9,7 @@ import pytest
 from support.targets import YOUNG, part, target_of
 from tissuereg.diagnosis import candidates
 from tissuereg.diagnosis.bench import Bench
-from tissuereg.diagnosis.candidates import Candidate, _fit_forms, required_thresholds
+from tissuereg.diagnosis.candidates import Candidate, required_thresholds, without
 from tissuereg.diagnosis.causes import CAUSES
 from tissuereg.diagnosis.causes.base import free_parameters
 from tissuereg.diagnosis.correction import make_correction
@@ -20,7 +19,6 @@ from tissuereg.diagnosis.modulus import _pinned, modulus_finding
 from tissuereg.diagnosis.nuisances import other_forms
 from tissuereg.diagnosis.proof import figure_blocks, proof_blocks
 from tissuereg.diagnosis.refined import corrected_fit, recorrected, refined_effects
-from tissuereg.diagnosis.revise import exchanged, without, without_redundant
 from tissuereg.diagnosis.screen import UNKNOWN, Screen, Screened
 from tissuereg.diagnosis.search import Search, Step, _with_finding
 from tissuereg.diagnosis.settings import DEFAULT
@@ -49,7 +47,7 @@ def test_the_form_of_a_law_is_the_one_that_the_data_have(form):
     bank = {"mooney": list(CAUSES["mooney"].variants(target.bench))}
     screened = Screened(10.0, bank["mooney"][0], np.ones(1))
     base = fit(target, [])
-    found = _fit_forms(target, SimpleNamespace(bank=bank), screened, base, "mooney", base.log_evidence)[0]
+    found = candidates._fit_forms(target, SimpleNamespace(bank=bank), screened, base, "mooney", base.log_evidence)[0]
     values, deviations = found.values(0, 1.0)
     assert (values["law"], values["volumetric"]) == ("mooney-rivlin", form)
     assert abs(values["share"] - 0.5) < 4.0 * deviations["share"]
@@ -255,17 +253,14 @@ def test_what_differs_in_the_tracker_alone_is_solved_once(of_two, monkeypatch):
 @pytest.fixture
 def of_the_same_mesh(monkeypatch):
     """Data of the user's own mesh have no discretisation error to correct."""
-    # The package's attribute of this name is a function.
-    monkeypatch.setattr(
-        import_module("tissuereg.diagnosis.revise"), "corrected_fit", lambda target, found: (target, found)
-    )
+    monkeypatch.setattr(candidates, "corrected_fit", lambda target, found: (target, found))
 
 
 @pytest.mark.usefixtures("of_the_same_mesh")
 def test_a_redundant_cause_is_removed(of_two):
     spare = part(of_two, "scale")
     found = fit(of_two, [part(of_two, "poisson"), spare, part(of_two, "latency")])
-    target, kept, left = without_redundant(of_two, found, dict.fromkeys(found.ids, 8.0))
+    target, kept, left = candidates.without_redundant(of_two, found, dict.fromkeys(found.ids, 8.0))
     assert kept.ids == ("poisson", "latency")
     assert left == [0, 2]
     assert without(target, kept, 0).log_evidence < kept.log_evidence - 8.0
@@ -275,10 +270,10 @@ def test_a_redundant_cause_is_removed(of_two):
 def test_a_rival_replaces_a_cause_where_it_is_better(of_two):
     wrong = fit(of_two, [part(of_two, "scale"), part(of_two, "latency")])
     mate = part(of_two, "poisson")
-    target, better = exchanged(of_two, wrong, 0, [(mate, mate.free_parameters.start)])
+    target, better = candidates.exchanged(of_two, wrong, 0, [(mate, mate.free_parameters.start)])
     assert better.ids == ("poisson", "latency")
     again = part(of_two, "scale")
-    assert exchanged(target, better, 0, [(again, again.free_parameters.start)])[1] is better
+    assert candidates.exchanged(target, better, 0, [(again, again.free_parameters.start)])[1] is better
 
 
 def noise_patterns(target):
@@ -476,7 +471,9 @@ def test_a_slip_is_found_to_begin_in_its_own_frame():
     near = next(v for v in bank["marker_slip"] if (v.settings["marker"], v.settings["onset"]) == ("P2", 1.0))
     base = fit(target, [])
     screened = Screened(10.0, near, np.full(3, 0.3))
-    found = _fit_forms(target, SimpleNamespace(bank=bank), screened, base, "marker_slip", base.log_evidence)[0]
+    found = candidates._fit_forms(target, SimpleNamespace(bank=bank), screened, base, "marker_slip", base.log_evidence)[
+        0
+    ]
     values, deviations = found.values(0, 1.0)
     assert (values["marker"], values["from_time_s"]) == ("P2", 2.0)
     np.testing.assert_allclose(values["offset_mm"], slip.offset_mm, atol=4.0 * max(deviations["offset_mm"]))

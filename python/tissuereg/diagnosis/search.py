@@ -3,8 +3,8 @@
 Each round screens all causes on the residual of the current model, fits the likely ones, and accepts the first that
 passes its threshold and the held-out proof (`proof`) and is likelier than not. The found cause joins the model together
 with nuisances for its own error (`nuisances.effect_nuisances`, `nuisances.other_forms`). With two or more causes, each
-is tested for redundancy and exchanged for its closest rivals in the end (`revise`); those that stay pass the same tests
-again, or the answer lists them as possible.
+is tested for redundancy and exchanged for its closest rivals in the end; those that stay pass the same tests again, or
+the answer lists them as possible.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -14,7 +14,14 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.answer import PossibleCause
-from tissuereg.diagnosis.candidates import Candidate, refitted, required_thresholds
+from tissuereg.diagnosis.candidates import (
+    Candidate,
+    exchanged,
+    refitted,
+    required_thresholds,
+    without,
+    without_redundant,
+)
 from tissuereg.diagnosis.causes import CAUSES
 from tissuereg.diagnosis.evidence import Null, fit_amplitudes, probabilities
 from tissuereg.diagnosis.fit import Fit, FitTarget, fit
@@ -31,7 +38,6 @@ from tissuereg.diagnosis.proof import (
     proof_blocks,
 )
 from tissuereg.diagnosis.refined import corrected_fit
-from tissuereg.diagnosis.revise import exchanged, without, without_redundant
 from tissuereg.diagnosis.screen import UNKNOWN, Screen, Screened
 from tissuereg.diagnosis.settings import DEFAULT, DiagnoseSettings, SearchSettings
 
