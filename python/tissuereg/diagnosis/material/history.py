@@ -12,13 +12,13 @@ Piola-Kirchhoff stress at ``F = C^(1/2)``.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray, IntArray
-from tissuereg.body.material import Fibre, Material
+from tissuereg.body.material import Material
 from tissuereg.diagnosis.material.model import Model
 from tissuereg.experiment.effects.history import Relaxation, Softening
 from tissuereg.experiment.material_experiment import Curve, MaterialExperiment
@@ -27,25 +27,11 @@ from tissuereg.experiment.material_tests import shear_stress, uniaxial_stress
 
 @dataclass(frozen=True)
 class _Law:
-    """The parameters on which the elastic stress of a law with a modulus of 1 kPa depends, as a key of caches.
+    """A law with a modulus of 1 kPa and the share of the largest strain that remains; a key of caches by its digest."""
 
-    `law`, `shape`: name and shape parameters of the law; `poisson`: Poisson's ratio; `volumetric`: energy of volume
-    change; `fibre`: stiffness over shear modulus, exponent, direction and whether fibres carry tension only; None
-    without; `set_fraction`: share of the largest strain that remains.
-    """
-
-    law: str
-    shape: tuple[tuple[str, tuple[float, ...]], ...]
-    poisson: float
-    volumetric: str
-    fibre: tuple[float, float, tuple[float, ...], bool] | None
+    digest: str
     set_fraction: float
-
-    def material(self) -> Material:
-        """Return the material with this law and a Young's modulus of 1 kPa."""
-        shape = {key: list(values) if key in ("alpha", "weight") else values[0] for key, values in self.shape}
-        fibre = None if self.fibre is None else Fibre(*self.fibre)
-        return Material(1.0, self.poisson, self.law, shape=shape, volumetric=self.volumetric, fibre=fibre)
+    material: Material = field(compare=False)
 
 
 def stress_of(model: Model, curve: Curve, rows: Sequence[int] | IntArray | None = None) -> FloatArray:
@@ -94,15 +80,8 @@ def predicted_stresses(experiment: MaterialExperiment) -> list[FloatArray]:
 
 
 def _law_of(model: Model) -> _Law:
-    material, fibre = model.material, model.material.fibre
-    shape = {key: tuple(float(v) for v in np.atleast_1d(value)) for key, value in material.shape.items()}
-    key = None
-    if fibre is not None:
-        direction = tuple(float(v) for v in np.asarray(fibre.direction).reshape(3))
-        key = (float(fibre.k1_over_mu), float(fibre.k2), direction, fibre.tension_only)
-    fraction = 0.0 if model.set is None else model.set.fraction
-    poisson = float(material.poisson_array[0])
-    return _Law(material.law, tuple(sorted(shape.items())), poisson, material.volumetric, key, fraction)
+    unit = replace(model.material, young=1.0)
+    return _Law(unit.digest(), 0.0 if model.set is None else model.set.fraction, unit)
 
 
 def _young(model: Model) -> float:
@@ -146,7 +125,7 @@ def _stretched_unit(law: _Law, curve: Curve) -> tuple[FloatArray, FloatArray]:
 
     They belong to a modulus of 1 kPa, at rest and at every row of `curve`.
     """
-    material, (stretch, _) = law.material(), _from_rest(curve)
+    material, (stretch, _) = law.material, _from_rest(curve)
     stays = np.exp(law.set_fraction * _largest_before(np.log(stretch)))
     elastic = stretch / stays
     across = elastic**-0.5
@@ -174,7 +153,7 @@ def _sheared_unit(law: _Law, curve: Curve) -> tuple[FloatArray, FloatArray, Floa
 
     They belong to a modulus of 1 kPa, at rest and at every row of `curve`.
     """
-    material, (shear, _) = law.material(), _from_rest(curve)
+    material, (shear, _) = law.material, _from_rest(curve)
     metric = shear_metric(shear)
     back = None if law.set_fraction == 0 else _shear_back(law.set_fraction, metric, shear)
     elastic = metric if back is None else back @ metric @ back
@@ -182,7 +161,7 @@ def _sheared_unit(law: _Law, curve: Curve) -> tuple[FloatArray, FloatArray, Floa
     half = 0.5 * (elastic[:, 0, 0] + elastic[:, 1, 1])
     larger = np.sqrt(half + np.sqrt(np.maximum(half**2 - 1.0, 0.0)))
     energy = isochoric_energy(material, np.stack([larger, 1.0 / larger, np.ones(len(larger))], axis=1))
-    if law.law == "hooke":
+    if material.law == "hooke":
         return shear_stress(material, shear), np.zeros(len(shear)), energy
     second = plane_second_pk(material, elastic)
     if back is not None:
