@@ -135,22 +135,21 @@ class Cause(ABC):
         """Return whether the believed model has an effect of this cause already."""
         return any(effect.id == self.id for effect in bench.experiment.effects)
 
+    def simulated(self, bench: Bench, tried: Iterable[tuple[str, Effect, Mapping[str, Any]]]) -> Iterator[Variant]:
+        """Yield a hypothesis of positive amplitude, whose column is simulated, for each of some effects.
+
+        `tried`: label, effect and settings of each hypothesis; effects that do not apply, or with which the body has no
+        equilibrium, have none.
+        """
+        every = list(tried)
+        changes = bench.changes([[effect] for _, effect, _ in every])
+        for (label, _, settings), changed in zip(every, changes, strict=True):
+            if changed is not None:
+                yield Variant(label, changed[None], settings, positive=True)
+
     @abstractmethod
     def sentence(self, values: Values) -> str:
         """Return the finding as a sentence; `values`: its fitted parameters by key of the ``[[effect]]`` table."""
-
-
-def simulated(bench: Bench, tried: Iterable[tuple[str, Effect, Mapping[str, Any]]]) -> Iterator[Variant]:
-    """Yield a hypothesis of positive amplitude, whose column is simulated, for each of some effects.
-
-    `tried`: label, effect and settings of each hypothesis; effects that do not apply, or with which the body has no
-    equilibrium, have none.
-    """
-    every = list(tried)
-    changes = bench.changes([[effect] for _, effect, _ in every])
-    for (label, _, settings), changed in zip(every, changes, strict=True):
-        if changed is not None:
-            yield Variant(label, changed[None], settings, positive=True)
 
 
 def free_parameters(

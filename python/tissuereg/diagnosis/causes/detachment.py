@@ -17,7 +17,6 @@ from tissuereg.diagnosis.causes.base import (
     free_parameters,
     logistic,
     logit,
-    simulated,
 )
 from tissuereg.experiment.effects import Detachment
 from tissuereg.experiment.effects.supports import freeing_shares, node_areas
@@ -48,7 +47,7 @@ class DetachmentCause(Cause):
         """
         names = [boundary.name for boundary in bench.experiment.boundaries]
         azimuths = [(share, 360.0 * turn / count) for share, count in self.directions for turn in range(count)]
-        return simulated(
+        return self.simulated(
             bench,
             (
                 (

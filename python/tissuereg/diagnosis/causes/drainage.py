@@ -8,16 +8,7 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.bench import Bench
-from tissuereg.diagnosis.causes.base import (
-    Cause,
-    FreeParameters,
-    Values,
-    Variant,
-    free_parameters,
-    logistic,
-    logit,
-    simulated,
-)
+from tissuereg.diagnosis.causes.base import Cause, FreeParameters, Values, Variant, free_parameters, logistic, logit
 from tissuereg.diagnosis.causes.relaxation import times_of
 from tissuereg.experiment.effects import Drainage
 
@@ -38,7 +29,7 @@ class DrainageCause(Cause):
         if bench.longest_case == 0.0 or self.believed(bench):
             return []
         times = times_of(bench, self.times)[1::2]
-        return simulated(
+        return self.simulated(
             bench, ((f"{tau:.2g} s", Drainage(share=self.share, tau_s=float(tau)), {"tau": tau}) for tau in times)
         )
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.bench import Bench
-from tissuereg.diagnosis.causes.base import Cause, FreeParameters, Values, Variant, free_parameters, simulated, three
+from tissuereg.diagnosis.causes.base import Cause, FreeParameters, Values, Variant, free_parameters, three
 from tissuereg.experiment.effects import Effect, Fibre
 
 
@@ -31,7 +31,7 @@ class FibreCause(Cause):
         if bench.experiment.material.fibre is not None:
             return []
         named = ((f"along {' '.join(f'{x:.2f}' for x in direction)}", direction) for direction in _lines())
-        return simulated(bench, ((name, _effect(self.size, way), {"direction": way}) for name, way in named))
+        return self.simulated(bench, ((name, _effect(self.size, way), {"direction": way}) for name, way in named))
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
         """Return three free parameters: the logarithm of the stiffness, and two rotations of the direction.

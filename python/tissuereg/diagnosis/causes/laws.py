@@ -16,16 +16,7 @@ import numpy as np
 from tissuereg._base.arrays import FloatArray
 from tissuereg.body.laws import main_key, shape_of
 from tissuereg.diagnosis.bench import Bench
-from tissuereg.diagnosis.causes.base import (
-    Cause,
-    FreeParameters,
-    Values,
-    Variant,
-    free_parameters,
-    logistic,
-    logit,
-    simulated,
-)
+from tissuereg.diagnosis.causes.base import Cause, FreeParameters, Values, Variant, free_parameters, logistic, logit
 from tissuereg.experiment.effects import Asymmetry, Effect, Mooney, Stiffening
 
 
@@ -51,7 +42,7 @@ class LawCause(Cause):
 
         Its energy of volume change is the one with which it contains the believed law.
         """
-        return simulated(
+        return self.simulated(
             bench,
             (
                 (f"{law} {size:g}", self.effect(law, size, form), {"law": law, "size": size, "volumetric": form})

@@ -8,7 +8,7 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.bench import Bench
-from tissuereg.diagnosis.causes.base import Cause, FreeParameters, Values, Variant, free_parameters, simulated
+from tissuereg.diagnosis.causes.base import Cause, FreeParameters, Values, Variant, free_parameters
 from tissuereg.experiment.effects import Rate
 
 
@@ -26,7 +26,7 @@ class RateCause(Cause):
         if bench.longest_case == 0.0 or self.believed(bench):
             return []
         effect = Rate(viscosity_kpa_s=self.size * bench.frame_step * bench.young)
-        return simulated(bench, [("viscosity", effect, {})])
+        return self.simulated(bench, [("viscosity", effect, {})])
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
         """Return one free parameter: the logarithm of the viscosity over Young's modulus, in s."""

@@ -8,16 +8,7 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.bench import Bench
-from tissuereg.diagnosis.causes.base import (
-    Cause,
-    FreeParameters,
-    Values,
-    Variant,
-    free_parameters,
-    logistic,
-    logit,
-    simulated,
-)
+from tissuereg.diagnosis.causes.base import Cause, FreeParameters, Values, Variant, free_parameters, logistic, logit
 from tissuereg.experiment.effects import Relaxation
 
 
@@ -49,7 +40,7 @@ class RelaxationCause(Cause):
         tried = [("whole", float(tau)) for tau in times_of(bench, self.times)]
         tried += [("isochoric", float(tau)) for tau in times_of(bench, self.times)[1::2]]
         effects = [Relaxation(g=(self.share,), tau_s=(tau,), part=part) for part, tau in tried]
-        return simulated(
+        return self.simulated(
             bench,
             [(f"{one.part} {one.tau_s[0]:.2g} s", one, {"tau": one.tau_s[0], "part": one.part}) for one in effects],
         )

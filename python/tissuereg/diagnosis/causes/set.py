@@ -6,16 +6,7 @@ from typing import ClassVar
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.bench import Bench
-from tissuereg.diagnosis.causes.base import (
-    Cause,
-    FreeParameters,
-    Values,
-    Variant,
-    free_parameters,
-    logistic,
-    logit,
-    simulated,
-)
+from tissuereg.diagnosis.causes.base import Cause, FreeParameters, Values, Variant, free_parameters, logistic, logit
 from tissuereg.experiment.effects import Set
 
 
@@ -30,7 +21,7 @@ class SetCause(Cause):
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
         """Return one hypothesis: a fixed share of the largest strain remains; none where a set is already believed."""
-        return [] if self.believed(bench) else simulated(bench, [("share", Set(fraction=self.size), {})])
+        return [] if self.believed(bench) else self.simulated(bench, [("share", Set(fraction=self.size), {})])
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
         """Return one free parameter: the logit of the share of the largest strain that remains."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.bench import Bench
-from tissuereg.diagnosis.causes.base import Cause, FreeParameters, Values, Variant, free_parameters, simulated
+from tissuereg.diagnosis.causes.base import Cause, FreeParameters, Values, Variant, free_parameters
 from tissuereg.experiment.effects import Sliding
 
 
@@ -38,7 +38,7 @@ class SlidingCause(Cause):
                 continue
             own = [("springs", size, _springs(bench, name, size, bench.young)) for size in self.compliances]
             own += [("friction", c, _friction(name, self.coefficient, c * bench.young)) for c in self.cohesions]
-            yield from simulated(
+            yield from self.simulated(
                 bench,
                 (
                     (f"{name} {kind} {size:g}", effect, {"boundary": name, "kind": kind, "size": size})

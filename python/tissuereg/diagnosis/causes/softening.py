@@ -8,7 +8,7 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.bench import Bench
-from tissuereg.diagnosis.causes.base import Cause, FreeParameters, Values, Variant, free_parameters, simulated
+from tissuereg.diagnosis.causes.base import Cause, FreeParameters, Values, Variant, free_parameters
 from tissuereg.experiment.effects import Softening
 
 
@@ -32,7 +32,7 @@ class SofteningCause(Cause):
         """
         if self.believed(bench):
             return []
-        return simulated(
+        return self.simulated(
             bench,
             (
                 (
