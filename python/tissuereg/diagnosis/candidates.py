@@ -207,10 +207,7 @@ def exchanged(
 
 
 def _reaching(least: float, target: FitTarget, fitted: Fit | None) -> tuple[FitTarget, Fit] | None:
-    """Return target and fit with the discretisation error corrected, if the log evidence exceeds `least` nats.
-
-    Return None otherwise, and where there is no fit.
-    """
+    """Return target and corrected fit if the log evidence exceeds `least` nats; None otherwise, and without a fit."""
     if fitted is None or fitted.log_evidence < least - target.bench.settings.model.correction_gain:
         return None
     better, again = corrected_fit(target, fitted)

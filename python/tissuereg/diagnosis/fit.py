@@ -393,10 +393,7 @@ class _FitSolver:
 
 
 def _principal_axes(covariance: FloatArray, deviation: FloatArray) -> FloatArray:
-    """Return the principal axes of a covariance (k, k) as rows (k, k), each one standard deviation long.
-
-    `deviation` (k,): prior standard deviations, in whose units the axes are orthogonal.
-    """
+    """Return principal axes (k, k) of a covariance in units of prior deviations (k,), as rows one deviation long."""
     power, axes = np.linalg.eigh(covariance / np.outer(deviation, deviation))
     return np.asarray((np.sqrt(np.maximum(power, 0.0)) * axes * deviation[:, None]).T)
 

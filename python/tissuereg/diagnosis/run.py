@@ -88,10 +88,7 @@ def diagnose_body(
 
 
 def _searched(bench: Bench, noise: Noise, *, silent: bool, seed: int, keep: bool) -> Diagnosis:
-    """Return the diagnosis of a recording that is read rightly; arguments as for `diagnose_body`.
-
-    `silent`: whether forces are below their noise, so that no modulus follows from them.
-    """
+    """Return the diagnosis of a recording that is read rightly; `silent`: no modulus follows from its forces."""
     experiment, layout = bench.experiment, bench.layout
     settings, rules = bench.settings, bench.settings.nulls
     element, threads = bench.predictor.element, bench.predictor.threads

@@ -240,10 +240,7 @@ def _proved(name: str, proof: HeldOut, rules: SearchSettings) -> bool:
 
 
 def _best_rival(target: FitTarget, current: Fit, candidates: Sequence[Candidate], found: Candidate) -> float:
-    """Return the best log density, in nats, of held-out data by a candidate that the data distinguish from `found`.
-
-    It is minus infinity where there is no such candidate.
-    """
+    """Return the best log density of held-out data by a candidate that the data tell from `found`; -inf without one."""
     blocks = proof_blocks(
         target.bench.layout, _columns_and_change(target, current, found.fit, -1)[0], target.bench.settings.search
     )

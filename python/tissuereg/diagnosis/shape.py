@@ -199,10 +199,7 @@ def _patterns(places: FloatArray, length: float, settings: ShapeSettings) -> Flo
 
 
 def _carried(given: Mesh, motion: FloatArray, mesh: Mesh) -> FloatArray:
-    """Return the motion (n_nodes, 3) of a mesh whose surface subdivides a given one, by interpolation; zero inside.
-
-    `motion` (n_given, 3): of the given mesh's nodes, mm per mm.
-    """
+    """Return a motion (n_given, 3) of a mesh carried to one whose surface subdivides its, (n_nodes, 3); zero inside."""
     places = mesh.nodes[mesh.surface_nodes]
     between = MarkerObservation(given, places, tuple(f"node {node}" for node in mesh.surface_nodes))
     carried = np.zeros_like(mesh.nodes)

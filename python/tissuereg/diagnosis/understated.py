@@ -144,10 +144,7 @@ def _channels(
 
 
 def _pooled(squares: FloatArray, freedom: FloatArray, groups: list[BoolArray], settings: NoiseSettings) -> _NoiseSize:
-    """Return the noise of a channel, from the squares and degrees of freedom (size,) of its numbers.
-
-    `groups`: masks (size,) of the numbers that are pooled before the median is taken.
-    """
+    """Return the noise of a channel from squares and degrees of freedom (size,), pooled in masks before the median."""
     sums = [(float(squares[rows].sum()), float(freedom[rows].sum())) for rows in groups]
     enough = [(q, n) for q, n in sums if n >= settings.least_freedom]
     if not enough:

@@ -118,20 +118,14 @@ def _shares(mesh: Mesh, balls: list[tuple[float, tuple[float, float, float]]]) -
 
 
 def _line(low: float, high: float, radius: float, spacing: float) -> FloatArray:
-    """Return grid coordinates (n,), in mm, for centres of balls between `low` and `high` along one axis.
-
-    Where the body is thinner than a ball of that `radius` (mm), the middle is the only coordinate.
-    """
+    """Return grid coordinates (n,), mm, of centres of balls along an axis; the middle alone where the body is thin."""
     if high - low < 2.0 * radius:
         return np.array([0.5 * (low + high)])
     return np.arange(low + 0.5 * radius, high, spacing * radius)
 
 
 def _places(bench: Bench, cause: InclusionCause) -> list[tuple[float, tuple[float, float, float]]]:
-    """Return radius and centre, in mm, of every ball that is tried.
-
-    Centres lie on one grid inside the body for each radius; grids of larger balls are coarser.
-    """
+    """Return radius and centre, mm, of every ball tried: on a grid for each radius, coarser for larger balls."""
     mesh = bench.experiment.mesh
     tree, reach = KDTree(mesh.nodes[mesh.tets].mean(axis=1)), float(np.cbrt(6.0 * mesh.volumes.max()))
     found = []

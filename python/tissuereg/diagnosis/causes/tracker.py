@@ -248,10 +248,7 @@ def changed_by(bench: Bench, effect: Effect) -> FloatArray:
 
 
 def _frame(bench: Bench, x: FloatArray) -> Frame:
-    """Return the tracker's frame shifted by x[:3] mm and rotated by the vector x[3:] degrees, as an effect.
-
-    The rotation is about the mean reference place of the markers.
-    """
+    """Return the tracker's frame shifted by x[:3] mm and rotated by x[3:] degrees about the markers' mean place."""
     from tissuereg.experiment.effects.base import rotation_from_vector
 
     turn, middle = rotation_from_vector(three(x[3:])), _middle(bench)

@@ -122,10 +122,7 @@ def _by_rate(law: str, invariant: float) -> Form:
 
 
 def _by_ratios(law: str, invariant: float) -> Form:
-    """Return the form of a law with ratios of its second and third coefficient to its first, of either sign.
-
-    The ratios are fitted times the largest `invariant` (I1 - 3), and times its square.
-    """
+    """Return the form of a law with two ratios of coefficients, of either sign, fitted times powers of `invariant`."""
 
     def effect(x: FloatArray) -> Stiffening:
         return Stiffening(law=law, **shape_of(law, float(x[0]) / invariant, float(x[1]) / invariant**2))

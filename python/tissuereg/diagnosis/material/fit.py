@@ -2,7 +2,7 @@
 
 With whitened residual r(x) and z = (x - mean) / std in units of the Gaussian prior, |r|^2 + |z|^2 is minimised; the log
 evidence is -1/2 (|r|^2 + |z|^2) - 1/2 log det(1 + share^2 Lambda) - 1/2 log det(J^T J), with J the Jacobian of (r, z)
-by z and Lambda the spectrum of the generic misfit (`weights`).
+by z and Lambda the spectrum of the generic misfit (`noise`).
 """
 
 from collections.abc import Callable, Sequence

@@ -177,20 +177,14 @@ def _squared_size(
 
 
 def _log_density(found: float, covariance: FloatArray) -> float:
-    """Return the log density, at `found`, of a sum of squared Gaussian numbers of mean 0 and given covariance (n, n).
-
-    The density is approximated by that of a Gamma distribution of the same mean and variance.
-    """
+    """Return the log density of a sum of squared Gaussian numbers of a covariance (n, n), taken for a Gamma density."""
     mean, variance = float(np.trace(covariance)), 2.0 * float(np.sum(covariance**2))
     shape, unit = mean**2 / variance, variance / mean
     return (shape - 1.0) * math.log(found) - found / unit - math.lgamma(shape) - shape * math.log(unit)
 
 
 def _slopes(bench: ProofInput, fit: MaterialFit, scale: FloatArray) -> FloatArray:
-    """Return the derivatives of the n stresses by the k parameters, shape (n, k), in kPa per prior standard deviation.
-
-    `scale` (k,): prior standard deviations.
-    """
+    """Return the derivatives (n, k) of the stresses, kPa, by parameters in prior deviations, which are `scale` (k,)."""
     problem, step = bench.problem, bench.problem.settings.material.step
     columns = []
     for i, unit in enumerate(scale):
