@@ -10,7 +10,7 @@ from misuse.misuses import MISUSES
 from tissuereg.body.observe import MarkerObservation
 from tissuereg.registration.readings import suspect
 from tissuereg.registration.readings.clouds import scattered
-from tissuereg.registration.readings.frames import _signed_permutations
+from tissuereg.registration.readings.frames import signed_permutations
 from tissuereg.registration.readings.skin import Skin
 
 #: One event of the development half whose mistakes all leave a trace: 15 markers or so on an ellipsoid off the origin.
@@ -46,7 +46,7 @@ def test_good_events_are_left_in_peace(body):
 
 def test_one_negated_axis_and_the_other_frame_are_likelier_mistakes_than_exchanged_axes():
     # Nats: one input in 400 has one of these, one in 20,000 a given one of all others.
-    costs = {title: cost for _, cost, title in _signed_permutations()}
+    costs = {title: cost for _, cost, title in signed_permutations()}
     cheap = {"(-x, y, z)", "(x, -y, z)", "(x, y, -z)", "(-x, -y, z)"}
     assert {title for title, cost in costs.items() if cost == 6.0} == cheap
     assert {cost for title, cost in costs.items() if title not in cheap} == {10.0}

@@ -2,11 +2,12 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import permutations, product
+from itertools import product
 
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray
+from tissuereg.registration.readings.frames import signed_permutations
 from tissuereg.registration.readings.settings import COSTS
 
 #: Factors that convert a force to mN and a length to mm, with the names of the units.
@@ -88,7 +89,7 @@ def proposals(moved: Sequence[str], pulled: Sequence[str], felt: Sequence[str]) 
         together.append(channels)
     for group in (*groups, *together):
         own = COSTS.alone + (np.log(len(parts)) if group[0] in parts else 0.0)
-        for turn, title in _turns():
+        for turn, _, title in signed_permutations():
             signs = np.diag(turn)
             exchanged = not signs.all()
             if exchanged and group[0] in parts:
@@ -149,14 +150,3 @@ def _kind(turn: FloatArray) -> str:
 
 def _listed(names: Sequence[str]) -> str:
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
-
-
-def _turns() -> Iterator[tuple[FloatArray, str]]:
-    """Yield the 47 matrices (3, 3) that exchange and negate axes, each with words such as "(y, -x, z)"."""
-    for order in permutations(range(3)):
-        for signs in product((1.0, -1.0), repeat=3):
-            turn = np.zeros((3, 3))
-            turn[range(3), order] = signs
-            if not (turn == _ONE).all():
-                words = ("-" * (sign < 0) + "xyz"[axis] for sign, axis in zip(signs, order, strict=True))
-                yield turn, f"({', '.join(words)})"

@@ -47,7 +47,7 @@ def frames(given: Given) -> list[Reading]:
     x, y = given.reference, given.measured
     middle, motion = given.skin.middle, given.motion
     readings = []
-    for turn, cost, title in _signed_permutations():
+    for turn, cost, title in signed_permutations():
         back = x @ turn.T
         kind = "mirrored" if np.linalg.det(turn) < 0 and np.count_nonzero(np.diag(turn)) == 3 else "frame"
         words = f"if read as {title}"
@@ -91,7 +91,7 @@ def columns(given: Given) -> list[Reading]:
     return readings
 
 
-def _signed_permutations() -> list[tuple[FloatArray, float, str]]:
+def signed_permutations() -> list[tuple[FloatArray, float, str]]:
     """Return the 47 matrices (3, 3) that exchange and negate axes, each with its prior cost and its words.
 
     True places are the matrix times the given places; the cost is minus the logarithm of the prior odds of this
