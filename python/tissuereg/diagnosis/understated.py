@@ -39,16 +39,9 @@ _LEAST_VARIANCE = 1e-4
 class UnderstatedNoise:
     """A channel whose noise is larger than stated.
 
-    Attributes
-    ----------
-    channel : str
-        ``markers`` or ``forces``.
-    stated, estimated : float
-        Standard deviation of a coordinate, mm, or of a force component, mN.
-    factor : float
-        The estimated over the stated one.
-    log_bayes_factor : float
-        Evidence for the larger noise against the stated one, nats.
+    `channel`: ``markers`` or ``forces``; `stated`, `estimated`: standard deviation of a coordinate, mm, or of a force
+    component, mN; `factor`: the estimated over the stated one; `log_bayes_factor`: evidence for the larger noise
+    against the stated one, nats.
     """
 
     channel: str

@@ -78,10 +78,7 @@ class MooneyCause(LawCause):
     tried: tuple[tuple[str, float], ...] = ((MOONEY, 0.5),)
 
     def effect(self, law: str, size: float, form: str) -> Effect:
-        """Return the Mooney-Rivlin law in which the second invariant has the share `size` of the energy.
-
-        `law`: ``"mooney-rivlin"``; `form` {"coupled", "log", "quadratic"}: energy of volume change.
-        """
+        """Return the Mooney-Rivlin law in which the second invariant has the share `size` of the energy."""
         return Mooney(law=law, volumetric=form, **shape_of(law, size))
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
@@ -116,8 +113,8 @@ class AsymmetryCause(LawCause):
     def effect(self, law: str, size: float, form: str) -> Effect:
         """Return a bimodular law of excess `size`, or Ogden's law whose exponent is 2 (neo-Hookean) plus `size`.
 
-        `law` {"bimodular", "ogden"}; the excess is the stiffness in tension over that in compression, minus one; `form`
-        {"coupled", "log", "quadratic"}: energy of volume change. An exponent near 0 is moved to 0.1 or -0.1.
+        The excess is the stiffness in tension over that in compression, minus one. An exponent near 0 is moved to 0.1
+        or -0.1.
         """
         if law == "bimodular":
             return Asymmetry(law=law, volumetric=form, **shape_of(law, size))
@@ -174,11 +171,7 @@ class StiffeningCause(LawCause):
     tried: tuple[tuple[str, float], ...] = (("fung", 1.0), ("fung", 4.0), ("fung", 16.0), ("yeoh", 2.0))
 
     def effect(self, law: str, size: float, form: str) -> Effect:
-        """Return the law `law` with its first shape parameter equal to `size` and all others zero.
-
-        `law` {"fung", "yeoh"}: the exponent of Fung's law or the first coefficient ratio of Yeoh's is `size`,
-        dimensionless; `form` {"coupled", "log", "quadratic"}: energy of volume change.
-        """
+        """Return the law `law` with its first shape parameter equal to `size` and all others zero."""
         return Stiffening(law=law, volumetric=form, **shape_of(law, size))
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
