@@ -59,19 +59,9 @@ def gloss(cause: str) -> str:
     return ((type(CAUSES[cause]).__doc__ if cause in CAUSES else None) or "").partition("\n")[0].partition(" (`")[0]
 
 
-def thresholds_of(found: "Diagnosis") -> dict[str, float]:
-    """Return the log Bayes factors, nats, required of causes in the first round, by id.
-
-    Where the diagnosis lacks its details they are those of the findings alone, without the modulus.
-    """
-    if found.details is not None:
-        return dict(found.details.thresholds)
-    return {finding.id: finding.threshold for finding in found.findings if finding.id != "stiffness"}
-
-
 def rankings(found: "Diagnosis") -> str:
     """Return the chart of causes in the first round, and those of later rounds in collapsed sections, as HTML."""
-    thresholds = thresholds_of(found)
+    thresholds = {} if found.details is None else found.details.thresholds
     steps = [] if found.details is None else found.details.search.steps
     # Findings are in the order of the steps; only the modulus may precede them.
     first = max(0, len(found.findings) - sum(step.found is not None for step in steps))
