@@ -38,6 +38,20 @@ Frame#,ToolHandle,Face#,TransformStatus,Q0,Qx,Qy,Qz,Tx,Ty,Tz,Error,#Markers,Stat
 132,Port:2,0,OK,1,0,0,0,1,10,40,0.1,0
 """
 
+#: A newer Track: tools have names, each row its time, and markers of each tool follow its error.
+NDI_TIMED = """\
+Tools,Port 0x01: Probe  s/n:3E4C,Frame,Time [sec],Face,State,Q0,Qx,Qy,Qz,Tx,Ty,Tz,Error,Markers,State,Tx,Ty,Tz,Port 0x02: Bone  s/n:3E4D,Frame,Time [sec],Face,State,Q0,Qx,Qy,Qz,Tx,Ty,Tz,Error,Markers,State,Tx,Ty,Tz
+2,Port 0x01: Probe  s/n:3E4C,120,1700000000.250000000,1,OK,0.70710678,0,0,0.70710678,30,10,40,0.25,1,OK,1,2,3,Port 0x02: Bone  s/n:3E4D,120,1700000000.250000000,1,OK,1,0,0,0,0,10,40,0.1,1,OK,1,2,3
+2,Port 0x01: Probe  s/n:3E4C,123,1700000000.500000000,1,Too Few Markers,-3.697314E28,-3.697314E28,-3.697314E28,-3.697314E28,-3.697314E28,-3.697314E28,-3.697314E28,0.0000000,1,Off Angle,1,2,3,Port 0x02: Bone  s/n:3E4D,123,1700000000.500000000,1,OK,1,0,0,0,1,10,40,0.1,1,OK,1,2,3
+"""
+
+#: An older sample of the Combined API: the header is that of one tool, a row counts its tools and the markers of each.
+NDI_COUNTED = """\
+#Tools,ToolInfo,Frame#,PortHandle,Face#,TransformStatus,Q0,Qx,Qy,Qz,Tx,Ty,Tz,Error,Markers,State,Tx,Ty,Tz
+2,8700338 s/n:1,120,Port:1,0,OK,0.70710678,0,0,0.70710678,30,10,40,0.25,2,OK,1,2,3,OK,4,5,6,8700340 s/n:2,120,Port:2,0,OK,1,0,0,0,0,10,40,0.1,0
+2,8700338 s/n:1,126,Port:1,Missing,,,,,,,,,2,Missing,,,,OK,4,5,6,8700340 s/n:2,125,Port:2,0,OK,1,0,0,0,1,10,40,0.1,0
+"""
+
 TRC = (
     "PathFileType\t4\t(X/Y/Z)\tt.trc\n"
     "DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits\tOrigDataRate\tOrigDataStartFrame\tOrigNumFrames\n"

@@ -7,7 +7,7 @@ import pytest
 
 import tissuereg as tr
 from support.rigs import rig
-from tissuereg.diagnosis import predictor
+from tissuereg.diagnosis import predictor, tangents
 from tissuereg.diagnosis.bench import Bench
 from tissuereg.diagnosis.correction import make_correction
 from tissuereg.diagnosis.noise import Noise
@@ -20,9 +20,11 @@ from tissuereg.diagnosis.signals import SignalLayout
 from tissuereg.diagnosis.tangents import Tangents
 from tissuereg.experiment.effects import Relaxation
 from tissuereg.experiment.experiment import Actuator
+from tissuereg.simulation.experiment import believed_case
 from tissuereg.simulation.fine.elastic import solve_states
 from tissuereg.simulation.fine.reading import Reader
 from tissuereg.simulation.fine.rims import sharp_nodes
+from tissuereg.simulation.settings import SIZE
 
 
 def bulged(mesh, height=3.0):
@@ -64,6 +66,37 @@ def test_derivatives_by_the_shape_are_those_of_bodies_that_are_solved_anew(name)
         assert np.linalg.norm((found - expected)[of]) < 0.01 * np.linalg.norm(expected[of])
 
 
+@pytest.mark.parametrize("keep", [True, False])
+def test_tangents_are_factored_once_a_state_however_many_are_kept(monkeypatch, keep):
+    believed, made = hill(), []
+
+    class Counted(tangents.Linearised):
+        def __init__(self, *given, **how):
+            made.append(1)
+            super().__init__(*given, **how)
+
+    monkeypatch.setattr(tangents, "Linearised", Counted)
+    motion = named(believed)["size of side"].motion
+    found = Tangents(predictor.Predictor(believed, SignalLayout(believed)), keep=keep)
+    first = found.by_shapes([motion])
+    assert len(made) == len(found.states) > 1
+    assert np.array_equal(found.by_shapes([motion]), first)
+    # The last of the first pass is not the first of the second.
+    assert len(made) == len(found.states) * (1 if keep else 2)
+
+
+def test_the_simulators_of_supports_that_were_tried_do_not_add_up():
+    believed, kept = rig(), {}
+    mesh = believed.mesh
+    for number in range(SIZE.rigs_kept + 3):
+        loose = tr.Mesh(mesh.nodes, mesh.tets, {**mesh.node_sets, "fixed": mesh.fixed_nodes[number:]})
+        tried = replace(believed, mesh=loose)
+        found = believed_case(tried, tried.cases["down"], simulators=kept)
+        assert next(reversed(kept.values())) is found.simulator
+    assert len(kept) == SIZE.rigs_kept
+    assert believed_case(tried, tried.cases["down"], simulators=kept).simulator is found.simulator
+
+
 def test_a_marker_on_an_edge_of_the_mesh_has_one_derivative_whichever_way_the_shape_goes():
     believed = rig()
     mesh = believed.mesh
@@ -73,8 +106,8 @@ def test_a_marker_on_an_edge_of_the_mesh_has_one_derivative_whichever_way_the_sh
     place = mesh.nodes[triangle[:2]].mean(axis=0) + 0.5 * out / np.linalg.norm(out)
     moved = replace(believed, marker_reference=np.concatenate([place[None], believed.marker_reference[1:]]))
     motion = np.random.default_rng(0).normal(size=mesh.nodes.shape)
-    tangents = Tangents(predictor.Predictor(moved, SignalLayout(moved)))
-    one, other = (SignalLayout(moved)["down"].markers(found) for found in tangents.by_shapes([motion, -motion]))
+    by = Tangents(predictor.Predictor(moved, SignalLayout(moved)))
+    one, other = (SignalLayout(moved)["down"].markers(found) for found in by.by_shapes([motion, -motion]))
     np.testing.assert_allclose(one[:, 0], -other[:, 0], atol=1e-3 * np.abs(one[:, 0]).max())
 
 

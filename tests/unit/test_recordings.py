@@ -13,7 +13,9 @@ from support.recordings import (
     ANY_COLUMNS,
     ANY_TABLE,
     MOTIVE,
+    NDI_COUNTED,
     NDI_ROWS,
+    NDI_TIMED,
     NDI_TRACK,
     TRC,
     c3d_bytes,
@@ -79,6 +81,52 @@ def test_expected_places_of_a_rigid_body_are_never_measurements(tmp_path):
 def test_a_header_in_another_code_is_read(tmp_path):
     text = MOTIVE.replace("Take Name,t", "Take Name,Größe").encode("cp1252")
     np.testing.assert_allclose(tr.read_recording(written(tmp_path, text)).places, PLACES, atol=1e-9)
+
+
+def test_an_export_of_an_older_motive_is_read(tmp_path):
+    """Its rows of types, names and IDs have no names, and its time no unit."""
+    text = MOTIVE.replace(",1.23,", ",1.21,").replace("Time (Seconds)", "Time")
+    for row in ("Type", "Name", "ID"):
+        text = text.replace(f"\n,{row},", "\n,,")
+    found = tr.read_recording(written(tmp_path, text))
+    assert found.names == ("plate:P1", "P2")
+    np.testing.assert_allclose(found.times, [0.0, 0.01])
+    np.testing.assert_allclose(found.places, PLACES, atol=1e-9)
+
+
+#: What programs write in place of parts of TRC, or of all of it.
+TRC_WAYS = {
+    "names without gaps": [("P1\t\t\tP2\t\t\n", "P1\tP2\n")],
+    "names with one gap, after a gap": [("Time\tP1\t\t\tP2\t\t\n\t\t", "Times\t\tP1\t\tP2\t\n\t\t\t")],
+    "axes from the first column": [("\t\tX1", "X1")],
+    "gaps in the header": [("60.00\t60.00\t2\t2\tcm", " 60.00\t\t 60.00\t\t 2\t\t 2\t\t cm")],
+    "a gap for a number": [("60.00\t60.00\t2", "60.00\t\t2")],
+    "commas": [("\t", ",")],
+}
+
+
+@pytest.mark.parametrize("way", TRC_WAYS)
+def test_a_trc_is_read_however_its_header_is_laid_out(tmp_path, way):
+    text = TRC
+    for old, new in TRC_WAYS[way]:
+        assert old in text
+        text = text.replace(old, new)
+    found = tr.read_recording(written(tmp_path, text))
+    assert found.names == ("P1", "P2")
+    np.testing.assert_allclose(found.times, [0.0, 0.017])
+    np.testing.assert_allclose(found.places, PLACES, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("names", "said"),
+    [
+        ("P1", "got 1 names, and 8 cells in line 7"),
+        ("P1\tP2\tP3", "got 3 names, and 6 axes in line 5"),
+    ],
+)
+def test_a_trc_that_does_not_name_each_marker_is_refused(tmp_path, names, said):
+    with pytest.raises(FormatError, match=said):
+        tr.read_recording(written(tmp_path, TRC.replace("P1\t\t\tP2\t\t\n", f"{names}\n")))
 
 
 def test_a_rigid_body_of_motive_is_a_marker_at_its_offset(tmp_path):
@@ -157,6 +205,23 @@ def test_times_and_lost_numbers_of_ndi(tmp_path):
     np.testing.assert_array_equal(found.places[:, 0], [[1, 2, 3], [np.nan] * 3])
 
 
+def test_a_table_of_ndi_with_times_needs_no_rate(tmp_path):
+    found = tr.read_recording(written(tmp_path, NDI_TIMED))
+    assert found.names == ("Port 0x01: Probe  s/n:3E4C", "Port 0x02: Bone  s/n:3E4D")
+    assert found.times.tolist() == [1700000000.25, 1700000000.5]
+    np.testing.assert_array_equal(found.places, [[[30, 10, 40], [0, 10, 40]], [[np.nan] * 3, [1, 10, 40]]])
+    # Markers are counted for its tools, so that the error is a length.
+    np.testing.assert_array_equal(found.std, [[0.25, 0.1], [np.nan, 0.1]])
+
+
+def test_all_tools_of_a_row_of_ndi_are_read_where_the_header_names_one(tmp_path):
+    found = tr.read_recording(written(tmp_path, NDI_COUNTED), rate_hz=60.0)
+    assert found.names == ("Port:1", "Port:2")
+    np.testing.assert_allclose(found.times, [2.0, 2.1])
+    np.testing.assert_array_equal(found.places, [[[30, 10, 40], [0, 10, 40]], [[np.nan] * 3, [1, 10, 40]]])
+    np.testing.assert_array_equal(found.std, [[0.25, 0.1], [np.nan, 0.1]])
+
+
 def test_a_quaternion_turns_an_offset_as_scipy_does(tmp_path):
     turn = Rotation.random(random_state=np.random.default_rng(2))
     x, y, z, w = turn.as_quat()
@@ -180,6 +245,14 @@ def test_a_repeated_pose_of_plus_is_not_seen_whatever_its_status(tmp_path):
     np.testing.assert_array_equal(found.places[:, 1, 2], [0, np.nan, 2, 3])
     assert any("Stylus: 1 poses repeat the one before" in text for text in found.notes)
     assert any("Probe: 1 frames have another status than OK" in text for text in found.notes)
+
+
+def test_a_sequence_of_plus_without_times_asks_for_a_rate(tmp_path):
+    poses = {"Tool": np.array([pose(Rotation.identity(), (0.0, 0.0, k)) for k in range(3)])}
+    path = written(tmp_path, re.sub(r"Seq_Frame\d+_Timestamp.*\n", "", plus_text(poses)))
+    with pytest.raises(FormatError, match="say how many a second with --rate"):
+        tr.read_recording(path)
+    np.testing.assert_allclose(tr.read_recording(path, rate_hz=20.0).times, [0.0, 0.05, 0.1])
 
 
 def test_the_header_of_plus_is_what_simpleitk_reads(tmp_path):

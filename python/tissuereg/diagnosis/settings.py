@@ -25,7 +25,7 @@ class ModelSettings:
     tolerance: float = 1e-5
     #: Number of solutions that are kept for models that differ in the tracker alone.
     most_solved: int = 4
-    #: Tangents of bodies up to this many nodes stay in memory; those of larger bodies are factored at each use.
+    #: Tangents of bodies up to this many nodes stay in memory; of larger bodies only the last one does.
     kept_up_to_nodes: int = 8000
     #: Step of finite differences by the shape, over the mesh's shortest edge.
     shape_step: float = 1e-5

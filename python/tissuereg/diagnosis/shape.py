@@ -238,6 +238,6 @@ def shape_columns(bench: Bench, fine: FloatArray) -> Iterator[tuple[Direction, F
         experiment, bench.layout, element=element, threads=bench.predictor.threads, settings=bench.settings.model
     )
     directions = shape_directions(experiment, bench.experiment.mesh, bench.settings.shape)
-    columns = Tangents(predictor).by_shapes([direction.motion for direction in directions])
+    columns = Tangents(predictor, keep=False).by_shapes([direction.motion for direction in directions])
     corrected = make_correction(bench.layout, predictor.predict(), fine).of_columns(columns)
     yield from zip(directions, corrected, strict=True)

@@ -56,16 +56,18 @@ class State:
 class Tangents:
     """All equilibria of an elastic model, each with its factored tangent stiffness.
 
-    `predictor`: solver of a model without memory, without sliding supports, and with an unloaded mesh. Raises
-    `ConvergenceError` if a state has no equilibrium.
+    `predictor`: solver of a model without memory, without sliding supports, and with an unloaded mesh; `keep`: whether
+    all tangents of a small enough body stay in memory, not just the last one. Raises `ConvergenceError` if a state has
+    no equilibrium.
     """
 
-    def __init__(self, predictor: Predictor) -> None:
+    def __init__(self, predictor: Predictor, *, keep: bool = True) -> None:
         self.predictor = predictor
         self.layout = predictor.layout
         self.worked: Experiment = extended(predictor.experiment, predictor.element)
         self.states = [state for case in self.worked.cases.values() for state in self._of_case(case)]
-        self._kept: list[tuple[Linearised, FloatArray, FloatArray] | None] = [None] * len(self.states)
+        self._keep = keep and self.worked.mesh.n_nodes <= predictor.settings.kept_up_to_nodes
+        self._kept: dict[int, tuple[Linearised, FloatArray, FloatArray]] = {}
 
     def columns(self, direction: Callable[[State], Sequence[Cause]], count: int) -> FloatArray:
         """Return the derivatives of the prediction by some parameters, (count, size), in mm and mN per unit of each.
@@ -156,18 +158,17 @@ class Tangents:
 
         The Jacobian (n_markers, 3, n_used, 3) is that of marker displacements by those of the nodes that carry them.
         """
-        kept = self._kept[number]
-        if kept is not None:
-            return kept
+        if number in self._kept:
+            return self._kept[number]
+        if not self._keep:
+            self._kept.clear()
         state = self.states[number]
         material, threads = self.worked.material, self.predictor.threads
         found = state.simulator.solve(state.load, material, threads=threads)
         tangent = Linearised(state.simulator, state.load, material, found.all_displacement, threads=threads)
         slopes = self.predictor.observation.jacobian(found.displacement[self.predictor.observation.nodes])
-        made = (tangent, slopes, found.all_displacement)
-        if self.worked.mesh.n_nodes <= self.predictor.settings.kept_up_to_nodes:
-            self._kept[number] = made
-        return made
+        self._kept[number] = (tangent, slopes, found.all_displacement)
+        return self._kept[number]
 
     def _observations(self, state: State, part: CasePart, slopes: FloatArray) -> list[Observation]:
         nodes = self.predictor.observation.nodes

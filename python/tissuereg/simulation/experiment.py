@@ -20,6 +20,7 @@ from tissuereg.experiment.experiment import Actuator, Case, Experiment
 from tissuereg.simulation.frames import FrameSettings, Similar
 from tissuereg.simulation.loading import distinct_states, first_frames, hangs_already, pads_of, traction_of, weight_of
 from tissuereg.simulation.memory import SolvedCase, goes_through_time, solve_through_time
+from tissuereg.simulation.settings import SIZE
 from tissuereg.simulation.solve import Simulator
 
 
@@ -80,10 +81,10 @@ def believed_case(
     `experiment`: the model as the user states it, effects applied (`tissuereg.experiment.effects.extended`); `case`:
     one of its cases; `element` {"tet4", "tet4-averaged", "tet10"}: elements to use; `threads`: threads to use; 0 takes
     all cores; `simulators`: cache of simulators of the same mesh, by element and held nodes, to which new ones are
-    added. A pad is bonded to the shape that the body has when the case begins: with gravity acting, the sagged one. A
-    weight under which the mesh was imaged is left out: it is in balance there, and its influence on the response to
-    other loads is neglected. `simulate_plain` includes it. Raises `ConvergenceError` if the body's own weight finds no
-    equilibrium.
+    added and from which the least recently used go. A pad is bonded to the shape that the body has when the case
+    begins: with gravity acting, the sagged one. A weight under which the mesh was imaged is left out: it is in balance
+    there, and its influence on the response to other loads is neglected. `simulate_plain` includes it. Raises
+    `ConvergenceError` if the body's own weight finds no equilibrium.
     """
     mesh = experiment.mesh
     pads = pads_of(experiment, case)
@@ -101,8 +102,11 @@ def believed_case(
     simulator = None if simulators is None else simulators.get(key)
     if simulator is None or simulator.mesh is not mesh:
         simulator = Simulator(mesh, element=element, held_nodes=held)
-        if simulators is not None:
-            simulators[key] = simulator
+    if simulators is not None:
+        simulators.pop(key, None)
+        simulators[key] = simulator
+        for oldest in list(simulators)[: -SIZE.rigs_kept]:
+            simulators.pop(oldest, None)
     return Believed(simulator, _loads(experiment, case, pads, held, sag, weight))
 
 

@@ -99,7 +99,7 @@ class SizeRules:
     room : float
         Share of the available memory that a suggested mesh may take.
     rigs_kept : int
-        Largest number of rigs (analysed bodies with pads attached) that a cache keeps.
+        Largest number of simulators or rigs (analysed bodies with pads attached) that a cache keeps.
     """
 
     warned_share: float = 0.5

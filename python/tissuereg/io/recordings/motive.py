@@ -2,8 +2,11 @@
 
 Columns of the type *Marker* are measurements. Those of *Rigid Body Marker* and *Bone Marker* are where a model expects
 its markers, also while they are hidden: they are never read. The pose of a rigid body is a tool.
+
+Up to format 1.21 the rows of types, names and IDs have no name of their own, and the time's column is ``Time``.
 """
 
+import re
 from array import array
 from collections.abc import Iterator
 from pathlib import Path
@@ -27,6 +30,7 @@ from tissuereg.io.recordings.tracks import (
 )
 
 _UNLABELLED = "unlabeled"
+_ROWS = ("type", "name", "id")
 
 
 class _Column(NamedTuple):
@@ -109,11 +113,13 @@ def _header(file: Path, rows: Iterator[tuple[int, list[str]]]) -> _Heading:
     """Read the lines above the numbers; `rows`: iterator of line numbers and cells, which is left below them."""
     stated: dict[str, str] = {}
     lines: dict[str, list[str]] = {}
+    bare: list[list[str]] = []
     before: list[str] = []
     for _, (number, cells) in zip(range(FILES.header_rows), rows, strict=False):
         if cells[0].lower() == "frame":
             width = len(cells)
-            time = next((i for i, cell in enumerate(cells) if cell.lower().startswith("time (s")), -1)
+            time = next((i for i, cell in enumerate(cells) if re.match(r"time( \(s|$)", cell.lower())), -1)
+            lines = lines or dict(zip(_ROWS, bare[:-1], strict=False))  # the last one is that of quantities
             if time < 0 or "type" not in lines or "name" not in lines:
                 message = (
                     f"{file} must have a column 'Time (Seconds)' and header rows Type and Name above line {number}"
@@ -127,6 +133,8 @@ def _header(file: Path, rows: Iterator[tuple[int, list[str]]]) -> _Heading:
             stated |= {key.lower(): value for key, value in zip(cells[::2], cells[1::2], strict=False)}
         elif len(cells) > 1 and cells[1]:
             lines[cells[1].lower()] = cells
+        else:
+            bare.append(cells)
         before = cells
     message = f"{file} must have a row that begins with Frame within its first {FILES.header_rows} lines"
     raise FormatError(message, where=str(file))

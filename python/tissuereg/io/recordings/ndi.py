@@ -1,7 +1,8 @@
 """Exports of NDI trackers (Polaris, Vega, Aurora): poses of tools as quaternions, one tool a row or all in one row.
 
-Tables of NDI Track (``Tools,Port 1,Frame,Face,State,Q0,...,Error,Port 2,...``) and of the Combined API's samples
-(``Frame#,ToolHandle,Face#,TransformStatus,Q0,...,Error,#Markers,...``, also after ``timespec_s,timespec_ns``).
+Tables of NDI Track (``Tools,Port 1,Frame,Face,State,Q0,...,Error,Port 2,...``, also with ``Time [sec]`` after Frame)
+and of the Combined API's samples (``Frame#,ToolHandle,Face#,TransformStatus,Q0,...,Error,#Markers,...``, also after
+``timespec_s,timespec_ns``). Older samples name the columns of one tool alone, and rows hold several.
 
 The error of an optical tracker (Polaris, Vega) is an rms in mm; that of an electromagnetic one (Aurora) is an index of
 quality from 0 to 9.9 that is no length. It counts as noise where the file tells that it was optical, nowhere else.
@@ -35,7 +36,10 @@ _OPTICAL, _MAGNETIC = re.compile(r"polaris|vega|spectra|vicra", re.IGNORECASE), 
 
 
 class _Group(NamedTuple):
-    """Columns of one tool: of its pose, error, count of markers, status, frame, seconds, and its name; -1 for none."""
+    """Columns of one tool: of its pose, error, count of markers, status, frame, time, and its name; -1 for none.
+
+    `repeated`: rows begin with a count of tools, and these are the columns of the first of them.
+    """
 
     pose: int
     error: int
@@ -43,8 +47,10 @@ class _Group(NamedTuple):
     states: range
     frame: int
     seconds: int
+    nanoseconds: int
     handle: int
     title: str
+    repeated: bool = False
 
 
 class _Sample(NamedTuple):
@@ -125,24 +131,42 @@ def _samples(file: Path) -> tuple[list[_Sample], list[object], bool | None]:
         if not groups:
             groups = _groups(cells)
             continue
-        for group in groups:
-            if all(not cell for cell in cells[group.states.start : group.error]):
+        tools = _repeated(cells, groups[0]) if groups[0].repeated else [(group, cells) for group in groups]
+        for group, own in tools:
+            if all(not cell for cell in own[group.states.start : group.error]):
                 continue
-            one = _sample(file, line, cells, group)
-            if optical is None and _has_markers(cells, group):
+            one = _sample(file, line, own, group)
+            if optical is None and _n_markers(own, group):
                 optical = True
             samples.append(one)
-            shown.append(line if len(groups) > 1 else (one.frame, one.time_s))
+            shown.append(line if len(tools) > 1 else (one.frame, one.time_s))
     if not samples:
         message = f"{file} must hold at least one pose below a line with the columns {', '.join(_POSE)}"
         raise FormatError(message, where=str(file))
     return samples, shown, optical
 
 
-def _has_markers(cells: list[str], group: _Group) -> bool:
-    """Return whether a line counts markers of a tool, which optical tools alone have."""
+def _n_markers(cells: list[str], group: _Group) -> int:
+    """Return how many markers a line counts of a tool, which optical tools alone have."""
     count = cells[group.markers] if 0 <= group.markers < len(cells) else ""
-    return count.isascii() and count.isdigit() and int(count) > 0
+    return int(count) if count.isascii() and count.isdigit() else 0
+
+
+def _repeated(cells: list[str], group: _Group) -> list[tuple[_Group, list[str]]]:
+    """Return the tools of a line that counts them, the cells of each where the columns of the first one are."""
+    found: list[tuple[_Group, list[str]]] = []
+    at = 1
+    for _ in range(int(cells[0]) if cells[0].isascii() and cells[0].isdigit() else 1):
+        own = [cells[0], *cells[at : at + group.markers]]
+        lacks = re.search("[a-z]", "".join(own[group.states.start : group.states.start + 1]), re.IGNORECASE) is not None
+        if lacks:
+            own.insert(group.states.start, "")  # a missing tool may lack the cell of its face
+        if len(own) > 1:
+            found.append((group, own))
+        at += group.markers - lacks + 4 * _n_markers(own, group)
+        if at >= len(cells):
+            break
+    return found
 
 
 def _groups(cells: list[str]) -> list[_Group]:
@@ -159,18 +183,22 @@ def _groups(cells: list[str]) -> list[_Group]:
             key: next((start + k for k, name in enumerate(part) if name.startswith(words)), -1)
             for key, words in (
                 ("frame", ("frame",)),
-                ("seconds", ("timespec_s",)),
+                ("seconds", ("timespec_s", "time [s")),
+                ("nanoseconds", ("timespec_ns",)),
                 ("handle", ("toolhandle", "porthandle", "port ", "port")),
             )
         }
         titled = at["handle"] >= 0 and re.fullmatch(r"port \d+", names[at["handle"]])
         title = cells[at["handle"]] if titled else ""
         error = i + 7 if names[i + 7 : i + 8] == ["error"] else -1
-        counted = i + 8 if error >= 0 and names[i + 8 : i + 9] == ["#markers"] else -1
+        counted = i + 8 if error >= 0 and names[i + 8 : i + 9] in (["#markers"], ["markers"]) else -1
         # A missing tool may lack the cell of its face: its state is then one column earlier.
         first = max(start, at["handle"] + 1, at["frame"] + 1)
-        found.append(_Group(i, error, counted, range(first, i), at["frame"], at["seconds"], at["handle"], title))
+        clock = at["seconds"], at["nanoseconds"]
+        found.append(_Group(i, error, counted, range(first, i), at["frame"], *clock, at["handle"], title))
         start = i + 8
+    if len(found) == 1 and found[0].markers >= 0 and names[0] in ("#tools", "toolcount"):
+        return [found[0]._replace(repeated=True)]
     return found
 
 
@@ -182,8 +210,8 @@ def _sample(file: Path, line: int, cells: list[str], group: _Group) -> _Sample:
         return number_in(cell(i), file, line) if i >= 0 else np.nan
 
     time_s = number(group.seconds)
-    if group.seconds >= 0:
-        time_s += 1e-9 * number(group.seconds + 1)
+    if group.nanoseconds >= 0:
+        time_s += 1e-9 * number(group.nanoseconds)
     states = [cell(i).lower() for i in group.states]
     words = [state for state in states if not re.fullmatch(r"[\d.+-]*", state)]
     tool = group.title or cell(group.handle) or "tool"

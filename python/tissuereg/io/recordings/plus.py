@@ -40,7 +40,10 @@ def read_plus(file: Path, how: HowRead) -> Tracks:
     if not transforms:
         message = f"{file} must hold transforms of tools (Seq_Frame0000_ToolToTrackerTransform), it has none"
         raise FormatError(message, where=str(file))
-    times = np.array([_numbers(file, frame, "Timestamp", entries, 1)[0] for frame in frames])
+    if any(key == "Timestamp" for _, key in entries):
+        times = np.array([_numbers(file, frame, "Timestamp", entries, 1)[0] for frame in frames])
+    else:
+        times = how.times_of(np.array(frames, float), file, "its rate")
     check_room(len(frames), 16 * len(transforms), file)
     names = _tools(transforms)
     notes = offset_notes(names, how.offsets)
