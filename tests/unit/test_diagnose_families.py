@@ -128,7 +128,7 @@ def test_a_law_that_stands_for_another_one_is_stated_as_a_law():
 
 
 def stated(p, *, group=("relaxation",)):
-    member = Membership("relaxation", p, 0.02)
+    member = Membership("relaxation", p, 0.05)
     return Finding(group[0], group, 0.9, 30.0, 6.0, {"g": [0.4]}, {}, {}, "Stress relaxes.", 0.9, member)
 
 
