@@ -128,7 +128,7 @@ def _outside_rows(cases, without):
     removed = [c for some in without.values() for c in some]
     yield _count(
         "true cause removed from the catalogue: silently misnamed",
-        (c.wrong for c in removed),
+        (c.silent for c in removed),
         "<= 10 %",
         0.1,
         at_least=False,
@@ -137,7 +137,7 @@ def _outside_rows(cases, without):
     named_together = {c.case: set().union(*c.groups) for c in cases}
     yield _count(
         "the same, where the full catalogue separates the two",
-        (bool(set(c.ids) - named_together.get(c.case, set())) and c.wrong for c in removed),
+        (bool(set(c.ids) - named_together.get(c.case, set())) and c.silent for c in removed),
         "",
         1.0,
     )

@@ -2,6 +2,7 @@
 
 An answer is opened only if the prediction for its case has been written, and is checked against its seal. Right group:
 the id or group of every finding contains an id that the answer accepts. Wrong group: a finding contains none of them.
+Silently wrong: nor does it say that its family alone holds, which is that of a hidden cause.
 """
 
 import csv
@@ -14,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from blind.materialise import DATA
+from tissuereg.diagnosis.causes import CAUSES
 
 #: Least reduction of the sum of squares on held-out data for a gain to be defined.
 LEAST_TO_GAIN = 9.0
@@ -36,16 +38,28 @@ class Scored:
     prediction: dict
     ids: list = field(default_factory=list)
     groups: list = field(default_factory=list)
+    families: list = field(default_factory=list)
 
     def __post_init__(self) -> None:
         causes = self.prediction.get("causes", []) if self.prediction["verdict"] in NAMED else []
         self.ids = [c["id"] for c in causes]
         self.groups = [set(c.get("group", [])) | {c["id"]} for c in causes]
+        stated = [c.get("family") or {"alone": False} for c in causes]
+        self.families = [family["id"] if family["alone"] else None for family in stated]
 
     @property
     def wrong(self) -> bool:
         """Whether the group of some finding contains no id that the answer accepts."""
         return any(not group & set(self.truth["group_ok"]) for group in self.groups)
+
+    @property
+    def silent(self) -> bool:
+        """Whether some finding is wrong and does not say that only its family holds, with a hidden cause in it."""
+        hidden = {CAUSES[name].family for name in self.truth["cause"] if name in CAUSES}
+        return any(
+            not group & set(self.truth["group_ok"]) and family not in hidden
+            for group, family in zip(self.groups, self.families, strict=True)
+        )
 
     @property
     def right(self) -> bool:
@@ -54,8 +68,8 @@ class Scored:
 
     @property
     def exact(self) -> bool:
-        """Whether the first-named ids are exactly the hidden ones."""
-        return sorted(self.ids) == sorted(self.truth["cause"])
+        """Whether the first-named ids are exactly the hidden ones, and none is stated as a family alone."""
+        return sorted(self.ids) == sorted(self.truth["cause"]) and not any(self.families)
 
     @property
     def foreign(self) -> bool:

@@ -12,7 +12,7 @@ from support.rig_folders import write_rig
 from tissuereg.cli import main
 from tissuereg.diagnosis import constancy, run
 from tissuereg.diagnosis.causes import CAUSES
-from tissuereg.diagnosis.constancy import AfterFit, Constancy, constancies, partitions, phases
+from tissuereg.diagnosis.constancy import AfterFit, FittedPart, fitted_parts, partitions, phases
 from tissuereg.diagnosis.evidence import Null, tail_probability
 from tissuereg.diagnosis.fit import fit
 from tissuereg.diagnosis.nuisances import effect_nuisances
@@ -112,9 +112,16 @@ def data(rig, seed, unlike):
     return left, change, partitions(experiment, layout, base), null.reduced
 
 
+def judged(left, change, columns, parts, reduced, settings=DEFAULT.constancy):
+    """Return the p-value of a cause and the partition over which it is least constant; None where it has none."""
+    unlike = left.inconstancies(change, columns, parts, reduced, settings)
+    found = FittedPart("latency", (), left, None, unlike).constancy(settings.level)
+    return None if found is None else (found.p, found.differs_by)
+
+
 def test_p_values_of_a_true_cause_are_uniform(rig):
     found = [
-        left.test(change, change[None], parts, of)[0]
+        judged(left, change, change[None], parts, of)[0]
         for left, change, parts, of in (data(rig, k, 0.0) for k in range(60))
     ]
     assert 0.35 < np.mean(found) < 0.65
@@ -125,7 +132,7 @@ def test_p_values_of_a_true_cause_are_uniform(rig):
 def test_a_cause_that_is_larger_in_one_case_is_inconstant_over_cases(rig):
     for seed in range(5):
         left, change, parts, reduced = data(rig, seed, 0.8)
-        p, differs_by = left.test(change, change[None], parts, reduced)
+        p, differs_by = judged(left, change, change[None], parts, reduced)
         assert p < 1e-6
         assert differs_by == "load case"
 
@@ -137,32 +144,32 @@ def test_an_inconstancy_of_one_parameter_alone_is_found(rig):
     columns = np.stack([change, 30.0 * rng.standard_normal(layout.size) / np.sqrt(layout.size)])
     extra = 0.5 * (layout.of_case("first") - 0.5) * columns[1]
     own = AfterFit.of(left.residual + reduced(extra), left.draws, reduced(columns))
-    p, differs_by = own.test(change, columns, parts, reduced)
+    p, differs_by = judged(own, change, columns, parts, reduced)
     assert p < 1e-3
     assert differs_by == "load case"
-    assert own.test(change, columns[:1], parts, reduced)[0] > 0.01
+    assert judged(own, change, columns[:1], parts, reduced)[0] > 0.01
 
 
 def test_the_size_of_the_noise_counts_for_nothing(rig):
     left, change, parts, reduced = data(rig, 4, 0.3)
     loud, louder = (AfterFit(size * left.residual, left.draws, left.own) for size in (1.3, 2.0))
-    p, _ = loud.test(change, change[None], parts, reduced)
-    assert louder.test(change, change[None], parts, reduced)[0] == pytest.approx(p, rel=1e-6)
+    p, _ = judged(loud, change, change[None], parts, reduced)
+    assert judged(louder, change, change[None], parts, reduced)[0] == pytest.approx(p, rel=1e-6)
     # A residual below the noise speaks against no cause.
-    assert AfterFit(0.3 * left.residual, left.draws, left.own).test(change, change[None], parts, reduced)[0] > 0.3
+    assert judged(AfterFit(0.3 * left.residual, left.draws, left.own), change, change[None], parts, reduced)[0] > 0.3
 
 
 def test_what_the_parameters_themselves_change_is_no_inconstancy(rig):
     left, change, parts, reduced = data(rig, 0, 0.0)
     everything = np.concatenate([change * weights for weights in parts.values()])
     own = AfterFit.of(left.residual, left.draws, reduced(everything))
-    assert own.test(change, change[None], parts, reduced) is None
+    assert judged(own, change, change[None], parts, reduced) is None
     assert np.abs(own.draws @ own.own.T).max() < 1e-9
 
 
 def test_small_parts_of_a_change_do_not_count(rig):
     left, change, parts, reduced = data(rig, 0, 0.8)
-    assert left.test(change, change[None], parts, reduced, ConstancySettings(least_change=1.0)) is None
+    assert judged(left, change, change[None], parts, reduced, ConstancySettings(least_change=1.0)) is None
 
 
 def test_a_tail_goes_on_beyond_the_draws():
@@ -182,7 +189,8 @@ def judged_causes(truth, *parts, seed=0, settings=DEFAULT.constancy):
     null = Null(np.where(target.bench.layout.seen, by_modulus, 0.0))
     draws = np.stack([target.noise.draw(target.bench.layout, np.random.default_rng([2, k])) for k in range(300)])
     drawn = null.reduced(draws + np.random.default_rng(3).standard_normal((300, 1)) @ null.nuisances)
-    return {one.id: one for one in constancies(target, found, null, drawn, seed, settings)}
+    parts = fitted_parts(target, found, null, drawn, seed, settings)
+    return {one.id: one for one in (part.constancy(settings.level) for part in parts) if one is not None}
 
 
 def test_a_true_cause_is_constant_and_one_that_stands_for_it_is_not():
@@ -247,11 +255,15 @@ def test_what_begins_to_act_somewhere_is_not_tested(name):
 def test_an_inconstant_cause_is_said_on_the_page_and_no_finding(tmp_path, monkeypatch):
     given, asked = [], []
 
-    def judged(*arguments):
+    def parts(*arguments):
         asked.append(arguments[-1])
-        return [Constancy("latency", given[-1], "time", 0.001)]
+        # Of 10,000 draws this share has as much evidence.
+        drawn = np.r_[0.0, np.where(np.arange(10_000) < 1e4 * given[-1], 1.0, -1.0)]
+        left = AfterFit(np.zeros(1), np.zeros((10_000, 1)), np.zeros((0, 1)))
+        return [FittedPart("latency", (), left, None, [("time", drawn)])]
 
-    monkeypatch.setattr(run, "constancies", judged)
+    monkeypatch.setattr(run, "fitted_parts", parts)
+    monkeypatch.setattr(run, "memberships", lambda *arguments: {})
     rig = write_rig(tmp_path / "rig", "sets")
     main(["simulate", str(rig), "--plain", "--noise", "--seed", "1", "--out", str(tmp_path / "made"), "--quiet"])
     made, late = tr.read_experiment(tmp_path / "made"), Latency(latency_s=0.4)
@@ -263,11 +275,14 @@ def test_an_inconstant_cause_is_said_on_the_page_and_no_finding(tmp_path, monkey
     given.append(0.5)
     stated = tr.diagnose(experiment, keep=False)
     assert [one.id for one in stated.findings] == ["latency"]
-    assert stated.to_json()["constancy"] == [{"id": "latency", "p": 0.5, "differs_by": "time", "holds": True}]
-    given.append(1e-5)
+    assert stated.to_json()["constancy"] == [
+        {"id": "latency", "p": pytest.approx(0.5, abs=0.01), "differs_by": "time", "holds": True}
+    ]
+    assert stated.to_json()["causes"][0]["family"] is None
+    given.append(5e-4)
     found = tr.diagnose(experiment, keep=False)
     assert (found.verdict, found.findings) == ("unexplained", ())
     assert found.to_json()["constancy"][0]["holds"] is False
     assert asked == [DEFAULT.constancy] * len(asked)
-    assert "its change differs by time (p = 1e-05)" in findings(found)
+    assert "its change differs by time (p = 0.0005)" in findings(found)
     assert "its change differs" not in findings(stated)

@@ -44,9 +44,9 @@ def hill():
     return replace(believed, mesh=mesh, marker_reference=believed.marker_reference + off)
 
 
-def named(experiment):
+def named(experiment, settings=DEFAULT.shape):
     """Return the directions of an experiment by name."""
-    return {direction.name: direction for direction in shape_directions(experiment)}
+    return {direction.name: direction for direction in shape_directions(experiment, settings=settings)}
 
 
 @pytest.mark.parametrize("name", ["place of top 0", "size of side", "height of side", "tilt of top 1", "surface 0"])
@@ -304,17 +304,61 @@ def test_stated_deviations_are_taken_and_others_follow_size_and_facets():
     stated = replace(believed, actuators=(replace(top, edge_std=0.9), side))
     assert {named(stated)[f"place of top {i}"].std_mm for i in (0, 1)} == {0.9}
     assert named(stated)["size of top"].std_mm == 0.9
-    own = named(believed)["place of side 0"].std_mm
+    exact = replace(DEFAULT.shape, edge_share=0.0)
+    own = named(believed, exact)["place of side 0"].std_mm
     whole, touched = (
         DEFAULT.shape.place_share * np.sqrt(_area(believed.mesh, side.nodes, of) / np.pi) for of in (np.all, np.any)
     )
     assert whole < own < touched
     # Flat sides have no facets that lie off them.
-    flat = named(rig())
+    flat = named(rig(), exact)
     for name, share in (("height", DEFAULT.shape.height_share), ("size", DEFAULT.shape.size_share)):
         assert flat[f"{name} of side"].std_mm == pytest.approx(share / DEFAULT.shape.place_share * own)
     assert not any(name.startswith(("facets", "surface")) for name in flat)
     assert named(believed)["height of top"].std_mm > named(rig())["height of top"].std_mm
+
+
+def test_the_edge_of_a_patch_is_as_uncertain_as_the_mesh_is_coarse():
+    believed, rules = rig(), DEFAULT.shape
+    usual, exact = named(believed), named(believed, replace(rules, edge_share=0.0))
+
+    def added(name):
+        return np.sqrt(usual[name].std_mm ** 2 - exact[name].std_mm ** 2)
+
+    edges = np.linalg.norm(np.diff(believed.mesh.nodes[believed.mesh.edges], axis=1)[:, 0], axis=1)
+    assert rules.edge_share * edges.min() - 1e-9 <= added("size of side") <= rules.edge_share * edges.max() + 1e-9
+    assert added("place of side 0") == pytest.approx(rules.around * added("size of side"))
+    assert added("rim of side 2 1") == pytest.approx(rules.around * added("size of side"))
+    assert usual["height of side"].std_mm == exact["height of side"].std_mm
+    twice = replace(believed, mesh=tr.Mesh(2.0 * believed.mesh.nodes, believed.mesh.tets, believed.mesh.node_sets))
+    assert named(twice)["size of side"].std_mm == pytest.approx(2.0 * usual["size of side"].std_mm)
+
+
+def test_a_ball_is_as_large_as_the_nodes_in_it():
+    # Discs around points between the nodes of a lattice: radius of a disc of the area of the nodes inside.
+    rng, radius, h = np.random.default_rng(0), 9.0, 4.0
+    steps = h * np.arange(-5, 6)
+    off = []
+    for x, y, r in rng.random((6000, 3)) * [h, h, 6.0] + [0.0, 0.0, radius - 3.0]:
+        count = np.sum((steps[:, None] + x) ** 2 + (steps[None] + y) ** 2 < r**2)
+        off.append((h * np.sqrt(count / np.pi) - r) * np.sqrt(r / radius))
+    std = np.std(off)
+    believed = rig()
+    side = believed.actuators[1]
+    x, y, z = believed.mesh.nodes[side.nodes].mean(axis=0)
+    ball = replace(side, rule={"centre_mm": [x, y, z], "radius_mm": radius})
+    given = named(replace(believed, actuators=(believed.actuators[0], ball)))["size of side"].std_mm
+    plain = named(
+        replace(believed, actuators=(believed.actuators[0], ball)), replace(DEFAULT.shape, lattice=0.0)
+    )["size of side"].std_mm  # fmt: skip
+    by_nodes = np.sqrt(
+        named(believed)["size of side"].std_mm ** 2
+        - named(believed, replace(DEFAULT.shape, edge_share=0.0))["size of side"].std_mm ** 2
+    )
+    length = by_nodes / DEFAULT.shape.edge_share
+    # It goes with the power 3/2 of the distance of nodes, half that of the given mesh.
+    assert np.sqrt(given**2 - plain**2) == pytest.approx(std * (length / DEFAULT.shape.finer / h) ** 1.5, rel=0.1)
+    assert plain == pytest.approx(DEFAULT.shape.size_share * radius)
 
 
 def test_a_surface_that_was_segmented_is_off_by_what_is_stated():

@@ -66,6 +66,22 @@ def test_the_hidden_id_alone_is_exact_and_a_tied_id_is_the_right_group():
     assert [c.wrong for c in cases] == [False, False, False, True, True]
 
 
+def test_a_family_alone_that_is_the_hidden_one_is_not_silent():
+    def family(name, kind, *, alone=True):
+        answer = named(name)
+        answer["causes"][0]["family"] = {"id": kind, "words": "", "p": 0.01, "alone": alone}
+        return Scored("b1", truth(), answer)  # a layer is hidden, a region of other stiffness
+
+    found = [family("inclusion", "region"), family("inclusion", "region", alone=False), family("set", "memory")]
+    assert [c.wrong for c in found] == [True, True, True]
+    assert [c.silent for c in found] == [False, True, True]
+    right = family("layer", "region")
+    assert right.right
+    assert not right.exact
+    assert not right.silent
+    assert family("layer", "region", alone=False).exact
+
+
 def test_weak_and_inseparable_effects_do_not_count_as_separable():
     cases = [
         Scored("b1", truth(), named("layer")),

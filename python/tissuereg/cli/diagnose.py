@@ -83,6 +83,9 @@ def _outcome(answer: dict[str, Any], clock: Stopwatch, args: argparse.Namespace)
         tied = f" (or {', '.join(cause['group'][1:])})" if len(cause["group"]) > 1 else ""
         together = f", {cause['group_probability']:.2f} together" if tied else ""
         lines.append(f"  {cause['id']}{tied}, P = {cause['probability']:.2f}{together}: {cause['sentence']}")
+        family = cause.get("family")
+        if family is not None and family["alone"]:
+            lines.append(f"    or another one of the {family['words']}: what it leaves looks so, p = {family['p']:.1g}")
     lines += [
         f"  not stated: {one['id']} fits best, but its change differs by {one['differs_by']}, p = {one['p']:.1g}"
         for one in answer.get("constancy", ())

@@ -14,6 +14,7 @@ from tissuereg._base.provenance import Provenance
 from tissuereg._version import __version__
 from tissuereg.diagnosis.causes import Values, catalogue
 from tissuereg.diagnosis.constancy import Constancy
+from tissuereg.diagnosis.families import Membership
 from tissuereg.diagnosis.readings import RecordingSuspicion
 from tissuereg.diagnosis.report import EXTENDED_FILE
 from tissuereg.diagnosis.settings import DEFAULT, DiagnoseSettings
@@ -57,6 +58,9 @@ class Finding:
         The finding in words.
     group_probability : float
         Posterior probability of all ids of the group together; at least `stated`, or it would be no finding.
+    membership : Membership or None
+        Whether the data hold the cause, or only the family that it is the best member of; None where there is no other
+        member that could be told from it.
     """
 
     id: str
@@ -69,6 +73,12 @@ class Finding:
     held_out: Mapping[str, Any]
     sentence: str
     group_probability: float
+    membership: Membership | None = None
+
+    @property
+    def is_sure(self) -> bool:
+        """Whether one cause is stated: not a group that the data cannot distinguish, nor a family alone."""
+        return len(self.group) == 1 and (self.membership is None or self.membership.holds)
 
     def to_json(self) -> dict[str, Any]:
         """Return the finding as plain data for JSON; a number with a standard deviation becomes a pair of both."""
@@ -82,6 +92,7 @@ class Finding:
             "parameters": _pairs(self.parameters, self.deviations),
             "held_out": dict(self.held_out),
             "sentence": self.sentence,
+            "family": None if self.membership is None else self.membership.to_json(),
         }
 
 
@@ -120,9 +131,9 @@ class Diagnosis:
     Attributes
     ----------
     verdict : str
-        ``named`` (causes were found), ``group`` (found up to a group of causes that the data cannot distinguish),
-        ``consistent`` (the data agree with the model), ``understated-noise`` (they do, but for noise that is larger
-        than stated) or ``unexplained`` (they do not, and no cause accounts for it).
+        ``named`` (causes were found), ``group`` (found up to a group of causes that the data cannot distinguish, or up
+        to a family), ``consistent`` (the data agree with the model), ``understated-noise`` (they do, but for noise that
+        is larger than stated) or ``unexplained`` (they do not, and no cause accounts for it).
     findings : tuple of Finding
         Accepted causes.
     candidates : tuple of dict

@@ -16,6 +16,7 @@ data in which nothing but noise and nuisances is left.
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -75,66 +76,100 @@ class AfterFit:
         own = _orthonormal(slopes, _LEAST)
         return cls(_beside(residual, own), _beside(draws, own), own)
 
-    def test(
+    def inconstancies(
         self,
         change: FloatArray,
         columns: FloatArray,
         parts: Mapping[str, FloatArray],
         reduced: Callable[[FloatArray], FloatArray],
-        settings: ConstancySettings = DEFAULT.constancy,
-    ) -> tuple[float, str] | None:
-        """Return the p-value of a cause's constancy, and the partition over which its change is least constant.
+        settings: ConstancySettings,
+    ) -> list[tuple[str, FloatArray]]:
+        """Return partitions with the log evidence (1 + n,), nats, that a cause's change differs between their parts.
 
         `change` (size,), `columns` (k, size): changes by the whole cause and by each of its parameters, whitened by the
-        noise; `parts`: partitions, weights (m, size) by name; `reduced`: whitens further, by the nuisances. The result
-        is None where no inconstancy would change anything that the parameters do not.
+        noise; `parts`: partitions, weights (m, size) by name; `reduced`: whitens further, by the nuisances. A partition
+        may stand twice, for the whole cause and for its parameters, or not, where nothing changes but by the latter.
         """
         least = settings.least_change * float(np.linalg.norm(change))
-        spaces: list[tuple[str, FloatArray]] = []
+        found = []
         for name, weights in parts.items():
             # One parameter changes the data nearly as the whole cause does.
             by_each = [column * weights for column in columns] if len(columns) > 1 else []
             for rows in (change * weights, *([np.concatenate(by_each)] if by_each else [])):
-                kept = _beside(reduced(rows), self.own)
-                lengths = np.linalg.norm(kept, axis=1, keepdims=True)
-                if (lengths > least).any():
-                    kept = (kept / np.maximum(lengths, 1e-300))[lengths[:, 0] > least]
-                    spaces.append((name, _orthonormal(kept, settings.least_direction)))
-        if not spaces:
+                evidence = self.evidence(reduced(rows), least, settings)
+                if evidence is not None:
+                    found.append((name, evidence))
+        return found
+
+    def evidence(self, rows: FloatArray, least: float, settings: ConstancySettings) -> FloatArray | None:
+        """Return the log evidence (1 + n,), nats, that the residual and each draw have a change in the span of rows.
+
+        `rows` (k, size): whitened as the residual is; those count whose part beside the cause's own changes is longer
+        than `least`, noise deviations. None where none is.
+        """
+        kept = _beside(rows, self.own)
+        lengths = np.linalg.norm(kept, axis=1, keepdims=True)
+        if not (lengths > least).any():
             return None
+        basis = _orthonormal((kept / np.maximum(lengths, 1e-300))[lengths[:, 0] > least], settings.least_direction)
+        power, sizes = ((self._scaled @ basis.T) ** 2).sum(axis=1)[:, None], np.square(settings.sizes)
+        return log_mean_exp(0.5 * power * sizes / (1.0 + sizes) - 0.5 * len(basis) * np.log1p(sizes), axis=1)
+
+    @cached_property
+    def _scaled(self) -> FloatArray:
+        """The residual and the draws (1 + n, size), scaled down to the size of noise where they are larger."""
         rows = np.concatenate([self.residual[None], self.draws])
         # The size of the noise is uncertain. A residual below it is none the more inconstant for that.
         rms = np.sqrt((rows**2).mean(axis=1, keepdims=True))
-        rows = rows / np.maximum(rms / np.median(rms[1:]), 1.0)
-        sizes = np.square(settings.sizes)
-        found = []
-        for _, basis in spaces:
-            power = ((rows @ basis.T) ** 2).sum(axis=1)[:, None]
-            of_size = 0.5 * power * sizes / (1.0 + sizes) - 0.5 * len(basis) * np.log1p(sizes)
-            found.append(log_mean_exp(of_size, axis=1))
-        evidence = np.array(found)
-        whole = log_mean_exp(evidence, axis=0)
-        return tail_probability(float(whole[0]), whole[1:]), spaces[int(evidence[:, 0].argmax())][0]
+        return np.asarray(rows / np.maximum(rms / np.median(rms[1:]), 1.0))
 
 
-def constancies(
+def p_value(evidence: FloatArray) -> float:
+    """Return the p-value of the residual's mean evidence among the draws'; `evidence` (k, 1 + n): log, nats."""
+    whole = log_mean_exp(evidence, axis=0)
+    return tail_probability(float(whole[0]), whole[1:])
+
+
+@dataclass(frozen=True, eq=False)
+class FittedPart:
+    """One cause of a fit with what the fit leaves of the data, given the errors of all causes.
+
+    `id`: the cause; `beside`: ids of the others; `left`: the residual without all that the parameters change; `errors`:
+    covariance of the causes' errors, beside that of the nuisances; `inconstancies`: evidence that its change is not the
+    same in all parts of the data (`AfterFit.inconstancies`); none where it has not one size.
+    """
+
+    id: str
+    beside: tuple[str, ...]
+    left: AfterFit
+    errors: Null
+    inconstancies: list[tuple[str, FloatArray]]
+
+    def constancy(self, level: float) -> Constancy | None:
+        """Return the constancy test; None where nothing can be inconstant. `level`: that of the test."""
+        if not self.inconstancies:
+            return None
+        evidence = np.array([one for _, one in self.inconstancies])
+        return Constancy(self.id, p_value(evidence), self.inconstancies[int(evidence[:, 0].argmax())][0], level)
+
+
+def fitted_parts(
     target: FitTarget, found: Fit, null: Null, draws: FloatArray, seed: int, settings: ConstancySettings
-) -> list[Constancy]:
-    """Return the constancy test of every cause of a fit that has one, in their order.
+) -> list[FittedPart]:
+    """Return every cause of a fit that has parameters, in their order, ready for tests of what the fit leaves.
 
     `target`: data and model of the fit; `found`: fit with causes; `null`: covariance of noise and nuisances, the
     modulus included; `draws` (n, size): residuals of data without any effect, whitened by it (`draw_nulls`); `seed`:
-    seed of further draws. Causes whose change has not one size (`Cause.constant`) or that have no parameters are not
-    tested. Each may be off in its form by a share of its change in any part of the data, and the others as when a
-    further cause is looked for.
+    seed of further draws. Each cause may be off in its form by a share of its change in any part of the data, and the
+    others as when a further cause is looked for.
     """
     bench = target.bench
     parts = partitions(bench.experiment, bench.layout, bench.base, settings)
     slopes = target.white(found.jacobian) * found.deviation[:, None]
     changes = [found.prediction - predicted(target, found, without=number) for number in range(len(found.parts))]
-    tested = []
+    ready = []
     for number, (name, mine) in enumerate(zip(found.ids, found.slices(), strict=True)):
-        if not CAUSES[name].constant or mine.start == mine.stop:
+        if mine.start == mine.stop:
             continue
         others = [target.white(effect_nuisances(bench, other)) for i, other in enumerate(changes) if i != number]
         change = target.white(changes[number])
@@ -149,10 +184,9 @@ def constancies(
 
         drawn = beside.reduced(draws + generator.standard_normal((len(draws), len(errors))) @ errors)
         left = AfterFit.of(reduced(found.residual), drawn, reduced(slopes))
-        judged = left.test(change, slopes[mine], parts, reduced, settings)
-        if judged is not None:
-            tested.append(Constancy(name, *judged, settings.level))
-    return tested
+        unlike = left.inconstancies(change, slopes[mine], parts, reduced, settings) if CAUSES[name].constant else []
+        ready.append(FittedPart(name, (*found.ids[:number], *found.ids[number + 1 :]), left, beside, unlike))
+    return ready
 
 
 def partitions(
@@ -244,4 +278,4 @@ def _beside(rows: FloatArray, own: FloatArray) -> FloatArray:
     return np.asarray(rows - (rows @ own.T) @ own)
 
 
-__all__ = ["AfterFit", "Constancy", "constancies", "partitions", "phases"]
+__all__ = ["AfterFit", "Constancy", "FittedPart", "fitted_parts", "p_value", "partitions", "phases"]

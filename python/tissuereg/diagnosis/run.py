@@ -21,10 +21,11 @@ from tissuereg.diagnosis.advice import advise
 from tissuereg.diagnosis.answer import Diagnosis, DiagnosisDetails, Finding, to_check, versions_now
 from tissuereg.diagnosis.bank import Bank, make_bank
 from tissuereg.diagnosis.bench import Bench
-from tissuereg.diagnosis.constancy import Constancy, constancies
+from tissuereg.diagnosis.constancy import Constancy, fitted_parts
 from tissuereg.diagnosis.correction import Correction, make_correction
 from tissuereg.diagnosis.discrepancy import describe, nearest_cause, next_check, residual_summary
 from tissuereg.diagnosis.evidence import Null, rms
+from tissuereg.diagnosis.families import memberships
 from tissuereg.diagnosis.findings import candidates_of, findings_of, possible_of
 from tissuereg.diagnosis.fit import Fit, FitTarget, fit
 from tissuereg.diagnosis.noise import Noise, estimate_noise
@@ -173,9 +174,11 @@ def _judged(bank: Bank, believed: "BelievedModel", *, silent: bool, seed: int) -
     findings = findings_of(target, screen, found, nulls.thresholds)
     findings = [finding for finding in findings if not (silent and finding.id == "stiffness")]
     best = found.final
-    tested = (
-        constancies(found.target or target, best, null, nulls.residuals, seed, settings.constancy) if findings else []
-    )
+    rules = settings.constancy
+    parts = fitted_parts(found.target or target, best, null, nulls.residuals, seed, rules) if findings else []
+    tested = [one for one in (part.constancy(rules.level) for part in parts) if one is not None]
+    members = memberships(parts, screen, rules)
+    findings = [replace(finding, membership=members.get(finding.id)) for finding in findings]
     enough = _explains_enough(misfit, found, settings.nulls)
     withdrawn = bool(findings) and not (enough and all(one.holds for one in tested))
     if withdrawn:
@@ -318,7 +321,7 @@ def _explains_enough(misfit: Misfit, found: Search, rules: NullSettings = DEFAUL
 def _verdict(findings: list[Finding], misfit: float, *, withdrawn: bool, level: float = DEFAULT.nulls.misfit) -> str:
     if not findings:
         return "consistent" if misfit >= level and not withdrawn else "unexplained"
-    return "group" if any(len(finding.group) > 1 for finding in findings) else "named"
+    return "named" if all(finding.is_sure for finding in findings) else "group"
 
 
 def target_rms(experiment: Experiment, *, element: Element, threads: int) -> float | None:

@@ -113,6 +113,15 @@ class ShapeSettings:
     place_share: float = 0.03
     #: Of a patch's radius, over it.
     size_share: float = 0.01
+    #: Of where the edge of a patch lies that is given by nodes, over the length of the mesh's edges there.
+    edge_share: float = 0.25
+    #: A patch given by a ball is as large, in another solver, as the nodes in it make it. The number of nodes of a
+    #: lattice in a disc deviates by this times the root of its radius over their distance.
+    lattice: float = 0.68
+    #: Its mesh is taken to be this many times as fine.
+    finer: float = 2.0
+    #: Share of such an edge's deviation that goes into place and waves, not into size.
+    around: float = 0.5
     #: Of a patch's height, over its radius.
     height_share: float = 0.02
     #: Deviation of the height of a tilted patch's edge, over the deviation of the patch's height.
@@ -170,6 +179,9 @@ class ConstancySettings:
     #: Level of the test: findings with a smaller p-value are withdrawn; 0 withdraws none. Chosen on half of the blind
     #: bench, where 0.01 to 0.001 withdraw nearly as many wrong names, and 0.001 the fewest right ones.
     level: float = 0.001
+    #: Level of the test whether the data hold a cause itself: with a smaller p-value its family alone is stated. So is
+    #: that of five in a hundred true causes.
+    member_level: float = 0.05
     #: Sizes of inconstant changes that are tried, in noise deviations.
     sizes: tuple[float, ...] = (2.0, 5.0, 15.0)
     #: A true cause may be off in its form by this share of its change, in any part of the data.

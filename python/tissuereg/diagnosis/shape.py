@@ -69,6 +69,7 @@ class _BodySurface:
 
     def __init__(self, experiment: Experiment, given: Mesh, settings: ShapeSettings) -> None:
         self.settings = settings
+        self.given = given
         self.mesh: Mesh = experiment.mesh
         self.folds: Folds = folds_of(self.mesh.nodes, self.mesh.surface)
         self.normals = node_normals(self.mesh, self.folds.normals * self.folds.areas[:, None])
@@ -86,6 +87,31 @@ class _BodySurface:
         """Return the radius, mm, of a disc of a patch's area: a third of a facet counts for each corner in `nodes`."""
         share = np.isin(self.mesh.surface, nodes).sum(axis=1) / 3.0
         return float(np.sqrt((share * self.folds.areas).sum() / np.pi))
+
+    def outline(self, nodes: IntArray) -> IntArray:
+        """Return those of a surface patch's nodes that also belong to triangles beyond it."""
+        beyond = self.mesh.surface[~np.isin(self.mesh.surface, nodes).all(axis=1)]
+        return np.intersect1d(nodes, beyond)
+
+    def unresolved(self, nodes: IntArray, ball_radius: float | None) -> float:
+        """Return the deviation of where the edge of a patch lies that is due to the given mesh, mm.
+
+        `nodes`: of the patch, on the surface; `ball_radius`: mm, where it is given by a ball, not by its nodes.
+        """
+        from scipy.spatial import KDTree
+
+        outline = self.outline(nodes)
+        if not len(outline):
+            return 0.0
+        surface = self.given.surface
+        ends = self.given.nodes[np.concatenate([surface[:, [0, 1]], surface[:, [1, 2]], surface[:, [2, 0]]])]
+        near = KDTree(ends.mean(axis=1)).query(self.mesh.nodes[outline])[1]
+        length = float(np.linalg.norm(ends[near, 1] - ends[near, 0], axis=1).mean())
+        if ball_radius is None:
+            return self.settings.edge_share * length
+        # The area of n nodes a distance h apart is n h^2; n has the deviation lattice * (radius / h)^(1/2).
+        finer = length / self.settings.finer
+        return self.settings.lattice * finer**1.5 / (2.0 * np.pi * ball_radius**0.5)
 
     def stays(self, patch: Actuator | Boundary) -> np.ndarray:
         """Return a mask (n_nodes,) of the nodes that stay when a patch moves: edges of the body and other patches."""
@@ -106,10 +132,12 @@ def _of_pad(surface: _BodySurface, pad: Actuator) -> Iterator[Direction]:
         yield from _of_grip(surface, pad, radius)
         return
     normal /= np.linalg.norm(normal)
-    place, size, height = (
-        share * radius if pad.edge_std is None else pad.edge_std
-        for share in (surface.settings.place_share, surface.settings.size_share, surface.settings.height_share)
-    )
+    rules, mesh_edge = surface.settings, surface.unresolved(inside, None if rim is None else rim.radius)
+    if pad.edge_std is None:
+        place = float(np.hypot(rules.place_share * radius, rules.around * mesh_edge))
+        size, height = float(np.hypot(rules.size_share * radius, mesh_edge)), rules.height_share * radius
+    else:
+        place = size = height = pad.edge_std
     arms = mesh.nodes - (mesh.nodes[inside].mean(axis=0) if rim is None else np.asarray(rim.centre))
     near = np.where(surface.stays(pad), 0.0, _nearness(mesh, inside, surface.settings.reach * radius))[:, None]
     first = np.linalg.svd(normal[None])[2][1]
@@ -138,19 +166,19 @@ def _of_grip(surface: _BodySurface, pad: Actuator, radius: float) -> Iterator[Di
     near = np.where(surface.stays(pad), 0.0, _nearness(surface.mesh, surface.of(pad), surface.settings.reach * radius))[
         :, None
     ]
+    rules, mesh_edge = surface.settings, surface.unresolved(surface.of(pad), None)
+    place = pad.edge_std or float(np.hypot(rules.place_share * radius, rules.around * mesh_edge))
     for axis, side in enumerate(np.eye(3)):
         motion = surface.along(near * side)
         if motion.any():
-            yield Direction(
-                f"place of {pad.name} {axis}", motion, pad.edge_std or surface.settings.place_share * radius
-            )
+            yield Direction(f"place of {pad.name} {axis}", motion, place)
     yield from _of_support(surface, pad)
 
 
 def _of_support(surface: _BodySurface, support: Actuator | Boundary) -> Iterator[Direction]:
     mesh, inside = surface.mesh, surface.of(support)
     beyond = mesh.surface[~np.isin(mesh.surface, inside).all(axis=1)]
-    rim = np.setdiff1d(np.intersect1d(inside, beyond), np.flatnonzero(surface.stays(support)))
+    rim = np.setdiff1d(surface.outline(inside), np.flatnonzero(surface.stays(support)))
     if not len(rim):
         return
     outwards = np.zeros_like(mesh.nodes)
@@ -160,7 +188,8 @@ def _of_support(surface: _BodySurface, support: Actuator | Boundary) -> Iterator
     outwards = surface.along(outwards)
     motion = np.zeros_like(mesh.nodes)
     motion[rim] = outwards[rim] / np.maximum(np.linalg.norm(outwards[rim], axis=1, keepdims=True), 1e-300)
-    edge = surface.settings.place_share * surface.radius(inside) if support.edge_std is None else support.edge_std
+    share = surface.settings.place_share * surface.radius(inside)
+    edge = support.edge_std or float(np.hypot(share, surface.unresolved(inside, None)))
     yield Direction(f"edge of {support.name}", motion, edge)
 
 

@@ -22,6 +22,7 @@ class GainCause(Cause):
     """One actuator's motion is scaled."""
 
     id: ClassVar[str] = "actuator_gain"
+    family: ClassVar[str] = "actuator"
     always_fitted: ClassVar[bool] = True
     discrete: ClassVar[tuple[str, ...]] = ("actuator",)
 
@@ -58,6 +59,7 @@ class DirectionCause(Cause):
     """One actuator's motion has another direction."""
 
     id: ClassVar[str] = "actuator_direction"
+    family: ClassVar[str] = "actuator"
     discrete: ClassVar[tuple[str, ...]] = ("actuator",)
 
     #: Prior deviation of each angle, degrees.
@@ -100,6 +102,7 @@ class OffsetCause(Cause):
     """One actuator's motion has a constant offset, or its patch has another position."""
 
     id: ClassVar[str] = "actuator_offset"
+    family: ClassVar[str] = "actuator"
     discrete: ClassVar[tuple[str, ...]] = ("actuator", "kind")
 
     #: Prior deviations of each offset of the motion and of each shift of the patch, mm.

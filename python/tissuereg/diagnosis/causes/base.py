@@ -79,14 +79,17 @@ class Cause(ABC):
     """One physical error of a simulation that a diagnosis can name as the cause of a misfit.
 
     Fields of an instance are its numbers: sizes, prior deviations, counts. Attributes of each class: `id`: name of the
-    cause in answers and in ``[[effect]]`` tables; `discrete`: keys of `Variant.settings` that the free parameters
-    cannot change; `always_fitted`: whether a nuisance parameter describes the same error in every fit; `absolute`:
-    whether its size does not scale with Young's modulus; `constant`: whether its change has one size in all parts of
-    the data.
+    cause in answers and in ``[[effect]]`` tables; `family`: id of the kind of error that it is one of; `discrete`: keys
+    of `Variant.settings` that the free parameters cannot change; `always_fitted`: whether a nuisance parameter
+    describes the same error in every fit; `absolute`: whether its size does not scale with Young's modulus; `constant`:
+    whether its change has one size in all parts of the data.
     """
 
     #: Id in answers and in ``[[effect]]`` tables.
     id: ClassVar[str]
+
+    #: Kind of error that it is one of (`tissuereg.diagnosis.families`).
+    family: ClassVar[str]
 
     #: Keys of `Variant.settings` that the free parameters cannot change.
     discrete: ClassVar[tuple[str, ...]] = ()

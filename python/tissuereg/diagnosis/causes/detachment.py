@@ -27,6 +27,7 @@ class DetachmentCause(Cause):
     """A part of a boundary, from its rim in one direction, is free."""
 
     id: ClassVar[str] = "detachment"
+    family: ClassVar[str] = "support"
     discrete: ClassVar[tuple[str, ...]] = ("boundary", "azimuth")
     constant: ClassVar[bool] = False
 

@@ -18,6 +18,7 @@ class DrainageCause(Cause):
     """A share of the volumetric stress relaxes with one time constant."""
 
     id: ClassVar[str] = "drainage"
+    family: ClassVar[str] = "memory"
 
     #: Share of the volumetric stress at which changes are simulated.
     share: float = 0.5

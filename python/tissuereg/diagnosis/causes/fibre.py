@@ -18,6 +18,7 @@ class FibreCause(Cause):
     """One family of fibres of any direction, which carry tension only."""
 
     id: ClassVar[str] = "fibre"
+    family: ClassVar[str] = "law"
     discrete: ClassVar[tuple[str, ...]] = ("direction",)
 
     #: Stiffness over the shear modulus at which changes are simulated.

@@ -23,6 +23,7 @@ class GravityCause(Cause):
     """Three components of the body's weight."""
 
     id: ClassVar[str] = "gravity"
+    family: ClassVar[str] = "rest"
     absolute: ClassVar[bool] = True
 
     #: Prior deviation of each component, over standard gravity, without and with a believed weight.

@@ -29,6 +29,7 @@ class InclusionCause(Cause):
     """A ball of another modulus, at any place."""
 
     id: ClassVar[str] = "inclusion"
+    family: ClassVar[str] = "region"
 
     #: Radii of the hypotheses, over the extent of the body.
     radii: tuple[float, ...] = (0.045, 0.075, 0.115)

@@ -75,6 +75,7 @@ class MooneyCause(LawCause):
     """The Mooney-Rivlin law."""
 
     id: ClassVar[str] = "mooney"
+    family: ClassVar[str] = "law"
     tried: tuple[tuple[str, float], ...] = ((MOONEY, 0.5),)
 
     def effect(self, law: str, size: float, form: str) -> Effect:
@@ -107,6 +108,7 @@ class AsymmetryCause(LawCause):
     """
 
     id: ClassVar[str] = "asymmetry"
+    family: ClassVar[str] = "law"
     #: Distances of Ogden's exponent from the even one, excesses of a bimodular law.
     tried: tuple[tuple[str, float], ...] = (("ogden", -12.0), ("ogden", 10.0), ("bimodular", -0.4), ("bimodular", 0.7))
 
@@ -164,6 +166,7 @@ class StiffeningCause(LawCause):
     """Fung's exponential law or Yeoh's polynomial law in place of the neo-Hookean one."""
 
     id: ClassVar[str] = "stiffening"
+    family: ClassVar[str] = "law"
 
     #: Largest logarithm of a shape parameter; a strain of 0.1 then multiplies the modulus by some thousands.
     largest: float = 7.0

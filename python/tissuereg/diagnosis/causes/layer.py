@@ -19,6 +19,7 @@ class LayerCause(Cause):
     """A layer of constant thickness below the free surface, with another modulus."""
 
     id: ClassVar[str] = "layer"
+    family: ClassVar[str] = "region"
 
     #: Thicknesses of the hypotheses, over the extent of the body.
     thicknesses: tuple[float, ...] = (0.01, 0.02, 0.04, 0.08)

@@ -17,6 +17,7 @@ class RateCause(Cause):
     """A viscous stress in addition to the elastic one."""
 
     id: ClassVar[str] = "rate"
+    family: ClassVar[str] = "memory"
 
     #: Viscosity over modulus and the time between frames at which the change is simulated.
     size: float = 0.2

@@ -13,6 +13,7 @@ class ReferenceCause(Cause):
     """Whether the mesh is already deformed by the believed gravity."""
 
     id: ClassVar[str] = "reference"
+    family: ClassVar[str] = "rest"
     absolute: ClassVar[bool] = True
 
     def variants(self, bench: Bench) -> Iterable[Variant]:

@@ -22,6 +22,7 @@ class RelaxationCause(Cause):
     """A share of the whole stress, or of its isochoric part, relaxes with one time constant."""
 
     id: ClassVar[str] = "relaxation"
+    family: ClassVar[str] = "memory"
     discrete: ClassVar[tuple[str, ...]] = ("part",)
 
     #: Share that relaxes at which changes are simulated.

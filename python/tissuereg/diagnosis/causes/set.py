@@ -15,6 +15,7 @@ class SetCause(Cause):
     """Permanent set."""
 
     id: ClassVar[str] = "set"
+    family: ClassVar[str] = "memory"
 
     #: Share at which the change is simulated.
     size: float = 0.1

@@ -17,6 +17,7 @@ class SlidingCause(Cause):
     """A boundary on tangential springs, or one that slips where the tangential stress exceeds friction."""
 
     id: ClassVar[str] = "sliding"
+    family: ClassVar[str] = "support"
     discrete: ClassVar[tuple[str, ...]] = ("boundary", "kind")
     constant: ClassVar[bool] = False
 

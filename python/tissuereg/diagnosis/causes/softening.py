@@ -17,6 +17,7 @@ class SofteningCause(Cause):
     """Softening by the largest strain energy so far: on reloading only (Mullins), or on first loading too (damage)."""
 
     id: ClassVar[str] = "softening"
+    family: ClassVar[str] = "memory"
     discrete: ClassVar[tuple[str, ...]] = ("form",)
 
     #: Values of r, and of m over the modulus, at which changes are simulated.

@@ -18,6 +18,7 @@ class StiffnessCause(Cause):
     """Another Young's modulus; every fit has it as a nuisance, a finding is named where it lies far from its prior."""
 
     id: ClassVar[str] = "stiffness"
+    family: ClassVar[str] = "law"
     absolute: ClassVar[bool] = True
 
     #: Prior deviation of the logarithm of the factor on the modulus, in addition to that of the believed modulus.
@@ -44,6 +45,7 @@ class PoissonCause(Cause):
     """Poisson's ratio."""
 
     id: ClassVar[str] = "poisson"
+    family: ClassVar[str] = "law"
 
     #: Prior deviation of the ratio.
     spread: float = 0.06

@@ -18,6 +18,7 @@ class SwellingCause(Cause):
     """Growth of all lengths at a constant rate, over the whole session or a half of it."""
 
     id: ClassVar[str] = "swelling"
+    family: ClassVar[str] = "memory"
     discrete: ClassVar[tuple[str, ...]] = ("window", "pads")
 
     #: Linear strain at which changes are simulated, the prior deviation in screening.

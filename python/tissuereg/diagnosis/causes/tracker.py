@@ -21,6 +21,7 @@ class FrameCause(Cause):
     """The tracker's frame is shifted and rotated, by more than its prior as a nuisance allows."""
 
     id: ClassVar[str] = "frame"
+    family: ClassVar[str] = "tracker"
     always_fitted: ClassVar[bool] = True
 
     #: Prior deviations of the shift, mm, and of the rotation, degrees.
@@ -58,6 +59,7 @@ class ScaleCause(Cause):
     """The tracker's lengths have a wrong scale, about any origin."""
 
     id: ClassVar[str] = "scale"
+    family: ClassVar[str] = "tracker"
 
     #: Prior deviations of the scale, and of the shift, mm.
     scale: float = 0.01
@@ -101,6 +103,7 @@ class LatencyCause(Cause):
     """Markers are recorded with a delay."""
 
     id: ClassVar[str] = "latency"
+    family: ClassVar[str] = "tracker"
 
     #: Prior deviation of the delay, in frames.
     delay: float = 0.5
@@ -131,6 +134,7 @@ class SlipCause(Cause):
     """One marker is displaced on the body from some time on."""
 
     id: ClassVar[str] = "marker_slip"
+    family: ClassVar[str] = "tracker"
     discrete: ClassVar[tuple[str, ...]] = ("marker", "onset")
     constant: ClassVar[bool] = False
 
@@ -194,6 +198,7 @@ class SwapCause(Cause):
     """Two markers are mistaken for each other from some time on."""
 
     id: ClassVar[str] = "marker_swap"
+    family: ClassVar[str] = "tracker"
     discrete: ClassVar[tuple[str, ...]] = ("pair", "onset")
 
     #: Number of pairs of markers with a hypothesis of exchange.

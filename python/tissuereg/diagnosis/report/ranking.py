@@ -52,6 +52,14 @@ def inconstant_words(one: Mapping[str, Any]) -> str:
     )
 
 
+def family_words(one: Mapping[str, Any]) -> str:
+    """Return that the data hold the family of a cause alone as a sentence, plain text."""
+    return (
+        f"These data hold its family alone, {one['words']}: what it leaves looks like another one of them (p = "
+        f"{one['p']:.1g}), perhaps one that the catalogue lacks."
+    )
+
+
 def gloss(cause: str) -> str:
     """Return one line of text that explains a cause, given its id."""
     if cause == UNKNOWN:

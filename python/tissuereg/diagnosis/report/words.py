@@ -8,6 +8,7 @@ import numpy as np
 from tissuereg.diagnosis.report.proved import gain_words
 from tissuereg.diagnosis.report.ranking import (
     chance,
+    family_words,
     gloss,
     inconstant_words,
     plain_name,
@@ -33,7 +34,7 @@ def verdict_sentence(found: "Diagnosis") -> str:
         return "The recording is probably misread, so that no cause was looked for."
     if found.verdict == "unexplained":
         return "The simulation does not explain the measurements, and no cause in the catalogue accounts for it."
-    names = [_either([plain_name(name) for name in finding.group]) for finding in found.findings]
+    names = [_name(finding) for finding in found.findings]
     if found.verdict == "group":
         return (
             "The simulation does not explain the measurements; the cause is known up to a group that these data cannot "
@@ -155,6 +156,8 @@ def _finding(finding: "Finding") -> str:
     if len(finding.group) > 1:
         others = _listed([plain_name(name) for name in finding.group[1:]], "or")
         tied = f"<p>These data cannot distinguish it from: {escape(others)}.</p>"
+    if finding.membership is not None and not finding.membership.holds:
+        tied += f"<p>{escape(family_words(finding.membership.to_json()))}</p>"
     figures = (
         f"{probable(finding.probability, finding.group_probability, len(finding.group))}; log Bayes factor "
         f"{finding.log_bayes_factor:.1f} (threshold {finding.threshold:.1f})."
@@ -203,6 +206,14 @@ def _nuisances(names: Sequence[str]) -> list[str]:
     }
     fitted = [words for key, words in kinds.items() if any(name.startswith(key) for name in names)]
     return [f"Nuisance parameters of every model: {_listed(fitted)}. An effect that they can explain is not named."]
+
+
+def _name(finding: "Finding") -> str:
+    """Return the cause that a finding states, its group, or its family with the best member."""
+    name = _either([plain_name(name) for name in finding.group])
+    if finding.membership is None or finding.membership.holds:
+        return name
+    return f"one of the {finding.membership.words} (best: {name})"
 
 
 def _either(names: list[str]) -> str:
