@@ -111,7 +111,7 @@ class _BodySurface:
             return self.settings.edge_share * length
         # The area of n nodes a distance h apart is n h^2; n has the deviation lattice * (radius / h)^(1/2).
         finer = length / self.settings.finer
-        return self.settings.lattice * finer**1.5 / (2.0 * np.pi * ball_radius**0.5)
+        return float(self.settings.lattice * finer**1.5 / (2.0 * np.pi * ball_radius**0.5))
 
     def stays(self, patch: Actuator | Boundary) -> np.ndarray:
         """Return a mask (n_nodes,) of the nodes that stay when a patch moves: edges of the body and other patches."""
