@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from support.targets import part, target_of
-from tissuereg.cli.common import Stopwatch
 from tissuereg.cli import diagnose as command
+from tissuereg.cli.common import Stopwatch
 from tissuereg.diagnosis.answer import Finding
 from tissuereg.diagnosis.causes import CAUSES
 from tissuereg.diagnosis.constancy import AfterFit, FittedPart, fitted_parts
