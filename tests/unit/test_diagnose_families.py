@@ -103,7 +103,11 @@ def test_errors_of_the_other_causes_are_no_sign_of_a_relative():
     residual, draws = rng.standard_normal(SIZE) + looks, rng.standard_normal((400, SIZE))
     left = AfterFit(errors.reduced(residual), draws, np.zeros((0, SIZE)))
     made = FittedPart("relaxation", ("latency",), left, errors, [])
-    assert memberships([made], screen_of(rate=[looks]), DEFAULT.constancy)["relaxation"].p > 0.05
+    found = memberships([made], screen_of(rate=[looks]), DEFAULT.constancy)["relaxation"].p
+    assert found > 0.05
+    # What the errors cannot make of the relative's change is e_7.
+    expected = left.evidence(np.eye(SIZE)[7:8], 0.0, DEFAULT.constancy)
+    assert found == pytest.approx(tail_probability(expected[0], expected[1:]), rel=0.05)
     without = replace(made, left=replace(left, residual=residual), errors=Null(np.zeros((0, SIZE))))
     assert not memberships([without], screen_of(rate=[looks]), DEFAULT.constancy)["relaxation"].holds
 
