@@ -95,6 +95,17 @@ def test_the_simulators_of_supports_that_were_tried_do_not_add_up():
         assert next(reversed(kept.values())) is found.simulator
     assert len(kept) == SIZE.rigs_kept
     assert believed_case(tried, tried.cases["down"], simulators=kept).simulator is found.simulator
+    # The least recently used one goes, not the one that was made first.
+    first, second = list(kept)[:2]
+    pads = np.concatenate([pad.nodes for pad in believed.actuators])
+    held = np.setdiff1d(np.frombuffer(first[1], np.int64), pads)
+    kept[first].mesh = tr.Mesh(mesh.nodes, mesh.tets, {**mesh.node_sets, "fixed": held})
+    again = replace(believed, mesh=kept[first].mesh)
+    assert believed_case(again, again.cases["down"], simulators=kept).simulator is kept[first]
+    loose = tr.Mesh(mesh.nodes, mesh.tets, {**mesh.node_sets, "fixed": mesh.fixed_nodes[:4]})
+    believed_case(replace(believed, mesh=loose), believed.cases["down"], simulators=kept)
+    assert first in kept
+    assert second not in kept
 
 
 def test_a_marker_on_an_edge_of_the_mesh_has_one_derivative_whichever_way_the_shape_goes():
@@ -295,6 +306,14 @@ def test_the_edge_of_a_support_within_a_face_moves_outwards():
     moved = edge.motion.any(axis=1)
     assert moved.any()
     assert ((edge.motion * arms).sum(axis=1)[moved] > 0.0).all()
+    whole = replace(believed, boundaries=(replace(support, edge_std=None),))
+    usual, exact = (
+        next(one.std_mm for one in shape_directions(whole, settings=rules) if one.name == "edge of base")
+        for rules in (DEFAULT.shape, replace(DEFAULT.shape, edge_share=0.0))
+    )
+    lengths = np.linalg.norm(np.diff(believed.mesh.nodes[believed.mesh.edges], axis=1)[:, 0], axis=1)
+    share = np.sqrt(usual**2 - exact**2) / DEFAULT.shape.edge_share
+    assert lengths.min() - 1e-9 <= share <= lengths.max() + 1e-9
     np.testing.assert_allclose(edge.motion[moved][:, 2], 0.0, atol=1e-12)
 
 
