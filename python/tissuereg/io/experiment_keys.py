@@ -28,7 +28,7 @@ Vector = tuple[float, float, float]
 
 def _edge() -> Any:
     meaning = "standard deviation of where the edge of the patch lies"
-    return number(meaning, above=0.0, default=None, otherwise="a share of the patch's size", example=1.0)
+    return number(meaning, above=0.0, default=None, otherwise="by the patch's size and the mesh's edges", example=1.0)
 
 
 @dataclass(frozen=True, kw_only=True)
