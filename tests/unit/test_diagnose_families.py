@@ -67,6 +67,9 @@ def test_what_looks_like_a_relative_leaves_the_family_alone():
     assert judged(left_of(0, 8.0 * np.eye(SIZE)[5]), screen).holds
     assert judged(left_of(0, looks), screen, beside=("rate",)) is None
     assert judged(left_of(0, looks), screen_of(frame=[looks])) is None
+    # What a slip leaves is something beside it.
+    assert judged(left_of(0, looks), screen_of(frame=[looks]), "marker_slip") is None
+    assert not judged(left_of(0, looks), screen_of(frame=[looks]), "latency").holds
 
 
 def test_p_values_of_a_member_are_uniform():

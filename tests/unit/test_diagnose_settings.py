@@ -60,12 +60,14 @@ def of_rig():
 
 def test_a_diagnosis_reads_its_numbers_from_the_settings_that_it_is_given(of_rig):
     _, read = of_rig
-    # The rig states how well its modulus is known; a block has no facets beside its surface; with three cases and no
-    # tie nothing is advised or located, and without a misfit no larger noise is tried.
+    # The rig states how well its modulus is known; a block has no facets beside its surface, and its pads are no balls;
+    # with three cases and no tie nothing is advised or located; without a misfit no larger noise is tried, and nothing
+    # must be explained.
     seldom = {
         "model": {"young_spread"},
         "noise": {"least_evidence", "least_freedom"},
-        "shape": {"most_places", "most_patterns", "length_share", "held_variance"},
+        "shape": {"most_places", "most_patterns", "length_share", "held_variance", "lattice", "finer"},
+        "nulls": {"explained"},
         "search": {"determined_modulus", "clear"},
         "readings": {"most_digits", "nothing", "force"},
         "report": {

@@ -67,11 +67,12 @@ class Membership:
 def memberships(parts: Sequence[FittedPart], screen: Screen, settings: ConstancySettings) -> dict[str, Membership]:
     """Return for causes of a fit, by id, whether the data hold them or their families alone.
 
-    `parts`: the causes with what their fit leaves of the data; `screen`: all hypotheses of the bank. Causes without
-    relatives that could change what is left, and without inconstancies, are not in the result.
+    `parts`: the causes with what their fit leaves of the data; `screen`: all hypotheses of the bank. Not in the result
+    are causes without relatives that could change what is left, and without inconstancies; and those that begin to act
+    somewhere (`Cause.constant`): what they leave is another effect beside them.
     """
     found = {}
-    for part in parts:
+    for part in (one for one in parts if CAUSES[one.id].constant):
         relatives = _of_relatives(part, screen, settings)
         evidence = [] if relatives is None else [relatives]
         if part.inconstancies:
