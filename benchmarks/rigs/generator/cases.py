@@ -1,7 +1,6 @@
 """Experiments from clean readings: noise, the tracker's frame, the true modulus, and what the user believes."""
 
 import json
-import os
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +12,8 @@ STEP_MM, STEP_MN, MISSING = 1e-3, 1e-1, -(2**31)
 
 #: Noise in the middle of its range; it is scaled by half to twice.
 STD_MM, STD_MN = 0.1, 5.0
+#: A sensor's noise as a share of the largest force, and what it reads wrong as a share of each: no effect is smaller.
+FULL_SCALE, GAUGE = 0.004, 0.01
 FRAME_MM, FRAME_DEG = 0.02, 0.02
 
 
@@ -29,15 +30,22 @@ def commanded(rig, pad_index):
     )
 
 
-def whitened(rig, clean, null):
-    """Return the change of markers and forces in units of the middle noise, without the best factor on forces."""
-    marks = (clean["places"] - null["places"])[:, : rig.n_markers] / STD_MM
+def force_noise(null):
+    """Return the middle of the range of the force sensors' noise, mN: of a sensor that bears the largest force."""
+    return max(STD_MN, FULL_SCALE * float(np.nanmax(np.abs(null["forces"]))))
+
+
+def length_of(rig, clean, null, factor):
+    """Return how long the change of markers and forces is, in units of noise, without the best factor on forces."""
+    marks = (clean["places"] - null["places"])[:, : rig.n_markers] / (STD_MM * factor)
     if not rig.forces:
-        return marks.ravel()
-    base = np.nan_to_num(null["forces"]).ravel() / STD_MN
-    change = np.nan_to_num(clean["forces"]).ravel() / STD_MN - base
+        return float(np.linalg.norm(marks))
+    base = np.nan_to_num(null["forces"])
+    scale = np.hypot(force_noise(null) * factor, GAUGE * np.linalg.norm(base, axis=-1, keepdims=True))
+    change = ((np.nan_to_num(clean["forces"]) - base) / scale).ravel()
+    base = (base / scale).ravel()
     change = change - base * (change @ base) / max(base @ base, 1e-12)
-    return np.concatenate([marks.ravel(), change])
+    return float(np.hypot(np.linalg.norm(marks), np.linalg.norm(change)))
 
 
 def measured_norm(rig, clean, null):
@@ -53,7 +61,7 @@ def young_factor(rig, rng):
     return float(1 + relative * np.clip(rng.normal(), -2, 2))
 
 
-def measured(rig, clean, share, factor, rng):
+def measured(rig, clean, share, factor, std_mn, rng):
     """Return arrays of one experiment: modulus times `share`, noise times `factor`."""
     turn = np.deg2rad(FRAME_DEG) * rng.normal(size=3)
     shift = FRAME_MM * rng.normal(size=3)
@@ -67,7 +75,7 @@ def measured(rig, clean, share, factor, rng):
     }
     if rig.forces:
         forces = share * clean["forces"]
-        found["forces"] = _whole(forces + STD_MN * factor * rng.normal(size=forces.shape), STEP_MN)
+        found["forces"] = _whole(forces + std_mn * factor * rng.normal(size=forces.shape), STEP_MN)
     return found
 
 
@@ -76,17 +84,18 @@ def _whole(values, step):
     return np.where(np.isnan(values), MISSING, whole).astype(np.int32)
 
 
-def write_case(name, rig, clean, share, factor, rng, gravity=None):
+def write_case(name, rig, clean, share, factor, std_mn, rng, gravity=None):
     """Store one experiment."""
     about = {
-        "toml": toml(name, rig, clean, factor, gravity),
+        "toml": toml(name, rig, clean, factor, std_mn, gravity),
         "labels": [str(label) for label in clean["labels"]],
         "pads": [pad.name for pad in rig.pads],
         "targets": [f"T{k + 1}" for k in range(rig.n_targets)],
         "strokes": {load.name: {k: np.asarray(v).tolist() for k, v in load.strokes.items()} for load in rig.loads},
         "shares": shares_of(rig).tolist(),
     }
-    save(DATA / "cases" / f"{name}.npz", about=np.array(json.dumps(about)), **measured(rig, clean, share, factor, rng))
+    arrays = measured(rig, clean, share, factor, std_mn, rng)
+    save(DATA / "cases" / f"{name}.npz", about=np.array(json.dumps(about)), **arrays)
 
 
 def save(path, **arrays):
@@ -95,7 +104,7 @@ def save(path, **arrays):
     partial = path.with_suffix(".part")
     with partial.open("wb") as file:
         np.savez_compressed(file, **arrays)
-    os.replace(partial, path)
+    partial.replace(path)
 
 
 def _row(values, digits=3):
@@ -114,7 +123,7 @@ def rule_of_pad(rig, pad):
     return f'"{pad.name}"'
 
 
-def toml(name, rig, clean, factor, gravity):
+def toml(name, rig, clean, factor, std_mn, gravity):
     """Return the experiment's file."""
     law, shape = rig.law
     lines = [f'name = "{name}"', "", "[mesh]", 'file = "mesh.vtu"', "", "[material]", f'law = "{law}"']
@@ -134,7 +143,7 @@ def toml(name, rig, clean, factor, gravity):
             lines += [f"edge_std_mm = {0.18 * pad.half.min():.2f}"]
         lines += [""]
     if rig.forces:
-        lines += ["[forces]", f"std_mN = {STD_MN * factor:.4g}", ""]
+        lines += ["[forces]", f"std_mN = {std_mn * factor:.4g}", ""]
     lines += ["[markers]", f"std_mm = {STD_MM * factor:.4g}", 'rest_case = "rest"', "", "[markers.reference]"]
     lines += [f"P{k + 1} = {_row(place)}" for k, place in enumerate(clean["marks"][: rig.n_markers])]
     for k, place in enumerate(clean["inner"][: rig.n_targets]):

@@ -13,8 +13,8 @@ from rigs.generator.truth import Truth, motion_of
 class Clean:
     """Noise-free readings in every frame, rest case first.
 
-    `places` (t, 40, 3), `targets` (t, 2, 3): mm; `forces` (t, pads, 3): mN on the body, nan of absent pads; `times` (t,)
-    s; `labels`: case of each frame.
+    `places` (t, 40, 3), `targets` (t, 2, 3): mm; `forces` (t, pads, 3): mN on the body, nan of absent pads;
+    `times` (t,): s; `labels`: case of each frame.
     """
 
     places: np.ndarray
@@ -94,8 +94,7 @@ class Course:
         if truth.weight is None and truth.growth is None and not truth.memory.carried:
             return np.zeros_like(u)
         self.solver.set_time(seconds, time)
-        u = step(self.solver, u, self._free(()), np.zeros_like(u), self.resting)
-        return u
+        return step(self.solver, u, self._free(()), np.zeros_like(u), self.resting)
 
     def _given(self, load, share, rest):
         """Return the prescribed state of patches at a share of the stroke."""

@@ -4,7 +4,7 @@ import time
 
 import numpy as np
 
-from rigs.generator.cases import measured_norm, whitened, write_case, young_factor
+from rigs.generator.cases import force_noise, length_of, measured_norm, write_case, young_factor
 from rigs.generator.effects import SISTERS
 from rigs.generator.jobs import BUILD, Bench, keep, stored, write_mesh
 from rigs.generator.newton import NoEquilibriumError
@@ -30,8 +30,11 @@ def joined(settings):
             elif key == "memory" and key in found:
                 old = found[key]
                 found[key] = Memory(
-                    old.relaxing or value.relaxing, old.draining or value.draining, old.viscosity or value.viscosity,
-                    old.damage or value.damage, old.kept or value.kept,
+                    old.relaxing or value.relaxing,
+                    old.draining or value.draining,
+                    old.viscosity or value.viscosity,
+                    old.damage or value.damage,
+                    old.kept or value.kept,
                 )
             elif key == "support" and key in found:
                 found[key] = {**found[key], **value}
@@ -45,11 +48,14 @@ def _built(bench, plan, sizes):
     return joined([settings for settings, _ in parts]), [parameters for _, parameters in parts]
 
 
-def _length(bench, clean):
-    return float(np.linalg.norm(whitened(bench.rig, clean, bench.null)))
+def _factor(bench, clean, level):
+    """Return the factor on the noise, half to twice, at which a change is as long as its level asks."""
+    factors = np.geomspace(0.5, 2.0, 41)
+    lengths = np.array([length_of(bench.rig, clean, bench.null, f) for f in factors])
+    return float(np.exp(np.interp(-np.log(level), -np.log(lengths), np.log(factors))))
 
 
-def _try(bench, plan, sizes):
+def _try(bench, plan, sizes, factor):
     """Return readings, parameters and length; a size that has no equilibrium is halved."""
     for _ in range(4):
         settings, parameters = _built(bench, plan, sizes)
@@ -58,7 +64,7 @@ def _try(bench, plan, sizes):
         except NoEquilibriumError:
             sizes = tuple(0.55 * s for s in sizes)
             continue
-        return clean, parameters, _length(bench, clean), sizes
+        return clean, parameters, length_of(bench.rig, clean, bench.null, factor), sizes
     raise NoEquilibriumError
 
 
@@ -75,28 +81,28 @@ def solve(bench, plan):
             sizes = (float(plan.rng(91).uniform(*effects[0].sizes)),)
         _, parameters = _built(bench, plan, sizes)
     elif plan.rig.startswith("box"):
-        clean, parameters, length, sizes = _try(bench, plan, BOX_SIZES)
+        clean, parameters, length, sizes = _try(bench, plan, BOX_SIZES, factor)
     elif plan.kind == "pair":
         wanted = []
         for k, effect in enumerate(effects):
             # What a part draws depends on its place in the pair.
             settings, _ = effect.build(bench, plan.rng(k), sizes[k])
-            d = _length(bench, bench.solve(Truth(**settings)))
-            wanted.append(min(sizes[k] * ALONE * factor / max(d, 1e-6), effect.sizes[1]))
+            d = length_of(bench.rig, bench.solve(Truth(**settings)), bench.null, factor)
+            wanted.append(min(sizes[k] * ALONE / max(d, 1e-6), effect.sizes[1]))
             alone.append(d * wanted[-1] / sizes[k])
-        clean, parameters, length, sizes = _try(bench, plan, tuple(wanted))
+        clean, parameters, length, sizes = _try(bench, plan, tuple(wanted), factor)
     else:
-        first = sizes[0] * float(np.clip(plan.level * factor / 25.0, 0.3, 2.5))
-        clean, parameters, length, sizes = _try(bench, plan, (min(first, effects[0].sizes[1]),))
+        first = sizes[0] * float(np.clip(plan.level / 25.0, 0.3, 2.5))
+        clean, parameters, length, sizes = _try(bench, plan, (min(first, effects[0].sizes[1]),), factor)
         for _ in range(1 if Truth(**_built(bench, plan, sizes)[0]).timed else 2):
-            scale = plan.level * factor / max(length, 1e-6)
-            if 0.5 <= length / plan.level <= 2.0 or (scale > 1 and sizes[0] >= 0.999 * effects[0].sizes[1]):
+            scale = plan.level / max(length, 1e-6)
+            if 0.6 <= scale <= 1.6 or (scale > 1 and sizes[0] >= 0.999 * effects[0].sizes[1]):
                 break
-            clean, parameters, length, sizes = _try(bench, plan, (min(sizes[0] * scale, effects[0].sizes[1]),))
+            clean, parameters, length, sizes = _try(bench, plan, (min(sizes[0] * scale, effects[0].sizes[1]),), factor)
     if plan.level and plan.kind != "pair" and length:
         # The noise takes what the size left over.
-        factor = float(np.clip(length / plan.level, 0.5, 2.0))
-    detectability = length / factor
+        factor = _factor(bench, clean, plan.level)
+        length = length_of(bench.rig, clean, bench.null, factor)
     summary = {
         "kind": plan.kind,
         "cause": [e.id for e in effects] if plan.kind in ("single", "pair") else [],
@@ -105,11 +111,12 @@ def solve(bench, plan):
         "own_form": [e.own for e in effects],
         "parameters": parameters,
         "sizes": sizes,
-        "level": plan.level if detectability and abs(detectability / (plan.level or 1) - 1) < 0.05 else None,
-        "detectability": detectability,
+        "level": plan.level if length and abs(length / (plan.level or 1) - 1) < 0.05 else None,
+        "detectability": length,
         "of_markers": measured_norm(bench.rig, clean, bench.null) / factor,
-        "alone": [d / factor for d in alone],
+        "alone": alone,
         "noise_factor": factor,
+        "std_mn": force_noise(bench.null),
         "code": bench.solver.code,
         "n_nodes": len(bench.solver.skeleton.places),
         "seconds": time.perf_counter() - begun,
@@ -132,7 +139,7 @@ def write(plan):
     if "reference" in summary["cause"]:
         gravity = dict(summary["parameters"][0])
         gravity["g_mm_per_s2"] *= share
-    write_case(plan.name, rig, clean, share, summary["noise_factor"], rng, gravity)
+    write_case(plan.name, rig, clean, share, summary["noise_factor"], summary["std_mn"], rng, gravity)
     causes = summary["cause"]
     near = sorted({s for c in causes for s in SISTERS.get(c, ())} - set(causes))
     return {

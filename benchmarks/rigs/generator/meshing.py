@@ -95,29 +95,29 @@ def with_patches(rig):
     return Glue([solid, *flat]) if flat else solid
 
 
-def _near_pads(rig, edge, parameters):
-    """Ask for small edges on and around the pads."""
+def _near_pads(rig, share, parameters):
+    """Ask for edges that are a share of half a pad's width on it and at its rim."""
     for pad in rig.pads:
         across = np.cross(pad.normal, pad.along)
         for ring in (0.0, 0.5, 1.0):
             for angle in np.linspace(0, 2 * np.pi, 13)[:-1] if ring else (0.0,):
                 reach = pad.half if pad.outline == "round" else pad.half * 1.15
                 at = pad.centre + ring * (np.cos(angle) * reach[0] * pad.along + np.sin(angle) * reach[1] * across)
-                parameters.RestrictH(x=float(at[0]), y=float(at[1]), z=float(at[2]), h=float(edge(pad)))
+                parameters.RestrictH(x=float(at[0]), y=float(at[1]), z=float(at[2]), h=float(share * pad.half.min()))
 
 
-def _mesh_of(solid, rig, longest, edge):
+def _mesh_of(solid, rig, longest, share):
     parameters = MeshingParameters(maxh=float(longest), grading=0.35)
-    _near_pads(rig, edge, parameters)
+    _near_pads(rig, share, parameters)
     with quiet():
         return OCCGeometry(solid).GenerateMesh(mp=parameters)
 
 
-def truth_mesh(rig, fine=1.0, least=3300, most=5200):
+def truth_mesh(rig, fine=1.0, least=3000, most=4300):
     """Return the netgen mesh of the truth, of `least` to `most` ten-node nodes times the cube of `fine`."""
     solid, longest = with_patches(rig), 0.16 * rig.body.size
     for _ in range(12):
-        mesh = _mesh_of(solid, rig, longest / fine, lambda pad: 0.42 * pad.half.min() / fine)
+        mesh = _mesh_of(solid, rig, longest / fine, 0.42 / fine)
         tets = arrays_of(mesh)[1]
         corners = np.unique(tets)
         edges = np.unique(np.sort(tets[:, EDGES].reshape(-1, 2), axis=1), axis=0)
@@ -143,7 +143,7 @@ def user_mesh(rig):
     solid = with_patches(rig) if imprint else rig.body.solid
     share, longest = 0.62, 0.2 * rig.body.size
     for _ in range(14):
-        mesh = _mesh_of(solid, rig, longest, lambda pad: share * pad.half.min())
+        mesh = _mesh_of(solid, rig, longest, share)
         nodes, tets = arrays_of(mesh)
         if 0.9 * rig.user_nodes <= len(nodes) <= 1.1 * rig.user_nodes:
             break

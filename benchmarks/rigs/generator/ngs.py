@@ -132,7 +132,7 @@ class NgSolver:
             # Of the shape alone: the trace of a large strain is no change of volume.
             back = 2 * mu * where * (most - ng.Trace(most) / 3 * ONE)
             stored = stored - 0.5 * ng.InnerProduct(back, c)
-        self.form += ng.Variation((scale * total + factor * stored) * self.dx)
+        self.form += ng.Variation((scale * total + factor * stored).Compile() * self.dx)
         if truth.weight is not None:
             self.form += ng.Variation(-ng.InnerProduct(ng.CF(tuple(truth.weight)), u) * self.dx)
         if truth.thread is not None:
@@ -274,4 +274,3 @@ def energies(rig, truth, c):
         return plain + joint + 0.5 * shape["k"] * mu * extra, joint
     message = f"law must be known, got {name}"
     raise ValueError(message)
-

@@ -2,6 +2,7 @@
 
 import hashlib
 from dataclasses import dataclass, field
+from functools import cache
 
 import numpy as np
 
@@ -122,6 +123,7 @@ def halves():
     return found
 
 
+@cache
 def make(name):
     """Return a rig by its name."""
     kind, number = name.split("-")
@@ -212,7 +214,9 @@ def _pad(name, centre, normal, reach, outline, flat, rng):
     else:
         ways = ["nodes", "triangles", "imprint"] + (["box"] if level else [])
         reading = str(rng.choice(ways))
-    return Pad(name, np.round(centre, 3) if flat else centre, normal, along, outline, np.array(half[outline]), flat, reading)
+    return Pad(
+        name, np.round(centre, 3) if flat else centre, normal, along, outline, np.array(half[outline]), flat, reading
+    )
 
 
 def _loads(body, pads, rng):
@@ -231,8 +235,7 @@ def _loads(body, pads, rng):
             return np.round(0.7 * size * pad.normal, 3)
         return np.round(0.8 * size * (tilt - 0.3 * pad.normal), 3)
 
-    for pad in pads:
-        loads.append((f"{pad.name}_push", {pad.name: stroke(pad, "push")}))
+    loads += [(f"{pad.name}_push", {pad.name: stroke(pad, "push")}) for pad in pads]
     extra = int(rng.integers(2, 5)) - len(loads)
     ways = [("shear", 0), ("pull", 0)] if len(pads) == 1 else [("both", 0), ("shear", 1), ("pull", 0)]
     for how, k in ways[: max(extra, 2 - len(loads), 0)]:
@@ -266,26 +269,42 @@ def draw_box(number):
     for name, share, normal in spots[:n_pads]:
         moved = rng.uniform(-0.08, 0.08, 3) * (1 - np.abs(normal)) if own else 0.0
         pads.append(
-            Pad(name, np.round((share + moved) * size, 2), normal, np.roll(np.abs(normal), 1), "round",
-                np.array([radius, radius]), True, reading)
+            Pad(
+                name,
+                np.round((share + moved) * size, 2),
+                normal,
+                np.roll(np.abs(normal), 1),
+                "round",
+                np.array([radius, radius]),
+                True,
+                reading,
+            )
         )
     loads = []
     for k, pad in enumerate(pads):
         lean = np.roll(np.abs(pad.normal), 1)
         stroke = np.round(rng.uniform(4.5, 6.0) * (-pad.normal + rng.uniform(0.0, 0.4) * own * lean), 2)
         loads.append(Load(f"push_{pad.name}", FIRST + EVERY * k, {pad.name: stroke}))
-    loads.append(
-        Load("shear", FIRST + EVERY * len(pads), {"top": np.round(5.0 * np.array([0.9, 0.3, -0.3]), 2)})
-    )
+    loads.append(Load("shear", FIRST + EVERY * len(pads), {"top": np.round(5.0 * np.array([0.9, 0.3, -0.3]), 2)}))
     rig = Rig(
-        f"box-{number:02d}", 100 + number, body, LAWS[0], (10.0, 3.0), 0.45, [Hold("base", 2, 0.0)], pads, loads,
-        (12, 3, 8, 16, 4, 10, 6, 14, 5, 12)[number - 1], 1, "scikit-fem" if number % 3 == 2 else "ngsolve", True,
-        False, 700,
+        f"box-{number:02d}",
+        100 + number,
+        body,
+        LAWS[0],
+        (10.0, 3.0),
+        0.45,
+        [Hold("base", 2, 0.0)],
+        pads,
+        loads,
+        (12, 3, 8, 16, 4, 10, 6, 14, 5, 12)[number - 1],
+        1,
+        "scikit-fem" if number % 3 == 2 else "ngsolve",
+        True,
+        False,
+        700,
     )
     if number == 1:
         rig.factor = 1.2
     if reading == "ball":
         rig.read_error = {pad.name: float(rng.uniform(-0.04, 0.04)) for pad in pads}
     return rig
-
-

@@ -38,7 +38,9 @@ class SkSolver:
         where = basis.doflocs.T
         # Functions of corners come first, in the order of corners; those of edges in the order of `edges`.
         tets = straight.t.T
-        ten = np.concatenate([tets, n_corners + np.array([[at[tuple(sorted(t[list(p)]))] for p in EDGES] for t in tets])], 1)
+        ten = np.concatenate(
+            [tets, n_corners + np.array([[at[tuple(sorted(t[list(p)]))] for p in EDGES] for t in tets])], 1
+        )
         order = np.argsort(functions, axis=1), np.argsort(ten, axis=1)
         assert np.array_equal(np.take_along_axis(functions, order[0], 1), np.take_along_axis(ten, order[1], 1))
         places = places.T.copy()
@@ -77,11 +79,10 @@ class SkSolver:
             self.ties = support["springs"] * self._surface_mass()
 
     def _surface_mass(self):
-        facets = [hold for hold in self.rig.holds]
         mesh = self.curved
         middles = mesh.p[:, mesh.facets].mean(axis=1).T
         boundary = mesh.boundary_facets()
-        chosen = boundary[np.any([h.inside(middles[boundary]) for h in facets], axis=0)]
+        chosen = boundary[np.any([h.inside(middles[boundary]) for h in self.rig.holds], axis=0)]
         surface = skfem.FacetBasis(mesh, skfem.ElementTetP2(), facets=chosen, intorder=4)
         return skfem.BilinearForm(lambda u, v, _: u * v).assemble(surface).tocsr()
 

@@ -30,7 +30,7 @@ def store(report=print):
     ANSWERS.write_bytes(gzip.compress(body.encode(), mtime=0))
     seals = [f"{name},{_seal(salt, name, answers[name])}" for name in sorted(answers)]
     SEALS.write_text("case,sha256\n" + "\n".join(seals) + "\n", encoding="utf-8")
-    files = sorted([*DATA.glob("cases/*.npz"), *DATA.glob("meshes/*.npz"), ANSWERS, SEALS, HALVES])
+    files = sorted([*DATA.glob("cases/*.npz"), *DATA.glob("meshes/*.npz"), ANSWERS, SEALS, HALVES, DATA / "rigs.json"])
     sums = [f"{hashlib.sha256(f.read_bytes()).hexdigest()}  {f.relative_to(DATA).as_posix()}" for f in files]
     SUMS.write_text("\n".join(sums) + "\n", encoding="utf-8")
     report(f"{len(answers)} cases, {sum(f.stat().st_size for f in files) / 1e6:.1f} MB")
