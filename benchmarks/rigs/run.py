@@ -73,7 +73,8 @@ def main() -> None:
         for number, (case, answer) in enumerate(answers, start=1):
             named = ", ".join(c["id"] for c in answer["causes"])
             print(f"{number}/{len(cases)} {case}: {answer['verdict']} {named} ({answer['seconds']:.1f} s)", flush=True)
-    except (KeyboardInterrupt, ClusterError):
+    except (KeyboardInterrupt, ClusterError) as error:
+        print(repr(error))
         sys.exit("stopped; finished answers are saved, and the same command resumes from there")
 
 

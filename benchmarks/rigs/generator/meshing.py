@@ -69,21 +69,22 @@ def skin_of(solid, edge):
     return corners.mean(axis=1), normals / np.linalg.norm(normals, axis=1, keepdims=True), corners
 
 
-def with_patches(rig):
-    """Return the solid of a rig with its pads and the edges of its supports cut into its faces."""
+def with_patches(rig, drawn_in=0.0):
+    """Return the solid of a rig with its pads, drawn in by a share, and its supports' edges cut into its faces."""
     solid = rig.body.solid
     flat = []
     for pad in rig.pads:
+        half = pad.half - drawn_in * pad.half.min()
         if not pad.flat:
             depth = 0.75 * pad.reach
-            tool = Cylinder(Pnt(*(pad.centre - depth * pad.normal)), _vector(pad.normal), float(pad.half[0]), 2 * depth)
+            tool = Cylinder(Pnt(*(pad.centre - depth * pad.normal)), _vector(pad.normal), float(half[0]), 2 * depth)
             solid = Glue([solid - tool, solid * tool])
             continue
         plane = WorkPlane(Axes(Pnt(*pad.centre), n=_vector(pad.normal), h=_vector(pad.along)))
         if pad.outline == "round":
-            face = plane.Circle(0, 0, float(pad.half[0])).Face()
+            face = plane.Circle(0, 0, float(half[0])).Face()
         else:
-            face = plane.RectangleC(*(2 * float(h) for h in pad.half)).Face()
+            face = plane.RectangleC(*(2 * float(h) for h in half)).Face()
         flat.append(face)
     for hold in rig.holds:
         if hold.until is not None:
@@ -95,37 +96,42 @@ def with_patches(rig):
     return Glue([solid, *flat]) if flat else solid
 
 
-def _near_pads(rig, share, parameters):
-    """Ask for edges that are a share of half a pad's width on it and at its rim."""
+def _near_pads(rig, rim, within, parameters):
+    """Ask for edges that are shares of half a pad's width, at its rim and within."""
     for pad in rig.pads:
-        across = np.cross(pad.normal, pad.along)
-        for ring in (0.0, 0.5, 1.0):
-            for angle in np.linspace(0, 2 * np.pi, 13)[:-1] if ring else (0.0,):
-                reach = pad.half if pad.outline == "round" else pad.half * 1.15
-                at = pad.centre + ring * (np.cos(angle) * reach[0] * pad.along + np.sin(angle) * reach[1] * across)
-                parameters.RestrictH(x=float(at[0]), y=float(at[1]), z=float(at[2]), h=float(share * pad.half.min()))
+        across, least = np.cross(pad.normal, pad.along), pad.half.min()
+        if pad.outline == "round":
+            angles = np.linspace(0, 2 * np.pi, int(np.ceil(2 * np.pi / rim)) + 1)[:-1]
+            ring = np.stack([np.cos(angles), np.sin(angles)], axis=1) * pad.half[0]
+        else:
+            steps = np.linspace(-1, 1, int(np.ceil(2 * pad.half.max() / (rim * least))) + 1)
+            one = np.ones_like(steps)
+            ring = np.concatenate(
+                [np.stack(s, axis=1) for s in ((steps, one), (steps, -one), (one, steps), (-one, steps))]
+            )
+            ring = ring * pad.half
+        for share, edge in ((1.0, rim), (0.5, within), (0.0, within)):
+            for u, v in share * ring:
+                at = pad.centre + u * pad.along + v * across
+                parameters.RestrictH(x=float(at[0]), y=float(at[1]), z=float(at[2]), h=float(edge * least))
 
 
-def _mesh_of(solid, rig, longest, share):
-    parameters = MeshingParameters(maxh=float(longest), grading=0.35)
-    _near_pads(rig, share, parameters)
+def _mesh_of(solid, rig, longest, rim, within, grading):
+    parameters = MeshingParameters(maxh=float(longest), grading=grading)
+    _near_pads(rig, rim, within, parameters)
     with quiet():
         return OCCGeometry(solid).GenerateMesh(mp=parameters)
 
 
-def truth_mesh(rig, fine=1.0, least=3000, most=4300):
-    """Return the netgen mesh of the truth, of `least` to `most` ten-node nodes times the cube of `fine`."""
-    solid, longest = with_patches(rig), 0.16 * rig.body.size
-    for _ in range(12):
-        mesh = _mesh_of(solid, rig, longest / fine, 0.42 / fine)
-        tets = arrays_of(mesh)[1]
-        corners = np.unique(tets)
-        edges = np.unique(np.sort(tets[:, EDGES].reshape(-1, 2), axis=1), axis=0)
-        n = (len(corners) + len(edges)) / fine**3
-        if least <= n <= most:
-            break
-        longest *= np.clip((n / (0.5 * (least + most))) ** 0.45, 0.7, 1.4)
-    return mesh
+#: Edges at a pad's rim as a share of half its width. Elements as large as this hold a pad as if it were larger, by a
+#: share of them that was found by refinement: pads are cut smaller by as much.
+RIM, LARGER = 0.3, 0.09
+
+
+def truth_mesh(rig, fine=1.0):
+    """Return the netgen mesh of the truth, with edges that are smaller by a factor `fine`."""
+    solid = with_patches(rig, drawn_in=LARGER * RIM / fine)
+    return _mesh_of(solid, rig, 0.17 * rig.body.size / fine, RIM / fine, 0.45 / fine, 0.45)
 
 
 @dataclass
@@ -143,7 +149,7 @@ def user_mesh(rig):
     solid = with_patches(rig) if imprint else rig.body.solid
     share, longest = 0.62, 0.2 * rig.body.size
     for _ in range(14):
-        mesh = _mesh_of(solid, rig, longest, share)
+        mesh = _mesh_of(solid, rig, longest, share, share, 0.35)
         nodes, tets = arrays_of(mesh)
         if 0.9 * rig.user_nodes <= len(nodes) <= 1.1 * rig.user_nodes:
             break

@@ -4,6 +4,7 @@ import ngsolve as ng
 import numpy as np
 from ngsolve.comp import IntegrationRuleSpace
 
+from rigs.generator.meshing import EDGES
 from rigs.generator.rigs import Hold
 from rigs.generator.skeleton import Skeleton
 from rigs.generator.truth import Truth, moduli
@@ -33,6 +34,7 @@ class NgSolver:
         places = ng.GridFunction(self.space)
         places.Set(ng.CF((ng.x, ng.y, ng.z)))
         self.skeleton = self._skeleton(places.vec.FV().NumPy().reshape(3, -1).T.copy())
+        self._quarters()
         self.rules = IntegrationRuleSpace(self.mesh, order=1)
         self.dx = ng.dx(intrules=self.rules.GetIntegrationRules())
         points = ng.GridFunction(self.rules**3)
@@ -66,6 +68,28 @@ class NgSolver:
         shapes = np.asarray(scalar.GetFE(element).CalcShape(0.25, 0.25, 0.25)).ravel()
         bulge = 16.0 * float(shapes[list(scalar.GetDofNrs(element)).index(tets[0, 4])])
         return Skeleton(places, tets, np.array(faces), bulge, nodal=False)
+
+    def _quarters(self):
+        """Move the middles of edges that begin at a pad's rim to a quarter: stress is singular there."""
+        skeleton = self.skeleton
+        rim = np.zeros(self.n, dtype=bool)
+        for pad in self.rig.pads:
+            faces = skeleton.faces[pad.inside(skeleton.face_middles), :3]
+            edges = np.sort(faces[:, [0, 1, 1, 2, 0, 2]].reshape(-1, 2), axis=1)
+            edges, counts = np.unique(edges, axis=0, return_counts=True)
+            rim[edges[counts == 1]] = True
+        moved = np.zeros((self.n, 3))
+        for k, (i, j) in enumerate(EDGES):
+            a, b, edge = skeleton.tets[:, i], skeleton.tets[:, j], skeleton.tets[:, 4 + k]
+            once = rim[a] != rim[b]
+            near, far = np.where(rim[a], a, b)[once], np.where(rim[a], b, a)[once]
+            middle = skeleton.places[[near, far]].mean(axis=0) + skeleton.bulge / 4 * skeleton.places[edge[once]]
+            quarter = 0.375 * skeleton.places[near] - 0.125 * skeleton.places[far] + 0.75 * middle
+            moved[edge[once]] = (quarter - middle) * 4 / skeleton.bulge
+        self.moved = ng.GridFunction(self.space)
+        self.moved.vec.FV().NumPy()[:] = moved.T.ravel()
+        self.mesh.SetDeformation(self.moved)
+        skeleton.places += moved
 
     def _label(self, mesh):
         """Name the faces of the solid by what they are."""

@@ -42,7 +42,7 @@ def rig_with(law=("neo-hookean", {})):
 
 
 def solvers(rig):
-    mesh = truth_mesh(rig, least=600, most=1500)
+    mesh = truth_mesh(rig, fine=0.6)
     one = NgSolver(rig, mesh)
     return one, SkSolver(rig, mesh, bent_edges(one.skeleton))
 
