@@ -178,7 +178,7 @@ def _sets(rig, nodes, tets):
             # A user takes nodes up to somewhat beyond the rim, until the patch is about as large as the pad.
             wanted = np.pi * pad.half[0] ** 2 if pad.outline == "round" else 4 * pad.half.prod()
             edge = 0.62 * pad.half.min()
-            tries = [skin[pad.inside(nodes[skin], grown=share * edge)] for share in np.linspace(0.0, 0.5, 11)]
+            tries = [skin[pad.inside(nodes[skin], grown=share * edge)] for share in np.linspace(0.0, 1.0, 21)]
             sizes = [_area(nodes, faces, np.isin(faces, some).all(axis=1)) for some in tries]
             sets[pad.name] = tries[int(np.argmin(np.abs(np.array(sizes) - wanted)))]
         elif pad.reading in ("triangles", "imprint"):
