@@ -23,7 +23,7 @@ class Effect:
     `id`: of the catalogue, or the name of one outside it; `form`: which one; `sizes`: of about 25 noise deviations,
     and the largest; `codes`: solvers that have it; `forces`: whether they must be measured; `plain`: whether the
     believed law must be neo-Hookean; `own`: whether the catalogue has the same form; `holds`: `one` where it needs one
-    support.
+    support; `power`: of the size, with which the effect grows.
     """
 
     id: str
@@ -35,6 +35,7 @@ class Effect:
     plain: bool = False
     own: bool = False
     holds: tuple = ()
+    power: float = 1.0
 
 
 NG = ("ngsolve",)
@@ -280,7 +281,7 @@ CATALOGUE = (
     Effect("gravity", "", (0.08, 0.4), _gravity, own=True),
     Effect("reference", "", (0.08, 0.4), _gravity, own=True),
     Effect("sliding", "springs", (0.02, 0.2), _springs, own=True, holds=("one",)),
-    Effect("detachment", "rim", (0.22, 0.45), _detachment, own=True),
+    Effect("detachment", "rim", (0.22, 0.6), _detachment, own=True, power=3.0),
     Effect("actuator_gain", "", (0.08, 0.3), _gain, own=True),
     Effect("actuator_direction", "", (6.0, 25.0), _direction, own=True),
     Effect("actuator_offset", "constant", (0.4, 2.5), _offset, own=True),

@@ -88,17 +88,19 @@ def solve(bench, plan):
             # What a part draws depends on its place in the pair.
             settings, _ = effect.build(bench, plan.rng(k), sizes[k])
             d = length_of(bench.rig, bench.solve(Truth(**settings)), bench.null, factor)
-            wanted.append(min(sizes[k] * ALONE / max(d, 1e-6), effect.sizes[1]))
-            alone.append(d * wanted[-1] / sizes[k])
+            wanted.append(min(sizes[k] * (ALONE / max(d, 1e-6)) ** (1 / effect.power), effect.sizes[1]))
+            alone.append(d * (wanted[-1] / sizes[k]) ** effect.power)
         clean, parameters, length, sizes = _try(bench, plan, tuple(wanted), factor)
     else:
-        first = sizes[0] * float(np.clip(plan.level / 25.0, 0.3, 2.5))
+        first = sizes[0] * float(np.clip(plan.level / 25.0, 0.3, 2.5)) ** (1 / effects[0].power)
         clean, parameters, length, sizes = _try(bench, plan, (min(first, effects[0].sizes[1]),), factor)
         for _ in range(1 if Truth(**_built(bench, plan, sizes)[0]).timed else 2):
             scale = plan.level / max(length, 1e-6)
             if 0.6 <= scale <= 1.6 or (scale > 1 and sizes[0] >= 0.999 * effects[0].sizes[1]):
                 break
-            clean, parameters, length, sizes = _try(bench, plan, (min(sizes[0] * scale, effects[0].sizes[1]),), factor)
+            clean, parameters, length, sizes = _try(
+                bench, plan, (min(sizes[0] * scale ** (1 / effects[0].power), effects[0].sizes[1]),), factor
+            )
     if plan.level and plan.kind != "pair" and length:
         # The noise takes what the size left over.
         factor = _factor(bench, clean, plan.level)
@@ -166,6 +168,8 @@ def run(rigs, report=print, kinds=("null", "single", "outside", "pair"), most=10
             by_rig.setdefault(plan.rig, []).append(plan)
     for name in [n for n in rigs if n in by_rig]:
         begun = time.perf_counter()
+        # The factors of the rig before are given back first.
+        bench = None
         bench = Bench(name)
         write_mesh(bench.rig)
         report(f"{name}: {bench.rig.body.kind}, {bench.solver.code}, {time.perf_counter() - begun:.0f} s")

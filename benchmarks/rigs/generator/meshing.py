@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from netgen.meshing import MeshingParameters
 from netgen.occ import Axes, Cylinder, Glue, OCCGeometry, Pnt, WorkPlane, gp_Dir
+from scipy.spatial import cKDTree
 
 #: Edges of a tetrahedron by its corners.
 EDGES = np.array([(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)])
@@ -98,6 +99,9 @@ def with_patches(rig, drawn_in=0.0):
 
 def _near_pads(rig, rim, within, parameters):
     """Ask for edges that are shares of half a pad's width, at its rim and within."""
+    curved = not all(pad.flat for pad in rig.pads)
+    centres, normals = skin_of(rig.body.solid, 3.0)[:2] if curved else (None, None)
+    tree = cKDTree(centres) if curved else None
     for pad in rig.pads:
         across, least = np.cross(pad.normal, pad.along), pad.half.min()
         if pad.outline == "round":
@@ -113,6 +117,10 @@ def _near_pads(rig, rim, within, parameters):
         for share, edge in ((1.0, rim), (0.5, within), (0.0, within)):
             for u, v in share * ring:
                 at = pad.centre + u * pad.along + v * across
+                if not pad.flat:
+                    # Onto the skin: small edges are asked for where the rim is.
+                    k = tree.query(at)[1]
+                    at = at - ((at - centres[k]) @ normals[k]) * normals[k]
                 parameters.RestrictH(x=float(at[0]), y=float(at[1]), z=float(at[2]), h=float(edge * least))
 
 
@@ -127,11 +135,21 @@ def _mesh_of(solid, rig, longest, rim, within, grading):
 #: share of them that was found by refinement: pads are cut smaller by as much.
 RIM, LARGER = 0.3, 0.09
 
+#: Fewest nodes of a truth's mesh.
+LEAST = 3000
+
 
 def truth_mesh(rig, fine=1.0):
     """Return the netgen mesh of the truth, with edges that are smaller by a factor `fine`."""
-    solid = with_patches(rig, drawn_in=LARGER * RIM / fine)
-    return _mesh_of(solid, rig, 0.17 * rig.body.size / fine, RIM / fine, 0.45 / fine, 0.45)
+    solid, longest = with_patches(rig, drawn_in=LARGER * RIM / fine), 0.17 * rig.body.size / fine
+    for _ in range(5):
+        mesh = _mesh_of(solid, rig, longest, RIM / fine, 0.45 / fine, 0.45)
+        tets = arrays_of(mesh)[1]
+        edges = np.unique(np.sort(tets[:, EDGES].reshape(-1, 2), axis=1), axis=0)
+        if len(np.unique(tets)) + len(edges) > LEAST * fine**3:
+            break
+        longest *= 0.85
+    return mesh
 
 
 @dataclass

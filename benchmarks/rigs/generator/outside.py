@@ -50,8 +50,8 @@ def _rod(bench, rng, size):
 
 
 def _peeling(bench, rng, size):
-    stiff = 60.0 * bench.rig.young[0] / bench.rig.body.size
-    limit = 6e-4 * bench.rig.body.size / size
+    stiff = 300.0 * bench.rig.young[0] / bench.rig.body.size
+    limit = 1.2e-4 * bench.rig.body.size / size
     return {"support": {"springs": stiff, "limit": limit}}, {"kpa_per_mm": stiff, "limit_mm": limit}
 
 

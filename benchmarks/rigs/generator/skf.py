@@ -12,6 +12,21 @@ from rigs.generator.truth import Truth, moduli
 ID = np.eye(3)
 
 
+class Factors:
+    """Factors of a sparse matrix, whose memory is given back with the object."""
+
+    def __init__(self, matrix):
+        self.matrix, self.solver = matrix, PyPardisoSolver()
+        self.solver.factorize(matrix)
+
+    def __del__(self):
+        self.solver.free_memory(everything=True)
+
+    def solve(self, right):
+        """Return the solution for a right side."""
+        return self.solver.solve(self.matrix, right)
+
+
 class SkSolver:
     """Equilibria of one rig's mesh under one truth; only elastic truths.
 
@@ -125,12 +140,11 @@ class SkSolver:
                 matrix = matrix + csr_matrix((ties.data, (3 * ties.row + i, 3 * ties.col + i)), shape=matrix.shape)
         kept = np.flatnonzero(free.ravel())
         inner = matrix[kept][:, kept].tocsr()
-        solver = PyPardisoSolver()
-        solver.factorize(inner)
+        factors = Factors(inner)
 
         def solve(v):
             out = np.zeros(3 * self.n)
-            out[kept] = solver.solve(inner, np.ascontiguousarray(v.ravel()[kept]))
+            out[kept] = factors.solve(np.ascontiguousarray(v.ravel()[kept]))
             return out.reshape(-1, 3)
 
         return lambda v: (matrix @ v.ravel()).reshape(-1, 3), solve
