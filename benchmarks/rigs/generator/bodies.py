@@ -1,6 +1,7 @@
 """Bodies by Open Cascade: sizes drawn, and the ways in which each can be held."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from netgen.occ import Axes, Axis, Box, Cylinder, Ellipsoid, HalfSpace, Pnt, WorkPlane, X, Y, Z, gp_Dir
@@ -26,6 +27,11 @@ class Body:
     def size(self):
         """Mean of the three lengths of the box around it, mm."""
         return float(np.mean(self.high - self.low))
+
+    @cached_property
+    def skin(self):
+        """Centres, outward normals and corners of small triangles of the skin."""
+        return skin_of(self.solid, 3.0)
 
 
 def _body(solid, kind, holds):

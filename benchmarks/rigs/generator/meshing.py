@@ -100,7 +100,7 @@ def with_patches(rig, drawn_in=0.0):
 def _near_pads(rig, rim, within, parameters):
     """Ask for edges that are shares of half a pad's width, at its rim and within."""
     curved = not all(pad.flat for pad in rig.pads)
-    centres, normals = skin_of(rig.body.solid, 3.0)[:2] if curved else (None, None)
+    centres, normals = rig.body.skin[:2] if curved else (None, None)
     tree = cKDTree(centres) if curved else None
     for pad in rig.pads:
         across, least = np.cross(pad.normal, pad.along), pad.half.min()
