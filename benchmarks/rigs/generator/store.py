@@ -25,6 +25,9 @@ def store(report=print):
         answer = write(plan)
         if answer is not None:
             answers[plan.name] = answer
+    for path in DATA.glob("cases/*.npz"):
+        if path.stem not in answers:
+            path.unlink()
     body = json.dumps({"salt": salt, "answers": answers}, sort_keys=True, default=float)
     answers = json.loads(body)["answers"]
     ANSWERS.write_bytes(gzip.compress(body.encode(), mtime=0))
