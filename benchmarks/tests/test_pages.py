@@ -15,6 +15,7 @@ import misuse.__main__ as misuse
 import misuse.lost as lost
 import real.__main__ as real
 import regions.regions as regions
+import rigs.page as rigs
 import speed.cluster as cluster
 import speed.esmda as esmda
 import speed.large_bodies as large_bodies
@@ -92,6 +93,13 @@ def test_a_page_is_that_of_its_archive(name):
 @pytest.mark.parametrize("tier", blind.PAGES)
 def test_a_page_of_the_blind_bench_is_that_of_its_verdicts(tier):
     assert blind.page(tier) == (blind.HERE / blind.PAGES[tier]).read_text(encoding="utf-8")
+
+
+def test_the_page_of_rigs_is_that_of_its_verdicts():
+    archives, kept = rigs.archives(), rigs.PAGE.read_text(encoding="utf-8")
+    assert rigs.page(archives) == kept
+    next(iter(archives["dev"]["rows"].values()))["verdict"] = "unexplained elsewhere"
+    assert rigs.page(archives) != kept
 
 
 def test_the_table_of_trained_models_in_the_results_is_that_of_the_archive():

@@ -1,0 +1,1 @@
+"""Bench of rigs drawn at random and solved by foreign codes."""

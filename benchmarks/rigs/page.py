@@ -1,0 +1,67 @@
+"""Writes RESULTS.md from the archived verdicts: ``python -m rigs.page [--pack PREDICTIONS --half HALF]``.
+
+``archive/HALF`` holds the verdicts of a half; ``--pack`` stores a folder of predictions there first.
+"""
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from common import commit, read_archive, write_archive
+from rigs.materialise import case_names
+from rigs.score import read_predictions, report
+from rigs.scored import scored
+
+HERE = Path(__file__).resolve().parent
+ARCHIVE, PAGE = HERE / "archive", HERE / "RESULTS.md"
+HALVES = ("dev", "sealed")
+
+_TOP = """# Rigs
+
+Rigs drawn at random and solved by NGSolve and scikit-fem with ten-node elements, diagnosed on the user's own mesh of
+four-node elements (how: `DATA.md`). *d*: length of the effect over markers and forces in standard deviations of noise
+and gauges, after the best common factor of the forces is removed; *d of markers*: that of the markers alone. *Right
+group*: the named cause, or the group it is in, contains the hidden one. Intervals are beta-binomial, by rig.
+"""
+
+
+def page(archives: dict[str, dict[str, Any]]) -> str:
+    """Return the page of the halves that are archived."""
+    sections = [report(scored(archives[half]["rows"]), half) for half in HALVES if half in archives]
+    return "\n".join([_TOP, *sections])
+
+
+def archives() -> dict[str, dict[str, Any]]:
+    """Return the archived verdicts, by half."""
+    return {half: read_archive(ARCHIVE / half) for half in HALVES if (ARCHIVE / half / "run.json").exists()}
+
+
+def pack(predictions: Path, half: str) -> None:
+    """Store what the page needs of the predictions of a half."""
+    mine, kept = set(case_names(half)), ("verdict", "p_misfit", "seconds", "commit", "changed_files", "date")
+    rows = {
+        case: {key: answer[key] for key in kept if key in answer}
+        | {"causes": [_finding(cause) for cause in answer["causes"]]}
+        for case, answer in read_predictions(predictions).items()
+        if case in mine
+    }
+    write_archive(ARCHIVE / half, {"schema": "tissuereg.rigs/1", **commit(), "rows": rows}, ("rows/<case>",))
+
+
+def _finding(cause: dict[str, Any]) -> dict[str, Any]:
+    kept = ("id", "group", "probability", "log_bayes_factor", "parameters")
+    return {key: cause[key] for key in kept if key in cause}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(prog="python -m rigs.page", description=__doc__)
+    parser.add_argument("--pack", type=Path, help="folder of predictions that becomes the archive of a half")
+    parser.add_argument("--half", choices=HALVES, default="dev")
+    options = parser.parse_args()
+    if options.pack:
+        pack(options.pack, options.half)
+    PAGE.write_text(page(archives()), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

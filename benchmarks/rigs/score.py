@@ -1,0 +1,164 @@
+"""Scores predictions against the sealed answers: ``python -m rigs.score PREDICTIONS [--out PAGE]``.
+
+Cases without a prediction are not scored. Intervals are by rig: cases of one rig are not independent.
+"""
+
+import argparse
+import json
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from blind.compare import made
+from blind.scored import Scored, of_kind
+from regions.intervals import interval
+from rigs.materialise import case_names, rig_of
+from rigs.scored import by_rig, scored
+
+_HEAD = ["| figure | count | share (95 %, by rig) | rigs |", "|---|---|---|---|"]
+LEVELS = (8.0, 13.0, 21.0, 50.0)
+
+
+def row(figure: str, cases: list[Scored], flag: Callable[[Scored], bool]) -> str:
+    """Return a row of the table: in how many cases a flag is set."""
+    flags = [flag(case) for case in cases]
+    if not cases:
+        return f"| {figure} | 0 of 0 | - | 0 |"
+    counts = by_rig(cases, flags)
+    low, high = interval(tuple(sorted(counts)))
+    share = f"{100 * sum(flags) / len(flags):.0f} % ({100 * low:.0f}-{100 * high:.0f})"
+    return f"| {figure} | {sum(flags)} of {len(flags)} | {share} | {len(counts)} |"
+
+
+def named(case: Scored) -> bool:
+    """Whether something is named."""
+    return bool(case.ids)
+
+
+def consistent(case: Scored) -> bool:
+    """Whether the answer is that nothing is wrong."""
+    return case.prediction["verdict"] == "consistent"
+
+
+def all_named(case: Scored) -> bool:
+    """Whether every hidden cause is in some group."""
+    return all(any(cause in group for group in case.groups) for cause in case.truth["cause"])
+
+
+def figures(cases: list[Scored]) -> Iterator[str]:
+    """Yield the rows of the table of figures."""
+    nulls, alone = of_kind(cases, "null"), of_kind(cases, "single")
+    for kind, words in (("rig", "drawn rigs"), ("box", "boxes")):
+        some = [case for case in nulls if rig_of(case.case).startswith(kind)]
+        yield row(f"nulls of {words}: consistent", some, consistent)
+        yield row(f"nulls of {words}: false alarms", some, named)
+    for code in ("ngsolve", "scikit-fem"):
+        yield row(f"nulls by {code}: consistent", [c for c in nulls if c.truth["code"] == code], consistent)
+    for reading in ("ball", "box", "nodes", "triangles", "imprint"):
+        some = [case for case in nulls if reading in case.truth["readings"]]
+        yield row(f"nulls with a pad read as {reading}: consistent", some, consistent)
+    for level in LEVELS:
+        some = [case for case in alone if case.truth["level"] == level]
+        yield row(f"one cause, d = {level:g}: right group", some, lambda c: c.right)
+        yield row(f"one cause, d = {level:g}: exact", some, lambda c: c.exact)
+    yield row("one cause, any d: right group", alone, lambda c: c.right)
+    yield row("one cause, form of its own: right group", [c for c in alone if not all(c.truth["own_form"])], _right)
+    yield row("one cause: wrong group named", alone, lambda c: c.wrong)
+    outside = of_kind(cases, "outside")
+    yield row("outside the catalogue: misnamed", outside, named)
+    yield row("outside the catalogue: unexplained", outside, lambda c: c.prediction["verdict"] == "unexplained")
+    pairs = of_kind(cases, "pair")
+    for kind, words in (("rig", "pairs"), ("box", "pairs on boxes")):
+        some = [case for case in pairs if rig_of(case.case).startswith(kind)]
+        yield row(f"{words}: both named", some, all_named)
+        yield row(f"{words}: one right and none wrong", some, lambda c: c.right and not c.wrong)
+        yield row(f"{words}: one wrong", some, lambda c: c.wrong)
+    sure = [(case, k) for case in cases for k, p in enumerate(_probabilities(case)) if p >= 0.9]
+    right = {id(case): case.groups[k] & set(case.truth["group_ok"]) for case, k in sure}
+    yield row("stated probability >= 0.9: right", [case for case, _ in sure], lambda c: bool(right[id(c)]))
+
+
+def _right(case: Scored) -> bool:
+    return case.right
+
+
+def _probabilities(case: Scored) -> list[float]:
+    return [cause.get("probability", 0.0) for cause in case.prediction["causes"]] if case.ids else []
+
+
+def hidden(case: Scored) -> str:
+    """Return what is hidden in a case, in words."""
+    if case.truth["kind"] == "null":
+        return "nothing"
+    return " + ".join(case.truth["cause"]) or f"outside: {case.truth['outside'][0]}"
+
+
+def each(cases: list[Scored]) -> list[str]:
+    """Return a row for every case."""
+    lines = [
+        "| case | body, solver | hidden | d | d of markers | verdict | named (P) |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for case in sorted(cases, key=lambda c: (rig_of(c.case), c.truth["kind"], c.case)):
+        truth = case.truth
+        stated = ", ".join(f"{i} ({p:.2f})" for i, p in zip(case.ids, _probabilities(case), strict=True))
+        size = f"{truth['detectability']:.0f} | {truth['of_markers']:.1f}" if truth["detectability"] else " | "
+        lines.append(
+            f"| {case.case} | {truth['body']}, {truth['code']} | {hidden(case)} | {size} "
+            f"| {case.prediction['verdict']} | {stated} |"
+        )
+    return lines
+
+
+def answers_by_cause(cases: list[Scored]) -> list[str]:
+    """Return how often each answer was given, by the single hidden cause."""
+    table: dict[str, Counter[str]] = defaultdict(Counter)
+    for case in cases:
+        if case.truth["kind"] != "pair":
+            table[hidden(case)]["+".join(case.ids) or case.prediction["verdict"]] += 1
+    lines = ["| hidden | answers |", "|---|---|"]
+    for cause, counts in sorted(table.items()):
+        lines.append(f"| {cause} | " + ", ".join(f"{what} {n}" for what, n in counts.most_common()) + " |")
+    return lines
+
+
+def report(cases: list[Scored], half: str) -> str:
+    """Return the section of a half in Markdown."""
+    lines = [
+        f"## {'Development' if half == 'dev' else 'Sealed'} half",
+        "",
+        f"{len(cases)} of {len(case_names(half))} cases, on {len({rig_of(c.case) for c in cases})} rigs. "
+        f"Verdicts: {made(cases)}.",
+        "",
+        *_HEAD,
+        *figures(cases),
+        "",
+        *answers_by_cause(cases),
+        "",
+        *each(cases),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def read_predictions(folder: Path) -> dict[str, dict]:
+    """Return the predictions in a folder, by case."""
+    return {path.stem: json.loads(path.read_text(encoding="utf-8")) for path in sorted(folder.glob("*.json"))}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(prog="python -m rigs.score", description=__doc__)
+    parser.add_argument("predictions", type=Path)
+    parser.add_argument("--half", choices=("dev", "sealed"), default="dev")
+    parser.add_argument("--out", type=Path)
+    options = parser.parse_args()
+    mine = set(case_names(options.half))
+    predictions = {case: answer for case, answer in read_predictions(options.predictions).items() if case in mine}
+    text = report(scored(predictions), options.half)
+    if options.out:
+        options.out.write_text(text, encoding="utf-8")
+    else:
+        print(text)
+
+
+if __name__ == "__main__":
+    main()
