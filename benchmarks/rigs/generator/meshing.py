@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from netgen.meshing import MeshingParameters
-from netgen.occ import Axes, Cylinder, Glue, OCCGeometry, Pnt, WorkPlane, gp_Dir
+from netgen.occ import Axes, Glue, OCCGeometry, Pnt, WorkPlane, gp_Dir
 from scipy.spatial import cKDTree
 
 #: Edges of a tetrahedron by its corners.
@@ -76,16 +76,18 @@ def with_patches(rig, drawn_in=0.0):
     flat = []
     for pad in rig.pads:
         half = pad.half - drawn_in * pad.half.min()
-        if not pad.flat:
-            depth = 0.75 * pad.reach
-            tool = Cylinder(Pnt(*(pad.centre - depth * pad.normal)), _vector(pad.normal), float(half[0]), 2 * depth)
-            solid = Glue([solid - tool, solid * tool])
-            continue
-        plane = WorkPlane(Axes(Pnt(*pad.centre), n=_vector(pad.normal), h=_vector(pad.along)))
+        level = pad.flat and np.abs(pad.normal).max() > 1 - 1e-12
+        # On a skin that is curved, or slanted and so never met exactly, a prism through it cuts the rim.
+        depth = 0.0 if level else 0.75 * pad.reach
+        plane = WorkPlane(Axes(Pnt(*(pad.centre - depth * pad.normal)), n=_vector(pad.normal), h=_vector(pad.along)))
         if pad.outline == "round":
             face = plane.Circle(0, 0, float(half[0])).Face()
         else:
             face = plane.RectangleC(*(2 * float(h) for h in half)).Face()
+        if not level:
+            tool = face.Extrude(2 * depth)
+            solid = Glue([solid - tool, solid * tool])
+            continue
         flat.append(face)
     for hold in rig.holds:
         if hold.until is not None:
