@@ -49,7 +49,7 @@ def pack(predictions: Path, half: str) -> None:
 
 
 def _finding(cause: dict[str, Any]) -> dict[str, Any]:
-    kept = ("id", "group", "probability", "log_bayes_factor", "parameters")
+    kept = ("id", "group", "family", "probability", "log_bayes_factor", "parameters")
     return {key: cause[key] for key in kept if key in cause}
 
 

@@ -242,7 +242,7 @@ def test_what_differs_in_the_tracker_alone_is_solved_once(of_two, monkeypatch):
     predictor = Bench(of_two.bench.experiment, of_two.bench.layout).predictor
     solved = []
     once = predictor._solve
-    monkeypatch.setattr(predictor, "_solve", lambda *given: solved.append(given) or once(*given))
+    monkeypatch.setattr(predictor, "_solve", lambda *given, **how: solved.append(given) or once(*given, **how))
     late = [predictor.predict([Poisson(poisson=0.35), Latency(latency_s=s)]) for s in (0.0, 0.1, 0.2)]
     assert len(solved) == 1
     assert np.abs(late[2] - late[0]).max() > 0.01

@@ -8,7 +8,11 @@ import pytest
 import tissuereg as tr
 from support.answers import told
 from support.rigs import rig
+from tissuereg.diagnosis.bank import make_bank
+from tissuereg.diagnosis.bench import Bench
+from tissuereg.diagnosis.causes import CAUSES
 from tissuereg.diagnosis.run import _own_modulus
+from tissuereg.diagnosis.signals import SignalLayout
 from tissuereg.experiment.effects import Poisson, Stiffness
 
 
@@ -44,3 +48,18 @@ def test_an_extended_model_is_diagnosed_with_a_modulus_that_may_move():
     assert [one.kind for one in diagnosis.suspicions] == ["silent"]
     assert not [effect for effect in diagnosis.extended.effects if isinstance(effect, Stiffness)]
     assert "stiffness" not in [finding.id for finding in diagnosis.findings]
+
+
+def test_a_hypothesis_that_grows_without_bounds_is_left_out(monkeypatch):
+    believed = rig()
+    bench = Bench(believed, SignalLayout(believed))
+    plain = make_bank(bench, keep=False)["poisson"]
+    wild = replace(plain[0], label="wild", columns=1e45 * np.ones_like(plain[0].columns, float))
+    none = replace(plain[0], label="none", columns=np.full_like(plain[0].columns, np.nan))
+    large = replace(plain[0], label="large", columns=1e3 * plain[0].columns)
+    monkeypatch.setattr(type(CAUSES["poisson"]), "variants", lambda self, bench: [*plain, wild, none, large])
+    found = make_bank(bench, keep=False)["poisson"]
+    assert [one.label for one in found] == [*(one.label for one in plain), "large"]
+    assert all(np.isfinite(one.columns).all() for one in found)
+    monkeypatch.setattr(type(CAUSES["poisson"]), "variants", lambda self, bench: [wild])
+    assert "poisson" not in make_bank(bench, keep=False)

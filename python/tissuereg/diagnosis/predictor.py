@@ -70,17 +70,19 @@ class Predictor:
         young: float | None = None,
         threads: int | None = None,
         near: Solved | None = None,
+        aside: bool = False,
     ) -> FloatArray:
         """Return the prediction (size,) of all measured numbers with further effects, in mm (markers) and mN (forces).
 
         `effects`: in addition to those of the experiment; `young`: factor on the believed modulus; `threads`: threads
         to use; by default the predictor's own number; `near`: solution of a similar model, from which frames that are
-        solved one after another start; by default that of the believed model. All entries of the result are finite.
+        solved one after another start; by default that of the believed model; `aside`: whether others are solved at the
+        same time, so that no analysis is kept for later ones. All entries of the result are finite.
         Raises `ConvergenceError` if a frame has no equilibrium; `ExperimentError` if an effect does not apply to the
         experiment.
         """
         believed = replace(self.experiment, effects=(*self.experiment.effects, *effects))
-        solved = self.solved(effects, young=young, threads=threads, near=near)
+        solved = self.solved(effects, young=young, threads=threads, near=near, aside=aside)
         seen = {name: seen_markers(believed, places, solved.times[name]) for name, places in solved.places.items()}
         return self.layout.flatten(seen, solved.forces)
 
@@ -91,6 +93,7 @@ class Predictor:
         young: float | None = None,
         threads: int | None = None,
         near: Solved | None = None,
+        aside: bool = False,
     ) -> Solved:
         """Return the equilibria of the believed model with further effects; the last few solutions are kept.
 
@@ -102,7 +105,7 @@ class Predictor:
         for solved in reversed(self._solved):
             if solved.young == young and solved.effects == bodily:
                 return solved
-        found = self._solve(bodily, young, self.threads if threads is None else threads, near)
+        found = self._solve(bodily, young, self.threads if threads is None else threads, near, aside=aside)
         self._solved = [*self._solved, found][-self.settings.most_solved :]
         return found
 
@@ -111,7 +114,15 @@ class Predictor:
         """The equilibria of the believed model without further effects."""
         return self._solve((), None, self.threads, None)
 
-    def _solve(self, effects: tuple[Effect, ...], young: float | None, threads: int, near: Solved | None) -> Solved:
+    def _solve(
+        self,
+        effects: tuple[Effect, ...],
+        young: float | None,
+        threads: int,
+        near: Solved | None,
+        *,
+        aside: bool = False,
+    ) -> Solved:
         believed = replace(self.experiment, effects=(*self.experiment.effects, *effects))
         if young is not None:
             believed = replace(believed, material=believed.material.scaled(young))
@@ -119,11 +130,13 @@ class Predictor:
         cases = list(worked.cases.values())
         if near is None and (effects or young is not None) and goes_through_time(worked):
             near = self._believed
+        # What is kept would depend on which of several models ends first.
+        rigs, simulators = (dict(self._rigs), dict(self._simulators)) if aside else (self._rigs, self._simulators)
         solved = solve_cases(
             worked,
             cases,
             settings=FrameSettings(self.element, self.settings.tolerance, threads),
-            similar=Similar(None if near is None else near.fields, self._rigs, self._simulators),
+            similar=Similar(None if near is None else near.fields, rigs, simulators),
         )
         places, forces = {}, {}
         for case in cases:

@@ -33,6 +33,8 @@ class ModelSettings:
     thirds: int = 3
     #: Whether predictions on the user's mesh are corrected for their discretisation error.
     corrected: bool = True
+    #: Hypotheses that change a number by more than this many times the largest believed one are left out.
+    largest_change: float = 1e6
     #: Nats that the correction of a fit's discretisation error may add to its log evidence, at most.
     correction_gain: float = 30.0
     #: Discretisation error, in noise deviations, that may remain uncorrected in a fit.
