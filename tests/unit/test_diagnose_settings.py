@@ -53,22 +53,31 @@ def watched(group, read):
     return made
 
 
+def _watched(given, name, read):
+    before = set(read[name])
+    made = watched(getattr(given, name), read[name])
+    read[name] |= before
+    return made
+
+
 @pytest.fixture(scope="module")
 def of_rig():
     read = {name: set() for name in GROUPS}
-    settings = DiagnoseSettings(**{name: watched(getattr(SHARP, name), read[name]) for name in GROUPS})
-    found = tr.diagnose(rig(), keep=False, settings=settings)
+    for given in (DEFAULT, SHARP):  # with findings, and with a misfit
+        settings = DiagnoseSettings(**{name: _watched(given, name, read) for name in GROUPS})
+        found = tr.diagnose(rig(), keep=False, settings=settings)
     return found, {name: set(names) for name, names in read.items()}
 
 
 def test_a_diagnosis_reads_its_numbers_from_the_settings_that_it_is_given(of_rig):
     _, read = of_rig
     # The rig states how well its modulus is known; a block has no facets beside its surface, and its pads are no balls;
-    # with three cases and no tie nothing is advised or located.
+    # with three cases and no tie nothing is advised or located; a misfit beside findings is seldom.
     seldom = {
         "model": {"young_spread"},
         "noise": {"least_evidence"},
         "shape": {"most_places", "most_patterns", "length_share", "held_variance", "lattice", "finer"},
+        "nulls": {"explained"},
         "search": {"determined_modulus", "clear"},
         "readings": {"most_digits", "nothing", "force"},
         "report": {
