@@ -10,10 +10,11 @@ from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
 
-from blind.variants import ours
+import tissuereg as tr
 from common import commit
 from rigs.materialise import case_names, folder_of
 from tissuereg.errors import ClusterError
+from tissuereg.io.json import plain
 from tissuereg.parallel import Failed, Processes
 
 BUILD = Path("build") / "rigs"
@@ -26,7 +27,7 @@ def diagnose(case: str, predictions: Path, work: Path, threads: int) -> dict:
         return json.loads(kept.read_text(encoding="utf-8"))
     folder, begun = folder_of(case, work), time.perf_counter()
     try:
-        answer = ours(folder, threads=threads)
+        answer = plain(tr.diagnose(tr.read_experiment(folder), threads=threads).to_json())
     except Exception as error:
         # An exception of the diagnoser is recorded as its answer.
         answer = {"verdict": "failed", "causes": [], "error": f"{type(error).__name__}: {error}"[-2000:]}
