@@ -5,6 +5,7 @@ Reads no answers. A case tells what is measured and believed, and nothing else.
 
 import shutil
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -31,9 +32,9 @@ def materialise(case: str, folder: Path, cases: Path = CASES) -> Path:
     with np.load(cases / f"{case}.npz") as stored:
         times, mesh = stored["times"], str(stored["mesh"])
         (folder / "experiment.toml").write_text(str(stored["toml"]), encoding="utf-8")
-        markers = _numbers(stored["markers"], STEP_MM)
-        targets = _numbers(stored["targets"], STEP_MM)
-        forces = _numbers(stored["forces"], STEP_MN)
+        markers = numbers(stored["markers"], STEP_MM)
+        targets = numbers(stored["targets"], STEP_MM)
+        forces = numbers(stored["forces"], STEP_MN)
         strokes, target_names = stored["strokes"], [str(n) for n in stored["target_names"]]
         forces_given = bool(stored["forces_given"])
     labels = [_case_at(t) for t in times]
@@ -48,17 +49,18 @@ def materialise(case: str, folder: Path, cases: Path = CASES) -> Path:
     if forces_given:
         _write(folder / "forces.csv", "actuator", "mN", pushed, times[loaded], pushed, forces[:, None], 2)
     with np.load(MESHES / mesh) as stored:
-        _write_mesh(folder / "mesh.vtu", stored["nodes"], stored["tets"])
+        base = np.flatnonzero(np.abs(stored["nodes"][:, 2]) < 1e-6)
+        write_mesh(folder / "mesh.vtu", stored["nodes"], stored["tets"], {"base": base})
     return folder
 
 
-def folder_of(case: str, work: Path) -> Path:
+def folder_of(case: str, work: Path, write: Callable[[str, Path], Path] = materialise) -> Path:
     """Return the experiment folder of a stored case below a work folder, written once, whole or not at all."""
     folder = work / "cases" / case
     if not folder.exists():
         partial = folder.with_suffix(".part")
         shutil.rmtree(partial, ignore_errors=True)
-        materialise(case, partial)
+        write(case, partial)
         partial.rename(folder)
     return folder
 
@@ -68,7 +70,8 @@ def _case_at(time: float) -> str:
     return later[-1] if later else "rest"
 
 
-def _numbers(whole: np.ndarray, step: float) -> np.ndarray:
+def numbers(whole: np.ndarray, step: float) -> np.ndarray:
+    """Return stored integers as numbers, NaN where one is missing."""
     return np.where(whole == MISSING, np.nan, whole * step)
 
 
@@ -83,8 +86,8 @@ def _write(path, what, unit, labels, times, names, values, digits) -> None:
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-def _write_mesh(path: Path, nodes: np.ndarray, tets: np.ndarray) -> None:
-    base = (np.abs(nodes[:, 2]) < 1e-6).astype(int)
+def write_mesh(path: Path, nodes: np.ndarray, tets: np.ndarray, sets: dict[str, np.ndarray]) -> None:
+    """Write a mesh of four-node tets as .vtu; `sets`: numbers of the nodes of each set, by its name."""
 
     def table(name, kind, values, parts=1):
         rows = "\n".join(" ".join(str(v) for v in np.atleast_1d(row)) for row in values)
@@ -92,6 +95,7 @@ def _write_mesh(path: Path, nodes: np.ndarray, tets: np.ndarray) -> None:
             f'<DataArray type="{kind}" Name="{name}" NumberOfComponents="{parts}" format="ascii">\n{rows}\n</DataArray>'
         )
 
+    marks = "\n".join(table(name, "Int64", np.isin(np.arange(len(nodes)), s).astype(int)) for name, s in sets.items())
     text = f"""<?xml version="1.0"?>
 <VTKFile type="UnstructuredGrid" version="0.1" byte_order="LittleEndian">
 <UnstructuredGrid>
@@ -105,7 +109,7 @@ def _write_mesh(path: Path, nodes: np.ndarray, tets: np.ndarray) -> None:
 {table("types", "Int64", np.full(len(tets), 10))}
 </Cells>
 <PointData>
-{table("base", "Int64", base)}
+{marks}
 </PointData>
 </Piece>
 </UnstructuredGrid>

@@ -17,7 +17,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -93,14 +93,19 @@ def diagnose(question: Question, work: Path, threads: int = 0) -> dict:
     if kept.exists():
         return json.loads(kept.read_text(encoding="utf-8"))
     folder = folder_of(question.case, work)
+    return keep(kept, lambda: _run(question, folder, work / "out" / question.case, threads), {"commit": _commit()})
+
+
+def keep(kept: Path, ask: Callable[[], dict], stamp: dict) -> dict:
+    """Return what `ask` answers, with seconds, stamp and date, and save it, whole or not at all."""
     begun = time.perf_counter()
     try:
-        answer = _run(question, folder, work / "out" / question.case, threads)
+        answer = ask()
     except Exception as error:
         # An exception of the diagnoser is recorded as its answer.
         answer = {"verdict": "failed", "causes": [], "error": f"{type(error).__name__}: {error}"[-2000:]}
     answer["seconds"] = time.perf_counter() - begun
-    answer["commit"] = _commit()
+    answer |= stamp
     answer["date"] = datetime.now(UTC).isoformat(timespec="seconds")
     kept.parent.mkdir(parents=True, exist_ok=True)
     partial = kept.with_suffix(".part")

@@ -94,14 +94,15 @@ def wilson(hits: int, n: int, z: float = 1.96) -> tuple[float, float]:
     return max(0.0, float(low)), min(1.0, float(high))
 
 
-def open_answers(names: set[str]) -> dict[str, dict]:
-    """Return the answers of cases, each checked against its seal.
+def open_answers(names: set[str], data: Path | None = None) -> dict[str, dict]:
+    """Return the answers of cases, each checked against its seal; `data`: stored data of another bench.
 
     Raises ValueError where an answer is not the sealed one.
     """
-    with (DATA / "seals.csv").open(encoding="utf-8") as file:
+    data = data or DATA
+    with (data / "seals.csv").open(encoding="utf-8") as file:
         seals = {row["case"]: row["sha256"] for row in csv.DictReader(file)}
-    stored = json.loads(gzip.decompress((DATA / "answers.json.gz").read_bytes()))
+    stored = json.loads(gzip.decompress((data / "answers.json.gz").read_bytes()))
     found = {}
     for name in names & set(stored["answers"]):
         text = json.dumps(stored["answers"][name], sort_keys=True)
@@ -112,14 +113,14 @@ def open_answers(names: set[str]) -> dict[str, dict]:
     return found
 
 
-def read_predictions(folder: Path) -> dict[str, dict]:
+def read_predictions(folder: Path, files: str = "b*.json") -> dict[str, dict]:
     """Return the predictions in a folder, by case."""
-    return {path.stem: json.loads(path.read_text(encoding="utf-8")) for path in sorted(folder.glob("b*.json"))}
+    return {path.stem: json.loads(path.read_text(encoding="utf-8")) for path in sorted(folder.glob(files))}
 
 
-def scored(predictions: dict[str, dict]) -> list[Scored]:
-    """Return the cases that have a prediction, with their answers."""
-    answers = open_answers(set(predictions))
+def scored(predictions: dict[str, dict], data: Path | None = None) -> list[Scored]:
+    """Return the cases that have a prediction, with their answers; `data`: stored data of another bench."""
+    answers = open_answers(set(predictions), data)
     return [Scored(name, answers[name], predictions[name]) for name in sorted(answers)]
 
 

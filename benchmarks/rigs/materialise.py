@@ -4,17 +4,18 @@ Reads no answers. A case tells what is measured and believed, and nothing else.
 """
 
 import json
-import shutil
 import sys
 from pathlib import Path
 
 import numpy as np
 
+from blind.materialise import numbers, write_mesh
+
 DATA = Path(__file__).resolve().parent / "data"
 CASES, MESHES, HALVES = DATA / "cases", DATA / "meshes", DATA / "halves.csv"
 
-#: Steps of the stored integers, and what stands for a missing value.
-STEP_MM, STEP_MN, MISSING = 1e-3, 1e-1, -(2**31)
+#: Steps of the stored integers.
+STEP_MM, STEP_MN = 1e-3, 1e-1
 
 
 def case_names(half: str = "all") -> list[str]:
@@ -35,8 +36,8 @@ def materialise(case: str, folder: Path) -> Path:
     with np.load(CASES / f"{case}.npz") as stored:
         about = json.loads(str(stored["about"]))
         times = stored["times"]
-        markers, targets = (_numbers(stored[key], STEP_MM) for key in ("markers", "targets"))
-        forces = _numbers(stored["forces"], STEP_MN) if "forces" in stored else None
+        markers, targets = (numbers(stored[key], STEP_MM) for key in ("markers", "targets"))
+        forces = numbers(stored["forces"], STEP_MN) if "forces" in stored else None
     (folder / "experiment.toml").write_text(about["toml"], encoding="utf-8")
     labels, pads = about["labels"], about["pads"]
     names = [f"P{k + 1}" for k in range(markers.shape[1])]
@@ -52,23 +53,8 @@ def materialise(case: str, folder: Path) -> Path:
         _write(folder / "forces.csv", "actuator,x_mN,y_mN,z_mN", labels, times, pads, forces, 1, skip=True)
     with np.load(MESHES / f"{rig_of(case)}.npz") as stored:
         sets = {key[4:]: stored[key] for key in stored if key.startswith("set_")}
-        _write_mesh(folder / "mesh.vtu", stored["nodes"].astype(float), stored["tets"], sets)
+        write_mesh(folder / "mesh.vtu", np.round(stored["nodes"].astype(float), 5), stored["tets"], sets)
     return folder
-
-
-def folder_of(case: str, work: Path) -> Path:
-    """Return the experiment folder of a stored case below a work folder, written once, whole or not at all."""
-    folder = work / "cases" / case
-    if not folder.exists():
-        partial = folder.with_suffix(".part")
-        shutil.rmtree(partial, ignore_errors=True)
-        materialise(case, partial)
-        partial.rename(folder)
-    return folder
-
-
-def _numbers(whole: np.ndarray, step: float) -> np.ndarray:
-    return np.where(whole == MISSING, np.nan, whole * step)
 
 
 def _write(path, columns, labels, times, names, values, digits=3, skip=False) -> None:
@@ -81,37 +67,6 @@ def _write(path, columns, labels, times, names, values, digits=3, skip=False) ->
             texts = ["" if np.isnan(v) else f"{v:.{digits}f}" for v in cells]
             lines.append(f"{label},{time:.2f},{name},{','.join(texts)}")
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
-
-
-def _write_mesh(path: Path, nodes: np.ndarray, tets: np.ndarray, sets: dict[str, np.ndarray]) -> None:
-    def table(name, kind, values, parts=1):
-        rows = "\n".join(" ".join(str(v) for v in np.atleast_1d(row)) for row in values)
-        return (
-            f'<DataArray type="{kind}" Name="{name}" NumberOfComponents="{parts}" format="ascii">\n{rows}\n</DataArray>'
-        )
-
-    marks = [table(name, "Int64", np.isin(np.arange(len(nodes)), some).astype(int)) for name, some in sets.items()]
-    kept = "\n".join(marks)
-    text = f"""<?xml version="1.0"?>
-<VTKFile type="UnstructuredGrid" version="0.1" byte_order="LittleEndian">
-<UnstructuredGrid>
-<Piece NumberOfPoints="{len(nodes)}" NumberOfCells="{len(tets)}">
-<Points>
-{table("Points", "Float64", np.round(nodes, 5), 3)}
-</Points>
-<Cells>
-{table("connectivity", "Int64", tets)}
-{table("offsets", "Int64", 4 * (np.arange(len(tets)) + 1))}
-{table("types", "Int64", np.full(len(tets), 10))}
-</Cells>
-<PointData>
-{kept}
-</PointData>
-</Piece>
-</UnstructuredGrid>
-</VTKFile>
-"""
-    path.write_text(text, encoding="utf-8")
 
 
 if __name__ == "__main__":

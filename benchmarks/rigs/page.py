@@ -7,9 +7,10 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+from blind.scored import read_predictions
 from common import commit, read_archive, write_archive
 from rigs.materialise import case_names
-from rigs.score import read_predictions, report
+from rigs.score import report
 from rigs.scored import scored
 
 HERE = Path(__file__).resolve().parent
@@ -42,7 +43,7 @@ def pack(predictions: Path, half: str) -> None:
     rows = {
         case: {key: answer[key] for key in kept if key in answer}
         | {"causes": [_finding(cause) for cause in answer["causes"]]}
-        for case, answer in read_predictions(predictions).items()
+        for case, answer in read_predictions(predictions, "*.json").items()
         if case in mine
     }
     write_archive(ARCHIVE / half, {"schema": "tissuereg.rigs/1", **commit(), "rows": rows}, ("rows/<case>",))

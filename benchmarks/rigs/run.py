@@ -5,14 +5,14 @@ import functools
 import json
 import os
 import sys
-import time
 from collections.abc import Iterator
-from datetime import UTC, datetime
 from pathlib import Path
 
 import tissuereg as tr
+from blind.materialise import folder_of
+from blind.run import keep
 from common import commit
-from rigs.materialise import case_names, folder_of
+from rigs.materialise import case_names, materialise
 from tissuereg.errors import ClusterError
 from tissuereg.io.json import plain
 from tissuereg.parallel import Failed, Processes
@@ -25,20 +25,8 @@ def diagnose(case: str, predictions: Path, work: Path, threads: int) -> dict:
     kept = predictions / f"{case}.json"
     if kept.exists():
         return json.loads(kept.read_text(encoding="utf-8"))
-    folder, begun = folder_of(case, work), time.perf_counter()
-    try:
-        answer = plain(tr.diagnose(tr.read_experiment(folder), threads=threads).to_json())
-    except Exception as error:
-        # An exception of the diagnoser is recorded as its answer.
-        answer = {"verdict": "failed", "causes": [], "error": f"{type(error).__name__}: {error}"[-2000:]}
-    answer["seconds"] = time.perf_counter() - begun
-    answer |= commit()
-    answer["date"] = datetime.now(UTC).isoformat(timespec="seconds")
-    kept.parent.mkdir(parents=True, exist_ok=True)
-    partial = kept.with_suffix(".part")
-    partial.write_text(json.dumps(answer), encoding="utf-8")
-    partial.rename(kept)
-    return answer
+    folder = folder_of(case, work, materialise)
+    return keep(kept, lambda: plain(tr.diagnose(tr.read_experiment(folder), threads=threads).to_json()), commit())
 
 
 def answer_all(cases: list[str], predictions: Path, work: Path, jobs: int, threads: int) -> Iterator[tuple[str, dict]]:

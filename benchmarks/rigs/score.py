@@ -4,13 +4,12 @@ Cases without a prediction are not scored. Intervals are by rig: cases of one ri
 """
 
 import argparse
-import json
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from blind.compare import made
-from blind.scored import Scored, of_kind
+from blind.scored import Scored, of_kind, read_predictions
 from regions.intervals import interval
 from rigs.materialise import case_names, rig_of
 from rigs.scored import by_rig, scored
@@ -140,11 +139,6 @@ def report(cases: list[Scored], half: str) -> str:
     return "\n".join(lines) + "\n"
 
 
-def read_predictions(folder: Path) -> dict[str, dict]:
-    """Return the predictions in a folder, by case."""
-    return {path.stem: json.loads(path.read_text(encoding="utf-8")) for path in sorted(folder.glob("*.json"))}
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m rigs.score", description=__doc__)
     parser.add_argument("predictions", type=Path)
@@ -152,7 +146,9 @@ def main() -> None:
     parser.add_argument("--out", type=Path)
     options = parser.parse_args()
     mine = set(case_names(options.half))
-    predictions = {case: answer for case, answer in read_predictions(options.predictions).items() if case in mine}
+    predictions = {
+        case: answer for case, answer in read_predictions(options.predictions, "*.json").items() if case in mine
+    }
     text = report(scored(predictions), options.half)
     if options.out:
         options.out.write_text(text, encoding="utf-8")

@@ -1,21 +1,12 @@
 """The generator is another code path: it imports nothing from the package; only the scorer opens the answers."""
 
-import ast
 from pathlib import Path
 
 import pytest
 
+from blind.tests.test_isolation import modules_of
+
 HERE = Path(__file__).parents[1]
-
-
-def modules_of(path: Path) -> set[str]:
-    found = set()
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.Import):
-            found |= {alias.name for alias in node.names}
-        elif isinstance(node, ast.ImportFrom):
-            found.add(node.module or "")
-    return found
 
 
 @pytest.mark.parametrize("path", sorted((HERE / "generator").glob("*.py")), ids=lambda path: path.name)
