@@ -7,10 +7,8 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from blind.scored import read_predictions
 from common import commit, read_archive, write_archive
-from rigs.materialise import case_names
-from rigs.score import report
+from rigs.score import predictions_of, report
 from rigs.scored import scored
 
 HERE = Path(__file__).resolve().parent
@@ -39,12 +37,11 @@ def archives() -> dict[str, dict[str, Any]]:
 
 def pack(predictions: Path, half: str) -> None:
     """Store what the page needs of the predictions of a half."""
-    mine, kept = set(case_names(half)), ("verdict", "p_misfit", "seconds", "commit", "changed_files", "date")
+    kept = ("verdict", "p_misfit", "seconds", "commit", "changed_files", "date")
     rows = {
         case: {key: answer[key] for key in kept if key in answer}
         | {"causes": [_finding(cause) for cause in answer["causes"]]}
-        for case, answer in read_predictions(predictions, "*.json").items()
-        if case in mine
+        for case, answer in predictions_of(predictions, half).items()
     }
     write_archive(ARCHIVE / half, {"schema": "tissuereg.rigs/1", **commit(), "rows": rows}, ("rows/<case>",))
 

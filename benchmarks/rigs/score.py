@@ -139,17 +139,19 @@ def report(cases: list[Scored], half: str) -> str:
     return "\n".join(lines) + "\n"
 
 
+def predictions_of(folder: Path, half: str) -> dict[str, dict]:
+    """Return the predictions of a half that are in a folder, by case."""
+    mine = set(case_names(half))
+    return {case: answer for case, answer in read_predictions(folder, "*.json").items() if case in mine}
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m rigs.score", description=__doc__)
     parser.add_argument("predictions", type=Path)
     parser.add_argument("--half", choices=("dev", "sealed"), default="dev")
     parser.add_argument("--out", type=Path)
     options = parser.parse_args()
-    mine = set(case_names(options.half))
-    predictions = {
-        case: answer for case, answer in read_predictions(options.predictions, "*.json").items() if case in mine
-    }
-    text = report(scored(predictions), options.half)
+    text = report(scored(predictions_of(options.predictions, options.half)), options.half)
     if options.out:
         options.out.write_text(text, encoding="utf-8")
     else:
