@@ -48,15 +48,9 @@ def watched(group, read):
                 read.add(name)
             return super().__getattribute__(name)
 
+    before = set(read)
     made = Watched(**asdict(group))
-    read.clear()  # what was checked
-    return made
-
-
-def _watched(given, name, read):
-    before = set(read[name])
-    made = watched(getattr(given, name), read[name])
-    read[name] |= before
+    read.intersection_update(before)  # without what was checked
     return made
 
 
@@ -64,7 +58,7 @@ def _watched(given, name, read):
 def of_rig():
     read = {name: set() for name in GROUPS}
     for given in (DEFAULT, SHARP):  # with findings, and with a misfit
-        settings = DiagnoseSettings(**{name: _watched(given, name, read) for name in GROUPS})
+        settings = DiagnoseSettings(**{name: watched(getattr(given, name), read[name]) for name in GROUPS})
         found = tr.diagnose(rig(), keep=False, settings=settings)
     return found, {name: set(names) for name, names in read.items()}
 

@@ -38,8 +38,8 @@ def make_bank(bench: Bench, *, keep: bool = True) -> Bank:
     `bench`: the believed model; its prediction is taken from the cache too; `keep`: whether to read and write the
     cache. The result lists the hypotheses of each cause by its id; the columns (p, size) of a hypothesis are changes of
     all measured numbers by one prior standard deviation of each of its p amplitudes, in mm and mN, single precision.
-    Hypotheses that change a number without bounds (`largest_change`) are left out.
-    Raises `ConvergenceError` if the believed model itself has no equilibrium.
+    Hypotheses that change a number without bounds (`largest_change`) are left out. Raises `ConvergenceError` if the
+    believed model itself has no equilibrium.
     """
     entry = f"bank_{fingerprint(bench.experiment, f'{bench.predictor.element} {SCHEMA} {numbers_of(bench.settings)}')}"
     base, bank = _read(entry) if keep else (None, {})
@@ -47,11 +47,11 @@ def make_bank(bench: Bench, *, keep: bool = True) -> Bank:
         bench.base = base
     new = False
     wanted = {name: one for name, one in catalogue(bench.settings).items() if name not in bench.settings.left_out}
+    # A law may grow without bounds under large strains: no amplitude of such a hypothesis would be seen.
+    most = bench.settings.model.largest_change * max(float(np.abs(bench.base).max()), 1.0)
     for name, cause in wanted.items():
         if name not in bank:
             bench.progress(name)
-            # A law may grow without bound under large strains: no amplitude of such a hypothesis would be seen.
-            most = bench.settings.model.largest_change * max(float(np.abs(bench.base).max()), 1.0)
             finite = (v for v in cause.variants(bench) if np.abs(v.columns).max() < most)
             bank[name] = [replace(v, columns=v.columns.astype(np.float32)) for v in finite]
             new = new or not cause.closed_form

@@ -28,7 +28,7 @@ from tissuereg.diagnosis.tangents import Tangents
 from tissuereg.experiment.experiment import Actuator, Boundary, Experiment
 from tissuereg.simulation.fine import rough_element, without_time
 from tissuereg.simulation.fine.meshing import rim_of
-from tissuereg.simulation.fine.rims import Folds, folds_of, sharp_nodes
+from tissuereg.simulation.fine.rims import Folds, folds_of, outline_nodes, sharp_nodes
 from tissuereg.simulation.fine.third import gaps
 
 
@@ -68,10 +68,13 @@ class _BodySurface:
     """
 
     def __init__(self, experiment: Experiment, given: Mesh, settings: ShapeSettings) -> None:
+        from scipy.spatial import KDTree
+
         self.settings = settings
-        self.given = given
         self.mesh: Mesh = experiment.mesh
         self.folds: Folds = folds_of(self.mesh.nodes, self.mesh.surface)
+        ends = given.nodes[(self.folds if given is self.mesh else folds_of(given.nodes, given.surface)).edges]
+        self._edges, self._lengths = KDTree(ends.mean(axis=1)), np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
         self.normals = node_normals(self.mesh, self.folds.normals * self.folds.areas[:, None])
         between = gaps(given)
         self.facets = float(np.sqrt((between[given.surface_nodes] ** 2).sum(axis=1).mean()))
@@ -88,25 +91,15 @@ class _BodySurface:
         share = np.isin(self.mesh.surface, nodes).sum(axis=1) / 3.0
         return float(np.sqrt((share * self.folds.areas).sum() / np.pi))
 
-    def outline(self, nodes: IntArray) -> IntArray:
-        """Return those of a surface patch's nodes that also belong to triangles beyond it."""
-        beyond = self.mesh.surface[~np.isin(self.mesh.surface, nodes).all(axis=1)]
-        return np.intersect1d(nodes, beyond)
-
     def unresolved(self, nodes: IntArray, ball_radius: float | None) -> float:
         """Return the deviation of where the edge of a patch lies that is due to the given mesh, mm.
 
         `nodes`: of the patch, on the surface; `ball_radius`: mm, where it is given by a ball, not by its nodes.
         """
-        from scipy.spatial import KDTree
-
-        outline = self.outline(nodes)
+        outline = outline_nodes(self.mesh.surface, nodes)
         if not len(outline):
             return 0.0
-        surface = self.given.surface
-        ends = self.given.nodes[np.concatenate([surface[:, [0, 1]], surface[:, [1, 2]], surface[:, [2, 0]]])]
-        near = KDTree(ends.mean(axis=1)).query(self.mesh.nodes[outline])[1]
-        length = float(np.linalg.norm(ends[near, 1] - ends[near, 0], axis=1).mean())
+        length = float(self._lengths[self._edges.query(self.mesh.nodes[outline])[1]].mean())
         if ball_radius is None:
             return self.settings.edge_share * length
         # The area of n nodes a distance h apart is n h^2; n has the deviation lattice * (radius / h)^(1/2).
@@ -133,11 +126,8 @@ def _of_pad(surface: _BodySurface, pad: Actuator) -> Iterator[Direction]:
         return
     normal /= np.linalg.norm(normal)
     rules, mesh_edge = surface.settings, surface.unresolved(inside, None if rim is None else rim.radius)
-    if pad.edge_std is None:
-        place = float(np.hypot(rules.place_share * radius, rules.around * mesh_edge))
-        size, height = float(np.hypot(rules.size_share * radius, mesh_edge)), rules.height_share * radius
-    else:
-        place = size = height = pad.edge_std
+    place = _std_of(pad, rules.place_share * radius, rules.around * mesh_edge)
+    size, height = _std_of(pad, rules.size_share * radius, mesh_edge), _std_of(pad, rules.height_share * radius)
     arms = mesh.nodes - (mesh.nodes[inside].mean(axis=0) if rim is None else np.asarray(rim.centre))
     near = np.where(surface.stays(pad), 0.0, _nearness(mesh, inside, surface.settings.reach * radius))[:, None]
     first = np.linalg.svd(normal[None])[2][1]
@@ -167,7 +157,7 @@ def _of_grip(surface: _BodySurface, pad: Actuator, radius: float) -> Iterator[Di
         :, None
     ]
     rules, mesh_edge = surface.settings, surface.unresolved(surface.of(pad), None)
-    place = pad.edge_std or float(np.hypot(rules.place_share * radius, rules.around * mesh_edge))
+    place = _std_of(pad, rules.place_share * radius, rules.around * mesh_edge)
     for axis, side in enumerate(np.eye(3)):
         motion = surface.along(near * side)
         if motion.any():
@@ -178,7 +168,7 @@ def _of_grip(surface: _BodySurface, pad: Actuator, radius: float) -> Iterator[Di
 def _of_support(surface: _BodySurface, support: Actuator | Boundary) -> Iterator[Direction]:
     mesh, inside = surface.mesh, surface.of(support)
     beyond = mesh.surface[~np.isin(mesh.surface, inside).all(axis=1)]
-    rim = np.setdiff1d(surface.outline(inside), np.flatnonzero(surface.stays(support)))
+    rim = np.setdiff1d(outline_nodes(mesh.surface, inside), np.flatnonzero(surface.stays(support)))
     if not len(rim):
         return
     outwards = np.zeros_like(mesh.nodes)
@@ -189,8 +179,12 @@ def _of_support(surface: _BodySurface, support: Actuator | Boundary) -> Iterator
     motion = np.zeros_like(mesh.nodes)
     motion[rim] = outwards[rim] / np.maximum(np.linalg.norm(outwards[rim], axis=1, keepdims=True), 1e-300)
     share = surface.settings.place_share * surface.radius(inside)
-    edge = support.edge_std or float(np.hypot(share, surface.unresolved(inside, None)))
-    yield Direction(f"edge of {support.name}", motion, edge)
+    yield Direction(f"edge of {support.name}", motion, _std_of(support, share, surface.unresolved(inside, None)))
+
+
+def _std_of(patch: Actuator | Boundary, share: float, unresolved: float = 0.0) -> float:
+    """Return the stated deviation of a patch's edge, mm; else that of a share of its size and of the mesh together."""
+    return float(np.hypot(share, unresolved)) if patch.edge_std is None else patch.edge_std
 
 
 def _of_surface(surface: _BodySurface, experiment: Experiment) -> Iterator[Direction]:

@@ -11,7 +11,15 @@ from tissuereg._base.arrays import FloatArray, IntArray
 from tissuereg.body.mesh import Mesh
 from tissuereg.experiment.experiment import Actuator, Experiment
 from tissuereg.simulation.fine.bisection import Bisection
-from tissuereg.simulation.fine.rims import Rim, cut_along, patch_nodes, refine_near, refine_round, rim_nodes
+from tissuereg.simulation.fine.rims import (
+    Rim,
+    cut_along,
+    outline_nodes,
+    patch_nodes,
+    refine_near,
+    refine_round,
+    rim_nodes,
+)
 
 
 @dataclass(frozen=True)
@@ -83,7 +91,7 @@ def fine_experiment(
         if pad.name not in rims:
             _refine_outline(cutter, pad, meshing)
     for rim in cuts if meshing.cut else ():
-        outlines = [_outline_nodes(cutter, cutter.carried(group.nodes)) for group in _groups(experiment, rims)]
+        outlines = [outline_nodes(cutter.surface, cutter.carried(group.nodes)) for group in _groups(experiment, rims)]
         others = [rim_nodes(cutter, other) for other in cuts if other is not rim]
         cut_along(cutter, rim, np.unique(np.concatenate([*outlines, *others, np.empty(0, np.int64)])))
     sets = {name: cutter.carried(nodes) for name, nodes in experiment.mesh.node_sets.items()}
@@ -111,12 +119,6 @@ def rim_of(actuator: Actuator) -> Rim | None:
 def _groups(experiment: Experiment, rims: Mapping[str, Rim]) -> list[Any]:
     """Return the boundaries of an experiment, and its actuators that are not given by a ball and so not in `rims`."""
     return [*experiment.boundaries, *(pad for pad in experiment.actuators if pad.name not in rims)]
-
-
-def _outline_nodes(cutter: Bisection, nodes: IntArray) -> IntArray:
-    """Return those of a surface patch's nodes (node numbers) that also belong to boundary triangles outside it."""
-    outside = cutter.surface[~np.isin(cutter.surface, nodes).all(axis=1)]
-    return np.intersect1d(nodes, outside)
 
 
 def _refine_outline(cutter: Bisection, pad: Actuator, meshing: FineMeshing) -> None:

@@ -53,6 +53,11 @@ def folds_of(nodes: FloatArray, surface: IntArray) -> Folds:
     return Folds(sides[pairs[:, 0]], facets, cosines, normals, 0.5 * lengths)
 
 
+def outline_nodes(surface: IntArray, nodes: IntArray) -> IntArray:
+    """Return those of a surface patch's nodes that also belong to triangles (n, 3) of the surface beyond it."""
+    return np.intersect1d(nodes, surface[~np.isin(surface, nodes).all(axis=1)])
+
+
 @dataclass(frozen=True)
 class Rim:
     """The outline of a surface patch (a pad): the curve where the surface meets a sphere.
