@@ -40,6 +40,19 @@ def of_two():
     return target_of(Poisson(poisson=0.3), Latency(latency_s=0.1))
 
 
+def test_a_prediction_does_not_depend_on_what_was_solved_before():
+    predictor = target_of(Latency(latency_s=0.1)).bench.predictor
+    relaxing, other = [Relaxation(g=(0.3,), tau_s=(0.4,))], [Relaxation(g=(0.9,), tau_s=(0.05,))]
+    alone = predictor.predict(relaxing)
+    assert predictor.solved(relaxing) is predictor.solved([*relaxing, Latency(latency_s=0.2)])
+    # From another start the same equilibria are found to the tolerance alone: the two must be told apart.
+    far = predictor.solved(other)
+    beside = predictor.predict(relaxing, near=far)
+    assert 0.0 < np.abs(beside - alone).max() < 1e-4 * np.abs(alone).max()
+    assert np.array_equal(predictor.predict(relaxing), alone)
+    assert np.array_equal(predictor.predict(relaxing, near=far), beside)
+
+
 @pytest.mark.parametrize("form", ["coupled", "log"])
 def test_the_form_of_a_law_is_the_one_that_the_data_have(form):
     # Split invariants resemble another Poisson's ratio; without discretisation error the two can be distinguished.

@@ -137,7 +137,7 @@ class Bench:
 
         def one(effects: Sequence[Effect]) -> FloatArray | None:
             try:
-                return self.predictor.predict(effects, threads=1, aside=True) - base
+                return self.predictor.predict(effects, threads=1) - base
             except NO_ANSWER:
                 return None
 

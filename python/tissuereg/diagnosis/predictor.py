@@ -61,7 +61,8 @@ class Predictor:
         self.observation = MarkerObservation(experiment.mesh, experiment.marker_reference, experiment.marker_names)
         self._simulators: Simulators = {}
         self._rigs: Rigs = {}
-        self._solved: list[Solved] = []
+        # Each with the solution that it started from: another start changes its last digits.
+        self._solved: list[tuple[Solved | None, Solved]] = []
 
     def predict(
         self,
@@ -70,19 +71,18 @@ class Predictor:
         young: float | None = None,
         threads: int | None = None,
         near: Solved | None = None,
-        aside: bool = False,
     ) -> FloatArray:
         """Return the prediction (size,) of all measured numbers with further effects, in mm (markers) and mN (forces).
 
         `effects`: in addition to those of the experiment; `young`: factor on the believed modulus; `threads`: threads
         to use; by default the predictor's own number; `near`: solution of a similar model, from which frames that are
-        solved one after another start; by default that of the believed model; `aside`: whether others are solved at the
-        same time, so that no analysis is kept for later ones. All entries of the result are finite.
+        solved one after another start; by default that of the believed model. All entries of the result are finite. It
+        does not depend on what was predicted before, or is at the same time.
         Raises `ConvergenceError` if a frame has no equilibrium; `ExperimentError` if an effect does not apply to the
         experiment.
         """
         believed = replace(self.experiment, effects=(*self.experiment.effects, *effects))
-        solved = self.solved(effects, young=young, threads=threads, near=near, aside=aside)
+        solved = self.solved(effects, young=young, threads=threads, near=near)
         seen = {name: seen_markers(believed, places, solved.times[name]) for name, places in solved.places.items()}
         return self.layout.flatten(seen, solved.forces)
 
@@ -93,7 +93,6 @@ class Predictor:
         young: float | None = None,
         threads: int | None = None,
         near: Solved | None = None,
-        aside: bool = False,
     ) -> Solved:
         """Return the equilibria of the believed model with further effects; the last few solutions are kept.
 
@@ -102,41 +101,44 @@ class Predictor:
         """
         # The tracker does not act on the body: models that differ in it alone have one solution.
         bodily = tuple(effect for effect in effects if not isinstance(effect, ChainEffect))
-        for solved in reversed(self._solved):
-            if solved.young == young and solved.effects == bodily:
+        worked = self._worked(bodily, young)
+        if not goes_through_time(worked):
+            near = None
+        elif near is None and (bodily or young is not None):
+            near = self._believed
+        for start, solved in reversed(self._solved):
+            if solved.young == young and solved.effects == bodily and start is near:
                 return solved
-        found = self._solve(bodily, young, self.threads if threads is None else threads, near, aside=aside)
-        self._solved = [*self._solved, found][-self.settings.most_solved :]
+        found = self._solve(worked, bodily, young, self.threads if threads is None else threads, near)
+        self._solved = [*self._solved, (near, found)][-self.settings.most_solved :]
         return found
 
     @cached_property
     def _believed(self) -> Solved:
         """The equilibria of the believed model without further effects."""
-        return self._solve((), None, self.threads, None)
+        return self._solve(self._worked((), None), (), None, self.threads, None)
+
+    def _worked(self, effects: tuple[Effect, ...], young: float | None) -> Experiment:
+        """Return the believed model with further effects applied; `young`: factor on the believed modulus."""
+        believed = replace(self.experiment, effects=(*self.experiment.effects, *effects))
+        if young is not None:
+            believed = replace(believed, material=believed.material.scaled(young))
+        return extended(believed, self.element)
 
     def _solve(
         self,
+        worked: Experiment,
         effects: tuple[Effect, ...],
         young: float | None,
         threads: int,
         near: Solved | None,
-        *,
-        aside: bool = False,
     ) -> Solved:
-        believed = replace(self.experiment, effects=(*self.experiment.effects, *effects))
-        if young is not None:
-            believed = replace(believed, material=believed.material.scaled(young))
-        worked = extended(believed, self.element)
         cases = list(worked.cases.values())
-        if near is None and (effects or young is not None) and goes_through_time(worked):
-            near = self._believed
-        # What is kept would depend on which of several models ends first.
-        rigs, simulators = (dict(self._rigs), dict(self._simulators)) if aside else (self._rigs, self._simulators)
         solved = solve_cases(
             worked,
             cases,
             settings=FrameSettings(self.element, self.settings.tolerance, threads),
-            similar=Similar(None if near is None else near.fields, rigs, simulators),
+            similar=Similar(None if near is None else near.fields, self._rigs, self._simulators),
         )
         places, forces = {}, {}
         for case in cases:
