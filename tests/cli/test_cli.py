@@ -1,6 +1,5 @@
 """The command line: exit codes, JSON, files, and what stands on which stream."""
 
-import contextlib
 import json
 import signal
 import subprocess
