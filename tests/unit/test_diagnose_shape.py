@@ -12,15 +12,17 @@ from tissuereg.diagnosis.bench import Bench
 from tissuereg.diagnosis.correction import make_correction
 from tissuereg.diagnosis.noise import Noise
 from tissuereg.diagnosis.nuisances import make_nuisances
-from tissuereg.diagnosis.refined import flat_of
+from tissuereg.diagnosis.refined import flat_of, refined_effects
 from tissuereg.diagnosis.run import make_believed
 from tissuereg.diagnosis.settings import DEFAULT
 from tissuereg.diagnosis.shape import shape_columns, shape_directions
 from tissuereg.diagnosis.signals import SignalLayout
 from tissuereg.diagnosis.tangents import Tangents
+from tissuereg.errors import ConvergenceError
 from tissuereg.experiment.effects import Relaxation
 from tissuereg.experiment.experiment import Actuator
 from tissuereg.simulation.experiment import believed_case
+from tissuereg.simulation.fine import FineModel
 from tissuereg.simulation.fine.elastic import solve_states
 from tissuereg.simulation.fine.reading import Reader
 from tissuereg.simulation.fine.rims import sharp_nodes
@@ -432,6 +434,44 @@ def test_nuisances_are_taken_at_the_fitted_modulus():
     np.testing.assert_allclose(
         found.null.nuisances, noise.whitened(scale * found.nuisances.columns, layout), atol=1e-12
     )
+
+
+def failing(monkeypatch, broken):
+    """Let frames of fine meshes be without equilibrium: `broken` has their numbers by case."""
+    simulate = FineModel.simulate
+
+    def simulated(self, *args, **words):
+        answers = simulate(self, *args, **words)
+        for name, frames in broken.items():
+            for array in (answers[name].markers, *answers[name].forces.values()):
+                array[frames] = np.nan
+            answers[name].failed.extend((frame, "no equilibrium") for frame in frames)
+        return answers
+
+    monkeypatch.setattr(FineModel, "simulate", simulated)
+
+
+def test_frames_without_equilibrium_on_a_fine_mesh_count_as_not_measured(monkeypatch):
+    believed = rig()
+    plain = Bench(believed, SignalLayout(believed))
+    fine = flat_of(plain.layout, plain.fine.simulate())
+    name = list(believed.cases)[1]
+    failing(monkeypatch, {name: [1, 2]})
+    layout = SignalLayout(believed)
+    bench, noise = Bench(believed, layout), Noise(np.full(6, 0.05), 0.0, 0.0, 0.0, 1.0, 2.0, True)
+    with pytest.warns(UserWarning, match=f"2 of .* frames of case '{name}' .* are left out: .* no equilibrium"):
+        found = make_believed(bench, noise, keep=False)
+    lost = np.zeros(layout.size, bool)
+    layout[name].markers(lost)[1:3] = True
+    layout[name].forces(lost)[1:3] = True
+    assert np.array_equal(plain.layout.seen & ~layout.seen, plain.layout.seen & lost)
+    np.testing.assert_allclose(found.correction.corrected(bench.base)[~lost], fine[~lost], atol=1e-9)
+    assert np.isfinite(found.null.nuisances).all()
+    # With an effect the same frames may be lost, no others.
+    assert np.isfinite(refined_effects(bench, [])[~lost]).all()
+    failing(monkeypatch, {name: [0]})
+    with pytest.raises(ConvergenceError, match=f"frame 0 of case '{name}'"):
+        refined_effects(bench, [])
 
 
 def _swept_volume(mesh, motion):

@@ -122,7 +122,8 @@ def all_plans():
             index = forms[turn % len(forms)]
             taken = {p.rig for p in plans if p.kind == "single" and CATALOGUE[p.parts[0][1]].id == cause}
             rig = place([CATALOGUE[index]], taken, ("dev", "sealed")[(turn + number) % 2])
-            level = LEVELS[(turn + number) % 4]
+            # Halves alternate with turn + number: each half has all levels.
+            level = LEVELS[(turn + number // 2) % 4]
             plans.append(Plan(rig, "single", (("catalogue", index),), level, next(seed)))
     for number in range(N_OUTSIDE):
         index = number % len(OUTSIDE)

@@ -45,11 +45,8 @@ MOST_ENTRIES = 500
 def flat_of(layout: SignalLayout, answers: dict[str, CaseSimulation]) -> FloatArray:
     """Return simulated cases as a flat vector (size,): marker displacements in mm and forces in mN.
 
-    `layout`: order of the vector; `answers`: simulation of every case, by name. Raises `ConvergenceError` if a frame
-    has no equilibrium.
+    `layout`: order of the vector; `answers`: simulation of every case, by name. Frames without equilibrium are NaN.
     """
-    for name, answer in answers.items():
-        refuse_failures(name, answer.failed)
     return layout.flatten(
         {name: answer.markers for name, answer in answers.items()},
         {name: answer.forces for name, answer in answers.items()},
@@ -65,7 +62,7 @@ def refined_predictions(bench: Bench, entry: str | None) -> tuple[FloatArray, Fl
     """Return the prediction of the believed model on the correcting fine mesh, and those on further fine meshes.
 
     `bench`: the believed model; `entry`: name of the cached entry (`entry_of`), None to use no cache. Result: (size,)
-    and (thirds, size), mm and mN. Raises `ConvergenceError` if a frame has no equilibrium.
+    and (thirds, size), mm and mN, NaN in frames without equilibrium. Raises `ConvergenceError` if no frame has one.
     """
     thirds = bench.settings.model.thirds
     kept = None if entry is None else _read(entry)
@@ -88,13 +85,17 @@ def refined_effects(bench: Bench, effects: Sequence[Effect]) -> FloatArray | Non
 
     `bench`: the believed model; `effects`: in addition to those of the experiment. The result is None where the
     material has memory: such histories take minutes on a fine mesh, and the discretisation error of a memory effect is
-    that of the load's own response, which the correction of the believed model contains. Raises `ConvergenceError` if a
-    frame has no equilibrium.
+    that of the load's own response, which the correction of the believed model contains. Frames that the layout has
+    left out may be NaN. Raises `ConvergenceError` if another one has no equilibrium.
     """
     every = (*bench.experiment.effects, *effects)
     if remembers(extended(replace(bench.experiment, effects=every), bench.predictor.element)):
         return None
-    return flat_of(bench.layout, bench.fine.simulate(every, warm=True, threads=bench.predictor.threads))
+    answers = bench.fine.simulate(every, warm=True, threads=bench.predictor.threads)
+    for name, answer in answers.items():
+        left_out = bench.layout.left_out[name]
+        refuse_failures(name, [failure for failure in answer.failed if failure[0] not in left_out])
+    return flat_of(bench.layout, answers)
 
 
 def _models(bench: Bench, thirds: int) -> Iterator[FineModel]:
@@ -177,4 +178,6 @@ def recorrected(target: FitTarget, found: Fit) -> FitTarget:
     std = np.full(bench.layout.size, target.noise.force_std)
     for case in bench.layout.parts:
         case.markers(std)[:] = target.noise.marker_std[:, None]
+    # Where nothing counts as measured there may be nothing that was simulated.
+    fine = np.where(np.isfinite(fine), fine, target.correction.corrected(coarse))
     return replace(target, correction=target.correction.with_effect(bench.base, coarse, fine, std))

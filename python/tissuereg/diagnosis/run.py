@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from tissuereg._base.arrays import FloatArray
+from tissuereg._base.arrays import BoolArray, FloatArray
 from tissuereg._base.choices import Element
 from tissuereg._base.provenance import warn
 from tissuereg.diagnosis.advice import advise
@@ -260,19 +260,36 @@ def make_believed(bench: Bench, noise: Noise, *, keep: bool = True) -> BelievedM
     """Return the believed model, corrected for discretisation error, with its nuisance parameters.
 
     `bench`: the believed model; `noise`: measurement noise; `keep`: whether predictions on fine meshes are read from
-    and written to the cache. Raises `ConvergenceError` if a frame has no equilibrium on a fine mesh.
+    and written to the cache. Frames without equilibrium on a fine mesh are left out, with a warning. Raises
+    `ConvergenceError` if no frame of a case has one there.
     """
     layout = bench.layout
     if bench.is_exact:
         fine, others = bench.base, np.zeros((0, layout.size))
     else:
         fine, others = refined_predictions(bench, entry_of(bench.experiment) if keep else None)
+        _leave_out(layout, np.isnan(fine) | np.isnan(others).any(axis=0))
+        fine = np.where(np.isnan(fine), bench.base, fine)
+        others = np.where(np.isnan(others), fine, others)
     corrected = bench.settings.model.corrected
     correction = make_correction(layout, bench.base, fine) if corrected else Correction(layout)
     nuisances = make_nuisances(bench, others - fine, correction)
     bare = Null(np.zeros((0, layout.size)))
     target = FitTarget(bench, noise, correction, bare)
     return BelievedModel(target, nuisances, bare, others - fine, correction).with_noise(noise)
+
+
+def _leave_out(layout: SignalLayout, unsolved: BoolArray) -> None:
+    """Count frames with entries (size,) that no fine mesh could predict as not measured, and tell which they are."""
+    for part in layout.parts:
+        frames = np.flatnonzero(part.markers(unsolved).any(axis=(1, 2)) | part.forces(unsolved).any(axis=(1, 2)))
+        if len(frames):
+            layout.leave_out(part.name, frames.tolist())
+            times = f"{part.times[frames[0]]:.4g} to {part.times[frames[-1]]:.4g} s"
+            warn(
+                f"{len(frames)} of {part.n_frames} frames of case '{part.name}' ({times}) are left out: there the "
+                "believed model has no equilibrium on a fine mesh, as where a pad presses too deep for its elements"
+            )
 
 
 def _at_modulus(bench: Bench, noise: Noise, correction: Correction, nuisances: Nuisances) -> Correction:
