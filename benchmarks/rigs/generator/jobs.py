@@ -16,9 +16,6 @@ from rigs.generator.truth import Truth
 
 BUILD = Path("build") / "rigs"
 
-#: Factor on the fineness of the truths' meshes: with it forces are off by 0.1 to 0.4 %, with 1 by up to 4 %.
-FINE = 1.4
-
 
 class Bench:
     """One rig with its solver, and the null's states and readings.
@@ -26,7 +23,7 @@ class Bench:
     `name`: of the rig; `fine`: factor on the fineness of the mesh.
     """
 
-    def __init__(self, name, fine=FINE):
+    def __init__(self, name, fine=1.0):
         self.rig = make(name)
         mesh = truth_mesh(self.rig, fine)
         self.solver = NgSolver(self.rig, mesh)

@@ -122,8 +122,8 @@ def all_plans():
             index = forms[turn % len(forms)]
             taken = {p.rig for p in plans if p.kind == "single" and CATALOGUE[p.parts[0][1]].id == cause}
             rig = place([CATALOGUE[index]], taken, ("dev", "sealed")[(turn + number) % 2])
-            # Halves alternate with turn + number: each half has all levels.
-            level = LEVELS[(turn + number // 2) % 4]
+            # The first form of the rule gave each half two of the levels; what was solved by then stays.
+            level = LEVELS[(turn + (number if half[rig] == "dev" else number // 2)) % 4]
             plans.append(Plan(rig, "single", (("catalogue", index),), level, next(seed)))
     for number in range(N_OUTSIDE):
         index = number % len(OUTSIDE)
