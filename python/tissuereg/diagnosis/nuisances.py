@@ -91,6 +91,7 @@ def make_nuisances(bench: Bench, mesh_errors: FloatArray, correction: Correction
             for word, history in (("mesh", size * strength), ("bent", numbers.force_bent * (strength**2 / largest))):
                 own = force_columns(layout, part, i, history)
                 rows += [(f"{word} {part.name} {pad} {axis}", column) for axis, column in enumerate(own)]
+    rows += _bent_alike(bench)
     rows += _trials(bench, patterns)
     carried = correction.of_columns(np.array([column for _, column in rows]))
     rows = [(name, column) for (name, _), column in zip(rows, carried, strict=True)]
@@ -119,6 +120,17 @@ def frame_columns(
             part.markers(shift)[..., axis] = settings.frame_shift
             part.markers(turn)[:] = (layout.reference + part.markers(base) - middle) @ rotation.T
         yield shift, turn
+
+
+def _bent_alike(bench: Bench) -> Iterator[tuple[str, FloatArray]]:
+    """Yield name and column (size,), mN, of an error of all forces along themselves that grows with their squares."""
+    column = np.zeros(bench.layout.size)
+    for part in () if bench.is_exact else bench.layout.parts:
+        forces = part.forces(bench.base)
+        strength = np.linalg.norm(forces, axis=2, keepdims=True)
+        largest = np.maximum(strength.max(axis=0, initial=0.0), 1e-9)
+        part.forces(column)[:] = bench.settings.nuisances.force_bent_alike * strength / largest * forces
+    yield "bent alike", column
 
 
 def _trials(bench: Bench, patterns: FloatArray) -> Iterator[tuple[str, FloatArray]]:

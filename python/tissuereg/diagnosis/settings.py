@@ -91,6 +91,8 @@ class NuisanceSettings:
     #: Relative error of forces that is quadratic in the force, as a share of the largest force: strains at the rim of a
     #: pad, where they are singular, grow faster than the load.
     force_bent: float = 0.007
+    #: The same of all forces alike: a mesh resolves all rims alike, and stiffens there.
+    force_bent_alike: float = 0.02
     #: Whether the error of mesh and shape is a nuisance.
     of_mesh: bool = True
     #: Error of a found cause's form and of its correction, as a share of the change it makes.
