@@ -4,13 +4,15 @@ from typing import Any
 
 import numpy as np
 
+from real.events import section
+
 #: From the description that comes with the data: mean over draws, um.
 QUOTED = {
     20: {"rigid": 0.91, "affine": 6.4, "spline": 2.0, "linear layer": 0.75},
     60: {"rigid": 0.92, "affine": 3.7, "spline": 2.2, "linear layer": 0.77},
 }
 
-HEAD = """# Measured bodies, load unknown
+HEAD = """# Measured bodies
 
 Written by `make -C benchmarks/real` from `archive/`; edit neither. The
 recordings are public and not part of this repository; the command finds them in `../shared/data`.
@@ -61,7 +63,7 @@ def page(answer: dict[str, Any]) -> str:
         spread = " x ".join(f"{value:.2f}" for value in row["std_xyz_mm"])
         inside = "yes" if row["inside_region90"] else "no"
         text += f"| {row['trial']} | {row['moved_mm']:.2f} | {row['error_mm']:.2f} | {spread} | {inside} |\n"
-    return text
+    return text + section(answer["events"])
 
 
 def _by_axis(rows: list[dict[str, Any]], n_markers: int) -> str:
