@@ -36,9 +36,10 @@ HEAD = """
 
 Material tests by others, put through `diagnose` with the state before the event as the belief (`data/README.md` says
 whose they are and how they were read). *Right*: the verdict, or the whole of the named groups, is what the data show by
-means over all specimens. The resins were chosen after a look at the data; nothing of `diagnose` was.
+means over all specimens; *p left*: p-value of what the answer leaves. The resins were chosen after a look at the data;
+nothing of `diagnose` was.
 
-| experiment | what happened | verdict | named (group; probability) | p of what is left | error on held-out data: believed; extended, kPa | right |
+| experiment | what happened | verdict | named, probability | p left | held-out rms: believed; extended, kPa | right |
 | --- | --- | --- | --- | --- | --- | --- |
 """
 
