@@ -8,12 +8,14 @@ import pytest
 import tissuereg as tr
 from support.answers import told
 from support.rigs import rig
+from tissuereg.diagnosis import run
 from tissuereg.diagnosis.bank import make_bank
 from tissuereg.diagnosis.bench import Bench
 from tissuereg.diagnosis.causes import CAUSES
 from tissuereg.diagnosis.run import _own_modulus
 from tissuereg.diagnosis.signals import SignalLayout
 from tissuereg.experiment.effects import Poisson, Stiffness
+from tissuereg.experiment.experiment import Simulated
 
 
 def test_the_answer_depends_on_neither_threads_nor_the_call():
@@ -63,3 +65,19 @@ def test_a_hypothesis_that_grows_without_bounds_is_left_out(monkeypatch):
     assert all(np.isfinite(one.columns).all() for one in found)
     monkeypatch.setattr(type(CAUSES["poisson"]), "variants", lambda self, bench: [wild])
     assert "poisson" not in make_bank(bench, keep=False)
+
+
+def test_a_recording_is_compared_with_elements_that_do_not_lock(monkeypatch):
+    class SeenError(Exception):
+        pass
+
+    def suspected(*_, element, **__):
+        raise SeenError(element)
+
+    monkeypatch.setattr(run, "suspect_recording", suspected)
+    plain = replace(rig(), simulated=Simulated("plain", "tet4", tables_sha256="0" * 64))
+    for experiment, element, expected in (
+        (rig(), None, "tet4-averaged"), (rig(), "tet10", "tet10"), (plain, None, "tet4"),
+    ):  # fmt: skip
+        with pytest.raises(SeenError, match=f"^{expected}$"):
+            tr.diagnose(experiment, element=element, keep=False)

@@ -223,6 +223,21 @@ def test_forces_have_the_mean_mesh_error_in_all_components(bench):
             assert np.allclose(bends, DEFAULT.nuisances.force_bent * strength**2 / strength.max())
 
 
+def test_all_forces_may_bend_alike_along_themselves(bench):
+    made = make_nuisances(bench, np.zeros((2, bench.layout.size)), Correction(bench.layout))
+    (column,) = made.columns[[name == "bent alike" for name in made.names]]
+    assert not column[bench.layout.of_markers()].any()
+    some = 0
+    for part in bench.layout.parts:
+        for pad in range(len(part.pads)):
+            force = part.forces(bench.base)[:, pad]
+            strength = np.linalg.norm(force, axis=1)
+            expected = DEFAULT.nuisances.force_bent_alike * (strength / strength.max())[:, None] * force
+            assert np.allclose(part.forces(column)[:, pad], expected)
+            some += int(strength.max() > 0.0)
+    assert some >= 2
+
+
 def test_an_inclusion_has_the_contrast_of_its_parameters(bench):
     variant = Variant("", np.zeros((1, bench.layout.size)), {"centre": (14.0, 9.0, 26.0), "radius": 8.0})
     stiff, soft = (CAUSES["inclusion"].free_parameters(bench, variant, np.array([a])) for a in (0.4, -0.4))
