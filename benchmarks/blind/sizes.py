@@ -114,7 +114,7 @@ def kind_of(name: str, pads: set[str]) -> str:
     """Return the kind of a nuisance: its first word, with errors of the mesh in markers and in forces kept apart."""
     words = name.split()
     if words[0] not in ("mesh", "bent") or words[-1] == "alike":
-        return " ".join(words[:1 + (words[-1] == "alike")])
+        return " ".join(words[: 1 + (words[-1] == "alike")])
     return f"{words[0]}, forces" if words[-2] in pads else "mesh, markers"
 
 

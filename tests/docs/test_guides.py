@@ -43,7 +43,6 @@ print(found["verdict"], cause["group"], bool((np.abs(slope[:, 0] - [0.0, 0.0, 0.
 """
 
 
-@pytest.mark.slow
 def test_a_whole_diagnosis_names_the_cause_of_the_guide(root):
     follow("cause", root)
     assert run(root, ["python", "-c", DIAGNOSED]).split("\n")[0] == "named ['gradient'] True"

@@ -14,6 +14,7 @@ from tissuereg.cli import diagnose as command
 from tissuereg.cli.common import Stopwatch
 from tissuereg.diagnosis.answer import Finding
 from tissuereg.diagnosis.causes import CAUSES
+from tissuereg.diagnosis.causes.base import Cause
 from tissuereg.diagnosis.constancy import AfterFit, FittedPart, fitted_parts
 from tissuereg.diagnosis.evidence import Blocks, Null, log_mean_exp, tail_probability
 from tissuereg.diagnosis.families import FAMILIES, Membership, memberships
@@ -32,7 +33,12 @@ def test_the_families_are_those_of_the_page():
     rows = [re.findall(r"`(\w+)`", row) for row in re.findall(r"^\| [^|]+ \| (`.*`) \|$", text, re.MULTILINE)]
     stated = {frozenset(ids) for ids in rows if ids and set(ids) <= set(CAUSES)}
     families = {name: {i for i, cause in CAUSES.items() if cause.family == name} for name in FAMILIES}
-    assert stated == {frozenset(ids) for ids in families.values()}
+    assert stated == {frozenset(ids) for ids in families.values()}, "the table of causes in docs/diagnose.md"
+
+
+def test_a_cause_without_a_family_is_refused():
+    with pytest.raises(TypeError, match="the cause 'homeless' must state its `family`"):
+        type("Homeless", (Cause,), {"id": "homeless"})
 
 
 def left_of(seed, along=None):

@@ -5,6 +5,7 @@ import pytest
 
 import tissuereg as tr
 from support.files import EXPERIMENT, write_experiment
+from tissuereg._base.fields import unit_of
 from tissuereg.errors import ExperimentError
 from tissuereg.experiment.effects import EFFECTS, Inclusion, MarkerSwap, effect_from_table
 
@@ -54,6 +55,10 @@ def tables(*effects: tuple[str, str]) -> str:
 
 def read(folder, *effects):
     return tr.read_experiment(write_experiment(folder / "rig", toml=tables(*effects)))
+
+
+def test_every_effect_is_public():
+    assert {type_.__name__ for type_ in EFFECTS.values()} <= set(tr.effects.__all__)
 
 
 def test_every_id_of_the_catalogue_has_a_good_table_here():
@@ -253,3 +258,9 @@ def test_effects_made_in_python_obey_the_same_checks():
         Inclusion(centre_mm=(1, 2, 3), semi_axes_mm=(4, 4, 4), contrast=-1)
     with pytest.raises(ExperimentError, match="2 different texts"):
         MarkerSwap(markers=("P1", "P2", "P3"), from_time_s=0.0)
+
+
+def test_a_unit_is_that_of_the_whole_ending():
+    assert [unit_of(name) for name in ("slope_per_mm", "k_kpa_per_mm", "g_mm_per_s2", "r_mm", "share")] == [
+        "1/mm", "kPa/mm", "mm/s^2", "mm", "",
+    ]  # fmt: skip

@@ -29,6 +29,7 @@ UNITS = {
     "_g_per_cm3": "g/cm^3",
     "_mm_per_s2": "mm/s^2",
     "_kpa_per_mm": "kPa/mm",
+    "_per_mm": "1/mm",
     "_kpa_s": "kPa s",
     "_per_s": "1/s",
     "_mm": "mm",

@@ -105,6 +105,12 @@ class Cause(ABC):
     #: Whether what it changes is no multiple of Young's modulus, as its free_parameters have it.
     absolute: ClassVar[bool] = False
 
+    def __init_subclass__(cls) -> None:
+        """Refuse a cause without a family, which a diagnosis would miss when it names the cause."""
+        if "id" in vars(cls) and not hasattr(cls, "family"):
+            message = f"the cause '{cls.id}' must state its `family`"
+            raise TypeError(message)
+
     @property
     def closed_form(self) -> bool:
         """Whether it is an error of the tracker, whose change is a closed form: computed at each call, never cached."""
