@@ -7,12 +7,14 @@ import pytest
 
 import tissuereg as tr
 from support.rigs import rig
+from support.targets import part
 from tissuereg.diagnosis import predictor, tangents
 from tissuereg.diagnosis.bench import Bench
 from tissuereg.diagnosis.correction import make_correction
+from tissuereg.diagnosis.fit import fit
 from tissuereg.diagnosis.noise import Noise
 from tissuereg.diagnosis.nuisances import make_nuisances
-from tissuereg.diagnosis.refined import flat_of, refined_effects
+from tissuereg.diagnosis.refined import flat_of, recorrected, refined_effects
 from tissuereg.diagnosis.run import make_believed
 from tissuereg.diagnosis.settings import DEFAULT
 from tissuereg.diagnosis.shape import shape_columns, shape_directions
@@ -469,6 +471,9 @@ def test_frames_without_equilibrium_on_a_fine_mesh_count_as_not_measured(monkeyp
     assert np.isfinite(found.null.nuisances).all()
     # With an effect the same frames may be lost, no others.
     assert np.isfinite(refined_effects(bench, [])[~lost]).all()
+    better = recorrected(found.target, fit(found.target, [part(found.target, "poisson")]))
+    assert better is not found.target
+    assert np.isfinite(better.correction.of_effect.difference).all()
     failing(monkeypatch, {name: [0]})
     with pytest.raises(ConvergenceError, match=f"frame 0 of case '{name}'"):
         refined_effects(bench, [])
