@@ -83,7 +83,7 @@ def page(archive: dict) -> str:
         )
         lines.append("| " + " | ".join(cells) + " |")
     right = sum(is_right(row) for row in rows.values())
-    times = f"Times are with cached banks and fine meshes, threads: {archive['threads']}."
+    times = f"Times from an empty cache, which experiments on one mesh share; threads: {archive['threads']}."
     return "\n".join([*lines, "", f"{right} of {len(rows)} are right. {times}"]) + "\n"
 
 
