@@ -113,8 +113,10 @@ def force_errors(layout: SignalLayout, predicted: np.ndarray, base: np.ndarray, 
 def kind_of(name: str, pads: set[str]) -> str:
     """Return the kind of a nuisance: its first word, with errors of the mesh in markers and in forces kept apart."""
     words = name.split()
-    if words[0] not in ("mesh", "bent") or words[-1] == "alike":
-        return " ".join(words[: 1 + (words[-1] == "alike")])
+    if name == "bent alike":
+        return name
+    if words[0] not in ("mesh", "bent"):
+        return words[0]
     return f"{words[0]}, forces" if words[-2] in pads else "mesh, markers"
 
 

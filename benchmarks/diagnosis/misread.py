@@ -76,7 +76,7 @@ def _turn_reference(path: Path, turn: np.ndarray) -> None:
 def told(folder: Path) -> tuple[str, str]:
     """Return the kind and the sentence of what `diagnose` suspects of an experiment folder; empty if nothing."""
     experiment = tr.read_experiment(folder)
-    found = suspect_recording(experiment, SignalLayout(experiment), element="tet4-averaged", threads=1)
+    found = suspect_recording(experiment, SignalLayout(experiment), element="tet4", threads=1)
     return (found[0].kind, found[0].sentence) if found else ("", "")
 
 

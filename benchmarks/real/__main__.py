@@ -43,16 +43,14 @@ def main() -> int:
             "schema": "tissuereg.loadfree-real/1",
             "n_targets": hydrogel.N_TARGETS,
             "beam": [beam.run(mesh, path) for path in (trials[:1] if options.quick else trials)],
-            "hydrogel": [_printed(options.data / "hydrogel", n, seed) for n in (20, 60) for seed in range(n_draws)],
+            "hydrogel": [
+                _said(hydrogel.run(options.data / "hydrogel", n, seed)) for n in (20, 60) for seed in range(n_draws)
+            ],
             "events": [_said(events.run(name)) for name in specimens],
         }
         write_archive(ARCHIVE, answer, TABLES)
     PAGE.write_text(page(read_archive(ARCHIVE)), encoding="utf-8")
     return 0
-
-
-def _printed(folder: Path, n_markers: int, seed: int) -> dict:
-    return _said(hydrogel.run(folder, n_markers, seed))
 
 
 def _said(row: dict) -> dict:

@@ -49,7 +49,7 @@ def run(name: str) -> dict[str, Any]:
     answer = diagnose_material(read_material_experiment(DATA / name)).answer
     causes = answer["causes"]
     held_out = causes[0]["held_out"] if causes else {}
-    row = {
+    return {
         "experiment": name,
         "verdict": answer["verdict"],
         "named": [" / ".join(cause["group"]) for cause in causes],
@@ -57,7 +57,6 @@ def run(name: str) -> dict[str, Any]:
         "p_misfit": answer["p_misfit"],
         "rms_kPa": [held_out.get(f"rms_{which}_kpa") for which in ("base", "named")],
     }
-    return row | {"right": is_right(row)}
 
 
 def is_right(row: dict[str, Any]) -> bool:
@@ -71,11 +70,11 @@ def is_right(row: dict[str, Any]) -> bool:
 
 def section(rows: list[dict[str, Any]]) -> str:
     """Return the section of the page."""
-    text = HEAD
-    for row in rows:
+    text, right = HEAD, [is_right(row) for row in rows]
+    for row, good in zip(rows, right, strict=True):
         pairs = zip(row["named"], row["probability"], strict=True)
         named = ", ".join(f"{name} {chance:.2f}" for name, chance in pairs)
         errors = "; ".join(f"{value:.3g}" for value in row["rms_kPa"] if value is not None)
         cells = (row["experiment"], EVENTS[row["experiment"]][0], row["verdict"], named, f"{row['p_misfit']:.2g}")
-        text += f"| {' | '.join(cells)} | {errors} | {'yes' if row['right'] else 'no'} |\n"
-    return text + f"\n{sum(row['right'] for row in rows)} of {len(rows)} right.\n"
+        text += f"| {' | '.join(cells)} | {errors} | {'yes' if good else 'no'} |\n"
+    return text + f"\n{sum(right)} of {len(rows)} right.\n"

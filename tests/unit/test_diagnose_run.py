@@ -8,10 +8,10 @@ import pytest
 import tissuereg as tr
 from support.answers import told
 from support.rigs import rig
-from tissuereg.diagnosis import run
 from tissuereg.diagnosis.bank import make_bank
 from tissuereg.diagnosis.bench import Bench
 from tissuereg.diagnosis.causes import CAUSES
+from tissuereg.diagnosis.readings import judge
 from tissuereg.diagnosis.run import _own_modulus
 from tissuereg.diagnosis.signals import SignalLayout
 from tissuereg.experiment.effects import Poisson, Stiffness
@@ -74,7 +74,7 @@ def test_a_recording_is_compared_with_elements_that_do_not_lock(monkeypatch):
     def suspected(*_, element, **__):
         raise SeenError(element)
 
-    monkeypatch.setattr(run, "suspect_recording", suspected)
+    monkeypatch.setattr(judge, "responses", suspected)
     plain = replace(rig(), simulated=Simulated("plain", "tet4", tables_sha256="0" * 64))
     for experiment, element, expected in (
         (rig(), None, "tet4-averaged"), (rig(), "tet10", "tet10"), (plain, None, "tet4"),

@@ -286,14 +286,3 @@ CATALOGUE = (
     Effect("actuator_direction", "", (6.0, 25.0), _direction, own=True),
     Effect("actuator_offset", "constant", (0.4, 2.5), _offset, own=True),
 )
-
-#: Causes whose data look alike by their nature.
-SISTERS = {
-    "relaxation": ("rate",),
-    "rate": ("relaxation",),
-    "stiffening": ("mooney", "asymmetry"),
-    "mooney": ("stiffening", "asymmetry"),
-    "asymmetry": ("mooney", "stiffening"),
-    "gravity": ("reference",),
-    "reference": ("gravity",),
-}

@@ -5,7 +5,6 @@ import time
 import numpy as np
 
 from rigs.generator.cases import force_noise, length_of, measured_norm, write_case, young_factor
-from rigs.generator.effects import SISTERS
 from rigs.generator.jobs import BUILD, Bench, keep, stored, write_mesh
 from rigs.generator.newton import NoEquilibriumError
 from rigs.generator.plans import all_plans, effects_of
@@ -142,14 +141,11 @@ def write(plan):
         gravity = dict(summary["parameters"][0])
         gravity["g_mm_per_s2"] *= share
     write_case(plan.name, rig, clean, share, summary["noise_factor"], summary["std_mn"], rng, gravity)
-    causes = summary["cause"]
-    near = sorted({s for c in causes for s in SISTERS.get(c, ())} - set(causes))
     return {
         **{k: summary[k] for k in ("kind", "cause", "outside", "forms", "own_form", "parameters", "level")},
         **{k: summary[k] for k in ("detectability", "of_markers", "alone", "code", "n_nodes")},
         "young_kpa": rig.young[0] * share,
-        "group_ok": sorted(causes),
-        "near": near,
+        "group_ok": sorted(summary["cause"]),
         "std_mm": 0.1 * summary["noise_factor"],
         "forces_given": rig.forces,
         "body": rig.body.kind,

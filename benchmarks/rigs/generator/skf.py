@@ -67,7 +67,7 @@ class SkSolver:
         self.skeleton = Skeleton(places, ten, np.array(faces), 4.0, nodal=True)
         self.functions, self.dx = functions, basis.dx
         self.gradients = np.stack([np.asarray(basis.basis[a][0].grad) for a in range(10)])  # (10, 3, m, q)
-        self.values = np.stack([np.asarray(basis.basis[a][0].value) for a in range(10)])
+        self.values = np.stack([np.asarray(basis.basis[a][0]) for a in range(10)])
         self.points = np.moveaxis(np.asarray(basis.global_coordinates()), 0, -1)  # (m, q, 3)
         self.n = len(places)
         dofs = (3 * functions[:, :, None] + np.arange(3)).reshape(len(functions), 30)

@@ -116,7 +116,7 @@ class Predictor:
     @cached_property
     def _believed(self) -> Solved:
         """The equilibria of the believed model without further effects."""
-        return self._solve(self._worked((), None), (), None, self.threads, None)
+        return self.solved(())
 
     def _worked(self, effects: tuple[Effect, ...], young: float | None) -> Experiment:
         """Return the believed model with further effects applied; `young`: factor on the believed modulus."""

@@ -20,7 +20,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from tissuereg._base.arrays import FloatArray
+from tissuereg._base.arrays import BoolArray, FloatArray
+from tissuereg._base.provenance import warn
 from tissuereg.diagnosis.bank import fingerprint
 from tissuereg.diagnosis.bench import Bench
 from tissuereg.diagnosis.causes import CAUSES
@@ -62,12 +63,21 @@ def refined_predictions(bench: Bench, entry: str | None) -> tuple[FloatArray, Fl
     """Return the prediction of the believed model on the correcting fine mesh, and those on further fine meshes.
 
     `bench`: the believed model; `entry`: name of the cached entry (`entry_of`), None to use no cache. Result: (size,)
-    and (thirds, size), mm and mN, NaN in frames without equilibrium. Raises `ConvergenceError` if no frame has one.
+    and (thirds, size), mm and mN. Frames without equilibrium on one of them are left out of the layout, with a warning;
+    the prediction on the mesh before stands there. Raises `ConvergenceError` if no frame of a case has one.
     """
+    made = _simulated(bench, entry)
+    _leave_out(bench.layout, np.asarray(np.isnan(made).any(axis=0)))
+    fine = np.where(np.isnan(made[0]), bench.base, made[0])
+    return fine, np.where(np.isnan(made[1:]), fine, made[1:])
+
+
+def _simulated(bench: Bench, entry: str | None) -> FloatArray:
+    """Return the predictions (1 + thirds, size) of `refined_predictions`, NaN in frames without equilibrium."""
     thirds = bench.settings.model.thirds
     kept = None if entry is None else _read(entry)
     if kept is not None and kept.shape == (1 + thirds, bench.layout.size):
-        return kept[0], kept[1:]
+        return kept
     found = []
     for number, model in enumerate(_models(bench, thirds)):
         bench.progress("fine mesh" if number == 0 else f"other mesh {number}")
@@ -77,7 +87,20 @@ def refined_predictions(bench: Bench, entry: str | None) -> tuple[FloatArray, Fl
         content = io.BytesIO()
         np.save(content, made)
         keep_entry(entry, content.getvalue(), MOST_ENTRIES)
-    return made[0], made[1:]
+    return made
+
+
+def _leave_out(layout: SignalLayout, unsolved: BoolArray) -> None:
+    """Count frames with entries (size,) that a fine mesh could not predict as not measured; tell which they are."""
+    for part in layout.parts:
+        frames = np.flatnonzero(part.markers(unsolved).any(axis=(1, 2)) | part.forces(unsolved).any(axis=(1, 2)))
+        if len(frames):
+            layout.leave_out(part.name, frames.tolist())
+            times = f"{part.times[frames[0]]:.4g} to {part.times[frames[-1]]:.4g} s"
+            warn(
+                f"{len(frames)} of {part.n_frames} frames of case '{part.name}' ({times}) are left out: there the "
+                "believed model has no equilibrium on a fine mesh, as where a pad presses too deep for its elements"
+            )
 
 
 def refined_effects(bench: Bench, effects: Sequence[Effect]) -> FloatArray | None:

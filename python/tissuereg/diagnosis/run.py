@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from tissuereg._base.arrays import BoolArray, FloatArray
+from tissuereg._base.arrays import FloatArray
 from tissuereg._base.choices import Element
 from tissuereg._base.provenance import warn
 from tissuereg.diagnosis.advice import advise
@@ -76,9 +76,7 @@ def diagnose_body(
     noise = estimate_noise(experiment, layout, settings.noise)
     said = progress or (lambda step: None)
     said("units and axes")
-    # Linear tets that lock have forces that are off by a factor, as those in another unit are.
-    soft: Element = "tet4-averaged" if element == "tet4" and not plain else element
-    suspicions = suspect_recording(experiment, layout, element=soft, threads=threads, settings=settings.readings)
+    suspicions = suspect_recording(experiment, layout, element=element, threads=threads, settings=settings.readings)
     if any(one.log_odds is not None for one in suspicions):
         return _misread(experiment, suspicions, seed, settings)
     bench = Bench(experiment, layout, element=element, threads=threads, settings=settings, progress=said)
@@ -270,28 +268,12 @@ def make_believed(bench: Bench, noise: Noise, *, keep: bool = True) -> BelievedM
         fine, others = bench.base, np.zeros((0, layout.size))
     else:
         fine, others = refined_predictions(bench, entry_of(bench.experiment) if keep else None)
-        _leave_out(layout, np.isnan(fine) | np.isnan(others).any(axis=0))
-        fine = np.where(np.isnan(fine), bench.base, fine)
-        others = np.where(np.isnan(others), fine, others)
     corrected = bench.settings.model.corrected
     correction = make_correction(layout, bench.base, fine) if corrected else Correction(layout)
     nuisances = make_nuisances(bench, others - fine, correction)
     bare = Null(np.zeros((0, layout.size)))
     target = FitTarget(bench, noise, correction, bare)
     return BelievedModel(target, nuisances, bare, others - fine, correction).with_noise(noise)
-
-
-def _leave_out(layout: SignalLayout, unsolved: BoolArray) -> None:
-    """Count frames with entries (size,) that no fine mesh could predict as not measured, and tell which they are."""
-    for part in layout.parts:
-        frames = np.flatnonzero(part.markers(unsolved).any(axis=(1, 2)) | part.forces(unsolved).any(axis=(1, 2)))
-        if len(frames):
-            layout.leave_out(part.name, frames.tolist())
-            times = f"{part.times[frames[0]]:.4g} to {part.times[frames[-1]]:.4g} s"
-            warn(
-                f"{len(frames)} of {part.n_frames} frames of case '{part.name}' ({times}) are left out: there the "
-                "believed model has no equilibrium on a fine mesh, as where a pad presses too deep for its elements"
-            )
 
 
 def _at_modulus(bench: Bench, noise: Noise, correction: Correction, nuisances: Nuisances) -> Correction:
