@@ -19,7 +19,7 @@ STEP_MM, STEP_MN = 1e-3, 1e-1
 
 
 def case_names(half: str = "all") -> list[str]:
-    """Return the names of the stored cases of a half (dev, sealed or all), sorted."""
+    """Return the names of the stored cases of a half (dev, sealed), of the third draw or of all, sorted."""
     of_rig = dict(line.split(",") for line in HALVES.read_text(encoding="utf-8").split()[1:])
     names = sorted(path.stem for path in CASES.glob("*.npz"))
     return [name for name in names if half in ("all", of_rig[rig_of(name)])]

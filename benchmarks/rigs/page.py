@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import Any
 
 from common import commit, read_archive, write_archive
-from rigs.score import predictions_of, report
+from rigs.score import TITLES, predictions_of, report
 from rigs.scored import scored
 
 HERE = Path(__file__).resolve().parent
 ARCHIVE, PAGE = HERE / "archive", HERE / "RESULTS.md"
-HALVES = ("dev", "sealed")
+HALVES = tuple(TITLES)
 
 _TOP = """# Rigs
 

@@ -46,7 +46,7 @@ def _answered(case: str, predictions: Path, work: Path, threads: int) -> tuple[s
 def main() -> None:
     """Diagnose a half and print progress."""
     parser = argparse.ArgumentParser(prog="python -m rigs.run", description=__doc__)
-    parser.add_argument("--half", choices=("dev", "sealed", "all"), default="dev")
+    parser.add_argument("--half", choices=("dev", "sealed", "third", "all"), default="dev")
     parser.add_argument("--cases", nargs="+", help="names of cases, in place of a half")
     parser.add_argument("--jobs", type=int, default=1, help="cases at a time")
     parser.add_argument("--threads", type=int, default=1, help="threads of each")

@@ -15,7 +15,12 @@ from rigs.materialise import case_names, rig_of
 from rigs.scored import by_rig, scored
 
 _HEAD = ["| figure | count | share (95 %, by rig) | rigs |", "|---|---|---|---|"]
+#: Effects outside the catalogue of which the right family may be stated alone.
+FAMILIES = dict.fromkeys(("gradient", "stiff rod", "bands of stiffness", "stiff and soft ball"), "region")
+#: Least length of an effect that is clear.
+CLEAR = 12.9
 LEVELS = (8.0, 13.0, 21.0, 50.0)
+TITLES = {"dev": "Development half", "sealed": "Sealed half", "third": "Third draw"}
 
 
 def row(figure: str, cases: list[Scored], flag: Callable[[Scored], bool]) -> str:
@@ -32,6 +37,11 @@ def row(figure: str, cases: list[Scored], flag: Callable[[Scored], bool]) -> str
 def named(case: Scored) -> bool:
     """Whether something is named."""
     return bool(case.ids)
+
+
+def silently_misnamed(case: Scored) -> bool:
+    """Whether something is named other than the family alone that the effect outside the catalogue is one of."""
+    return any(family is None or family != FAMILIES.get(case.truth["outside"][0]) for family in case.families)
 
 
 def consistent(case: Scored) -> bool:
@@ -65,6 +75,8 @@ def figures(cases: list[Scored]) -> Iterator[str]:
     yield row("one cause: wrong group named", alone, lambda c: c.wrong)
     outside = of_kind(cases, "outside")
     yield row("outside the catalogue: misnamed", outside, named)
+    clear = [case for case in outside if case.truth["detectability"] >= CLEAR]
+    yield row(f"outside the catalogue, d >= {CLEAR:g}: silently misnamed", clear, silently_misnamed)
     yield row("outside the catalogue: unexplained", outside, lambda c: c.prediction["verdict"] == "unexplained")
     pairs = of_kind(cases, "pair")
     for kind, words in (("rig", "pairs"), ("box", "pairs on boxes")):
@@ -124,7 +136,7 @@ def answers_by_cause(cases: list[Scored]) -> list[str]:
 def report(cases: list[Scored], half: str) -> str:
     """Return the section of a half in Markdown."""
     lines = [
-        f"## {'Development' if half == 'dev' else 'Sealed'} half",
+        f"## {TITLES[half]}",
         "",
         f"{len(cases)} of {len(case_names(half))} cases, on {len({rig_of(c.case) for c in cases})} rigs. "
         f"Verdicts: {made(cases)}.",
@@ -148,7 +160,7 @@ def predictions_of(folder: Path, half: str) -> dict[str, dict]:
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m rigs.score", description=__doc__)
     parser.add_argument("predictions", type=Path)
-    parser.add_argument("--half", choices=("dev", "sealed"), default="dev")
+    parser.add_argument("--half", choices=tuple(TITLES), default="dev")
     parser.add_argument("--out", type=Path)
     options = parser.parse_args()
     text = report(scored(predictions_of(options.predictions, options.half)), options.half)

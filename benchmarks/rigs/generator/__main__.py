@@ -3,7 +3,7 @@
 import argparse
 
 from rigs.generator import make, store
-from rigs.generator.rigs import names
+from rigs.generator.rigs import names, third
 
 parser = argparse.ArgumentParser(prog="python -m rigs.generator", description=__doc__)
 parser.add_argument("rigs", nargs="*", metavar="RIG", help="names of rigs; all by default")
@@ -11,5 +11,5 @@ parser.add_argument("--kinds", nargs="+", default=["null", "single", "outside", 
 parser.add_argument("--only-store", action="store_true", help="solve nothing")
 options = parser.parse_args()
 if not options.only_store:
-    make.run(options.rigs or names(), lambda text: print(text, flush=True), tuple(options.kinds))
+    make.run(options.rigs or [*names(), *third()], lambda text: print(text, flush=True), tuple(options.kinds))
 store.store(print)

@@ -10,7 +10,7 @@ import numpy as np
 from rigs.generator.cases import DATA
 from rigs.generator.effects import CATALOGUE
 from rigs.generator.outside import OUTSIDE
-from rigs.generator.rigs import halves, make, names
+from rigs.generator.rigs import halves, make, names, third
 
 RIGS = DATA / "rigs.json"
 LEVELS = (8.0, 13.0, 21.0, 50.0)
@@ -72,12 +72,15 @@ def suits(effect, rig):
 
 
 def summaries():
-    """Return what plans depend on, by rig, from the file that the first call writes."""
-    if not RIGS.exists():
+    """Return what plans depend on, by rig, from the file in which it writes what is missing."""
+    rows = json.loads(RIGS.read_text(encoding="utf-8")) if RIGS.exists() else {}
+    missing = [name for name in [*names(), *third()] if name not in rows]
+    if missing:
         RIGS.parent.mkdir(parents=True, exist_ok=True)
-        lines = [f" {json.dumps(name)}: {json.dumps(_summary(make(name)))}" for name in names()]
+        rows |= {name: _summary(make(name)) for name in missing}
+        lines = [f" {json.dumps(name)}: {json.dumps(row)}" for name, row in rows.items()]
         RIGS.write_text("{\n" + ",\n".join(lines) + "\n}\n", encoding="utf-8")
-    return {name: SimpleNamespace(**row) for name, row in json.loads(RIGS.read_text(encoding="utf-8")).items()}
+    return {name: SimpleNamespace(**row) for name, row in rows.items()}
 
 
 def _summary(rig):
@@ -138,4 +141,24 @@ def all_plans():
     gain, ball = (next(k for k, e in enumerate(CATALOGUE) if e.id == c) for c in ("actuator_gain", "inclusion"))
     parts = (("catalogue", gain), ("catalogue", ball))
     plans += [Plan(name, "pair", parts, None, next(seed)) for name in boxes]
+    return plans + _third_plans(rigs)
+
+
+def _third_plans(rigs):
+    """Return the experiments of the third draw: nulls, every effect outside the catalogue twice, inclusions."""
+    rng, load, seed = np.random.default_rng(20271), dict.fromkeys(third(), 0), iter(range(12000, 19000))
+    plans = [Plan(name, "null", (), None, 11000 + k) for k, name in enumerate(third())]
+    balls = [k for k, effect in enumerate(CATALOGUE) if effect.id == "inclusion"]
+    wanted = [("outside", k % len(OUTSIDE), LEVELS[1 + k % 3]) for k in range(2 * len(OUTSIDE))]
+    wanted += [("catalogue", balls[k % len(balls)], LEVELS[k % 4]) for k in range(8)]
+    # Effects that one code alone can make choose first.
+    order = sorted(wanted, key=lambda one: len({"catalogue": CATALOGUE, "outside": OUTSIDE}[one[0]][one[1]].codes))
+    for which, index, level in order:
+        effect = {"catalogue": CATALOGUE, "outside": OUTSIDE}[which][index]
+        taken = {p.rig for p in plans if p.parts == ((which, index),)}
+        some = [n for n in third() if suits(effect, rigs[n]) and n not in taken]
+        least = min(load[n] for n in some)
+        rig = str(rng.choice([n for n in some if load[n] == least]))
+        load[rig] += 1
+        plans.append(Plan(rig, "outside" if which == "outside" else "single", ((which, index),), level, next(seed)))
     return plans
