@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from common import commit, read_archive, write_archive
-from rigs.score import TITLES, predictions_of, report
+from rigs.score import INNER, TITLES, predictions_of, report
 from rigs.scored import scored
 
 HERE = Path(__file__).resolve().parent
@@ -48,7 +48,8 @@ def pack(predictions: Path, half: str) -> None:
 
 def _finding(cause: dict[str, Any]) -> dict[str, Any]:
     kept = ("id", "group", "family", "probability", "log_bayes_factor", "parameters")
-    return {key: cause[key] for key in kept if key in cause}
+    inner = {key: value for key, value in cause.get("held_out", {}).items() if key in INNER}
+    return {key: cause[key] for key in kept if key in cause} | ({"held_out": inner} if inner else {})
 
 
 def main() -> None:

@@ -19,6 +19,9 @@ _HEAD = ["| figure | count | share (95 %, by rig) | rigs |", "|---|---|---|---|"
 FAMILIES = dict.fromkeys(("gradient", "stiff rod", "bands of stiffness", "stiff and soft ball"), "region")
 #: Least length of an effect that is clear.
 CLEAR = 12.9
+#: Errors at inner targets of the believed and of the extended model, and the share by which the latter may be larger.
+INNER = ("target_rms_base_mm", "target_rms_named_mm")
+WORSE = 0.02
 LEVELS = (8.0, 13.0, 21.0, 50.0)
 TITLES = {"dev": "Development half", "sealed": "Sealed half", "third": "Third draw"}
 
@@ -84,9 +87,19 @@ def figures(cases: list[Scored]) -> Iterator[str]:
         yield row(f"{words}: both named", some, all_named)
         yield row(f"{words}: one right and none wrong", some, lambda c: c.right and not c.wrong)
         yield row(f"{words}: one wrong", some, lambda c: c.wrong)
+    inner = [case for case in cases if _inner(case)]
+    worse = f"inner targets: extended model worse by more than {100 * WORSE:g} %"
+    yield row(worse, inner, lambda c: _inner(c)[1] > (1.0 + WORSE) * _inner(c)[0])
     sure = [(case, k) for case in cases for k, p in enumerate(_probabilities(case)) if p >= 0.9]
     right = {id(case): case.groups[k] & set(case.truth["group_ok"]) for case, k in sure}
     yield row("stated probability >= 0.9: right", [case for case, _ in sure], lambda c: bool(right[id(c)]))
+
+
+def _inner(case: Scored) -> tuple[float, ...]:
+    """Return the errors at inner targets of an answer that names something; empty where it states none."""
+    held_out = case.prediction["causes"][0].get("held_out", {}) if case.ids else {}
+    errors = tuple(held_out.get(key) for key in INNER)
+    return () if None in errors else errors
 
 
 def _right(case: Scored) -> bool:

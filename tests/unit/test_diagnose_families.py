@@ -67,8 +67,13 @@ def test_what_looks_like_a_relative_leaves_the_family_alone():
     assert found.p < 1e-4
     assert found.to_json() == {
         "id": "memory", "words": "effects of time and load history", "p": found.p, "alone": True,
+        "reason": f"what it leaves looks like another one of them (p = {found.p:.1g})",
     }  # fmt: skip
     assert judged(left_of(0), screen).holds
+    beaten = Membership("inclusion", 0.4, 0.05, beaten=True)
+    assert not beaten.holds
+    assert beaten.to_json()["reason"] == "one of them that the catalogue lacks explains the data as well"
+    assert "reason" not in Membership("inclusion", 0.4, 0.05).to_json()
     # Neither another family nor a cause that was found too is a relative.
     assert judged(left_of(0, 8.0 * np.eye(SIZE)[5]), screen).holds
     assert judged(left_of(0, looks), screen, beside=("rate",)) is None

@@ -73,7 +73,11 @@ def refitted(monkeypatch, cause, seen, fits, corrected_fit):
     monkeypatch.setattr(candidates, "_fit_forms", lambda *_: fits)
     monkeypatch.setattr(candidates, "corrected_fit", corrected_fit)
     believed = SimpleNamespace(ids=(), parts=(), log_evidence=-100.0)
-    own = SimpleNamespace(bench=SimpleNamespace(settings=DEFAULT, progress=lambda _: None))
+    own = SimpleNamespace(
+        bench=SimpleNamespace(
+            settings=DEFAULT, progress=lambda _: None, side_by_side=lambda work, tried: [work(one) for one in tried]
+        )
+    )
     (found,) = candidates.refitted(own, None, {cause: Screened(seen, None, np.empty(0))}, believed, {cause: 6.0})
     return found
 

@@ -9,7 +9,6 @@ import tissuereg as tr
 from support.rigs import rig
 from support.targets import target_of
 from tissuereg.diagnosis.discrepancy import components_of, next_check
-from tissuereg.diagnosis.screen import UNKNOWN
 
 
 @pytest.fixture(scope="module")
@@ -68,10 +67,10 @@ def test_the_moment_is_that_in_which_the_component_is_worst(bench):
     assert check["time_s"] == layout["down"].times[2]
 
 
-def test_the_nearest_cause_is_named_as_no_more_than_that(bench):
+def test_the_advice_says_what_the_residual_looks_like(bench):
     left = spoilt(bench, ("pad", "top"))
-    assert "comes nearest is 'sliding'" in next_check(bench, left, "sliding")["action"]
-    assert "comes nearest" not in next_check(bench, left, UNKNOWN)["action"]
+    assert "; sliding comes nearest)" in next_check(bench, left, "sliding comes nearest")["action"]
+    assert ";" not in next_check(bench, left)["action"].partition("(")[2]
 
 
 def test_the_answer_keeps_the_keys_of_advice_and_numbers_that_json_takes(bench):

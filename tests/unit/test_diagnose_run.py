@@ -1,6 +1,7 @@
 """A whole diagnosis gives the same answer every time, on any number of threads."""
 
 from dataclasses import replace
+from threading import Barrier, get_ident
 
 import numpy as np
 import pytest
@@ -28,6 +29,44 @@ def test_the_answer_depends_on_neither_threads_nor_the_call():
     assert one["verdict"] == "unexplained"
     assert len(one["candidates"]) > 20
     assert one == again == two
+
+
+def test_of_forces_below_their_noise_no_modulus_is_stated_that_the_search_found():
+    believed = replace(rig(), young_std=0.6)
+    said, rng = tr.simulate_experiment(believed, model="plain"), np.random.default_rng(0)
+    cases = {
+        name: replace(
+            case,
+            markers=said[name].markers,
+            forces={pad: 2.0 * rng.standard_normal(force.shape) for pad, force in case.forces.items()},
+        )
+        for name, case in believed.cases.items()
+    }
+    found = tr.diagnose(replace(believed, cases=cases, simulated=Simulated("plain", "tet4", "0" * 64)), keep=False)
+    assert [one.kind for one in found.suspicions] == ["silent"]
+    assert found.details.search.final.ids == ("stiffness",)
+    assert [one.id for one in found.outside] == ["stiffness"]
+    assert found.findings == ()
+
+
+@pytest.mark.parametrize(("threads", "jobs", "inside"), [(2, 4, 1), (4, 2, 2), (8, 2, 4)])
+def test_work_within_work_side_by_side_shares_the_threads(threads, jobs, inside):
+    believed = rig()
+    bench = Bench(believed, SignalLayout(believed), threads=threads)
+
+    def seen(_):
+        # All threads must come for one to go on: there are that many, and eight calls are a multiple of them.
+        together = Barrier(inside, timeout=30.0)
+
+        def wait(number):
+            together.wait()
+            return number, get_ident()
+
+        done = bench.side_by_side(wait, range(8))
+        assert [number for number, _ in done] == list(range(8))
+        return len({thread for _, thread in done})
+
+    assert set(bench.side_by_side(seen, range(jobs))) == {inside}
 
 
 def test_a_modulus_that_an_effect_states_is_the_one_that_is_fitted():

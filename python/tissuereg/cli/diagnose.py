@@ -85,10 +85,15 @@ def _outcome(answer: dict[str, Any], clock: Stopwatch, args: argparse.Namespace)
         lines.append(f"  {cause['id']}{tied}, P = {cause['probability']:.2f}{together}: {cause['sentence']}")
         family = cause.get("family")
         if family is not None and family["alone"]:
-            lines.append(f"    or another one of the {family['words']}: what it leaves looks so, p = {family['p']:.1g}")
+            lines.append(f"    or another one of the {family['words']}: {family['reason']}")
     lines += [
         f"  not stated: {one['id']} fits best, but its change differs by {one['differs_by']}, p = {one['p']:.1g}"
         for one in answer.get("constancy", ())
+        if not one["holds"]
+    ]
+    lines += [
+        f"  not stated: {one['id']} fits best of the causes, but {one['nearest']} explains the data as well"
+        for one in answer.get("outside", ())
         if not one["holds"]
     ]
     lines += [

@@ -15,6 +15,7 @@ from tissuereg._version import __version__
 from tissuereg.diagnosis.causes import Values, catalogue
 from tissuereg.diagnosis.constancy import Constancy
 from tissuereg.diagnosis.families import Membership
+from tissuereg.diagnosis.outside import Outside
 from tissuereg.diagnosis.readings import RecordingSuspicion
 from tissuereg.diagnosis.report import EXTENDED_FILE
 from tissuereg.diagnosis.settings import DEFAULT, DiagnoseSettings
@@ -79,6 +80,10 @@ class Finding:
     def is_sure(self) -> bool:
         """Whether one cause is stated: not a group that the data cannot distinguish, nor a family alone."""
         return len(self.group) == 1 and (self.membership is None or self.membership.holds)
+
+    def as_possible(self) -> "PossibleCause":
+        """Return the finding as a cause that is not stated."""
+        return PossibleCause(self.id, self.group_probability, self.log_bayes_factor, self.threshold)
 
     def to_json(self) -> dict[str, Any]:
         """Return the finding as plain data for JSON; a number with a standard deviation becomes a pair of both."""
@@ -145,6 +150,9 @@ class Diagnosis:
     constancy : tuple of Constancy
         For every cause that was found whether its change is the same in all parts of the data; where one is not, no
         cause is stated.
+    outside : tuple of Outside
+        For every cause that was found how it stands beside effects outside the catalogue; where one is not likelier
+        than they are, no cause is stated, or its family alone.
     p_misfit : float
         p-value of the residual after the findings: probability that data without further effects misfit as much.
     discrepancy : dict
@@ -189,6 +197,7 @@ class Diagnosis:
     left: dict[str, Any] | None = None
     possible: tuple[dict[str, Any], ...] = ()
     constancy: tuple[Constancy, ...] = ()
+    outside: tuple[Outside, ...] = ()
     suspicions: tuple[RecordingSuspicion, ...] = ()
     understated: tuple[UnderstatedNoise, ...] = ()
     details: DiagnosisDetails | None = None
@@ -215,6 +224,7 @@ class Diagnosis:
             "causes": [finding.to_json() for finding in self.findings],
             "possible": list(self.possible),
             "constancy": [one.to_json() for one in self.constancy],
+            "outside": [one.to_json() for one in self.outside],
             "candidates": list(self.candidates),
             "p_misfit": self.p_misfit,
             "suspicions": [one.to_json() for one in self.suspicions],

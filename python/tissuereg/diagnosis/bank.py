@@ -17,6 +17,7 @@ from tissuereg._base.arrays import FloatArray
 from tissuereg._version import __version__
 from tissuereg.diagnosis.bench import Bench
 from tissuereg.diagnosis.causes import CAUSES, Variant, catalogue
+from tissuereg.diagnosis.outside import outside_variants
 from tissuereg.diagnosis.settings import DiagnoseSettings
 from tissuereg.experiment.experiment import Experiment
 from tissuereg.io.cache import keep_entry, read_entry
@@ -58,6 +59,20 @@ def make_bank(bench: Bench, *, keep: bool = True) -> Bank:
     if keep and new:
         _write(entry, bench.base, bank)
     return {name: bank[name] for name in wanted if bank[name]}
+
+
+def make_outside(bench: Bench, *, keep: bool = True) -> Bank:
+    """Return the hypotheses of every kind of effect outside the catalogue (`outside_variants`), as `make_bank` does."""
+    settings = replace(bench.settings.outside, variations=(), holds=(), strains=(), motions=()), bench.settings.model
+    entry = f"outside_{fingerprint(bench.experiment, f'{bench.predictor.element} {SCHEMA} {settings}')}"
+    bank = _read(entry)[1] if keep else {}
+    if not bank and bench.is_elastic:
+        bench.progress("effects outside the catalogue")
+        for kind, several in outside_variants(bench).items():
+            bank[kind] = [replace(v, columns=v.columns.astype(np.float32)) for v in several]
+        if keep:
+            _write(entry, bench.base, bank)
+    return bank
 
 
 def numbers_of(settings: DiagnoseSettings) -> str:
@@ -103,7 +118,7 @@ def _write(entry: str, base: FloatArray, bank: Bank) -> None:
     arrays: dict[str, Any] = {"base": base}
     card: dict[str, list[dict[str, object]]] = {}
     for name, several in bank.items():
-        if CAUSES[name].closed_form:
+        if name in CAUSES and CAUSES[name].closed_form:
             continue
         card[name] = [
             {"label": v.label, "settings": dict(v.settings), "positive": v.positive, "fixed": v.fixed} for v in several

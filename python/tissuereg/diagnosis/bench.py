@@ -5,6 +5,7 @@ effect makes, all as flat vectors in the order of a `SignalLayout`.
 """
 
 import os
+import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cached_property
@@ -24,6 +25,9 @@ from tissuereg.experiment.experiment import Experiment
 from tissuereg.simulation.fine import FineModel
 from tissuereg.simulation.memory import goes_through_time
 from tissuereg.simulation.sensitivity import Cause, ModulusField
+
+#: In a thread that works beside others (`Bench.side_by_side`), `threads`: how many threads it may use itself.
+_SHARE = threading.local()
 
 _In = TypeVar("_In")
 _Out = TypeVar("_Out")
@@ -57,6 +61,19 @@ class Bench:
         self.young = float(experiment.material.young_array.mean())
         self.young_spread = (experiment.young_std or settings.model.young_spread * self.young) / self.young
         self.extent = experiment.mesh.extent
+        #: Predictions on fine meshes, (n_meshes, size) in mm and mN, once they were made (`refined`).
+        self.on_fine_meshes: FloatArray | None = None
+
+    def of(self, experiment: Experiment) -> "Bench":
+        """Return the same model of another experiment."""
+        return Bench(
+            experiment,
+            SignalLayout(experiment),
+            element=self.predictor.element,
+            threads=self.predictor.threads,
+            settings=self.settings,
+            progress=self.progress,
+        )
 
     @cached_property
     def base(self) -> FloatArray:
@@ -144,11 +161,15 @@ class Bench:
         return self.side_by_side(one, tried)
 
     def side_by_side(self, work: Callable[[_In], _Out], tried: Sequence[_In]) -> list[_Out]:
-        """Return `work(one)` for every entry `one` of `tried`, in order; calls run in parallel, each on one thread."""
-        workers = self.predictor.threads or os.cpu_count() or 1
-        if workers == 1 or len(tried) == 1:
+        """Return `work(one)` for every entry `one` of `tried`, in order; calls run in parallel, each on one thread.
+
+        Work that calls this itself shares the threads with the work beside it.
+        """
+        workers = getattr(_SHARE, "threads", None) or self.predictor.threads or os.cpu_count() or 1
+        if workers == 1 or len(tried) <= 1:
             return [work(one) for one in tried]
-        with ThreadPoolExecutor(workers) as pool:
+        own = max(workers // len(tried), 1)
+        with ThreadPoolExecutor(workers, initializer=setattr, initargs=(_SHARE, "threads", own)) as pool:
             return list(pool.map(work, tried))
 
     @property

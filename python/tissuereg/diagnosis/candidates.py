@@ -75,13 +75,18 @@ def refitted(
         and (rank < settings.search.refitted or screened[name].log_bayes_factor > best - settings.search.within)
     ]
     fits: dict[str, list[Fit]] = {}
-    for name in chosen:
-        target.bench.progress(f"fit {' + '.join([*current.ids, name])}")
-        best_fit = max((forms[0].log_evidence for forms in fits.values()), default=-np.inf)
-        least = max(best_fit - settings.model.correction_gain, current.log_evidence + required[name])
-        forms = _fit_forms(target, screen, screened[name], current, name, least)
-        if forms:
-            fits[name] = forms
+
+    def fitted_forms(name: str) -> list[Fit]:
+        """Return the fits of a cause, which end early where that of the likeliest is out of reach."""
+        best = max((forms[0].log_evidence for forms in fits.values()), default=-np.inf)
+        least = max(best - settings.model.correction_gain, current.log_evidence + required[name])
+        return _fit_forms(target, screen, screened[name], current, name, least)
+
+    for names in (chosen[:1], chosen[1:]):
+        if names:
+            target.bench.progress(f"fit {' + '.join([*current.ids, ' or '.join(names)])}")
+        made = target.bench.side_by_side(fitted_forms, names)
+        fits.update((name, forms) for name, forms in zip(names, made, strict=True) if forms)
     top = max((forms[0].log_evidence for forms in fits.values()), default=-np.inf)
     found = []
     for name, forms in fits.items():

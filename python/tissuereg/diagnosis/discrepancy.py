@@ -85,7 +85,7 @@ def residual_summary(
     """
     where = largest_residuals(layout, found.reduced, settings)
     case, time = worst_frame(layout, found.reduced)
-    alike = nearest_cause(screen, found, settings.looks_like)
+    alike = nearest_cause(screen, found, settings.looks_like)[0]
     when = f"most at {time:.4g} s, under case {case}"
     places = f"at {', '.join(where)}" if where else "spread over all markers and pads"
     like = "no cause of the catalogue" if alike == UNKNOWN else f"'{alike}' more than any other cause"
@@ -116,16 +116,17 @@ def worst_frame(layout: SignalLayout, reduced: FloatArray) -> tuple[str, float]:
     return worst[:2]
 
 
-def nearest_cause(screen: Screen, found: Search, least: float = DEFAULT.report.looks_like) -> str:
-    """Return the id of the further cause that the remaining residual resembles most, or ``"unknown"``.
+def nearest_cause(screen: Screen, found: Search, least: float = DEFAULT.report.looks_like) -> tuple[str, float]:
+    """Return the id of the further cause that the remaining residual resembles most, and its log Bayes factor, nats.
 
-    It is ``"unknown"`` where no cause has a log Bayes factor of at least `least` nats.
+    The id is ``"unknown"`` where that is less than `least`.
     """
     gains = {name: one.log_bayes_factor for name, one in screen.of(found.reduced).items()}
     named = set(found.final.ids)
     others = {name: gain for name, gain in gains.items() if name not in named and name != UNKNOWN}
     best = max(others, key=lambda name: others[name], default=UNKNOWN)
-    return best if others.get(best, -np.inf) >= least else UNKNOWN
+    gain = others.get(best, -np.inf)
+    return (best if gain >= least else UNKNOWN), gain
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,11 +155,11 @@ _ACTIONS = {
 }
 
 
-def next_check(bench: Bench, residual: FloatArray, nearest: str = UNKNOWN) -> dict[str, Any]:
+def next_check(bench: Bench, residual: FloatArray, like: str = "") -> dict[str, Any]:
     """Return the component of the rig or model to check next, where no cause explains the data.
 
-    `bench`: the believed model; `residual` (size,): unexplained residual, whitened by noise and nuisances; `nearest`:
-    id of the cause that it resembles most, ``"unknown"`` for none. The result has ``action``, the advice in words,
+    `bench`: the believed model; `residual` (size,): unexplained residual, whitened by noise and nuisances; `like`:
+    what it resembles most, in words; empty for nothing. The result has ``action``, the advice in words,
     ``separates`` (empty) and ``separability`` (None), and ``check``: the component's ``kind`` and ``name``, the
     ``share`` of the misfit near it, ``where`` (markers and pads, the worst first), and ``case`` and ``time_s`` of the
     worst frame.
@@ -176,7 +177,7 @@ def next_check(bench: Bench, residual: FloatArray, nearest: str = UNKNOWN) -> di
     elements = "" if chosen.name == "tet10" else "diagnose again with the elements tet10; if the misfit remains, "
     action = _ACTIONS[chosen.kind].format(name=chosen.name, elements=elements)
     worst = f", worst at {', '.join(where)}" if where and chosen.kind not in ("marker", "case") else ""
-    like = "" if nearest == UNKNOWN else f"; the cause of the catalogue that comes nearest is '{nearest}'"
+    like = f"; {like}" if like else ""
     whole = "the misfit is spread over the body, in proportion to its motion"
     place = whole if chosen.kind == "body" else f"{share:.0%} of the misfit is there"
     action = f"{action} ({place}{worst}, most at {time:.4g} s under case {case}{like})"

@@ -37,12 +37,14 @@ class Membership:
     """Whether the data hold a cause, or its family alone.
 
     `id`: the cause; `p`: probability that data which it explains speak as much for something else of its family;
-    `level`: p-value below which the family alone is stated.
+    `level`: p-value below which the family alone is stated; `beaten`: whether an effect of the family that is outside
+    the catalogue explains the data better (`outside`).
     """
 
     id: str
     p: float
     level: float
+    beaten: bool = False
 
     @property
     def family(self) -> str:
@@ -57,11 +59,21 @@ class Membership:
     @property
     def holds(self) -> bool:
         """Whether the cause itself may be stated."""
-        return self.p >= self.level
+        return self.p >= self.level and not self.beaten
+
+    @property
+    def reason(self) -> str:
+        """Why the family alone is stated, in words."""
+        if self.p < self.level:
+            return f"what it leaves looks like another one of them (p = {self.p:.1g})"
+        return "one of them that the catalogue lacks explains the data as well"
 
     def to_json(self) -> dict[str, Any]:
         """Return the test as plain data for JSON."""
-        return {"id": self.family, "words": self.words, "p": self.p, "alone": not self.holds}
+        alone = not self.holds
+        return {"id": self.family, "words": self.words, "p": self.p, "alone": alone} | (
+            {"reason": self.reason} if alone else {}
+        )
 
 
 def memberships(parts: Sequence[FittedPart], screen: Screen, settings: ConstancySettings) -> dict[str, Membership]:

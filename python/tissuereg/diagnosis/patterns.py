@@ -8,11 +8,15 @@ forces have columns of their own. Its size is unknown: the evidence is the mean 
 """
 
 import numpy as np
+from scipy.spatial.distance import cdist
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.bench import Bench
 from tissuereg.diagnosis.settings import DEFAULT, NuisanceSettings
 from tissuereg.diagnosis.signals import CasePart, SignalLayout
+
+#: Places whose patterns are computed at a time, to bound memory.
+_AT_A_TIME = 20_000
 
 #: Singular values below this share of the largest are taken for zero.
 _LEAST = 1e-6
@@ -28,6 +32,28 @@ def smooth_patterns(places: FloatArray, extent: float, settings: NuisanceSetting
     values, vectors = np.linalg.eigh(np.exp(-0.5 * (distance / (settings.pattern_length * extent)) ** 2))
     chosen = np.argsort(values)[::-1][: settings.patterns]
     return np.asarray((np.sqrt(np.maximum(values[chosen], 0.0)) * vectors[:, chosen]).T)
+
+
+def thinned_patterns(
+    places: FloatArray, length: float, *, most_places: int, held_variance: float, most: int
+) -> FloatArray:
+    """Return the leading patterns (n_patterns, n) of a Gaussian process of unit variance over places (n, 3) in mm.
+
+    `length`: its correlation length, mm; `most_places`: more places are thinned out evenly to compute the patterns
+    (Nystrom approximation); `held_variance`: share of the variance that they represent; `most`: their number at most.
+    """
+    known = places[:: -(-len(places) // most_places)]
+
+    def alike(of: FloatArray) -> FloatArray:
+        return np.asarray(np.exp(-0.5 * cdist(of, known, "sqeuclidean") / length**2))
+
+    values, vectors = np.linalg.eigh(alike(known))
+    values, vectors = values[::-1], vectors[:, ::-1]
+    enough = int(np.searchsorted(np.cumsum(values), held_variance * values.sum())) + 1
+    chosen = slice(min(enough, most))
+    shapes = vectors[:, chosen] / np.sqrt(values[chosen])
+    parts = (places[first : first + _AT_A_TIME] for first in range(0, len(places), _AT_A_TIME))
+    return np.concatenate([alike(part) @ shapes for part in parts]).T
 
 
 def load_history(part: CasePart, base: FloatArray) -> FloatArray:

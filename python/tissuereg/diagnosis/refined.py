@@ -15,22 +15,22 @@ friction.
 """
 
 import io
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from tissuereg._base.arrays import BoolArray, FloatArray
+from tissuereg._base.arrays import FloatArray, IntArray
 from tissuereg._base.provenance import warn
 from tissuereg.diagnosis.bank import fingerprint
 from tissuereg.diagnosis.bench import Bench
 from tissuereg.diagnosis.causes import CAUSES
 from tissuereg.diagnosis.fit import Fit, FitTarget, at_believed_modulus, fit
 from tissuereg.diagnosis.predictor import NO_ANSWER, refuse_failures
-from tissuereg.diagnosis.signals import SignalLayout
-from tissuereg.errors import MeshError
+from tissuereg.diagnosis.signals import CasePart, SignalLayout
+from tissuereg.errors import ConvergenceError, MeshError
 from tissuereg.experiment.effects import Effect, extended
-from tissuereg.experiment.experiment import Experiment
+from tissuereg.experiment.experiment import Case, Experiment
 from tissuereg.io.cache import keep_entry, read_entry
 from tissuereg.simulation.experiment import CaseSimulation
 from tissuereg.simulation.fine import FineModel, third_meshes
@@ -62,27 +62,94 @@ def entry_of(experiment: Experiment) -> str:
 def refined_predictions(bench: Bench, entry: str | None) -> tuple[FloatArray, FloatArray]:
     """Return the prediction of the believed model on the correcting fine mesh, and those on further fine meshes.
 
-    `bench`: the believed model; `entry`: name of the cached entry (`entry_of`), None to use no cache. Result: (size,)
-    and (thirds, size), mm and mN. Frames without equilibrium on one of them are left out of the layout, with a warning;
-    the prediction on the mesh before stands there. Raises `ConvergenceError` if no frame of a case has one.
+    `bench`: the believed model (`solvable`); `entry`: name of the cached entry (`entry_of`), None to use no cache.
+    Result: (size,) and (thirds, size), mm and mN. Raises `ConvergenceError` if a frame has no equilibrium.
     """
     made = _simulated(bench, entry)
-    _leave_out(bench.layout, np.asarray(np.isnan(made).any(axis=0)))
-    fine = np.where(np.isnan(made[0]), bench.base, made[0])
-    return fine, np.where(np.isnan(made[1:]), fine, made[1:])
+    for part in bench.layout.parts:
+        refuse_failures(part.name, [(int(frame), "no equilibrium on a fine mesh") for frame in _unsolved(part, made)])
+    return made[0], made[1:]
+
+
+def solvable(bench: Bench, *, keep: bool = True) -> Bench:
+    """Return the believed model of an experiment whose cases end before frames that no fine mesh can predict.
+
+    It is `bench` itself where there are none; else there is a warning. A prediction of later frames on the user's mesh
+    would have gone through a state that is none of the body's, and with memory would keep it. `keep`: whether
+    predictions on fine meshes are read from and written to the cache. Raises `ConvergenceError` if no loaded frame has
+    an equilibrium, or no frame of a case.
+    """
+    made = _simulated(bench, entry_of(bench.experiment) if keep else None)
+    cases, kept = dict(bench.experiment.cases), []
+    for part in bench.layout.parts:
+        frames = _unsolved(part, made)
+        first = int(frames[0]) if len(frames) else part.n_frames
+        # A case of one frame is at rest.
+        n_kept = first if first > 1 or not len(frames) else 0
+        kept += [part.markers(made)[:, :n_kept].reshape(len(made), -1)]
+        kept += [part.forces(made)[:, :n_kept].reshape(len(made), -1)]
+        if not len(frames):
+            continue
+        cases[part.name] = _until(cases[part.name], n_kept)
+        if not n_kept:
+            del cases[part.name]
+        what = f"{part.n_frames - n_kept} of {part.n_frames} frames" if n_kept else f"all {part.n_frames} frames"
+        warn(
+            f"{what} of case '{part.name}' are left out: from {part.times[first]:.4g} s on the believed model has no "
+            "equilibrium on a fine mesh, as where a pad presses too deep for its elements"
+        )
+    if not np.isnan(made).any():
+        return bench
+    if not any(np.any(motion) for case in cases.values() for motion in _commands(case)):
+        message = f"experiment '{bench.experiment.name}' must have a loaded frame with an equilibrium on a fine mesh"
+        raise ConvergenceError(message)
+    shorter = bench.of(replace(bench.experiment, cases=cases))
+    if bench.is_elastic:
+        shorter.on_fine_meshes = np.concatenate(kept, axis=1)
+    return shorter
+
+
+def _until(case: Case, frame: int) -> Case:
+    """Return a case up to a frame, without it."""
+
+    def cut(of: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+        return {name: rows[:frame] for name, rows in of.items()}
+
+    return replace(
+        case,
+        times=case.times[:frame],
+        markers=case.markers[:frame],
+        displacements=cut(case.displacements),
+        applied_forces=cut(case.applied_forces),
+        forces=cut(case.forces),
+        targets=cut(case.targets),
+    )
+
+
+def _commands(case: Case) -> list[FloatArray]:
+    return [*case.displacements.values(), *case.applied_forces.values()]
+
+
+def _unsolved(part: CasePart, made: FloatArray) -> IntArray:
+    """Return the frames of a case without equilibrium in one of several predictions (n, size)."""
+    lost = np.asarray(np.isnan(made).any(axis=0))
+    return np.flatnonzero(part.markers(lost).any(axis=(1, 2)) | part.forces(lost).any(axis=(1, 2)))
 
 
 def _simulated(bench: Bench, entry: str | None) -> FloatArray:
-    """Return the predictions (1 + thirds, size) of `refined_predictions`, NaN in frames without equilibrium."""
+    """Return the predictions (1 + thirds, size) on all fine meshes, mm and mN, NaN in frames without equilibrium."""
+    if bench.on_fine_meshes is not None:
+        return bench.on_fine_meshes
     thirds = bench.settings.model.thirds
     kept = None if entry is None else _read(entry)
     if kept is not None and kept.shape == (1 + thirds, bench.layout.size):
+        bench.on_fine_meshes = kept
         return kept
     found = []
     for number, model in enumerate(_models(bench, thirds)):
         bench.progress("fine mesh" if number == 0 else f"other mesh {number}")
         found.append(flat_of(bench.layout, model.simulate(threads=bench.predictor.threads)))
-    made = np.array(found)
+    made = bench.on_fine_meshes = np.array(found)
     if entry is not None:
         content = io.BytesIO()
         np.save(content, made)
@@ -90,34 +157,20 @@ def _simulated(bench: Bench, entry: str | None) -> FloatArray:
     return made
 
 
-def _leave_out(layout: SignalLayout, unsolved: BoolArray) -> None:
-    """Count frames with entries (size,) that a fine mesh could not predict as not measured; tell which they are."""
-    for part in layout.parts:
-        frames = np.flatnonzero(part.markers(unsolved).any(axis=(1, 2)) | part.forces(unsolved).any(axis=(1, 2)))
-        if len(frames):
-            layout.leave_out(part.name, frames.tolist())
-            times = f"{part.times[frames[0]]:.4g} to {part.times[frames[-1]]:.4g} s"
-            warn(
-                f"{len(frames)} of {part.n_frames} frames of case '{part.name}' ({times}) are left out: there the "
-                "believed model has no equilibrium on a fine mesh, as where a pad presses too deep for its elements"
-            )
-
-
 def refined_effects(bench: Bench, effects: Sequence[Effect]) -> FloatArray | None:
     """Return the prediction (size,) of the believed model with further effects on the fine mesh, mm and mN.
 
     `bench`: the believed model; `effects`: in addition to those of the experiment. The result is None where the
     material has memory: such histories take minutes on a fine mesh, and the discretisation error of a memory effect is
-    that of the load's own response, which the correction of the believed model contains. Frames that the layout has
-    left out may be NaN. Raises `ConvergenceError` if another one has no equilibrium.
+    that of the load's own response, which the correction of the believed model contains. Raises `ConvergenceError` if a
+    frame has no equilibrium.
     """
     every = (*bench.experiment.effects, *effects)
     if remembers(extended(replace(bench.experiment, effects=every), bench.predictor.element)):
         return None
     answers = bench.fine.simulate(every, warm=True, threads=bench.predictor.threads)
     for name, answer in answers.items():
-        left_out = bench.layout.left_out[name]
-        refuse_failures(name, [failure for failure in answer.failed if failure[0] not in left_out])
+        refuse_failures(name, answer.failed)
     return flat_of(bench.layout, answers)
 
 

@@ -9,7 +9,8 @@ Each is a module of this package; ``docs/diagnose.md`` describes them in this or
 
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -19,22 +20,24 @@ from tissuereg._base.choices import Element
 from tissuereg._base.provenance import warn
 from tissuereg.diagnosis.advice import advise
 from tissuereg.diagnosis.answer import Diagnosis, DiagnosisDetails, Finding, to_check, versions_now
-from tissuereg.diagnosis.bank import Bank, make_bank
+from tissuereg.diagnosis.bank import Bank, make_bank, make_outside
 from tissuereg.diagnosis.bench import Bench
+from tissuereg.diagnosis.candidates import without
 from tissuereg.diagnosis.constancy import Constancy, fitted_parts
 from tissuereg.diagnosis.correction import Correction, make_correction
 from tissuereg.diagnosis.discrepancy import describe, nearest_cause, next_check, residual_summary
 from tissuereg.diagnosis.evidence import Null, rms
-from tissuereg.diagnosis.families import memberships
+from tissuereg.diagnosis.families import Membership, memberships
 from tissuereg.diagnosis.findings import candidates_of, findings_of, possible_of
 from tissuereg.diagnosis.fit import Fit, FitTarget, fit
 from tissuereg.diagnosis.noise import Noise, estimate_noise
 from tissuereg.diagnosis.nuisances import Nuisances, make_nuisances
 from tissuereg.diagnosis.nulls import Battery, Misfit, Nulls, draw_nulls, smooth_subspaces
+from tissuereg.diagnosis.outside import OUTSIDE, Outside, OutsideBank, outside_tests
 from tissuereg.diagnosis.patterns import generic_columns
 from tissuereg.diagnosis.readings import RecordingSuspicion, suspect_recording
-from tissuereg.diagnosis.refined import entry_of, refined_predictions
-from tissuereg.diagnosis.screen import Screen
+from tissuereg.diagnosis.refined import entry_of, refined_predictions, solvable
+from tissuereg.diagnosis.screen import UNKNOWN, Screen
 from tissuereg.diagnosis.search import Search, search
 from tissuereg.diagnosis.settings import DEFAULT, DiagnoseSettings, NullSettings
 from tissuereg.diagnosis.signals import SignalLayout
@@ -84,6 +87,9 @@ def diagnose_body(
     with warnings.catch_warnings():
         for kind in (UnitWarning, LockingWarning):
             warnings.simplefilter("ignore", kind)
+        if not bench.is_exact:
+            bench = solvable(bench, keep=keep)
+            noise = estimate_noise(bench.experiment, bench.layout, settings.noise)
         found = _searched(bench, noise, silent=bool(suspicions), seed=seed, keep=keep)
     return replace(found, suspicions=tuple(suspicions))
 
@@ -95,9 +101,10 @@ def _searched(bench: Bench, noise: Noise, *, silent: bool, seed: int, keep: bool
     element, threads = bench.predictor.element, bench.predictor.threads
     bank = make_bank(bench, keep=keep)
     believed = make_believed(bench, noise, keep=keep)
-    judged = _judged(bank, believed, silent=silent, seed=seed)
+    outside = cache(partial(make_outside, bench, keep=keep))
+    judged = _judged(bank, believed, outside, silent=silent, seed=seed)
     if judged.misfit.p < rules.misfit:
-        again = _with_larger_noise(bank, believed, judged, silent=silent, seed=seed)
+        again = _with_larger_noise(bank, believed, judged, outside, silent=silent, seed=seed)
         if again is not None:
             believed, judged = again
     target, found, findings, misfit, screen = (
@@ -117,7 +124,7 @@ def _searched(bench: Bench, noise: Noise, *, silent: bool, seed: int, keep: bool
     findings = _with_targets(findings, experiment, extended, element=element, threads=threads)
     following = advise(target, found.steps, findings)
     if verdict == "unexplained":
-        following = next_check(bench, found.reduced, nearest_cause(screen, found, settings.report.looks_like))
+        following = next_check(bench, found.reduced, _looks_like(judged, believed.null, outside(), settings))
     if verdict == UNDERSTATED:
         following = _state_noise(larger)
     return Diagnosis(
@@ -125,8 +132,9 @@ def _searched(bench: Bench, noise: Noise, *, silent: bool, seed: int, keep: bool
         understated=larger,
         findings=tuple(findings),
         candidates=candidates_of(screen, found.steps[0]),
-        possible=possible_of(found),
+        possible=(*possible_of(found), *judged.weak),
         constancy=tuple(judged.tested),
+        outside=tuple(judged.outside),
         p_misfit=misfit.p,
         left=residual_summary(layout, screen, found, misfit, settings.report)
         if findings and misfit.p < rules.misfit
@@ -141,12 +149,24 @@ def _searched(bench: Bench, noise: Noise, *, silent: bool, seed: int, keep: bool
     )
 
 
+def _looks_like(judged: "_Judged", null: Null, outside: Bank, settings: DiagnoseSettings) -> str:
+    """Return in words which effect the data of an unexplained answer resemble most; empty where they resemble none."""
+    least, screen, found = settings.report.looks_like, judged.screen, judged.found
+    inside, nats = nearest_cause(screen, found, least)
+    kind, other = OutsideBank(outside, screen.white).nearest(found.base.residual, null, settings)
+    beaten = next((one.nearest for one in judged.outside if not one.holds), None)
+    if beaten is not None or other >= max(least, nats):
+        return f"outside the catalogue {OUTSIDE[beaten or kind][0]} comes nearest"
+    return "" if inside == UNKNOWN else f"the cause of the catalogue that comes nearest is '{inside}'"
+
+
 @dataclass(frozen=True, eq=False)
 class _Judged:
     """The search with a noise model, and the test of what it leaves.
 
     `best`: the best fit, which `found` lacks where its findings are withdrawn; `withdrawn`: whether they are; `tested`:
-    the constancy of the causes that were found, of those withdrawn too.
+    the constancy of the causes that were found, of those withdrawn too; `outside`: the same beside effects outside the
+    catalogue; `weak`: those that are not probable enough beside these, as plain data for the answer.
     """
 
     screen: Screen
@@ -157,10 +177,15 @@ class _Judged:
     misfit: Misfit
     withdrawn: bool
     tested: list[Constancy]
+    outside: list[Outside]
+    weak: list[dict[str, Any]]
 
 
-def _judged(bank: Bank, believed: "BelievedModel", *, silent: bool, seed: int) -> _Judged:
-    """Return the causes found under the noise of a believed model; other arguments as for `_searched`."""
+def _judged(bank: Bank, believed: "BelievedModel", outside: Callable[[], Bank], *, silent: bool, seed: int) -> _Judged:
+    """Return the causes found under the noise of a believed model.
+
+    `outside`: returns the hypotheses of effects outside the catalogue; other arguments as for `_searched`.
+    """
     target, null, noise = believed.target, believed.null, believed.target.noise
     bench, layout, settings = target.bench, target.bench.layout, target.bench.settings
     generic = generic_columns(bench, float(noise.marker_std.mean()))
@@ -172,24 +197,47 @@ def _judged(bank: Bank, believed: "BelievedModel", *, silent: bool, seed: int) -
     before = target.null.reduced(found.base.residual)
     misfit = battery.judge(before, found.reduced, nulls.residuals)
     findings = findings_of(target, screen, found, nulls.thresholds)
-    findings = [finding for finding in findings if not (silent and finding.id == "stiffness")]
-    best = found.final
+    best, last = found.final, found.target or target
     rules = settings.constancy
-    parts = fitted_parts(found.target or target, best, null, nulls.residuals, seed, rules) if findings else []
+    parts = fitted_parts(last, best, null, nulls.residuals, seed, rules) if findings else []
     tested = [one for one in (part.constancy(rules.level) for part in parts) if one is not None]
     members = memberships(parts, screen, rules)
     findings = [replace(finding, membership=members.get(finding.id)) for finding in findings]
+    beside: list[Outside] = []
+    if best.parts:
+        rests = [without(last, best, part) for part in range(len(best.parts))]
+        beside = outside_tests(last, best, rests, null, OutsideBank(outside(), screen.white))
+        # A modulus beyond its prior, which then is the first finding, is no part of the fit.
+        modulus, causes = findings[: -len(beside)], findings[-len(beside) :]
+        findings = [*modulus, *(_beside(finding, one) for finding, one in zip(causes, beside, strict=True))]
+    findings = [finding for finding in findings if not (silent and finding.id == "stiffness")]
+    weak = [finding for finding in findings if finding.group_probability < settings.search.stated]
     enough = _explains_enough(misfit, found, settings.nulls)
-    withdrawn = bool(findings) and not (enough and all(one.holds for one in tested))
+    holds = all(one.holds for one in tested) and all(one.holds for one in beside)
+    withdrawn = bool(findings) and not (enough and holds and not weak)
     if withdrawn:
         # At best the findings are the causes most similar to the true one.
         findings, found = [], found.withdrawn(target)
         misfit = battery.judge(before, found.reduced, nulls.residuals)
-    return _Judged(screen, nulls, found, best, findings, misfit, withdrawn, tested)
+    possible = [asdict(finding.as_possible()) for finding in weak]
+    return _Judged(screen, nulls, found, best, findings, misfit, withdrawn, tested, beside, possible)
+
+
+def _beside(finding: Finding, outside: Outside) -> Finding:
+    """Return a finding whose probability is shared with effects outside the catalogue."""
+    alone = outside.holds_family
+    share = outside.family_probability if alone else outside.probability
+    own = finding.membership or Membership(finding.id, 1.0, outside.settings.constancy.member_level)
+    return replace(
+        finding,
+        probability=finding.probability * outside.probability,
+        group_probability=finding.group_probability * share,
+        membership=replace(own, beaten=True) if alone else finding.membership,
+    )
 
 
 def _with_larger_noise(
-    bank: Bank, believed: "BelievedModel", first: _Judged, *, silent: bool, seed: int
+    bank: Bank, believed: "BelievedModel", first: _Judged, outside: Callable[[], Bank], *, silent: bool, seed: int
 ) -> "tuple[BelievedModel, _Judged] | None":
     """Return model and answer under larger noise where that alone explains what the best fit leaves, else None."""
     bench, generic = believed.target.bench, first.screen.generic_white[-1]
@@ -198,7 +246,7 @@ def _with_larger_noise(
         return None
     bench.progress("noise larger than stated")
     other = believed.with_noise(noise)
-    again = _judged(bank, other, silent=silent, seed=seed)
+    again = _judged(bank, other, outside, silent=silent, seed=seed)
     # A misfit that remains is no noise.
     return (other, again) if again.misfit.p >= bench.settings.nulls.misfit and not again.withdrawn else None
 
@@ -260,8 +308,7 @@ def make_believed(bench: Bench, noise: Noise, *, keep: bool = True) -> BelievedM
     """Return the believed model, corrected for discretisation error, with its nuisance parameters.
 
     `bench`: the believed model; `noise`: measurement noise; `keep`: whether predictions on fine meshes are read from
-    and written to the cache. Frames without equilibrium on a fine mesh are left out, with a warning. Raises
-    `ConvergenceError` if no frame of a case has one there.
+    and written to the cache. Raises `ConvergenceError` if a frame has no equilibrium on a fine mesh (`solvable`).
     """
     layout = bench.layout
     if bench.is_exact:

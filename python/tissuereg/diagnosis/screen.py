@@ -53,7 +53,7 @@ class Screen:
     ) -> None:
         self.bank = bank
         self.null = null
-        self._white: Callable[[FloatArray], FloatArray] = lambda columns: noise.whitened(
+        self.white: Callable[[FloatArray], FloatArray] = lambda columns: noise.whitened(
             correction.of_columns(columns), layout
         )
         self.generic_white: FloatArray = np.stack(
@@ -92,7 +92,7 @@ class Screen:
 
     def white_columns(self, name: str) -> FloatArray:
         """Return the columns of all hypotheses of a cause, (n_variants, p, size), whitened by the noise alone."""
-        return np.stack([self._white(variant.columns.astype(np.float64)) for variant in self.bank[name]])
+        return np.stack([self.white(variant.columns.astype(np.float64)) for variant in self.bank[name]])
 
     def detectability(self, name: str, variant: Variant, amplitudes: FloatArray) -> float:
         """Return the size of the change that a hypothesis makes, a norm whitened by noise and nuisances.

@@ -199,6 +199,40 @@ class ConstancySettings:
 
 
 @dataclass(frozen=True)
+class OutsideSettings:
+    """Effects outside the catalogue that a finding must beat."""
+
+    #: Sizes of each kind that are tried: deviation of the modulus over it, stiffness that holds a place over modulus
+    #: times extent of the body, linear strain of a place that grows, motion of a pad over its command.
+    variations: tuple[float, ...] = (0.25, 0.5, 1.0)
+    holds: tuple[float, ...] = (0.1, 0.3, 1.0)
+    strains: tuple[float, ...] = (0.01, 0.03, 0.1)
+    motions: tuple[float, ...] = (0.02, 0.06, 0.2)
+    #: Lengths over which the modulus varies, over the extent of the body.
+    lengths: tuple[float, ...] = (0.15, 0.3, 0.7)
+    #: Share of the variance that the patterns of a modulus represent, their number at most, and the number of places
+    #: from which they are computed, at most.
+    held_variance: float = 0.99
+    most_patterns: int = 150
+    most_places: int = 700
+    #: Radii of places that are held or grow, over the extent of the body, and spacing of their grid over the radius.
+    radii: tuple[float, ...] = (0.07, 0.13)
+    spacing: float = 1.5
+    #: A finding whose share of the probability is less, but with effects of its family is as probable as `stated`, is
+    #: stated as the family alone down to this share.
+    least_share: float = 0.05
+
+    def sizes(self, kind: str) -> tuple[float, ...]:
+        """Return the sizes of a kind."""
+        return {
+            "stiffness-field": self.variations,
+            "held-place": self.holds,
+            "growing-place": self.strains,
+            "pad-motion": self.motions,
+        }[kind]
+
+
+@dataclass(frozen=True)
 class ProbabilitySettings:
     """From evidence to probabilities."""
 
@@ -397,7 +431,7 @@ class DiagnoseSettings:
 
     Attributes
     ----------
-    model, noise, nuisances, shape, nulls, constancy, evidence, fit, search, readings, report, material
+    model, noise, nuisances, shape, nulls, constancy, outside, evidence, fit, search, readings, report, material
         Settings of each step, a frozen dataclass each: ``replace(settings, search=SearchSettings(most_causes=1))``.
     causes : tuple of Cause
         Causes of bodies with changed numbers, in place of those of the catalogue with the same id.
@@ -411,6 +445,7 @@ class DiagnoseSettings:
     shape: ShapeSettings = field(default_factory=ShapeSettings)
     nulls: NullSettings = field(default_factory=NullSettings)
     constancy: ConstancySettings = field(default_factory=ConstancySettings)
+    outside: OutsideSettings = field(default_factory=OutsideSettings)
     evidence: ProbabilitySettings = field(default_factory=ProbabilitySettings)
     fit: FitSettings = field(default_factory=FitSettings)
     search: SearchSettings = field(default_factory=SearchSettings)

@@ -22,6 +22,7 @@ from tissuereg.body.mesh import Mesh, node_normals
 from tissuereg.body.observe import MarkerObservation
 from tissuereg.diagnosis.bench import Bench
 from tissuereg.diagnosis.correction import make_correction
+from tissuereg.diagnosis.patterns import thinned_patterns
 from tissuereg.diagnosis.predictor import Predictor
 from tissuereg.diagnosis.settings import DEFAULT, ShapeSettings
 from tissuereg.diagnosis.tangents import Tangents
@@ -198,27 +199,18 @@ def _of_surface(surface: _BodySurface, experiment: Experiment) -> Iterator[Direc
     if not std > 1e-6 * mesh.extent:
         return
     length = experiment.surface_length or surface.settings.length_share * mesh.extent
-    for number, pattern in enumerate(_patterns(mesh.nodes[free], length, surface.settings)):
+    rules = surface.settings
+    patterns = thinned_patterns(
+        mesh.nodes[free],
+        length,
+        most_places=rules.most_places,
+        held_variance=rules.held_variance,
+        most=rules.most_patterns,
+    )
+    for number, pattern in enumerate(patterns):
         motion = np.zeros_like(mesh.nodes)
         motion[free] = pattern[:, None] * surface.normals[free]
         yield Direction(f"surface {number}", motion, std)
-
-
-def _patterns(places: FloatArray, length: float, settings: ShapeSettings) -> FloatArray:
-    """Return the leading patterns (n_patterns, n) of a Gaussian process of unit variance over places (n, 3) in mm.
-
-    `length`: its correlation length, mm. Many places are thinned out evenly to compute them (Nystrom approximation).
-    """
-    known = places[:: -(-len(places) // settings.most_places)]
-
-    def alike(of: FloatArray) -> FloatArray:
-        return np.asarray(np.exp(-0.5 * ((of[:, None] - known[None]) ** 2).sum(axis=2) / length**2))
-
-    values, vectors = np.linalg.eigh(alike(known))
-    values, vectors = values[::-1], vectors[:, ::-1]
-    enough = int(np.searchsorted(np.cumsum(values), settings.held_variance * values.sum())) + 1
-    chosen = slice(min(enough, settings.most_patterns))
-    return np.asarray((alike(places) @ vectors[:, chosen] / np.sqrt(values[chosen])).T)
 
 
 def _carried(given: Mesh, motion: FloatArray, mesh: Mesh) -> FloatArray:

@@ -1,6 +1,6 @@
 """All measured numbers of an experiment as one flat vector: markers and forces of all cases in a fixed order."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -58,8 +58,7 @@ class SignalLayout:
 
     `experiment`: with its measured cases. Raises `ExperimentError` if nothing was measured. Attributes: `parts`: for
     each case, in the experiment's order, where its numbers lie; `size`: length of the flat vector; `measured` (size,):
-    displacements of markers from their reference places in mm, and forces in mN; NaN = not measured; `left_out`: frames
-    of each case that count as not measured, by its name.
+    displacements of markers from their reference places in mm, and forces in mN; NaN = not measured.
     """
 
     def __init__(self, experiment: Experiment) -> None:
@@ -76,7 +75,6 @@ class SignalLayout:
         self.parts = tuple(parts)
         self.size = at
         self.measured: FloatArray = self._of_cases(experiment.cases)
-        self.left_out: dict[str, set[int]] = {part.name: set() for part in parts}
         if not np.isfinite(self.measured).any():
             message = (
                 f"experiment '{experiment.name}' must have measured markers or forces to be diagnosed; it has none"
@@ -86,13 +84,6 @@ class SignalLayout:
     def __getitem__(self, name: str) -> CasePart:
         """Return where the numbers of a case lie, by its name."""
         return next(part for part in self.parts if part.name == name)
-
-    def leave_out(self, name: str, frames: Iterable[int]) -> None:
-        """Count some frames of a case, given by their numbers, as not measured."""
-        part, some = self[name], list(frames)
-        part.markers(self.measured)[some] = np.nan
-        part.forces(self.measured)[some] = np.nan
-        self.left_out[name] |= set(some)
 
     @property
     def seen(self) -> BoolArray:

@@ -22,7 +22,7 @@ from tissuereg.experiment.effects import ChainEffect, extended, seen_markers
 from tissuereg.experiment.experiment import Case, Experiment
 from tissuereg.simulation.experiment import believed_case
 from tissuereg.simulation.loading import distinct_states, pads_of, traction_of
-from tissuereg.simulation.sensitivity import Cause, Linearised, Observation
+from tissuereg.simulation.sensitivity import Adjoints, Cause, Linearised, Observation
 from tissuereg.simulation.solve import Simulator
 
 
@@ -102,18 +102,33 @@ class Tangents:
         `shares` (n_tets, n_fields): share of every tet that changes. The result, in mm and mN, is the linear change for
         a modulus that is doubled where a share is 1.
         """
-        flat = np.zeros((shares.shape[1], self.layout.size))
-        young = np.broadcast_to(_per_tet(self.worked.material.young_array), (self.worked.mesh.n_tets,))
+        return self.by_adjoints(lambda adjoints, _: shares.T @ self.by_modulus(adjoints).T, shares.shape[1])
+
+    def by_adjoints(self, rates: Callable[[Adjoints, FloatArray], FloatArray], count: int) -> FloatArray:
+        """Return the derivatives of the prediction by many parameters, (count, size), in mm and mN per unit of each.
+
+        `rates`: takes the derivatives of n_obs measured numbers in an equilibrium by all inputs, and the displacement
+        of its nodes (n_element_nodes, 3) in mm; returns those by the parameters, (count, n_obs).
+
+        Notes
+        -----
+        Costs one solution for each measured number and state.
+        """
+        flat = np.zeros((count, self.layout.size))
+        n_markers = len(self.layout.marker_names)
         for number, state in enumerate(self.states):
-            tangent, slopes, _ = self._at(number)
+            tangent, slopes, displacement = self._at(number)
             part = self.layout[state.case.name]
-            by_young = tangent.adjoints(self._observations(state, part, slopes)).young.mean(axis=2)
-            by_young = by_young * (young * tangent.simulator.n_points)
-            rates = (shares.T @ by_young.T).reshape(shares.shape[1], -1, 3)
-            n_markers = len(self.layout.marker_names)
-            part.markers(flat)[:, state.frames] = rates[:, None, :n_markers]
-            part.forces(flat)[:, state.frames] = rates[:, None, n_markers:]
+            found = tangent.adjoints(self._observations(state, part, slopes))
+            each = rates(found, displacement).reshape(count, -1, 3)
+            part.markers(flat)[:, state.frames] = each[:, None, :n_markers]
+            part.forces(flat)[:, state.frames] = each[:, None, n_markers:]
         return self._seen(flat)
+
+    def by_modulus(self, adjoints: Adjoints) -> FloatArray:
+        """Return the derivatives of measured numbers by the relative modulus of every tet, (n_obs, n_tets)."""
+        young = np.broadcast_to(per_tet(self.worked.material.young_array), (self.worked.mesh.n_tets,))
+        return np.asarray(adjoints.young.mean(axis=2) * (young * adjoints.young.shape[2]))
 
     def by_shapes(self, motions: Sequence[FloatArray]) -> FloatArray:
         """Return the derivatives of the prediction by motions of the mesh's nodes (shape derivatives).
@@ -230,5 +245,6 @@ def _shortest_edge(mesh: Mesh) -> float:
     return float(np.linalg.norm(mesh.nodes[mesh.edges[:, 0]] - mesh.nodes[mesh.edges[:, 1]], axis=1).min())
 
 
-def _per_tet(young: FloatArray) -> FloatArray:
+def per_tet(young: FloatArray) -> FloatArray:
+    """Return a modulus of tets or of their quadrature points, (n_tets,) or (n_tets, n_points), as one of tets."""
     return young.mean(axis=1) if young.ndim == 2 else young

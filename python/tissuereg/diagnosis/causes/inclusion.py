@@ -1,6 +1,6 @@
 """Inclusion: a ball inside the body is stiffer or softer than its surroundings."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -22,6 +22,9 @@ from tissuereg.diagnosis.causes.base import (
     three,
 )
 from tissuereg.experiment.effects import Inclusion
+
+#: Radius and centre, mm.
+Ball = tuple[float, tuple[float, float, float]]
 
 
 @dataclass(frozen=True)
@@ -47,8 +50,9 @@ class InclusionCause(Cause):
         """
         if not bench.is_elastic:
             return
-        balls = _places(bench, self)
-        for (radius, centre), column in zip(balls, bench.by_fields(_shares(bench.experiment.mesh, balls)), strict=True):
+        balls = balls_in(bench.experiment.mesh, self.radii, self.spacing)
+        columns = bench.by_fields(shares_of_balls(bench.experiment.mesh, balls))
+        for (radius, centre), column in zip(balls, columns, strict=True):
             name = " ".join(f"{x:.0f}" for x in centre)
             settings = {"centre": centre, "radius": radius}
             yield Variant(f"at {name} radius {radius:.1f}", self.spread * column[None], settings)
@@ -98,11 +102,13 @@ class InclusionCause(Cause):
         )
 
 
-def _shares(mesh: Mesh, balls: list[tuple[float, tuple[float, float, float]]]) -> "sparse.csr_array":
+def shares_of_balls(mesh: Mesh, balls: Sequence[Ball]) -> "sparse.csr_array":
     """Return the share of every tetrahedron that lies inside every ball, sparse, shape (n_tets, n_balls).
 
-    `balls`: radius and centre of each, mm. The share falls from 1 to 0 over about the width of one tetrahedron.
+    The share falls from 1 to 0 over about the width of one tetrahedron.
     """
+    if not balls:
+        return sparse.csr_array((mesh.n_tets, 0))
     centres = mesh.nodes[mesh.tets].mean(axis=1)
     width = np.cbrt(6.0 * mesh.volumes)
     reach = float(width.max())
@@ -118,6 +124,22 @@ def _shares(mesh: Mesh, balls: list[tuple[float, tuple[float, float, float]]]) -
     return sparse.csr_array(entries, shape=(mesh.n_tets, len(balls)))
 
 
+def balls_in(mesh: Mesh, radii: Sequence[float], spacing: float) -> list[Ball]:
+    """Return balls inside a body: on a grid for each radius, coarser for larger balls.
+
+    `radii`: over the extent of the body; `spacing`: of the grid, over the radius.
+    """
+    tree, reach = KDTree(mesh.nodes[mesh.tets].mean(axis=1)), float(np.cbrt(6.0 * mesh.volumes.max()))
+    low, high = mesh.nodes.min(axis=0), mesh.nodes.max(axis=0)
+    found: list[Ball] = []
+    for radius in (share * mesh.extent for share in radii):
+        axes = [_line(float(a), float(b), radius, spacing) for a, b in zip(low, high, strict=True)]
+        grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+        inside = grid[tree.query(grid)[0] <= reach]
+        found += [(radius, (float(x), float(y), float(z))) for x, y, z in inside]
+    return found
+
+
 def _line(low: float, high: float, radius: float, spacing: float) -> FloatArray:
     """Return grid coordinates (n,), mm, of centres of balls along an axis; the middle alone where the body is thin."""
     if high - low < 2.0 * radius:
@@ -125,16 +147,4 @@ def _line(low: float, high: float, radius: float, spacing: float) -> FloatArray:
     return np.arange(low + 0.5 * radius, high, spacing * radius)
 
 
-def _places(bench: Bench, cause: InclusionCause) -> list[tuple[float, tuple[float, float, float]]]:
-    """Return radius and centre, mm, of every ball tried: on a grid for each radius, coarser for larger balls."""
-    mesh = bench.experiment.mesh
-    tree, reach = KDTree(mesh.nodes[mesh.tets].mean(axis=1)), float(np.cbrt(6.0 * mesh.volumes.max()))
-    found = []
-    for share in cause.radii:
-        radius = share * bench.extent
-        low, high = mesh.nodes.min(axis=0), mesh.nodes.max(axis=0)
-        axes = [_line(float(a), float(b), radius, cause.spacing) for a, b in zip(low, high, strict=True)]
-        grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-        inside = grid[tree.query(grid)[0] <= reach]
-        found += [(radius, (float(x), float(y), float(z))) for x, y, z in inside]
-    return found
+__all__ = ["Ball", "InclusionCause", "balls_in", "shares_of_balls"]

@@ -52,12 +52,17 @@ def inconstant_words(one: Mapping[str, Any]) -> str:
     )
 
 
+def outside_words(one: Mapping[str, Any]) -> str:
+    """Return a cause that an effect outside the catalogue beats as a sentence, plain text."""
+    return (
+        f"Not stated: {plain_name(one['id'])}. Of the causes it fits best, but {one['nearest']} explains the data as "
+        f"well ({one['kinds'][one['nearest_id']]:.1f} nats, the cause {one['log_bayes_factor']:.1f})."
+    )
+
+
 def family_words(one: Mapping[str, Any]) -> str:
     """Return that the data hold the family of a cause alone as a sentence, plain text."""
-    return (
-        f"These data hold its family alone, {one['words']}: what it leaves looks like another one of them (p = "
-        f"{one['p']:.1g}), perhaps one that the catalogue lacks."
-    )
+    return f"These data hold its family alone, {one['words']}: {one['reason']}. It may be one that the catalogue lacks."
 
 
 def gloss(cause: str) -> str:

@@ -11,6 +11,7 @@ from tissuereg.diagnosis.report.ranking import (
     family_words,
     gloss,
     inconstant_words,
+    outside_words,
     plain_name,
     possible_words,
     probable,
@@ -70,6 +71,7 @@ def findings(found: "Diagnosis") -> str:
     """Return every finding with its parameters and evidence, as HTML."""
     parts = [_finding(finding) for finding in found.findings] or ["<p>No cause was accepted.</p>"]
     said = [inconstant_words(one.to_json()) for one in found.constancy if not one.holds]
+    said += [outside_words(one.to_json()) for one in found.outside if not one.holds]
     said += [possible_words(one) for one in found.possible]
     return "\n".join([*parts, *(f"<p>{escape(sentence)}</p>" for sentence in said)])
 

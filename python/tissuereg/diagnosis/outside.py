@@ -1,0 +1,286 @@
+"""Effects outside the catalogue that a finding must beat: what else could look like it.
+
+No catalogue is whole, and what it lacks is imitated by what it has: a thread that holds a place, or a modulus that
+varies from end to end, by a ball of other stiffness. Four kinds of effects stand for what is outside: the modulus
+varies in any smooth way, a place is held by something else, a place grows, a pad moves otherwise. Each has columns, as
+the hypotheses of a cause have, and by them its evidence in what the model without a finding leaves. With that evidence
+the finding has a share of the probability of all, which is its `Outside.probability`.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy import sparse
+from scipy.special import softmax
+
+from tissuereg._base.arrays import FloatArray
+from tissuereg.body.load import Load
+from tissuereg.body.mesh import Mesh
+from tissuereg.diagnosis.bench import Bench
+from tissuereg.diagnosis.causes import CAUSES, Variant
+from tissuereg.diagnosis.causes.inclusion import Ball, balls_in, shares_of_balls
+from tissuereg.diagnosis.evidence import Blocks, Null, log_mean_exp
+from tissuereg.diagnosis.fit import Fit, FitTarget
+from tissuereg.diagnosis.nuisances import effect_nuisances
+from tissuereg.diagnosis.patterns import thinned_patterns
+from tissuereg.diagnosis.settings import DiagnoseSettings, OutsideSettings
+from tissuereg.diagnosis.tangents import State, per_tet
+from tissuereg.simulation.sensitivity import Adjoints
+from tissuereg.simulation.solve import Simulator
+
+#: Kinds of effects outside the catalogue in words, and the family of causes that each is one of, if any.
+OUTSIDE = {
+    "stiffness-field": ("stiffness that varies through the body otherwise than in one ball or layer", "region"),
+    "held-place": ("a place of the body that something outside holds", ""),
+    "growing-place": ("a place of the body that grows or shrinks", ""),
+    "pad-motion": ("a pad that turns, or moves otherwise than in proportion to its command", "actuator"),
+}
+
+
+@dataclass(frozen=True)
+class Outside:
+    """A finding beside the effects outside the catalogue.
+
+    `id`: the cause; `log_bayes_factor`: of it, nats; `kinds`: log Bayes factor of every kind of effect outside the
+    catalogue in its place, nats; `probability`: share of the cause among them; `family_probability`: share of it
+    together with kinds of its family; `settings`: of the diagnosis.
+    """
+
+    id: str
+    log_bayes_factor: float
+    kinds: Mapping[str, float]
+    probability: float
+    family_probability: float
+    settings: DiagnoseSettings
+
+    @property
+    def holds(self) -> bool:
+        """Whether the cause may be stated, or at least its family."""
+        return self.probability >= self.settings.search.stated or self.holds_family
+
+    @property
+    def holds_family(self) -> bool:
+        """Whether the family alone may be stated, not the cause."""
+        stated = self.settings.search.stated
+        return self.settings.outside.least_share <= self.probability < stated <= self.family_probability
+
+    @property
+    def nearest(self) -> str | None:
+        """The likeliest kind of effect outside the catalogue; None where there is none."""
+        return max(self.kinds, key=lambda kind: self.kinds[kind], default=None)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the comparison as plain data for JSON."""
+        nearest = self.nearest
+        return {
+            "id": self.id,
+            "log_bayes_factor": self.log_bayes_factor,
+            "kinds": dict(self.kinds),
+            "probability": self.probability,
+            "family_probability": self.family_probability,
+            "nearest": OUTSIDE[nearest][0] if nearest else None,
+            "nearest_id": nearest,
+            "holds": self.holds,
+        }
+
+
+def outside_variants(bench: Bench) -> dict[str, list[Variant]]:
+    """Return the hypotheses of every kind of effect outside the catalogue, with unit amplitudes.
+
+    Those of one kind have the same number of columns. There are none for a body with memory, and none of a kind without
+    sizes or places.
+
+    Notes
+    -----
+    Costs one adjoint solution for each measured number, and 36 solutions for each pad, in every equilibrium.
+    """
+    if not bench.is_elastic:
+        return {}
+    mesh, rules, tangents = bench.experiment.mesh, bench.settings.outside, bench.tangents
+    fields = _fields(mesh, rules)
+    balls = balls_in(mesh, rules.radii, rules.spacing)
+    weights, pushes = _springs(bench, balls), _growth(bench, balls)
+
+    def rates(adjoints: Adjoints, displacement: FloatArray) -> FloatArray:
+        forces = adjoints.forces
+        by_modulus = tangents.by_modulus(adjoints).T
+        held = -weights @ (forces * displacement)[:, : mesh.n_nodes].sum(axis=2).T
+        grown = pushes @ forces.reshape(len(forces), -1).T
+        return np.concatenate([*(field @ by_modulus for field in fields), held, grown])
+
+    lengths = [len(field) for field in fields]
+    columns = tangents.by_adjoints(rates, sum(lengths) + 2 * len(balls))
+    *blocks, held, grown = np.split(columns, np.cumsum([*lengths, len(balls)]))
+    grown = grown * _clock(bench)
+    # Columns of zeros change no evidence.
+    blocks = [np.pad(one, ((0, max(lengths) - len(one)), (0, 0))) for one in blocks]
+    places = [" ".join(f"{x:.0f}" for x in centre) + f" radius {radius:.1f}" for radius, centre in balls]
+    found = {
+        "stiffness-field": [Variant(f"length {x:g}", one) for x, one in zip(rules.lengths, blocks, strict=True)],
+        "held-place": [Variant(at, one[None], positive=True) for at, one in zip(places, held, strict=True)],
+        "growing-place": [Variant(at, one[None]) for at, one in zip(places, grown, strict=True)],
+        "pad-motion": _pad_variants(bench),
+    }
+    return {kind: several for kind, several in found.items() if several and rules.sizes(kind)}
+
+
+def _fields(mesh: Mesh, rules: OutsideSettings) -> list[FloatArray]:
+    """Return relative changes of the modulus of every tet, (n_patterns, n_tets), for each length."""
+    return [
+        thinned_patterns(
+            mesh.nodes[mesh.tets].mean(axis=1),
+            length * mesh.extent,
+            most_places=rules.most_places,
+            held_variance=rules.held_variance,
+            most=rules.most_patterns,
+        )
+        for length in rules.lengths
+    ]
+
+
+def _springs(bench: Bench, balls: Sequence[Ball]) -> "sparse.csr_array":
+    """Return the stiffness of a unit of springs at every node of each ball, (n_balls, n_nodes), mN/mm."""
+    mesh = bench.experiment.mesh
+    corners = (np.ones(mesh.tets.size), (mesh.tets.ravel(), np.repeat(np.arange(mesh.n_tets), 4)))
+    to_nodes = sparse.csr_array(corners, shape=(mesh.n_nodes, mesh.n_tets))
+    volumes = sparse.csr_array(to_nodes @ (shares_of_balls(mesh, balls) * mesh.volumes[:, None])).T
+    whole = np.maximum(np.asarray(volumes.sum(axis=1)).ravel(), 1e-300)
+    return sparse.csr_array(sparse.diags_array(bench.young * mesh.extent / whole) @ volumes)
+
+
+def _growth(bench: Bench, balls: Sequence[Ball]) -> "sparse.csr_array":
+    """Return the nodal forces (n_balls, 3 n_element_nodes), mN, by which a unit of linear strain of each ball acts.
+
+    A body that has grown freely is without stress: they are the internal forces of a ball that is stretched as much.
+    """
+    mesh, material = bench.experiment.mesh, bench.tangents.worked.material
+    simulator, step = Simulator(mesh, element=bench.predictor.element), 1e-6
+    stretched = step * simulator.body.nodes
+    young = np.broadcast_to(per_tet(material.young_array), (mesh.n_tets,))
+    plain = simulator.internal_forces(stretched, material)
+    rows = []
+    for share in shares_of_balls(mesh, balls).T.toarray():
+        stiffer = simulator.internal_forces(stretched, replace(material, young=young * (1.0 + share)))
+        rows.append(sparse.csr_array((stiffer - plain).reshape(1, -1) / step))
+    return sparse.csr_array(sparse.vstack(rows)) if rows else sparse.csr_array((0, stretched.size))
+
+
+def _pad_variants(bench: Bench) -> list[Variant]:
+    """Return one hypothesis for each pad that a case moves: it shifts and turns by any linear map of its motion.
+
+    There are 36 columns: shifts along and turns about three axes, by each component of the motion, and by that times
+    the size of the motion over the largest. A turn moves the rim as far as a shift.
+    """
+    cases = bench.experiment.cases.values()
+    pads = list(dict.fromkeys(pad for case in cases for pad in case.displacements))
+    most = {pad: max(_largest(case.displacements[pad]) for case in cases if pad in case.displacements) for pad in pads}
+
+    def moved(state: State) -> list[Load]:
+        loads = []
+        for pad in pads:
+            rows = state.pad_rows.get(pad, np.zeros(0, np.int64))
+            arms = bench.experiment.mesh.nodes[state.simulator.held_nodes[rows]]
+            arms = arms - (arms.mean(axis=0) if len(arms) else 0.0)
+            arms = arms / max(_largest(arms), 1e-300)
+            motions = [*np.broadcast_to(np.eye(3)[:, None], (3, len(rows), 3)), *np.cross(np.eye(3)[:, None], arms)]
+            motion = state.case.displacements[pad][state.frame] if len(rows) else np.zeros(3)
+            for size in (1.0, float(np.linalg.norm(motion)) / max(most[pad], 1e-300)):
+                for component in size * motion:
+                    for one in motions:
+                        prescribed = np.zeros((len(state.simulator.held_nodes), 3))
+                        prescribed[rows] = component * one
+                        loads.append(Load(prescribed=prescribed))
+        return loads
+
+    if not pads:
+        return []
+    columns = bench.by(moved, 36 * len(pads)).reshape(len(pads), 36, -1)
+    return [Variant(pad, block) for pad, block in zip(pads, columns, strict=True)]
+
+
+def _largest(rows: FloatArray) -> float:
+    """Return the largest length of vectors (n, 3); 0 for none."""
+    return float(np.linalg.norm(rows, axis=1).max(initial=0.0))
+
+
+class OutsideBank:
+    """The hypotheses of effects outside the catalogue, whitened by the noise once for any number of residuals.
+
+    `bank`: hypotheses by kind (`outside_variants`); `white`: whitens columns (..., size) by the noise alone.
+    """
+
+    def __init__(self, bank: Mapping[str, Sequence[Variant]], white: Callable[[FloatArray], FloatArray]) -> None:
+        self._positive = {kind: several[0].positive for kind, several in bank.items()}
+        self._columns = {kind: white(np.stack([one.columns for one in several])) for kind, several in bank.items()}
+
+    def evidence(self, residual: FloatArray, null: Null, rules: OutsideSettings) -> dict[str, float]:
+        """Return the log Bayes factor of every kind against no effect, nats: the mean over its hypotheses and sizes.
+
+        `residual` (size,): whitened by the noise; `null`: covariance of noise and nuisances.
+        """
+        reduced, found = null.reduced(residual)[None], {}
+        for kind, columns in self._columns.items():
+            kept = null.reduced(columns)
+            blocks = [
+                Blocks((size * kept).astype(np.float32), positive=self._positive[kind]) for size in rules.sizes(kind)
+            ]
+            found[kind] = float(log_mean_exp(np.concatenate([one.log_bayes_factors(reduced)[0] for one in blocks])))
+        return found
+
+    def nearest(self, residual: FloatArray, null: Null, settings: DiagnoseSettings) -> tuple[str, float]:
+        """Return the likeliest kind and its log Bayes factor, nats; ``("", -inf)`` where there is none."""
+        found = self.evidence(residual, null, settings.outside)
+        return max(found.items(), key=lambda one: one[1], default=("", -np.inf))
+
+
+def outside_tests(
+    target: FitTarget, found: Fit, rests: Sequence[Fit | None], null: Null, bank: OutsideBank
+) -> list[Outside]:
+    """Return for every cause of a fit how it stands beside the effects outside the catalogue.
+
+    `target`, `found`: of the last fit; `rests`: fits without each of its causes; one without which there is no
+    equilibrium has no rival; `null`: covariance of noise and nuisances, the modulus included. The other causes may be
+    off in form as when a further cause is looked for, and in their parameters.
+    """
+    settings, bench = target.bench.settings, target.bench
+    changes = [np.zeros(bench.layout.size) if one is None else found.prediction - one.prediction for one in rests]
+    forms = [target.white(effect_nuisances(bench, change)) for change in changes]
+    slopes = target.slopes(found)
+    tests = []
+    for number, (name, rest) in enumerate(zip(found.ids, rests, strict=True)):
+        if rest is None:
+            tests.append(Outside(name, 0.0, {}, 1.0, 1.0, settings))
+            continue
+        others = [i for i in range(len(changes)) if i != number]
+        errors = [null.nuisances, *(forms[i] for i in others), *(slopes[found.slices()[i]] for i in others)]
+        # A cause that is off in form is none the less likely for what fits any change; the tracker's are exact.
+        errors += [] if CAUSES[name].closed_form else [forms[number]]
+        rough = Null(np.concatenate(errors))
+        won = [_won(one, rest.residual, found.residual) for one in (rough, target.null)]
+        gain = found.log_evidence - rest.log_evidence + won[0] - won[1]
+        kinds = bank.evidence(rest.residual, rough, settings.outside)
+        own, *shares = softmax(np.array([gain, *kinds.values()]) / settings.evidence.temper).tolist()
+        alike = sum(s for s, kind in zip(shares, kinds, strict=True) if OUTSIDE[kind][1] == CAUSES[name].family)
+        tests.append(Outside(name, gain, kinds, own, own + alike, settings))
+    return tests
+
+
+def _won(null: Null, before: FloatArray, after: FloatArray) -> float:
+    """Return by how much the log likelihood of a residual `after` exceeds that of the one `before`, nats."""
+    return 0.5 * float((null.reduced(before) ** 2).sum() - (null.reduced(after) ** 2).sum())
+
+
+def _clock(bench: Bench) -> FloatArray:
+    """Return the time of every measured number (size,) since the first frame, over the duration of all cases."""
+    clock = np.zeros(bench.layout.size)
+    span = max(bench.last_time - bench.first_time, 1e-9)
+    for part in bench.layout.parts:
+        passed = (part.times - bench.first_time) / span
+        part.markers(clock)[:] = passed[:, None, None]
+        part.forces(clock)[:] = passed[:, None, None]
+    return clock
+
+
+__all__ = ["OUTSIDE", "Outside", "OutsideBank", "outside_tests", "outside_variants"]
