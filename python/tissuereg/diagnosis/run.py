@@ -219,7 +219,8 @@ def _judged(bank: Bank, believed: "BelievedModel", outside: Callable[[], Bank], 
         # At best the findings are the causes most similar to the true one.
         findings, found = [], found.withdrawn(target)
         misfit = battery.judge(before, found.reduced, nulls.residuals)
-    possible = [asdict(finding.as_possible()) for finding in weak]
+    beaten = {one.id for one in beside if not one.holds}
+    possible = [asdict(finding.as_possible()) for finding in weak if finding.id not in beaten]
     return _Judged(screen, nulls, found, best, findings, misfit, withdrawn, tested, beside, possible)
 
 
