@@ -56,7 +56,7 @@ def screen_of(**columns):
 
 def judged(left, screen, name="relaxation", beside=(), unlike=(), settings=DEFAULT.constancy):
     made = FittedPart(name, beside, left, Null(np.zeros((0, SIZE))), list(unlike))
-    return memberships([made], screen, settings).get(name)
+    return memberships([made], screen, settings).get(0)
 
 
 def test_what_looks_like_a_relative_leaves_the_family_alone():
@@ -91,6 +91,13 @@ def test_p_values_of_a_member_are_uniform():
     assert np.mean(found < 0.2) == pytest.approx(0.2, abs=0.12)
 
 
+def test_each_of_two_causes_of_one_id_is_tested_by_what_it_leaves_itself():
+    looks, nothing = 8.0 * np.eye(SIZE)[3], Null(np.zeros((0, SIZE)))
+    parts = [FittedPart("inclusion", (), left_of(0, along), nothing, [], at) for at, along in ((1, looks), (2, None))]
+    found = memberships(parts, screen_of(layer=[looks]), DEFAULT.constancy)
+    assert {at: one.holds for at, one in found.items()} == {1: False, 2: True}
+
+
 def test_members_count_alike_and_inconstancy_counts_as_all_of_them():
     left, rng = left_of(1), np.random.default_rng(2)
     rows = {"rate": rng.standard_normal((9, SIZE)), "set": rng.standard_normal((1, SIZE))}
@@ -117,13 +124,13 @@ def test_errors_of_the_other_causes_are_no_sign_of_a_relative():
     residual, draws = rng.standard_normal(SIZE) + looks, rng.standard_normal((400, SIZE))
     left = AfterFit(errors.reduced(residual), draws, np.zeros((0, SIZE)))
     made = FittedPart("relaxation", ("latency",), left, errors, [])
-    found = memberships([made], screen_of(rate=[looks]), DEFAULT.constancy)["relaxation"].p
+    found = memberships([made], screen_of(rate=[looks]), DEFAULT.constancy)[0].p
     assert found > 0.05
     # What the errors cannot make of the relative's change is e_7.
     expected = left.evidence(np.eye(SIZE)[7:8], 0.0, DEFAULT.constancy)
     assert found == pytest.approx(tail_probability(expected[0], expected[1:]), rel=0.05)
     without = replace(made, left=replace(left, residual=residual), errors=Null(np.zeros((0, SIZE))))
-    assert not memberships([without], screen_of(rate=[looks]), DEFAULT.constancy)["relaxation"].holds
+    assert not memberships([without], screen_of(rate=[looks]), DEFAULT.constancy)[0].holds
 
 
 def test_a_law_that_stands_for_another_one_is_stated_as_a_law():
@@ -139,7 +146,7 @@ def test_a_law_that_stands_for_another_one_is_stated_as_a_law():
         fitted = fit(target, [part(target, name)])
         draws = np.stack([target.noise.draw(layout, np.random.default_rng([2, k])) for k in range(200)])
         parts = fitted_parts(target, fitted, null, null.reduced(draws), 0, DEFAULT.constancy)
-        found[name] = memberships(parts, screen, DEFAULT.constancy)[name]
+        found[name] = memberships(parts, screen, DEFAULT.constancy)[0]
     assert found["poisson"].holds
     assert found["poisson"].p > 0.1
     assert not found["asymmetry"].holds

@@ -136,7 +136,8 @@ class FittedPart:
 
     `id`: the cause; `beside`: ids of the others; `left`: the residual without all that the parameters change; `errors`:
     covariance of the causes' errors, beside that of the nuisances; `inconstancies`: evidence that its change is not the
-    same in all parts of the data (`AfterFit.inconstancies`); none where it has not one size.
+    same in all parts of the data (`AfterFit.inconstancies`); none where it has not one size; `number`: of the cause in
+    the fit.
     """
 
     id: str
@@ -144,6 +145,7 @@ class FittedPart:
     left: AfterFit
     errors: Null
     inconstancies: list[tuple[str, FloatArray]]
+    number: int = 0
 
     def constancy(self, level: float) -> Constancy | None:
         """Return the constancy test; None where nothing can be inconstant. `level`: that of the test."""
@@ -185,7 +187,7 @@ def fitted_parts(
         drawn = beside.reduced(draws + generator.standard_normal((len(draws), len(errors))) @ errors)
         left = AfterFit.of(reduced(found.residual), drawn, reduced(slopes))
         unlike = left.inconstancies(change, slopes[mine], parts, reduced, settings) if CAUSES[name].constant else []
-        ready.append(FittedPart(name, (*found.ids[:number], *found.ids[number + 1 :]), left, beside, unlike))
+        ready.append(FittedPart(name, (*found.ids[:number], *found.ids[number + 1 :]), left, beside, unlike, number))
     return ready
 
 

@@ -76,8 +76,8 @@ class Membership:
         )
 
 
-def memberships(parts: Sequence[FittedPart], screen: Screen, settings: ConstancySettings) -> dict[str, Membership]:
-    """Return for causes of a fit, by id, whether the data hold them or their families alone.
+def memberships(parts: Sequence[FittedPart], screen: Screen, settings: ConstancySettings) -> dict[int, Membership]:
+    """Return for causes of a fit, by number, whether the data hold them or their families alone.
 
     `parts`: the causes with what their fit leaves of the data; `screen`: all hypotheses of the bank. Not in the result
     are causes without relatives that could change what is left, and without inconstancies; and those that begin to act
@@ -90,7 +90,7 @@ def memberships(parts: Sequence[FittedPart], screen: Screen, settings: Constancy
         if part.inconstancies:
             evidence.append(log_mean_exp(np.array([one for _, one in part.inconstancies]), axis=0))
         if evidence:
-            found[part.id] = Membership(part.id, p_value(np.array(evidence)), settings.member_level)
+            found[part.number] = Membership(part.id, p_value(np.array(evidence)), settings.member_level)
     return found
 
 

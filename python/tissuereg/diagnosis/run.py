@@ -202,14 +202,15 @@ def _judged(bank: Bank, believed: "BelievedModel", outside: Callable[[], Bank], 
     parts = fitted_parts(last, best, null, nulls.residuals, seed, rules) if findings else []
     tested = [one for one in (part.constancy(rules.level) for part in parts) if one is not None]
     members = memberships(parts, screen, rules)
-    findings = [replace(finding, membership=members.get(finding.id)) for finding in findings]
+    # A modulus beyond its prior, which then is the first finding, is no part of the fit.
+    first = len(findings) - len(best.parts)
+    findings = [replace(finding, membership=members.get(at - first)) for at, finding in enumerate(findings)]
     beside: list[Outside] = []
     if best.parts:
         rests = [without(last, best, part) for part in range(len(best.parts))]
         beside = outside_tests(last, best, rests, null, OutsideBank(outside(), screen.white))
-        # A modulus beyond its prior, which then is the first finding, is no part of the fit.
-        modulus, causes = findings[: -len(beside)], findings[-len(beside) :]
-        findings = [*modulus, *(_beside(finding, one) for finding, one in zip(causes, beside, strict=True))]
+        shared = [_beside(finding, one) for finding, one in zip(findings[first:], beside, strict=True)]
+        findings = [*findings[:first], *shared]
     findings = [finding for finding in findings if not (silent and finding.id == "stiffness")]
     weak = [finding for finding in findings if finding.group_probability < settings.search.stated]
     enough = _explains_enough(misfit, found, settings.nulls)
