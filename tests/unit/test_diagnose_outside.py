@@ -1,6 +1,7 @@
 """Effects outside the catalogue: their columns against other code, and what findings must beat."""
 
 import argparse
+from copy import copy
 from dataclasses import replace
 
 import numpy as np
@@ -85,6 +86,14 @@ def test_the_patterns_have_the_variance_of_the_modulus(variants):
     assert len({len(block) for block in blocks}) == 1
     used = [int(np.abs(block).any(axis=1).sum()) for block in blocks]
     assert used[0] > used[1] > used[2] > 3
+
+
+def test_a_place_grows_with_the_time_since_the_first_frame(bench, variants):
+    rest = bench.layout["rest"]
+    for variant in variants["growing-place"][:3]:
+        moved = rest.markers(variant.columns)[0]
+        assert np.abs(moved[-1]).max() > 0.0
+        np.testing.assert_allclose(moved, (rest.times - rest.times[0])[:, None, None] * moved[-1] / 7.0, atol=1e-9)
 
 
 def test_a_held_place_pulls_with_its_stiffness_times_its_motion(bench, variants):
@@ -229,6 +238,36 @@ def test_a_ball_beats_what_is_outside_where_there_is_one():
     assert found.holds
     assert found.probability > 0.9
     assert set(found.kinds) == set(OUTSIDE)
+
+
+def test_shares_follow_from_tempered_evidence_and_families():
+    target, found, rests, null, bank = fitted(BALL)
+    bench = copy(target.bench)
+    bench.settings = replace(DEFAULT, evidence=replace(DEFAULT.evidence, temper=20.0))
+    (one,) = outside_tests(replace(target, bench=bench), found, rests, null, bank)
+    weights = {kind: np.exp((nats - one.log_bayes_factor) / 20.0) for kind, nats in one.kinds.items()}
+    whole = 1.0 + sum(weights.values())
+    assert one.probability == pytest.approx(1.0 / whole)
+    assert one.family_probability == pytest.approx((1.0 + weights["stiffness-field"]) / whole)
+    assert one.probability < 0.9
+
+
+def test_a_cause_of_the_body_may_be_off_in_form_and_one_of_the_tracker_is_exact():
+    target, found, rests, null, bank = fitted(BALL, Latency(latency_s=0.1), beside=["latency"])
+    late, ball = outside_tests(target, found, rests, null, bank)
+    gains = [found.log_evidence - rest.log_evidence for rest in rests]
+    # Seven per cent of its change explain a part of what the ball does.
+    assert ball.log_bayes_factor < 0.8 * gains[1]
+    alone, only, _, nothing, _ = fitted(BALL, Latency(latency_s=0.1), beside=["latency"])
+    exact = fit(alone, [only.parts[0]], start=only.x[:2])
+    (one,) = outside_tests(alone, exact, [fit(alone, [])], nothing, bank)
+    plain = exact.log_evidence - fit(alone, []).log_evidence
+    won = 0.5 * ((fit(alone, []).residual ** 2).sum() - (exact.residual**2).sum())
+    reduced = [nothing.reduced(each.residual) for each in (fit(alone, []), exact)]
+    assert one.log_bayes_factor == pytest.approx(
+        plain - won + 0.5 * ((reduced[0] ** 2).sum() - (reduced[1] ** 2).sum()), rel=1e-6
+    )
+    assert late.id == one.id == "latency"
 
 
 def test_a_ball_beats_what_is_outside_also_beside_another_cause():

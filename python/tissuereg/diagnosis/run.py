@@ -214,8 +214,7 @@ def _judged(bank: Bank, believed: "BelievedModel", outside: Callable[[], Bank], 
     findings = [finding for finding in findings if not (silent and finding.id == "stiffness")]
     weak = [finding for finding in findings if finding.group_probability < settings.search.stated]
     enough = _explains_enough(misfit, found, settings.nulls)
-    holds = all(one.holds for one in tested) and all(one.holds for one in beside)
-    withdrawn = bool(findings) and not (enough and holds and not weak)
+    withdrawn = bool(findings) and not (enough and not weak and all(one.holds for one in tested))
     if withdrawn:
         # At best the findings are the causes most similar to the true one.
         findings, found = [], found.withdrawn(target)
