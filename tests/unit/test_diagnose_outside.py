@@ -128,7 +128,7 @@ def test_the_growth_of_the_whole_body_is_that_of_swelling(of, element):
     bench = bench_of(of(rig()), element=element)
     mesh = bench.experiment.mesh
     whole = (3.0 * mesh.extent, tuple(mesh.nodes.mean(axis=0)))
-    forces = _growth(bench, [whole]).toarray()[0].reshape(-1, 3)
+    forces = _growth(bench, shares_of_balls(mesh, [whole])).toarray()[0].reshape(-1, 3)
     at_full = bench.by(lambda state: [Load(forces=forces)], 1)[0]
     size = 1e-3
     grown = bench.predictor.predict([Swelling(linear_strain=size, from_time_s=0.0, to_time_s=24.0)]) - bench.base

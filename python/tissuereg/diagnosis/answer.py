@@ -151,8 +151,8 @@ class Diagnosis:
         For every cause that was found whether its change is the same in all parts of the data; where one is not, no
         cause is stated.
     outside : tuple of Outside
-        For every cause that was found how it stands beside effects outside the catalogue; where one is not likelier
-        than they are, no cause is stated, or its family alone.
+        Comparison of every cause that was found with effects outside the catalogue; where one of these is likelier, no
+        cause is stated, or its family alone.
     p_misfit : float
         p-value of the residual after the findings: probability that data without further effects misfit as much.
     discrepancy : dict

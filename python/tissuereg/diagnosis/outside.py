@@ -20,7 +20,8 @@ from tissuereg.body.load import Load
 from tissuereg.body.mesh import Mesh
 from tissuereg.diagnosis.bench import Bench
 from tissuereg.diagnosis.causes import CAUSES, Variant
-from tissuereg.diagnosis.causes.inclusion import Ball, balls_in, shares_of_balls
+from tissuereg.diagnosis.causes.actuators import load_of, motion_of, present_pads
+from tissuereg.diagnosis.causes.inclusion import balls_in, shares_of_balls
 from tissuereg.diagnosis.evidence import Blocks, Null, log_mean_exp
 from tissuereg.diagnosis.fit import Fit, FitTarget
 from tissuereg.diagnosis.nuisances import effect_nuisances
@@ -69,7 +70,7 @@ class Outside:
     @property
     def nearest(self) -> str | None:
         """The likeliest kind of effect outside the catalogue; None where there is none."""
-        return max(self.kinds, key=lambda kind: self.kinds[kind], default=None)
+        return nearest_of(self.kinds)
 
     def to_json(self) -> dict[str, Any]:
         """Return the comparison as plain data for JSON."""
@@ -84,6 +85,11 @@ class Outside:
             "nearest_id": nearest,
             "holds": self.holds,
         }
+
+
+def nearest_of(kinds: Mapping[str, float]) -> str | None:
+    """Return the kind with the largest log Bayes factor; None of none."""
+    return max(kinds, key=lambda kind: kinds[kind], default=None)
 
 
 def outside_variants(bench: Bench) -> dict[str, list[Variant]]:
@@ -101,7 +107,8 @@ def outside_variants(bench: Bench) -> dict[str, list[Variant]]:
     mesh, rules, tangents = bench.experiment.mesh, bench.settings.outside, bench.tangents
     fields = _fields(mesh, rules)
     balls = balls_in(mesh, rules.radii, rules.spacing)
-    weights, pushes = _springs(bench, balls), _growth(bench, balls)
+    shares = shares_of_balls(mesh, balls)
+    weights, pushes = _springs(bench, shares), _growth(bench, shares)
 
     def rates(adjoints: Adjoints, displacement: FloatArray) -> FloatArray:
         forces = adjoints.forces
@@ -140,20 +147,24 @@ def _fields(mesh: Mesh, rules: OutsideSettings) -> list[FloatArray]:
     ]
 
 
-def _springs(bench: Bench, balls: Sequence[Ball]) -> "sparse.csr_array":
-    """Return the stiffness of a unit of springs at every node of each ball, (n_balls, n_nodes), mN/mm."""
+def _springs(bench: Bench, shares: "sparse.csr_array") -> "sparse.csr_array":
+    """Return the stiffness of a unit of springs at every node of each ball, (n_balls, n_nodes), mN/mm.
+
+    `shares` (n_tets, n_balls): of every tet that lies in each ball (`shares_of_balls`).
+    """
     mesh = bench.experiment.mesh
     corners = (np.ones(mesh.tets.size), (mesh.tets.ravel(), np.repeat(np.arange(mesh.n_tets), 4)))
     to_nodes = sparse.csr_array(corners, shape=(mesh.n_nodes, mesh.n_tets))
-    volumes = sparse.csr_array(to_nodes @ (shares_of_balls(mesh, balls) * mesh.volumes[:, None])).T
+    volumes = sparse.csr_array(to_nodes @ (shares * mesh.volumes[:, None])).T
     whole = np.maximum(np.asarray(volumes.sum(axis=1)).ravel(), 1e-300)
     return sparse.csr_array(sparse.diags_array(bench.young * mesh.extent / whole) @ volumes)
 
 
-def _growth(bench: Bench, balls: Sequence[Ball]) -> "sparse.csr_array":
+def _growth(bench: Bench, shares: "sparse.csr_array") -> "sparse.csr_array":
     """Return the nodal forces (n_balls, 3 n_element_nodes), mN, by which a unit of linear strain of each ball acts.
 
-    A body that has grown freely is without stress: they are the internal forces of a ball that is stretched as much.
+    `shares`: as for `_springs`. A body that has grown freely is without stress: they are the internal forces of a ball
+    that is stretched as much.
     """
     mesh, material = bench.experiment.mesh, bench.tangents.worked.material
     simulator, step = Simulator(mesh, element=bench.predictor.element), 1e-6
@@ -161,7 +172,7 @@ def _growth(bench: Bench, balls: Sequence[Ball]) -> "sparse.csr_array":
     young = np.broadcast_to(per_tet(material.young_array), (mesh.n_tets,))
     plain = simulator.internal_forces(stretched, material)
     rows = []
-    for share in shares_of_balls(mesh, balls).T.toarray():
+    for share in shares.T.toarray():
         stiffer = simulator.internal_forces(stretched, replace(material, young=young * (1.0 + share)))
         rows.append(sparse.csr_array((stiffer - plain).reshape(1, -1) / step))
     return sparse.csr_array(sparse.vstack(rows)) if rows else sparse.csr_array((0, stretched.size))
@@ -173,31 +184,29 @@ def _pad_variants(bench: Bench) -> list[Variant]:
     There are 36 columns: shifts along and turns about three axes, by each component of the motion, and by that times
     the size of the motion over the largest. A turn moves the rim as far as a shift.
     """
-    cases = bench.experiment.cases.values()
-    pads = list(dict.fromkeys(pad for case in cases for pad in case.displacements))
-    most = {pad: max(_largest(case.displacements[pad]) for case in cases if pad in case.displacements) for pad in pads}
+    pads = [pad for pad in present_pads(bench) if pad.kind == "displacement"]
+    motions = [
+        (name, motion) for case in bench.experiment.cases.values() for name, motion in case.displacements.items()
+    ]
+    most = {pad.name: max(_largest(motion) for name, motion in motions if name == pad.name) for pad in pads}
 
     def moved(state: State) -> list[Load]:
         loads = []
         for pad in pads:
-            rows = state.pad_rows.get(pad, np.zeros(0, np.int64))
-            arms = bench.experiment.mesh.nodes[state.simulator.held_nodes[rows]]
+            nodes = state.simulator.held_nodes[state.pad_rows.get(pad.name, [])]
+            arms = bench.experiment.mesh.nodes[nodes]
             arms = arms - (arms.mean(axis=0) if len(arms) else 0.0)
             arms = arms / max(_largest(arms), 1e-300)
-            motions = [*np.broadcast_to(np.eye(3)[:, None], (3, len(rows), 3)), *np.cross(np.eye(3)[:, None], arms)]
-            motion = state.case.displacements[pad][state.frame] if len(rows) else np.zeros(3)
-            for size in (1.0, float(np.linalg.norm(motion)) / max(most[pad], 1e-300)):
-                for component in size * motion:
-                    for one in motions:
-                        prescribed = np.zeros((len(state.simulator.held_nodes), 3))
-                        prescribed[rows] = component * one
-                        loads.append(Load(prescribed=prescribed))
+            shapes = [*np.broadcast_to(np.eye(3)[:, None], (3, *arms.shape)), *np.cross(np.eye(3)[:, None], arms)]
+            motion = motion_of(state, pad)
+            for size in (1.0, float(np.linalg.norm(motion)) / max(most[pad.name], 1e-300)):
+                loads += [load_of(state, pad, component * shape) for component in size * motion for shape in shapes]
         return loads
 
     if not pads:
         return []
     columns = bench.by(moved, 36 * len(pads)).reshape(len(pads), 36, -1)
-    return [Variant(pad, block) for pad, block in zip(pads, columns, strict=True)]
+    return [Variant(pad.name, block) for pad, block in zip(pads, columns, strict=True)]
 
 
 def _largest(rows: FloatArray) -> float:
@@ -229,16 +238,11 @@ class OutsideBank:
             found[kind] = float(log_mean_exp(np.concatenate([one.log_bayes_factors(reduced)[0] for one in blocks])))
         return found
 
-    def nearest(self, residual: FloatArray, null: Null, settings: DiagnoseSettings) -> tuple[str, float]:
-        """Return the likeliest kind and its log Bayes factor, nats; ``("", -inf)`` where there is none."""
-        found = self.evidence(residual, null, settings.outside)
-        return max(found.items(), key=lambda one: one[1], default=("", -np.inf))
-
 
 def outside_tests(
     target: FitTarget, found: Fit, rests: Sequence[Fit | None], null: Null, bank: OutsideBank
 ) -> list[Outside]:
-    """Return for every cause of a fit how it stands beside the effects outside the catalogue.
+    """Return the comparison of every cause of a fit with the effects outside the catalogue.
 
     `target`, `found`: of the last fit; `rests`: fits without each of its causes; one without which there is no
     equilibrium has no rival; `null`: covariance of noise and nuisances, the modulus included. The other causes may be
@@ -274,13 +278,7 @@ def _won(null: Null, before: FloatArray, after: FloatArray) -> float:
 
 def _clock(bench: Bench) -> FloatArray:
     """Return the time of every measured number (size,) since the first frame, over the duration of all cases."""
-    clock = np.zeros(bench.layout.size)
-    span = max(bench.last_time - bench.first_time, 1e-9)
-    for part in bench.layout.parts:
-        passed = (part.times - bench.first_time) / span
-        part.markers(clock)[:] = passed[:, None, None]
-        part.forces(clock)[:] = passed[:, None, None]
-    return clock
+    return (bench.layout.times() - bench.first_time) / max(bench.last_time - bench.first_time, 1e-9)
 
 
-__all__ = ["OUTSIDE", "Outside", "OutsideBank", "outside_tests", "outside_variants"]
+__all__ = ["OUTSIDE", "Outside", "OutsideBank", "nearest_of", "outside_tests", "outside_variants"]

@@ -80,16 +80,16 @@ def solvable(bench: Bench, *, keep: bool = True) -> Bench:
     an equilibrium, or no frame of a case.
     """
     made = _simulated(bench, entry_of(bench.experiment) if keep else None)
-    cases, kept = dict(bench.experiment.cases), []
+    cases, kept = dict(bench.experiment.cases), np.ones(bench.layout.size, bool)
     for part in bench.layout.parts:
         frames = _unsolved(part, made)
-        first = int(frames[0]) if len(frames) else part.n_frames
-        # A case of one frame is at rest.
-        n_kept = first if first > 1 or not len(frames) else 0
-        kept += [part.markers(made)[:, :n_kept].reshape(len(made), -1)]
-        kept += [part.forces(made)[:, :n_kept].reshape(len(made), -1)]
         if not len(frames):
             continue
+        # A case of one frame is at rest.
+        first = int(frames[0])
+        n_kept = first if first > 1 else 0
+        for values in (part.markers(kept), part.forces(kept)):
+            values[n_kept:] = False
         cases[part.name] = _until(cases[part.name], n_kept)
         if not n_kept:
             del cases[part.name]
@@ -98,14 +98,14 @@ def solvable(bench: Bench, *, keep: bool = True) -> Bench:
             f"{what} of case '{part.name}' are left out: from {part.times[first]:.4g} s on the believed model has no "
             "equilibrium on a fine mesh, as where a pad presses too deep for its elements"
         )
-    if not np.isnan(made).any():
+    if kept.all():
         return bench
     if not any(np.any(motion) for case in cases.values() for motion in _commands(case)):
         message = f"experiment '{bench.experiment.name}' must have a loaded frame with an equilibrium on a fine mesh"
         raise ConvergenceError(message)
     shorter = bench.of(replace(bench.experiment, cases=cases))
     if bench.is_elastic:
-        shorter.on_fine_meshes = np.concatenate(kept, axis=1)
+        shorter.on_fine_meshes = made[:, kept]
     return shorter
 
 

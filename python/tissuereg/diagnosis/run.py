@@ -33,7 +33,7 @@ from tissuereg.diagnosis.fit import Fit, FitTarget, fit
 from tissuereg.diagnosis.noise import Noise, estimate_noise
 from tissuereg.diagnosis.nuisances import Nuisances, make_nuisances
 from tissuereg.diagnosis.nulls import Battery, Misfit, Nulls, draw_nulls, smooth_subspaces
-from tissuereg.diagnosis.outside import OUTSIDE, Outside, OutsideBank, outside_tests
+from tissuereg.diagnosis.outside import OUTSIDE, Outside, OutsideBank, nearest_of, outside_tests
 from tissuereg.diagnosis.patterns import generic_columns
 from tissuereg.diagnosis.readings import RecordingSuspicion, suspect_recording
 from tissuereg.diagnosis.refined import entry_of, refined_predictions, solvable
@@ -88,8 +88,9 @@ def diagnose_body(
         for kind in (UnitWarning, LockingWarning):
             warnings.simplefilter("ignore", kind)
         if not bench.is_exact:
-            bench = solvable(bench, keep=keep)
-            noise = estimate_noise(bench.experiment, bench.layout, settings.noise)
+            whole, bench = bench, solvable(bench, keep=keep)
+            if bench is not whole:
+                noise = estimate_noise(bench.experiment, bench.layout, settings.noise)
         found = _searched(bench, noise, silent=bool(suspicions), seed=seed, keep=keep)
     return replace(found, suspicions=tuple(suspicions))
 
@@ -124,7 +125,7 @@ def _searched(bench: Bench, noise: Noise, *, silent: bool, seed: int, keep: bool
     findings = _with_targets(findings, experiment, extended, element=element, threads=threads)
     following = advise(target, found.steps, findings)
     if verdict == "unexplained":
-        following = next_check(bench, found.reduced, _looks_like(judged, believed.null, outside(), settings))
+        following = next_check(bench, found.reduced, _looks_like(judged, believed.null, outside, settings))
     if verdict == UNDERSTATED:
         following = _state_noise(larger)
     return Diagnosis(
@@ -149,14 +150,17 @@ def _searched(bench: Bench, noise: Noise, *, silent: bool, seed: int, keep: bool
     )
 
 
-def _looks_like(judged: "_Judged", null: Null, outside: Bank, settings: DiagnoseSettings) -> str:
+def _looks_like(judged: "_Judged", null: Null, outside: Callable[[], Bank], settings: DiagnoseSettings) -> str:
     """Return in words which effect the data of an unexplained answer resemble most; empty where they resemble none."""
     least, screen, found = settings.report.looks_like, judged.screen, judged.found
-    inside, nats = nearest_cause(screen, found, least)
-    kind, other = OutsideBank(outside, screen.white).nearest(found.base.residual, null, settings)
-    beaten = next((one.nearest for one in judged.outside if not one.holds), None)
-    if beaten is not None or other >= max(least, nats):
-        return f"outside the catalogue {OUTSIDE[beaten or kind][0]} comes nearest"
+    nearest = next((one.nearest for one in judged.outside if not one.holds), None)
+    inside = UNKNOWN
+    if nearest is None:
+        inside, nats = nearest_cause(screen, found, least)
+        kinds = OutsideBank(outside(), screen.white).evidence(found.base.residual, null, settings.outside)
+        nearest = nearest_of({kind: other for kind, other in kinds.items() if other >= max(least, nats)})
+    if nearest is not None:
+        return f"outside the catalogue {OUTSIDE[nearest][0]} comes nearest"
     return "" if inside == UNKNOWN else f"the cause of the catalogue that comes nearest is '{inside}'"
 
 

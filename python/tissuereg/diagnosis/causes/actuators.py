@@ -31,7 +31,7 @@ class GainCause(Cause):
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
         """Return one hypothesis for each actuator that a case uses: its motion or force is multiplied by a gain."""
-        for pad in _present(bench):
+        for pad in present_pads(bench):
             if bench.is_elastic and pad.kind == "displacement":
                 columns = bench.by(partial(_gains, pad), 1)
             else:
@@ -70,7 +70,7 @@ class DirectionCause(Cause):
 
         It is rotated by two angles, about axes perpendicular to the motion.
         """
-        for pad in _present(bench):
+        for pad in present_pads(bench):
             across = _across(bench, pad)
             if bench.is_elastic and pad.kind == "displacement":
                 columns = bench.by(partial(_turns, pad, across), 2)
@@ -116,7 +116,7 @@ class OffsetCause(Cause):
         shifts along the surface; the third column of a shift is zero. The offset is tried only for prescribed
         displacements of a body without memory.
         """
-        for pad in _present(bench):
+        for pad in present_pads(bench):
             if pad.kind == "displacement" and bench.is_elastic:
                 columns = bench.by(partial(_offsets, pad), 3)
                 yield Variant(f"{pad.name} motion", self.spread_mm * columns, {"actuator": pad.name, "kind": "motion"})
@@ -154,7 +154,8 @@ class OffsetCause(Cause):
         return f"The patch of actuator '{values['actuator']}' is {size:.1f} mm from its believed position."
 
 
-def _present(bench: Bench) -> list[Actuator]:
+def present_pads(bench: Bench) -> list[Actuator]:
+    """Return the actuators that a case uses."""
     cases = bench.experiment.cases.values()
     return [
         pad
@@ -164,23 +165,25 @@ def _present(bench: Bench) -> list[Actuator]:
 
 
 def _gains(pad: Actuator, state: State) -> Sequence[Moved]:
-    return [_load(state, pad, _motion(state, pad))]
+    return [load_of(state, pad, motion_of(state, pad))]
 
 
 def _turns(pad: Actuator, across: FloatArray, state: State) -> Sequence[Moved]:
-    return [_load(state, pad, np.cross(np.deg2rad(axis), _motion(state, pad))) for axis in across]
+    return [load_of(state, pad, np.cross(np.deg2rad(axis), motion_of(state, pad))) for axis in across]
 
 
 def _offsets(pad: Actuator, state: State) -> Sequence[Moved]:
-    return [_load(state, pad, axis) for axis in np.eye(3)]
+    return [load_of(state, pad, axis) for axis in np.eye(3)]
 
 
-def _motion(state: State, pad: Actuator) -> FloatArray:
+def motion_of(state: State, pad: Actuator) -> FloatArray:
+    """Return the commanded motion of a pad in a state, (3,), mm; zero where it has none."""
     given = state.case.displacements
     return given[pad.name][state.frame] if pad.name in given else np.zeros(3)
 
 
-def _load(state: State, pad: Actuator, motion: FloatArray) -> Moved:
+def load_of(state: State, pad: Actuator, motion: FloatArray) -> Load:
+    """Return the load that moves a pad by (3,) or (n_pad, 3), mm; one without motion where it is not present."""
     if pad.name not in state.pad_rows:
         return Load(prescribed=np.zeros((len(state.simulator.held_nodes), 3)))
     return Load(prescribed=state.moved(pad.name, motion))
