@@ -27,6 +27,7 @@ from tissuereg.errors import ClusterError
 from tissuereg.parallel import Failed, Processes
 
 TIERS = DATA / "tiers.json"
+SAMPLE = Path(__file__).resolve().parent / "sample.txt"
 BUILD = Path("build") / "blind"
 
 #: The diagnoser under test.
@@ -77,8 +78,10 @@ class Question:
 
 
 def tier_cases(tier: str) -> list[str]:
-    """Return the cases of a tier: quick, full (600-node bodies), fine (4,000 nodes) or all."""
+    """Return the cases of a tier: quick, sample, full (600-node bodies), fine (4,000 nodes) or all."""
     names = case_names()
+    if tier == "sample":
+        return SAMPLE.read_text(encoding="utf-8").split()
     tiers = json.loads(TIERS.read_text(encoding="utf-8"))
     if tier == "all":
         return names
@@ -181,7 +184,7 @@ def questions_of(cases: list[str], methods: list[str], diagnoser: str, predictio
     if unknown := [m for m in methods if not any(m in (name, name.partition("/")[0]) for name in METHODS)]:
         message = f"methods must be among {', '.join(METHODS)} or their first parts; got {', '.join(unknown)}"
         raise ValueError(message)
-    lists = {name: _read_list(work / LISTS[name]) for name in chosen if name in LISTS}
+    lists = {name: read_list(work / LISTS[name]) for name in chosen if name in LISTS}
     return [
         Question(case, METHODS[name], predictions / name / f"{case}.json", lists.get(name, {}).get(case, ()))
         for case in cases
@@ -190,7 +193,8 @@ def questions_of(cases: list[str], methods: list[str], diagnoser: str, predictio
     ]
 
 
-def _read_list(path: Path) -> dict[str, tuple[str, ...]]:
+def read_list(path: Path) -> dict[str, tuple[str, ...]]:
+    """Return the ids that a list gives to each case, ``CASE ID,ID`` a line."""
     rows = [line.split() for line in path.read_text(encoding="utf-8").splitlines()]
     return {case: tuple(ids.split(",")) for case, ids in rows}
 
@@ -215,7 +219,7 @@ def _diagnose_case(questions: list[Question], work: Path, threads: int) -> list[
 def main() -> None:
     """Run a tier and print its progress."""
     parser = argparse.ArgumentParser(prog="python -m blind.run", description=__doc__)
-    parser.add_argument("--tier", choices=("quick", "full", "fine", "all"), default="quick")
+    parser.add_argument("--tier", choices=("quick", "sample", "full", "fine", "all"), default="quick")
     parser.add_argument("--cases", help="file with names of cases, one per line, in place of a tier")
     parser.add_argument("--diagnoser", default=OURS)
     parser.add_argument("--methods", nargs="+", default=[], help=f"in place of the diagnoser: {', '.join(METHODS)}")

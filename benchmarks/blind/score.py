@@ -363,9 +363,9 @@ def main() -> None:
     cases = scored(read_predictions(options.predictions))
     if options.list_oracle or options.list_without:
         if options.list_oracle:
-            _write_list(options.list_oracle, [c for c in cases if c.truth["cause"]])
+            write_list(options.list_oracle, [c for c in cases if c.truth["cause"]])
         if options.list_without:
-            _write_list(options.list_without, [c for c in singles(cases) if c.truth["detectability"] >= 7.8])
+            write_list(options.list_without, [c for c in singles(cases) if c.truth["detectability"] >= 7.8])
         return
     text = scores(options.predictions, options.note)
     if options.out:
@@ -374,7 +374,8 @@ def main() -> None:
         print(text)
 
 
-def _write_list(path: Path, cases: list[Scored]) -> None:
+def write_list(path: Path, cases: list[Scored]) -> None:
+    """Write a list of cases with the ids of their hidden causes, ``CASE ID,ID`` a line."""
     lines = [f"{c.case} {','.join(c.truth['cause'])}\n" for c in cases]
     path.write_text("".join(lines), encoding="utf-8")
 

@@ -6,32 +6,45 @@ import json
 import os
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import tissuereg as tr
 from blind.materialise import folder_of
-from blind.run import keep
+from blind.run import keep, read_list
 from common import commit
 from rigs.materialise import case_names, materialise
+from tissuereg.diagnosis.settings import DEFAULT
 from tissuereg.errors import ClusterError
 from tissuereg.io.json import plain
 from tissuereg.parallel import Failed, Processes
 
 BUILD = Path("build") / "rigs"
+#: Folder, among the predictions, of answers without the true cause in the catalogue.
+WITHOUT = "without"
 
 
-def diagnose(case: str, predictions: Path, work: Path, threads: int) -> dict:
-    """Return the answer on a case; runs once and saves the answer, whole or not at all."""
+def diagnose(case: str, predictions: Path, work: Path, threads: int, left_out: dict[str, tuple[str, ...]]) -> dict:
+    """Return the answer on a case; runs once and saves the answer, whole or not at all.
+
+    `left_out`: ids that the catalogue lacks, by case.
+    """
     kept = predictions / f"{case}.json"
     if kept.exists():
         return json.loads(kept.read_text(encoding="utf-8"))
     folder = folder_of(case, work, materialise)
-    return keep(kept, lambda: plain(tr.diagnose(tr.read_experiment(folder), threads=threads).to_json()), commit())
+    settings = replace(DEFAULT, left_out=left_out.get(case, ()))
+
+    def ask() -> dict:
+        return plain(tr.diagnose(tr.read_experiment(folder), threads=threads, settings=settings).to_json())
+
+    return keep(kept, ask, commit())
 
 
-def answer_all(cases: list[str], predictions: Path, work: Path, jobs: int, threads: int) -> Iterator[tuple[str, dict]]:
-    """Yield every case with its answer as workers finish."""
-    answered = functools.partial(_answered, predictions=predictions, work=work, threads=threads)
+def answer_all(cases: list[str], jobs: int, **options: Any) -> Iterator[tuple[str, dict]]:
+    """Yield every case with its answer as workers finish; `options`: of `diagnose`."""
+    answered = functools.partial(_answered, options=options)
     with Processes(jobs) as executor:
         for outcome in executor.run(answered, cases):
             if isinstance(outcome, Failed):
@@ -39,8 +52,8 @@ def answer_all(cases: list[str], predictions: Path, work: Path, jobs: int, threa
             yield outcome.result
 
 
-def _answered(case: str, predictions: Path, work: Path, threads: int) -> tuple[str, dict]:
-    return case, diagnose(case, predictions, work, threads)
+def _answered(case: str, options: dict[str, Any]) -> tuple[str, dict]:
+    return case, diagnose(case, **options)
 
 
 def main() -> None:
@@ -52,13 +65,22 @@ def main() -> None:
     parser.add_argument("--threads", type=int, default=1, help="threads of each")
     parser.add_argument("--predictions", type=Path, default=BUILD / "predictions")
     parser.add_argument("--work", type=Path, default=BUILD)
+    parser.add_argument("--without", type=Path, help="file of CASE ID: causes taken out of the catalogue")
     options = parser.parse_args()
-    cases = options.cases or case_names(options.half)
+    left_out = read_list(options.without) if options.without else {}
+    cases = options.cases or [*left_out] or case_names(options.half)
     # Workers import numpy anew: BLAS reads these at its start.
     os.environ.update(OPENBLAS_NUM_THREADS="1", OMP_NUM_THREADS="1")
     os.environ.setdefault("TISSUEREG_CACHE", str((options.work / "cache").resolve()))
     try:
-        answers = answer_all(cases, options.predictions, options.work, options.jobs, options.threads)
+        answers = answer_all(
+            cases,
+            options.jobs,
+            predictions=options.predictions / WITHOUT if left_out else options.predictions,
+            work=options.work,
+            threads=options.threads,
+            left_out=left_out,
+        )
         for number, (case, answer) in enumerate(answers, start=1):
             named = ", ".join(c["id"] for c in answer["causes"])
             print(f"{number}/{len(cases)} {case}: {answer['verdict']} {named} ({answer['seconds']:.1f} s)", flush=True)

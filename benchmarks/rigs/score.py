@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from blind.compare import made
+from blind.score import write_list
 from blind.scored import Scored, of_kind, read_predictions
 from regions.intervals import interval
 from rigs.materialise import case_names, rig_of
@@ -175,7 +176,11 @@ def main() -> None:
     parser.add_argument("predictions", type=Path)
     parser.add_argument("--half", choices=tuple(TITLES), default="dev")
     parser.add_argument("--out", type=Path)
+    parser.add_argument("--list-without", type=Path, help="write CASE ID for the answers without their cause, and stop")
     options = parser.parse_args()
+    if options.list_without:
+        write_list(options.list_without, of_kind(scored(predictions_of(options.predictions, options.half)), "single"))
+        return
     text = report(scored(predictions_of(options.predictions, options.half)), options.half)
     if options.out:
         options.out.write_text(text, encoding="utf-8")
