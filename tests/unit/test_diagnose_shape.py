@@ -12,17 +12,15 @@ from tissuereg.diagnosis.bench import Bench
 from tissuereg.diagnosis.correction import make_correction
 from tissuereg.diagnosis.noise import Noise
 from tissuereg.diagnosis.nuisances import make_nuisances
-from tissuereg.diagnosis.refined import flat_of, refined_predictions, solvable
+from tissuereg.diagnosis.refined import flat_of
 from tissuereg.diagnosis.run import make_believed
 from tissuereg.diagnosis.settings import DEFAULT
 from tissuereg.diagnosis.shape import shape_columns, shape_directions
 from tissuereg.diagnosis.signals import SignalLayout
 from tissuereg.diagnosis.tangents import Tangents
-from tissuereg.errors import ConvergenceError
 from tissuereg.experiment.effects import Relaxation
 from tissuereg.experiment.experiment import Actuator
 from tissuereg.simulation.experiment import believed_case
-from tissuereg.simulation.fine import FineModel
 from tissuereg.simulation.fine.elastic import solve_states
 from tissuereg.simulation.fine.reading import Reader
 from tissuereg.simulation.fine.rims import sharp_nodes
@@ -434,83 +432,6 @@ def test_nuisances_are_taken_at_the_fitted_modulus():
     np.testing.assert_allclose(
         found.null.nuisances, noise.whitened(scale * found.nuisances.columns, layout), atol=1e-12
     )
-
-
-def failing(monkeypatch, broken):
-    """Let frames of fine meshes be without equilibrium: `broken` has their numbers by case."""
-    simulate = FineModel.simulate
-
-    def simulated(self, *args, **words):
-        answers = simulate(self, *args, **words)
-        for name, frames in broken.items():
-            there = [frame for frame in frames if frame < len(answers[name].times)]
-            for array in (answers[name].markers, *answers[name].forces.values()):
-                array[there] = np.nan
-            answers[name].failed.extend((frame, "no equilibrium") for frame in there)
-        return answers
-
-    monkeypatch.setattr(FineModel, "simulate", simulated)
-
-
-def test_a_case_ends_before_frames_without_equilibrium_on_a_fine_mesh(monkeypatch):
-    believed = rig()
-    bench = Bench(believed, SignalLayout(believed))
-    assert solvable(bench, keep=False) is bench
-    bench.on_fine_meshes = None
-    name = list(believed.cases)[1]
-    failing(monkeypatch, {name: [2, 4]})
-    with pytest.warns(UserWarning, match=f"3 of 5 .* case '{name}' are left out: from 12 s on .* no equilibrium"):
-        cut = solvable(bench, keep=False)
-    mine, given = cut.experiment.cases[name], believed.cases[name]
-    assert np.array_equal(mine.times, given.times[:2])
-    assert np.array_equal(mine.markers, given.markers[:2])
-    for own, whole in ((mine.displacements, given.displacements), (mine.forces, given.forces)):
-        assert all(np.array_equal(rows, whole[pad][:2]) for pad, rows in own.items())
-    others = [case for case in believed.cases if case != name]
-    assert all(cut.experiment.cases[other] is believed.cases[other] for other in others)
-    assert cut.layout.size == bench.layout.size - 3 * (3 * 6 + 3)
-    assert (cut.predictor.element, cut.settings) == (bench.predictor.element, bench.settings)
-    with pytest.raises(ConvergenceError, match=f"frame 2 of case '{name}' does not"):
-        refined_predictions(bench, None)
-
-
-def test_a_case_that_was_cut_is_not_solved_again(monkeypatch):
-    believed = rig()
-    bench = Bench(believed, SignalLayout(believed))
-    name = list(believed.cases)[1]
-    failing(monkeypatch, {name: [2]})
-    with pytest.warns(UserWarning, match="are left out"):
-        cut = solvable(bench, keep=False)
-    made = cut.on_fine_meshes
-    cut.on_fine_meshes = None
-    fine, others = refined_predictions(cut, None)
-    np.testing.assert_allclose(made, np.concatenate([fine[None], others]), atol=1e-6 * np.abs(made).max())
-
-
-def test_a_case_without_a_loaded_frame_is_left_out_and_one_of_all_is_needed(monkeypatch):
-    believed = rig()
-    bench = Bench(believed, SignalLayout(believed))
-    rest, one, two = believed.cases
-    failing(monkeypatch, {one: [1]})
-    with pytest.warns(UserWarning, match=f"all 5 frames of case '{one}'"):
-        cut = solvable(bench, keep=False)
-    assert list(cut.experiment.cases) == [rest, two]
-    assert cut.on_fine_meshes.shape == (4, cut.layout.size)
-    bench.on_fine_meshes = None
-    failing(monkeypatch, {two: [0]})
-    with (
-        pytest.warns(UserWarning, match="are left out"),
-        pytest.raises(ConvergenceError, match="must have a loaded frame with an equilibrium"),
-    ):
-        solvable(bench, keep=False)
-
-
-def test_the_answer_on_a_case_that_was_cut_has_a_report(monkeypatch, tmp_path):
-    believed = rig()
-    failing(monkeypatch, {list(believed.cases)[1]: [3]})
-    with pytest.warns(UserWarning, match="2 of 5 frames"):
-        told = tr.diagnose(believed, keep=False)
-    assert "svg" in told.report(tmp_path / "report.html").read_text(encoding="utf-8")
 
 
 def _swept_volume(mesh, motion):

@@ -6,8 +6,9 @@ effect makes, all as flat vectors in the order of a `SignalLayout`.
 
 import os
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TypeVar
 
@@ -29,8 +30,23 @@ from tissuereg.simulation.sensitivity import Cause, ModulusField
 #: In a thread that works beside others (`Bench.side_by_side`), `threads`: how many threads it may use itself.
 _SHARE = threading.local()
 
+#: Places of inner targets by case and name, each (n_frames, 3) in mm.
+Targets = Mapping[str, Mapping[str, FloatArray]]
+
 _In = TypeVar("_In")
 _Out = TypeVar("_Out")
+
+
+@dataclass(frozen=True, eq=False)
+class OnFineMeshes:
+    """Predictions of the believed model on fine meshes.
+
+    `flat` (n_meshes, size): of all measured numbers, mm and mN, the first on the mesh that corrects; NaN in frames
+    without equilibrium; `targets`: of the inner targets, on that mesh.
+    """
+
+    flat: FloatArray
+    targets: Targets
 
 
 class Bench:
@@ -61,8 +77,8 @@ class Bench:
         self.young = float(experiment.material.young_array.mean())
         self.young_spread = (experiment.young_std or settings.model.young_spread * self.young) / self.young
         self.extent = experiment.mesh.extent
-        #: Predictions on fine meshes, (n_meshes, size) in mm and mN, once they were made (`refined`).
-        self.on_fine_meshes: FloatArray | None = None
+        #: Predictions on fine meshes, once they were made (`refined`).
+        self.on_fine_meshes: OnFineMeshes | None = None
 
     def of(self, experiment: Experiment) -> "Bench":
         """Return the same model of another experiment."""

@@ -9,6 +9,7 @@ Each is a module of this package; ``docs/diagnose.md`` describes them in this or
 
 import warnings
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from functools import cache, partial
 from typing import Any
@@ -21,7 +22,7 @@ from tissuereg._base.provenance import warn
 from tissuereg.diagnosis.advice import advise
 from tissuereg.diagnosis.answer import Diagnosis, DiagnosisDetails, Finding, to_check, versions_now
 from tissuereg.diagnosis.bank import Bank, make_bank, make_outside
-from tissuereg.diagnosis.bench import Bench
+from tissuereg.diagnosis.bench import Bench, Targets
 from tissuereg.diagnosis.candidates import without
 from tissuereg.diagnosis.constancy import Constancy, fitted_parts
 from tissuereg.diagnosis.correction import Correction, make_correction
@@ -36,7 +37,7 @@ from tissuereg.diagnosis.nulls import Battery, Misfit, Nulls, draw_nulls, smooth
 from tissuereg.diagnosis.outside import OUTSIDE, Outside, OutsideBank, nearest_of, outside_tests
 from tissuereg.diagnosis.patterns import generic_columns
 from tissuereg.diagnosis.readings import RecordingSuspicion, suspect_recording
-from tissuereg.diagnosis.refined import entry_of, refined_predictions, solvable
+from tissuereg.diagnosis.refined import entry_of, refined_predictions, refined_targets, solvable
 from tissuereg.diagnosis.screen import UNKNOWN, Screen
 from tissuereg.diagnosis.search import Search, search
 from tissuereg.diagnosis.settings import DEFAULT, DiagnoseSettings, NullSettings
@@ -45,7 +46,6 @@ from tissuereg.diagnosis.understated import UNDERSTATED, UnderstatedNoise, large
 from tissuereg.errors import LockingWarning, TissueRegError, UnitWarning
 from tissuereg.experiment.effects import Effect, Stiffness
 from tissuereg.experiment.experiment import Experiment
-from tissuereg.simulation.experiment import simulate_plain
 
 
 def diagnose_body(
@@ -99,7 +99,6 @@ def _searched(bench: Bench, noise: Noise, *, silent: bool, seed: int, keep: bool
     """Return the diagnosis of a recording that is read rightly; `silent`: no modulus follows from its forces."""
     experiment, layout = bench.experiment, bench.layout
     settings, rules = bench.settings, bench.settings.nulls
-    element, threads = bench.predictor.element, bench.predictor.threads
     bank = make_bank(bench, keep=keep)
     believed = make_believed(bench, noise, keep=keep)
     outside = cache(partial(make_outside, bench, keep=keep))
@@ -122,7 +121,7 @@ def _searched(bench: Bench, noise: Noise, *, silent: bool, seed: int, keep: bool
         if not any(isinstance(effect, Stiffness) for effect in effects):
             effects = (Stiffness(young_kpa=young), *effects)
     extended = replace(experiment, effects=(*experiment.effects, *effects))
-    findings = _with_targets(findings, experiment, extended, element=element, threads=threads)
+    findings = _with_targets(findings, bench, effects)
     following = advise(target, found.steps, findings)
     if verdict == "unexplained":
         following = next_check(bench, found.reduced, _looks_like(judged, believed.null, outside, settings))
@@ -337,19 +336,17 @@ def _at_modulus(bench: Bench, noise: Noise, correction: Correction, nuisances: N
     return correction if found is None else replace(correction, modulus=found.young(1.0))
 
 
-def _with_targets(
-    findings: list[Finding], experiment: Experiment, extended: Experiment, *, element: Element, threads: int
-) -> list[Finding]:
+def _with_targets(findings: list[Finding], bench: Bench, effects: Sequence[Effect]) -> list[Finding]:
     """Return findings that also state the rms errors, mm, at inner targets, with and without all the findings.
 
-    They are unchanged where there are no targets.
+    They are unchanged where no target was measured.
     """
-    if not findings or not experiment.targets:
+    measured = {name: case.targets for name, case in bench.experiment.cases.items() if case.targets}
+    if not findings or not measured:
         return findings
-    gains = {
-        "target_rms_base_mm": target_rms(experiment, element=element, threads=threads),
-        "target_rms_named_mm": target_rms(extended, element=element, threads=threads),
-    }
+    gains: dict[str, float | None] = {"target_rms_base_mm": None, "target_rms_named_mm": None}
+    with suppress(TissueRegError):  # no equilibrium, no prediction
+        gains = dict(zip(gains, (target_rms(measured, of) for of in refined_targets(bench, effects)), strict=True))
     return [replace(finding, held_out={**finding.held_out, **gains}) for finding in findings]
 
 
@@ -377,21 +374,9 @@ def _verdict(findings: list[Finding], misfit: float, *, withdrawn: bool, level: 
     return "named" if all(finding.is_sure for finding in findings) else "group"
 
 
-def target_rms(experiment: Experiment, *, element: Element, threads: int) -> float | None:
-    """Return the error of an experiment's model at its measured targets, a root mean square of coordinates in mm.
-
-    `experiment`: with its effects; simulated on the user's mesh, without correction; `element` {"tet4",
-    "tet4-averaged", "tet10"}: elements to use; `threads`: threads to use; 0 takes all cores. The mean is over
-    coordinates, frames and targets; the result is None where no target was measured or the model has no equilibrium.
-    """
-    measured = {name: case.targets for name, case in experiment.cases.items() if case.targets}
-    if not measured:
-        return None
-    try:
-        answers = simulate_plain(experiment, element=element, threads=threads)
-    except TissueRegError:  # no equilibrium, no prediction
-        return None
-    differences = [answers[case].targets[name] - found for case, of in measured.items() for name, found in of.items()]
+def target_rms(measured: Targets, predicted: Targets) -> float | None:
+    """Return the root mean square over coordinates, frames and targets of their error, mm; None where none is known."""
+    differences = [predicted[case][name] - places for case, of in measured.items() for name, places in of.items()]
     errors = np.concatenate([difference.ravel() for difference in differences])
     errors = errors[np.isfinite(errors)]
     return rms(errors) if errors.size else None
