@@ -7,7 +7,7 @@ import pytest
 
 import tissuereg as tr
 from support.rigs import rig
-from tissuereg.diagnosis import predictor, tangents
+from tissuereg.diagnosis import predictor, shape, tangents
 from tissuereg.diagnosis.bench import Bench
 from tissuereg.diagnosis.correction import make_correction
 from tissuereg.diagnosis.noise import Noise
@@ -15,7 +15,7 @@ from tissuereg.diagnosis.nuisances import make_nuisances
 from tissuereg.diagnosis.refined import flat_of
 from tissuereg.diagnosis.run import make_believed
 from tissuereg.diagnosis.settings import DEFAULT
-from tissuereg.diagnosis.shape import shape_columns, shape_directions
+from tissuereg.diagnosis.shape import shape_columns, shape_directions, shape_nuisances
 from tissuereg.diagnosis.signals import SignalLayout
 from tissuereg.diagnosis.tangents import Tangents
 from tissuereg.experiment.effects import Relaxation
@@ -444,3 +444,32 @@ def _area(mesh, nodes, of):
     corners = mesh.nodes[mesh.surface[of(np.isin(mesh.surface, nodes), axis=1)]]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     return float(0.5 * np.linalg.norm(normals, axis=1).sum())
+
+
+def test_columns_of_the_shape_are_read_from_the_cache_where_nothing_they_depend_on_has_changed(tmp_path, monkeypatch):
+    monkeypatch.setenv("TISSUEREG_CACHE", str(tmp_path))
+    believed = rig()
+    bench = Bench(believed, SignalLayout(believed))
+    made = shape_nuisances(bench, bench.base, keep=True)
+    for direction, column in shape_columns(bench, bench.base):
+        assert np.array_equal(dict(made)[direction.name], direction.std_mm * column)
+
+    def refused(*_, **__):
+        raise AssertionError
+
+    monkeypatch.setattr(shape, "shape_columns", refused)
+    again = shape_nuisances(bench, bench.base, keep=True)
+    assert [name for name, _ in again] == [name for name, _ in made]
+    assert all(np.array_equal(one, other) for (_, one), (_, other) in zip(again, made, strict=True))
+    top, side = believed.actuators
+    wider = replace(DEFAULT, shape=replace(DEFAULT.shape, place_share=0.1))
+    for other, settings in (
+        (replace(believed, surface_std=0.5), DEFAULT),
+        (replace(believed, surface_length=20.0), DEFAULT),
+        (replace(believed, actuators=(top, replace(side, edge_std=0.5))), DEFAULT),
+        (replace(believed, boundaries=(replace(believed.boundaries[0], edge_std=0.5),)), DEFAULT),
+        (replace(believed, material=replace(believed.material, poisson=0.3)), DEFAULT),
+        (believed, wider),
+    ):
+        with pytest.raises(AssertionError):
+            shape_nuisances(Bench(other, bench.layout, settings=settings), bench.base, keep=True)

@@ -8,7 +8,6 @@ from scipy import sparse
 
 from support.rigs import rig
 from tissuereg.body.material import GRAVITY_MM_PER_S2
-from tissuereg.diagnosis.bank import fingerprint
 from tissuereg.diagnosis.bench import Bench
 from tissuereg.diagnosis.causes import CAUSES
 from tissuereg.diagnosis.causes.base import Variant
@@ -17,6 +16,7 @@ from tissuereg.diagnosis.correction import Correction, make_correction
 from tissuereg.diagnosis.noise import Noise, estimate_noise
 from tissuereg.diagnosis.nuisances import make_nuisances
 from tissuereg.diagnosis.patterns import load_history
+from tissuereg.diagnosis.predictor import fingerprint
 from tissuereg.diagnosis.settings import DEFAULT
 from tissuereg.diagnosis.signals import SignalLayout
 from tissuereg.errors import ExperimentError, NoiseError

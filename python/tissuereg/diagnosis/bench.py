@@ -143,10 +143,9 @@ class Bench:
     @cached_property
     def by_young(self) -> FloatArray:
         """Derivative of the prediction by the relative change of the whole body's modulus, (1, size), mm and mN."""
+        if self.scales_forces:
+            return np.where(self.layout.of_markers(), 0.0, self.base)[None]
         if not self.is_elastic:
-            forces = np.where(self.layout.of_markers(), 0.0, self.base)
-            if self.scales_forces:
-                return np.asarray(forces[None])
             return np.asarray((self.predictor.predict(young=1.02) - self.base)[None] / 0.02)
         young = np.asarray(self.tangents.worked.material.young_array, np.float64)
         tets, points = self.experiment.mesh.n_tets, self.tangents.states[0].simulator.n_points

@@ -14,26 +14,23 @@ the correction is computed again: on 600 nodes friction slips ten times too far,
 friction.
 """
 
-import io
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray, IntArray
 from tissuereg._base.provenance import warn
-from tissuereg.diagnosis.bank import fingerprint
 from tissuereg.diagnosis.bench import Bench, OnFineMeshes, Targets
 from tissuereg.diagnosis.causes import CAUSES
 from tissuereg.diagnosis.fit import Fit, FitTarget, at_believed_modulus, fit
-from tissuereg.diagnosis.predictor import NO_ANSWER, refuse_failures
+from tissuereg.diagnosis.predictor import NO_ANSWER, fingerprint, refuse_failures
 from tissuereg.diagnosis.signals import CasePart, SignalLayout
 from tissuereg.errors import ConvergenceError, MeshError
 from tissuereg.experiment.effects import Effect, extended
 from tissuereg.experiment.experiment import Case, Experiment
-from tissuereg.io.cache import keep_entry, read_entry
+from tissuereg.io.cache import keep_arrays, read_arrays
 from tissuereg.io.json import dumps
 from tissuereg.simulation.experiment import CaseSimulation, simulate_plain
 from tissuereg.simulation.fine import FineModel, third_meshes
@@ -165,11 +162,9 @@ def _simulated(bench: Bench, entry: str | None) -> OnFineMeshes:
         targets = targets or targets_of(answers)
     made = bench.on_fine_meshes = OnFineMeshes(np.array(found), targets)
     if entry is not None:
-        content, names = io.BytesIO(), list(bench.experiment.targets)
-        arrays: dict[str, Any] = {"flat": made.flat}
-        arrays |= {f"targets of {case}": np.array([of[name] for name in names]) for case, of in targets.items()}
-        np.savez(content, allow_pickle=False, **arrays)
-        keep_entry(entry, content.getvalue(), MOST_ENTRIES)
+        names = list(bench.experiment.targets)
+        places = {f"targets of {case}": np.array([of[name] for name in names]) for case, of in targets.items()}
+        keep_arrays(entry, {"flat": made.flat, **places}, MOST_ENTRIES)
     return made
 
 
@@ -222,13 +217,12 @@ def _models(bench: Bench, thirds: int) -> Iterator[FineModel]:
 
 
 def _read(bench: Bench, entry: str) -> OnFineMeshes | None:
-    content, experiment = read_entry(entry), bench.experiment
-    if content is None:
+    kept, experiment = read_arrays(entry), bench.experiment
+    if kept is None:
         return None
-    with np.load(io.BytesIO(content), allow_pickle=False) as kept:
-        places = {case: kept[f"targets of {case}"] for case in experiment.cases}
-        targets = {case: dict(zip(experiment.targets, rows, strict=True)) for case, rows in places.items()}
-        return OnFineMeshes(np.asarray(kept["flat"]), targets)
+    places = {case: kept[f"targets of {case}"] for case in experiment.cases}
+    targets = {case: dict(zip(experiment.targets, rows, strict=True)) for case, rows in places.items()}
+    return OnFineMeshes(kept["flat"], targets)
 
 
 def corrected_fit(target: FitTarget, found: Fit) -> tuple[FitTarget, Fit]:

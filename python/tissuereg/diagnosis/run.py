@@ -311,8 +311,9 @@ class BelievedModel:
 def make_believed(bench: Bench, noise: Noise, *, keep: bool = True) -> BelievedModel:
     """Return the believed model, corrected for discretisation error, with its nuisance parameters.
 
-    `bench`: the believed model; `noise`: measurement noise; `keep`: whether predictions on fine meshes are read from
-    and written to the cache. Raises `ConvergenceError` if a frame has no equilibrium on a fine mesh (`solvable`).
+    `bench`: the believed model; `noise`: measurement noise; `keep`: whether predictions on fine meshes and changes by
+    the shape are read from and written to the cache. Raises `ConvergenceError` if a frame has no equilibrium on a fine
+    mesh (`solvable`).
     """
     layout = bench.layout
     if bench.is_exact:
@@ -321,7 +322,7 @@ def make_believed(bench: Bench, noise: Noise, *, keep: bool = True) -> BelievedM
         fine, others = refined_predictions(bench, entry_of(bench.experiment) if keep else None)
     corrected = bench.settings.model.corrected
     correction = make_correction(layout, bench.base, fine) if corrected else Correction(layout)
-    nuisances = make_nuisances(bench, others - fine, correction)
+    nuisances = make_nuisances(bench, others - fine, correction, keep=keep)
     bare = Null(np.zeros((0, layout.size)))
     target = FitTarget(bench, noise, correction, bare)
     return BelievedModel(target, nuisances, bare, others - fine, correction).with_noise(noise)

@@ -23,14 +23,21 @@ from tissuereg.body.observe import MarkerObservation
 from tissuereg.diagnosis.bench import Bench
 from tissuereg.diagnosis.correction import make_correction
 from tissuereg.diagnosis.patterns import thinned_patterns
-from tissuereg.diagnosis.predictor import Predictor
+from tissuereg.diagnosis.predictor import Predictor, fingerprint
 from tissuereg.diagnosis.settings import DEFAULT, ShapeSettings
 from tissuereg.diagnosis.tangents import Tangents
 from tissuereg.experiment.experiment import Actuator, Boundary, Experiment
+from tissuereg.io.cache import keep_arrays, read_arrays
 from tissuereg.simulation.fine import rough_element, without_time
 from tissuereg.simulation.fine.meshing import rim_of
 from tissuereg.simulation.fine.rims import Folds, folds_of, outline_nodes, sharp_nodes
 from tissuereg.simulation.fine.third import gaps
+
+#: To be increased when directions or their changes are other ones, so that older entries are not read.
+SCHEMA = 1
+
+#: Number of cached entries, some MB each; the oldest are deleted.
+MOST_ENTRIES = 24
 
 
 @dataclass(frozen=True, eq=False)
@@ -228,6 +235,26 @@ def _nearness(mesh: Mesh, nodes: IntArray, reach: float) -> FloatArray:
 
     away = KDTree(mesh.nodes[nodes]).query(mesh.nodes)[0]
     return np.asarray(np.exp(-0.5 * (away / reach) ** 2))
+
+
+def shape_nuisances(bench: Bench, fine: FloatArray, *, keep: bool = False) -> list[tuple[str, FloatArray]]:
+    """Return name and column (size,), mm and mN, of each deviation of the shape, by one prior standard deviation.
+
+    `bench`, `fine`: as for `shape_columns`; `keep`: whether the columns are read from and written to the cache.
+    """
+    experiment = bench.experiment
+    edges = [pad.edge_std for pad in experiment.actuators] + [support.edge_std for support in experiment.boundaries]
+    stated = [experiment.surface_std, experiment.surface_length, edges]
+    numbers = f"{SCHEMA} {bench.predictor.element} {stated} {bench.settings.shape} {bench.settings.model}"
+    entry = f"shape_{fingerprint(experiment, numbers)}"
+    kept = read_arrays(entry) if keep else None
+    if kept is not None:
+        return list(zip(kept["names"].tolist(), kept["columns"], strict=True))
+    found = [(direction.name, direction.std_mm * column) for direction, column in shape_columns(bench, fine)]
+    if keep and found:
+        names, columns = zip(*found, strict=True)
+        keep_arrays(entry, {"names": np.array(names), "columns": np.array(columns)}, MOST_ENTRIES)
+    return found
 
 
 def shape_columns(bench: Bench, fine: FloatArray) -> Iterator[tuple[Direction, FloatArray]]:
