@@ -134,7 +134,7 @@ def _of_pad(surface: _BodySurface, pad: Actuator) -> Iterator[Direction]:
         return
     normal /= np.linalg.norm(normal)
     rules, mesh_edge = surface.settings, surface.unresolved(inside, None if rim is None else rim.radius)
-    place = _std_of(pad, rules.place_share * radius, rules.around * mesh_edge)
+    place = _std_of(pad, rules.place_share * radius, mesh_edge)
     size, height = _std_of(pad, rules.size_share * radius, mesh_edge), _std_of(pad, rules.height_share * radius)
     arms = mesh.nodes - (mesh.nodes[inside].mean(axis=0) if rim is None else np.asarray(rim.centre))
     near = np.where(surface.stays(pad), 0.0, _nearness(mesh, inside, surface.settings.reach * radius))[:, None]
@@ -165,7 +165,7 @@ def _of_grip(surface: _BodySurface, pad: Actuator, radius: float) -> Iterator[Di
         :, None
     ]
     rules, mesh_edge = surface.settings, surface.unresolved(surface.of(pad), None)
-    place = _std_of(pad, rules.place_share * radius, rules.around * mesh_edge)
+    place = _std_of(pad, rules.place_share * radius, mesh_edge)
     for axis, side in enumerate(np.eye(3)):
         motion = surface.along(near * side)
         if motion.any():
