@@ -28,7 +28,9 @@ from tissuereg.diagnosis.screen import Screen, Screened
 from tissuereg.diagnosis.settings import DEFAULT, DiagnoseSettings
 from tissuereg.diagnosis.signals import SignalLayout
 from tissuereg.errors import ArgumentError
-from tissuereg.experiment.effects import Latency, Poisson
+from tissuereg.experiment.effects import Latency, Poisson, Relaxation
+from tissuereg.simulation.experiment import with_noise
+from tissuereg.simulation.fine import FineModel
 
 #: Where the edges of its pads are known the rig has a misfit, about which more is asked.
 SHARP = replace(DEFAULT, shape=replace(DEFAULT.shape, edge_share=0.01))
@@ -54,12 +56,24 @@ def watched(group, read):
     return made
 
 
+def late_and_relaxing():
+    """The rig with two hidden effects, one of which resembles others."""
+    given = replace(rig(), force_std=20.0)
+    effects = (Latency(latency_s=0.5), Relaxation(g=(0.4,), tau_s=(2.0,)))
+    seen = with_noise(given, FineModel(given).simulate(effects))
+    cases = {
+        name: replace(case, markers=seen[name].markers, forces={pad: seen[name].forces[pad] for pad in case.forces})
+        for name, case in given.cases.items()
+    }
+    return replace(given, cases=cases)
+
+
 @pytest.fixture(scope="module")
 def of_rig():
     read = {name: set() for name in GROUPS}
-    for given in (DEFAULT, SHARP):  # with findings, and with a misfit
-        settings = DiagnoseSettings(**{name: watched(getattr(given, name), read[name]) for name in GROUPS})
-        found = tr.diagnose(rig(), keep=False, settings=settings)
+    for given, numbers in ((late_and_relaxing(), DEFAULT), (rig(), SHARP)):  # with findings, and with a misfit
+        settings = DiagnoseSettings(**{name: watched(getattr(numbers, name), read[name]) for name in GROUPS})
+        found = tr.diagnose(given, keep=False, settings=settings)
     return found, {name: set(names) for name, names in read.items()}
 
 
