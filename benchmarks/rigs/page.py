@@ -4,9 +4,11 @@
 """
 
 import argparse
+import json
 from pathlib import Path
 from typing import Any
 
+from blind.score import sizes_table
 from common import commit, read_archive, write_archive
 from rigs.run import WITHOUT
 from rigs.score import INNER, TITLES, predictions_of, report
@@ -27,17 +29,21 @@ group*: the named cause, or the group it is in, contains the hidden one. Interva
 
 def page(archives: dict[str, dict[str, Any]]) -> str:
     """Return the page of the halves that are archived."""
-    sections = [
-        report(scored(archives[half]["rows"]), scored(archives[half].get(WITHOUT, {})), half)
-        for half in HALVES
-        if half in archives
-    ]
+    sections = []
+    for half in (half for half in HALVES if half in archives):
+        kept = archives[half]
+        section = report(scored(kept["rows"]), scored(kept.get(WITHOUT, {})), half)
+        sections.append(section + "".join(f"{line}\n" for line in sizes_table(kept.get("sizes"), "###")))
     return "\n".join([_TOP, *sections])
 
 
 def archives() -> dict[str, dict[str, Any]]:
     """Return the archived verdicts, by half."""
-    return {half: read_archive(ARCHIVE / half) for half in HALVES if (ARCHIVE / half / "run.json").exists()}
+    found = {half: read_archive(ARCHIVE / half) for half in HALVES if (ARCHIVE / half / "run.json").exists()}
+    for half, kept in found.items():
+        sizes = ARCHIVE / half / "sizes.json"
+        kept |= {"sizes": json.loads(sizes.read_text(encoding="utf-8"))} if sizes.exists() else {}
+    return found
 
 
 def pack(predictions: Path, half: str) -> None:
