@@ -86,7 +86,7 @@ def test_a_diagnosis_reads_its_numbers_from_the_settings_that_it_is_given(of_rig
         "noise": {"least_evidence"},
         "shape": {"most_places", "most_patterns", "length_share", "held_variance", "lattice", "finer"},
         "nulls": {"explained"},
-        "search": {"determined_modulus", "clear"},
+        "search": {"determined_modulus"},
         "readings": {"most_digits", "nothing", "force"},
         "report": {
             "near", "reach", "variances", "least_cases", "hold_s", "ramp_s", "long_hold_s", "measured_to",
@@ -122,7 +122,7 @@ def test_a_changed_value_changes_the_answer_and_the_name_of_its_bank(of_rig):
     assert again["fibre"] == tried["fibre"]
     assert min(other.details.thresholds.values()) >= 9.0 > min(found.details.thresholds.values())
     assert numbers_of(changed) != numbers_of(DEFAULT)
-    assert numbers_of(replace(DEFAULT, search=replace(DEFAULT.search, clear=1.0))) == numbers_of(DEFAULT)
+    assert numbers_of(replace(DEFAULT, search=replace(DEFAULT.search, better=1.0))) == numbers_of(DEFAULT)
 
 
 def test_a_material_test_reads_them_too():

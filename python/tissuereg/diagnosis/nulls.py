@@ -97,14 +97,13 @@ def _thresholds(found: Mapping[str, FloatArray], settings: NullSettings = DEFAUL
 class Misfit:
     """Result of the misfit test.
 
-    `p`: p-value: probability that data without any effect misfit as much; `explained`, `explained_there`: share of the
-    believed model's misfit (statistic minus its mean over draws of such data) that the judged model removes: in the sum
-    of all squares, and in the statistic that is largest for the judged model.
+    `p`: p-value: probability that data without any effect misfit as much; `explained`: share of the believed model's
+    misfit (sum of all squares minus its mean over draws of such data) that the judged model removes; 1 where there is
+    none.
     """
 
     p: float
     explained: float
-    explained_there: float
 
 
 class Battery:
@@ -129,15 +128,10 @@ class Battery:
         sums, drawn = self.sums(np.stack([before, after])), self.sums(nulls)
         logs = np.log(drawn)
         centre, spread = logs.mean(axis=0), np.maximum(logs.std(axis=0), 1e-9)
-        excess = (np.log(sums[1]) - centre) / spread
-        worst = int(excess.argmax())
-        largest = float(excess[worst])
-        of_nulls = ((logs - centre) / spread).max(axis=1)
-        return Misfit(
-            p=tail_probability(largest, of_nulls),
-            explained=_removed(sums[:, 0], drawn[:, 0], without_misfit=1.0),
-            explained_there=_removed(sums[:, worst], drawn[:, worst], without_misfit=0.0),
-        )
+        largest = float(((np.log(sums[1]) - centre) / spread).max())
+        p = tail_probability(largest, ((logs - centre) / spread).max(axis=1))
+        (of_before, of_after), expected = sums[:, 0].tolist(), float(drawn[:, 0].mean())
+        return Misfit(p, (of_before - of_after) / (of_before - expected) if of_before > expected else 1.0)
 
     def sums(self, residuals: FloatArray) -> FloatArray:
         """Return all statistics, shape (n, n_statistics), of residuals (n, size) whitened by noise and nuisances.
@@ -180,13 +174,3 @@ def smooth_subspaces(
             of_case.append(noise.whitened(np.concatenate([markers, *forces]), layout))
         found += [orthonormal(columns) for columns in (*of_case, np.concatenate(of_case))]
     return [basis for basis in found if len(basis)]
-
-
-def _removed(sums: FloatArray, drawn: FloatArray, without_misfit: float) -> float:
-    """Return the share of a statistic's excess, over its mean in data drawn without any effect, that a model removes.
-
-    `sums` (2,): the statistic before and after, that is of the believed model and of the one judged; `drawn` (n,): the
-    statistic of the draws; `without_misfit`: value returned where there is no excess.
-    """
-    (before, after), expected = sums.tolist(), float(drawn.mean())
-    return float((before - after) / (before - expected)) if before > expected else without_misfit

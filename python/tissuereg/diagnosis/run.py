@@ -216,7 +216,7 @@ def _judged(bank: Bank, believed: "BelievedModel", outside: Callable[[], Bank], 
         findings = [*findings[:first], *shared]
     findings = [finding for finding in findings if not (silent and finding.id == "stiffness")]
     weak = [finding for finding in findings if finding.group_probability < settings.search.stated]
-    enough = _explains_enough(misfit, found, settings.nulls)
+    enough = _explains_enough(misfit, settings.nulls)
     withdrawn = bool(findings) and not (enough and not weak and all(one.holds for one in tested))
     if withdrawn:
         # At best the findings are the causes most similar to the true one.
@@ -362,11 +362,9 @@ def _own_modulus(experiment: Experiment) -> Experiment:
     return replace(experiment, material=replace(experiment.material, young=young), young_std=spread, effects=others)
 
 
-def _explains_enough(misfit: Misfit, found: Search, rules: NullSettings = DEFAULT.nulls) -> bool:
-    """Return whether findings may be named: no misfit is left, or enough of it is explained (`explained`)."""
-    if misfit.p >= rules.misfit or min(misfit.explained, misfit.explained_there) >= rules.explained:
-        return True
-    return misfit.explained >= rules.explained and any(step.is_clear for step in found.steps)
+def _explains_enough(misfit: Misfit, rules: NullSettings = DEFAULT.nulls) -> bool:
+    """Return whether findings may be named: no misfit is left, or they explain enough of the believed model's."""
+    return misfit.p >= rules.misfit or misfit.explained >= rules.explained
 
 
 def _verdict(findings: list[Finding], misfit: float, *, withdrawn: bool, level: float = DEFAULT.nulls.misfit) -> str:

@@ -170,8 +170,7 @@ class NullSettings:
     smooth: int = 3
     #: Level of the misfit test: a residual with a smaller p-value is a misfit.
     misfit: float = 0.01
-    #: Findings with a misfit are named only if they explain this share of the believed model's misfit, both in total
-    #: and in the statistic that is still largest; the total alone counts where one finding is far ahead of all rivals.
+    #: Findings with a misfit are named only if they explain this share of the believed model's misfit.
     explained: float = 0.5
 
 
@@ -309,9 +308,6 @@ class SearchSettings:
     #: A cause within the separability of the one found is in its group if it passes the threshold too, or if its
     #: probability is at least this share of the other's.
     as_likely: float = 0.1
-    #: A cause with this gain, in nats, that predicts held-out data better than all rivals may be named despite a
-    #: misfit.
-    clear: float = 100.0
     #: Rivals that are tried in place of one of several causes: their number, and nats within which they come to it.
     most_rivals: int = 2
     rivals_within: float = 40.0
