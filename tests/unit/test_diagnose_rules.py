@@ -176,9 +176,7 @@ def test_the_residual_after_findings_has_a_place_a_time_and_a_nearest_cause():
     screen = screen_of(target, ("latency", "marker_slip"))
     base = fit(target, [])
     found = fit(target, [part(target, "latency")])
-    left = residual_summary(
-        target.bench.layout, screen, Search(base, found, [], found.residual), Misfit(1e-6, 0.7)
-    )
+    left = residual_summary(target.bench.layout, screen, Search(base, found, [], found.residual), Misfit(1e-6, 0.7))
     assert left["p"] == 1e-6
     assert left["where"][0] == "P3"
     assert "case in" in left["when"]
