@@ -23,9 +23,6 @@ from tissuereg.io.json import dumps
 #: To be increased when columns change their meaning, so that older files are not read.
 SCHEMA = 11
 
-#: Number of cached banks; the oldest are deleted.
-MOST_ENTRIES = 24
-
 #: Hypotheses by id of the cause; causes without a hypothesis in an experiment are left out.
 Bank = dict[str, list[Variant]]
 
@@ -90,7 +87,7 @@ def _write(entry: str, base: FloatArray, bank: Bank) -> None:
         if several:
             arrays[f"columns_{name}"] = np.stack([v.columns for v in several])
     arrays["card"] = np.array(dumps(card))
-    keep_arrays(entry, arrays, MOST_ENTRIES)
+    keep_arrays(entry, arrays)
 
 
 def _read(entry: str) -> tuple[FloatArray | None, Bank]:

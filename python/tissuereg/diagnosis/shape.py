@@ -36,9 +36,6 @@ from tissuereg.simulation.fine.third import gaps
 #: To be increased when directions or their changes are other ones, so that older entries are not read.
 SCHEMA = 1
 
-#: Number of cached entries, some MB each; the oldest are deleted.
-MOST_ENTRIES = 24
-
 
 @dataclass(frozen=True, eq=False)
 class Direction:
@@ -253,7 +250,7 @@ def shape_nuisances(bench: Bench, fine: FloatArray, *, keep: bool = False) -> li
     found = [(direction.name, direction.std_mm * column) for direction, column in shape_columns(bench, fine)]
     if keep and found:
         names, columns = zip(*found, strict=True)
-        keep_arrays(entry, {"names": np.array(names), "columns": np.array(columns)}, MOST_ENTRIES)
+        keep_arrays(entry, {"names": np.array(names), "columns": np.array(columns)})
     return found
 
 

@@ -84,8 +84,8 @@ def read_arrays(name: str) -> dict[str, Any] | None:
         return dict(kept)
 
 
-def keep_arrays(name: str, arrays: Mapping[str, Any], most: int) -> None:
-    """Store numpy arrays, each under a name of its own, as one entry (`keep_entry`); no array may hold objects."""
+def keep_arrays(name: str, arrays: Mapping[str, Any], most: int = 24) -> None:
+    """Store numpy arrays, each under a name of its own, as one entry of `keep_entry`; no array may hold objects."""
     content = io.BytesIO()
     np.savez(content, allow_pickle=False, **arrays)
     keep_entry(name, content.getvalue(), most)
