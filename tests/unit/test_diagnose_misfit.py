@@ -63,6 +63,8 @@ def test_the_explained_share_is_that_of_the_excess_over_noise(subspaces, nulls):
     misfit = battery.judge(noise + 100.0 * pattern, noise + 80.0 * pattern, nulls)
     assert misfit.p < 1e-6
     assert misfit.explained == pytest.approx(1.0 - 0.8**2, abs=0.05)
+    # What noise alone would leave is no misfit: all of it is explained where that is left.
+    assert battery.judge(noise + 30.0 * pattern, noise, nulls).explained == pytest.approx(1.0, abs=0.15)
     few = 0.9 * noise
     assert battery.judge(few, few + 80.0 * pattern, nulls).explained == 1.0
 
