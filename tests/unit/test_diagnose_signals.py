@@ -128,7 +128,7 @@ def test_derivatives_are_those_of_the_simulation(bench):
     by_ratio = bench.by(lambda state: [Parameter("poisson")], 1)[0]
     assert_alike(by_ratio, central(bench, lambda h: Poisson(poisson=0.4 + h), 1e-3))
     weighed = rig(gravity=BodyWeight(np.array([0.0, 0.0, -1.0]), in_reference=False))
-    for one in (bench, Bench(weighed, SignalLayout(weighed))):
+    for one in (bench, Bench(weighed, SignalLayout(weighed))):  # pads move with a body that sags
         central_of = (one.predictor.predict(young=1.01) - one.predictor.predict(young=0.99)) / 0.02
         assert_alike(one.by_young[0], central_of)
     assert not one.scales_forces

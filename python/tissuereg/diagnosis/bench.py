@@ -25,7 +25,7 @@ from tissuereg.experiment.effects import Effect, extended
 from tissuereg.experiment.experiment import Experiment
 from tissuereg.simulation.fine import FineModel
 from tissuereg.simulation.memory import goes_through_time
-from tissuereg.simulation.sensitivity import Cause, ModulusField
+from tissuereg.simulation.sensitivity import Cause
 
 #: In a thread that works beside others (`Bench.side_by_side`), `threads`: how many threads it may use itself.
 _SHARE = threading.local()
@@ -145,12 +145,8 @@ class Bench:
         """Derivative of the prediction by the relative change of the whole body's modulus, (1, size), mm and mN."""
         if self.scales_forces:
             return np.where(self.layout.of_markers(), 0.0, self.base)[None]
-        if not self.is_elastic:
-            return np.asarray((self.predictor.predict(young=1.02) - self.base)[None] / 0.02)
-        young = np.asarray(self.tangents.worked.material.young_array, np.float64)
-        tets, points = self.experiment.mesh.n_tets, self.tangents.states[0].simulator.n_points
-        rates = np.broadcast_to(young.reshape(-1, 1) if young.ndim == 1 else young, (tets, points))
-        return self.by(lambda state: [ModulusField("young", rates)], 1)
+        # Not by tangents: a body that sags under its weight takes its pads with it.
+        return np.asarray((self.predictor.predict(young=1.002) - self.base)[None] / 0.002)
 
     def change(self, *effects: Effect) -> FloatArray | None:
         """Return the change (size,) of the prediction that effects make together, mm and mN.
