@@ -33,7 +33,9 @@ def page(archives: dict[str, dict[str, Any]]) -> str:
     for half in (half for half in HALVES if half in archives):
         kept = archives[half]
         section = report(scored(kept["rows"]), scored(kept.get(WITHOUT, {})), half)
-        sections.append(section + "".join(f"{line}\n" for line in sizes_table(kept.get("sizes"), "###")))
+        sizes = kept.get("sizes")
+        said = ["", f"At commit {sizes['commit']}."] if sizes else []
+        sections.append(section + "".join(f"{line}\n" for line in (*sizes_table(sizes, "###"), *said)))
     return "\n".join([_TOP, *sections])
 
 

@@ -165,7 +165,7 @@ def report(cases: list[Scored], without: list[Scored], half: str) -> str:
         f"## {TITLES[half]}",
         "",
         f"{len(cases)} of {len(case_names(half))} cases, on {len({rig_of(c.case) for c in cases})} rigs. "
-        f"Verdicts: {made(cases)}.",
+        f"Verdicts: {made(cases)}." + (f" Causes taken out: {made(without)}." if without else ""),
         "",
         *_HEAD,
         *figures(cases, without),

@@ -6,6 +6,7 @@ import os
 from blind.materialise import folder_of
 from blind.scored import of_kind
 from blind.sizes import found_on
+from common import commit
 from rigs.materialise import materialise
 from rigs.page import ARCHIVE, HALVES, archives
 from rigs.run import BUILD
@@ -22,7 +23,7 @@ def main() -> None:
     os.environ.setdefault("TISSUEREG_CACHE", str((BUILD / "cache").resolve()))
     nulls = of_kind(scored(archives()[options.half]["rows"]), "null")
     folders = [folder_of(null.case, BUILD, materialise) for null in nulls]
-    write_json(ARCHIVE / options.half / "sizes.json", found_on(folders, options.threads))
+    write_json(ARCHIVE / options.half / "sizes.json", found_on(folders, options.threads) | commit())
 
 
 if __name__ == "__main__":

@@ -18,7 +18,7 @@ from tissuereg.diagnosis.fit import FitTarget, FittedCause, at_believed_modulus,
 from tissuereg.diagnosis.modulus import _pinned, modulus_finding
 from tissuereg.diagnosis.nuisances import other_forms
 from tissuereg.diagnosis.proof import figure_blocks, proof_blocks
-from tissuereg.diagnosis.refined import corrected_fit, flat_of, recorrected, refined_effects
+from tissuereg.diagnosis.refined import corrected_fit, recorrected, refined_effects
 from tissuereg.diagnosis.screen import UNKNOWN, Screen, Screened
 from tissuereg.diagnosis.search import Search, Step, _with_finding
 from tissuereg.diagnosis.settings import DEFAULT
@@ -33,11 +33,6 @@ from tissuereg.experiment.effects import (
     Relaxation,
     Sliding,
 )
-
-
-def fine_of(bench, effects):
-    """The prediction (size,) of the believed model with effects on the fine mesh, mm and mN."""
-    return flat_of(bench.layout, refined_effects(bench, effects))
 
 
 @pytest.fixture(scope="module")
@@ -149,7 +144,7 @@ def test_the_discretisation_error_of_a_found_cause_is_corrected(of_two):
     better = recorrected(of_two, found)
     effects = found.effects(bench.young)
     coarse = bench.predictor.predict(effects)
-    assert np.allclose(better.correction.corrected(coarse), fine_of(bench, effects))
+    assert np.allclose(better.correction.corrected(coarse), refined_effects(bench, effects))
     assert np.allclose(better.correction.corrected(bench.base), bench.base)
     # The tracker has no discretisation error.
     assert recorrected(of_two, fit(of_two, [part(of_two, "latency")])) is of_two
@@ -158,9 +153,9 @@ def test_the_discretisation_error_of_a_found_cause_is_corrected(of_two):
 def of_finer_mesh(target, *effects) -> FitTarget:
     """Return the target for noise-free data of the fine mesh, the believed model corrected."""
     bench = target.bench
-    correction = make_correction(bench.layout, bench.base, fine_of(bench, []))
+    correction = make_correction(bench.layout, bench.base, refined_effects(bench, []))
     layout = SignalLayout(bench.experiment)
-    layout.measured[:] = fine_of(bench, effects)
+    layout.measured[:] = refined_effects(bench, effects)
     return replace(target, bench=Bench(bench.experiment, layout), correction=replace(correction, layout=layout))
 
 
@@ -175,7 +170,7 @@ def test_a_fit_to_data_of_a_finer_mesh_is_right_once_its_own_error_is_corrected(
     assert again.log_evidence > found.log_evidence + 10.0
     # The correction computed at the first fit removes most of the error at the second.
     effects = again.effects(bench.young)
-    coarse, fine = bench.predictor.predict(effects), fine_of(bench, effects)
+    coarse, fine = bench.predictor.predict(effects), refined_effects(bench, effects)
     there, left = (
         np.linalg.norm((one.correction.corrected(coarse) - fine)[layout.of_markers()]) for one in (target, better)
     )
@@ -193,7 +188,7 @@ def test_an_effect_that_becomes_another_one_is_corrected_again():
 
     def left(corrected, fitted):
         effects, coarse = at_believed_modulus(target, fitted)
-        missed = corrected.correction.corrected(coarse) - fine_of(target.bench, effects)
+        missed = corrected.correction.corrected(coarse) - refined_effects(target.bench, effects)
         return float(np.linalg.norm(target.white(missed)))
 
     assert left(once, first) > 2.0 * DEFAULT.model.uncorrected
@@ -434,7 +429,7 @@ def test_a_shifted_patch_is_corrected_too():
     better = recorrected(target, found)
     effects, coarse = at_believed_modulus(target, found)
     np.testing.assert_allclose(coarse, target.bench.base + found.x[1] * column)
-    np.testing.assert_allclose(better.correction.corrected(coarse), fine_of(target.bench, effects), atol=1e-6)
+    np.testing.assert_allclose(better.correction.corrected(coarse), refined_effects(target.bench, effects), atol=1e-6)
 
 
 def test_a_detachment_grows_without_jumps():

@@ -13,9 +13,10 @@ from tissuereg.diagnosis.run import target_rms
 from tissuereg.diagnosis.settings import DEFAULT
 from tissuereg.diagnosis.signals import SignalLayout
 from tissuereg.errors import ConvergenceError
-from tissuereg.experiment.effects import Frame, Poisson, Relaxation
+from tissuereg.experiment.effects import Frame, Latency, Poisson, Relaxation, Stiffness
+from tissuereg.experiment.experiment import Simulated
 from tissuereg.io.cache import read_entry
-from tissuereg.simulation.experiment import simulate_plain
+from tissuereg.simulation.experiment import simulate_plain, with_noise
 from tissuereg.simulation.fine import FineModel
 
 
@@ -131,25 +132,72 @@ def test_inner_targets_are_predicted_by_the_fine_mesh():
     assert apart(named, of(simulate_plain(replace(experiment, effects=(softer,))))) > 0.02
 
 
-def test_targets_under_memory_have_the_correction_of_the_believed_model():
-    experiment, memory = aimed(), Relaxation(g=(0.4,), tau_s=(2.0,))
-    believed, named = refined_targets(bench_of(experiment), [memory])
-    plain, slow = (of(simulate_plain(replace(experiment, effects=some))) for some in ((), (memory,)))
-    for case, places in named.items():
-        for name in places:
-            expected = slow[case][name] + believed[case][name] - plain[case][name]
-            np.testing.assert_allclose(places[name], expected, atol=1e-9)
-    assert apart(believed, plain) > 0.01
+def test_targets_under_memory_have_the_correction_of_the_other_effects():
+    experiment, memory, softer = aimed(), Relaxation(g=(0.4,), tau_s=(2.0,)), Poisson(poisson=0.2)
+    for others in ((), (softer,), (Stiffness(young_kpa=12.0),)):
+        believed, named = refined_targets(bench_of(experiment), [memory, *others])
+        truth = of(FineModel(experiment).simulate([memory, *others]))
+        assert apart(named, truth) < 0.1 * apart(
+            of(simulate_plain(replace(experiment, effects=(memory, *others)))), truth
+        )
+        assert_same(believed, of(FineModel(experiment).simulate()))
+
+
+def test_effects_beside_a_believed_memory_go_through_time_on_the_fine_mesh():
+    experiment, softer = replace(aimed(), effects=(Relaxation(g=(0.4,), tau_s=(2.0,)),)), Poisson(poisson=0.2)
+    _, named = refined_targets(bench_of(experiment), [softer])
+    assert_same(named, of(FineModel(experiment).simulate((*experiment.effects, softer))))
 
 
 def test_errors_of_the_tracker_move_no_target_and_a_body_of_this_mesh_needs_no_correction():
-    experiment = aimed()
+    experiment, softer = aimed(), Poisson(poisson=0.2)
     turned = Frame(rotation_deg=(0.0, 0.0, 2.0), shift_mm=(1.0, 0.0, 0.0))
-    believed, named = refined_targets(bench_of(experiment), [turned])
-    assert_same(named, believed)
+    bench = bench_of(experiment)
+    believed, named = refined_targets(bench, [turned, Stiffness(young_kpa=12.0)])
+    assert named is believed
     uncorrected = replace(DEFAULT, model=replace(DEFAULT.model, corrected=False))
-    plain, _ = refined_targets(bench_of(experiment, settings=uncorrected), [])
-    assert_same(plain, of(simulate_plain(experiment)), atol=1e-12)
+    simulated = replace(experiment, simulated=Simulated("plain", "tet4"))
+    for one in (bench_of(experiment, settings=uncorrected), bench_of(simulated)):
+        plain, changed = refined_targets(one, [softer])
+        assert_same(plain, of(simulate_plain(experiment)), atol=1e-12)
+        assert_same(changed, of(simulate_plain(replace(experiment, effects=(softer,)))), atol=1e-12)
+
+
+def test_without_an_equilibrium_the_believed_prediction_stays(monkeypatch):
+    experiment = aimed()
+    bench = bench_of(experiment)
+    refined_predictions(bench, None)
+
+    def failed(*_, **__):
+        message = "none"
+        raise ConvergenceError(message)
+
+    monkeypatch.setattr(FineModel, "simulate", failed)
+    believed, named = refined_targets(bench, [Poisson(poisson=0.2)])
+    assert named is None
+    measured = {"down": {"one": believed["down"]["one"] + 3.0}}
+    assert target_rms(measured, believed, named) == [pytest.approx(3.0), None]
+
+
+def test_a_diagnosis_states_the_errors_at_targets_that_were_measured():
+    experiment, memory = replace(aimed(), force_std=20.0), Relaxation(g=(0.4,), tau_s=(2.0,))
+    seen = with_noise(experiment, FineModel(experiment).simulate((Latency(latency_s=0.5), memory)))
+    cases = {
+        name: replace(
+            case,
+            markers=seen[name].markers,
+            forces={pad: seen[name].forces[pad] for pad in case.forces},
+            targets={"one": seen[name].targets["one"]} if name == "down" else {},
+        )
+        for name, case in experiment.cases.items()
+    }
+    told = tr.diagnose(replace(experiment, cases=cases), keep=False)
+    measured, added = {"down": cases["down"].targets}, told.extended.effects
+    expected = target_rms(measured, *refined_targets(bench_of(experiment), added))
+    assert told.findings
+    for finding in told.to_json()["causes"]:
+        stated = [finding["held_out"][key] for key in ("target_rms_base_mm", "target_rms_named_mm")]
+        assert stated == pytest.approx(expected, rel=1e-4)
 
 
 def test_the_cache_keeps_targets_and_other_targets_have_another_entry(tmp_path, monkeypatch):
@@ -179,8 +227,11 @@ def test_targets_of_a_case_that_was_cut_end_with_it(monkeypatch):
     assert all(np.array_equal(rows, whole[of][:2]) for of, rows in cut.on_fine_meshes.targets[name].items())
 
 
-def test_the_error_at_targets_is_over_coordinates_that_were_measured():
+def test_errors_at_targets_are_over_what_was_measured_and_all_models_predict():
     predicted = {"push": {"one": np.array([[3.0, 0.0, 4.0], [9.0, 9.0, 9.0]])}, "rest": {"one": np.ones((1, 3))}}
     measured = {"push": {"one": np.array([[0.0, 0.0, 0.0], [np.nan] * 3])}}
-    assert target_rms(measured, predicted) == pytest.approx(np.sqrt(25.0 / 3.0))
-    assert target_rms({"push": {"one": np.full((2, 3), np.nan)}}, predicted) is None
+    assert target_rms(measured, predicted) == [pytest.approx(np.sqrt(25.0 / 3.0))]
+    assert target_rms({"push": {"one": np.full((2, 3), np.nan)}}, predicted) == [None]
+    whole = {"push": {"one": np.zeros((2, 3))}}
+    gap = {"push": {"one": np.array([[1.0, 1.0, 1.0], [np.nan] * 3])}}
+    assert target_rms(whole, predicted, gap) == [pytest.approx(np.sqrt(25.0 / 3.0)), pytest.approx(1.0)]

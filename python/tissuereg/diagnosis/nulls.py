@@ -98,8 +98,8 @@ class Misfit:
     """Result of the misfit test.
 
     `p`: p-value: probability that data without any effect misfit as much; `explained`: share of the believed model's
-    misfit (sum of all squares minus its mean over draws of such data) that the judged model removes; 1 where there is
-    none.
+    misfit (statistic minus its mean over draws of such data) that the judged model removes: in the sum of all squares
+    or, where that is smaller, in the statistic that is largest for the judged model.
     """
 
     p: float
@@ -128,10 +128,12 @@ class Battery:
         sums, drawn = self.sums(np.stack([before, after])), self.sums(nulls)
         logs = np.log(drawn)
         centre, spread = logs.mean(axis=0), np.maximum(logs.std(axis=0), 1e-9)
-        largest = float(((np.log(sums[1]) - centre) / spread).max())
-        p = tail_probability(largest, ((logs - centre) / spread).max(axis=1))
-        (of_before, of_after), expected = sums[:, 0].tolist(), float(drawn[:, 0].mean())
-        return Misfit(p, (of_before - of_after) / (of_before - expected) if of_before > expected else 1.0)
+        excess = (np.log(sums[1]) - centre) / spread
+        worst = int(excess.argmax())
+        p = tail_probability(float(excess[worst]), ((logs - centre) / spread).max(axis=1))
+        # Of no misfit at all nothing is left to be explained; where one is largest, a model has added it.
+        shares = [_removed(sums[:, at], drawn[:, at].mean(), of_none) for at, of_none in ((0, 1.0), (worst, 0.0))]
+        return Misfit(p, min(shares))
 
     def sums(self, residuals: FloatArray) -> FloatArray:
         """Return all statistics, shape (n, n_statistics), of residuals (n, size) whitened by noise and nuisances.
@@ -174,3 +176,12 @@ def smooth_subspaces(
             of_case.append(noise.whitened(np.concatenate([markers, *forces]), layout))
         found += [orthonormal(columns) for columns in (*of_case, np.concatenate(of_case))]
     return [basis for basis in found if len(basis)]
+
+
+def _removed(sums: FloatArray, expected: float, of_none: float) -> float:
+    """Return the share of a statistic's excess over its mean without any effect, `expected`, that a model removes.
+
+    `sums` (2,): the statistic of the believed model and of the one judged; `of_none`: value where there is no excess.
+    """
+    before, after = sums.tolist()
+    return float((before - after) / (before - expected)) if before > expected else of_none

@@ -1,4 +1,7 @@
-"""Predictions of all measured numbers by the believed model with any further effects, on the user's mesh."""
+"""Predictions of all measured numbers by the believed model with any further effects, on the user's mesh.
+
+Also what they depend on, as a hash by which results are cached.
+"""
 
 import hashlib
 from collections.abc import Sequence
@@ -20,6 +23,9 @@ from tissuereg.io.json import dumps
 from tissuereg.simulation.experiment import Simulators, solve_cases
 from tissuereg.simulation.frames import FrameSettings, Rigs, Similar
 from tissuereg.simulation.memory import goes_through_time
+
+#: To be increased when fine meshes, or changes by the shape on them, give other results: older entries are not read.
+FINE_SCHEMA = 4
 
 #: Errors of a model without equilibrium, or whose effects do not apply, on the user's mesh.
 NO_ANSWER = (ConvergenceError, ExperimentError, MaterialError, SupportError)
@@ -175,7 +181,7 @@ def fingerprint(experiment: Experiment, of: str) -> str:
     """
     digest = hashlib.sha256(f"{__version__} {of}".encode())
     mesh = experiment.mesh
-    parts = [mesh.nodes, mesh.tets, experiment.marker_reference]
+    parts = [mesh.nodes, mesh.tets, mesh.fixed_nodes, experiment.marker_reference]
     parts += [boundary.nodes for boundary in experiment.boundaries]
     parts += [pad.nodes for pad in experiment.actuators]
     for case in experiment.cases.values():

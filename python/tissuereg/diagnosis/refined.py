@@ -25,19 +25,17 @@ from tissuereg._base.provenance import warn
 from tissuereg.diagnosis.bench import Bench, OnFineMeshes, Targets
 from tissuereg.diagnosis.causes import CAUSES
 from tissuereg.diagnosis.fit import Fit, FitTarget, at_believed_modulus, fit
-from tissuereg.diagnosis.predictor import NO_ANSWER, fingerprint, refuse_failures
+from tissuereg.diagnosis.predictor import FINE_SCHEMA, NO_ANSWER, fingerprint, refuse_failures
 from tissuereg.diagnosis.signals import CasePart, SignalLayout
-from tissuereg.errors import ConvergenceError, MeshError
-from tissuereg.experiment.effects import Effect, extended
+from tissuereg.errors import ConvergenceError, MeshError, TissueRegError
+from tissuereg.experiment.effects import ChainEffect, Effect, Stiffness, extended
+from tissuereg.experiment.effects.history import Memory
 from tissuereg.experiment.experiment import Case, Experiment
 from tissuereg.io.cache import keep_arrays, read_arrays
 from tissuereg.io.json import dumps
 from tissuereg.simulation.experiment import CaseSimulation, simulate_plain
 from tissuereg.simulation.fine import FineModel, third_meshes
 from tissuereg.simulation.memory import remembers
-
-#: To be increased when fine meshes give other results, so that older files are not read.
-SCHEMA = 3
 
 #: Number of cached entries, some 0.1 MB each; the oldest are deleted.
 MOST_ENTRIES = 500
@@ -62,7 +60,7 @@ def targets_of(answers: Mapping[str, CaseSimulation]) -> Targets:
 def entry_of(experiment: Experiment) -> str:
     """Return the name of the cache entry that holds a believed model's predictions on fine meshes."""
     targets = {name: place.tolist() for name, place in experiment.targets.items()}
-    return f"fine_{fingerprint(experiment, f'tet10 {SCHEMA} {dumps(targets)}')}"
+    return f"fine_{fingerprint(experiment, f'tet10 {FINE_SCHEMA} {dumps(targets)}')}"
 
 
 def refined_predictions(bench: Bench, entry: str | None) -> tuple[FloatArray, FloatArray]:
@@ -168,8 +166,8 @@ def _simulated(bench: Bench, entry: str | None) -> OnFineMeshes:
     return made
 
 
-def refined_effects(bench: Bench, effects: Sequence[Effect]) -> dict[str, CaseSimulation] | None:
-    """Return the predictions of the believed model with further effects on the fine mesh, by case.
+def refined_effects(bench: Bench, effects: Sequence[Effect]) -> FloatArray | None:
+    """Return the prediction (size,) of the believed model with further effects on the fine mesh, mm and mN.
 
     `bench`: the believed model; `effects`: in addition to those of the experiment. The result is None where the
     material has memory: such histories take minutes on a fine mesh, and the discretisation error of a memory effect is
@@ -182,33 +180,47 @@ def refined_effects(bench: Bench, effects: Sequence[Effect]) -> dict[str, CaseSi
     answers = bench.fine.simulate(every, warm=True, threads=bench.predictor.threads)
     for name, answer in answers.items():
         refuse_failures(name, answer.failed)
-    return answers
+    return flat_of(bench.layout, answers)
 
 
-def refined_targets(bench: Bench, effects: Sequence[Effect]) -> tuple[Targets, Targets]:
+def refined_targets(bench: Bench, effects: Sequence[Effect]) -> tuple[Targets, Targets | None]:
     """Return where believed model and model with further effects predict the inner targets, mm.
 
-    Both are corrected for the discretisation error: they are predictions on the fine mesh. Where the effects have
-    memory, or no equilibrium there, the second has the correction of the believed model. Raises `ConvergenceError` if
-    the effects have no equilibrium on the user's mesh either.
+    Both are predictions on the fine mesh. Where memory comes with the effects, the second is that of the user's mesh,
+    corrected by what the fine mesh changes under the other effects; it is None where there is no equilibrium.
     """
     plain = partial(simulate_plain, element=bench.predictor.element, threads=bench.predictor.threads)
-    extended_by = replace(bench.experiment, effects=(*bench.experiment.effects, *effects))
-    if bench.is_exact or not bench.settings.model.corrected:
-        return targets_of(plain(bench.experiment)), targets_of(plain(extended_by))
-    believed = _simulated(bench, None).targets
+    believed, all_effects = bench.experiment, (*bench.experiment.effects, *effects)
+    exact = bench.is_exact or not bench.settings.model.corrected
+    before = targets_of(plain(believed)) if exact else _simulated(bench, None).targets
+
+    def moves(effect: Effect) -> bool:
+        """Whether an effect moves targets: one of the tracker does not, nor a modulus that only scales forces."""
+        return not isinstance(effect, ChainEffect) and not (isinstance(effect, Stiffness) and bench.scales_forces)
+
+    if not any(moves(effect) for effect in effects):
+        return before, before
+    bench.progress("inner targets")
     try:
-        found = refined_effects(bench, effects)
-    except (*NO_ANSWER, MeshError):
-        found = None
-    if found is not None:
-        return believed, targets_of(found)
-    before, after = targets_of(plain(bench.experiment)), targets_of(plain(extended_by))
-    named = {
-        case: {name: places + believed[case][name] - before[case][name] for name, places in of.items()}
-        for case, of in after.items()
-    }
-    return believed, named
+        if exact:
+            return before, targets_of(plain(replace(believed, effects=all_effects)))
+        if bench.is_elastic and any(isinstance(effect, Memory) for effect in effects):
+            lasting = tuple(effect for effect in all_effects if not isinstance(effect, Memory))
+            rough, slow = (targets_of(plain(replace(believed, effects=some))) for some in (lasting, all_effects))
+            others = [effect for effect in effects if not isinstance(effect, Memory)]
+            fine = _targets_with(bench, lasting) if any(moves(effect) for effect in others) else before
+            return before, {
+                case: {name: places + fine[case][name] - rough[case][name] for name, places in of.items()}
+                for case, of in slow.items()
+            }
+        return before, _targets_with(bench, all_effects)
+    except TissueRegError:  # no equilibrium, no prediction
+        return before, None
+
+
+def _targets_with(bench: Bench, effects: Sequence[Effect]) -> Targets:
+    """Return the places of the targets on the fine mesh under effects, which replace those of the experiment."""
+    return targets_of(bench.fine.simulate(effects, warm=True, threads=bench.predictor.threads))
 
 
 def _models(bench: Bench, thirds: int) -> Iterator[FineModel]:
@@ -287,12 +299,11 @@ def recorrected(target: FitTarget, found: Fit) -> FitTarget:
     bench.progress(f"fine mesh with {' + '.join(found.ids)}")
     try:
         effects, coarse = at_believed_modulus(target, found)
-        answers = refined_effects(bench, effects)
+        fine = refined_effects(bench, effects)
     except (*NO_ANSWER, MeshError):
         return target
-    if answers is None:
+    if fine is None:
         return target
-    fine = flat_of(bench.layout, answers)
     std = np.full(bench.layout.size, target.noise.force_std)
     for case in bench.layout.parts:
         case.markers(std)[:] = target.noise.marker_std[:, None]

@@ -9,7 +9,6 @@ Each is a module of this package; ``docs/diagnose.md`` describes them in this or
 
 import warnings
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from functools import cache, partial
 from typing import Any
@@ -43,7 +42,7 @@ from tissuereg.diagnosis.search import Search, search
 from tissuereg.diagnosis.settings import DEFAULT, DiagnoseSettings, NullSettings
 from tissuereg.diagnosis.signals import SignalLayout
 from tissuereg.diagnosis.understated import UNDERSTATED, UnderstatedNoise, larger_noise, understated
-from tissuereg.errors import LockingWarning, TissueRegError, UnitWarning
+from tissuereg.errors import LockingWarning, UnitWarning
 from tissuereg.experiment.effects import Effect, Stiffness
 from tissuereg.experiment.experiment import Experiment
 
@@ -345,9 +344,8 @@ def _with_targets(findings: list[Finding], bench: Bench, effects: Sequence[Effec
     measured = {name: case.targets for name, case in bench.experiment.cases.items() if case.targets}
     if not findings or not measured:
         return findings
-    gains: dict[str, float | None] = {"target_rms_base_mm": None, "target_rms_named_mm": None}
-    with suppress(TissueRegError):  # no equilibrium, no prediction
-        gains = dict(zip(gains, (target_rms(measured, of) for of in refined_targets(bench, effects)), strict=True))
+    base, named = target_rms(measured, *refined_targets(bench, effects))
+    gains = {"target_rms_base_mm": base, "target_rms_named_mm": named}
     return [replace(finding, held_out={**finding.held_out, **gains}) for finding in findings]
 
 
@@ -373,9 +371,16 @@ def _verdict(findings: list[Finding], misfit: float, *, withdrawn: bool, level: 
     return "named" if all(finding.is_sure for finding in findings) else "group"
 
 
-def target_rms(measured: Targets, predicted: Targets) -> float | None:
-    """Return the root mean square over coordinates, frames and targets of their error, mm; None where none is known."""
-    differences = [predicted[case][name] - places for case, of in measured.items() for name, places in of.items()]
-    errors = np.concatenate([difference.ravel() for difference in differences])
-    errors = errors[np.isfinite(errors)]
-    return rms(errors) if errors.size else None
+def target_rms(measured: Targets, *models: Targets | None) -> list[float | None]:
+    """Return the rms error, mm, of each model's predictions over coordinates, frames and targets that all predict.
+
+    It is None where nothing was measured, and for a model that has no predictions.
+    """
+
+    def errors(predicted: Targets) -> FloatArray:
+        each = (predicted[case][name] - places for case, of in measured.items() for name, places in of.items())
+        return np.concatenate([error.ravel() for error in each])
+
+    found = [None if predicted is None else errors(predicted) for predicted in models]
+    known = np.all([np.isfinite(error) for error in found if error is not None], axis=0)
+    return [None if error is None or not known.any() else rms(error[known]) for error in found]

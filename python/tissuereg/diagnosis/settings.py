@@ -117,8 +117,8 @@ class ShapeSettings:
     place_share: float = 0.03
     #: Of a patch's radius, over it.
     size_share: float = 0.01
-    #: Of where the edge of a patch lies that is given by nodes, over the length of the mesh's edges there. Most likely
-    #: for the pads of 14 foreign rigs without an effect (`benchmarks/rigs`, development half): 0.08, at most 0.12.
+    #: Of where the edge of a patch lies that is given by nodes, over the length of the mesh's edges there: between what
+    #: the size of pads asks for and what their rims do, on foreign rigs without an effect (`benchmarks/rigs`).
     edge_share: float = 0.12
     #: A patch given by a ball is as large, in another solver, as the nodes in it make it. The number of nodes of a
     #: lattice in a disc deviates by this times the root of its radius over their distance.

@@ -23,7 +23,7 @@ from tissuereg.body.observe import MarkerObservation
 from tissuereg.diagnosis.bench import Bench
 from tissuereg.diagnosis.correction import make_correction
 from tissuereg.diagnosis.patterns import thinned_patterns
-from tissuereg.diagnosis.predictor import Predictor, fingerprint
+from tissuereg.diagnosis.predictor import FINE_SCHEMA, Predictor, fingerprint
 from tissuereg.diagnosis.settings import DEFAULT, ShapeSettings
 from tissuereg.diagnosis.tangents import Tangents
 from tissuereg.experiment.experiment import Actuator, Boundary, Experiment
@@ -32,9 +32,6 @@ from tissuereg.simulation.fine import rough_element, without_time
 from tissuereg.simulation.fine.meshing import rim_of
 from tissuereg.simulation.fine.rims import Folds, folds_of, outline_nodes, sharp_nodes
 from tissuereg.simulation.fine.third import gaps
-
-#: To be increased when directions or their changes are other ones, so that older entries are not read.
-SCHEMA = 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -242,7 +239,7 @@ def shape_nuisances(bench: Bench, fine: FloatArray, *, keep: bool = False) -> li
     experiment = bench.experiment
     edges = [pad.edge_std for pad in experiment.actuators] + [support.edge_std for support in experiment.boundaries]
     stated = [experiment.surface_std, experiment.surface_length, edges]
-    numbers = f"{SCHEMA} {bench.predictor.element} {stated} {bench.settings.shape} {bench.settings.model}"
+    numbers = f"{FINE_SCHEMA} {bench.predictor.element} {stated} {bench.settings.shape} {bench.settings.model}"
     entry = f"shape_{fingerprint(experiment, numbers)}"
     kept = read_arrays(entry) if keep else None
     if kept is not None:
