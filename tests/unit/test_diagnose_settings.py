@@ -11,7 +11,7 @@ import pytest
 import tissuereg as tr
 from support.material_curves import believed, in_modes
 from support.rigs import rig
-from support.targets import part, target_of
+from support.targets import hidden, part, target_of
 from tissuereg.diagnosis import search as search_module
 from tissuereg.diagnosis.answer import DiagnosisDetails
 from tissuereg.diagnosis.bank import numbers_of
@@ -29,8 +29,6 @@ from tissuereg.diagnosis.settings import DEFAULT, DiagnoseSettings
 from tissuereg.diagnosis.signals import SignalLayout
 from tissuereg.errors import ArgumentError
 from tissuereg.experiment.effects import Latency, Poisson, Relaxation
-from tissuereg.simulation.experiment import with_noise
-from tissuereg.simulation.fine import FineModel
 
 #: Where the edges of its pads are known the rig has a misfit, about which more is asked.
 SHARP = replace(DEFAULT, shape=replace(DEFAULT.shape, edge_share=0.01))
@@ -58,14 +56,7 @@ def watched(group, read):
 
 def late_and_relaxing():
     """The rig with two hidden effects, one of which resembles others."""
-    given = replace(rig(), force_std=20.0)
-    effects = (Latency(latency_s=0.5), Relaxation(g=(0.4,), tau_s=(2.0,)))
-    seen = with_noise(given, FineModel(given).simulate(effects))
-    cases = {
-        name: replace(case, markers=seen[name].markers, forces={pad: seen[name].forces[pad] for pad in case.forces})
-        for name, case in given.cases.items()
-    }
-    return replace(given, cases=cases)
+    return hidden(replace(rig(), force_std=20.0), Latency(latency_s=0.5), Relaxation(g=(0.4,), tau_s=(2.0,)))
 
 
 @pytest.fixture(scope="module")
