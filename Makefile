@@ -16,7 +16,8 @@ PACKAGE_FILES := $(shell find python -type f -not -name '*.pyc' -not -name '*.so
 
 help:
 	@echo "make demo            build the wheel, install it, register the embedded phantom -> demo/"
-	@echo "make test            tests of the Rust crates and the Python package (no torch); make test-slow: those of minutes"
+	@echo "make test            tests of the Rust crates and the Python package (no torch); make test-slow: those of minutes;"
+	@echo "                     make test-python TESTS=tests/layout: some"
 	@echo "make test-sturdy     a thousand known equilibria, two thousand random inputs, every reader on 10,000 spoilt files"
 	@echo "make test-training   set up training/ with torch and test it"
 	@echo "make docs            the documentation site, to be read from files -> build/site/index.html"
@@ -42,7 +43,8 @@ $(BIN)/python:
 	$(BIN)/python -m pip install --quiet --upgrade pip
 	$(BIN)/python -m pip install --quiet "maturin>=1.9,<2"
 
-# The wheel is rebuilt when a source changed; the stamp stands for what is installed.
+# The wheel is rebuilt when a source changed; the stamp stands for what is installed. Its core also goes among the sources,
+# which tests and tools take that are run by hand (tools/own_sources.py).
 $(VENV)/.installed: $(BIN)/python $(RUST_SOURCES) $(PACKAGE_FILES) pyproject.toml README.md
 	$(CHECK_TOOLS)
 	@echo "1 of 2: building the wheel, the first time about 3 minutes on two cores"
@@ -52,6 +54,7 @@ $(VENV)/.installed: $(BIN)/python $(RUST_SOURCES) $(PACKAGE_FILES) pyproject.tom
 	@echo "2 of 2: installing it and the packages that it needs, a minute or less"
 	$(BIN)/python -m pip install --quiet --force-reinstall --no-deps target/wheels/tissuereg-*.whl
 	$(BIN)/python -m pip install --quiet target/wheels/tissuereg-*.whl
+	cp $(VENV)/lib/python3*/site-packages/tissuereg/_core.*.so python/tissuereg
 	touch $@
 
 $(VENV)/.installed-dev: $(VENV)/.installed
@@ -65,6 +68,9 @@ demo: $(VENV)/.installed
 	@echo "registering the embedded phantom, some seconds"
 	$(BIN)/tissuereg demo --out demo
 
+# The wheel is tested.
+PYTEST := TISSUEREG_INSTALLED=1 $(BIN)/python -m pytest
+
 test: test-rust test-python
 
 test-rust:
@@ -73,18 +79,20 @@ test-rust:
 test-sturdy: $(VENV)/.installed-dev
 	TISSUEREG_CASES=1000 $(CARGO) test -p tissuereg-fem --test manufactured -- --nocapture
 	TISSUEREG_CASES=2000 $(CARGO) test -p tissuereg-fem --test fuzz
-	TISSUEREG_CASES=10000 $(BIN)/python -m pytest tests/unit/test_fuzzed_files.py
+	TISSUEREG_CASES=10000 $(PYTEST) tests/unit/test_fuzzed_files.py
 
 # Files side by side in a process a core, so that what a module prepares is made once; WORKERS=0: one after another.
+# TESTS="tests/layout tests/unit/test_material*.py": these alone.
 WORKERS ?= logical
+TESTS ?=
 
 test-python: $(VENV)/.installed-dev
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -m "not slow" -n $(WORKERS) --maxprocesses 8 --dist loadfile --no-loadscope-reorder
+	$(PYTEST) -m "not slow" -n $(WORKERS) --maxprocesses 8 --dist loadfile --no-loadscope-reorder $(TESTS)
 
 # Tests that take minutes; among them, each bench and each study of the paper once with its smallest case.
 test-slow: $(VENV)/.installed-dev
 	$(MAKE) -C paper install
-	$(BIN)/python -m pytest -m slow
+	$(PYTEST) -m slow
 	$(MAKE) -C paper test-slow
 
 # What would be published, and what a stranger does with it. DIRTY=--allow-dirty: with what is not committed.
@@ -171,4 +179,4 @@ demo-figures: $(VENV)/.installed-dev
 	$(BIN)/python tools/demo_figures.py
 
 clean:
-	rm -rf target $(VENV) $(TRAINING_VENV) $(DOCS_VENV) .venv-peers build demo
+	rm -rf python/tissuereg/_core.*.so target $(VENV) $(TRAINING_VENV) $(DOCS_VENV) .venv-peers build demo

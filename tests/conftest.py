@@ -1,16 +1,22 @@
 """Fixtures that all tests share."""
 
+import os
 import sys
 from pathlib import Path
 
 import pytest
 
-import tissuereg as tr
+# Read when numpy is loaded, also by processes that tests start: some sums depend on it.
+os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")
 
 # Benches by their folders' names: tests draw from the data behind published figures.
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "benchmarks"))
 sys.path.insert(0, str(Path(__file__).parent))
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tools"))
 
+import own_sources  # noqa: F401 (before the package)
+
+import tissuereg as tr
 from support.meshes import block
 
 REPOSITORY = Path(__file__).resolve().parent.parent

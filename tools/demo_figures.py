@@ -12,6 +12,8 @@ import json
 import sys
 from pathlib import Path
 
+import own_sources  # noqa: F401 (before the package)
+
 from tissuereg.phantom import SHIPPED_MODELS, shipped_model_folder
 from tissuereg.phantom.event import LESION_MM, make_event
 from tissuereg.registration.register import register

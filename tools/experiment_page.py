@@ -16,6 +16,8 @@ from dataclasses import MISSING
 from pathlib import Path
 from typing import Any
 
+import own_sources  # noqa: F401 (before the package)
+
 from tissuereg._base.fields import DeclaredField, unit_of
 from tissuereg.body.material import SHAPE_KEYS, Material
 from tissuereg.experiment.effects import EFFECTS, ChainEffect

@@ -6,6 +6,8 @@ Files whose SHA-256 is listed and differs are refused: the command adds sizes, i
 import sys
 from pathlib import Path
 
+import own_sources  # noqa: F401 (before the package)
+
 from tissuereg.registration.learned.card import card_text, list_file, read_card, sha256_of
 
 

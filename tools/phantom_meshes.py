@@ -14,6 +14,7 @@ import itertools
 from pathlib import Path
 
 import numpy as np
+import own_sources  # noqa: F401 (before the package)
 
 from tissuereg.phantom import SIZES, breast_mesh
 from tissuereg.phantom.event import solve_truth

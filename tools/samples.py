@@ -17,6 +17,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import own_sources  # noqa: F401 (before the package)
 import trimesh
 
 import tissuereg as tr

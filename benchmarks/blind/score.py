@@ -306,15 +306,16 @@ def report(
         lines.append(f"| {hidden} | " + ", ".join(f"{what} {n}" for what, n in counts.most_common()) + " |")
     if methods:
         lines += ["", "## Rivals and ablations on the same cases", "", *comparison(cases, methods, oracle)]
-    return "\n".join(lines + _sizes_table(sizes)) + "\n"
+    return "\n".join(lines + sizes_table(sizes)) + "\n"
 
 
-def _sizes_table(sizes):
+def sizes_table(sizes: dict | None, level: str = "##") -> list[str]:
+    """Return the section on the nuisances' priors, from the answer of `blind.sizes`; `level`: of its heading."""
     if sizes is None:
         return []
     lines = [
         "",
-        "## Prior standard deviations of the nuisances",
+        f"{level} Prior standard deviations of the nuisances",
         "",
         "Factor on the prior standard deviations in use under which the data of "
         f"{sizes['nulls']} nulls are likeliest. Below 1 the prior in use is too wide, and weak effects are lost in it.",

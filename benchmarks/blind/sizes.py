@@ -23,10 +23,12 @@ from tissuereg.diagnosis.evidence import fit_amplitudes
 from tissuereg.diagnosis.fit import fit
 from tissuereg.diagnosis.noise import estimate_noise
 from tissuereg.diagnosis.patterns import load_history
+from tissuereg.diagnosis.refined import solvable
 from tissuereg.diagnosis.run import make_believed
 from tissuereg.diagnosis.signals import SignalLayout
 from tissuereg.io.experiments import read_experiment
 from tissuereg.io.json import write_json
+from tissuereg.simulation.fine.meshing import rim_of
 
 #: Candidate factors.
 FACTORS = np.geomspace(0.25, 4.0, 49)
@@ -64,15 +66,15 @@ class Needs:
 def needs_of(folder: Path, threads: int = 0) -> Needs:
     """Return the data of one experiment on the nuisances, with the modulus fitted."""
     experiment = read_experiment(folder)
-    layout = SignalLayout(experiment)
-    noise = estimate_noise(experiment, layout)
-    bench = Bench(experiment, layout, threads=threads)
+    bench = solvable(Bench(experiment, SignalLayout(experiment), threads=threads))
+    layout = bench.layout
+    noise = estimate_noise(bench.experiment, layout)
     believed = make_believed(bench, noise)
     # Only the residual's part in the span of the nuisances matters: as many numbers as columns.
     basis, along = np.linalg.qr(believed.target.null.nuisances.T)
     fitted = fit(believed.target, [])
     left = fitted.residual @ basis
-    pads = {pad for part in layout.parts for pad in part.pads}
+    pads = {pad.name: "nodes" if rim_of(pad) is None else "ball" for pad in bench.experiment.actuators}
     names = [name for name in believed.nuisances.names if name != "stiffness"]
     kinds = np.array([kind_of(name, pads) for name in names])
     return Needs(kinds, along.T, left, force_errors(layout, fitted.prediction, bench.base, noise.force_std))
@@ -110,9 +112,20 @@ def force_errors(layout: SignalLayout, predicted: np.ndarray, base: np.ndarray, 
     return np.array(rows).reshape(-1, 3)
 
 
-def kind_of(name: str, pads: set[str]) -> str:
-    """Return the kind of a nuisance: its first word, with errors of the mesh in markers and in forces kept apart."""
+def kind_of(name: str, pads: dict[str, str]) -> str:
+    """Return the kind of a nuisance: its first word, with errors of the mesh in markers and in forces kept apart.
+
+    Parameters
+    ----------
+    name : str
+        Name of the nuisance.
+    pads : dict of str
+        How each pad is given, as a ball or by nodes, which is a part of the kind of its own shape.
+    """
     words = name.split()
+    for pad, given in pads.items():
+        if f" of {pad} " in f"{name} ":
+            return f"{words[0]}, {given}"
     if name == "bent alike":
         return name
     if words[0] not in ("mesh", "bent"):
@@ -139,6 +152,19 @@ def _together(needs: list[Needs], kind: str, factor: float) -> float:
     return sum(case.log_likelihood(np.where(case.kinds == kind, factor, 1.0)) for case in needs)
 
 
+def found_on(nulls: list[Path], threads: int) -> dict:
+    """Return factors and errors of forces of experiments without an effect, and print progress."""
+    needs = []
+    for number, null in enumerate(nulls, start=1):
+        needs.append(needs_of(null, threads))
+        print(f"{number}/{len(nulls)} {null.name}", flush=True)
+    found = {"nulls": len(nulls), "sizes": sizes_of(needs)}
+    if needs:
+        rms = np.sqrt((np.concatenate([case.forces for case in needs]) ** 2).mean(axis=0))
+        found["forces"] = dict(zip(("along", "across", "noise"), rms.tolist(), strict=True))
+    return found
+
+
 def main() -> None:
     """Find the factors for the nulls of a folder of predictions and save them."""
     parser = argparse.ArgumentParser(prog="python -m blind.sizes", description=__doc__)
@@ -155,16 +181,8 @@ def main() -> None:
     else:
         answered = of_kind(scored(read_predictions(options.predictions)), "null")
         nulls = [folder_of(null.case, options.work) for null in answered]
-    needs = []
-    for number, null in enumerate(nulls, start=1):
-        needs.append(needs_of(null, options.threads))
-        print(f"{number}/{len(nulls)} {null.name}", flush=True)
     kept = (options.predictions or options.open) / "sizes.json"
-    found = {"nulls": len(nulls), "sizes": sizes_of(needs)}
-    if needs:
-        rms = np.sqrt((np.concatenate([case.forces for case in needs]) ** 2).mean(axis=0))
-        found["forces"] = dict(zip(("along", "across", "noise"), rms.tolist(), strict=True))
-    write_json(kept, found)
+    write_json(kept, found_on(nulls, options.threads))
     print(kept.read_text(encoding="utf-8"))
 
 

@@ -4,10 +4,13 @@
 """
 
 import argparse
+import json
 from pathlib import Path
 from typing import Any
 
+from blind.score import sizes_table
 from common import commit, read_archive, write_archive
+from rigs.run import WITHOUT
 from rigs.score import INNER, TITLES, predictions_of, report
 from rigs.scored import scored
 
@@ -26,24 +29,39 @@ group*: the named cause, or the group it is in, contains the hidden one. Interva
 
 def page(archives: dict[str, dict[str, Any]]) -> str:
     """Return the page of the halves that are archived."""
-    sections = [report(scored(archives[half]["rows"]), half) for half in HALVES if half in archives]
+    sections = []
+    for half in (half for half in HALVES if half in archives):
+        kept = archives[half]
+        section = report(scored(kept["rows"]), scored(kept.get(WITHOUT, {})), half)
+        sizes = kept.get("sizes")
+        said = ["", f"At commit {sizes['commit']}."] if sizes else []
+        sections.append(section + "".join(f"{line}\n" for line in (*sizes_table(sizes, "###"), *said)))
     return "\n".join([_TOP, *sections])
 
 
 def archives() -> dict[str, dict[str, Any]]:
     """Return the archived verdicts, by half."""
-    return {half: read_archive(ARCHIVE / half) for half in HALVES if (ARCHIVE / half / "run.json").exists()}
+    found = {half: read_archive(ARCHIVE / half) for half in HALVES if (ARCHIVE / half / "run.json").exists()}
+    for half, kept in found.items():
+        sizes = ARCHIVE / half / "sizes.json"
+        kept |= {"sizes": json.loads(sizes.read_text(encoding="utf-8"))} if sizes.exists() else {}
+    return found
 
 
 def pack(predictions: Path, half: str) -> None:
-    """Store what the page needs of the predictions of a half."""
+    """Store what the page needs of the predictions of a half, with those that lack the true cause."""
+    rows, without = (
+        {case: _row(answer) for case, answer in predictions_of(folder, half).items()}
+        for folder in (predictions, predictions / WITHOUT)
+    )
+    answer = {"schema": "tissuereg.rigs/1", **commit(), "rows": rows, WITHOUT: without}
+    write_archive(ARCHIVE / half, answer, ("rows/<case>", f"{WITHOUT}/<case>"))
+
+
+def _row(answer: dict[str, Any]) -> dict[str, Any]:
     kept = ("verdict", "p_misfit", "seconds", "commit", "changed_files", "date")
-    rows = {
-        case: {key: answer[key] for key in kept if key in answer}
-        | {"causes": [_finding(cause) for cause in answer["causes"]]}
-        for case, answer in predictions_of(predictions, half).items()
-    }
-    write_archive(ARCHIVE / half, {"schema": "tissuereg.rigs/1", **commit(), "rows": rows}, ("rows/<case>",))
+    causes = [_finding(cause) for cause in answer["causes"]]
+    return {key: answer[key] for key in kept if key in answer} | {"causes": causes}
 
 
 def _finding(cause: dict[str, Any]) -> dict[str, Any]:

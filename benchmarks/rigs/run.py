@@ -68,7 +68,7 @@ def main() -> None:
     parser.add_argument("--without", type=Path, help="file of CASE ID: causes taken out of the catalogue")
     options = parser.parse_args()
     left_out = read_list(options.without) if options.without else {}
-    cases = options.cases or [*left_out] or case_names(options.half)
+    cases = [*left_out] if options.without else options.cases or case_names(options.half)
     # Workers import numpy anew: BLAS reads these at its start.
     os.environ.update(OPENBLAS_NUM_THREADS="1", OMP_NUM_THREADS="1")
     os.environ.setdefault("TISSUEREG_CACHE", str((options.work / "cache").resolve()))
@@ -76,7 +76,7 @@ def main() -> None:
         answers = answer_all(
             cases,
             options.jobs,
-            predictions=options.predictions / WITHOUT if left_out else options.predictions,
+            predictions=options.predictions / WITHOUT if options.without else options.predictions,
             work=options.work,
             threads=options.threads,
             left_out=left_out,

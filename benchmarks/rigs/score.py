@@ -13,6 +13,7 @@ from blind.score import write_list
 from blind.scored import Scored, of_kind, read_predictions
 from regions.intervals import interval
 from rigs.materialise import case_names, rig_of
+from rigs.run import WITHOUT
 from rigs.scored import by_rig, scored
 
 _HEAD = ["| figure | count | share (95 %, by rig) | rigs |", "|---|---|---|---|"]
@@ -58,8 +59,16 @@ def all_named(case: Scored) -> bool:
     return all(any(cause in group for group in case.groups) for cause in case.truth["cause"])
 
 
-def figures(cases: list[Scored]) -> Iterator[str]:
-    """Yield the rows of the table of figures."""
+def figures(cases: list[Scored], without: list[Scored]) -> Iterator[str]:
+    """Yield the rows of the table of figures.
+
+    Parameters
+    ----------
+    cases : list of Scored
+        Answers.
+    without : list of Scored
+        Those without the hidden cause in the catalogue.
+    """
     nulls, alone = of_kind(cases, "null"), of_kind(cases, "single")
     for kind, words in (("rig", "drawn rigs"), ("box", "boxes")):
         some = [case for case in nulls if rig_of(case.case).startswith(kind)]
@@ -88,6 +97,9 @@ def figures(cases: list[Scored]) -> Iterator[str]:
         yield row(f"{words}: both named", some, all_named)
         yield row(f"{words}: one right and none wrong", some, lambda c: c.right and not c.wrong)
         yield row(f"{words}: one wrong", some, lambda c: c.wrong)
+    if without:
+        yield row("true cause taken out of the catalogue: misnamed", without, lambda c: c.wrong)
+        yield row("the same, without stating the right family alone", without, lambda c: c.silent)
     inner = [case for case in cases if _inner(case)]
     worse = f"inner targets: extended model worse by more than {100 * WORSE:g} %"
     yield row(worse, inner, lambda c: _inner(c)[1] > (1.0 + WORSE) * _inner(c)[0])
@@ -147,16 +159,16 @@ def answers_by_cause(cases: list[Scored]) -> list[str]:
     return lines
 
 
-def report(cases: list[Scored], half: str) -> str:
-    """Return the section of a half in Markdown."""
+def report(cases: list[Scored], without: list[Scored], half: str) -> str:
+    """Return the section of a half in Markdown; `cases`, `without`: of `figures`."""
     lines = [
         f"## {TITLES[half]}",
         "",
         f"{len(cases)} of {len(case_names(half))} cases, on {len({rig_of(c.case) for c in cases})} rigs. "
-        f"Verdicts: {made(cases)}.",
+        f"Verdicts: {made(cases)}." + (f" Causes taken out: {made(without)}." if without else ""),
         "",
         *_HEAD,
-        *figures(cases),
+        *figures(cases, without),
         "",
         *answers_by_cause(cases),
         "",
@@ -181,7 +193,10 @@ def main() -> None:
     if options.list_without:
         write_list(options.list_without, of_kind(scored(predictions_of(options.predictions, options.half)), "single"))
         return
-    text = report(scored(predictions_of(options.predictions, options.half)), options.half)
+    answers = (
+        scored(predictions_of(folder, options.half)) for folder in (options.predictions, options.predictions / WITHOUT)
+    )
+    text = report(*answers, options.half)
     if options.out:
         options.out.write_text(text, encoding="utf-8")
     else:

@@ -14,38 +14,12 @@ def root(tmp_path):
     return copy_of_package(tmp_path)
 
 
-@pytest.mark.parametrize(("guide", "passed"), [("file-format", 6), ("cause", 3)])
+@pytest.mark.parametrize(("guide", "passed"), [("file-format", 6), ("cause", 4)])
 def test_what_a_guide_adds_works(guide, passed, root):
     commands = follow(guide, root)
     lint(guide, root)
     assert len(commands) == 1
     assert f"{passed} passed" in run(root, commands[0])
-
-
-#: Simulates the rig with the guide's effect hidden, adds noise, and diagnoses it with the whole catalogue.
-DIAGNOSED = """
-from dataclasses import replace
-import numpy as np
-import tissuereg as tr
-from support.rigs import rig
-from tissuereg.experiment.effects.gradient import Gradient
-
-true = replace(rig(), effects=(Gradient(slope_per_mm=(0.0, 0.0, 0.03)),))
-said, rng, cases = tr.simulate_experiment(true), np.random.default_rng(3), {}
-for name, case in true.cases.items():
-    markers = said[name].markers + 0.02 * rng.standard_normal(said[name].markers.shape)
-    forces = {pad: force + rng.standard_normal(force.shape) for pad, force in said[name].forces.items()}
-    cases[name] = replace(case, markers=markers, forces=forces)
-found = tr.diagnose(replace(true, effects=(), cases=cases, marker_std=0.02), keep=False).to_json()
-(cause,) = found["causes"]
-slope = np.array(cause["parameters"]["slope_per_mm"])
-print(found["verdict"], cause["group"], bool((np.abs(slope[:, 0] - [0.0, 0.0, 0.03]) < 4.0 * slope[:, 1]).all()))
-"""
-
-
-def test_a_whole_diagnosis_names_the_cause_of_the_guide(root):
-    follow("cause", root)
-    assert run(root, ["python", "-c", DIAGNOSED]).split("\n")[0] == "named ['gradient'] True"
 
 
 @pytest.mark.slow
@@ -55,13 +29,17 @@ def test_a_law_is_added_as_the_guide_says():
     root = REPOSITORY / "target" / "guides" / "law"
     shutil.rmtree(root, ignore_errors=True)
     root.mkdir(parents=True)
-    copy_of_crates(copy_of_package(root))
-    in_rust, in_python = follow("law", root)
-    lint("law", root)
-    cargo(root, "fmt", "--all", "--check")
-    assert "3 passed" in cargo(root, *in_rust[1:])
-    build_core(root)
-    assert "2 passed" in run(root, in_python)
+    try:
+        copy_of_crates(copy_of_package(root))
+        in_rust, in_python = follow("law", root)
+        lint("law", root)
+        cargo(root, "fmt", "--all", "--check")
+        assert "3 passed" in cargo(root, *in_rust[1:])
+        build_core(root)
+        assert "2 passed" in run(root, in_python)
+    finally:
+        # While the copy is there cargo takes what was built of it, with the guide's law, for the repository's own.
+        shutil.rmtree(root)
 
 
 def test_a_step_whose_line_is_gone_is_noticed(root):

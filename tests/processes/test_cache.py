@@ -23,7 +23,7 @@ SPOILS = {
 }
 
 #: What one diagnosis keeps: an entry of each kind.
-KINDS = ["bank", "fine", "outside"]
+KINDS = ["bank", "fine", "outside", "shape"]
 
 
 def kinds_in(folder) -> list[str]:

@@ -1,4 +1,6 @@
-"""The target of a fit on a small body with effects."""
+"""Small experiments with hidden effects, and the target of a fit on one."""
+
+from dataclasses import replace
 
 import numpy as np
 
@@ -10,13 +12,26 @@ from tissuereg.diagnosis.evidence import Null
 from tissuereg.diagnosis.fit import FitTarget, FittedCause
 from tissuereg.diagnosis.noise import Noise
 from tissuereg.diagnosis.signals import SignalLayout
+from tissuereg.experiment.experiment import Experiment
+from tissuereg.simulation.experiment import with_noise
+from tissuereg.simulation.fine import FineModel
 
 MARKER_STD, FORCE_STD, YOUNG = 0.01, 2.0, 1.1
 
 
-def target_of(*effects, marker_std=MARKER_STD, force_std=FORCE_STD, young=YOUNG) -> FitTarget:
-    """Return the target of a fit to data with effects, a stiffer body and noise."""
-    believed = rig()
+def hidden(believed, *effects) -> Experiment:
+    """Return an experiment with what would be measured under effects that it does not state, noise included."""
+    seen = with_noise(believed, FineModel(believed).simulate(effects))
+    cases = {
+        name: replace(case, markers=seen[name].markers, forces={pad: seen[name].forces[pad] for pad in case.forces})
+        for name, case in believed.cases.items()
+    }
+    return replace(believed, cases=cases)
+
+
+def target_of(*effects, believed=None, marker_std=MARKER_STD, force_std=FORCE_STD, young=YOUNG) -> FitTarget:
+    """Return the target of a fit to data with effects, a stiffer body and noise; of the small rig if none is given."""
+    believed = believed or rig()
     truth = Bench(believed, SignalLayout(believed)).predictor.predict(effects, young=young)
     layout = SignalLayout(believed)
     rng = np.random.default_rng(1)

@@ -170,43 +170,13 @@ def test_a_cause_that_a_later_one_makes_redundant_is_removed(of_two, monkeypatch
     assert base.parts == ()
 
 
-def test_a_cause_is_clear_only_if_no_rival_predicts_held_out_data_as_well(monkeypatch):
-    # Two causes explain about the same; the one with less evidence comes first.
-    target = target_of(Latency(latency_s=0.15))
-    base = fit(target, [])
-    true, other = (
-        search_module.Candidate(name, found, gain, target)
-        for name, found, gain in (
-            ("latency", fit(target, [part(target, "latency")]), 150.0),
-            ("scale", fit(target, [part(target, "scale")]), 300.0),
-        )
-    )
-    screen = screen_of(target, ("latency", "scale"))
-    required = {"latency": 6.0, "scale": 6.0}
-    for candidates, clear in (([true], True), ([replace(true, gain=300.0), replace(other, gain=150.0)], True)):
-        monkeypatch.setattr(search_module, "refitted", lambda *_, c=candidates: c)
-        step = search_module._round(target, screen, base, base, required)
-        assert step.found.id == "latency"
-        assert step.is_clear == clear
-    # With a rival that predicts better the named cause is not clear.
-    wrong = replace(other, gain=300.0, fit=other.fit)
-    monkeypatch.setattr(search_module, "refitted", lambda *_: [replace(wrong, id="latency"), true])
-    target.bench.settings = replace(DEFAULT, search=replace(DEFAULT.search, proved=-1e9))
-    monkeypatch.setattr(search_module, "GENERIC", BEFORE)
-    step = search_module._round(target, screen, base, base, required)
-    if step.found is not None and step.found.fit is wrong.fit:
-        assert not step.is_clear
-
-
 def test_the_residual_after_findings_has_a_place_a_time_and_a_nearest_cause():
     slip = MarkerSlip(marker="P3", offset_mm=(0.5, 0.0, 0.0), from_time_s=22.0)
     target = target_of(Latency(latency_s=0.1), slip)
     screen = screen_of(target, ("latency", "marker_slip"))
     base = fit(target, [])
     found = fit(target, [part(target, "latency")])
-    left = residual_summary(
-        target.bench.layout, screen, Search(base, found, [], found.residual), Misfit(1e-6, 0.7, 0.2)
-    )
+    left = residual_summary(target.bench.layout, screen, Search(base, found, [], found.residual), Misfit(1e-6, 0.7))
     assert left["p"] == 1e-6
     assert left["where"][0] == "P3"
     assert "case in" in left["when"]
@@ -214,7 +184,7 @@ def test_the_residual_after_findings_has_a_place_a_time_and_a_nearest_cause():
     assert "P3" in left["sentence"]
     # A residual may resemble no cause.
     nothing = residual_summary(
-        target.bench.layout, screen, Search(base, found, [], 0.0 * found.residual), Misfit(0.001, 0.9, 0.2)
+        target.bench.layout, screen, Search(base, found, [], 0.0 * found.residual), Misfit(0.001, 0.9)
     )
     assert nothing["looks_like"] == UNKNOWN
 
@@ -346,7 +316,7 @@ def both_found(monkeypatch, target, names=("latency", "poisson")):
         fitted = fit(target, parts, start=np.concatenate([current.x, parts[-1].free_parameters.start]))
         top = search_module.Candidate(name, fitted, fitted.log_evidence - current.log_evidence, target)
         proof = search_module.prove(target, search_module.references_of(target, screen, base, current), current, fitted)
-        return replace(step, candidates=[top], found=top, proof=proof, figures=proof, rivals=-1e9)
+        return replace(step, candidates=[top], found=top, proof=proof, figures=proof)
 
     monkeypatch.setattr(search_module, "_round", found)
     return screen_of(target, names)
@@ -384,7 +354,7 @@ def test_a_cause_without_which_there_is_no_equilibrium_stays_or_takes_all_with_i
     assert [one["id"] for one in possible_of(gone)] == ["poisson"]
 
 
-def test_a_cause_keeps_its_lead_over_its_rivals_where_it_is_tested_again(monkeypatch):
+def test_the_causes_of_a_round_keep_their_distance_where_its_finding_is_tested_again(monkeypatch):
     target = target_of(Poisson(poisson=0.38), Latency(latency_s=0.15))
     screen = both_found(monkeypatch, target)
     base = fit(target, [])
@@ -393,20 +363,13 @@ def test_a_cause_keeps_its_lead_over_its_rivals_where_it_is_tested_again(monkeyp
     top = search_module.Candidate("latency", both, 500.0, target)
     proof = HeldOut(("case",), np.array([[0.0], [50.0], [0.0], [0.0]]), np.zeros((4, 1)))
 
-    def judged(rivals, lead=None):
-        step = search_module.Step({}, [top], top, proof, proof, rivals)
+    def judged(lead=None):
+        step = search_module.Step({}, [top], top, proof, proof)
         return search_module._judged(target, screen, base, both, alone, 0, step, lead)
 
-    # The densities of the model of all causes are others than those that the round's rivals were compared with.
-    assert judged(40.0).is_clear
-    assert not judged(60.0).is_clear
-    named = judged(40.0).proof.log_density[NAMED].sum()
-    assert judged(40.0).rivals == pytest.approx(max(named - 10.0, judged(40.0).proof.log_density[GENERIC].sum()))
-    later = judged(40.0, lead=5.0)
-    assert not later.is_clear
     # It leads the one that was accepted first, which had 500 nats in the round.
-    assert later.shift == pytest.approx(judged(40.0).shift - 5.0)
-    assert judged(40.0).shift == pytest.approx(both.log_evidence - alone.log_evidence - 500.0)
+    assert judged(5.0).shift == pytest.approx(judged().shift - 5.0)
+    assert judged().shift == pytest.approx(both.log_evidence - alone.log_evidence - 500.0)
 
 
 @pytest.mark.parametrize(("gains", "named"), [((90.0, 40.0), "latency"), ((40.0, 90.0), "poisson")])

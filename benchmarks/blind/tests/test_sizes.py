@@ -44,11 +44,14 @@ def test_likelihood_is_that_of_the_whole_covariance():
 
 
 def test_mesh_errors_of_forces_and_markers_are_separate_kinds():
-    pads = {"push_x"}
+    pads = {"push_x": "ball", "push_y": "nodes"}
     assert kind_of("mesh push_x push_x 2", pads) == "mesh, forces"
     assert kind_of("bent push_x push_x 2", pads) == "bent, forces"
     assert kind_of("mesh push_x 2 0", pads) == "mesh, markers"
-    assert kind_of("tilt of push_x 1", pads) == "tilt"
+    assert kind_of("tilt of push_x 1", pads) == "tilt, ball"
+    assert kind_of("size of push_y", pads) == "size, nodes"
+    assert kind_of("edge of base", pads) == "edge"
+    assert kind_of("surface 3", pads) == "surface"
 
 
 def test_errors_of_forces_are_split_along_and_across_them():

@@ -11,6 +11,7 @@ from blind.materialise import CASES, case_names, materialise
 from tissuereg.diagnosis import bank, candidates, search
 from tissuereg.diagnosis.causes import CAUSES, Variant
 from tissuereg.diagnosis.modulus import modulus_finding
+from tissuereg.diagnosis.predictor import fingerprint
 from tissuereg.diagnosis.proof import HeldOut
 from tissuereg.diagnosis.settings import DEFAULT
 from tissuereg.diagnosis.signals import SignalLayout
@@ -76,7 +77,7 @@ def test_ignored_forces_are_not_measured_and_leave_the_bank_where_it_is(experime
     assert before.seen[~before.of_markers()].any()
     assert not after.seen[~after.of_markers()].any()
     np.testing.assert_array_equal(after.measured[after.of_markers()], before.measured[before.of_markers()])
-    assert bank.fingerprint(blind, "tet4") == bank.fingerprint(experiment, "tet4")
+    assert fingerprint(blind, "tet4") == fingerprint(experiment, "tet4")
 
 
 def test_another_catalogue_leaves_stored_banks_valid(experiment, tmp_path, monkeypatch):

@@ -32,6 +32,9 @@ fn every_law_has_the_digits_of_its_textbook_energy() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/laws_reference.npz");
     let arrays = npz::read(&path).expect("committed");
     let gradients = arrays["h"].values.as_chunks::<9>().0;
+    for law in LawKind::declarations() {
+        assert!(recipes().iter().any(|recipe| recipe.declared == law.name), "{}", law.name);
+    }
     for recipe in recipes() {
         let law = recipe.law();
         let stresses = arrays[&format!("{}_stress", recipe.name)].values.as_chunks::<9>().0;
@@ -333,7 +336,7 @@ fn every_law_solves_and_fields_may_vary_inside_a_tetrahedron() {
                 poisson: vec![recipe.poisson; count],
             };
             let material = Material::new(field)
-                .and_then(|m| m.with_law(recipe.kind))
+                .and_then(|m| m.with_law(recipe.kind()))
                 .and_then(|m| m.with_volumetric(recipe.volumetric))
                 .expect("sound");
             match recipe.fibre {

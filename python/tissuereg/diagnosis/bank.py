@@ -5,8 +5,6 @@ with the same mesh and rig reuse it. Files lie in the cache folder of the packag
 hash of all that they depend on.
 """
 
-import hashlib
-import io
 import json
 from dataclasses import replace
 from typing import Any
@@ -14,20 +12,16 @@ from typing import Any
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray
-from tissuereg._version import __version__
 from tissuereg.diagnosis.bench import Bench
 from tissuereg.diagnosis.causes import CAUSES, Variant, catalogue
 from tissuereg.diagnosis.outside import outside_variants
+from tissuereg.diagnosis.predictor import fingerprint
 from tissuereg.diagnosis.settings import DiagnoseSettings
-from tissuereg.experiment.experiment import Experiment
-from tissuereg.io.cache import keep_entry, read_entry
+from tissuereg.io.cache import keep_arrays, read_arrays
 from tissuereg.io.json import dumps
 
 #: To be increased when columns change their meaning, so that older files are not read.
 SCHEMA = 11
-
-#: Number of cached banks; the oldest are deleted.
-MOST_ENTRIES = 24
 
 #: Hypotheses by id of the cause; causes without a hypothesis in an experiment are left out.
 Bank = dict[str, list[Variant]]
@@ -81,39 +75,6 @@ def numbers_of(settings: DiagnoseSettings) -> str:
     return dumps([of_causes, repr(settings.model)])
 
 
-def fingerprint(experiment: Experiment, of: str) -> str:
-    """Return a hash, 32 hexadecimal digits, of all that a believed model's prediction depends on and of a label.
-
-    `of`: the label, such as a version of the cached content.
-    """
-    digest = hashlib.sha256(f"{__version__} {of}".encode())
-    mesh = experiment.mesh
-    parts = [mesh.nodes, mesh.tets, experiment.marker_reference]
-    parts += [boundary.nodes for boundary in experiment.boundaries]
-    parts += [pad.nodes for pad in experiment.actuators]
-    for case in experiment.cases.values():
-        digest.update(f"{case.name} {sorted(case.forces)}".encode())
-        parts.append(case.times)
-        for given in (case.displacements, case.applied_forces):
-            for name in sorted(given):
-                digest.update(name.encode())
-                parts.append(given[name])
-    for part in parts:
-        array = np.ascontiguousarray(part)
-        digest.update(f"{array.shape} {array.dtype}".encode() + array.tobytes())
-    weight = experiment.gravity
-    gravity = "none" if weight is None else f"{list(weight.direction)} {weight.g_mm_per_s2} {weight.in_reference}"
-    patches = [f"{pad.name} {pad.kind} {pad.rule}" for pad in experiment.actuators]
-    patches += [boundary.name for boundary in experiment.boundaries]
-    effects = [dumps(effect.table()) for effect in experiment.effects]
-    digest.update(
-        "\n".join(
-            [experiment.material.digest(), f"{experiment.material.density}", gravity, *patches, *effects]
-        ).encode()
-    )
-    return digest.hexdigest()[:32]
-
-
 def _write(entry: str, base: FloatArray, bank: Bank) -> None:
     arrays: dict[str, Any] = {"base": base}
     card: dict[str, list[dict[str, object]]] = {}
@@ -126,9 +87,7 @@ def _write(entry: str, base: FloatArray, bank: Bank) -> None:
         if several:
             arrays[f"columns_{name}"] = np.stack([v.columns for v in several])
     arrays["card"] = np.array(dumps(card))
-    content = io.BytesIO()
-    np.savez(content, allow_pickle=False, **arrays)
-    keep_entry(entry, content.getvalue(), MOST_ENTRIES)
+    keep_arrays(entry, arrays)
 
 
 def _read(entry: str) -> tuple[FloatArray | None, Bank]:
@@ -136,16 +95,15 @@ def _read(entry: str) -> tuple[FloatArray | None, Bank]:
 
     They are None and empty where the cache has no whole entry of the name `entry`.
     """
-    content = read_entry(entry)
-    if content is None:
+    kept = read_arrays(entry)
+    if kept is None:
         return None, {}
-    with np.load(io.BytesIO(content), allow_pickle=False) as kept:
-        card = json.loads(str(kept["card"]))
-        bank: Bank = {}
-        for name, rows in card.items():
-            columns = kept[f"columns_{name}"] if rows else []
-            bank[name] = [
-                Variant(row["label"], column, row["settings"], row["positive"], row["fixed"])
-                for row, column in zip(rows, columns, strict=True)
-            ]
-        return kept["base"], bank
+    card = json.loads(str(kept["card"]))
+    bank: Bank = {}
+    for name, rows in card.items():
+        columns = kept[f"columns_{name}"] if rows else []
+        bank[name] = [
+            Variant(row["label"], column, row["settings"], row["positive"], row["fixed"])
+            for row, column in zip(rows, columns, strict=True)
+        ]
+    return kept["base"], bank

@@ -6,8 +6,9 @@ effect makes, all as flat vectors in the order of a `SignalLayout`.
 
 import os
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TypeVar
 
@@ -24,13 +25,28 @@ from tissuereg.experiment.effects import Effect, extended
 from tissuereg.experiment.experiment import Experiment
 from tissuereg.simulation.fine import FineModel
 from tissuereg.simulation.memory import goes_through_time
-from tissuereg.simulation.sensitivity import Cause, ModulusField
+from tissuereg.simulation.sensitivity import Cause
 
 #: In a thread that works beside others (`Bench.side_by_side`), `threads`: how many threads it may use itself.
 _SHARE = threading.local()
 
+#: Places of inner targets by case and name, each (n_frames, 3) in mm.
+Targets = Mapping[str, Mapping[str, FloatArray]]
+
 _In = TypeVar("_In")
 _Out = TypeVar("_Out")
+
+
+@dataclass(frozen=True, eq=False)
+class OnFineMeshes:
+    """Predictions of the believed model on fine meshes.
+
+    `flat` (n_meshes, size): of all measured numbers, mm and mN, the first on the mesh that corrects; NaN in frames
+    without equilibrium; `targets`: of the inner targets, on that mesh.
+    """
+
+    flat: FloatArray
+    targets: Targets
 
 
 class Bench:
@@ -61,8 +77,8 @@ class Bench:
         self.young = float(experiment.material.young_array.mean())
         self.young_spread = (experiment.young_std or settings.model.young_spread * self.young) / self.young
         self.extent = experiment.mesh.extent
-        #: Predictions on fine meshes, (n_meshes, size) in mm and mN, once they were made (`refined`).
-        self.on_fine_meshes: FloatArray | None = None
+        #: Predictions on fine meshes, once they were made (`refined`).
+        self.on_fine_meshes: OnFineMeshes | None = None
 
     def of(self, experiment: Experiment) -> "Bench":
         """Return the same model of another experiment."""
@@ -127,15 +143,10 @@ class Bench:
     @cached_property
     def by_young(self) -> FloatArray:
         """Derivative of the prediction by the relative change of the whole body's modulus, (1, size), mm and mN."""
-        if not self.is_elastic:
-            forces = np.where(self.layout.of_markers(), 0.0, self.base)
-            if self.scales_forces:
-                return np.asarray(forces[None])
-            return np.asarray((self.predictor.predict(young=1.02) - self.base)[None] / 0.02)
-        young = np.asarray(self.tangents.worked.material.young_array, np.float64)
-        tets, points = self.experiment.mesh.n_tets, self.tangents.states[0].simulator.n_points
-        rates = np.broadcast_to(young.reshape(-1, 1) if young.ndim == 1 else young, (tets, points))
-        return self.by(lambda state: [ModulusField("young", rates)], 1)
+        if self.scales_forces:
+            return np.where(self.layout.of_markers(), 0.0, self.base)[None]
+        # Not by tangents: a body that sags under its weight takes its pads with it.
+        return np.asarray((self.predictor.predict(young=1.002) - self.base)[None] / 0.002)
 
     def change(self, *effects: Effect) -> FloatArray | None:
         """Return the change (size,) of the prediction that effects make together, mm and mN.

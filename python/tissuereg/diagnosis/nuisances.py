@@ -15,7 +15,7 @@ from tissuereg.diagnosis.correction import Correction
 from tissuereg.diagnosis.evidence import rms
 from tissuereg.diagnosis.patterns import force_columns, load_history, marker_columns, smooth_patterns
 from tissuereg.diagnosis.settings import DEFAULT, NuisanceSettings
-from tissuereg.diagnosis.shape import shape_columns
+from tissuereg.diagnosis.shape import shape_nuisances
 from tissuereg.diagnosis.signals import SignalLayout
 from tissuereg.experiment.effects.base import rotation_from_vector
 
@@ -54,15 +54,16 @@ class Nuisances:
         return np.array([other != name for other in self.names], bool)
 
 
-def make_nuisances(bench: Bench, mesh_errors: FloatArray, correction: Correction) -> Nuisances:
+def make_nuisances(bench: Bench, mesh_errors: FloatArray, correction: Correction, *, keep: bool = False) -> Nuisances:
     """Return the nuisance parameters of an experiment, with the change that each makes.
 
-    `bench`: the believed model; `mesh_errors` (n_meshes, size): predictions on further fine meshes minus those on the
-    correcting one, mm and mN; `correction`: correction of the discretisation error, at the believed modulus. The
-    parameters are the modulus, six of the tracker's frame, three of its drift, the shape of the body and of its patches
-    (`shape`); for the remaining discretisation error, which is proportional to the load, smooth patterns over the
-    markers and the three components of every force in each case, of the size by which fine meshes differ; where
-    ``trial_share`` is stated, the difference between trials of one case.
+    `bench`: the believed model; `mesh_errors` (n_meshes, size): predictions on further fine meshes minus those on
+    the correcting one, mm and mN; `correction`: correction of the discretisation error, at the believed modulus;
+    `keep`: whether changes by the shape are read from and written to the cache. The parameters are the modulus, six
+    of the tracker's frame, three of its drift, the shape of the body and of its patches (`shape`); for the
+    remaining discretisation error, which is proportional to the load, smooth patterns over the markers and the
+    three components of every force in each case, of the size by which fine meshes differ; where ``trial_share`` is
+    stated, the difference between trials of one case.
     """
     layout, base, numbers = bench.layout, bench.base, bench.settings.nuisances
     rows = [("stiffness", bench.young_spread * bench.by_young[0])]
@@ -95,7 +96,8 @@ def make_nuisances(bench: Bench, mesh_errors: FloatArray, correction: Correction
     rows += _trials(bench, patterns)
     carried = correction.of_columns(np.array([column for _, column in rows]))
     rows = [(name, column) for (name, _), column in zip(rows, carried, strict=True)]
-    rows += _shapes(bench, correction)
+    if not bench.is_exact:
+        rows += shape_nuisances(bench, correction.corrected(bench.base), keep=keep)
     kept = [
         (name, column)
         for name, column in rows
@@ -145,13 +147,6 @@ def _trials(bench: Bench, patterns: FloatArray) -> Iterator[tuple[str, FloatArra
         for axis, smooth in enumerate(marker_columns(layout, part, share * moved, patterns)):
             for number, column in enumerate(smooth):
                 yield f"trial {part.name} {axis} {number}", column
-
-
-def _shapes(bench: Bench, correction: Correction) -> Iterator[tuple[str, FloatArray]]:
-    """Yield name and column (size,), mm and mN, of each uncertainty of the shape, by one prior standard deviation."""
-    if not bench.is_exact:
-        for direction, column in shape_columns(bench, correction.corrected(bench.base)):
-            yield direction.name, direction.std_mm * column
 
 
 def effect_nuisances(bench: Bench, change: FloatArray) -> FloatArray:

@@ -97,14 +97,13 @@ def _thresholds(found: Mapping[str, FloatArray], settings: NullSettings = DEFAUL
 class Misfit:
     """Result of the misfit test.
 
-    `p`: p-value: probability that data without any effect misfit as much; `explained`, `explained_there`: share of the
-    believed model's misfit (statistic minus its mean over draws of such data) that the judged model removes: in the sum
-    of all squares, and in the statistic that is largest for the judged model.
+    `p`: p-value: probability that data without any effect misfit as much; `explained`: share of the believed model's
+    misfit (statistic minus its mean over draws of such data) that the judged model removes: in the sum of all squares
+    or, where that is smaller, in the statistic that is largest for the judged model.
     """
 
     p: float
     explained: float
-    explained_there: float
 
 
 class Battery:
@@ -131,13 +130,10 @@ class Battery:
         centre, spread = logs.mean(axis=0), np.maximum(logs.std(axis=0), 1e-9)
         excess = (np.log(sums[1]) - centre) / spread
         worst = int(excess.argmax())
-        largest = float(excess[worst])
-        of_nulls = ((logs - centre) / spread).max(axis=1)
-        return Misfit(
-            p=tail_probability(largest, of_nulls),
-            explained=_removed(sums[:, 0], drawn[:, 0], without_misfit=1.0),
-            explained_there=_removed(sums[:, worst], drawn[:, worst], without_misfit=0.0),
-        )
+        p = tail_probability(float(excess[worst]), ((logs - centre) / spread).max(axis=1))
+        # Of no misfit at all nothing is left to be explained; where one is largest, a model has added it.
+        shares = [_removed(sums[:, at], drawn[:, at].mean(), of_none) for at, of_none in ((0, 1.0), (worst, 0.0))]
+        return Misfit(p, min(shares))
 
     def sums(self, residuals: FloatArray) -> FloatArray:
         """Return all statistics, shape (n, n_statistics), of residuals (n, size) whitened by noise and nuisances.
@@ -182,11 +178,10 @@ def smooth_subspaces(
     return [basis for basis in found if len(basis)]
 
 
-def _removed(sums: FloatArray, drawn: FloatArray, without_misfit: float) -> float:
-    """Return the share of a statistic's excess, over its mean in data drawn without any effect, that a model removes.
+def _removed(sums: FloatArray, expected: float, of_none: float) -> float:
+    """Return the share of a statistic's excess over its mean without any effect, `expected`, that a model removes.
 
-    `sums` (2,): the statistic before and after, that is of the believed model and of the one judged; `drawn` (n,): the
-    statistic of the draws; `without_misfit`: value returned where there is no excess.
+    `sums` (2,): the statistic of the believed model and of the one judged; `of_none`: value where there is no excess.
     """
-    (before, after), expected = sums.tolist(), float(drawn.mean())
-    return float((before - after) / (before - expected)) if before > expected else without_misfit
+    before, after = sums.tolist()
+    return float((before - after) / (before - expected)) if before > expected else of_none

@@ -1,20 +1,31 @@
-"""Predictions of all measured numbers by the believed model with any further effects, on the user's mesh."""
+"""Predictions of all measured numbers by the believed model with any further effects, on the user's mesh.
 
+Also what they depend on, as a hash by which results are cached.
+"""
+
+import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
+import numpy as np
+
 from tissuereg._base.arrays import FloatArray
 from tissuereg._base.choices import Element
+from tissuereg._version import __version__
 from tissuereg.body.observe import MarkerObservation
 from tissuereg.diagnosis.settings import DEFAULT, ModelSettings
 from tissuereg.diagnosis.signals import SignalLayout
 from tissuereg.errors import ConvergenceError, ExperimentError, MaterialError, SupportError
 from tissuereg.experiment.effects import ChainEffect, Effect, extended, seen_markers
 from tissuereg.experiment.experiment import Experiment
+from tissuereg.io.json import dumps
 from tissuereg.simulation.experiment import Simulators, solve_cases
 from tissuereg.simulation.frames import FrameSettings, Rigs, Similar
 from tissuereg.simulation.memory import goes_through_time
+
+#: To be increased when fine meshes, or changes by the shape on them, give other results: older entries are not read.
+FINE_SCHEMA = 4
 
 #: Errors of a model without equilibrium, or whose effects do not apply, on the user's mesh.
 NO_ANSWER = (ConvergenceError, ExperimentError, MaterialError, SupportError)
@@ -161,3 +172,36 @@ def refuse_failures(case: str, failed: Sequence[tuple[int, str]]) -> None:
         frame, why = failed[0]
         message = f"every frame must find equilibrium; frame {frame} of case '{case}' does not: {why}"
         raise ConvergenceError(message, where=case)
+
+
+def fingerprint(experiment: Experiment, of: str) -> str:
+    """Return a hash, 32 hexadecimal digits, of all that a believed model's prediction depends on and of a label.
+
+    `of`: the label, such as a version of the cached content.
+    """
+    digest = hashlib.sha256(f"{__version__} {of}".encode())
+    mesh = experiment.mesh
+    parts = [mesh.nodes, mesh.tets, mesh.fixed_nodes, experiment.marker_reference]
+    parts += [boundary.nodes for boundary in experiment.boundaries]
+    parts += [pad.nodes for pad in experiment.actuators]
+    for case in experiment.cases.values():
+        digest.update(f"{case.name} {sorted(case.forces)}".encode())
+        parts.append(case.times)
+        for given in (case.displacements, case.applied_forces):
+            for name in sorted(given):
+                digest.update(name.encode())
+                parts.append(given[name])
+    for part in parts:
+        array = np.ascontiguousarray(part)
+        digest.update(f"{array.shape} {array.dtype}".encode() + array.tobytes())
+    weight = experiment.gravity
+    gravity = "none" if weight is None else f"{list(weight.direction)} {weight.g_mm_per_s2} {weight.in_reference}"
+    patches = [f"{pad.name} {pad.kind} {pad.rule}" for pad in experiment.actuators]
+    patches += [boundary.name for boundary in experiment.boundaries]
+    effects = [dumps(effect.table()) for effect in experiment.effects]
+    digest.update(
+        "\n".join(
+            [experiment.material.digest(), f"{experiment.material.density}", gravity, *patches, *effects]
+        ).encode()
+    )
+    return digest.hexdigest()[:32]

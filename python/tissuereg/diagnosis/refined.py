@@ -14,36 +14,34 @@ the correction is computed again: on 600 nodes friction slips ten times too far,
 friction.
 """
 
-import io
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray, IntArray
 from tissuereg._base.provenance import warn
-from tissuereg.diagnosis.bank import fingerprint
-from tissuereg.diagnosis.bench import Bench
+from tissuereg.diagnosis.bench import Bench, OnFineMeshes, Targets
 from tissuereg.diagnosis.causes import CAUSES
 from tissuereg.diagnosis.fit import Fit, FitTarget, at_believed_modulus, fit
-from tissuereg.diagnosis.predictor import NO_ANSWER, refuse_failures
+from tissuereg.diagnosis.predictor import FINE_SCHEMA, NO_ANSWER, fingerprint, refuse_failures
 from tissuereg.diagnosis.signals import CasePart, SignalLayout
-from tissuereg.errors import ConvergenceError, MeshError
-from tissuereg.experiment.effects import Effect, extended
+from tissuereg.errors import ConvergenceError, MeshError, TissueRegError
+from tissuereg.experiment.effects import ChainEffect, Effect, Stiffness, extended
+from tissuereg.experiment.effects.history import Memory
 from tissuereg.experiment.experiment import Case, Experiment
-from tissuereg.io.cache import keep_entry, read_entry
-from tissuereg.simulation.experiment import CaseSimulation
+from tissuereg.io.cache import keep_arrays, read_arrays
+from tissuereg.io.json import dumps
+from tissuereg.simulation.experiment import CaseSimulation, simulate_plain
 from tissuereg.simulation.fine import FineModel, third_meshes
 from tissuereg.simulation.memory import remembers
-
-#: To be increased when fine meshes give other results, so that older files are not read.
-SCHEMA = 2
 
 #: Number of cached entries, some 0.1 MB each; the oldest are deleted.
 MOST_ENTRIES = 500
 
 
-def flat_of(layout: SignalLayout, answers: dict[str, CaseSimulation]) -> FloatArray:
+def flat_of(layout: SignalLayout, answers: Mapping[str, CaseSimulation]) -> FloatArray:
     """Return simulated cases as a flat vector (size,): marker displacements in mm and forces in mN.
 
     `layout`: order of the vector; `answers`: simulation of every case, by name. Frames without equilibrium are NaN.
@@ -54,9 +52,15 @@ def flat_of(layout: SignalLayout, answers: dict[str, CaseSimulation]) -> FloatAr
     )
 
 
+def targets_of(answers: Mapping[str, CaseSimulation]) -> Targets:
+    """Return the places of the inner targets in simulated cases, mm."""
+    return {name: answer.targets for name, answer in answers.items()}
+
+
 def entry_of(experiment: Experiment) -> str:
     """Return the name of the cache entry that holds a believed model's predictions on fine meshes."""
-    return f"fine_{fingerprint(experiment, f'tet10 {SCHEMA}')}"
+    targets = {name: place.tolist() for name, place in experiment.targets.items()}
+    return f"fine_{fingerprint(experiment, f'tet10 {FINE_SCHEMA} {dumps(targets)}')}"
 
 
 def refined_predictions(bench: Bench, entry: str | None) -> tuple[FloatArray, FloatArray]:
@@ -65,7 +69,7 @@ def refined_predictions(bench: Bench, entry: str | None) -> tuple[FloatArray, Fl
     `bench`: the believed model (`solvable`); `entry`: name of the cached entry (`entry_of`), None to use no cache.
     Result: (size,) and (thirds, size), mm and mN. Raises `ConvergenceError` if a frame has no equilibrium.
     """
-    made = _simulated(bench, entry)
+    made = _simulated(bench, entry).flat
     for part in bench.layout.parts:
         refuse_failures(part.name, [(int(frame), "no equilibrium on a fine mesh") for frame in _unsolved(part, made)])
     return made[0], made[1:]
@@ -79,7 +83,8 @@ def solvable(bench: Bench, *, keep: bool = True) -> Bench:
     predictions on fine meshes are read from and written to the cache. Raises `ConvergenceError` if no loaded frame has
     an equilibrium, or no frame of a case.
     """
-    made = _simulated(bench, entry_of(bench.experiment) if keep else None)
+    simulated = _simulated(bench, entry_of(bench.experiment) if keep else None)
+    made, targets = simulated.flat, dict(simulated.targets)
     cases, kept = dict(bench.experiment.cases), np.ones(bench.layout.size, bool)
     for part in bench.layout.parts:
         frames = _unsolved(part, made)
@@ -91,6 +96,7 @@ def solvable(bench: Bench, *, keep: bool = True) -> Bench:
         for values in (part.markers(kept), part.forces(kept)):
             values[n_kept:] = False
         cases[part.name] = _until(cases[part.name], n_kept)
+        targets[part.name] = _cut(targets[part.name], n_kept)
         if not n_kept:
             del cases[part.name]
         what = f"{part.n_frames - n_kept} of {part.n_frames} frames" if n_kept else f"all {part.n_frames} frames"
@@ -105,25 +111,25 @@ def solvable(bench: Bench, *, keep: bool = True) -> Bench:
         raise ConvergenceError(message)
     shorter = bench.of(replace(bench.experiment, cases=cases))
     if bench.is_elastic:
-        shorter.on_fine_meshes = made[:, kept]
+        shorter.on_fine_meshes = OnFineMeshes(made[:, kept], targets)
     return shorter
 
 
 def _until(case: Case, frame: int) -> Case:
     """Return a case up to a frame, without it."""
-
-    def cut(of: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
-        return {name: rows[:frame] for name, rows in of.items()}
-
     return replace(
         case,
         times=case.times[:frame],
         markers=case.markers[:frame],
-        displacements=cut(case.displacements),
-        applied_forces=cut(case.applied_forces),
-        forces=cut(case.forces),
-        targets=cut(case.targets),
+        displacements=_cut(case.displacements, frame),
+        applied_forces=_cut(case.applied_forces, frame),
+        forces=_cut(case.forces, frame),
+        targets=_cut(case.targets, frame),
     )
+
+
+def _cut(of: Mapping[str, FloatArray], frame: int) -> dict[str, FloatArray]:
+    return {name: rows[:frame] for name, rows in of.items()}
 
 
 def _commands(case: Case) -> list[FloatArray]:
@@ -136,24 +142,27 @@ def _unsolved(part: CasePart, made: FloatArray) -> IntArray:
     return np.flatnonzero(part.markers(lost).any(axis=(1, 2)) | part.forces(lost).any(axis=(1, 2)))
 
 
-def _simulated(bench: Bench, entry: str | None) -> FloatArray:
-    """Return the predictions (1 + thirds, size) on all fine meshes, mm and mN, NaN in frames without equilibrium."""
+def _simulated(bench: Bench, entry: str | None) -> OnFineMeshes:
+    """Return the predictions on all fine meshes, 1 + thirds of them."""
     if bench.on_fine_meshes is not None:
         return bench.on_fine_meshes
     thirds = bench.settings.model.thirds
-    kept = None if entry is None else _read(entry)
-    if kept is not None and kept.shape == (1 + thirds, bench.layout.size):
+    kept = None if entry is None else _read(bench, entry)
+    if kept is not None and kept.flat.shape == (1 + thirds, bench.layout.size):
         bench.on_fine_meshes = kept
         return kept
-    found = []
+    found: list[FloatArray] = []
+    targets: Targets = {}
     for number, model in enumerate(_models(bench, thirds)):
         bench.progress("fine mesh" if number == 0 else f"other mesh {number}")
-        found.append(flat_of(bench.layout, model.simulate(threads=bench.predictor.threads)))
-    made = bench.on_fine_meshes = np.array(found)
+        answers = model.simulate(threads=bench.predictor.threads)
+        found.append(flat_of(bench.layout, answers))
+        targets = targets or targets_of(answers)
+    made = bench.on_fine_meshes = OnFineMeshes(np.array(found), targets)
     if entry is not None:
-        content = io.BytesIO()
-        np.save(content, made)
-        keep_entry(entry, content.getvalue(), MOST_ENTRIES)
+        names = list(bench.experiment.targets)
+        places = {f"targets of {case}": np.array([of[name] for name in names]) for case, of in targets.items()}
+        keep_arrays(entry, {"flat": made.flat, **places}, MOST_ENTRIES)
     return made
 
 
@@ -174,14 +183,58 @@ def refined_effects(bench: Bench, effects: Sequence[Effect]) -> FloatArray | Non
     return flat_of(bench.layout, answers)
 
 
+def refined_targets(bench: Bench, effects: Sequence[Effect]) -> tuple[Targets, Targets | None]:
+    """Return where believed model and model with further effects predict the inner targets, mm.
+
+    Both are predictions on the fine mesh. Where memory comes with the effects, the second is that of the user's mesh,
+    corrected by what the fine mesh changes under the other effects; it is None where there is no equilibrium.
+    """
+    plain = partial(simulate_plain, element=bench.predictor.element, threads=bench.predictor.threads)
+    believed, all_effects = bench.experiment, (*bench.experiment.effects, *effects)
+    exact = bench.is_exact or not bench.settings.model.corrected
+    before = targets_of(plain(believed)) if exact else _simulated(bench, None).targets
+
+    def moves(effect: Effect) -> bool:
+        """Whether an effect moves targets: one of the tracker does not, nor a modulus that only scales forces."""
+        return not isinstance(effect, ChainEffect) and not (isinstance(effect, Stiffness) and bench.scales_forces)
+
+    if not any(moves(effect) for effect in effects):
+        return before, before
+    bench.progress("inner targets")
+    try:
+        if exact:
+            return before, targets_of(plain(replace(believed, effects=all_effects)))
+        if bench.is_elastic and any(isinstance(effect, Memory) for effect in effects):
+            lasting = tuple(effect for effect in all_effects if not isinstance(effect, Memory))
+            rough, slow = (targets_of(plain(replace(believed, effects=some))) for some in (lasting, all_effects))
+            others = [effect for effect in effects if not isinstance(effect, Memory)]
+            fine = _targets_with(bench, lasting) if any(moves(effect) for effect in others) else before
+            return before, {
+                case: {name: places + fine[case][name] - rough[case][name] for name, places in of.items()}
+                for case, of in slow.items()
+            }
+        return before, _targets_with(bench, all_effects)
+    except TissueRegError:  # no equilibrium, no prediction
+        return before, None
+
+
+def _targets_with(bench: Bench, effects: Sequence[Effect]) -> Targets:
+    """Return the places of the targets on the fine mesh under effects, which replace those of the experiment."""
+    return targets_of(bench.fine.simulate(effects, warm=True, threads=bench.predictor.threads))
+
+
 def _models(bench: Bench, thirds: int) -> Iterator[FineModel]:
     yield bench.fine
     yield from third_meshes(bench.experiment, thirds, seed=0)
 
 
-def _read(entry: str) -> FloatArray | None:
-    content = read_entry(entry)
-    return None if content is None else np.asarray(np.load(io.BytesIO(content), allow_pickle=False))
+def _read(bench: Bench, entry: str) -> OnFineMeshes | None:
+    kept, experiment = read_arrays(entry), bench.experiment
+    if kept is None:
+        return None
+    places = {case: kept[f"targets of {case}"] for case in experiment.cases}
+    targets = {case: dict(zip(experiment.targets, rows, strict=True)) for case, rows in places.items()}
+    return OnFineMeshes(kept["flat"], targets)
 
 
 def corrected_fit(target: FitTarget, found: Fit) -> tuple[FitTarget, Fit]:

@@ -21,7 +21,7 @@ from tissuereg._base.provenance import warn
 from tissuereg.diagnosis.advice import advise
 from tissuereg.diagnosis.answer import Diagnosis, DiagnosisDetails, Finding, to_check, versions_now
 from tissuereg.diagnosis.bank import Bank, make_bank, make_outside
-from tissuereg.diagnosis.bench import Bench
+from tissuereg.diagnosis.bench import Bench, Targets
 from tissuereg.diagnosis.candidates import without
 from tissuereg.diagnosis.constancy import Constancy, fitted_parts
 from tissuereg.diagnosis.correction import Correction, make_correction
@@ -36,16 +36,15 @@ from tissuereg.diagnosis.nulls import Battery, Misfit, Nulls, draw_nulls, smooth
 from tissuereg.diagnosis.outside import OUTSIDE, Outside, OutsideBank, nearest_of, outside_tests
 from tissuereg.diagnosis.patterns import generic_columns
 from tissuereg.diagnosis.readings import RecordingSuspicion, suspect_recording
-from tissuereg.diagnosis.refined import entry_of, refined_predictions, solvable
+from tissuereg.diagnosis.refined import entry_of, refined_predictions, refined_targets, solvable
 from tissuereg.diagnosis.screen import UNKNOWN, Screen
 from tissuereg.diagnosis.search import Search, search
 from tissuereg.diagnosis.settings import DEFAULT, DiagnoseSettings, NullSettings
 from tissuereg.diagnosis.signals import SignalLayout
 from tissuereg.diagnosis.understated import UNDERSTATED, UnderstatedNoise, larger_noise, understated
-from tissuereg.errors import LockingWarning, TissueRegError, UnitWarning
+from tissuereg.errors import LockingWarning, UnitWarning
 from tissuereg.experiment.effects import Effect, Stiffness
 from tissuereg.experiment.experiment import Experiment
-from tissuereg.simulation.experiment import simulate_plain
 
 
 def diagnose_body(
@@ -99,7 +98,6 @@ def _searched(bench: Bench, noise: Noise, *, silent: bool, seed: int, keep: bool
     """Return the diagnosis of a recording that is read rightly; `silent`: no modulus follows from its forces."""
     experiment, layout = bench.experiment, bench.layout
     settings, rules = bench.settings, bench.settings.nulls
-    element, threads = bench.predictor.element, bench.predictor.threads
     bank = make_bank(bench, keep=keep)
     believed = make_believed(bench, noise, keep=keep)
     outside = cache(partial(make_outside, bench, keep=keep))
@@ -122,7 +120,7 @@ def _searched(bench: Bench, noise: Noise, *, silent: bool, seed: int, keep: bool
         if not any(isinstance(effect, Stiffness) for effect in effects):
             effects = (Stiffness(young_kpa=young), *effects)
     extended = replace(experiment, effects=(*experiment.effects, *effects))
-    findings = _with_targets(findings, experiment, extended, element=element, threads=threads)
+    findings = _with_targets(findings, bench, effects)
     following = advise(target, found.steps, findings)
     if verdict == "unexplained":
         following = next_check(bench, found.reduced, _looks_like(judged, believed.null, outside, settings))
@@ -217,7 +215,7 @@ def _judged(bank: Bank, believed: "BelievedModel", outside: Callable[[], Bank], 
         findings = [*findings[:first], *shared]
     findings = [finding for finding in findings if not (silent and finding.id == "stiffness")]
     weak = [finding for finding in findings if finding.group_probability < settings.search.stated]
-    enough = _explains_enough(misfit, found, settings.nulls)
+    enough = _explains_enough(misfit, settings.nulls)
     withdrawn = bool(findings) and not (enough and not weak and all(one.holds for one in tested))
     if withdrawn:
         # At best the findings are the causes most similar to the true one.
@@ -312,8 +310,9 @@ class BelievedModel:
 def make_believed(bench: Bench, noise: Noise, *, keep: bool = True) -> BelievedModel:
     """Return the believed model, corrected for discretisation error, with its nuisance parameters.
 
-    `bench`: the believed model; `noise`: measurement noise; `keep`: whether predictions on fine meshes are read from
-    and written to the cache. Raises `ConvergenceError` if a frame has no equilibrium on a fine mesh (`solvable`).
+    `bench`: the believed model; `noise`: measurement noise; `keep`: whether predictions on fine meshes and changes by
+    the shape are read from and written to the cache. Raises `ConvergenceError` if a frame has no equilibrium on a fine
+    mesh (`solvable`).
     """
     layout = bench.layout
     if bench.is_exact:
@@ -322,7 +321,7 @@ def make_believed(bench: Bench, noise: Noise, *, keep: bool = True) -> BelievedM
         fine, others = refined_predictions(bench, entry_of(bench.experiment) if keep else None)
     corrected = bench.settings.model.corrected
     correction = make_correction(layout, bench.base, fine) if corrected else Correction(layout)
-    nuisances = make_nuisances(bench, others - fine, correction)
+    nuisances = make_nuisances(bench, others - fine, correction, keep=keep)
     bare = Null(np.zeros((0, layout.size)))
     target = FitTarget(bench, noise, correction, bare)
     return BelievedModel(target, nuisances, bare, others - fine, correction).with_noise(noise)
@@ -337,19 +336,16 @@ def _at_modulus(bench: Bench, noise: Noise, correction: Correction, nuisances: N
     return correction if found is None else replace(correction, modulus=found.young(1.0))
 
 
-def _with_targets(
-    findings: list[Finding], experiment: Experiment, extended: Experiment, *, element: Element, threads: int
-) -> list[Finding]:
+def _with_targets(findings: list[Finding], bench: Bench, effects: Sequence[Effect]) -> list[Finding]:
     """Return findings that also state the rms errors, mm, at inner targets, with and without all the findings.
 
-    They are unchanged where there are no targets.
+    They are unchanged where no target was measured.
     """
-    if not findings or not experiment.targets:
+    measured = {name: case.targets for name, case in bench.experiment.cases.items() if case.targets}
+    if not findings or not measured:
         return findings
-    gains = {
-        "target_rms_base_mm": target_rms(experiment, element=element, threads=threads),
-        "target_rms_named_mm": target_rms(extended, element=element, threads=threads),
-    }
+    base, named = target_rms(measured, *refined_targets(bench, effects))
+    gains = {"target_rms_base_mm": base, "target_rms_named_mm": named}
     return [replace(finding, held_out={**finding.held_out, **gains}) for finding in findings]
 
 
@@ -364,11 +360,9 @@ def _own_modulus(experiment: Experiment) -> Experiment:
     return replace(experiment, material=replace(experiment.material, young=young), young_std=spread, effects=others)
 
 
-def _explains_enough(misfit: Misfit, found: Search, rules: NullSettings = DEFAULT.nulls) -> bool:
-    """Return whether findings may be named: no misfit is left, or enough of it is explained (`explained`)."""
-    if misfit.p >= rules.misfit or min(misfit.explained, misfit.explained_there) >= rules.explained:
-        return True
-    return misfit.explained >= rules.explained and any(step.is_clear for step in found.steps)
+def _explains_enough(misfit: Misfit, rules: NullSettings = DEFAULT.nulls) -> bool:
+    """Return whether findings may be named: no misfit is left, or they explain enough of the believed model's."""
+    return misfit.p >= rules.misfit or misfit.explained >= rules.explained
 
 
 def _verdict(findings: list[Finding], misfit: float, *, withdrawn: bool, level: float = DEFAULT.nulls.misfit) -> str:
@@ -377,21 +371,16 @@ def _verdict(findings: list[Finding], misfit: float, *, withdrawn: bool, level: 
     return "named" if all(finding.is_sure for finding in findings) else "group"
 
 
-def target_rms(experiment: Experiment, *, element: Element, threads: int) -> float | None:
-    """Return the error of an experiment's model at its measured targets, a root mean square of coordinates in mm.
+def target_rms(measured: Targets, *models: Targets | None) -> list[float | None]:
+    """Return the rms error, mm, of each model's predictions over coordinates, frames and targets that all predict.
 
-    `experiment`: with its effects; simulated on the user's mesh, without correction; `element` {"tet4",
-    "tet4-averaged", "tet10"}: elements to use; `threads`: threads to use; 0 takes all cores. The mean is over
-    coordinates, frames and targets; the result is None where no target was measured or the model has no equilibrium.
+    It is None where nothing was measured, and for a model that has no predictions.
     """
-    measured = {name: case.targets for name, case in experiment.cases.items() if case.targets}
-    if not measured:
-        return None
-    try:
-        answers = simulate_plain(experiment, element=element, threads=threads)
-    except TissueRegError:  # no equilibrium, no prediction
-        return None
-    differences = [answers[case].targets[name] - found for case, of in measured.items() for name, found in of.items()]
-    errors = np.concatenate([difference.ravel() for difference in differences])
-    errors = errors[np.isfinite(errors)]
-    return rms(errors) if errors.size else None
+
+    def errors(predicted: Targets) -> FloatArray:
+        each = (predicted[case][name] - places for case, of in measured.items() for name, places in of.items())
+        return np.concatenate([error.ravel() for error in each])
+
+    found = [None if predicted is None else errors(predicted) for predicted in models]
+    known = np.all([np.isfinite(error) for error in found if error is not None], axis=0)
+    return [None if error is None or not known.any() else rms(error[known]) for error in found]

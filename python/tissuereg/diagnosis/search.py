@@ -51,8 +51,7 @@ class Step:
     accepted candidate, else with the likeliest; None where none passed its threshold. Rows are models: before the
     cause, with it, with the generic rival instead, the believed one; `figures`: errors of the accepted candidate on the
     held-out blocks for which errors are reported (`figure_blocks`); rows as in the proof. None where none was accepted;
-    `rivals`: log predictive density, in nats, of the best rival on the held-out blocks of the proof: the generic rival,
-    or a candidate that the data distinguish from the accepted one; `possible`: causes that came close to acceptance;
+    `possible`: causes that came close to acceptance;
     `shift`: evidence of every cause in the model of all causes found minus that in the round, nats.
     """
 
@@ -61,19 +60,9 @@ class Step:
     found: Candidate | None
     proof: HeldOut | None
     figures: HeldOut | None = None
-    rivals: float = np.inf
     possible: tuple[PossibleCause, ...] = ()
     shift: float = 0.0
     settings: DiagnoseSettings = DEFAULT
-
-    @property
-    def is_clear(self) -> bool:
-        """Whether the accepted candidate gains `clear` nats and predicts held-out data better than every rival."""
-        if self.found is None or self.proof is None:
-            return False
-        return (
-            self.found.gain >= self.settings.search.clear and float(self.proof.log_density[NAMED].sum()) > self.rivals
-        )
 
     def gains(self) -> dict[str, float]:
         """Return the log Bayes factor of every cause in the round, in nats, by id.
@@ -218,11 +207,9 @@ def _round(target: FitTarget, screen: Screen, base: Fit, current: Fit, threshold
     for candidate in passing:
         tried = prove(target, references, current, candidate.fit)
         step = replace(step, proof=step.proof or tried)
-        density = tried.log_density.sum(axis=1)
         if _proved(candidate.id, tried, target.bench.settings.search):
-            rivals = max(float(density[GENERIC]), _best_rival(target, current, candidates, candidate))
             figures = prove(target, references, current, candidate.fit, stated=True)
-            accepted = replace(step, found=candidate, proof=tried, figures=figures, rivals=rivals)
+            accepted = replace(step, found=candidate, proof=tried, figures=figures)
             failed = accepted.failed(required[candidate.id], thresholds[candidate.id], current.ids)
             if failed is None:
                 return accepted
@@ -237,18 +224,6 @@ def _proved(name: str, proof: HeldOut, rules: SearchSettings) -> bool:
     density = proof.log_density.sum(axis=1)
     least_gain = 0.0 if CAUSES[name].always_fitted else rules.proved
     return bool(density[NAMED] > density[BEFORE] + least_gain and density[NAMED] > density[GENERIC])
-
-
-def _best_rival(target: FitTarget, current: Fit, candidates: Sequence[Candidate], found: Candidate) -> float:
-    """Return the best log density of held-out data by a candidate that the data tell from `found`; -inf without one."""
-    blocks = proof_blocks(
-        target.bench.layout, _columns_and_change(target, current, found.fit, -1)[0], target.bench.settings.search
-    )
-    others = [
-        other for other in candidates if other.gain <= found.gain - 0.5 * target.bench.settings.search.separable**2
-    ]
-    held = held_out([linear_model(target, other.fit) for other in others], blocks) if others else None
-    return -np.inf if held is None else float(held.log_density.sum(axis=1).max())
 
 
 def _with_finding(
@@ -367,21 +342,13 @@ def _judged(
     assert step.found is not None
     gain = step.found.gain + (lead or 0.0) if before is None else current.log_evidence - before.log_evidence
     top = Candidate(current.parts[part].id, current, gain, target)
-    led, step = _led(step), step.retested(top, lead or 0.0)
+    step = step.retested(top, lead or 0.0)
     if before is None:
         return step
     references = references_of(target, screen, base, before)
     proof = prove(target, references, before, current, part)
     figures = prove(target, references, before, current, part, stated=True)
-    # Rivals were not fitted beside the other causes: they keep their distance. That to an exchanged one is not known.
-    density = proof.log_density.sum(axis=1)
-    rivals = max(float(density[GENERIC]), float(density[NAMED]) - led) if lead is None else np.inf
-    return replace(step, proof=proof, figures=figures, rivals=rivals)
-
-
-def _led(step: Step) -> float:
-    """Return the nats by which the accepted cause of a round predicts held-out data better than its best rival."""
-    return -np.inf if step.proof is None else float(step.proof.log_density[NAMED].sum()) - step.rivals
+    return replace(step, proof=proof, figures=figures)
 
 
 def _failed(steps: Sequence[Step], ids: Sequence[str], thresholds: Mapping[str, float]) -> dict[int, PossibleCause]:

@@ -117,15 +117,14 @@ class ShapeSettings:
     place_share: float = 0.03
     #: Of a patch's radius, over it.
     size_share: float = 0.01
-    #: Of where the edge of a patch lies that is given by nodes, over the length of the mesh's edges there.
-    edge_share: float = 0.25
+    #: Of where the edge of a patch lies that is given by nodes, over the length of the mesh's edges there: between what
+    #: the size of pads asks for and what their rims do, on foreign rigs without an effect (`benchmarks/rigs`).
+    edge_share: float = 0.12
     #: A patch given by a ball is as large, in another solver, as the nodes in it make it. The number of nodes of a
     #: lattice in a disc deviates by this times the root of its radius over their distance.
     lattice: float = 0.68
     #: Its mesh is taken to be this many times as fine.
     finer: float = 2.0
-    #: Share of such an edge's deviation that goes into place and waves, not into size.
-    around: float = 0.5
     #: Of a patch's height, over its radius.
     height_share: float = 0.02
     #: Deviation of the height of a tilted patch's edge, over the deviation of the patch's height.
@@ -171,8 +170,7 @@ class NullSettings:
     smooth: int = 3
     #: Level of the misfit test: a residual with a smaller p-value is a misfit.
     misfit: float = 0.01
-    #: Findings with a misfit are named only if they explain this share of the believed model's misfit, both in total
-    #: and in the statistic that is still largest; the total alone counts where one finding is far ahead of all rivals.
+    #: Findings with a misfit are named only if they explain this share of the believed model's misfit.
     explained: float = 0.5
 
 
@@ -310,9 +308,6 @@ class SearchSettings:
     #: A cause within the separability of the one found is in its group if it passes the threshold too, or if its
     #: probability is at least this share of the other's.
     as_likely: float = 0.1
-    #: A cause with this gain, in nats, that predicts held-out data better than all rivals may be named despite a
-    #: misfit.
-    clear: float = 100.0
     #: Rivals that are tried in place of one of several causes: their number, and nats within which they come to it.
     most_rivals: int = 2
     rivals_within: float = 40.0

@@ -23,10 +23,11 @@ from tissuereg.body.observe import MarkerObservation
 from tissuereg.diagnosis.bench import Bench
 from tissuereg.diagnosis.correction import make_correction
 from tissuereg.diagnosis.patterns import thinned_patterns
-from tissuereg.diagnosis.predictor import Predictor
+from tissuereg.diagnosis.predictor import FINE_SCHEMA, Predictor, fingerprint
 from tissuereg.diagnosis.settings import DEFAULT, ShapeSettings
 from tissuereg.diagnosis.tangents import Tangents
 from tissuereg.experiment.experiment import Actuator, Boundary, Experiment
+from tissuereg.io.cache import keep_arrays, read_arrays
 from tissuereg.simulation.fine import rough_element, without_time
 from tissuereg.simulation.fine.meshing import rim_of
 from tissuereg.simulation.fine.rims import Folds, folds_of, outline_nodes, sharp_nodes
@@ -127,7 +128,7 @@ def _of_pad(surface: _BodySurface, pad: Actuator) -> Iterator[Direction]:
         return
     normal /= np.linalg.norm(normal)
     rules, mesh_edge = surface.settings, surface.unresolved(inside, None if rim is None else rim.radius)
-    place = _std_of(pad, rules.place_share * radius, rules.around * mesh_edge)
+    place = _std_of(pad, rules.place_share * radius, mesh_edge)
     size, height = _std_of(pad, rules.size_share * radius, mesh_edge), _std_of(pad, rules.height_share * radius)
     arms = mesh.nodes - (mesh.nodes[inside].mean(axis=0) if rim is None else np.asarray(rim.centre))
     near = np.where(surface.stays(pad), 0.0, _nearness(mesh, inside, surface.settings.reach * radius))[:, None]
@@ -158,7 +159,7 @@ def _of_grip(surface: _BodySurface, pad: Actuator, radius: float) -> Iterator[Di
         :, None
     ]
     rules, mesh_edge = surface.settings, surface.unresolved(surface.of(pad), None)
-    place = _std_of(pad, rules.place_share * radius, rules.around * mesh_edge)
+    place = _std_of(pad, rules.place_share * radius, mesh_edge)
     for axis, side in enumerate(np.eye(3)):
         motion = surface.along(near * side)
         if motion.any():
@@ -228,6 +229,26 @@ def _nearness(mesh: Mesh, nodes: IntArray, reach: float) -> FloatArray:
 
     away = KDTree(mesh.nodes[nodes]).query(mesh.nodes)[0]
     return np.asarray(np.exp(-0.5 * (away / reach) ** 2))
+
+
+def shape_nuisances(bench: Bench, fine: FloatArray, *, keep: bool = False) -> list[tuple[str, FloatArray]]:
+    """Return name and column (size,), mm and mN, of each deviation of the shape, by one prior standard deviation.
+
+    `bench`, `fine`: as for `shape_columns`; `keep`: whether the columns are read from and written to the cache.
+    """
+    experiment = bench.experiment
+    edges = [pad.edge_std for pad in experiment.actuators] + [support.edge_std for support in experiment.boundaries]
+    stated = [experiment.surface_std, experiment.surface_length, edges]
+    numbers = f"{FINE_SCHEMA} {bench.predictor.element} {stated} {bench.settings.shape} {bench.settings.model}"
+    entry = f"shape_{fingerprint(experiment, numbers)}"
+    kept = read_arrays(entry) if keep else None
+    if kept is not None:
+        return list(zip(kept["names"].tolist(), kept["columns"], strict=True))
+    found = [(direction.name, direction.std_mm * column) for direction, column in shape_columns(bench, fine)]
+    if keep and found:
+        names, columns = zip(*found, strict=True)
+        keep_arrays(entry, {"names": np.array(names), "columns": np.array(columns)})
+    return found
 
 
 def shape_columns(bench: Bench, fine: FloatArray) -> Iterator[tuple[Direction, FloatArray]]:

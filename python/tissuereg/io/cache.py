@@ -7,8 +7,13 @@ folder cannot be written, a warning is given and nothing is kept; results are th
 
 import contextlib
 import hashlib
+import io
 import os
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from tissuereg._base.provenance import warn
 from tissuereg.errors import TissueRegError
@@ -68,6 +73,22 @@ def keep_entry(name: str, content: bytes, most: int) -> None:
             place = "the user has no home" if folder is None else f"{folder} cannot be written"
             text = f"nothing is kept for the next run, {place}; TISSUEREG_CACHE may name another folder for the cache"
             warn(text)
+
+
+def read_arrays(name: str) -> dict[str, Any] | None:
+    """Return the arrays that `keep_arrays` stored under a name, by theirs; None if there are none."""
+    content = read_entry(name)
+    if content is None:
+        return None
+    with np.load(io.BytesIO(content), allow_pickle=False) as kept:
+        return dict(kept)
+
+
+def keep_arrays(name: str, arrays: Mapping[str, Any], most: int = 24) -> None:
+    """Store numpy arrays, each under a name of its own, as one entry of `keep_entry`; no array may hold objects."""
+    content = io.BytesIO()
+    np.savez(content, allow_pickle=False, **arrays)
+    keep_entry(name, content.getvalue(), most)
 
 
 def _digest(name: str, content: bytes) -> bytes:

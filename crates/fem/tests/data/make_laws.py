@@ -1,11 +1,13 @@
 """Energy and stress of every law from its textbook energy, for `tests/laws.rs`.
 
-    python make_laws.py          # writes laws_reference.npz
+    python make_laws.py          # writes laws_reference.npz beside itself
 
 Energies are written in F, J and principal stretches as they stand in textbooks, evaluated in 90
 digits; the stress is their central difference with a step of 1e-25, good to 50 digits. Nothing of
 this crate takes part. Needs mpmath and numpy.
 """
+
+from pathlib import Path
 
 import numpy as np
 from mpmath import eigsy, exp, log, matrix, mp, mpf
@@ -228,7 +230,7 @@ def main():
         fs = [matrix(one.tolist()) + mp.eye(3) for one in h]
         arrays[f"{name}_energy"] = np.array([float(energy(f)) for f in fs])
         arrays[f"{name}_stress"] = np.array([stress(energy, f) for f in fs])
-    np.savez("laws_reference.npz", **arrays)
+    np.savez(Path(__file__).with_name("laws_reference.npz"), **arrays)
 
 
 if __name__ == "__main__":

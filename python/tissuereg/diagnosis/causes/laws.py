@@ -161,17 +161,26 @@ class AsymmetryCause(LawCause):
         return f"The body is stiffer in {side} than the believed law (Ogden's exponent {exponent:.3g})."
 
 
+#: Laws by which a body stiffens with strain, which are tried in material tests, and values of their first shape
+#: parameter at which changes of a rig are simulated: exponents of Fung's law (skin has some tens), a ratio of Yeoh's. A
+#: law without values is not tried in rigs.
+STIFFENING: dict[str, tuple[float, ...]] = {
+    "fung": (1.0, 4.0, 16.0),
+    "veronda-westmann": (),
+    "yeoh": (2.0,),
+}
+
+
 @dataclass(frozen=True)
 class StiffeningCause(LawCause):
-    """Fung's exponential law or Yeoh's polynomial law in place of the neo-Hookean one."""
+    """A law that stiffens with strain in place of the neo-Hookean one."""
 
     id: ClassVar[str] = "stiffening"
     family: ClassVar[str] = "law"
 
     #: Largest logarithm of a shape parameter; a strain of 0.1 then multiplies the modulus by some thousands.
     largest: float = 7.0
-    #: Exponents of Fung's law (skin has some tens), a ratio of Yeoh's.
-    tried: tuple[tuple[str, float], ...] = (("fung", 1.0), ("fung", 4.0), ("fung", 16.0), ("yeoh", 2.0))
+    tried: tuple[tuple[str, float], ...] = tuple((law, size) for law, sizes in STIFFENING.items() for size in sizes)
 
     def effect(self, law: str, size: float, form: str) -> Effect:
         """Return the law `law` with its first shape parameter equal to `size` and all others zero."""

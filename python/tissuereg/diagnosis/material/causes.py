@@ -8,15 +8,13 @@ from typing import Any
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray
-from tissuereg.body.laws import main_key, shape_of
+from tissuereg.body.laws import DECLARED, main_key, shape_of
+from tissuereg.diagnosis.causes.laws import STIFFENING
 from tissuereg.diagnosis.material.data import Scene
 from tissuereg.diagnosis.settings import MaterialSettings
 from tissuereg.experiment.effects import Effect
 from tissuereg.experiment.effects.elastic import Asymmetry, Fibre, Mooney, OtherLaw, Poisson, Stiffening
 from tissuereg.experiment.effects.history import Rate, Relaxation, Set, Softening
-
-#: Laws of one rate of stiffening.
-BY_RATE = ("fung", "veronda-westmann")
 
 _MOONEY = "mooney-rivlin"
 _DIRECTIONS = {"along the pull": (1.0, 0.0, 0.0), "across the pull": (0.0, 1.0, 0.0)}
@@ -110,7 +108,7 @@ def _ogden_forms(kind: type[OtherLaw], settings: MaterialSettings) -> list[Form]
 
 
 def _stiffening_forms(scene: Scene) -> list[Form]:
-    forms = [*(_by_rate(law, scene.invariant) for law in BY_RATE), _by_ratios("yeoh", scene.invariant)]
+    forms = [(_by_rate if len(DECLARED[law].shape) == 1 else _by_ratios)(law, scene.invariant) for law in STIFFENING]
     # Where pull or push alone was tested an exponent says no more than how the tangent changes.
     return forms if scene.two_sided else [*forms, *_ogden_forms(Stiffening, scene.settings)]
 

@@ -50,13 +50,13 @@ class OtherLaw(Effect):
     """
 
     law: str = choice(tuple(SHAPE_KEYS), "strain energy")
-    excess: float | None = number(_OF_LAW, above=-1.0, default=None)
+    excess: float | None = number(_OF_LAW, default=None)
     share: float | None = number(_OF_LAW, least=0.0, default=None)
     c2_over_c1: float | None = number(_OF_LAW, default=None)
     c3_over_c1: float | None = number(_OF_LAW, default=None)
     alpha: tuple[float, ...] | None = numbers(_OF_LAW, default=None)
     weight: tuple[float, ...] | None = numbers(_OF_LAW, default=None)
-    b: float | None = number(_OF_LAW, least=0.0, default=None)
+    b: float | None = number(_OF_LAW, default=None)
     #: As `Material.volumetric`; as believed where left out.
     volumetric: str | None = choice(VOLUMETRIC, "energy of volume change, as believed where left out", default=None)
 
