@@ -23,7 +23,12 @@ def hidden(believed, *effects) -> Experiment:
     """Return an experiment with what would be measured under effects that it does not state, noise included."""
     seen = with_noise(believed, FineModel(believed).simulate(effects))
     cases = {
-        name: replace(case, markers=seen[name].markers, forces={pad: seen[name].forces[pad] for pad in case.forces})
+        name: replace(
+            case,
+            markers=seen[name].markers,
+            forces={pad: seen[name].forces[pad] for pad in case.forces},
+            targets=seen[name].targets,
+        )
         for name, case in believed.cases.items()
     }
     return replace(believed, cases=cases)

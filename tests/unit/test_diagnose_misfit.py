@@ -66,6 +66,9 @@ def test_the_explained_share_is_that_of_the_excess_over_noise(subspaces, nulls):
     # What noise alone leaves is no misfit.
     half = battery.judge(noise + 30.0 * pattern, noise + 15.0 * pattern, nulls)
     assert half.explained == pytest.approx(0.75, abs=0.1)
+    # Here it is less of the sum, of which louder noise is a part, than of the pattern, where it is 0.78.
+    louder = battery.judge(1.2 * noise + 20.0 * pattern, 1.2 * noise + 10.0 * pattern, nulls)
+    assert louder.explained == pytest.approx(0.63, abs=0.03)
     # What a model adds it does not explain, nor what other data, quiet by chance, make up for in the sum of all.
     few = 0.9 * noise
     assert battery.judge(few, few + 80.0 * pattern, nulls).explained <= 0.0

@@ -7,16 +7,18 @@ import pytest
 
 import tissuereg as tr
 from support.rigs import rig
+from support.targets import hidden
+from tissuereg.diagnosis import refined
 from tissuereg.diagnosis.bench import Bench
-from tissuereg.diagnosis.refined import entry_of, refined_predictions, refined_targets, solvable
+from tissuereg.diagnosis.refined import entry_of, refined_predictions, refined_targets, solvable, targets_of
 from tissuereg.diagnosis.run import target_rms
 from tissuereg.diagnosis.settings import DEFAULT
 from tissuereg.diagnosis.signals import SignalLayout
 from tissuereg.errors import ConvergenceError
-from tissuereg.experiment.effects import Frame, Latency, Poisson, Relaxation, Stiffness
+from tissuereg.experiment.effects import Frame, Latency, Poisson, Relaxation, Set, Stiffness
 from tissuereg.experiment.experiment import Simulated
 from tissuereg.io.cache import read_entry
-from tissuereg.simulation.experiment import simulate_plain, with_noise
+from tissuereg.simulation.experiment import simulate_plain
 from tissuereg.simulation.fine import FineModel
 
 
@@ -106,10 +108,6 @@ def bench_of(experiment, **how):
     return Bench(experiment, SignalLayout(experiment), **how)
 
 
-def of(answers):
-    return {case: answer.targets for case, answer in answers.items()}
-
-
 def assert_same(found, expected, atol=1e-5):
     assert found.keys() == expected.keys()
     for case in expected:
@@ -127,26 +125,27 @@ def test_inner_targets_are_predicted_by_the_fine_mesh():
     experiment, softer = aimed(), Poisson(poisson=0.2)
     believed, named = refined_targets(bench_of(experiment), [softer])
     model = FineModel(experiment)
-    assert_same(believed, of(model.simulate()))
-    assert_same(named, of(model.simulate([softer])))
-    assert apart(named, of(simulate_plain(replace(experiment, effects=(softer,))))) > 0.02
+    assert_same(believed, targets_of(model.simulate()))
+    assert_same(named, targets_of(model.simulate([softer])))
+    assert apart(named, targets_of(simulate_plain(replace(experiment, effects=(softer,))))) > 0.02
 
 
 def test_targets_under_memory_have_the_correction_of_the_other_effects():
     experiment, memory, softer = aimed(), Relaxation(g=(0.4,), tau_s=(2.0,)), Poisson(poisson=0.2)
     for others in ((), (softer,), (Stiffness(young_kpa=12.0),)):
         believed, named = refined_targets(bench_of(experiment), [memory, *others])
-        truth = of(FineModel(experiment).simulate([memory, *others]))
+        truth = targets_of(FineModel(experiment).simulate([memory, *others]))
         assert apart(named, truth) < 0.1 * apart(
-            of(simulate_plain(replace(experiment, effects=(memory, *others)))), truth
+            targets_of(simulate_plain(replace(experiment, effects=(memory, *others)))), truth
         )
-        assert_same(believed, of(FineModel(experiment).simulate()))
+        assert_same(believed, targets_of(FineModel(experiment).simulate()))
 
 
 def test_effects_beside_a_believed_memory_go_through_time_on_the_fine_mesh():
     experiment, softer = replace(aimed(), effects=(Relaxation(g=(0.4,), tau_s=(2.0,)),)), Poisson(poisson=0.2)
-    _, named = refined_targets(bench_of(experiment), [softer])
-    assert_same(named, of(FineModel(experiment).simulate((*experiment.effects, softer))))
+    for effect in (softer, Set(fraction=0.2)):
+        _, named = refined_targets(bench_of(experiment), [effect])
+        assert_same(named, targets_of(FineModel(experiment).simulate((*experiment.effects, effect))))
 
 
 def test_errors_of_the_tracker_move_no_target_and_a_body_of_this_mesh_needs_no_correction():
@@ -159,8 +158,8 @@ def test_errors_of_the_tracker_move_no_target_and_a_body_of_this_mesh_needs_no_c
     simulated = replace(experiment, simulated=Simulated("plain", "tet4"))
     for one in (bench_of(experiment, settings=uncorrected), bench_of(simulated)):
         plain, changed = refined_targets(one, [softer])
-        assert_same(plain, of(simulate_plain(experiment)), atol=1e-12)
-        assert_same(changed, of(simulate_plain(replace(experiment, effects=(softer,)))), atol=1e-12)
+        assert_same(plain, targets_of(simulate_plain(experiment)), atol=1e-12)
+        assert_same(changed, targets_of(simulate_plain(replace(experiment, effects=(softer,)))), atol=1e-12)
 
 
 def test_without_an_equilibrium_the_believed_prediction_stays(monkeypatch):
@@ -181,15 +180,11 @@ def test_without_an_equilibrium_the_believed_prediction_stays(monkeypatch):
 
 def test_a_diagnosis_states_the_errors_at_targets_that_were_measured():
     experiment, memory = replace(aimed(), force_std=20.0), Relaxation(g=(0.4,), tau_s=(2.0,))
-    seen = with_noise(experiment, FineModel(experiment).simulate((Latency(latency_s=0.5), memory)))
+    given = hidden(experiment, Latency(latency_s=0.5), memory).cases
+    # Targets may have been measured in some cases alone.
     cases = {
-        name: replace(
-            case,
-            markers=seen[name].markers,
-            forces={pad: seen[name].forces[pad] for pad in case.forces},
-            targets={"one": seen[name].targets["one"]} if name == "down" else {},
-        )
-        for name, case in experiment.cases.items()
+        name: replace(case, targets={"one": case.targets["one"]} if name == "down" else {})
+        for name, case in given.items()
     }
     told = tr.diagnose(replace(experiment, cases=cases), keep=False)
     measured, added = {"down": cases["down"].targets}, told.extended.effects
@@ -213,6 +208,8 @@ def test_the_cache_keeps_targets_and_other_targets_have_another_entry(tmp_path, 
     moved = replace(experiment, targets={**experiment.targets, "two": np.array([5.0, 15.0, 9.0])})
     assert read_entry(entry_of(moved)) is None
     assert entry_of(experiment) == entry_of(aimed())
+    monkeypatch.setattr(refined, "FINE_SCHEMA", -1)
+    assert read_entry(entry_of(experiment)) is None
 
 
 def test_targets_of_a_case_that_was_cut_end_with_it(monkeypatch):

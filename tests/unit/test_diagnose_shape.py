@@ -473,3 +473,6 @@ def test_columns_of_the_shape_are_read_from_the_cache_where_nothing_they_depend_
     ):
         with pytest.raises(AssertionError):
             shape_nuisances(Bench(other, bench.layout, settings=settings), bench.base, keep=True)
+    monkeypatch.setattr(shape, "FINE_SCHEMA", -1)
+    with pytest.raises(AssertionError):
+        shape_nuisances(bench, bench.base, keep=True)

@@ -70,6 +70,13 @@ def test_the_file_of_forces_may_name_actuators_in_any_order():
     assert np.array_equal(*(SignalLayout(one).measured for one in pair))
 
 
+def test_a_prediction_depends_on_the_nodes_that_the_mesh_holds():
+    experiment = rig()
+    mesh = experiment.mesh
+    fewer = mesh.with_node_set("fixed", mesh.fixed_nodes[1:])
+    assert fingerprint(replace(experiment, mesh=fewer), "tet4") != fingerprint(experiment, "tet4")
+
+
 def test_an_experiment_without_measurements_is_refused():
     experiment = rig()
     blind = {n: replace(c, markers=np.full_like(c.markers, np.nan), forces={}) for n, c in experiment.cases.items()}

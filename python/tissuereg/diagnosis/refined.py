@@ -204,10 +204,10 @@ def refined_targets(bench: Bench, effects: Sequence[Effect]) -> tuple[Targets, T
     try:
         if exact:
             return before, targets_of(plain(replace(believed, effects=all_effects)))
-        if bench.is_elastic and any(isinstance(effect, Memory) for effect in effects):
-            lasting = tuple(effect for effect in all_effects if not isinstance(effect, Memory))
+        others = [effect for effect in effects if not isinstance(effect, Memory)]
+        if bench.is_elastic and len(others) < len(effects):
+            lasting = (*believed.effects, *others)
             rough, slow = (targets_of(plain(replace(believed, effects=some))) for some in (lasting, all_effects))
-            others = [effect for effect in effects if not isinstance(effect, Memory)]
             fine = _targets_with(bench, lasting) if any(moves(effect) for effect in others) else before
             return before, {
                 case: {name: places + fine[case][name] - rough[case][name] for name, places in of.items()}
