@@ -6,7 +6,7 @@ mod common;
 use common::laws::{Recipe, recipes};
 use common::{bar, nodes_where};
 use tissuereg_fem::material::homogeneous::{Compressibility, Mode, nominal_stress};
-use tissuereg_fem::material::{Hyperelastic, Law, LawKind};
+use tissuereg_fem::material::{Hyperelastic, Law};
 use tissuereg_fem::{
     Behaviour, Body, Drainage, Element, FemError, History, Load, Part, Relaxation, Set, Softening,
     SofteningForm, SolveSettings, Supports, Swelling, stress_history,
@@ -16,8 +16,13 @@ const MODES: [Mode; 3] = [Mode::Uniaxial, Mode::Equibiaxial, Mode::SimpleShear];
 /// From nearly none to the whole resistance to a change of volume.
 const POISSONS: [f64; 4] = [0.0, 0.3, 0.45, 0.4995];
 
-fn law(kind: LawKind, poisson: f64) -> Law {
-    Recipe { kind, poisson, ..recipes().swap_remove(0) }.law()
+fn recipe(declared: &'static str, shape: &[f64], poisson: f64) -> Recipe {
+    let shape = shape.iter().map(|&number| vec![number]).collect();
+    Recipe { declared, shape, poisson, ..recipes().swap_remove(0) }
+}
+
+fn law(declared: &'static str, shape: &[f64], poisson: f64) -> Law {
+    recipe(declared, shape, poisson).law()
 }
 
 fn relaxation(part: Part) -> Option<Relaxation> {
@@ -83,9 +88,9 @@ fn without_memory_every_row_is_elastic() {
 fn a_hold_relaxes_as_its_series_says() {
     let behaviour = Behaviour { relaxation: relaxation(Part::Whole), ..Behaviour::default() };
     let times = [2.0, 2.1, 2.5, 5.0, 25.0];
-    for kind in [LawKind::NeoHookean, LawKind::Fung { b: 2.0 }] {
+    for (declared, shape) in [("neo-hookean", vec![]), ("fung", vec![2.0])] {
         for poisson in POISSONS {
-            let law = law(kind, poisson);
+            let law = law(declared, &shape, poisson);
             for (mode, amount) in MODES.into_iter().zip([1.3, 0.8, 0.4]) {
                 let found = history(&law, &behaviour, mode, &[amount; 5], &times);
                 for (found, time) in found.iter().zip(times) {
@@ -105,7 +110,7 @@ fn a_set_moves_the_rest_of_a_bar() {
     let behaviour = Behaviour { set: Some(Set { fraction: 0.2 }), ..Behaviour::default() };
     let stretches = [1.0_f64, 1.2, 1.5, 1.3, 1.5_f64.powf(0.2), 0.5, 1.0];
     for poisson in POISSONS {
-        let law = law(LawKind::MooneyRivlin { share: 0.3 }, poisson);
+        let law = law("mooney-rivlin", &[0.3], poisson);
         let found = history(&law, &behaviour, Mode::Uniaxial, &stretches, &[0.0; 7]);
         // Sizes of strain: 1.5 below, and 0.5 above it in the end.
         for (row, largest) in [1.0, 1.0, 1.2, 1.5, 1.5, 1.5, 0.5].into_iter().enumerate() {
@@ -124,7 +129,7 @@ fn damage_of_a_bar_goes_with_its_largest_energy() {
     let behaviour = Behaviour { softening, ..Behaviour::default() };
     let stretches = [1.0, 1.2, 1.4, 1.1, 0.7, 1.4, 1.6];
     for poisson in POISSONS {
-        let law = law(LawKind::NeoHookean, poisson);
+        let law = law("neo-hookean", &[], poisson);
         let (mu, lambda) = (law.moduli.mu, law.moduli.lambda);
         let found = history(&law, &behaviour, Mode::Uniaxial, &stretches, &[0.0; 7]);
         let mut largest = 0.0_f64;
@@ -151,7 +156,7 @@ fn damage_of_a_bar_goes_with_its_largest_energy() {
 fn unloading_and_loading_again_follow_ogden_and_roxburgh() {
     let softening = softening(SofteningForm::OgdenRoxburgh);
     let behaviour = Behaviour { softening, ..Behaviour::default() };
-    let law = law(LawKind::NeoHookean, 0.4);
+    let law = law("neo-hookean", &[], 0.4);
     let mu = law.moduli.mu;
     let shears = [0.0, 0.2, 0.4, 0.3, 0.1, -0.2, 0.3, 0.4, 0.5];
     let found = history(&law, &behaviour, Mode::SimpleShear, &shears, &[0.0; 9]);
@@ -169,7 +174,7 @@ fn unloading_and_loading_again_follow_ogden_and_roxburgh() {
 #[test]
 fn a_step_of_shear_flows() {
     let behaviour = Behaviour { viscosity_kpa_s: 3.0, ..Behaviour::default() };
-    let law = law(LawKind::NeoHookean, 0.4);
+    let law = law("neo-hookean", &[], 0.4);
     let found =
         history(&law, &behaviour, Mode::SimpleShear, &[0.0, 0.3, 0.3, 0.3], &[0.0, 0.5, 0.5, 1.0]);
     let elastic = law.moduli.mu * 0.3;
@@ -228,7 +233,7 @@ fn a_body_pulled_by_these_stresses_has_these_stretches() {
     let recipes = [
         plain.clone(),
         Recipe { poisson: 0.2, ..plain.clone() },
-        Recipe { poisson: 0.495, kind: LawKind::Fung { b: 0.5 }, ..plain.clone() },
+        recipe("fung", &[0.5], 0.495),
         Recipe { fibre: Some((2.0, 0.5, [0.0, 1.0, 0.0], false)), ..plain },
     ];
     let times = [0.0, 1.0, 2.0, 3.5, 3.5, 6.0, 7.0, 8.0];
@@ -280,7 +285,7 @@ fn a_body_sheared_by_these_amounts_has_these_stresses() {
 #[test]
 fn a_row_without_stress_ends_the_history() {
     let behaviour = Behaviour { relaxation: relaxation(Part::Whole), ..Behaviour::default() };
-    let law = law(LawKind::NeoHookean, 0.4);
+    let law = law("neo-hookean", &[], 0.4);
     for bad in [0.0, -0.5, f64::NAN, f64::INFINITY] {
         let found = history(&law, &behaviour, Mode::Uniaxial, &[1.0, 1.1, bad, 1.1], &[0.0; 4]);
         let there: Vec<bool> = found.iter().map(|v| v.is_finite()).collect();
@@ -291,7 +296,7 @@ fn a_row_without_stress_ends_the_history() {
 
 #[test]
 fn what_is_no_history_is_refused() {
-    let law = law(LawKind::NeoHookean, 0.4);
+    let law = law("neo-hookean", &[], 0.4);
     let run = |behaviour: &Behaviour, times: &[f64]| {
         stress_history(&law, behaviour, Mode::Uniaxial, &[1.0, 1.1], times)
     };
@@ -301,4 +306,79 @@ fn what_is_no_history_is_refused() {
     assert!(matches!(run(&none, &[0.0, f64::NAN]), Err(FemError::NonFinite { row: 1, .. })));
     let worn = Behaviour { viscosity_kpa_s: -1.0, ..none };
     assert!(matches!(run(&worn, &[0.0, 1.0]), Err(FemError::BadParameter { .. })));
+}
+
+/// St. Venant and Kirchhoff's bar that softens on the way back finds no stable width, however fine
+/// the way is.
+#[test]
+fn a_bar_without_a_stable_width_has_no_stress_from_there_on() {
+    let softening = softening(SofteningForm::OgdenRoxburgh);
+    let behaviour = Behaviour { softening, ..Behaviour::default() };
+    for poisson in [0.3, 0.45, 0.49] {
+        let law = law("st-venant-kirchhoff", &[], poisson);
+        let mut first = Vec::new();
+        for n in [40_u32, 400, 4_000] {
+            let up = (0..=n).map(|k| 1.0 + 0.4 * f64::from(k) / f64::from(n));
+            let down = (0..n).rev().map(|k| 1.0 + 0.4 * f64::from(k) / f64::from(n));
+            let stretches: Vec<f64> = up.chain(down).collect();
+            let times = vec![0.0; stretches.len()];
+            let found = history(&law, &behaviour, Mode::Uniaxial, &stretches, &times);
+            let row = found.iter().position(|stress| stress.is_nan()).expect("unstable");
+            assert!(found[row..].iter().all(|stress| stress.is_nan()), "{poisson} {n}");
+            assert!(row > n as usize, "{poisson} {n}: stable while it is pulled");
+            first.push(stretches[row]);
+        }
+        // One coarse row, in which it may be lost.
+        assert!(first.iter().all(|at| (at - first[2]).abs() < 0.011), "{poisson} {first:?}");
+    }
+}
+
+/// A step of hardly any time makes the sides stiff; the next one must not believe it.
+#[test]
+fn a_step_of_hardly_any_time_is_forgotten() {
+    let behaviour = Behaviour { viscosity_kpa_s: 33.0, ..Behaviour::default() };
+    let law = law("neo-hookean", &[], 0.3);
+    let stretches = [1.0, 1.1, 1.2, 1.2 + 1e-16, 1.25, 1.3, 1.2, 1.1];
+    let times = [0.0, 1.0, 2.0, 2.0 + 1e-12, 3.0, 4.0, 5.0, 6.0];
+    let found = history(&law, &behaviour, Mode::Uniaxial, &stretches, &times);
+    let without = |values: [f64; 8]| -> Vec<f64> {
+        (0..8).filter(|&row| row != 3).map(|row| values[row]).collect()
+    };
+    let plain = history(&law, &behaviour, Mode::Uniaxial, &without(stretches), &without(times));
+    for (row, (found, wanted)) in found.iter().skip(4).zip(&plain[3..]).enumerate() {
+        assert_near(*found, *wanted, 1e-7, &format!("row {row}"));
+    }
+}
+
+/// Fibres across let the sides go far from where a prolonged change of volume puts them.
+#[test]
+fn a_coarse_way_back_with_fibres_across_ends_where_a_fine_one_does() {
+    let behaviour = Behaviour { relaxation: relaxation(Part::Whole), ..Behaviour::default() };
+    for (poisson, k1_over_mu, coarse) in
+        [(0.495, 10.0, vec![1.0, 0.8, 0.5, 1.6]), (0.45, 2.0, vec![1.0, 1.5, 3.4])]
+    {
+        let fibre = Some((k1_over_mu, 0.5, [0.0, 1.0, 0.0], false));
+        let law = Recipe { fibre, ..recipe("neo-hookean", &[], poisson) }.law();
+        for mode in [Mode::Uniaxial, Mode::Equibiaxial] {
+            let times = vec![0.0; coarse.len()];
+            let found = history(&law, &behaviour, mode, &coarse, &times);
+            for (found, amount) in found.iter().zip(&coarse) {
+                assert_near(
+                    *found,
+                    elastic(&law, mode, *amount),
+                    1e-9,
+                    &format!("{mode:?} {amount}"),
+                );
+            }
+        }
+    }
+}
+
+/// Nothing is finite at an overflowing rate, and nothing after it is.
+#[test]
+fn a_shear_without_a_stress_has_none_after_it() {
+    let behaviour = Behaviour { viscosity_kpa_s: 1e300, ..Behaviour::default() };
+    let law = law("neo-hookean", &[], 0.3);
+    let found = history(&law, &behaviour, Mode::SimpleShear, &[0.0, 0.5, 0.5], &[0.0, 1e-12, 1.0]);
+    assert!(found[0].is_finite() && found[1..].iter().all(|stress| stress.is_nan()), "{found:?}");
 }

@@ -2,7 +2,8 @@
 //!
 //! Their logarithms minimise the energy. Near the minimum, steps use the stiffness of steps before, corrected by
 //! what these have shown (Powell's symmetric form of Broyden's method); where they do not shrink
-//! fast, a step has the tangent, and is damped so that the energy falls.
+//! fast, a step has the tangent, and is damped so that the energy falls. The tangent of the place itself says
+//! whether it is a minimum.
 //!
 //! Powell, "A new algorithm for unconstrained optimization", in *Nonlinear Programming*, Academic
 //! Press 1970.
@@ -11,8 +12,10 @@ use super::{Hyperelastic, Law, Matrix3, Response, Tangent};
 
 /// Steps of one search; a few are enough from nearby.
 const MOST_STEPS: usize = 200;
-/// Error of a logarithm that is left.
+/// Step below which an old stiffness has nothing more to say.
 const EXACT: f64 = 1e-12;
+/// Error of a logarithm that is left, by the tangent.
+const SETTLED: f64 = 1e-11;
 /// The same where rounding lets no step shrink any more.
 const ROUNDED: f64 = 1e-9;
 /// Largest step with an old stiffness, and share of it that the next one may be.
@@ -74,15 +77,19 @@ impl FreeSides {
         let (change, last) = (stretch - now, now - self.before.0);
         let prolonged = last != 0.0 && change.abs() <= PROLONGED * last.abs();
         let by = if prolonged { change / last } else { 0.0 };
-        self.strains[..self.first].fill(stretch - 1.0);
-        for i in self.first..3 {
-            let volume = volumes[i - 1] + by * (volumes[i - 1] - self.before.1[i - 1]);
-            self.strains[i] = match self.first {
-                1 => (volume / stretch).sqrt(),
-                _ => volume / (stretch * stretch),
-            } - 1.0;
-        }
+        let gone = [0, 1].map(|i| volumes[i] + by * (volumes[i] - self.before.1[i]));
         self.before = (now, volumes);
+        self.strains[..self.first].fill(stretch - 1.0);
+        self.set_volumes(if gone.iter().all(|&volume| volume > 0.0) { gone } else { volumes });
+    }
+
+    fn set_volumes(&mut self, volumes: [f64; 2]) {
+        let stretch = 1.0 + self.strains[0];
+        for i in self.first..3 {
+            let square = volumes[i - 1] / stretch;
+            let side = if self.first == 1 { square.sqrt() } else { square / stretch };
+            self.strains[i] = side - 1.0;
+        }
     }
 
     /// Volume over that at rest, for each side as if the other was like it.
@@ -100,23 +107,25 @@ impl FreeSides {
     /// Let the sides go where the energy is least, and say what the point is there; none where they
     /// find no place.
     pub(crate) fn settle<P: PiecePoint>(&mut self, point: &P) -> Option<(Response, P::Rest)> {
-        let mut found = point.at(&self.gradient())?;
+        let mut found = match point.at(&self.gradient()) {
+            Some(found) => found,
+            None => {
+                self.set_volumes(self.before.1);
+                point.at(&self.gradient())?
+            }
+        };
         let mut most = NEAR;
         for _ in 0..MOST_STEPS {
             let slopes = self.slopes(&found.0);
             let step = self.stiffness.map(|stiffness| stiffness.newton(slopes));
-            let Some(step) = step.filter(|&step| largest(step) <= most) else {
-                let size = self.damped_step(point, slopes, &mut found)?;
-                if size <= EXACT {
-                    return Some(found);
+            let Some(step) = step.filter(|&step| (EXACT..=most).contains(&largest(step))) else {
+                match self.damped_step(point, slopes, &mut found)? {
+                    Damped::Settled => return Some(found),
+                    Damped::Moved(size) => most = SHRINKS * size,
                 }
-                most = SHRINKS * size;
                 continue;
             };
             let size = largest(step);
-            if size <= EXACT {
-                return Some(found);
-            }
             let pulled = found.0.stress[0][0];
             let tried = self.moved(1.0, step);
             let Some(there) = point.at(&tried.gradient()) else {
@@ -145,14 +154,13 @@ impl FreeSides {
         found.stress[0][0] + further
     }
 
-    /// A step with the tangent, along which the energy falls. Answers its size; nothing moves where
-    /// that is none to speak of.
+    /// A step with the tangent, along which the energy falls; none where it does not.
     fn damped_step<P: PiecePoint>(
         &mut self,
         point: &P,
         slopes: [f64; 2],
         found: &mut (Response, P::Rest),
-    ) -> Option<f64> {
+    ) -> Option<Damped> {
         let stiffness = self.stiffness_at(&point.tangent_at(&self.gradient())?, slopes);
         let positive = stiffness.is_positive();
         let step = if positive { stiffness.newton(slopes) } else { stiffness.fall(slopes) };
@@ -161,8 +169,8 @@ impl FreeSides {
             return None;
         }
         self.stiffness = positive.then_some(stiffness);
-        if positive && size <= EXACT {
-            return Some(size);
+        if positive && size <= SETTLED {
+            return Some(Damped::Settled);
         }
         // A stretch may change by a half at a time, and the energy must not rise beyond rounding.
         let mut share = (0.5 / size).min(1.0);
@@ -174,7 +182,11 @@ impl FreeSides {
                 if (positive && size < SURE) || rise <= 1e-12 * energy.abs() {
                     (*self, *found) = (tried, there);
                     // A step that is not Newton's says nothing of what is left.
-                    return Some(if positive { share * size } else { f64::INFINITY });
+                    return Some(Damped::Moved(if positive {
+                        share * size
+                    } else {
+                        f64::INFINITY
+                    }));
                 }
             }
             share *= 0.5;
@@ -210,13 +222,21 @@ impl FreeSides {
                 c,
                 pull: [pull(1), pull(2)],
             },
-            _ => Stiffness { a: 1.0, b: 0.0, c, pull: [0.0, pull(2)] },
+            _ => Stiffness { a: c.abs(), b: 0.0, c, pull: [0.0, pull(2)] },
         }
     }
 }
 
+/// What a step with the tangent did.
+enum Damped {
+    /// Nothing: there is none to speak of.
+    Settled,
+    /// It moved the sides by so much.
+    Moved(f64),
+}
+
 /// Second derivatives of the energy by the logarithms of the sides, kPa: 11, 12 and 22. Where
-/// side 1 is not free, 1 and 0 stand for the first two.
+/// side 1 is not free, the size of the last and 0 stand for the first two.
 #[derive(Debug, Clone, Copy)]
 struct Stiffness {
     a: f64,

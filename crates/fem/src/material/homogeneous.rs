@@ -1,7 +1,7 @@
 //! Material tests: homogeneous deformation of one point, no mesh.
 //!
 //! Uniaxial and equibiaxial tests leave one or two directions free; their logarithmic stretches
-//! minimise the energy, by damped Newton steps from the isochoric ones. With
+//! minimise the energy (`free_sides`). With
 //! [`Compressibility::Limit`] the volume is kept instead, `K → ∞`, and the pressure follows from the
 //! free direction: `P₁₁ = P'₁₁ − P'₃₃ λ₃/λ₁`. A test through time, with memory, is
 //! [`stress_history`](crate::stress_history).

@@ -18,7 +18,7 @@ use crate::material::{FreeSides, Hyperelastic, Law, Matrix3, PiecePoint, Respons
 /// ([`nominal_stress`](crate::material::homogeneous::nominal_stress)) bear no stress at the end of
 /// any step.
 ///
-/// NaN from the first row on at which the law has no stress.
+/// NaN from the first row on at which the law has no stress, or the sides no stable place.
 ///
 /// # Errors
 ///
@@ -27,8 +27,8 @@ use crate::material::{FreeSides, Hyperelastic, Law, Matrix3, PiecePoint, Respons
 ///
 /// # Cost
 ///
-/// Per row two or three evaluations of the law, a tangent where the stiffness of the sides changes
-/// much, and no allocation.
+/// Per row two or three evaluations of the law (twice as many where its parts are remembered apart),
+/// a tangent where sides are free, and no allocation.
 ///
 /// # Examples
 ///
@@ -143,7 +143,8 @@ impl PiecePoint for Step<'_> {
 
     fn at(&self, h: &Matrix3) -> Option<(Response, Parts)> {
         let parts = self.common.parts(self.at, h, |he| self.law.response(he))?;
-        Some((self.common.response_of(self.at, h, &parts), parts))
+        let found = self.common.response_of(self.at, h, &parts);
+        found.stress.as_flattened().iter().all(|s| s.is_finite()).then_some((found, parts))
     }
 
     fn tangent_at(&self, h: &Matrix3) -> Option<Tangent> {

@@ -9,7 +9,7 @@ import numpy as np
 from tissuereg._base.arrays import FloatArray, IntArray
 from tissuereg.diagnosis.material.model import Model
 from tissuereg.experiment.material_experiment import Curve, MaterialExperiment
-from tissuereg.experiment.material_tests import MODES, shear_stress, uniaxial_stress
+from tissuereg.experiment.material_tests import MODES, moduli_of, shear_stress, uniaxial_stress
 
 
 def stress_of(model: Model, curve: Curve, rows: Sequence[int] | IntArray | None = None) -> FloatArray:
@@ -24,8 +24,8 @@ def stress_of(model: Model, curve: Curve, rows: Sequence[int] | IntArray | None 
     if behaviour is None:
         stress = shear_stress if curve.mode == "simple-shear" else uniaxial_stress
         return stress(material, curve.amounts[wanted])
-    moduli = float(material.young_array[0]), float(material.poisson_array[0])
-    history = material.core_law().stress_history(MODES[curve.mode], *_from_rest(curve), *moduli, behaviour)
+    law, moduli = material.core_law(), moduli_of(material)
+    history = law.stress_history(MODES[curve.mode], *_from_rest(curve), *moduli, behaviour)
     return history[1:][wanted]
 
 
@@ -41,7 +41,7 @@ def predicted_stresses(experiment: MaterialExperiment) -> list[FloatArray]:
     -------
     list of ndarray of float64
         For each curve, shape (n_rows,): nominal stress of every row, kPa, compression negative; NaN where the law has
-        no solution.
+        no solution, and with memory from there on.
 
     Examples
     --------

@@ -8,7 +8,6 @@ from tissuereg import _core
 from tissuereg.body.material import Material
 from tissuereg.errors import ExperimentError
 from tissuereg.experiment.effects import Effect
-from tissuereg.experiment.effects.elastic import Fibre, OtherLaw, Poisson, Stiffness
 from tissuereg.experiment.effects.history import Memory
 from tissuereg.simulation.memory import behaviour_of
 
@@ -42,12 +41,12 @@ class Model:
         """Return the model with effects on moduli, law, fibres or memory applied; others raise `ExperimentError`."""
         model = self
         for effect in effects:
-            if isinstance(effect, Memory):
-                model = replace(model, memory={**model.memory, effect.id: effect})
-            elif isinstance(effect, Stiffness | Poisson | OtherLaw | Fibre):
-                # These change the field `material` alone, of an experiment as of this record.
-                model = cast("Model", effect.applied(cast("Any", model), "tet4"))
-            else:
+            if not effect.of_specimen:
                 message = f"an effect of a material test must be one on the material, got '{effect.id}'"
                 raise ExperimentError(message, where=effect.id)
+            if isinstance(effect, Memory):
+                model = replace(model, memory={**model.memory, effect.id: effect})
+            else:
+                # Others change the field `material` alone, of an experiment as of this record.
+                model = cast("Model", effect.applied(cast("Any", model), "tet4"))
         return model
