@@ -278,7 +278,9 @@ class Law:
     def nominal_stress(
         self, mode: str, amounts: _Floats, young: float, poisson: float, *, incompressible: bool = False
     ) -> _Floats: ...
-    def response(self, gradients: _Floats, young: float, poisson: float) -> tuple[_Floats, _Floats]: ...
+    def stress_history(
+        self, mode: str, amounts: _Floats, times: _Floats, young: float, poisson: float, behaviour: Behaviour
+    ) -> _Floats: ...
 
 @final
 class Linearised:

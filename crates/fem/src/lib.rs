@@ -74,6 +74,7 @@
 //!
 //! [`History`] leads a body from one time frame to the next, with relaxation, rate, softening, set,
 //! drainage and swelling ([`Behaviour`]) on any law; [`Rig`] bonds pads to it and releases them.
+//! [`stress_history`] is a material test of the same: one point, no mesh.
 //! [`Springs`] hold facets of its surface, and [`rest_shape`] finds the unloaded shape of a body that is
 //! given in its shape under gravity.
 //!
@@ -128,7 +129,9 @@ pub use error::{ErrorClass, FemError, NoEquilibrium, RigidModes, StopReason, Wor
 pub use history::{History, Pad, Rig, RigFrame};
 pub use load::Load;
 pub use material::{Material, Stiffness};
-pub use memory::{Behaviour, Drainage, Part, Relaxation, Set, Softening, SofteningForm, Swelling};
+pub use memory::{
+    Behaviour, Drainage, Part, Relaxation, Set, Softening, SofteningForm, Swelling, stress_history,
+};
 pub use mesh::{DEGENERATE_LIMIT, Mesh, tet_volumes};
 pub use raster::{Slab, rasterise};
 pub use rest_shape::{RestShape, rest_shape};

@@ -222,6 +222,18 @@ fn a_bimodular_law_is_stiffer_where_it_is_stretched() {
     assert!(((pulled - pushed) / wanted - 1.0).abs() < 1e-4, "{pulled} {pushed}");
 }
 
+/// Strains of two signs whose squared stretches are equal to rounding.
+#[test]
+fn a_bimodular_law_has_a_tangent_at_the_smallest_strains() {
+    let recipe = recipes().into_iter().find(|r| r.name == "bimodular").expect("listed");
+    let law = recipe.law();
+    let at =
+        |e: f64| law.tangent(&[[e, 0.0, 0.0], [0.0, -e, 0.0], [0.0, 0.0, 0.0]]).expect("upright");
+    for (small, smallest) in at(1e-9).as_flattened().iter().zip(at(1e-17).as_flattened()) {
+        assert!((small - smallest).abs() < 1e-6, "{small} {smallest}");
+    }
+}
+
 #[test]
 fn slack_fibres_bear_nothing() {
     let along = |tension_only| {

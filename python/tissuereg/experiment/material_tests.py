@@ -63,16 +63,21 @@ def shear_stress(material: Material, shear: Any) -> FloatArray:
 
 
 def _stress(material: Material, mode: str, amount: Any, incompressible: bool) -> FloatArray:
-    young, poisson = material.young_array, material.poisson_array
-    if young.size > 1 or poisson.size > 1:
-        message = "a material test needs one Young's modulus and one Poisson's ratio, got fields over a body"
-        raise MaterialError(message, where="young")
+    moduli = moduli_of(material)
     if incompressible and material.law in ("st-venant-kirchhoff", "hooke"):
         message = f"the law '{material.law}' has no incompressible limit: it does not separate shape from volume"
         raise MaterialError(message, where="law")
     amounts = float_array("amounts", np.atleast_1d(amount), (None,))
-    law = material.core_law()
-    return law.nominal_stress(mode, amounts, float(young[0]), float(poisson[0]), incompressible=incompressible)
+    return material.core_law().nominal_stress(mode, amounts, *moduli, incompressible=incompressible)
+
+
+def moduli_of(material: Material) -> tuple[float, float]:
+    """Return Young's modulus in kPa and Poisson's ratio of a homogeneous material; `MaterialError` for any other."""
+    young, poisson = material.young_array, material.poisson_array
+    if young.size > 1 or poisson.size > 1:
+        message = "a material test needs one Young's modulus and one Poisson's ratio, got fields over a body"
+        raise MaterialError(message, where="young")
+    return float(young[0]), float(poisson[0])
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,8 +10,7 @@ import numpy as np
 from tissuereg._base.provenance import reads
 from tissuereg.errors import ExperimentError
 from tissuereg.experiment.effects import Effect, effect_from_table
-from tissuereg.experiment.effects.elastic import Fibre, OtherLaw, Poisson, Stiffness
-from tissuereg.experiment.effects.history import Rate, Relaxation, Set, Softening
+from tissuereg.experiment.effects.elastic import OtherLaw
 from tissuereg.experiment.material_experiment import TEST_MODES, Curve, MaterialExperiment
 from tissuereg.io.csv import Row, read_table, write_table
 from tissuereg.io.experiment_keys import (
@@ -22,9 +21,6 @@ from tissuereg.io.experiment_keys import (
     read_material,
 )
 from tissuereg.io.toml import Table, experiment_file, read_toml
-
-#: Effects that a material test can show.
-TEST_EFFECTS: tuple[type[Effect], ...] = (Stiffness, Poisson, OtherLaw, Fibre, Relaxation, Rate, Softening, Set)
 
 _COLUMNS = tuple(TEST_COLUMNS)
 
@@ -94,7 +90,7 @@ def _effect(table: Table) -> Effect:
         effect = effect_from_table(table.rest())
     except ExperimentError as error:
         table.refuse(str(error))
-    if not isinstance(effect, TEST_EFFECTS):
+    if not effect.of_specimen:
         table.refuse("`id` must be an effect on a material, which a test of it can show", effect.id)
     return effect
 

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from tissuereg import _core
 from tissuereg._base.arrays import index_array
 
 
@@ -103,11 +104,8 @@ class Behaviour:
     drainage: DrainageLaw | None = None
     swelling: SwellingLaw | None = None
 
-    def as_dict(self) -> dict[str, Any]:
-        """Return the parameters of each inelastic law that is present, as keyword arguments of the compiled solver.
-
-        Times are in s, viscosity in kPa s, energy in kPa; all other parameters are dimensionless.
-        """
+    def core(self) -> _core.Behaviour:
+        """Return these laws as an object of the compiled solver, which checks their ranges when it uses them."""
         numbers: dict[str, Any] = {}
         if self.relaxation is not None:
             g, tau = ([float(v) for v in np.atleast_1d(x)] for x in (self.relaxation.g, self.relaxation.tau_s))
@@ -124,7 +122,7 @@ class Behaviour:
         if self.swelling is not None:
             ramp = self.swelling
             numbers["swelling"] = (ramp.linear_strain, ramp.from_time_s, ramp.to_time_s)
-        return numbers
+        return _core.Behaviour(**numbers)
 
 
 #: The law of each behaviour, by the field of `Behaviour` that holds it: the id of its effect.

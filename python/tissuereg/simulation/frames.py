@@ -275,7 +275,7 @@ class _Plan:
 
 
 def _core_behaviour(behaviour: Behaviour | None) -> _core.Behaviour | None:
-    return None if behaviour is None else _core.Behaviour(**behaviour.as_dict())
+    return None if behaviour is None else behaviour.core()
 
 
 def _one_a_frame(loads: Load | Sequence[Load] | None, n_frames: int) -> list[Load]:

@@ -6,7 +6,7 @@ all cases on their common clock, together with fading memory, which decays over 
 """
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -14,7 +14,7 @@ import numpy as np
 from tissuereg._base.arrays import FloatArray, IntArray
 from tissuereg.body.load import Load
 from tissuereg.errors import ConvergenceError, ExperimentError
-from tissuereg.experiment.effects import Drainage, Relaxation, Set, Sliding, Softening, Swelling
+from tissuereg.experiment.effects import Drainage, Effect, Relaxation, Set, Sliding, Softening, Swelling
 from tissuereg.experiment.effects.history import Memory
 from tissuereg.experiment.experiment import Case, Experiment
 from tissuereg.simulation import behaviour
@@ -202,7 +202,7 @@ def _solve_group(
         experiment.material,
         np.concatenate(times),
         acting,
-        behaviour=behaviour_of(experiment),
+        behaviour=behaviour_of(experiment.effects),
         settings=settings,
         similar=replace(similar, near=guides),
         progress=report,
@@ -219,10 +219,10 @@ def _solve_group(
     return answers
 
 
-def behaviour_of(experiment: Experiment) -> behaviour.Behaviour | None:
-    """Return the inelastic behaviour given by an experiment's effects of memory or swelling; None if none."""
+def behaviour_of(effects: Iterable[Effect]) -> behaviour.Behaviour | None:
+    """Return the inelastic behaviour given by those of some effects that are of memory or swelling; None if none is."""
     given = {}
-    for effect in experiment.effects:
+    for effect in effects:
         if isinstance(effect, Memory):
             kind = behaviour.LAWS[effect.id]
             given[effect.id] = kind(**{key.name: getattr(effect, key.name) for key in fields(kind)})
@@ -271,7 +271,7 @@ def _growing(experiment: Experiment, settings: FrameSettings) -> _Growing | None
         experiment.material,
         np.array([swelling.from_time_s, swelling.to_time_s]),
         Acting([Load(), Load()], held_nodes=experiment.mesh.fixed_nodes),
-        behaviour=behaviour_of(alone),
+        behaviour=behaviour_of(alone.effects),
         settings=settings,
     )
     return _Growing(swelling, found.displacement[1])

@@ -2,22 +2,19 @@
 
 use std::collections::BTreeMap;
 
-use numpy::prelude::*;
-use numpy::{IntoPyArray, PyArray1, PyArray3};
+use numpy::{IntoPyArray, PyArray1};
 use pyo3::prelude::*;
 use tissuereg_boundary::errors::{self, Class};
 use tissuereg_boundary::views::View;
 use tissuereg_fem::material as fem;
 use tissuereg_fem::material::homogeneous::{Compressibility, Mode, nominal_stress};
 use tissuereg_fem::material::{
-    Declaration, Directions, Fibres, Hyperelastic, LawKind, ShapeParameter, Volumetric,
+    Declaration, Directions, Fibres, LawKind, ShapeParameter, Volumetric,
 };
-use tissuereg_fem::{Element, FemError, Material, Stiffness};
+use tissuereg_fem::{Element, FemError, Material, Stiffness, stress_history};
 
+use super::behaviour::Behaviour;
 use super::given::bad_choice;
-
-/// Energies (n,) and stresses (n, 3, 3).
-type Answers<'py> = (Bound<'py, PyArray1<f64>>, Bound<'py, PyArray3<f64>>);
 
 /// A law, its shape and its fibres; moduli come with each solve.
 #[pyclass(frozen, module = "tissuereg._core")]
@@ -86,15 +83,7 @@ impl Law {
         poisson: f64,
         incompressible: bool,
     ) -> PyResult<Bound<'py, PyArray1<f64>>> {
-        let mode = match mode {
-            "uniaxial" => Mode::Uniaxial,
-            "equibiaxial" => Mode::Equibiaxial,
-            "simple-shear" => Mode::SimpleShear,
-            other => {
-                let wanted = "`uniaxial`, `equibiaxial` or `simple-shear`";
-                return Err(bad_choice(py, "mode", wanted, other));
-            }
-        };
+        let mode = mode_of(py, mode)?;
         let limit = if incompressible { Compressibility::Limit } else { Compressibility::OfLaw };
         let amounts = View::<f64>::new("amounts", amounts, &[&[None]])?;
         let law = self.point_law(py, young, poisson)?;
@@ -106,27 +95,28 @@ impl Law {
         Ok(stress.into_pyarray(py))
     }
 
-    /// Energy density, float64 (n,) kPa, and first Piola-Kirchhoff stress, float64 (n, 3, 3) kPa, at displacement
-    /// gradients, float64 (n, 3, 3); NaN where the law has none.
-    fn response<'py>(
+    /// Nominal stress, float64 (n,) kPa, of a homogeneous test through stretches or amounts of shear, float64 (n,), at
+    /// times, float64 (n,) s: the first row is reached at once. NaN from a row on where there is none.
+    #[pyo3(signature = (mode, amounts, times, young, poisson, behaviour))]
+    #[allow(clippy::too_many_arguments)] // one function in Python
+    fn stress_history<'py>(
         &self,
         py: Python<'py>,
-        gradients: &Bound<'py, PyAny>,
+        mode: &str,
+        amounts: &Bound<'py, PyAny>,
+        times: &Bound<'py, PyAny>,
         young: f64,
         poisson: f64,
-    ) -> PyResult<Answers<'py>> {
-        let view = View::<f64>::new("gradients", gradients, &[&[None, Some(3), Some(3)]])?;
+        behaviour: &Behaviour,
+    ) -> PyResult<Bound<'py, PyArray1<f64>>> {
+        let mode = mode_of(py, mode)?;
+        let amounts = View::<f64>::new("amounts", amounts, &[&[None]])?;
+        let times = View::<f64>::new("times", times, &[&[None]])?;
         let law = self.point_law(py, young, poisson)?;
-        let n = view.shape()[0];
-        let (mut energies, mut stresses) = (Vec::with_capacity(n), Vec::with_capacity(9 * n));
-        for rows in view.rows::<3>().as_chunks::<3>().0 {
-            let answer = law.response(rows);
-            energies.push(answer.map_or(f64::NAN, |answer| answer.energy));
-            let stress = answer.map_or([[f64::NAN; 3]; 3], |answer| answer.stress);
-            stresses.extend_from_slice(stress.as_flattened());
-        }
-        let stresses = stresses.into_pyarray(py).reshape([n, 3, 3])?;
-        Ok((energies.into_pyarray(py), stresses))
+        let (amounts, times) = (amounts.slice(), times.slice());
+        let stress = py.detach(|| stress_history(&law, &behaviour.0, mode, amounts, times));
+        let stress = stress.map_err(|error| errors::from_fem(py, &error, None))?;
+        Ok(stress.into_pyarray(py))
     }
 
     fn __repr__(&self) -> String {
@@ -172,6 +162,18 @@ impl Law {
             }
             (_, poisson) => Stiffness::PerPoint { n_points, young, poisson: poisson.to_vec() },
         })
+    }
+}
+
+fn mode_of(py: Python<'_>, name: &str) -> PyResult<Mode> {
+    match name {
+        "uniaxial" => Ok(Mode::Uniaxial),
+        "equibiaxial" => Ok(Mode::Equibiaxial),
+        "simple-shear" => Ok(Mode::SimpleShear),
+        other => {
+            let wanted = "`uniaxial`, `equibiaxial` or `simple-shear`";
+            Err(bad_choice(py, "mode", wanted, other))
+        }
     }
 }
 

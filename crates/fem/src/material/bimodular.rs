@@ -43,10 +43,11 @@ pub(super) fn add_tangent(modulus: f64, h: &Matrix3, sum: &mut Tangent) {
 
 /// `(τ_a − τ_b)/(c_a − c_b)`, also where they are equal.
 fn divided(at: &Stretches, a: usize, b: usize) -> f64 {
+    let slope = 2.0 * at.log_difference(a, b).1 / at.c[b];
     match (at.log[a] > 0.0, at.log[b] > 0.0) {
-        (true, true) => 2.0 * at.log_difference(a, b).1 / at.c[b],
+        (true, true) => slope,
         (false, false) => 0.0,
-        (true, false) => 2.0 * at.log[a] / (at.c[a] - at.c[b]),
-        (false, true) => 2.0 * at.log[b] / (at.c[b] - at.c[a]),
+        (true, false) => slope * at.log[a] / (at.log[a] - at.log[b]),
+        (false, true) => slope * at.log[b] / (at.log[b] - at.log[a]),
     }
 }

@@ -1,10 +1,12 @@
 //! Material tests: homogeneous deformation of one point, no mesh.
 //!
 //! Uniaxial and equibiaxial tests leave one or two directions free; their logarithmic stretches
-//! minimise the energy, by damped Newton steps from the isochoric ones. With
+//! minimise the energy (`free_sides`). With
 //! [`Compressibility::Limit`] the volume is kept instead, `K → ∞`, and the pressure follows from the
-//! free direction: `P₁₁ = P'₁₁ − P'₃₃ λ₃/λ₁`.
+//! free direction: `P₁₁ = P'₁₁ − P'₃₃ λ₃/λ₁`. A test through time, with memory, is
+//! [`stress_history`](crate::stress_history).
 
+use super::free_sides::FreeSides;
 use super::{Hyperelastic, Law, LawKind, Matrix3};
 
 /// Deformation of a material test; axis 0 is the one that is pulled.
@@ -60,88 +62,32 @@ pub fn nominal_stress(
     if limit && matches!(law.kind, LawKind::StVenantKirchhoff | LawKind::Hooke) {
         return None;
     }
-    if mode == Mode::SimpleShear {
-        let mut h = [[0.0; 3]; 3];
-        h[0][1] = amount;
-        return Some(law.stress(&h)?[0][1]);
-    }
+    let Some(n_free) = mode.n_free() else { return Some(law.stress(&sheared(amount))?[0][1]) };
     if !(amount > 0.0 && amount.is_finite()) {
         return None;
     }
-    let pulled = amount.ln();
-    let n_free = if mode == Mode::Uniaxial { 2 } else { 1 };
-    // Logarithmic stretches that keep the volume.
-    let mut logs = [pulled; 3];
-    logs[3 - n_free..].fill(-pulled * (3 - n_free) as f64 / n_free as f64);
-    if limit {
-        let stress = law.stress(&gradient(&logs))?;
-        return Some(stress[0][0] - stress[2][2] * (logs[2] - logs[0]).exp());
+    let mut piece = FreeSides::new(n_free);
+    piece.pull(amount);
+    if !limit {
+        let (found, ()) = piece.settle(law)?;
+        return Some(piece.pulled_stress(&found));
     }
-    relax(law, &mut logs, n_free)?;
-    Some(law.stress(&gradient(&logs))?[0][0])
+    let (h, stress) = (piece.gradient(), law.stress(&piece.gradient())?);
+    Some(stress[0][0] - stress[2][2] * (1.0 + h[2][2]) / (1.0 + h[0][0]))
 }
 
-fn gradient(logs: &[f64; 3]) -> Matrix3 {
-    let mut h = [[0.0; 3]; 3];
-    (0..3).for_each(|i| h[i][i] = logs[i].exp_m1());
-    h
-}
-
-/// Minimise the energy over the last `n_free` logarithmic stretches.
-fn relax(law: &Law, logs: &mut [f64; 3], n_free: usize) -> Option<()> {
-    const MAX_STEPS: usize = 200;
-    let free = 3 - n_free;
-    for _ in 0..MAX_STEPS {
-        let step = newton_step(law, logs, free)?;
-        let size = step.iter().fold(0.0_f64, |m, v| m.max(v.abs()));
-        // Below rounding of a logarithm there is nothing to gain.
-        let done = size < 1e-14 * (1.0 + logs[0].abs());
-        if done {
-            return Some(());
-        }
-        let energy = law.energy(&gradient(logs))?;
-        // A stretch may change by a half at a time, and the energy must not rise beyond rounding.
-        let mut share = (0.5 / size).min(1.0);
-        loop {
-            let tried: [f64; 3] = std::array::from_fn(|i| logs[i] + share * step[i]);
-            let rise = law.energy(&gradient(&tried)).map(|tried| tried - energy);
-            if rise.is_some_and(|rise| rise <= 1e-12 * energy) {
-                *logs = tried;
-                break;
-            }
-            share *= 0.5;
-            if share * size < 1e-15 {
-                return (size < 1e-9).then_some(());
-            }
+impl Mode {
+    /// Directions that are free; none where the whole deformation is given.
+    pub(crate) fn n_free(self) -> Option<usize> {
+        match self {
+            Self::Uniaxial => Some(2),
+            Self::Equibiaxial => Some(1),
+            Self::SimpleShear => None,
         }
     }
-    None
 }
 
-/// Newton step of the free logarithmic stretches, in a direction along which the energy falls.
-fn newton_step(law: &Law, logs: &[f64; 3], free: usize) -> Option<[f64; 3]> {
-    let h = gradient(logs);
-    let (stress, tangent) = (law.stress(&h)?, law.tangent(&h)?);
-    let stretch = logs.map(f64::exp);
-    let slope = |i: usize| stress[i][i] * stretch[i];
-    let curvature = |i: usize, j: usize| {
-        let of_chart = if i == j { slope(i) } else { 0.0 };
-        tangent[4 * i][4 * j] * stretch[i] * stretch[j] + of_chart
-    };
-    let mut step = [0.0; 3];
-    if free == 2 {
-        step[2] = -slope(2) / curvature(2, 2).abs();
-        return step[2].is_finite().then_some(step);
-    }
-    let (a, b, c) = (curvature(1, 1), curvature(1, 2), curvature(2, 2));
-    let (r, s) = (slope(1), slope(2));
-    let det = a * c - b * b;
-    if a > 0.0 && det > 0.0 {
-        step[1] = -(c * r - b * s) / det;
-        step[2] = -(a * s - b * r) / det;
-    } else {
-        let scale = a.abs() + b.abs() + c.abs();
-        (step[1], step[2]) = (-r / scale, -s / scale);
-    }
-    step.iter().all(|v| v.is_finite()).then_some(step)
+/// `h` of simple shear.
+pub(crate) fn sheared(amount: f64) -> Matrix3 {
+    [[0.0, amount, 0.0], [0.0; 3], [0.0; 3]]
 }

@@ -11,6 +11,7 @@ mod bimodular;
 mod declaration;
 mod fibre;
 mod field;
+mod free_sides;
 pub mod homogeneous;
 mod invariants;
 mod kind;
@@ -29,14 +30,16 @@ pub use declaration::{Declaration, Range, ShapeParameter};
 pub use fibre::Fibre;
 pub use field::Material;
 pub(crate) use field::PlainLaws;
+pub(crate) use free_sides::{FreeSides, PiecePoint};
 pub use kind::{LawKind, OgdenTerms, Parameter};
 pub use kinematics::Volumetric;
 pub use law::Law;
 pub use neo_hookean::NeoHookean;
 pub(crate) use shape::Shape;
+pub(crate) use spectrum::eigen;
 pub use stiffness::{Directions, Fibres, Stiffness};
 pub use tensor::det_f_minus_one;
-pub(crate) use tensor::{cofactor, phi1, product, square, x_minus_log};
+pub(crate) use tensor::{cofactor, product, square, x_minus_log};
 
 /// A matrix of three rows, `[i][j]`.
 pub type Matrix3 = [[f64; 3]; 3];

@@ -91,7 +91,7 @@ impl Dyads<'_> {
 ///
 /// Golub and Van Loan, *Matrix Computations*, 4th ed., algorithm 8.5.3; a 3 x 3 matrix is diagonal
 /// to rounding after five sweeps, and a NaN passes through.
-fn eigen(mut m: Matrix3) -> ([f64; 3], Matrix3) {
+pub(crate) fn eigen(mut m: Matrix3) -> ([f64; 3], Matrix3) {
     let mut axes = plus_identity(&[[0.0; 3]; 3]);
     for _ in 0..10 {
         if m[0][1] == 0.0 && m[0][2] == 0.0 && m[1][2] == 0.0 {

@@ -131,12 +131,12 @@ pub(crate) fn x_minus_log(x: f64, log: f64) -> f64 {
 }
 
 /// `(eʸ − 1) / y`, 1 at 0.
-pub(crate) fn phi1(y: f64) -> f64 {
+pub(super) fn phi1(y: f64) -> f64 {
     if y == 0.0 { 1.0 } else { y.exp_m1() / y }
 }
 
 /// `(eʸ − 1 − y) / y²`, 1/2 at 0. The slope of [`phi1`] is `phi1 − phi2`.
-pub(crate) fn phi2(y: f64) -> f64 {
+pub(super) fn phi2(y: f64) -> f64 {
     if y.abs() > 0.5 {
         return (y.exp_m1() - y) / (y * y);
     }

@@ -1,6 +1,6 @@
 //! The state within a time step, and the update of a point's memory at its end.
 
-use super::behaviour::{Behaviour, Drainage, Part, Softening, SofteningForm};
+use super::behaviour::{Behaviour, Drainage, Part, Softening, SofteningForm, Swelling};
 use super::prony::{Decay, Memory, Term};
 use super::softening::Softened;
 use super::tensor::{
@@ -38,6 +38,13 @@ pub(crate) struct PointState {
     pub(super) largest_strain: Matrix3,
 }
 
+impl PointState {
+    /// Whether it remembers stresses.
+    pub(super) fn remembers(&self) -> bool {
+        self.volumetric.is_some() || self.isochoric.is_some()
+    }
+}
+
 /// Viscous flow at one point: `½ c ΔE : B ΔE B`.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Flow {
@@ -72,6 +79,9 @@ pub(super) struct Common {
     pub(super) split: bool,
     pub(super) softening: Option<Softening>,
     pub(super) set: Option<f64>,
+    swelling: Option<Swelling>,
+    /// `η`, kPa s.
+    viscosity: f64,
     /// `2 η / Δt`, kPa.
     viscous: f64,
 }
@@ -79,16 +89,28 @@ pub(super) struct Common {
 impl Common {
     /// Of a step of `length` seconds (0: at once) that ends at `time`, s.
     pub(super) fn new(behaviour: &Behaviour, length: f64, time: f64) -> Self {
-        let decays = behaviour.series().map(|terms| Decay::new(&terms, length));
-        Self {
-            stretch: behaviour.swelling.map_or(1.0, |swelling| swelling.stretch(time)),
-            weights: Weights { volumetric: decays[0].instant(), isochoric: decays[1].instant() },
-            decays,
+        let mut common = Self {
+            stretch: 1.0,
+            weights: Weights { volumetric: 1.0, isochoric: 1.0 },
+            decays: behaviour.series().map(|terms| Decay::new(&terms)),
             split: behaviour.is_split(),
             softening: behaviour.softening,
             set: behaviour.set.map(|set| set.fraction),
-            viscous: if length > 0.0 { 2.0 * behaviour.viscosity_kpa_s / length } else { 0.0 },
-        }
+            swelling: behaviour.swelling,
+            viscosity: behaviour.viscosity_kpa_s,
+            viscous: 0.0,
+        };
+        common.set_step(length, time);
+        common
+    }
+
+    /// Go over to another step of the same behaviour, as [`new`](Self::new), without allocation.
+    pub(super) fn set_step(&mut self, length: f64, time: f64) {
+        self.decays.iter_mut().for_each(|decay| decay.set_step(length));
+        let [volumetric, isochoric] = &self.decays;
+        self.weights = Weights { volumetric: volumetric.instant(), isochoric: isochoric.instant() };
+        self.stretch = self.swelling.map_or(1.0, |swelling| swelling.stretch(time));
+        self.viscous = if length > 0.0 { 2.0 * self.viscosity / length } else { 0.0 };
     }
 
     /// What holds at a point.

@@ -18,7 +18,8 @@
 //!   its argument);
 //! * `common`: what is remembered and what holds within a step; `Fp` is the set, `s` the swelling;
 //! * `point`: chain rule of the first line, stress and tangent, once for all laws, and the update of
-//!   what is remembered; `state`: all points of a body, as the element loops see them.
+//!   what is remembered; `state`: all points of a body, as the element loops see them; `test_piece`:
+//!   one point through a material test.
 //!
 //! # References
 //!
@@ -34,6 +35,7 @@ mod prony;
 mod softening;
 mod state;
 mod tensor;
+mod test_piece;
 #[cfg(test)]
 mod tests;
 
@@ -42,3 +44,4 @@ pub use behaviour::{
 };
 pub(crate) use common::PointState;
 pub(crate) use state::{StepModel, StepState, fresh_states};
+pub use test_piece::stress_history;

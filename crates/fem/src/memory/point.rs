@@ -60,10 +60,10 @@ impl Common {
         if !self.split {
             return Some(tangent);
         }
-        let bar = bar_gradient(he);
+        let (j, bar) = bar_gradient(he);
         let (own, own_tangent) = (law(&bar)?, law_tangent(&bar)?);
-        let stress = isochoric_stress(&own.stress, he);
-        let iso = isochoric_tangent(&own.stress, &own_tangent, &stress, he);
+        let stress = isochoric_stress(&own.stress, he, j);
+        let iso = isochoric_tangent(&own.stress, &own_tangent, &stress, he, j);
         let softened = self.softened(SofteningForm::OgdenRoxburgh, own.energy, at);
         let slope = weights.isochoric * softened.slope - weights.volumetric;
         for (row, of_iso) in tangent.iter_mut().zip(&iso) {
@@ -125,8 +125,9 @@ impl Common {
         let whole = law(&he)?;
         let isochoric = match self.split {
             true => {
-                let iso = law(&bar_gradient(&he))?;
-                let stress = isochoric_stress(&iso.stress, &he);
+                let (j, bar) = bar_gradient(&he);
+                let iso = law(&bar)?;
+                let stress = isochoric_stress(&iso.stress, &he, j);
                 let softened = self.softened(SofteningForm::OgdenRoxburgh, iso.energy, at);
                 Some(Isochoric { energy: iso.energy, stress, softened })
             }
@@ -160,8 +161,12 @@ impl Common {
         h: &Matrix3,
         law: impl Fn(&Matrix3) -> Option<Response>,
     ) -> Option<Response> {
-        let parts = self.parts(at, h, law)?;
-        Some(self.with_memory(at, h, self.stored(at, h, &parts, self.weights)))
+        Some(self.response_of(at, h, &self.parts(at, h, law)?))
+    }
+
+    /// The same from the law at the gradient.
+    pub(super) fn response_of(&self, at: &PointStep, h: &Matrix3, parts: &Parts) -> Response {
+        self.with_memory(at, h, self.stored(at, h, parts, self.weights))
     }
 
     /// With what is remembered and what flows: the second line of `Ψ`.
@@ -197,28 +202,45 @@ impl Common {
         law: impl Fn(&Matrix3) -> Option<Response>,
         state: &mut PointState,
     ) -> Option<()> {
-        let (one, none) = (1.0, 0.0);
-        let remembers = state.volumetric.is_some() || state.isochoric.is_some();
-        if remembers || self.softening.is_some() {
-            let parts = self.parts(at, h, law)?;
+        if state.remembers() || self.softening.is_some() {
+            self.update_stresses(at, h, &self.parts(at, h, law)?, state);
+        }
+        self.update_strains(h, state);
+        Some(())
+    }
+
+    /// The part of [`update`](Self::update) that depends on the law, from the law at the gradient.
+    pub(super) fn update_stresses(
+        &self,
+        at: &PointStep,
+        h: &Matrix3,
+        parts: &Parts,
+        state: &mut PointState,
+    ) {
+        if state.remembers() {
             let inverse = transposed(&inverse_transposed(&plus_identity(h)));
             let second = |volumetric: f64, isochoric: f64| {
                 let weights = Weights { volumetric, isochoric };
-                product(&inverse, &self.stored(at, h, &parts, weights).stress)
+                product(&inverse, &self.stored(at, h, parts, weights).stress)
             };
+            let (one, none) = (1.0, 0.0);
             if let Some(memory) = &mut state.volumetric {
                 self.decays[0].update(memory, second(one, if self.split { none } else { one }));
             }
             if let Some(memory) = &mut state.isochoric {
                 self.decays[1].update(memory, second(none, one));
             }
-            if let Some(softening) = &self.softening {
-                let energy = parts.softening_energy(softening.form);
-                if energy > state.largest_energy {
-                    state.largest_energy = energy;
-                }
+        }
+        if let Some(softening) = &self.softening {
+            let energy = parts.softening_energy(softening.form);
+            if energy > state.largest_energy {
+                state.largest_energy = energy;
             }
         }
+    }
+
+    /// The part of [`update`](Self::update) that does not depend on the law.
+    pub(super) fn update_strains(&self, h: &Matrix3, state: &mut PointState) {
         if self.set.is_some() {
             let strain = log_strain(&self.without_swelling(h));
             let square = |strain: &Matrix3| contracted(strain, strain);
@@ -227,21 +249,18 @@ impl Common {
             }
         }
         state.gradient = *h;
-        Some(())
     }
 }
 
-/// `F̄ − I = j h + (j − 1) I`
-fn bar_gradient(h: &Matrix3) -> Matrix3 {
+/// `j`, and `F̄ − I = j h + (j − 1) I`.
+fn bar_gradient(h: &Matrix3) -> (f64, Matrix3) {
     let x = det_f_minus_one(h);
     let less = (-x.ln_1p() / 3.0).exp_m1();
-    plus_scalar(&scaled(1.0 + less, h), less)
+    (1.0 + less, plus_scalar(&scaled(1.0 + less, h), less))
 }
 
-fn isochoric_stress(law_stress: &Matrix3, h: &Matrix3) -> Matrix3 {
+fn isochoric_stress(law_stress: &Matrix3, h: &Matrix3, j: f64) -> Matrix3 {
     let f = plus_identity(h);
-    let x = det_f_minus_one(h);
-    let j = (1.0 + x).cbrt().recip();
     let mean = contracted(law_stress, &f) / 3.0;
     let mut stress = scaled(j, law_stress);
     add_scaled(&mut stress, -j * mean, &inverse_transposed(&f));
@@ -253,10 +272,10 @@ fn isochoric_tangent(
     law_tangent: &Tangent,
     iso_stress: &Matrix3,
     h: &Matrix3,
+    j: f64,
 ) -> Tangent {
     let f = plus_identity(h);
     let g = inverse_transposed(&f);
-    let j = (1.0 + det_f_minus_one(h)).cbrt().recip();
     let mean = contracted(law_stress, &f) / 3.0;
     let (flat_f, flat_g) = (f.as_flattened(), g.as_flattened());
     // Ā Q, then Qᵀ (Ā Q): Q takes a third of the F direction off along G.

@@ -9,7 +9,7 @@
 //! ```
 
 use super::tensor::{ZERO, add_scaled};
-use crate::material::{Matrix3, phi1};
+use crate::material::Matrix3;
 
 /// One term of a series: its share and its time, s.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -36,31 +36,36 @@ impl Memory {
 /// `e` and `β` of every term over one step.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Decay {
-    factors: Vec<(f64, f64, f64)>,
+    /// Each term with its `e` and `β`.
+    factors: Vec<(Term, f64, f64)>,
 }
 
 impl Decay {
-    pub(super) fn new(terms: &[Term], step: f64) -> Self {
-        let factors = terms
-            .iter()
-            .map(|term| {
-                let y = -(step / term.tau);
-                (term.share, y.exp(), phi1(y))
-            })
-            .collect();
-        Self { factors }
+    /// Over a step that takes no time.
+    pub(super) fn new(terms: &[Term]) -> Self {
+        Self { factors: terms.iter().map(|&term| (term, 1.0, 1.0)).collect() }
+    }
+
+    /// Go over to a step of another length, s.
+    pub(super) fn set_step(&mut self, length: f64) {
+        for (term, e, beta) in &mut self.factors {
+            // From one exponential.
+            let y = -(length / term.tau);
+            let decayed = y.exp_m1();
+            (*e, *beta) = (1.0 + decayed, if y == 0.0 { 1.0 } else { decayed / y });
+        }
     }
 
     /// `a`: remaining share of an elastic stress that grows within the step.
     pub(super) fn instant(&self) -> f64 {
-        let lost = |sum: f64, (share, _, beta): &(f64, f64, f64)| sum + share * (1.0 - beta);
+        let lost = |sum: f64, (term, _, beta): &(Term, f64, f64)| sum + term.share * (1.0 - beta);
         1.0 - self.factors.iter().fold(0.0, lost)
     }
 
     /// `S_hist`, kPa.
     pub(super) fn history(&self, memory: &Memory) -> Matrix3 {
         let mut sum = ZERO;
-        for ((share, e, beta), term) in self.factors.iter().zip(&memory.terms) {
+        for ((Term { share, .. }, e, beta), term) in self.factors.iter().zip(&memory.terms) {
             add_scaled(&mut sum, share * e, term);
             add_scaled(&mut sum, -share * beta, &memory.elastic);
         }

@@ -40,12 +40,12 @@ impl Softening {
         }
         let c = self.m_kpa + self.beta * largest;
         let x = z / c;
-        let (bell, rest) = ((-x * x).exp(), (-x * x).exp_m1());
+        let rest = (-x * x).exp_m1();
         let erf = libm::erf(x);
         Softened {
             energy: energy + (z * erf + c / PI.sqrt() * rest) / self.r,
             slope: 1.0 - erf / self.r,
-            curvature: 2.0 / (PI.sqrt() * c * self.r) * bell,
+            curvature: 2.0 / (PI.sqrt() * c * self.r) * (1.0 + rest),
         }
     }
 

@@ -22,16 +22,20 @@ pub(crate) struct StepState {
 
 /// Points of a body that has been through nothing.
 pub(crate) fn fresh_states(behaviour: &Behaviour, n: usize) -> Vec<PointState> {
+    vec![fresh_state(behaviour); n]
+}
+
+/// A point that has been through nothing.
+pub(super) fn fresh_state(behaviour: &Behaviour) -> PointState {
     let memory = |terms: &[Term]| (!terms.is_empty()).then(|| Memory::new(terms.len()));
     let [volumetric, isochoric] = behaviour.series();
-    let state = PointState {
+    PointState {
         gradient: ZERO,
         volumetric: memory(&volumetric),
         isochoric: if behaviour.is_split() { memory(&isochoric) } else { None },
         largest_energy: 0.0,
         largest_strain: ZERO,
-    };
-    vec![state; n]
+    }
 }
 
 impl StepState {

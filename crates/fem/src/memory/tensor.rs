@@ -1,8 +1,6 @@
 //! Algebra of 3 x 3 matrices, as far as the history needs it.
 
-use nalgebra::SymmetricEigen;
-
-use crate::material::Matrix3;
+use crate::material::{Matrix3, eigen};
 
 pub(super) const ZERO: Matrix3 = [[0.0; 3]; 3];
 
@@ -98,18 +96,9 @@ pub(super) fn inverse_transposed(f: &Matrix3) -> Matrix3 {
 
 /// Apply a function to the eigenvalues of a symmetric matrix.
 pub(super) fn spectral(symmetric: &Matrix3, function: impl Fn(f64) -> f64) -> Matrix3 {
-    let eigen = SymmetricEigen::new(nalgebra::Matrix3::from_fn(|i, j| symmetric[i][j]));
-    let (lambda, axes) = (&eigen.eigenvalues, &eigen.eigenvectors);
-    let mut sum = ZERO;
-    for k in 0..3 {
-        let value = function(lambda[k]);
-        for i in 0..3 {
-            for j in 0..3 {
-                sum[i][j] += value * axes[(i, k)] * axes[(j, k)];
-            }
-        }
-    }
-    sum
+    let (values, axes) = eigen(*symmetric);
+    let values = values.map(function);
+    matrix(|i, j| (0..3).map(|k| values[k] * axes[i][k] * axes[j][k]).sum())
 }
 
 /// Logarithmic strain `½ ln C` of a displacement gradient.

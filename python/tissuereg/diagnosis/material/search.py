@@ -17,6 +17,7 @@ from tissuereg.diagnosis.material.causes import Form
 from tissuereg.diagnosis.material.fit import MaterialFit
 from tissuereg.diagnosis.material.holdout import HeldOutErrors, ProofInput, held_out_errors
 from tissuereg.diagnosis.material.hypothesis import Hypothesis, forms_of, refitted, unknown, with_cause
+from tissuereg.experiment.effects.history import Relaxation
 
 Progress = Callable[[str], None]
 
@@ -196,8 +197,8 @@ class MaterialSearch:
         Far is more than `far_modulus` (3) prior standard deviations of its logarithm from the range between the fitted
         instantaneous and relaxed moduli.
         """
-        problem, relaxation = self.bench.problem, fit.model.relaxation
-        relaxed = 0.0 if relaxation is None else float(np.log1p(-min(sum(relaxation.g), 0.999)))
+        problem, memory = self.bench.problem, fit.model.memory.get("relaxation")
+        relaxed = float(np.log1p(-min(sum(memory.g), 0.999))) if isinstance(memory, Relaxation) else 0.0
         above, below = fit.x[0] + relaxed - problem.young_log, problem.young_log - fit.x[0]
         return bool(max(above, below) > self.rules.far_modulus * problem.young_std)
 

@@ -37,6 +37,8 @@ class Effect(CheckedRecord):
     repeatable: ClassVar[bool] = False
     #: Whether its table holds a stress, which does not grow with Young's modulus.
     absolute: ClassVar[bool] = False
+    #: Whether a test of a specimen can show it.
+    of_specimen: ClassVar[bool] = False
 
     def fits(self, experiment: Experiment) -> None:
         """Raise an error if an experiment lacks what this effect refers to, such as a marker or an actuator.

@@ -22,6 +22,7 @@ class Stiffness(Effect):
     """Young's modulus at small strain in kPa, in place of the believed one; inclusions and layers multiply it."""
 
     id: ClassVar[str] = "stiffness"
+    of_specimen: ClassVar[bool] = True
     absolute: ClassVar[bool] = True
     young_kpa: float = number("Young's modulus at small strain", above=0.0)
 
@@ -35,6 +36,7 @@ class Poisson(Effect):
     """Poisson's ratio at small strain, in place of the believed one."""
 
     id: ClassVar[str] = "poisson"
+    of_specimen: ClassVar[bool] = True
     poisson: float = number("Poisson's ratio at small strain", above=-1.0, below=0.5)
 
     def applied(self, experiment: Experiment, element: Element) -> Experiment:
@@ -48,6 +50,8 @@ class OtherLaw(Effect):
 
     `law` names it; its shape parameters, which the table of `Material` defines, must be given and all others be None.
     """
+
+    of_specimen: ClassVar[bool] = True
 
     law: str = choice(tuple(SHAPE_KEYS), "strain energy")
     excess: float | None = number(_OF_LAW, default=None)
@@ -123,6 +127,7 @@ class Fibre(Effect):
     """One family of fibres, of stiffness ``k1_over_mu`` shear moduli and exponent ``k2``, along a direction."""
 
     id: ClassVar[str] = "fibre"
+    of_specimen: ClassVar[bool] = True
     k1_over_mu: float = number("stiffness k1 over the shear modulus", least=0.0)
     k2: float = number("rate of stiffening", least=0.0)
     direction: Vector = numbers("of the fibres; only the direction counts", 3, directed=True)

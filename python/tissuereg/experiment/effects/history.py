@@ -29,6 +29,7 @@ class Relaxation(Memory):
     """
 
     id: ClassVar[str] = "relaxation"
+    of_specimen: ClassVar[bool] = True
     g: tuple[float, ...] = numbers("shares of the stress that relax; their sum is less than 1", above=0.0, below=1.0)
     tau_s: tuple[float, ...] = numbers("their time constants", above=0.0)
     part: str = choice(("whole", "isochoric"), "stress that relaxes", default="whole")
@@ -46,6 +47,7 @@ class Rate(Memory):
     """A viscous stress that grows with the rate of strain."""
 
     id: ClassVar[str] = "rate"
+    of_specimen: ClassVar[bool] = True
     absolute: ClassVar[bool] = True
     viscosity_kpa_s: float = number("viscosity", least=0.0)
 
@@ -59,6 +61,7 @@ class Softening(Memory):
     """
 
     id: ClassVar[str] = "softening"
+    of_specimen: ClassVar[bool] = True
     absolute: ClassVar[bool] = True
     r: float = number("Ogden and Roxburgh's r: at most 1/r of the stress is lost", least=1.0)
     m_kpa: float = number("energy over which it is lost", above=0.0)
@@ -80,6 +83,7 @@ class Set(Memory):
     """Permanent set: a share of the largest strain so far stays when the load is gone."""
 
     id: ClassVar[str] = "set"
+    of_specimen: ClassVar[bool] = True
     fraction: float = number("share of the largest strain so far that stays", above=0.0, below=1.0)
 
 
