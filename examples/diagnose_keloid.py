@@ -28,7 +28,7 @@ import numpy as np
 from scipy.spatial import Delaunay, KDTree
 
 import tissuereg as tr
-from tissuereg.diagnosis.answer import Diagnosis
+from tissuereg.diagnosis.answer import BodyDiagnosis
 from tissuereg.io.cases import write_histories
 from tissuereg.io.experiment_keys import ACTUATORS_CSV, FORCES_CSV, MARKERS_CSV
 from tissuereg.io.foreign import read_grid
@@ -293,7 +293,7 @@ def place_of(centre: list[float], plane: Plane) -> dict[str, object]:
     return answer
 
 
-def summary_of(name: str, diagnosis: Diagnosis, plane: Plane) -> dict[str, Any]:
+def summary_of(name: str, diagnosis: BodyDiagnosis, plane: Plane) -> dict[str, Any]:
     """Print what was found and return its figures."""
     document = diagnosis.to_json()
     provisional = ", provisional" if diagnosis.provisional else ""

@@ -86,7 +86,7 @@ def diagnosed(name: str, curves: Sequence[Curve], out: Path) -> MaterialDiagnosi
 
 def summary_of(name: str, diagnosis: MaterialDiagnosis) -> dict[str, object]:
     """Print what was found and return its figures."""
-    answer = diagnosis.answer
+    answer = diagnosis.to_json()
     held_out = answer["held_out"]
     causes = {cause["id"]: cause["parameters"] for cause in answer["causes"]}
     groups = [cause["group"] for cause in answer["causes"]]
@@ -138,7 +138,7 @@ def study_file(name: str, curve: Curve, out: Path) -> dict[str, object]:
     test = MaterialTest(curve.mode, curve.amounts, curve.stress)
     row: dict[str, object] = {"file": name, "verdict": diagnosis.verdict}
     row["neo_hookean_kpa"] = fit_law([test], "neo-hookean", weighting="plain").standard_error
-    if diagnosis.answer["causes"]:
+    if diagnosis.findings:
         n_parameters = len(diagnosis.outcome.refined.fit.x)
         row["extended_kpa"] = standard_error(curve, predicted_stresses(diagnosis.extended)[0], n_parameters)
         laws = [cause for cause in diagnosis.extended.effects if hasattr(cause, "law")]
@@ -147,7 +147,7 @@ def study_file(name: str, curve: Curve, out: Path) -> dict[str, object]:
             row["law"] = laws[0].law
             row["law_plain_kpa"] = fit_law([test], laws[0].law, terms=terms, weighting="plain").standard_error
     errors = ", ".join(f"{key.removesuffix('_kpa')} {value:.2f}" for key, value in row.items() if key.endswith("_kpa"))
-    causes = [cause["id"] for cause in diagnosis.answer["causes"]]
+    causes = [finding.id for finding in diagnosis.findings]
     print(
         f"  {name}: {diagnosis.verdict} {' '.join(causes)} ({row.get('law', 'no law')}); standard error kPa: {errors}"
     )
@@ -164,7 +164,7 @@ def study_rates(data: Path, out: Path) -> list[dict[str, object]]:
         row = summary_of(f"without {unseen.rate:g}/s", diagnosis)
         base = MaterialExperiment("unseen", out, neo_hookean(others), None, None, (unseen,))
         models = {"neo_hookean": base}
-        if diagnosis.answer["causes"]:
+        if diagnosis.findings:
             extended = diagnosis.extended
             models["extended"] = MaterialExperiment(
                 "unseen", out, extended.material, None, None, (unseen,), extended.effects

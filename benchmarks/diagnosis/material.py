@@ -89,7 +89,7 @@ def outcome(maker: Maker, seed: int) -> tuple[str, list[list[str]]]:
     """Return verdict and groups of one experiment."""
     rng = np.random.default_rng(seed)
     young = 10.0 * float(np.exp(0.25 * rng.standard_normal()))
-    answer = diagnose_material(believed(maker(rng), young), seed=seed).answer
+    answer = diagnose_material(believed(maker(rng), young), seed=seed).to_json()
     return answer["verdict"], [cause["group"] for cause in answer["causes"]]
 
 

@@ -89,14 +89,14 @@ def answered(name: str, curves: Curves) -> dict[str, Any]:
     outcome, row = diagnosis.outcome, {"verdict": diagnosis.verdict}
     if outcome.refined is None:
         return row
-    causes = {cause["id"]: cause["parameters"] for cause in diagnosis.answer["causes"]}
+    causes = {cause["id"]: cause["parameters"] for cause in diagnosis.to_json()["causes"]}
     young = [float(diagnosis.extended.material.young_array[0]), float(diagnosis.extended.young_std or math.nan)]
     right = of_a_right_form(outcome)
     return {
         **row,
         # An Ogden exponent counts as `stiffening` where pull or push alone was tested: one form, whatever its name.
         "forms": [form.label for form in outcome.refined.fit.forms],
-        "provisional": diagnosis.answer["provisional"],
+        "provisional": diagnosis.provisional,
         "weighting": outcome.refined.weighting,
         "form_error": outcome.refined.form_error,
         "stated": {"young_kpa": young, **{key: value for found in causes.values() for key, value in found.items()}},

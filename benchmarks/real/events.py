@@ -46,7 +46,7 @@ nothing of `diagnose` was.
 
 def run(name: str) -> dict[str, Any]:
     """Return the answer on one experiment, as a row of the table."""
-    answer = diagnose_material(read_material_experiment(DATA / name)).answer
+    answer = diagnose_material(read_material_experiment(DATA / name)).to_json()
     causes = answer["causes"]
     held_out = causes[0]["held_out"] if causes else {}
     return {

@@ -74,7 +74,7 @@ def relaxing(kernel, law=PLAIN):
 def test_a_hidden_cause_is_named_and_predicts_held_out_data(hidden):
     cause, curves_of = HIDDEN[hidden]
     diagnosis = diagnose_material(believed(curves_of(np.random.default_rng(7))))
-    answer = diagnosis.answer
+    answer = diagnosis.to_json()
     assert answer["verdict"] in ("named", "group"), answer["sentences"]
     (finding,) = answer["causes"]
     assert cause in finding["group"]
@@ -105,10 +105,10 @@ def test_an_effect_outside_the_catalogue_gets_no_name(way):
     curves = in_modes(np.random.default_rng(3), PLAIN, change=OUTSIDE[way])
     diagnosis = diagnose_material(believed(curves))
     assert diagnosis.verdict == "unexplained"
-    assert diagnosis.answer["causes"] == []
+    assert diagnosis.findings == ()
     assert diagnosis.extended is diagnosis.experiment
-    assert diagnosis.answer["p_misfit"] < 0.01
-    answer, said = diagnosis.answer["next_experiment"], diagnosis.answer["discrepancy"]
+    assert diagnosis.p_misfit < 0.01
+    answer, said = diagnosis.next_experiment, diagnosis.discrepancy
     assert said["under"].replace("-", " ") in answer["action"]
     assert said["when"] in answer["action"]
 
@@ -117,7 +117,7 @@ def test_causes_that_tie_are_a_group_and_a_further_test_is_advised():
     rng = np.random.default_rng(2)
     # A weak I2 share in tension and compression alone: an Ogden exponent has the same effect.
     curves = in_modes(rng, ("mooney", 0.5), modes=("tension", "compression"), noise=0.02)
-    answer = diagnose_material(believed(curves)).answer
+    answer = diagnose_material(believed(curves)).to_json()
     assert answer["verdict"] == "group"
     (finding,) = answer["causes"]
     assert 2 <= len(finding["group"]) <= 3
@@ -132,7 +132,7 @@ def test_two_causes_at_once_are_both_named():
     kernel = made.prony((0.4, 8.0))
     curves = histories(np.random.default_rng(5), relaxing(kernel, ("ogden", -12.0)), modes=("tension", "compression"))
     diagnosis = diagnose_material(believed(curves))
-    found = {cause["id"]: cause["parameters"] for cause in diagnosis.answer["causes"]}
+    found = {cause["id"]: cause["parameters"] for cause in diagnosis.to_json()["causes"]}
     assert set(found) == {"asymmetry", "relaxation"}
     assert found["asymmetry"]["alpha_1"][0] == pytest.approx(-12.0, abs=1.5)
     assert found["relaxation"]["g_1"][0] == pytest.approx(0.4, abs=0.05)
@@ -181,20 +181,20 @@ def test_without_findings_the_extended_model_is_the_believed_one(tmp_path):
 
 def test_the_same_call_gives_the_same_answer():
     experiment = believed(in_modes(np.random.default_rng(6), ("fung", 1.0)))
-    one, other = (diagnose_material(experiment, seed=3).answer for _ in range(2))
+    one, other = (diagnose_material(experiment, seed=3).to_json() for _ in range(2))
     assert one == other
 
 
 def test_what_is_held_out_can_be_chosen():
     curves = in_modes(np.random.default_rng(8), ("ogden", -10.0), specimens=("a", "b"))
     for unit, cases in (("mode", 3), ("specimen", 2)):
-        held_out = diagnose_material(believed(curves, hold_out=unit)).answer["held_out"]
+        held_out = diagnose_material(believed(curves, hold_out=unit)).to_json()["held_out"]
         assert (held_out["unit"], len(held_out["cases"])) == (unit, cases)
 
 
 def test_a_lone_curve_gives_a_provisional_verdict():
     curves = in_modes(np.random.default_rng(9), ("gent", 0.6), modes=("compression",))
-    answer = diagnose_material(believed(curves)).answer
+    answer = diagnose_material(believed(curves)).to_json()
     assert answer["provisional"]
     assert [cause["id"] for cause in answer["causes"]] == ["stiffening"]
 
@@ -228,7 +228,7 @@ def test_what_curves_cannot_show_is_no_candidate():
     assert circles.paced
     assert circles.unloaded
     assert not circles.two_sided
-    answer = diagnose_material(believed(in_modes(rng, PLAIN))).answer
+    answer = diagnose_material(believed(in_modes(rng, PLAIN))).to_json()
     assert not {"relaxation", "rate", "softening", "set"} & {c["id"] for c in answer["candidates"]}
 
 
@@ -280,9 +280,9 @@ def test_a_cause_that_is_left_alone_is_proved_alone(monkeypatch):
 
 def test_what_is_possible_and_what_a_group_is_worth_stand_on_the_page(tmp_path):
     found = diagnose_material(believed(in_modes(np.random.default_rng(6), ("fung", 1.0))))
-    (cause,) = found.answer["causes"]
+    (finding,) = found.findings
     possible = {"id": "mooney", "probability": 0.3, "log_bayes_factor": 7.5, "threshold": 6.0}
-    tied = {**cause, "group": [cause["id"], "fibre"], "probability": 0.4, "group_probability": 0.7}
-    text = material_page(replace(found, answer={**found.answer, "causes": [tied], "possible": [possible]}), tmp_path)
+    tied = replace(finding, group=(finding.id, "fibre"), probability=0.4, group_probability=0.7)
+    text = material_page(replace(found, findings=(tied,), possible=(possible,)), tmp_path)
     assert "Possible, but not stated: mooney (probability 0.30; log Bayes factor 7.5, threshold 6.0)." in text
     assert "Probability 0.40, of the group 0.70; log Bayes factor" in text

@@ -8,7 +8,7 @@ import pytest
 
 from support.meshes import block
 from tissuereg.body.material import Material
-from tissuereg.diagnosis.answer import Diagnosis
+from tissuereg.diagnosis.answer import BodyDiagnosis
 from tissuereg.diagnosis.bench import Bench
 from tissuereg.diagnosis.causes import CAUSES
 from tissuereg.diagnosis.correction import Correction
@@ -135,5 +135,19 @@ def test_a_verdict_on_fewer_than_three_load_cases_is_provisional():
     one = strip()
     case = one.cases["pull"]
     three = replace(one, cases={name: replace(case, name=name) for name in ("a", "b", "c")})
-    answers = [Diagnosis("consistent", (), (), 0.5, {}, rig, None, 0, {}) for rig in (one, three)]
+    answers = [_answer(rig) for rig in (one, three)]
     assert [answer.to_json()["provisional"] for answer in answers] == [True, False]
+
+
+def _answer(rig):
+    return BodyDiagnosis(
+        verdict="consistent",
+        findings=(),
+        candidates=(),
+        p_misfit=0.5,
+        discrepancy={},
+        extended=rig,
+        next_experiment=None,
+        seed=0,
+        versions={},
+    )

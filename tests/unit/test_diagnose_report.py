@@ -15,7 +15,7 @@ from support.files import EXPERIMENT, TABLES, write_experiment
 from support.pages import assert_sound_page, scenes_of, unpacked
 from tissuereg.cli import diagnose as diagnose_command
 from tissuereg.cli.common import Stopwatch
-from tissuereg.diagnosis.answer import Diagnosis, DiagnosisDetails, Finding
+from tissuereg.diagnosis.answer import BodyDiagnosis, DiagnosisDetails, Finding
 from tissuereg.diagnosis.bench import Bench
 from tissuereg.diagnosis.candidates import Candidate
 from tissuereg.diagnosis.correction import Correction
@@ -106,7 +106,7 @@ def made_up(believed, findings=(), effects=(), **changes):
         proof = HeldOut(("lean",), np.zeros((4, 1)), np.array([[2.5], [1.0], [2.0], [3.0]]) * np.ones((4, layout.size)))
         steps.append(Step(screened, [found], found, proof, proof))
     steps.append(Step(screened, [], None, None))
-    answer = Diagnosis(
+    answer = BodyDiagnosis(
         verdict="named" if findings else "consistent",
         findings=tuple(findings),
         candidates=(

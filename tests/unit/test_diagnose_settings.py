@@ -120,8 +120,8 @@ def test_a_material_test_reads_them_too():
     read = {name: set() for name in GROUPS}
     settings = DiagnoseSettings(**{name: watched(getattr(DEFAULT, name), read[name]) for name in GROUPS})
     experiment = believed(in_modes(np.random.default_rng(6), ("fung", 1.0)))
-    answer = diagnose_material(experiment, settings=settings).answer
-    assert answer == {**diagnose_material(experiment).answer}
+    answer = diagnose_material(experiment, settings=settings).to_json()
+    assert answer == {**diagnose_material(experiment).to_json()}
     assert answer["settings"]["material"]["quantile"] == 0.99
     needs_others = {"share_of_patch", "most_of_misfit", "part", "same_rate", "most_folds", "most_terms", "advised_rows"}
     assert {f.name for f in fields(DEFAULT.material)} - read["material"] <= needs_others

@@ -98,7 +98,7 @@ def test_the_answer_and_the_extended_model_state_these_deviations():
     curves = with_lasting_errors(in_modes(np.random.default_rng(1), FUNG), np.random.default_rng(2))
     diagnosis = diagnose_material(believed(curves))
     refined = diagnosis.outcome.refined
-    (cause,) = diagnosis.answer["causes"]
+    (cause,) = diagnosis.to_json()["causes"]
     (form,) = refined.fit.forms
     stated, _, size = both(believed(curves), cause["id"], form.label, refined.weighting)
     assert refined.form_error == pytest.approx(size, rel=0.05)

@@ -17,7 +17,7 @@ from tissuereg.experiment.experiment import Experiment
 from tissuereg.experiment.material_experiment import MaterialExperiment
 
 if TYPE_CHECKING:
-    from tissuereg.diagnosis.answer import Diagnosis
+    from tissuereg.diagnosis.answer import BodyDiagnosis, Diagnosis
     from tissuereg.diagnosis.material import MaterialDiagnosis
     from tissuereg.diagnosis.settings import DiagnoseSettings
 
@@ -34,7 +34,7 @@ def diagnose(
     element: Element | None = None,
     progress: Callable[[str], None] | None = None,
     settings: "DiagnoseSettings | None" = None,
-) -> "Diagnosis": ...
+) -> "BodyDiagnosis": ...
 @overload
 def diagnose(
     experiment: MaterialExperiment,
@@ -55,7 +55,7 @@ def diagnose(
     element: Element | None = None,
     progress: Callable[[str], None] | None = None,
     settings: "DiagnoseSettings | None" = None,
-) -> "Diagnosis | MaterialDiagnosis":
+) -> "Diagnosis":
     """Compare an experiment's measurements with its simulation and name the causes of the difference.
 
     Parameters
@@ -82,8 +82,9 @@ def diagnose(
 
     Returns
     -------
-    Diagnosis or MaterialDiagnosis
-        Verdict, findings, extended model, and the evidence of all causes tried. Both have `verdict` and `to_json`.
+    Diagnosis
+        Verdict, findings, extended model, and the evidence of all causes tried: a `BodyDiagnosis`, or a
+        `MaterialDiagnosis` of a material test.
 
     Raises
     ------
@@ -116,7 +117,7 @@ def diagnose(
             from tissuereg.diagnosis.material import diagnose_material
 
             tested = diagnose_material(experiment, seed=seed, progress=progress, settings=numbers)
-            return replace(tested, answer={**tested.answer, "provenance": provenance_now().to_json(given)})
+            return replace(tested, provenance=provenance_now(), settings=given)
         from tissuereg.diagnosis.run import diagnose_body
 
         found = diagnose_body(

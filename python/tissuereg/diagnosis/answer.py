@@ -1,8 +1,9 @@
-"""The result of a diagnosis: verdict, findings, discrepancy and extended model, as a record and as JSON."""
+"""The result of a diagnosis: verdict, findings, discrepancy and extended model, as a record and as files."""
 
 import os
 import platform
-from collections.abc import Callable, Mapping
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -129,9 +130,9 @@ class DiagnosisDetails:
     thresholds: Mapping[str, float]
 
 
-@dataclass(frozen=True, eq=False)
-class Diagnosis:
-    """The result of a diagnosis.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Diagnosis(ABC):
+    """The result of a diagnosis: `BodyDiagnosis`, or that of a material test.
 
     Attributes
     ----------
@@ -147,36 +148,18 @@ class Diagnosis:
     possible : tuple of dict
         Causes that came close and are not stated: ``id``, ``probability`` (of it, or of its group),
         ``log_bayes_factor`` and the ``threshold`` that was required, nats.
-    constancy : tuple of Constancy
-        For every cause that was found whether its change is the same in all parts of the data; where one is not, no
-        cause is stated.
-    outside : tuple of Outside
-        Comparison of every cause that was found with effects outside the catalogue; where one of these is likelier, no
-        cause is stated, or its family alone.
     p_misfit : float
         p-value of the residual after the findings: probability that data without further effects misfit as much.
     discrepancy : dict
         Where, when and under which load the believed model differs from the data.
-    extended : Experiment
+    extended : Experiment or MaterialExperiment
         The believed experiment with the findings as effects, and the fitted modulus where the data determine it.
     next_experiment : dict or None
-        Action that would distinguish causes that these data cannot; where the verdict is ``unexplained``, what to check
-        (`discrepancy.next_check`).
-    left : dict or None
-        Residual misfit after the findings, None where there is none: its p-value ``p``, ``where`` (markers and pads),
-        ``when``, the cause that it ``looks_like``, and a ``sentence``.
+        Action that would distinguish causes that these data cannot; what to check where the verdict is ``unexplained``.
     seed : int
         Seed of all random draws.
     versions : dict of str to str
         Versions of the package, numpy and Python.
-    suspicions : tuple of RecordingSuspicion
-        Reason to suspect that the recording is misread; empty if it is plausible. Where it is in another unit, frame or
-        sign, no cause is looked for and the verdict is ``unexplained``; where forces are below their noise, no modulus
-        is found.
-    details : DiagnosisDetails or None
-        Objects that the report draws; None where no cause was looked for.
-    understated : tuple of UnderstatedNoise
-        Channels whose noise is larger than stated; the diagnosis is made with the larger one.
     provenance : Provenance
         Date, version, call or command, hashes of the input files, warnings.
     settings : dict
@@ -190,30 +173,31 @@ class Diagnosis:
     candidates: tuple[dict[str, Any], ...]
     p_misfit: float
     discrepancy: dict[str, Any]
-    extended: Experiment
+    extended: Experiment | MaterialExperiment
     next_experiment: dict[str, Any] | None
     seed: int
     versions: dict[str, str]
-    left: dict[str, Any] | None = None
     possible: tuple[dict[str, Any], ...] = ()
-    constancy: tuple[Constancy, ...] = ()
-    outside: tuple[Outside, ...] = ()
-    suspicions: tuple[RecordingSuspicion, ...] = ()
-    understated: tuple[UnderstatedNoise, ...] = ()
-    details: DiagnosisDetails | None = None
     provenance: Provenance = field(default_factory=Provenance)
     settings: dict[str, Any] = field(default_factory=dict)
     numbers: DiagnoseSettings = DEFAULT
 
     def __repr__(self) -> str:
         names = ", ".join(" or ".join(finding.group) for finding in self.findings) or "nothing named"
-        return f"Diagnosis({self.verdict}: {names}; p_misfit {self.p_misfit:.2g})"
+        return f"{type(self).__name__}({self.verdict}: {names}; p_misfit {self.p_misfit:.2g})"
 
     @property
+    @abstractmethod
     def provisional(self) -> bool:
-        """Whether fewer than `least_cases` cases load the body, too few to hold one out and fit several others."""
-        acts = [case for case in self.extended.cases.values() if case.displacements or case.applied_forces]
-        return len(acts) < self.numbers.report.least_cases
+        """Whether the data are too few to predict a part of them from several others."""
+
+    @abstractmethod
+    def _own_json(self) -> dict[str, Any]:
+        """Return the entries of the answer that depend on its kind."""
+
+    @abstractmethod
+    def _page(self, folder: Path) -> str:
+        """Return the page, HTML, for a folder to which paths in it are relative."""
 
     def to_json(self) -> dict[str, Any]:
         """Return the diagnosis as plain data for JSON, in the schema ``tissuereg.diagnosis/1``."""
@@ -223,24 +207,19 @@ class Diagnosis:
             "provisional": self.provisional,
             "causes": [finding.to_json() for finding in self.findings],
             "possible": list(self.possible),
-            "constancy": [one.to_json() for one in self.constancy],
-            "outside": [one.to_json() for one in self.outside],
             "candidates": list(self.candidates),
             "p_misfit": self.p_misfit,
-            "suspicions": [one.to_json() for one in self.suspicions],
-            "understated_noise": [one.to_json() for one in self.understated],
-            "left": self.left,
             "discrepancy": self.discrepancy,
+            **self._own_json(),
             "extended_model": EXTENDED_FILE,
             "next_experiment": self.next_experiment,
             "seed": self.seed,
-            "settings": self.numbers.to_json(catalogue(self.numbers)),
             "versions": self.versions,
             "provenance": self.provenance.to_json(self.settings),
         }
 
     def report(self, path: str | os.PathLike[str]) -> Path:
-        """Write one self-contained HTML page: verdict, residuals on the body, ranking of causes, proof, assumptions.
+        """Write one self-contained HTML page: verdict, residuals, ranking of causes, proof, assumptions.
 
         The proof of a cause is its prediction of data that were left out of the fit.
 
@@ -259,12 +238,11 @@ class Diagnosis:
         OutputError
             If the file cannot be written.
         """
-        from tissuereg.diagnosis.report.page import page
         from tissuereg.io.atomic import OutputError, atomic_file
 
         target = place("path", path, error=OutputError)
         with atomic_file(target) as draft:
-            draft.write_text(page(self, target.parent), encoding="utf-8")
+            draft.write_text(self._page(target.parent), encoding="utf-8")
         return target
 
     def save(self, folder: str | os.PathLike[str], extra: Mapping[str, Any] | None = None) -> Path:
@@ -289,31 +267,73 @@ class Diagnosis:
         OutputError
             If the folder cannot be written.
         """
+        from tissuereg.io.atomic import OutputError, atomic_folder
+        from tissuereg.io.experiment_out import write_experiment
+        from tissuereg.io.json import write_json
+
+        out = place("folder", folder, error=OutputError)
+        with atomic_folder(out) as draft:
+            write_json(draft / "diagnosis.json", {**self.to_json(), **(extra or {})})
+            write_experiment(self.extended, draft / EXTENDED_FILE, seen_from=out)
+            (draft / "report.html").write_text(self._page(out), encoding="utf-8")
+        return out
+
+
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class BodyDiagnosis(Diagnosis):
+    """The diagnosis of a body: a `Diagnosis`, and what only a body has.
+
+    Attributes
+    ----------
+    extended : Experiment
+        The believed experiment with the findings as effects, and the fitted modulus where the data determine it.
+    constancy : tuple of Constancy
+        For every cause that was found whether its change is the same in all parts of the data; where one is not, no
+        cause is stated.
+    outside : tuple of Outside
+        Comparison of every cause that was found with effects outside the catalogue; where one of these is likelier, no
+        cause is stated, or its family alone.
+    left : dict or None
+        Residual misfit after the findings, None where there is none: its p-value ``p``, ``where`` (markers and pads),
+        ``when``, the cause that it ``looks_like``, and a ``sentence``.
+    suspicions : tuple of RecordingSuspicion
+        Reason to suspect that the recording is misread; empty if it is plausible. Where it is in another unit, frame or
+        sign, no cause is looked for and the verdict is ``unexplained``; where forces are below their noise, no modulus
+        is found.
+    understated : tuple of UnderstatedNoise
+        Channels whose noise is larger than stated; the diagnosis is made with the larger one.
+    details : DiagnosisDetails or None
+        Objects that the report draws; None where no cause was looked for.
+    """
+
+    extended: Experiment
+    left: dict[str, Any] | None = None
+    constancy: tuple[Constancy, ...] = ()
+    outside: tuple[Outside, ...] = ()
+    suspicions: tuple[RecordingSuspicion, ...] = ()
+    understated: tuple[UnderstatedNoise, ...] = ()
+    details: DiagnosisDetails | None = None
+
+    @property
+    def provisional(self) -> bool:
+        """Whether fewer than `least_cases` cases load the body, too few to hold one out and fit several others."""
+        acts = [case for case in self.extended.cases.values() if case.displacements or case.applied_forces]
+        return len(acts) < self.numbers.report.least_cases
+
+    def _own_json(self) -> dict[str, Any]:
+        return {
+            "constancy": [one.to_json() for one in self.constancy],
+            "outside": [one.to_json() for one in self.outside],
+            "suspicions": [one.to_json() for one in self.suspicions],
+            "understated_noise": [one.to_json() for one in self.understated],
+            "left": self.left,
+            "settings": self.numbers.to_json(catalogue(self.numbers)),
+        }
+
+    def _page(self, folder: Path) -> str:
         from tissuereg.diagnosis.report.page import page
 
-        return save_answer(folder, {**self.to_json(), **(extra or {})}, self.extended, lambda out: page(self, out))
-
-
-def save_answer(
-    folder: str | os.PathLike[str],
-    answer: Mapping[str, Any],
-    extended: Experiment | MaterialExperiment,
-    page: Callable[[Path], str],
-) -> Path:
-    """Write an answer, its extended model and its page into a folder as `Diagnosis.save`, and return the folder.
-
-    `page`: returns the page, HTML, for the final folder, to which paths in it and in the model are relative.
-    """
-    from tissuereg.io.atomic import OutputError, atomic_folder
-    from tissuereg.io.experiment_out import write_experiment
-    from tissuereg.io.json import write_json
-
-    out = place("folder", folder, error=OutputError)
-    with atomic_folder(out) as draft:
-        write_json(draft / "diagnosis.json", answer)
-        write_experiment(extended, draft / EXTENDED_FILE, seen_from=out)
-        (draft / "report.html").write_text(page(out), encoding="utf-8")
-    return out
+        return page(self, folder)
 
 
 def to_check(action: str, kind: str, name: str, **more: Any) -> dict[str, Any]:

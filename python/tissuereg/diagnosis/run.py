@@ -1,6 +1,6 @@
 """Diagnosis of a body: the sequence of steps from measurements to verdict.
 
-Input is an `Experiment` (believed model and measurements), output a `Diagnosis`. The steps: other readings of the
+Input is an `Experiment` (believed model and measurements), output a `BodyDiagnosis`. The steps: other readings of the
 recording, noise model, bank of hypotheses, correction of the discretisation error, nuisance parameters, linear evidence
 of all causes, thresholds from data drawn without any effect, search with nonlinear fits and held-out proof, test of the
 residual, verdict and advice.
@@ -19,7 +19,7 @@ from tissuereg._base.arrays import FloatArray
 from tissuereg._base.choices import Element
 from tissuereg._base.provenance import warn
 from tissuereg.diagnosis.advice import advise
-from tissuereg.diagnosis.answer import Diagnosis, DiagnosisDetails, Finding, to_check, versions_now
+from tissuereg.diagnosis.answer import BodyDiagnosis, DiagnosisDetails, Finding, to_check, versions_now
 from tissuereg.diagnosis.bank import Bank, make_bank, make_outside
 from tissuereg.diagnosis.bench import Bench, Targets
 from tissuereg.diagnosis.candidates import without
@@ -56,7 +56,7 @@ def diagnose_body(
     element: Element | None,
     progress: Callable[[str], None] | None,
     settings: DiagnoseSettings = DEFAULT,
-) -> Diagnosis:
+) -> BodyDiagnosis:
     """Return the diagnosis of a body: the causes of the difference between its measurements and its simulation.
 
     `experiment`: the believed model and the measurements; `seed`: seed of all random draws; `threads`: threads to use;
@@ -94,7 +94,7 @@ def diagnose_body(
     return replace(found, suspicions=tuple(suspicions))
 
 
-def _searched(bench: Bench, noise: Noise, *, silent: bool, seed: int, keep: bool) -> Diagnosis:
+def _searched(bench: Bench, noise: Noise, *, silent: bool, seed: int, keep: bool) -> BodyDiagnosis:
     """Return the diagnosis of a recording that is read rightly; `silent`: no modulus follows from its forces."""
     experiment, layout = bench.experiment, bench.layout
     settings, rules = bench.settings, bench.settings.nulls
@@ -126,7 +126,7 @@ def _searched(bench: Bench, noise: Noise, *, silent: bool, seed: int, keep: bool
         following = next_check(bench, found.reduced, _looks_like(judged, believed.null, outside, settings))
     if verdict == UNDERSTATED:
         following = _state_noise(larger)
-    return Diagnosis(
+    return BodyDiagnosis(
         verdict=verdict,
         understated=larger,
         findings=tuple(findings),
@@ -263,10 +263,10 @@ def _state_noise(larger: Sequence[UnderstatedNoise]) -> dict[str, Any]:
 
 def _misread(
     experiment: Experiment, suspicions: Sequence[RecordingSuspicion], seed: int, settings: DiagnoseSettings
-) -> Diagnosis:
+) -> BodyDiagnosis:
     """Return the answer for a recording that is probably misread: what to write, and no cause."""
     first = suspicions[0]
-    return Diagnosis(
+    return BodyDiagnosis(
         verdict="unexplained",
         findings=(),
         candidates=(),

@@ -6,58 +6,15 @@ proof, groups), `verdict`, `refine` (form, weights and standard deviations of th
 `report`. `causes` is the catalogue; `history.stress_of` computes the stress of a model along a curve.
 """
 
-import os
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
+from collections.abc import Callable
 
-from tissuereg.diagnosis.answer import save_answer
-from tissuereg.diagnosis.material.answer import answer_of
-from tissuereg.diagnosis.material.fit import extended
+from tissuereg.diagnosis.material.answer import MaterialDiagnosis, diagnosis_of
 from tissuereg.diagnosis.material.history import predicted_stresses
-from tissuereg.diagnosis.material.report import material_page
-from tissuereg.diagnosis.material.verdict import SelectionOutcome, find_out
+from tissuereg.diagnosis.material.verdict import find_out
 from tissuereg.diagnosis.settings import DEFAULT, DiagnoseSettings
 from tissuereg.experiment.material_experiment import MaterialExperiment
 
 __all__ = ["MaterialDiagnosis", "diagnose_material", "predicted_stresses"]
-
-
-@dataclass(frozen=True, eq=False)
-class MaterialDiagnosis:
-    """The result of a diagnosis of a material test.
-
-    Attributes
-    ----------
-    answer : dict
-        The answer in JSON's types, by the schema ``tissuereg.diagnosis/1``.
-    experiment : MaterialExperiment
-        Believed law and measured curves.
-    extended : MaterialExperiment
-        The experiment with the causes found as effects; the same as `experiment` where none was named.
-    outcome : SelectionOutcome
-        All intermediate results, for further work in Python.
-    """
-
-    answer: dict[str, Any]
-    experiment: MaterialExperiment
-    extended: MaterialExperiment
-    outcome: SelectionOutcome
-
-    @property
-    def verdict(self) -> str:
-        """Verdict of the answer: ``named``, ``group``, ``consistent`` or ``unexplained``."""
-        return str(self.answer["verdict"])
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the answer, a dictionary of JSON's types by the schema ``tissuereg.diagnosis/1``."""
-        return self.answer
-
-    def save(self, folder: str | os.PathLike[str], extra: Mapping[str, Any] | None = None) -> Path:
-        """Write answer, extended model and report into a folder, as `Diagnosis.save` does for bodies."""
-        answer = {**self.answer, **(extra or {})}
-        return save_answer(folder, answer, self.extended, lambda out: material_page(self, out))
 
 
 def diagnose_material(
@@ -104,10 +61,8 @@ def diagnose_material(
     ...     for name, stiff in (("a", 1.0), ("b", 1.05))
     ... )
     >>> gel = MaterialExperiment("gel", Path("."), tr.Material(3.0, 0.49), None, None, curves)
-    >>> [cause["id"] for cause in diagnose_material(gel).answer["causes"]]
+    >>> [finding.id for finding in diagnose_material(gel).findings]
     ['stiffening']
     """
     outcome = find_out(experiment, seed, progress or (lambda message: None), settings)
-    answer = answer_of(experiment, outcome, seed)
-    found = experiment if outcome.refined is None else extended(experiment, outcome.refined.fit)
-    return MaterialDiagnosis(answer, experiment, found, outcome)
+    return diagnosis_of(experiment, outcome, seed)

@@ -1,74 +1,124 @@
-"""The answer as JSON and sentences: schema ``tissuereg.diagnosis/1`` with stresses in kPa in place of millimetres."""
+"""The diagnosis of a material test, as a record: findings, errors on held-out data, sentences."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from tissuereg._base.arrays import BoolArray, FloatArray
-from tissuereg.diagnosis.answer import SCHEMA, to_check, versions_now
+from tissuereg.diagnosis.answer import Diagnosis, Finding, to_check, versions_now
 from tissuereg.diagnosis.evidence import rms
 from tissuereg.diagnosis.material.advice import best_test
 from tissuereg.diagnosis.material.causes import CAUSES
-from tissuereg.diagnosis.material.fit import MaterialFit, effects_of
+from tissuereg.diagnosis.material.fit import MaterialFit, effects_of, extended
+from tissuereg.diagnosis.material.report import material_page
 from tissuereg.diagnosis.material.search import MaterialFinding
 from tissuereg.diagnosis.material.verdict import SelectionOutcome
-from tissuereg.diagnosis.report import EXTENDED_FILE
 from tissuereg.experiment.effects import Effect
 from tissuereg.experiment.effects.history import Relaxation
 from tissuereg.experiment.material_experiment import Curve, MaterialExperiment
 
 
-def answer_of(experiment: MaterialExperiment, outcome: SelectionOutcome, seed: int) -> dict[str, Any]:
-    """Return the answer in JSON's types.
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class MaterialDiagnosis(Diagnosis):
+    """The diagnosis of a material test: a `Diagnosis` with stresses in kPa in place of lengths.
+
+    Attributes
+    ----------
+    extended : MaterialExperiment
+        The experiment with the causes found as effects; the same as `experiment` where none was named.
+    experiment : MaterialExperiment
+        Believed law and measured curves.
+    held_out : dict
+        Errors of the believed law, with the findings, and with a generic misfit, on data that were left out of the fit:
+        ``unit`` (what was left out), ``cases``, and of each ``by_case``.
+    explained : float or None
+        Share of the misfit that the findings explain; None without findings.
+    sentences : tuple of str
+        The answer in words.
+    outcome : SelectionOutcome
+        All intermediate results, for further work in Python.
+    """
+
+    extended: MaterialExperiment
+    experiment: MaterialExperiment
+    held_out: dict[str, Any]
+    explained: float | None
+    sentences: tuple[str, ...]
+    outcome: SelectionOutcome
+
+    @property
+    def provisional(self) -> bool:
+        """Whether only the last part of the curves could be held out."""
+        return self.outcome.bench.unit == "part"
+
+    def _own_json(self) -> dict[str, Any]:
+        errors, refined = self.outcome.bench.errors, self.outcome.refined
+        return {
+            "kind": "material-test",
+            "explained": self.explained,
+            "held_out": self.held_out,
+            "noise": {
+                "std_kpa": dict(zip(_names(self.experiment.curves), errors.std.tolist(), strict=True)),
+                "specimen_factor": errors.factor,
+                "along_curve": errors.along,
+                "repeats": errors.repeats,
+            },
+            "sentences": list(self.sentences),
+            "weighting": None if refined is None else refined.weighting,
+            "settings": self.numbers.to_json({}),
+        }
+
+    def _page(self, folder: Path) -> str:
+        return material_page(self, folder)
+
+
+def diagnosis_of(experiment: MaterialExperiment, outcome: SelectionOutcome, seed: int) -> MaterialDiagnosis:
+    """Return the diagnosis that follows from all steps.
 
     `experiment`: believed law and measured curves; `outcome`: result of all steps; `seed`: seed of the simulated null
-    experiments. Result: by the schema for bodies, with ``kind = "material-test"``; stresses replace lengths
-    (``rms_base_kpa``), and ``held_out`` also has ``unit`` and ``by_case``.
+    experiments.
     """
-    parameters = {} if outcome.refined is None else parameters_of(outcome.refined.fit, outcome.known.ids)
-    causes = [
-        {
-            "id": finding.id,
-            "group": list(finding.group),
-            "probability": finding.probability,
-            "group_probability": finding.group_probability,
-            "log_bayes_factor": finding.log_bayes_factor,
-            "threshold": finding.threshold,
-            "parameters": parameters[finding.id],
-            "held_out": _held_out(outcome),
-            "sentence": _sentence(outcome, finding),
-        }
-        for finding in outcome.findings
-    ]
-    return {
-        "schema": SCHEMA,
-        "kind": "material-test",
-        "verdict": outcome.verdict,
-        "causes": causes,
-        "possible": [asdict(one) for one in outcome.possible],
-        "candidates": [asdict(one) for one in outcome.candidates],
-        "p_misfit": outcome.p_misfit,
-        "explained": outcome.explained if outcome.known.ids else None,
-        "held_out": _held_out(outcome),
-        "discrepancy": _discrepancy(outcome),
-        "noise": {
-            "std_kpa": dict(zip(_names(experiment.curves), outcome.bench.errors.std.tolist(), strict=True)),
-            "specimen_factor": outcome.bench.errors.factor,
-            "along_curve": outcome.bench.errors.along,
-            "repeats": outcome.bench.errors.repeats,
-        },
-        "extended_model": EXTENDED_FILE,
-        "next_experiment": _next(experiment, outcome),
-        "sentences": _sentences(outcome),
-        "weighting": outcome.refined.weighting if outcome.refined else None,
-        "provisional": outcome.bench.unit == "part",
-        "seed": seed,
-        "settings": outcome.bench.problem.settings.to_json({}),
-        "versions": versions_now(),
-    }
+    refined = outcome.refined
+    held_out = _held_out(outcome)
+    return MaterialDiagnosis(
+        verdict=outcome.verdict,
+        findings=tuple(_finding(outcome, one, held_out) for one in outcome.findings),
+        candidates=tuple(asdict(one) for one in outcome.candidates),
+        p_misfit=outcome.p_misfit,
+        discrepancy=_discrepancy(outcome),
+        extended=experiment if refined is None else extended(experiment, refined.fit),
+        next_experiment=_next(experiment, outcome),
+        seed=seed,
+        versions=versions_now(),
+        possible=tuple(asdict(one) for one in outcome.possible),
+        numbers=outcome.bench.problem.settings,
+        experiment=experiment,
+        held_out=held_out,
+        explained=outcome.explained if outcome.known.ids else None,
+        sentences=tuple(_sentences(outcome)),
+        outcome=outcome,
+    )
+
+
+def _finding(outcome: SelectionOutcome, found: MaterialFinding, held_out: dict[str, Any]) -> Finding:
+    assert outcome.refined is not None  # there is a finding
+    pairs = parameters_of(outcome.refined.fit, outcome.known.ids)[found.id]
+    return Finding(
+        id=found.id,
+        group=found.group,
+        probability=found.probability,
+        log_bayes_factor=found.log_bayes_factor,
+        threshold=found.threshold,
+        parameters={key: value for key, (value, _) in pairs.items()},
+        deviations={key: deviation for key, (_, deviation) in pairs.items()},
+        held_out=held_out,
+        sentence=_sentence(outcome, found),
+        group_probability=found.group_probability,
+    )
 
 
 def parameters_of(fit: MaterialFit, ids: Sequence[str]) -> dict[str, dict[str, list[float]]]:

@@ -15,7 +15,7 @@ from tissuereg.report.markup import document, escape, table
 from tissuereg.report.provenance import provenance_section
 
 if TYPE_CHECKING:
-    from tissuereg.diagnosis.material import MaterialDiagnosis
+    from tissuereg.diagnosis.material.answer import MaterialDiagnosis
     from tissuereg.experiment.material_experiment import Curve
 
 _STYLE = """
@@ -48,7 +48,7 @@ def material_page(found: "MaterialDiagnosis", folder: Path) -> str:
 
     `found`: the diagnosis; `folder`: folder of the page, to which paths in the extended model are relative.
     """
-    answer = found.answer
+    answer = found.to_json()
     tone = "yes" if answer["verdict"] == "consistent" else "no"
     parts = [
         f"<h1>What the law of {escape(found.experiment.name)} gets wrong</h1>",
@@ -69,7 +69,7 @@ def material_page(found: "MaterialDiagnosis", folder: Path) -> str:
         _held_out(answer["held_out"]),
         "<h2>What to measure next</h2>",
         f"<p>{escape(_advice(answer['next_experiment']))}</p>",
-        *([provenance_section(answer["provenance"])] if "provenance" in answer else []),
+        provenance_section(answer["provenance"]),
         "<h2>What was assumed</h2>",
         _assumed(answer),
     ]
@@ -102,7 +102,7 @@ def _finding(cause: dict[str, Any]) -> str:
 
 def _key(found: "MaterialDiagnosis") -> str:
     shown = [(_MEASURED, "measured"), (svg.BEFORE, "believed law, fitted")]
-    shown += [(svg.AFTER, "with the findings")] if found.answer["causes"] else []
+    shown += [(svg.AFTER, "with the findings")] if found.findings else []
     return "".join(svg.swatch(colour, said) for colour, said in shown)
 
 
@@ -110,7 +110,7 @@ def _charts(found: "MaterialDiagnosis") -> list[str]:
     """Return one HTML chart for each mode, with the measured and modelled stresses (kPa) of all of its curves."""
     curves = found.experiment.curves
     believed = [stress_of(found.outcome.believed.model, curve) for curve in curves]
-    after = predicted_stresses(found.extended) if found.answer["causes"] else None
+    after = predicted_stresses(found.extended) if found.findings else None
     charts = []
     for mode in dict.fromkeys(curve.mode for curve in curves):
         mine = [i for i, curve in enumerate(curves) if curve.mode == mode]
@@ -150,10 +150,9 @@ def _chart(mode: str, drawn: Sequence[tuple["Curve", FloatArray, FloatArray | No
 
 
 def _ranking(found: "MaterialDiagnosis") -> str:
-    candidates = found.answer["candidates"]
-    named = {name for cause in found.answer["causes"] for name in cause["group"]}
-    thresholds = {row["id"]: found.outcome.threshold for row in candidates if row["id"] != "unknown"}
-    return ranking(candidates, thresholds, named, "First round")
+    named = {name for finding in found.findings for name in finding.group}
+    thresholds = {row["id"]: found.outcome.threshold for row in found.candidates if row["id"] != "unknown"}
+    return ranking(found.candidates, thresholds, named, "First round")
 
 
 def _held_out(held: dict[str, Any]) -> str:

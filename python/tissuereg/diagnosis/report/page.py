@@ -17,7 +17,7 @@ from tissuereg.report.svg import AFTER, BEFORE, FLOOR, GENERIC, swatch
 from tissuereg.report.viewer import viewer, viewer_script
 
 if TYPE_CHECKING:
-    from tissuereg.diagnosis.answer import Diagnosis, DiagnosisDetails
+    from tissuereg.diagnosis.answer import BodyDiagnosis, DiagnosisDetails
 
 _STYLE = """
 .verdict { font-size: 1.2rem; } .finding { border-left: 4px solid #1f5fa8; padding-left: 1rem; margin: 1rem 0; }
@@ -29,7 +29,7 @@ summary { cursor: pointer; }
 """
 
 
-def page(found: "Diagnosis", folder: Path) -> str:
+def page(found: "BodyDiagnosis", folder: Path) -> str:
     """Return the page of a diagnosis, HTML; `folder`: the folder in which it will lie.
 
     Without the `details` of the diagnosis the page has text and the ranking alone.
@@ -46,7 +46,7 @@ def page(found: "Diagnosis", folder: Path) -> str:
     return document("Diagnosis", parts, _STYLE)
 
 
-def _body(found: "Diagnosis", details: "DiagnosisDetails") -> str:
+def _body(found: "BodyDiagnosis", details: "DiagnosisDetails") -> str:
     same = "" if details.search.final.parts else " No cause was added, so that both are the same."
     return f"""<h2>Where the simulation is wrong</h2>
 <p>The body at rest, with the residual (measured minus predicted) at every marker:
@@ -57,7 +57,7 @@ circles mark markers that a finding names.</p>
 {viewer(scene(found, details))}"""
 
 
-def _history(found: "Diagnosis", details: "DiagnosisDetails") -> str:
+def _history(found: "BodyDiagnosis", details: "DiagnosisDetails") -> str:
     after = swatch(AFTER, "after, with the findings") if details.search.final.parts else ""
     lines = swatch(BEFORE, "before") + after
     return f"""<h2>When, and under which load</h2>
@@ -67,7 +67,7 @@ lies in the green band in {100 * SHARE:.0f} % of all frames.</p>
 {histories(found.extended, details)}"""
 
 
-def _ranking(found: "Diagnosis") -> str:
+def _ranking(found: "BodyDiagnosis") -> str:
     return f"""<h2>All causes that were tried</h2>
 <p>The log Bayes factor (in nats) measures how much better a cause predicts the data than the model without it; it
 includes the penalty for the cause's free parameters. Red lines are the thresholds of the causes, which data without any
@@ -77,7 +77,7 @@ change that the cause makes, in noise deviations: about 8 are needed for detecti
 {rankings(found)}"""
 
 
-def _model(found: "Diagnosis", folder: Path) -> str:
+def _model(found: "BodyDiagnosis", folder: Path) -> str:
     try:
         text = f"<pre>{escape(experiment_text(found.extended, folder))}</pre>"
     except ExperimentError as error:

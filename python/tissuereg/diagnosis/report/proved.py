@@ -12,7 +12,7 @@ from tissuereg.report import svg
 from tissuereg.report.markup import escape, table
 
 if TYPE_CHECKING:
-    from tissuereg.diagnosis.answer import Diagnosis, Finding
+    from tissuereg.diagnosis.answer import BodyDiagnosis, Finding
     from tissuereg.diagnosis.proof import HeldOut
     from tissuereg.diagnosis.signals import SignalLayout
 
@@ -23,7 +23,7 @@ _MODELS = (
 )
 
 
-def proved(found: "Diagnosis") -> str:
+def proved(found: "BodyDiagnosis") -> str:
     """Return the errors of every finding on data that were left out of its fit, as HTML."""
     details, proofs = found.details, proofs_of(found)
     parts = []
@@ -39,7 +39,7 @@ def proved(found: "Diagnosis") -> str:
     return "\n".join(parts)
 
 
-def proofs_of(found: "Diagnosis") -> dict[int, "HeldOut"]:
+def proofs_of(found: "BodyDiagnosis") -> dict[int, "HeldOut"]:
     """Return the held-out predictions of every finding by its number; a finding of the modulus has none."""
     steps = [] if found.details is None else [step for step in found.details.search.steps if step.found is not None]
     # Findings are in the order of the steps; only the modulus may precede them.

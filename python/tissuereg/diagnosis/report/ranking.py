@@ -11,7 +11,7 @@ from tissuereg.report import svg
 from tissuereg.report.markup import escape
 
 if TYPE_CHECKING:
-    from tissuereg.diagnosis.answer import Diagnosis
+    from tissuereg.diagnosis.answer import BodyDiagnosis
     from tissuereg.diagnosis.search import Step
 
 _WIDTH, _LEFT, _RIGHT, _ROW = 900.0, 160.0, 250.0, 21.0
@@ -72,7 +72,7 @@ def gloss(cause: str) -> str:
     return ((type(CAUSES[cause]).__doc__ if cause in CAUSES else None) or "").partition("\n")[0].partition(" (`")[0]
 
 
-def rankings(found: "Diagnosis") -> str:
+def rankings(found: "BodyDiagnosis") -> str:
     """Return the chart of causes in the first round, and those of later rounds in collapsed sections, as HTML."""
     thresholds = {} if found.details is None else found.details.thresholds
     steps = [] if found.details is None else found.details.search.steps

@@ -13,7 +13,7 @@ from tissuereg.report.svg import AFTER, BEFORE, FLOOR
 from tissuereg.report.viewer import LOOK, ShownCase, Signs, ViewScene
 
 if TYPE_CHECKING:
-    from tissuereg.diagnosis.answer import Diagnosis, DiagnosisDetails
+    from tissuereg.diagnosis.answer import BodyDiagnosis, DiagnosisDetails
     from tissuereg.diagnosis.signals import SignalLayout
     from tissuereg.experiment.experiment import Experiment
 
@@ -24,7 +24,7 @@ MOST_VECTORS = 60_000
 _COLOURS = ("#c3cad3", "#7d858e", "#d6aa3c", "#78aa5a", "#9678be", "#5aaab4")
 
 
-def scene(found: "Diagnosis", details: "DiagnosisDetails", most: int = MOST_VECTORS) -> ViewScene:
+def scene(found: "BodyDiagnosis", details: "DiagnosisDetails", most: int = MOST_VECTORS) -> ViewScene:
     """Return what the view of a diagnosis with these details shows; `most`: number of residual vectors at most.
 
     Residuals, measured minus predicted, are those before and after the findings, in mm and mN, NaN = not measured.

@@ -21,11 +21,11 @@ from tissuereg.diagnosis.understated import UNDERSTATED
 from tissuereg.report.markup import escape, table
 
 if TYPE_CHECKING:
-    from tissuereg.diagnosis.answer import Diagnosis, Finding
+    from tissuereg.diagnosis.answer import BodyDiagnosis, Finding
     from tissuereg.diagnosis.noise import Noise
 
 
-def verdict_sentence(found: "Diagnosis") -> str:
+def verdict_sentence(found: "BodyDiagnosis") -> str:
     """Return the verdict of a diagnosis in one sentence, plain text."""
     if found.verdict == "consistent":
         return "The measurements are consistent with the simulation, within noise and nuisance parameters."
@@ -47,7 +47,7 @@ def verdict_sentence(found: "Diagnosis") -> str:
     )
 
 
-def summary(found: "Diagnosis") -> str:
+def summary(found: "BodyDiagnosis") -> str:
     """Return the top of the page as HTML: title, verdict, size of the residual, and what is provisional."""
     good = found.verdict == "consistent"
     tone = "yes" if good else "no"
@@ -67,7 +67,7 @@ def summary(found: "Diagnosis") -> str:
     return "\n".join(parts)
 
 
-def findings(found: "Diagnosis") -> str:
+def findings(found: "BodyDiagnosis") -> str:
     """Return every finding with its parameters and evidence, as HTML."""
     parts = [_finding(finding) for finding in found.findings] or ["<p>No cause was accepted.</p>"]
     said = [inconstant_words(one.to_json()) for one in found.constancy if not one.holds]
@@ -76,7 +76,7 @@ def findings(found: "Diagnosis") -> str:
     return "\n".join([*parts, *(f"<p>{escape(sentence)}</p>" for sentence in said)])
 
 
-def ties(found: "Diagnosis") -> str:
+def ties(found: "BodyDiagnosis") -> str:
     """Return the causes that cannot be distinguished and the experiment that would do so, as HTML."""
     groups = [finding for finding in found.findings if len(finding.group) > 1]
     if not groups:
@@ -102,7 +102,7 @@ def ties(found: "Diagnosis") -> str:
     return "\n".join(parts)
 
 
-def assumed(found: "Diagnosis") -> str:
+def assumed(found: "BodyDiagnosis") -> str:
     """Return noise model, nuisance parameters, modulus, prior probabilities, seed and versions, as HTML."""
     details = found.details
     items = [] if details is None else _noise(details.target.noise, found)
@@ -128,7 +128,7 @@ def assumed(found: "Diagnosis") -> str:
     return "<ul>" + "".join(f"<li>{escape(item)}</li>" for item in items) + "</ul>"
 
 
-def _discrepancy(found: "Diagnosis") -> str:
+def _discrepancy(found: "BodyDiagnosis") -> str:
     discrepancy = found.discrepancy
     if not discrepancy:
         return ""
@@ -146,7 +146,7 @@ def _discrepancy(found: "Diagnosis") -> str:
     return text
 
 
-def _left(found: "Diagnosis") -> str:
+def _left(found: "BodyDiagnosis") -> str:
     given = "With the findings in the model, data" if found.findings else "Data"
     text = f"{given} without further effects would misfit as much with probability {chance(found.p_misfit)}."
     return text if found.left is None else f"{text} {found.left['sentence']}"
@@ -181,7 +181,7 @@ def _pair(value: Any, spread: Any) -> str:
     return f"{value:.4g}" if spread is None else f"{value:.4g} \u00b1 {float(spread):.2g}"
 
 
-def _noise(noise: "Noise", found: "Diagnosis") -> list[str]:
+def _noise(noise: "Noise", found: "BodyDiagnosis") -> list[str]:
     source = "Noise, as stated or as rest frames show" if noise.from_rest else "Noise as stated"
     low, high = float(noise.marker_std.min()), float(noise.marker_std.max())
     size = f"{low:.3g}" if high - low < 1e-9 else f"{low:.3g} to {high:.3g}"
