@@ -53,9 +53,6 @@ def oracle_settings(ids: Collection[str]) -> DiagnoseSettings:
             repeated=tuple(name for name in ids if ids.count(name) > 1),
             judged=False,
             stated=0.0,
-            # A further cause needs no more than the first.
-            further=1.0,
-            least_further=NO_THRESHOLD,
         ),
     )
 

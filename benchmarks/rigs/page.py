@@ -10,7 +10,7 @@ from typing import Any
 
 from blind.score import sizes_table
 from common import commit, read_archive, write_archive
-from rigs.run import WITHOUT
+from rigs.run import ORACLE, OTHERS, WITHOUT
 from rigs.score import INNER, TITLES, predictions_of, report
 from rigs.scored import scored
 
@@ -32,7 +32,7 @@ def page(archives: dict[str, dict[str, Any]]) -> str:
     sections = []
     for half in (half for half in HALVES if half in archives):
         kept = archives[half]
-        section = report(scored(kept["rows"]), scored(kept.get(WITHOUT, {})), half)
+        section = report(scored(kept["rows"]), scored(kept.get(WITHOUT, {})), kept.get(ORACLE, {}), half)
         sizes = kept.get("sizes")
         said = ["", f"At commit {sizes['commit']}."] if sizes else []
         sections.append(section + "".join(f"{line}\n" for line in (*sizes_table(sizes, "###"), *said)))
@@ -49,13 +49,14 @@ def archives() -> dict[str, dict[str, Any]]:
 
 
 def pack(predictions: Path, half: str) -> None:
-    """Store what the page needs of the predictions of a half, with those that lack the true cause."""
-    rows, without = (
-        {case: _row(answer) for case, answer in predictions_of(folder, half).items()}
-        for folder in (predictions, predictions / WITHOUT)
-    )
-    answer = {"schema": "tissuereg.rigs/1", **commit(), "rows": rows, WITHOUT: without}
-    write_archive(ARCHIVE / half, answer, ("rows/<case>", f"{WITHOUT}/<case>"))
+    """Store what the page needs of the predictions of a half, with those that lack the true cause, or all others."""
+    folders = {"rows": predictions} | {method: predictions / method for method in OTHERS}
+    tables = {
+        name: {case: _row(answer) for case, answer in predictions_of(folder, half).items()}
+        for name, folder in folders.items()
+    }
+    answer = {"schema": "tissuereg.rigs/1", **commit(), **tables}
+    write_archive(ARCHIVE / half, answer, tuple(f"{name}/<case>" for name in folders))
 
 
 def _row(answer: dict[str, Any]) -> dict[str, Any]:

@@ -13,31 +13,34 @@ from typing import Any
 import tissuereg as tr
 from blind.materialise import folder_of
 from blind.run import keep, read_list
+from blind.variants import oracle_settings
 from common import commit
 from rigs.materialise import case_names, materialise
-from tissuereg.diagnosis.settings import DEFAULT
+from tissuereg.diagnosis.settings import DEFAULT, DiagnoseSettings
 from tissuereg.errors import ClusterError
 from tissuereg.io.json import plain
 from tissuereg.parallel import Failed, Processes
 
 BUILD = Path("build") / "rigs"
-#: Folder, among the predictions, of answers without the true cause in the catalogue.
-WITHOUT = "without"
+#: Folders, among the predictions, of answers without the hidden causes in the catalogue, and of fits of these alone;
+#: what makes the settings from their ids.
+WITHOUT, ORACLE = "without", "oracle"
+OTHERS = {WITHOUT: lambda ids: replace(DEFAULT, left_out=tuple(ids)), ORACLE: oracle_settings}
 
 
-def diagnose(case: str, predictions: Path, work: Path, threads: int, left_out: dict[str, tuple[str, ...]]) -> dict:
+def diagnose(case: str, predictions: Path, work: Path, threads: int, settings: dict[str, DiagnoseSettings]) -> dict:
     """Return the answer on a case; runs once and saves the answer, whole or not at all.
 
-    `left_out`: ids that the catalogue lacks, by case.
+    `settings`: those that are not the default ones, by case.
     """
     kept = predictions / f"{case}.json"
     if kept.exists():
         return json.loads(kept.read_text(encoding="utf-8"))
     folder = folder_of(case, work, materialise)
-    settings = replace(DEFAULT, left_out=left_out.get(case, ()))
 
     def ask() -> dict:
-        return plain(tr.diagnose(tr.read_experiment(folder), threads=threads, settings=settings).to_json())
+        own = settings.get(case, DEFAULT)
+        return plain(tr.diagnose(tr.read_experiment(folder), threads=threads, settings=own).to_json())
 
     return keep(kept, ask, commit())
 
@@ -65,10 +68,14 @@ def main() -> None:
     parser.add_argument("--threads", type=int, default=1, help="threads of each")
     parser.add_argument("--predictions", type=Path, default=BUILD / "predictions")
     parser.add_argument("--work", type=Path, default=BUILD)
-    parser.add_argument("--without", type=Path, help="file of CASE ID: causes taken out of the catalogue")
+    parser.add_argument("--ids", type=Path, help="file of CASE ID,ID: the hidden causes")
+    parser.add_argument("--method", choices=tuple(OTHERS), help="how those are asked about, in place of a half")
     options = parser.parse_args()
-    left_out = read_list(options.without) if options.without else {}
-    cases = [*left_out] if options.without else options.cases or case_names(options.half)
+    if (options.ids is None) != (options.method is None):
+        parser.error("--ids and --method are given together")
+    of_ids = OTHERS.get(options.method)
+    settings = {case: of_ids(ids) for case, ids in read_list(options.ids).items()} if of_ids else {}
+    cases = [*settings] if of_ids else options.cases or case_names(options.half)
     # Workers import numpy anew: BLAS reads these at its start.
     os.environ.update(OPENBLAS_NUM_THREADS="1", OMP_NUM_THREADS="1")
     os.environ.setdefault("TISSUEREG_CACHE", str((options.work / "cache").resolve()))
@@ -76,10 +83,10 @@ def main() -> None:
         answers = answer_all(
             cases,
             options.jobs,
-            predictions=options.predictions / WITHOUT if options.without else options.predictions,
+            predictions=options.predictions / (options.method or ""),
             work=options.work,
             threads=options.threads,
-            left_out=left_out,
+            settings=settings,
         )
         for number, (case, answer) in enumerate(answers, start=1):
             named = ", ".join(c["id"] for c in answer["causes"])

@@ -10,10 +10,10 @@ from pathlib import Path
 
 from blind.compare import made
 from blind.score import write_list
-from blind.scored import Scored, of_kind, read_predictions
+from blind.scored import SEEN, Scored, of_kind, read_predictions, seen
 from regions.intervals import interval
 from rigs.materialise import case_names, rig_of
-from rigs.run import WITHOUT
+from rigs.run import ORACLE, WITHOUT
 from rigs.scored import by_rig, scored
 
 _HEAD = ["| figure | count | share (95 %, by rig) | rigs |", "|---|---|---|---|"]
@@ -59,7 +59,7 @@ def all_named(case: Scored) -> bool:
     return all(any(cause in group for group in case.groups) for cause in case.truth["cause"])
 
 
-def figures(cases: list[Scored], without: list[Scored]) -> Iterator[str]:
+def figures(cases: list[Scored], without: list[Scored], oracle: dict[str, dict]) -> Iterator[str]:
     """Yield the rows of the table of figures.
 
     Parameters
@@ -68,6 +68,8 @@ def figures(cases: list[Scored], without: list[Scored]) -> Iterator[str]:
         Answers.
     without : list of Scored
         Those without the hidden cause in the catalogue.
+    oracle : dict
+        Fits of the hidden causes alone, by case.
     """
     nulls, alone = of_kind(cases, "null"), of_kind(cases, "single")
     for kind, words in (("rig", "drawn rigs"), ("box", "boxes")):
@@ -84,6 +86,9 @@ def figures(cases: list[Scored], without: list[Scored]) -> Iterator[str]:
         yield row(f"one cause, d = {level:g}: right group", some, lambda c: c.right)
         yield row(f"one cause, d = {level:g}: exact", some, lambda c: c.exact)
     yield row("one cause, any d: right group", alone, lambda c: c.right)
+    if oracle:
+        visible = f"where the oracle fit gains {SEEN:g} nats"
+        yield row(f"one cause, {visible}: right group", seen(alone, oracle), _right)
     yield row("one cause, form of its own: right group", [c for c in alone if not all(c.truth["own_form"])], _right)
     yield row("one cause: wrong group named", alone, lambda c: c.wrong)
     outside = of_kind(cases, "outside")
@@ -97,6 +102,9 @@ def figures(cases: list[Scored], without: list[Scored]) -> Iterator[str]:
         yield row(f"{words}: both named", some, all_named)
         yield row(f"{words}: one right and none wrong", some, lambda c: c.right and not c.wrong)
         yield row(f"{words}: one wrong", some, lambda c: c.wrong)
+        if oracle:
+            clear = [case for case in some if _each_seen(case, oracle)]
+            yield row(f"{words}, {visible} with each cause: both named", clear, all_named)
     if without:
         yield row("true cause taken out of the catalogue: misnamed", without, lambda c: c.wrong)
         yield row("the same, without stating the right family alone", without, lambda c: c.silent)
@@ -113,6 +121,12 @@ def _inner(case: Scored) -> tuple[float, ...]:
     held_out = case.prediction["causes"][0].get("held_out", {}) if case.ids else {}
     errors = tuple(held_out.get(key) for key in INNER)
     return () if None in errors else errors
+
+
+def _each_seen(case: Scored, oracle: dict[str, dict]) -> bool:
+    """Whether the fit of both hidden causes loses enough evidence without each of them."""
+    found = oracle.get(case.case, {}).get("causes", [])
+    return len(found) == len(case.truth["cause"]) and all(cause["log_bayes_factor"] >= SEEN for cause in found)
 
 
 def _right(case: Scored) -> bool:
@@ -159,8 +173,8 @@ def answers_by_cause(cases: list[Scored]) -> list[str]:
     return lines
 
 
-def report(cases: list[Scored], without: list[Scored], half: str) -> str:
-    """Return the section of a half in Markdown; `cases`, `without`: of `figures`."""
+def report(cases: list[Scored], without: list[Scored], oracle: dict[str, dict], half: str) -> str:
+    """Return the section of a half in Markdown; `cases`, `without`, `oracle`: of `figures`."""
     lines = [
         f"## {TITLES[half]}",
         "",
@@ -168,7 +182,7 @@ def report(cases: list[Scored], without: list[Scored], half: str) -> str:
         f"Verdicts: {made(cases)}." + (f" Causes taken out: {made(without)}." if without else ""),
         "",
         *_HEAD,
-        *figures(cases, without),
+        *figures(cases, without, oracle),
         "",
         *answers_by_cause(cases),
         "",
@@ -188,15 +202,15 @@ def main() -> None:
     parser.add_argument("predictions", type=Path)
     parser.add_argument("--half", choices=tuple(TITLES), default="dev")
     parser.add_argument("--out", type=Path)
-    parser.add_argument("--list-without", type=Path, help="write CASE ID for the answers without their cause, and stop")
+    parser.add_argument("--list", type=Path, help="write CASE ID,ID of cases with hidden causes, and stop")
+    parser.add_argument("--kinds", nargs="+", default=["single", "pair"], help="kinds of cases in that list")
     options = parser.parse_args()
-    if options.list_without:
-        write_list(options.list_without, of_kind(scored(predictions_of(options.predictions, options.half)), "single"))
+    folders = (options.predictions, *(options.predictions / method for method in (WITHOUT, ORACLE)))
+    answers, without, oracle = (predictions_of(folder, options.half) for folder in folders)
+    if options.list:
+        write_list(options.list, of_kind(scored(answers), *options.kinds))
         return
-    answers = (
-        scored(predictions_of(folder, options.half)) for folder in (options.predictions, options.predictions / WITHOUT)
-    )
-    text = report(*answers, options.half)
+    text = report(scored(answers), scored(without), oracle, options.half)
     if options.out:
         options.out.write_text(text, encoding="utf-8")
     else:

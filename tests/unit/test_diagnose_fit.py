@@ -9,7 +9,7 @@ import pytest
 from support.targets import YOUNG, part, target_of
 from tissuereg.diagnosis import candidates
 from tissuereg.diagnosis.bench import Bench
-from tissuereg.diagnosis.candidates import Candidate, required_thresholds, without
+from tissuereg.diagnosis.candidates import Candidate
 from tissuereg.diagnosis.causes import CAUSES
 from tissuereg.diagnosis.causes.base import free_parameters
 from tissuereg.diagnosis.correction import make_correction
@@ -274,16 +274,6 @@ def of_the_same_mesh(monkeypatch):
 
 
 @pytest.mark.usefixtures("of_the_same_mesh")
-def test_a_redundant_cause_is_removed(of_two):
-    spare = part(of_two, "scale")
-    found = fit(of_two, [part(of_two, "poisson"), spare, part(of_two, "latency")])
-    target, kept, left = candidates.without_redundant(of_two, found, dict.fromkeys(found.ids, 8.0))
-    assert kept.ids == ("poisson", "latency")
-    assert left == [0, 2]
-    assert without(target, kept, 0).log_evidence < kept.log_evidence - 8.0
-
-
-@pytest.mark.usefixtures("of_the_same_mesh")
 def test_a_rival_replaces_a_cause_where_it_is_better(of_two):
     wrong = fit(of_two, [part(of_two, "scale"), part(of_two, "latency")])
     mate = part(of_two, "poisson")
@@ -466,16 +456,6 @@ def test_a_fit_begins_where_the_objective_is_least():
     found = fit(target, [detached], start=begin)
     assert found.objective <= min(left) + 0.5
     assert abs(found.values(0, 1.0)[0]["share"] - 0.3) < 0.1
-
-
-def test_after_an_error_of_the_tracker_a_cause_needs_its_own_threshold_and_after_one_of_the_body_more():
-    thresholds = {"layer": 6.0, "inclusion": 30.0}
-    assert required_thresholds(thresholds) == thresholds
-    assert required_thresholds(thresholds, ("latency", "marker_slip")) == thresholds
-    assert required_thresholds(thresholds, ("latency", "poisson")) == {
-        "layer": DEFAULT.search.least_further,
-        "inclusion": 30.0 * DEFAULT.search.further,
-    }
 
 
 def test_a_slip_is_found_to_begin_in_its_own_frame():

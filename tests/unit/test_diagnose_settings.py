@@ -222,8 +222,8 @@ def test_rounds_judge_by_the_settings_of_the_bench():
 
     with pytest.MonkeyPatch.context() as patched:
         assert round_of(patched).found is found
-        for changed in ({"search": {"stated": 1.0}}, {"search": {"proved": 1e9}}, {"evidence": {"look_alike": 0.6}},
-                        {"evidence": {"temper": 1e9}}):  # fmt: skip
+        for changed in ({"search": {"stated": 1.0}}, {"search": {"proved": 1e9, "proved_share": 1e9}},
+                        {"evidence": {"look_alike": 0.6}}, {"evidence": {"temper": 1e9}}):  # fmt: skip
             step = round_of(patched, **changed)
             assert step.found is None, changed
         blocks = round_of(patched, search={"determined": 0.0, "time_blocks": 3}).proof.blocks
@@ -236,15 +236,8 @@ def test_charts_of_later_rounds_show_the_thresholds_that_were_required():
     screened = {"layer": Screened(9.0, None, np.ones(1)), "fibre": Screened(1.0, None, np.ones(1))}
     steps = [search_module.Step(screened, [one], one, held, held) for one in (body, slip)]
     findings = [SimpleNamespace(id=one.id, group=(one.id,), threshold=6.0) for one in (body, slip)]
-    drawn = {
-        number: rankings(
-            SimpleNamespace(
-                details=DiagnosisDetails(SimpleNamespace(steps=steps), None, None, {"layer": 6.0, "fibre": 6.0}),
-                findings=findings, candidates=(), numbers=of_groups(search={"least_further": number}),
-            )
-        )
-        for number in (18.0, 44.0)
-    }  # fmt: skip
-    assert "threshold 18.0" in drawn[18.0]
-    assert "threshold 44.0" in drawn[44.0]
-    assert "threshold 18.0" not in drawn[44.0]
+    details = DiagnosisDetails(SimpleNamespace(steps=steps), None, None, {"layer": 6.0, "fibre": 44.0})
+    drawn = rankings(SimpleNamespace(details=details, findings=findings, candidates=(), numbers=DEFAULT))
+    first, _, later = drawn.partition("Round 2")
+    assert "threshold 44.0" in later
+    assert "threshold 44.0" not in first

@@ -53,8 +53,7 @@ def test_oracle_and_without_have_their_catalogues(monkeypatch):
     assert oracle.search.most_causes == 2
     # The oracle fit is never rejected for its misfit, nor for its evidence.
     assert oracle.nulls.misfit <= 0.0
-    least = dict.fromkeys(CAUSES, oracle.nulls.required)
-    assert max(candidates.required_thresholds(least, ("inclusion",), oracle.search).values()) == variants.NO_THRESHOLD
+    assert oracle.nulls.required == variants.NO_THRESHOLD
     assert not candidates._repeats("inclusion", oracle.search.repeated)
     twice = settings_of(monkeypatch, variants.oracle, ("inclusion", "inclusion"))
     assert candidates._repeats("inclusion", twice.search.repeated)

@@ -2,23 +2,20 @@
 
 Candidates are the causes with enough linear evidence given the current model. Each is fitted nonlinearly over its
 likeliest hypothesis and the alternatives to it, with the discretisation error of the cause corrected (`refined`), and
-has a log Bayes factor. In the revision redundant causes are removed, and rivals are tried in their place. The first
-cause was accepted while the later ones were still missing from the model. Each cause is therefore removed again, and
-stays removed if the evidence falls by less than its threshold; then it is exchanged for the candidates that came close
-to it in its round.
+has a log Bayes factor. The first cause was accepted while the later ones were still missing from the model: in the
+revision each is exchanged for the candidates that came close to it in its round.
 """
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray
-from tissuereg.diagnosis.causes import CAUSES, catalogue
+from tissuereg.diagnosis.causes import catalogue
 from tissuereg.diagnosis.fit import Fit, FitTarget, FittedCause, best_start, choices_of, fit
 from tissuereg.diagnosis.refined import corrected_fit
 from tissuereg.diagnosis.screen import UNKNOWN, Screen, Screened
-from tissuereg.diagnosis.settings import DEFAULT, SearchSettings
 from tissuereg.experiment.effects import EFFECTS
 
 
@@ -100,19 +97,6 @@ def refitted(
     return sorted(found, key=lambda candidate: -candidate.gain)
 
 
-def required_thresholds(
-    thresholds: Mapping[str, float], found: Iterable[str] = (), settings: SearchSettings = DEFAULT.search
-) -> dict[str, float]:
-    """Return the log Bayes factor, in nats, that each cause must exceed, by id, given the causes found before.
-
-    `thresholds`: log Bayes factors required of a first cause, nats, by id; `found`: ids of the causes found before.
-    Unless these are only errors of the marker tracker, more is required of a further cause.
-    """
-    if all(CAUSES[name].closed_form for name in found):
-        return dict(thresholds)
-    return {name: max(settings.further * least, settings.least_further) for name, least in thresholds.items()}
-
-
 def _fit_forms(
     target: FitTarget, screen: Screen, screened: Screened, current: Fit, name: str, least: float
 ) -> list[Fit]:
@@ -155,36 +139,6 @@ def without(target: FitTarget, current: Fit, part: int, *, hopeless: float = np.
     others = [*current.parts[:part], *current.parts[part + 1 :]]
     start = np.delete(current.x, np.r_[mine])
     return fit(target, others, start=start, hopeless=hopeless) or fit(target, others, hopeless=hopeless)
-
-
-def without_redundant(
-    target: FitTarget, current: Fit, thresholds: Mapping[str, float]
-) -> tuple[FitTarget, Fit, list[int]]:
-    """Return the fit without redundant causes: those whose removal costs less evidence than their threshold.
-
-    The discretisation error of the causes is corrected in every fit. `target`: data, believed model, noise and
-    nuisances; `current`: fit with all causes; `thresholds`: log Bayes factor required of every cause, nats, by id.
-    Result: target and fit of the causes that stay, and their numbers among the causes of `current`; one at least.
-    """
-    kept = list(range(len(current.parts)))
-    while len(kept) > 1:
-        redundant: list[tuple[int, FitTarget, Fit]] = []
-        for number, name in enumerate(current.ids):
-            # The log evidence at which a fit shows that the cause it lacks is redundant.
-            least = current.log_evidence - thresholds[name]
-            reached = _reaching(
-                least,
-                target,
-                without(target, current, number, hopeless=target.bench.settings.model.correction_gain - least),
-            )
-            if reached is not None:
-                redundant.append((number, *reached))
-        if not redundant:
-            break
-        # Where either of two causes suffices, the likelier one stays, whatever their thresholds are.
-        number, target, current = max(redundant, key=lambda row: row[2].log_evidence)
-        del kept[number]
-    return target, current, kept
 
 
 def exchanged(

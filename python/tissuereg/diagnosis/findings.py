@@ -8,7 +8,6 @@ from dataclasses import asdict
 from typing import Any
 
 from tissuereg.diagnosis.answer import Finding, PossibleCause
-from tissuereg.diagnosis.candidates import required_thresholds
 from tissuereg.diagnosis.causes import CAUSES
 from tissuereg.diagnosis.fit import FitTarget
 from tissuereg.diagnosis.modulus import modulus_finding
@@ -34,8 +33,6 @@ def findings_of(target: FitTarget, screen: Screen, found: Search, thresholds: Ma
         # Parameters are those of the model with all causes found.
         values, deviations = found.final.values(part, young)
         chances = step.chances()
-        earlier = (before.found.id for before in rounds[:part] if before.found is not None)
-        required = required_thresholds(thresholds, earlier, target.bench.settings.search)
         assert step.proof is not None  # found causes were proved
         assert step.figures is not None
         findings.append(
@@ -44,7 +41,7 @@ def findings_of(target: FitTarget, screen: Screen, found: Search, thresholds: Ma
                 group=step.group(thresholds[top.id], named),
                 probability=chances.get(top.id, 0.0),
                 log_bayes_factor=top.gain,
-                threshold=required[top.id],
+                threshold=thresholds[top.id],
                 parameters=values,
                 deviations=deviations,
                 held_out=held_out_figures(target.bench.layout, target.noise, step.proof, step.figures),

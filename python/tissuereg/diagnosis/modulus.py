@@ -14,7 +14,7 @@ from tissuereg.diagnosis.answer import Finding
 from tissuereg.diagnosis.bench import Bench
 from tissuereg.diagnosis.causes import CAUSES
 from tissuereg.diagnosis.fit import FitTarget, fit
-from tissuereg.diagnosis.proof import BEFORE, GENERIC, NAMED, held_out_figures
+from tissuereg.diagnosis.proof import held_out_figures
 from tissuereg.diagnosis.screen import Screen
 from tissuereg.diagnosis.search import Search, prove, references_of
 
@@ -51,8 +51,7 @@ def modulus_finding(target: FitTarget, screen: Screen, found: Search) -> Finding
         return None
     references = references_of(target, screen, believed, before)
     proof = prove(target, references, before, final, None)
-    density = proof.log_density.sum(axis=1)
-    if density[NAMED] <= max(density[BEFORE], density[GENERIC]):
+    if not proof.proves(rules):
         return None
     young = final.young(bench.young)
     values = {"young_kpa": young}

@@ -40,12 +40,24 @@ class HeldOut:
     """Predictions of blocks of data by several models, each fitted to all data but the block.
 
     `blocks`: names of the blocks; `log_density` (n_models, n_blocks): log predictive density of every block given all
-    others, nats; `residuals` (n_models, size): whitened residuals of the predictions, NaN outside all blocks.
+    others, nats; `residuals` (n_models, size): whitened residuals of the predictions, NaN outside all blocks;
+    `expected_gain`: gain in log density over the model before, nats, if the cause is as it was fitted and nothing else
+    is wrong, without noise.
     """
 
     blocks: tuple[str, ...]
     log_density: FloatArray
     residuals: FloatArray
+    expected_gain: float = np.inf
+
+    def proves(self, rules: SearchSettings) -> bool:
+        """Return whether the cause predicts held-out data better than the rival and than the model without it."""
+        if not rules.judged:
+            return True
+        density = self.log_density.sum(axis=1)
+        # Where a nuisance describes the same change, held-out data hardly differ between the models.
+        least_gain = max(0.0, min(rules.proved, rules.proved_share * self.expected_gain))
+        return bool(density[NAMED] > density[BEFORE] + least_gain and density[NAMED] > density[GENERIC])
 
 
 def linear_model(target: FitTarget, fit: Fit, extra: FloatArray | None = None) -> LinearModel:

@@ -1,10 +1,10 @@
-"""The search for causes: forward selection with held-out proof, then elimination and exchange.
+"""The search for causes: forward selection with held-out proof, then exchange and elimination.
 
 Each round screens all causes on the residual of the current model, fits the likely ones, and accepts the first that
 passes its threshold and the held-out proof (`proof`) and is likelier than not. The found cause joins the model together
 with nuisances for its own error (`nuisances.effect_nuisances`, `nuisances.other_forms`). With two or more causes, each
-is tested for redundancy and exchanged for its closest rivals in the end; those that stay pass the same tests again, or
-the answer lists them as possible.
+is exchanged for its closest rivals in the end; those that stay pass the same tests again, in the model of all causes,
+or the answer lists them as possible.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -18,16 +18,13 @@ from tissuereg.diagnosis.candidates import (
     Candidate,
     exchanged,
     refitted,
-    required_thresholds,
     without,
-    without_redundant,
 )
 from tissuereg.diagnosis.causes import CAUSES
 from tissuereg.diagnosis.evidence import Null, fit_amplitudes, probabilities
 from tissuereg.diagnosis.fit import Fit, FitTarget, fit
 from tissuereg.diagnosis.nuisances import effect_nuisances, other_forms
 from tissuereg.diagnosis.proof import (
-    BEFORE,
     GENERIC,
     NAMED,
     HeldOut,
@@ -39,7 +36,7 @@ from tissuereg.diagnosis.proof import (
 )
 from tissuereg.diagnosis.refined import corrected_fit
 from tissuereg.diagnosis.screen import UNKNOWN, Screen, Screened
-from tissuereg.diagnosis.settings import DEFAULT, DiagnoseSettings, SearchSettings
+from tissuereg.diagnosis.settings import DEFAULT, DiagnoseSettings
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,21 +116,21 @@ class Step:
         chances = self.chances()
         return sum(chances.get(name, 0.0) for name in self.group(threshold, named))
 
-    def failed(self, required: float, threshold: float, named: Collection[str] = ()) -> PossibleCause | None:
+    def failed(self, threshold: float, named: Collection[str] = ()) -> PossibleCause | None:
         """Return the accepted cause as a possible one where it fails its threshold, proof or probability, else None.
 
-        `required`, `threshold`: log Bayes factors required of the cause here and as a first cause, nats.
+        Arguments as for `group`.
         """
         assert self.found is not None
         assert self.proof is not None
         chance = self.probability(threshold, named)
         if (
-            self.found.gain >= required
-            and _proved(self.found.id, self.proof, self.settings.search)
+            self.found.gain >= threshold
+            and self.proof.proves(self.settings.search)
             and chance >= self.settings.search.stated
         ):
             return None
-        return PossibleCause(self.found.id, chance, self.found.gain, required)
+        return PossibleCause(self.found.id, chance, self.found.gain, threshold)
 
     def dropped(self, failed: PossibleCause) -> "Step":
         """Return the round without its finding, which joins the possible causes."""
@@ -180,15 +177,18 @@ def search(target: FitTarget, screen: Screen, thresholds: Mapping[str, float]) -
     base = fit(target, [])
     assert base is not None  # the believed model has an equilibrium: it was solved before
     given, current, steps, plain = target, base, [], target
+    alone = target, current
     while len(current.parts) < target.bench.settings.search.most_causes:
         step = _round(target, screen, base, current, thresholds)
         steps.append(step)
         if step.found is None:
             break
         plain, target, current = _with_finding(plain, screen, base, current, step.found)
+        if len(current.parts) == 1:
+            alone = target, current
     if len(current.parts) > 1:
         target.bench.progress("revision of the causes found")
-        target, current, steps = _revised(given, target, screen, base, current, steps, thresholds)
+        target, current, steps = _revised(given, target, screen, base, current, steps, thresholds, alone)
     reduced = _null_after(target, current).reduced(current.residual)
     return Search(base, current, steps, reduced, target if current.parts else None)
 
@@ -199,31 +199,21 @@ def _round(target: FitTarget, screen: Screen, base: Fit, current: Fit, threshold
     `base`, `current`: fits of the believed model and with the causes found before; `thresholds`: nats, by id.
     """
     screened = screen.of(_as_screened(screen, target, current))
-    required = required_thresholds(thresholds, current.ids, target.bench.settings.search)
-    candidates = refitted(target, screen, screened, current, required)
+    candidates = refitted(target, screen, screened, current, thresholds)
     step = Step(screened, candidates, None, None, settings=target.bench.settings)
-    passing = [candidate for candidate in candidates if candidate.gain >= required[candidate.id]]
+    passing = [candidate for candidate in candidates if candidate.gain >= thresholds[candidate.id]]
     references = references_of(target, screen, base, current) if passing else []
     for candidate in passing:
         tried = prove(target, references, current, candidate.fit)
         step = replace(step, proof=step.proof or tried)
-        if _proved(candidate.id, tried, target.bench.settings.search):
+        if tried.proves(target.bench.settings.search):
             figures = prove(target, references, current, candidate.fit, stated=True)
             accepted = replace(step, found=candidate, proof=tried, figures=figures)
-            failed = accepted.failed(required[candidate.id], thresholds[candidate.id], current.ids)
+            failed = accepted.failed(thresholds[candidate.id], current.ids)
             if failed is None:
                 return accepted
             step = replace(step, possible=(*step.possible, failed))
     return step
-
-
-def _proved(name: str, proof: HeldOut, rules: SearchSettings) -> bool:
-    """Return whether a cause, by its id, predicts held-out data better than the rival and than the model without it."""
-    if not rules.judged:
-        return True
-    density = proof.log_density.sum(axis=1)
-    least_gain = 0.0 if CAUSES[name].always_fitted else rules.proved
-    return bool(density[NAMED] > density[BEFORE] + least_gain and density[NAMED] > density[GENERIC])
 
 
 def _with_finding(
@@ -250,20 +240,19 @@ def _revised(
     screen: Screen,
     base: Fit,
     current: Fit,
-    steps: list[Step],
+    rounds: Sequence[Step],
     thresholds: Mapping[str, float],
+    alone: tuple[FitTarget, Fit],
 ) -> tuple[FitTarget, Fit, list[Step]]:
-    """Return target, fit and rounds after each cause was tested for redundancy and exchanged for its closest rivals.
+    """Return target, fit and rounds after each cause was exchanged for its closest rivals and tested again.
 
-    What stays has passed its tests again, in the model of all causes. `given`, `target`: targets without and with
-    nuisances for the errors of the causes; `base`, `current`: fits of the believed model and with all causes;
-    `thresholds`: nats, by id.
+    What stays has passed its tests again, in the model of all causes. Where none does, the first cause stays, which
+    passed them alone. `given`, `target`: targets without and with nuisances for the errors of the causes; `base`,
+    `current`: fits of the believed model and with all causes; `rounds`: as they were accepted; `thresholds`: nats, by
+    id; `alone`: target and fit with the first cause alone.
     """
-    rules = target.bench.settings.search
+    rules, steps = target.bench.settings.search, list(rounds)
     found = [number for number, step in enumerate(steps) if step.found is not None]
-    target, current, kept = without_redundant(target, current, thresholds)
-    found = [found[part] for part in kept]
-    steps = [step if number in found else replace(step, found=None) for number, step in enumerate(steps)]
     leads: dict[int, float] = {}
     for part, number in enumerate(found):
         rivals = [c.as_rival() for c in steps[number].close(rules.rivals_within) if c.id not in current.ids]
@@ -288,7 +277,7 @@ def _revised(
         steps[number] = steps[number].dropped(failed[part])
         if found:
             target, current = corrected_fit(*_without(given, target, screen, base, current, rests, part))
-    return given, base, steps
+    return *alone, [rounds[0], *(replace(step, found=None, figures=None, shift=0.0) for step in steps[1:])]
 
 
 def _without(
@@ -353,13 +342,8 @@ def _judged(
 
 def _failed(steps: Sequence[Step], ids: Sequence[str], thresholds: Mapping[str, float]) -> dict[int, PossibleCause]:
     """Return the findings that fail their tests, by their number; `ids`: those of all findings, in the same order."""
-    failed = {}
-    for part, (step, name) in enumerate(zip(steps, ids, strict=True)):
-        required = required_thresholds(thresholds, ids[:part], step.settings.search)[name]
-        short = step.failed(required, thresholds[name], ids)
-        if short is not None:
-            failed[part] = short
-    return failed
+    tested = enumerate(step.failed(thresholds[name], ids) for step, name in zip(steps, ids, strict=True))
+    return {part: short for part, short in tested if short is not None}
 
 
 def prove(
@@ -381,7 +365,14 @@ def prove(
     layout, rules = target.bench.layout, target.bench.settings.search
     blocks = figure_blocks(layout, slopes, change, rules) if stated else proof_blocks(layout, slopes, rules)
     before, *others = references
-    return held_out([before, linear_model(target, found), *others], blocks)
+    named = linear_model(target, found)
+    made = held_out([before, named, *others], blocks)
+    if stated:
+        return made
+    # Data that the fit predicts exactly, as each model sees them.
+    would = replace(before, residual=before.residual - current.residual + change)
+    exact = replace(named, residual=named.residual - found.residual)
+    return replace(made, expected_gain=-float(np.subtract(*held_out([would, exact], blocks).log_density.sum(axis=1))))
 
 
 def _columns_and_change(target: FitTarget, current: Fit, found: Fit, part: int | None) -> tuple[FloatArray, FloatArray]:

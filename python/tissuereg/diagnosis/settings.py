@@ -280,16 +280,14 @@ class SearchSettings:
     #: Linear evidence that a cause needs to be fitted, as a share of its threshold: as first and as a further cause.
     likely: float = 0.4
     likely_further: float = 0.5
-    #: Once a cause that acts on the body was found, a further one must exceed this many times its threshold, and at
-    #: least so many nats, because the form of the found cause has an unknown error. Effects of the tracker are known.
-    further: float = 1.5
-    least_further: float = 18.0
     #: Ids that may be found more than once; None: those whose effects are repeatable.
     repeated: tuple[str, ...] | None = None
     #: Whether a cause must be proved on held-out data.
     judged: bool = True
-    #: Gain in log predictive density that the held-out proof requires, nats.
+    #: Gain in log predictive density that the held-out proof requires, nats, but at most so large a share of the gain
+    #: that a cause would have in these data if it were true.
     proved: float = 4.0
+    proved_share: float = 0.5
     #: A case is held out in a proof only if the other data determine the cause's parameters: their posterior variance
     #: without the case is at most this share of the prior variance, on average.
     determined: float = 0.5

@@ -23,7 +23,6 @@ class GainCause(Cause):
 
     id: ClassVar[str] = "actuator_gain"
     family: ClassVar[str] = "actuator"
-    always_fitted: ClassVar[bool] = True
     discrete: ClassVar[tuple[str, ...]] = ("actuator",)
 
     #: Prior deviation of the gain.

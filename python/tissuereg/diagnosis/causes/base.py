@@ -80,9 +80,8 @@ class Cause(ABC):
 
     Fields of an instance are its numbers: sizes, prior deviations, counts. Attributes of each class: `id`: name of the
     cause in answers and in ``[[effect]]`` tables; `family`: id of the kind of error that it is one of; `discrete`: keys
-    of `Variant.settings` that the free parameters cannot change; `always_fitted`: whether a nuisance parameter
-    describes the same error in every fit; `absolute`: whether its size does not scale with Young's modulus; `constant`:
-    whether its change has one size in all parts of the data.
+    of `Variant.settings` that the free parameters cannot change; `absolute`: whether its size does not scale with
+    Young's modulus; `constant`: whether its change has one size in all parts of the data.
     """
 
     #: Id in answers and in ``[[effect]]`` tables.
@@ -93,10 +92,6 @@ class Cause(ABC):
 
     #: Keys of `Variant.settings` that the free parameters cannot change.
     discrete: ClassVar[tuple[str, ...]] = ()
-
-    #: Whether a nuisance parameter of small prior deviation describes the same effect. Held-out data then hardly differ
-    #: between the models, and the proof requires no least gain.
-    always_fitted: ClassVar[bool] = False
 
     #: Whether its change has one size in all parts of the data. That of a contact that opens, or of what slips, has
     #: not.

@@ -22,7 +22,6 @@ class FrameCause(Cause):
 
     id: ClassVar[str] = "frame"
     family: ClassVar[str] = "tracker"
-    always_fitted: ClassVar[bool] = True
 
     #: Prior deviations of the shift, mm, and of the rotation, degrees.
     shift_mm: float = 0.5

@@ -4,7 +4,6 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from tissuereg.diagnosis.candidates import required_thresholds
 from tissuereg.diagnosis.causes import CAUSES
 from tissuereg.diagnosis.screen import UNKNOWN
 from tissuereg.report import svg
@@ -86,8 +85,7 @@ def rankings(found: "BodyDiagnosis") -> str:
         before = [earlier.found.id for earlier in steps[:number] if earlier.found is not None]
         known = ", ".join(map(plain_name, before)) if before else "a cause that was removed later"
         title = f"Round {number + 1}: further causes, given {known}"
-        required = required_thresholds(thresholds, before, found.numbers.search)
-        chart = ranking(_rows(step, before), required, groups.get(number, set()), title)
+        chart = ranking(_rows(step, before), thresholds, groups.get(number, set()), title)
         parts.append(f"<details><summary>{escape(title)}</summary>{chart}</details>")
     return "\n".join(parts)
 
