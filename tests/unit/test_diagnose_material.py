@@ -243,38 +243,39 @@ def test_a_cause_is_named_above_its_threshold_alone_and_not_stated_where_it_fail
     bench = bench_of(believed(in_modes(np.random.default_rng(7), ("fung", 1.0))))
     none, scene = null_hypothesis(bench.problem), scene_of(believed(list(bench.problem.data.curves)))
     forms = {"stiffening": CAUSES["stiffening"].forms(scene)}
-    searched = MaterialSearch(bench, forms, 5.0, lambda _: None)
-    known = searched.run(none)
+    searched = MaterialSearch(bench, none, forms, 5.0, lambda _: None)
+    known = searched.run()
     gain = known.evidence - none.evidence
     assert known.ids == ("stiffening",)
     for share, ids in ((0.95, ("stiffening",)), (1.05, ())):
-        again = MaterialSearch(bench, forms, share * gain, lambda _: None)
+        again = MaterialSearch(bench, none, forms, share * gain, lambda _: None)
         monkeypatch.setattr(again, "_pair", lambda *_: None)
-        assert again.run(none).ids == ids
-    kept, findings, possible = searched.findings(none, known)
-    assert (kept.ids, [one.id for one in findings], possible) == (("stiffening",), ["stiffening"], ())
-    assert findings[0].passes(0.5)
-    assert findings[0].group_probability >= findings[0].probability >= 0.5
+        assert again.run().ids == ids
+    (finding,) = searched.findings
+    assert (finding.id, searched.possible) == ("stiffening", [])
+    assert finding.passes(0.5)
+    assert finding.group_probability >= finding.probability >= 0.5
     for change in ({"log_bayes_factor": 4.9}, {"group_probability": 0.49}, {"proved": False}):
-        failed = replace(findings[0], threshold=5.0, **change)
-        monkeypatch.setattr(searched, "finding", lambda *_, failed=failed: failed)
-        kept, stated, possible = searched.findings(none, known)
-        assert (kept.ids, stated, [one.id for one in possible]) == ((), (), ["stiffening"])
+        again = MaterialSearch(bench, none, forms, 5.0, lambda _: None)
+        failed = replace(finding, threshold=5.0, **change)
+        monkeypatch.setattr(again, "finding", lambda *_, failed=failed: failed)
+        assert again.run().ids == ()
+        assert (again.findings, [one.id for one in again.possible]) == ((), ["stiffening"])
 
 
 def test_a_cause_that_is_left_alone_is_proved_alone(monkeypatch):
     bench = bench_of(believed(in_modes(np.random.default_rng(7), ("fung", 1.0))))
     none, scene = null_hypothesis(bench.problem), scene_of(believed(list(bench.problem.data.curves)))
     forms = {name: CAUSES[name].forms(scene) for name in ("stiffening", "mooney")}
-    searched = MaterialSearch(bench, forms, 5.0, lambda _: None)
-    known = searched.run(none)
+    searched = MaterialSearch(bench, none, forms, 5.0, lambda _: None)
+    known = searched.run()
     assert known.ids == ("stiffening",)
     tried = []
     monkeypatch.setattr(searched, "is_proved", lambda *_: tried.append(1) or False)
-    assert searched.finding(none, known, "stiffening").proved  # it was accepted as it is
+    assert searched.finding(known, "stiffening").proved  # it was accepted as it is
     assert not tried
     # The same cause after another one was taken out.
-    assert searched.findings(none, replace(known))[1] == ()
+    assert [*searched.tested(replace(known))[1]] == [0]
     assert tried == [1]
 
 

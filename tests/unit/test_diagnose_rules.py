@@ -251,7 +251,12 @@ def test_what_stays_after_a_revision_passes_its_threshold_again(monkeypatch, sha
         top = search_module.Candidate(found.parts[-1].id, found, 1e3, target)
         screened = screen.of(search_module._as_screened(screen, target, before))
         steps.append(search_module.Step(screened, [top], top, proof, proof))
-    _, final, steps = search_module._revised(target, target, screen, base, both, steps, limits, (target, first))
+    alone = search_module._Found(target, target, first, (steps[0],))
+    known = search_module._Found(target, target, both, tuple(steps), first=alone)
+    bodies = search_module._Bodies(target, screen, base, limits)
+    monkeypatch.setattr(search_module._Bodies, "grown", lambda *_: known)
+    found = search_module.selected(bodies, search_module._Found(target, target, base), 2)
+    final, steps = found.fit, found.steps
     assert set(final.ids) == named
     assert {step.found.id for step in steps if step.found is not None} == named
     assert [one.id for step in steps for one in step.possible] == [name for name in ("poisson",) if name not in named]
@@ -269,7 +274,7 @@ def of_round(unknown=-50.0, proof=None):
 
 def test_an_exchanged_cause_has_the_probability_by_which_it_leads_the_first():
     step = of_round()
-    exchanged = step.retested(search_module.Candidate("scale", None, 30.0, None), 4.0)
+    exchanged = replace(step, lead=4.0).retested(search_module.Candidate("scale", None, 30.0, None))
     assert exchanged.evidence() == {"scale": 30.0, "latency": 26.0, "rate": 6.0, UNKNOWN: -84.0}
     # Without the exchange's evidence the cause that came second in its round would be improbable.
     assert exchanged.chances()["scale"] == pytest.approx(0.96 / (1.0 + np.exp(-2.0)), rel=1e-3)
@@ -360,9 +365,9 @@ def test_the_causes_of_a_round_keep_their_distance_where_its_finding_is_tested_a
     top = search_module.Candidate("latency", both, 500.0, target)
     proof = HeldOut(("case",), np.array([[0.0], [50.0], [0.0], [0.0]]), np.zeros((4, 1)))
 
-    def judged(lead=None):
-        step = search_module.Step({}, [top], top, proof, proof)
-        return search_module._judged(target, screen, base, both, alone, 0, step, lead)
+    def judged(lead=0.0):
+        step = search_module.Step({}, [top], top, proof, proof, lead=lead)
+        return search_module._judged(target, screen, base, both, alone, 0, step)
 
     # It leads the one that was accepted first, which had 500 nats in the round.
     assert judged(5.0).shift == pytest.approx(judged().shift - 5.0)
@@ -375,17 +380,18 @@ def test_of_two_that_fail_the_one_with_less_evidence_is_taken_out_and_the_other_
 ):
     target = target_of(Poisson(poisson=0.38), Latency(latency_s=0.15))
     screen = both_found(monkeypatch, target)
-    tested = []
+    tested, own = [], search_module._Bodies.tested
 
-    def failing(steps, ids, thresholds):
-        tested.append(ids)
+    def failing(bodies, known):
+        tested.append(known.ids)
+        known, _ = own(bodies, known)
         failed = {
             part: search_module.PossibleCause(name, 0.1, gain, 6.0)
-            for part, (name, gain) in enumerate(zip(ids, gains, strict=False))
+            for part, (name, gain) in enumerate(zip(known.ids, gains, strict=False))
         }
-        return failed if len(tested) == 1 else {}
+        return known, failed if len(tested) == 1 else {}
 
-    monkeypatch.setattr(search_module, "_failed", failing)
+    monkeypatch.setattr(search_module._Bodies, "tested", failing)
     found = search(target, screen, {"latency": 6.0, "poisson": 6.0})
     assert found.final.ids == (named,)
     assert tested == [("latency", "poisson"), (named,)]

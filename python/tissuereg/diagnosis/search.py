@@ -7,7 +7,7 @@ is exchanged for its closest rivals in the end; those that stay pass the same te
 or the answer lists them as possible.
 """
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -36,6 +36,7 @@ from tissuereg.diagnosis.proof import (
 )
 from tissuereg.diagnosis.refined import corrected_fit
 from tissuereg.diagnosis.screen import UNKNOWN, Screen, Screened
+from tissuereg.diagnosis.selection import selected
 from tissuereg.diagnosis.settings import DEFAULT, DiagnoseSettings
 
 
@@ -49,7 +50,8 @@ class Step:
     cause, with it, with the generic rival instead, the believed one; `figures`: errors of the accepted candidate on the
     held-out blocks for which errors are reported (`figure_blocks`); rows as in the proof. None where none was accepted;
     `possible`: causes that came close to acceptance;
-    `shift`: evidence of every cause in the model of all causes found minus that in the round, nats.
+    `shift`: evidence of every cause in the model of all causes found minus that in the round, nats; `lead`: nats by
+    which the cause that was exchanged for the accepted one leads it, until it is tested again.
     """
 
     screened: dict[str, Screened]
@@ -59,6 +61,7 @@ class Step:
     figures: HeldOut | None = None
     possible: tuple[PossibleCause, ...] = ()
     shift: float = 0.0
+    lead: float = 0.0
     settings: DiagnoseSettings = DEFAULT
 
     def gains(self) -> dict[str, float]:
@@ -136,14 +139,13 @@ class Step:
         """Return the round without its finding, which joins the possible causes."""
         return replace(self, found=None, figures=None, shift=0.0, possible=(*self.possible, failed))
 
-    def retested(self, top: Candidate, lead: float = 0.0) -> "Step":
-        """Return the round with the evidence of its finding in the model of all causes.
+    def retested(self, top: Candidate) -> "Step":
+        """Return the round with the evidence of its finding in the model of all causes; `top`: with that evidence.
 
-        `top`: the cause with that evidence; `lead`: nats by which it leads the cause that was accepted first; 0 where
-        it is that itself. All causes of the round keep their distance to the latter.
+        All causes of the round keep their distance to the cause that was accepted first.
         """
         assert self.found is not None
-        return replace(self, found=top, shift=self.shift + top.gain - lead - self.found.gain)
+        return replace(self, found=top, shift=self.shift + top.gain - self.lead - self.found.gain, lead=0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,21 +178,130 @@ def search(target: FitTarget, screen: Screen, thresholds: Mapping[str, float]) -
     """
     base = fit(target, [])
     assert base is not None  # the believed model has an equilibrium: it was solved before
-    given, current, steps, plain = target, base, [], target
-    alone = target, current
-    while len(current.parts) < target.bench.settings.search.most_causes:
-        step = _round(target, screen, base, current, thresholds)
-        steps.append(step)
+    found = selected(
+        _Bodies(target, screen, base, thresholds),
+        _Found(target, target, base),
+        target.bench.settings.search.most_causes,
+    )
+    reduced = _null_after(found.target, found.fit).reduced(found.fit.residual)
+    return Search(base, found.fit, list(found.steps), reduced, found.target if found.ids else None)
+
+
+@dataclass(frozen=True, eq=False)
+class _Found:
+    """The causes found so far.
+
+    `target`, `plain`: data and model with and without nuisances for the size of the causes; `fit`: fit with all of
+    them; `steps`: rounds, in order; `rests`: fits without each cause, None where there is no equilibrium; empty before
+    they are tested; `first`: the first cause as it was accepted.
+    """
+
+    target: FitTarget
+    plain: FitTarget
+    fit: Fit
+    steps: tuple[Step, ...] = ()
+    rests: tuple[Fit | None, ...] = ()
+    first: "_Found | None" = None
+
+    @property
+    def ids(self) -> tuple[str, ...]:
+        """Ids of the causes, in their order."""
+        return self.fit.ids
+
+    def rounds(self) -> list[int]:
+        """Return the numbers of the rounds of the causes, in their order."""
+        return [number for number, step in enumerate(self.steps) if step.found is not None]
+
+    def with_steps(self, changed: Mapping[int, Step]) -> tuple[Step, ...]:
+        """Return all rounds, of which some are changed, by number."""
+        return tuple(changed.get(number, step) for number, step in enumerate(self.steps))
+
+
+@dataclass(frozen=True, eq=False)
+class _Bodies:
+    """The models of a body (`selection.Models`).
+
+    `given`: data and believed model, without nuisances for the errors of causes; `screen`: all hypotheses; `base`: fit
+    of the believed model; `thresholds`: nats, by id.
+    """
+
+    given: FitTarget
+    screen: Screen
+    base: Fit
+    thresholds: Mapping[str, float]
+
+    def grown(self, known: _Found) -> _Found:
+        """Return what was found with the cause that the next round accepts."""
+        step = _round(known.target, self.screen, self.base, known.fit, self.thresholds)
+        steps = (*known.steps, step)
         if step.found is None:
-            break
-        plain, target, current = _with_finding(plain, screen, base, current, step.found)
-        if len(current.parts) == 1:
-            alone = target, current
-    if len(current.parts) > 1:
-        target.bench.progress("revision of the causes found")
-        target, current, steps = _revised(given, target, screen, base, current, steps, thresholds, alone)
-    reduced = _null_after(target, current).reduced(current.residual)
-    return Search(base, current, steps, reduced, target if current.parts else None)
+            return replace(known, steps=steps)
+        plain, target, fitted = _with_finding(known.plain, self.screen, self.base, known.fit, step.found)
+        grown = _Found(target, plain, fitted, steps, first=known.first)
+        return replace(grown, first=known.first or grown)
+
+    def exchanged(self, known: _Found) -> _Found:
+        """Return what was found with causes exchanged for their closest rivals."""
+        self.given.bench.progress("revision of the causes found")
+        rules, target, current = self.given.bench.settings.search, known.target, known.fit
+        changed: dict[int, Step] = {}
+        for part, number in enumerate(known.rounds()):
+            step = known.steps[number]
+            rivals = [c.as_rival() for c in step.close(rules.rivals_within) if c.id not in current.ids]
+            target, better = exchanged(target, current, part, rivals[: rules.most_rivals])
+            if better is not current:
+                changed[number] = replace(step, lead=better.log_evidence - current.log_evidence)
+                current = better
+        return replace(known, target=target, fit=current, steps=known.with_steps(changed))
+
+    def tested(self, known: _Found) -> tuple[_Found, Mapping[int, PossibleCause]]:
+        """Return what was found with evidence and proofs in the model of all causes, and what fails them.
+
+        The first cause passed them when it was accepted alone.
+        """
+        if known.first is None or known.fit is known.first.fit:
+            return known, {}
+        target, current = known.target, known.fit
+        rests = tuple(without(target, current, part) for part in range(len(current.parts)))
+        changed = {
+            number: _judged(target, self.screen, self.base, current, rests[part], part, known.steps[number])
+            for part, number in enumerate(known.rounds())
+        }
+        shortcomings = (
+            step.failed(self.thresholds[name], current.ids)
+            for step, name in zip(changed.values(), current.ids, strict=True)
+        )
+        failed = {part: short for part, short in enumerate(shortcomings) if short is not None}
+        return replace(known, rests=rests, steps=known.with_steps(changed)), failed
+
+    def without(self, known: _Found, part: int, failed: PossibleCause) -> _Found:
+        """Return what was found without a cause, and without the nuisances for its error.
+
+        Where nothing is left, or without it the others have no equilibrium, the first cause stays as it was accepted.
+        """
+        number = known.rounds()[part]
+        steps = known.with_steps({number: known.steps[number].dropped(failed)})
+        rest = known.rests[part]
+        if rest is None or not rest.parts:
+            first = known.first
+            assert first is not None  # something was found
+            later = (replace(step, found=None, figures=None, shift=0.0) for step in steps[1:])
+            return replace(first, steps=(*first.steps, *later), first=first)
+        target, current = corrected_fit(*self._refitted(known, rest, part))
+        return replace(known, target=target, fit=current, steps=steps, rests=())
+
+    def _refitted(self, known: _Found, rest: Fit, part: int) -> tuple[FitTarget, Fit]:
+        """Return target and fit after a cause was taken out, given its number and the fit `rest` without it."""
+        others = [pair for at, pair in enumerate(zip(known.ids, known.rests, strict=True)) if at != part]
+        forms = [
+            _forms(self.given, self.screen, name, known.fit.prediction - before.prediction)
+            for name, before in others
+            if before is not None
+        ]
+        errors = self.given.white(effect_nuisances(self.given.bench, rest.prediction - self.base.prediction))
+        null = Null(np.concatenate([self.given.null.nuisances, *forms, errors]))
+        target = replace(known.target, null=null)
+        return target, fit(target, rest.parts, start=rest.x) or rest
 
 
 def _round(target: FitTarget, screen: Screen, base: Fit, current: Fit, thresholds: Mapping[str, float]) -> Step:
@@ -234,79 +345,6 @@ def _with_finding(
     return plain, target, fit(target, found.fit.parts, start=found.fit.x) or found.fit
 
 
-def _revised(
-    given: FitTarget,
-    target: FitTarget,
-    screen: Screen,
-    base: Fit,
-    current: Fit,
-    rounds: Sequence[Step],
-    thresholds: Mapping[str, float],
-    alone: tuple[FitTarget, Fit],
-) -> tuple[FitTarget, Fit, list[Step]]:
-    """Return target, fit and rounds after each cause was exchanged for its closest rivals and tested again.
-
-    What stays has passed its tests again, in the model of all causes. Where none does, the first cause stays, which
-    passed them alone. `given`, `target`: targets without and with nuisances for the errors of the causes; `base`,
-    `current`: fits of the believed model and with all causes; `rounds`: as they were accepted; `thresholds`: nats, by
-    id; `alone`: target and fit with the first cause alone.
-    """
-    rules, steps = target.bench.settings.search, list(rounds)
-    found = [number for number, step in enumerate(steps) if step.found is not None]
-    leads: dict[int, float] = {}
-    for part, number in enumerate(found):
-        rivals = [c.as_rival() for c in steps[number].close(rules.rivals_within) if c.id not in current.ids]
-        target, better = exchanged(target, current, part, rivals[: rules.most_rivals])
-        if better is not current:
-            leads[number] = better.log_evidence - current.log_evidence
-            current = better
-    while found:
-        rests = [without(target, current, part) for part in range(len(found))]
-        for part, number in enumerate(found):
-            lead = leads.pop(number, None)
-            steps[number] = _judged(target, screen, base, current, rests[part], part, steps[number], lead)
-        failed = _failed([steps[number] for number in found], current.ids, thresholds)
-        if not failed:
-            return target, current, steps
-        # Of several, the one whose removal costs the least evidence: the others may pass without it.
-        part = min(failed, key=lambda part: (rests[part] is None, failed[part].log_bayes_factor))
-        number = found.pop(part)
-        if rests[part] is None:  # without it the others have no equilibrium
-            steps = [step if at == number else replace(step, found=None, shift=0.0) for at, step in enumerate(steps)]
-            found = []
-        steps[number] = steps[number].dropped(failed[part])
-        if found:
-            target, current = corrected_fit(*_without(given, target, screen, base, current, rests, part))
-    return *alone, [rounds[0], *(replace(step, found=None, figures=None, shift=0.0) for step in steps[1:])]
-
-
-def _without(
-    given: FitTarget,
-    target: FitTarget,
-    screen: Screen,
-    base: Fit,
-    current: Fit,
-    rests: Sequence[Fit | None],
-    part: int,
-) -> tuple[FitTarget, Fit]:
-    """Return target and fit after a cause was taken out, without the nuisances for its error.
-
-    `given`, `target`: targets without and with nuisances for the errors of the causes; `rests`: fits without each of
-    the causes of `current`; `part`: number of the one that is taken out.
-    """
-    rest = rests[part]
-    assert rest is not None  # without it there is an equilibrium
-    others = [pair for at, pair in enumerate(zip(current.ids, rests, strict=True)) if at != part]
-    forms = [
-        _forms(given, screen, name, current.prediction - before.prediction)
-        for name, before in others
-        if before is not None
-    ]
-    errors = given.white(effect_nuisances(given.bench, rest.prediction - base.prediction))
-    target = replace(target, null=Null(np.concatenate([given.null.nuisances, *forms, errors])))
-    return target, fit(target, rest.parts, start=rest.x) or rest
-
-
 def _forms(target: FitTarget, screen: Screen, name: str, change: FloatArray) -> FloatArray:
     """Return nuisances for the form of a cause, by its id, that was found to make a change (size,), mm and mN."""
     return other_forms(screen.white_columns(name), target.white(change), target.bench.settings.nuisances)
@@ -320,30 +358,21 @@ def _judged(
     before: Fit | None,
     part: int,
     step: Step,
-    lead: float | None,
 ) -> Step:
     """Return the round of a finding with its evidence and proof in the model of all causes.
 
     `before`: fit without it; None where there is no equilibrium, and evidence and proof are those of its round; `part`:
-    its number in the fit `current`; `lead`: nats by which it leads the cause that was accepted first in its place; None
-    where that is itself. The gain of a finding is the evidence that its removal costs.
+    its number in the fit `current`. The gain of a finding is the evidence that its removal costs.
     """
     assert step.found is not None
-    gain = step.found.gain + (lead or 0.0) if before is None else current.log_evidence - before.log_evidence
-    top = Candidate(current.parts[part].id, current, gain, target)
-    step = step.retested(top, lead or 0.0)
+    gain = step.found.gain + step.lead if before is None else current.log_evidence - before.log_evidence
+    step = step.retested(Candidate(current.parts[part].id, current, gain, target))
     if before is None:
         return step
     references = references_of(target, screen, base, before)
     proof = prove(target, references, before, current, part)
     figures = prove(target, references, before, current, part, stated=True)
     return replace(step, proof=proof, figures=figures)
-
-
-def _failed(steps: Sequence[Step], ids: Sequence[str], thresholds: Mapping[str, float]) -> dict[int, PossibleCause]:
-    """Return the findings that fail their tests, by their number; `ids`: those of all findings, in the same order."""
-    tested = enumerate(step.failed(thresholds[name], ids) for step, name in zip(steps, ids, strict=True))
-    return {part: short for part, short in tested if short is not None}
 
 
 def prove(

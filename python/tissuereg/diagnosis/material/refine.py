@@ -51,11 +51,11 @@ class Refined:
     form_error: float = math.nan
 
 
-def refined(search: MaterialSearch, none: Hypothesis, known: Hypothesis) -> Refined:
+def refined(search: MaterialSearch, known: Hypothesis) -> Refined:
     """Return the fit of the causes found in the form and with the weights that predict held-out data best.
 
-    `search`: search that found them, with its data; `none`, `known`: the believed law without and with the causes
-    found. Result: with one of the forms (formulas) tried of each cause, and its deviations.
+    `search`: search that found them, with its data; `known`: the believed law with the causes found. Result: with one
+    of the forms (formulas) tried of each cause, and its deviations.
     """
     benches = {"lasting errors": search.bench, "rows alike": rows_alike(search.bench)}
     if search.bench.unit == "part":
@@ -63,21 +63,20 @@ def refined(search: MaterialSearch, none: Hypothesis, known: Hypothesis) -> Refi
         del benches["rows alike" if known.fit.model.remembers else "lasting errors"]
     best = min((_of(bench, known.fit, name) for name, bench in benches.items()), key=lambda r: _error(search, r))
     for cause in (cause for cause in known.ids if CAUSES[cause].slot == "law"):
-        best = _best_form(search, none, replace(known, fit=best.fit), cause, best, benches)
+        best = _best_form(search, replace(known, fit=best.fit), cause, best, benches)
     fit, form_error = stated(benches[best.weighting], best.fit)
     return replace(best, fit=fit, form_error=form_error)
 
 
 def _best_form(
     search: MaterialSearch,
-    none: Hypothesis,
     known: Hypothesis,
     cause: str,
     best: Refined,
     benches: dict[str, ProofInput],
 ) -> Refined:
     place, least = known.ids.index(cause), search.bench.problem.settings.material.worth
-    for fit in _in_each_form(search, none, known, cause):
+    for fit in _in_each_form(search, known, cause):
         if fit.forms[place].label == best.fit.forms[place].label:
             continue
         for name, bench in benches.items():
@@ -89,8 +88,8 @@ def _best_form(
     return best
 
 
-def _in_each_form(search: MaterialSearch, none: Hypothesis, known: Hypothesis, cause: str) -> list[MaterialFit]:
-    rest = search.without(none, known, cause)
+def _in_each_form(search: MaterialSearch, known: Hypothesis, cause: str) -> list[MaterialFit]:
+    rest = search.lacking(known, cause)
     fits = search.in_forms(rest, cause)
     order = [*rest.ids, cause]
     return [_reordered(fit, order, known.ids) for fit in fits]

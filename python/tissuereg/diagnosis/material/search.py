@@ -1,12 +1,11 @@
-"""Selection of causes: forward steps with held-out proof, exchange of earlier causes, backward elimination.
+"""The models of a material test, in which `selection.selected` looks for causes.
 
 In a forward step every remaining cause is fitted together with those found (a race, ranked by evidence); the best one
 that exceeds the threshold and predicts held-out data better than the model without it and than the generic rival is
-added. An earlier cause is exchanged where another then explains more, and removed in the end where the others have made
-it redundant.
+added.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -17,6 +16,7 @@ from tissuereg.diagnosis.material.causes import Form
 from tissuereg.diagnosis.material.fit import MaterialFit
 from tissuereg.diagnosis.material.holdout import HeldOutErrors, ProofInput, held_out_errors
 from tissuereg.diagnosis.material.hypothesis import Hypothesis, forms_of, refitted, unknown, with_cause
+from tissuereg.diagnosis.selection import selected
 from tissuereg.experiment.effects.history import Relaxation
 
 Progress = Callable[[str], None]
@@ -60,6 +60,10 @@ class MaterialFinding:
     group_probability: float
     proved: bool
 
+    def as_possible(self) -> PossibleCause:
+        """Return the finding as a cause that is not stated."""
+        return PossibleCause(self.id, self.group_probability, self.log_bayes_factor, self.threshold)
+
     def passes(self, stated: float) -> bool:
         """Return whether it passes its threshold, its proof, and is, with its group, as probable as `stated`."""
         return self.log_bayes_factor > self.threshold and self.proved and self.group_probability >= stated
@@ -69,18 +73,22 @@ class MaterialFinding:
 class MaterialSearch:
     """The selection of causes.
 
-    `bench`: data, believed model and folds; `forms`: formulas in which each cause is fitted, by id; a cause without any
-    cannot be observed in these curves; `threshold`: log Bayes factor that null experiments exceed rarely, nats;
-    `progress`: called with the name of the step that begins; `first_race`: the causes of the first round with their
-    evidence.
+    `bench`: data, believed model and folds; `none`: hypothesis of the believed model, without causes; `forms`: formulas
+    in which each cause is fitted, by id; a cause without any cannot be observed in these curves; `threshold`: log Bayes
+    factor that null experiments exceed rarely, nats; `progress`: called with the name of the step that begins;
+    `first_race`: the causes of the first round with their evidence; `findings`, `possible`: the causes that passed
+    their tests in the model of all, and those that did not.
     """
 
     bench: ProofInput
+    none: Hypothesis
     forms: dict[str, list[Form]]
     threshold: float
     progress: Progress
     #: The race of single causes against the believed model, for the answer.
     first_race: list[CandidateCause] = field(default_factory=list)
+    findings: tuple[MaterialFinding, ...] = ()
+    possible: list[PossibleCause] = field(default_factory=list)
     _tried: dict[tuple[tuple[str, ...], tuple[str, ...], str], Hypothesis] = field(default_factory=dict)
     #: The hypothesis with one cause that was proved when it was accepted.
     _proved_alone: Hypothesis | None = None
@@ -89,18 +97,35 @@ class MaterialSearch:
         settings = self.bench.problem.settings
         self.rules, self.numbers = settings.search, settings.material
 
-    def run(self, none: Hypothesis) -> Hypothesis:
-        """Return the hypothesis with the accepted causes, at most `most_causes` (3).
+    def run(self) -> Hypothesis:
+        """Return the hypothesis with the causes that pass their tests, at most `most_causes` (3), and keep them."""
+        return selected(self, self.none, self.rules.most_causes)
 
-        `none`: hypothesis of the believed model, without causes.
-        """
-        known = none
-        while len(known.ids) < self.rules.most_causes:
-            grown = self._step(known)
-            if grown is None:
-                break
-            known = self._swapped(none, grown)
-        return self._pruned(none, known)
+    def grown(self, known: Hypothesis) -> Hypothesis:
+        """Return the hypothesis with one more cause that is accepted, or a pair; `known` where none is."""
+        return self._step(known) or known
+
+    def exchanged(self, known: Hypothesis) -> Hypothesis:
+        """Return the hypothesis with each cause but the last exchanged where another raises the evidence clearly."""
+        for cause in known.ids[:-1]:
+            self.progress(f"exchange of {cause}")
+            _, racers = self.alternatives(known, cause)
+            if racers and racers[0].evidence > known.evidence + 0.5 * self.rules.separable**2:
+                known = racers[0]
+        return known
+
+    def tested(self, known: Hypothesis) -> tuple[Hypothesis, Mapping[int, PossibleCause]]:
+        """Return the hypothesis, whose `findings` are kept, and the causes that fail their tests beside the others."""
+        self.findings = tuple(self.finding(known, cause) for cause in known.ids)
+        failed = {
+            part: one.as_possible() for part, one in enumerate(self.findings) if not one.passes(self.rules.stated)
+        }
+        return known, failed
+
+    def without(self, known: Hypothesis, part: int, failed: PossibleCause) -> Hypothesis:
+        """Return the hypothesis without a cause that failed, which is kept as a possible one."""
+        self.possible.append(failed)
+        return self.lacking(known, known.ids[part])
 
     def race(self, known: Hypothesis, skipped: tuple[str, ...] = ()) -> tuple[list[Hypothesis], Hypothesis]:
         """Return a hypothesis with each further cause, likeliest first, and the one with a generic misfit.
@@ -217,69 +242,32 @@ class MaterialSearch:
                 return True
         return bool(after.chi < patch.chi or after.rms_all < patch.rms_all)
 
-    def alternatives(self, none: Hypothesis, known: Hypothesis, cause: str) -> tuple[Hypothesis, list[Hypothesis]]:
+    def alternatives(self, known: Hypothesis, cause: str) -> tuple[Hypothesis, list[Hypothesis]]:
         """Return the hypothesis without one cause, and those with each other cause in its place, likeliest first.
 
-        `none`: the believed model; `known`: hypothesis with all accepted causes; `cause`: id of the one that is taken
-        out.
+        `known`: hypothesis with all accepted causes; `cause`: id of the one that is taken out.
         """
-        rest = self.without(none, known, cause)
+        rest = self.lacking(known, cause)
         racers, _ = self.race(rest, skipped=(cause,))
         return rest, racers
 
-    def without(self, none: Hypothesis, known: Hypothesis, cause: str) -> Hypothesis:
+    def lacking(self, known: Hypothesis, cause: str) -> Hypothesis:
         """Return the hypothesis `known` without one cause (an id), fitted again; `none` where no cause is left."""
         kept = [place for place, id in enumerate(known.ids) if id != cause]
         if not kept:
-            return none
+            return self.none
         fit = known.fit
         start = np.concatenate([fit.x[:1], *(fit.x[fit.slices[place]] for place in kept)])
         fit, evidence = refitted(self.bench.problem, [fit.forms[place] for place in kept], [start])
         return Hypothesis(tuple(known.ids[place] for place in kept), fit, evidence)
 
-    def _swapped(self, none: Hypothesis, known: Hypothesis) -> Hypothesis:
-        """Return `known` with each cause but the last exchanged for another where that raises the evidence clearly."""
-        for cause in known.ids[:-1]:
-            self.progress(f"exchange of {cause}")
-            _, racers = self.alternatives(none, known, cause)
-            if racers and racers[0].evidence > known.evidence + 0.5 * self.rules.separable**2:
-                known = racers[0]
-        return known
-
-    def _pruned(self, none: Hypothesis, known: Hypothesis) -> Hypothesis:
-        """Return `known` without causes that the others have made redundant; `none`: hypothesis without causes."""
-        for cause in known.ids:
-            rest = self.without(none, known, cause)
-            last = Hypothesis((*rest.ids, cause), known.fit, known.evidence)
-            if len(known.ids) > 1 and known.evidence - rest.evidence < self.required(rest, last):
-                known = rest
-        return known
-
-    def findings(
-        self, none: Hypothesis, known: Hypothesis
-    ) -> tuple[Hypothesis, tuple[MaterialFinding, ...], tuple[PossibleCause, ...]]:
-        """Return the causes that pass their tests again, given each other: hypothesis, findings, and those that do not.
-
-        `none`: the believed model; `known`: hypothesis with all accepted causes.
-        """
-        possible: list[PossibleCause] = []
-        while True:
-            found = [self.finding(none, known, cause) for cause in known.ids]
-            failed = [finding for finding in found if not finding.passes(self.rules.stated)]
-            if not failed:
-                return known, tuple(found), tuple(possible)
-            # Of several, the one whose removal costs the least evidence: the others may pass without it.
-            one = min(failed, key=lambda finding: finding.log_bayes_factor)
-            possible.append(PossibleCause(one.id, one.group_probability, one.log_bayes_factor, one.threshold))
-            known = self.without(none, known, one.id)
-
-    def finding(self, none: Hypothesis, known: Hypothesis, cause: str) -> MaterialFinding:
+    def finding(self, known: Hypothesis, cause: str) -> MaterialFinding:
         """Return the finding of one accepted cause, with the group of causes that cannot be distinguished from it.
 
-        `none`: the believed model; `known`: hypothesis with all accepted causes; `cause`: id of one of them.
+        `known`: hypothesis with all accepted causes; `cause`: id of one of them.
         """
         self.progress(f"rivals of {cause}")
-        rest, racers = self.alternatives(none, known, cause)
+        rest, racers = self.alternatives(known, cause)
         generic = unknown(self.bench.problem, rest)
         apart = {r.ids[-1]: _separability(known, r) for r in racers}
         seen = [r for r in racers if r.evidence - rest.evidence > self.required(rest, r)]

@@ -68,8 +68,8 @@ def find_out(
     forms = {id: forms for id, forms in tried.items() if forms}
     progress("threshold from null experiments")
     limit = threshold(problem, none.fit, forms, rng)
-    search = MaterialSearch(bench, forms, limit, progress)
-    known, stated, possible = search.findings(none, _without_near_modulus(search, none, search.run(none)))
+    search = MaterialSearch(bench, none, forms, limit, progress)
+    known = search.run()
     data = problem.data
     believed = plain_fit(problem, bench.noise)
     residual = data.stress - data.modelled(known.fit.model)
@@ -79,10 +79,10 @@ def find_out(
     verdict = "consistent" if p_misfit > rules.misfit else "unexplained"
     findings: tuple[MaterialFinding, ...] = ()
     if known.ids and (p_misfit > rules.misfit or explained > settings.material.explained):
-        findings = stated
+        findings = search.findings
         verdict = "group" if any(len(finding.group) > 1 for finding in findings) else "named"
     progress("form and weights that predict best")
-    reported = refined(search, none, known) if findings else None
+    reported = refined(search, known) if findings else None
     base = held_out_errors(bench, believed)
     named = base if reported is None else reported.held_out
     patch = held_out_errors(bench, none.fit, patch_share=generic.fit.share)
@@ -92,7 +92,7 @@ def find_out(
         believed,
         reported,
         findings,
-        possible,
+        tuple(search.possible),
         tuple(search.first_race),
         limit,
         p_misfit,
@@ -114,16 +114,6 @@ def bench_of(experiment: MaterialExperiment, settings: DiagnoseSettings = DEFAUL
     problem = FitProblem(base, data, weights_of(own, generic), math.log(young), std, settings)
     unit, folds = folds_of(experiment, data, numbers)
     return ProofInput(unit, folds, problem, own, generic, own, noise)
-
-
-def _without_near_modulus(search: MaterialSearch, none: Hypothesis, known: Hypothesis) -> Hypothesis:
-    """Return `known` without the cause "stiffness" where the fitted modulus lies within its prior.
-
-    `none` is the hypothesis without causes.
-    """
-    if "stiffness" not in known.ids:
-        return known
-    return known if search.far_modulus(known.fit) else search.without(none, known, "stiffness")
 
 
 def _explained(bench: ProofInput, before: FloatArray, after: FloatArray) -> float:
