@@ -24,7 +24,6 @@ from tissuereg.experiment.effects import EFFECTS, ChainEffect
 from tissuereg.experiment.effects.base import Effect
 from tissuereg.experiment.effects.elastic import OtherLaw
 from tissuereg.io import experiment_keys as keys
-from tissuereg.io.material_experiments import TEST_EFFECTS
 from tissuereg.io.toml import Keys
 from tissuereg.simulation.recipe import DataRecipe, MaterialRecipe, MeshRecipe, PairsRecipe
 
@@ -109,7 +108,7 @@ def effects() -> str:
     for effect in EFFECTS.values():
         of_law = [key for keys_ in SHAPE_KEYS.values() for key in keys_] if issubclass(effect, OtherLaw) else []
         own = [key for key in effect.declared() if key.name not in of_law]
-        seen = "yes" if issubclass(effect, TEST_EFFECTS) else ""
+        seen = "yes" if effect.of_specimen else ""
         several = " *" if effect.repeatable else ""
         listed = "<br>".join(effect_key(key) for key in own)
         if of_law:
