@@ -9,7 +9,9 @@ from support.meshes import block
 from tissuereg import _core
 from tissuereg.diagnosis.material.history import stress_of
 from tissuereg.diagnosis.material.model import Model
-from tissuereg.experiment.effects.history import Rate, Relaxation, Set, Softening
+from tissuereg.errors import ExperimentError, MaterialError
+from tissuereg.experiment.effects import EFFECTS
+from tissuereg.experiment.effects.history import Rate, Relaxation, Set, Softening, Swelling
 
 #: So near to incompressible that the volume change is far below the tolerances.
 GEL = tr.Material(3.0 * made.MU, 0.49999)
@@ -103,6 +105,18 @@ def test_rows_are_taken_from_the_whole_history_and_without_times_nothing_fades()
     remaining = stress_of(Model(GEL).with_effects([soft]), untimed)
     assert stress_of(model, untimed) == pytest.approx(remaining, rel=1e-9, abs=1e-9)
     assert np.abs(whole - remaining).max() > 0.1 * np.abs(remaining).max()
+
+
+def test_a_specimen_has_one_material_and_shows_what_a_material_does():
+    path = curve("tension", *made.cycles(0.3, 0.02, n=10))
+    fading = Relaxation(g=(0.5,), tau_s=(3.0,))
+    with pytest.raises(MaterialError, match="one Young's modulus"):
+        stress_of(Model(tr.Material([3.0, 30.0], 0.49)).with_effects([fading]), path)
+    with pytest.raises(ExperimentError, match="on the material, got 'swelling'"):
+        Model(GEL).with_effects([fading, Swelling(linear_strain=0.1, from_time_s=0.0, to_time_s=1.0)])
+    shown = {name for name, effect in EFFECTS.items() if effect.of_specimen}
+    laws = {"stiffness", "poisson", "stiffening", "mooney", "asymmetry", "fibre"}
+    assert shown == {*laws, "relaxation", "rate", "softening", "set"}
 
 
 def solved(material, numbers, times, shear):
