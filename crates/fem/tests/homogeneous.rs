@@ -185,3 +185,18 @@ fn a_stress_over_its_modulus_knows_no_unit() {
         }
     }
 }
+
+/// Exponential laws overflow, where a sheet gets thick.
+#[test]
+fn what_overflows_is_no_stress() {
+    for recipe in recipes() {
+        for mode in [Mode::Uniaxial, Mode::Equibiaxial, Mode::SimpleShear] {
+            for compressibility in [LIMIT, OF_LAW] {
+                for amount in (0..60).map(|k| 0.1 * 1.1_f64.powi(k)) {
+                    let found = nominal_stress(&recipe.law(), mode, amount, compressibility);
+                    assert!(found.is_none_or(f64::is_finite), "{} {mode:?} {amount}", recipe.name);
+                }
+            }
+        }
+    }
+}

@@ -44,12 +44,16 @@ impl PiecePoint for Law {
     type Rest = ();
 
     fn at(&self, h: &Matrix3) -> Option<(Response, ())> {
-        self.response(h).map(|response| (response, ()))
+        self.response(h).filter(is_finite).map(|response| (response, ()))
     }
 
     fn tangent_at(&self, h: &Matrix3) -> Option<Tangent> {
         self.tangent(h)
     }
+}
+
+pub(crate) fn is_finite(found: &Response) -> bool {
+    found.stress.as_flattened().iter().all(|stress| stress.is_finite())
 }
 
 /// A piece under principal stretches, the last ones of which are free.
@@ -143,13 +147,13 @@ impl FreeSides {
     }
 
     /// Nominal stress of the pull at a response that the sides have settled at, with what a step
-    /// further would change it by.
-    pub(crate) fn pulled_stress(&self, found: &Response) -> f64 {
+    /// further would change it by; none where that overflows.
+    pub(crate) fn pulled_stress(&self, found: &Response) -> Option<f64> {
         let further = self.stiffness.map_or(0.0, |last| {
             let ([x, y], [p, q]) = (last.newton(self.slopes(found)), last.pull);
             p * x + q * y
         });
-        found.stress[0][0] + further
+        Some(found.stress[0][0] + further).filter(|stress| stress.is_finite())
     }
 
     /// A step with the tangent, along which the energy falls; none where it does not.
