@@ -160,3 +160,43 @@ fn what_cannot_be_stretched_has_no_stress() {
     let steep = law(LawKind::Fung { b: 1e3 }, 0.45);
     assert_eq!(nominal_stress(&steep, Mode::SimpleShear, 10.0, OF_LAW), None);
 }
+
+/// Stresses are in the unit of the modulus, however small or large that is.
+#[test]
+fn a_stress_over_its_modulus_knows_no_unit() {
+    for recipe in recipes() {
+        for mode in [Mode::Uniaxial, Mode::Equibiaxial] {
+            for amount in [0.3, 0.5, 0.8, 1.2, 2.0, 4.0] {
+                let over = |young: f64| {
+                    let law = Recipe { young, ..recipe.clone() }.law();
+                    nominal_stress(&law, mode, amount, OF_LAW).map(|stress| stress / young)
+                };
+                let what = format!("{} {mode:?} {amount}", recipe.name);
+                match (over(1.0), over(1e-3), over(1e6)) {
+                    (Some(a), Some(b), Some(c)) => {
+                        assert!(
+                            (a - b).abs().max((a - c).abs()) < 1e-9 * (1.0 + a.abs()),
+                            "{what}"
+                        );
+                    }
+                    (a, b, c) => assert!(a.is_none() && b.is_none() && c.is_none(), "{what}"),
+                }
+            }
+        }
+    }
+}
+
+/// Exponential laws overflow, where a sheet gets thick.
+#[test]
+fn what_overflows_is_no_stress() {
+    for recipe in recipes() {
+        for mode in [Mode::Uniaxial, Mode::Equibiaxial, Mode::SimpleShear] {
+            for compressibility in [LIMIT, OF_LAW] {
+                for amount in (0..60).map(|k| 0.1 * 1.1_f64.powi(k)) {
+                    let found = nominal_stress(&recipe.law(), mode, amount, compressibility);
+                    assert!(found.is_none_or(f64::is_finite), "{} {mode:?} {amount}", recipe.name);
+                }
+            }
+        }
+    }
+}

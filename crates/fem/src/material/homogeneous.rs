@@ -62,7 +62,9 @@ pub fn nominal_stress(
     if limit && matches!(law.kind, LawKind::StVenantKirchhoff | LawKind::Hooke) {
         return None;
     }
-    let Some(n_free) = mode.n_free() else { return Some(law.stress(&sheared(amount))?[0][1]) };
+    let Some(n_free) = mode.n_free() else {
+        return Some(law.stress(&sheared(amount))?[0][1]).filter(|stress| stress.is_finite());
+    };
     if !(amount > 0.0 && amount.is_finite()) {
         return None;
     }
@@ -70,10 +72,11 @@ pub fn nominal_stress(
     piece.pull(amount);
     if !limit {
         let (found, ()) = piece.settle(law)?;
-        return Some(piece.pulled_stress(&found));
+        return piece.pulled_stress(&found);
     }
     let (h, stress) = (piece.gradient(), law.stress(&piece.gradient())?);
-    Some(stress[0][0] - stress[2][2] * (1.0 + h[2][2]) / (1.0 + h[0][0]))
+    let free = stress[2][2] * (1.0 + h[2][2]) / (1.0 + h[0][0]);
+    Some(stress[0][0] - free).filter(|stress| stress.is_finite())
 }
 
 impl Mode {

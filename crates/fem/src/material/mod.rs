@@ -30,7 +30,7 @@ pub use declaration::{Declaration, Range, ShapeParameter};
 pub use fibre::Fibre;
 pub use field::Material;
 pub(crate) use field::PlainLaws;
-pub(crate) use free_sides::{FreeSides, PiecePoint};
+pub(crate) use free_sides::{FreeSides, PiecePoint, is_finite};
 pub use kind::{LawKind, OgdenTerms, Parameter};
 pub use kinematics::Volumetric;
 pub use law::Law;

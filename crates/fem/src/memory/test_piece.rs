@@ -7,7 +7,9 @@ use super::state::fresh_state;
 use crate::check::check_length;
 use crate::error::FemError;
 use crate::material::homogeneous::{Mode, sheared};
-use crate::material::{FreeSides, Hyperelastic, Law, Matrix3, PiecePoint, Response, Tangent};
+use crate::material::{
+    FreeSides, Hyperelastic, Law, Matrix3, PiecePoint, Response, Tangent, is_finite,
+};
 
 /// Nominal stress of a homogeneous test piece, row by row through time, kPa: `P₀₀` at stretches,
 /// `P₀₁` at amounts of shear (`amounts`, dimensionless, one a row).
@@ -121,7 +123,7 @@ impl<'a> Piece<'a> {
             Some(sides) => {
                 sides.pull(amount);
                 let (found, parts) = sides.settle(&step)?;
-                (sides.gradient(), sides.pulled_stress(&found), parts)
+                (sides.gradient(), sides.pulled_stress(&found)?, parts)
             }
         };
         self.common.update_stresses(&at, &h, &parts, &mut self.state);
@@ -144,7 +146,7 @@ impl PiecePoint for Step<'_> {
     fn at(&self, h: &Matrix3) -> Option<(Response, Parts)> {
         let parts = self.common.parts(self.at, h, |he| self.law.response(he))?;
         let found = self.common.response_of(self.at, h, &parts);
-        found.stress.as_flattened().iter().all(|s| s.is_finite()).then_some((found, parts))
+        is_finite(&found).then_some((found, parts))
     }
 
     fn tangent_at(&self, h: &Matrix3) -> Option<Tangent> {
