@@ -251,11 +251,11 @@ def test_what_stays_after_a_revision_passes_its_threshold_again(monkeypatch, sha
         top = search_module.Candidate(found.parts[-1].id, found, 1e3, target)
         screened = screen.of(search_module._as_screened(screen, target, before))
         steps.append(search_module.Step(screened, [top], top, proof, proof))
-    alone = search_module._Found(target, target, first, (steps[0],))
-    known = search_module._Found(target, target, both, tuple(steps), first=alone)
+    alone = search_module._FoundCauses(target, target, first, (steps[0],))
+    known = search_module._FoundCauses(target, target, both, tuple(steps), first=alone)
     bodies = search_module._Bodies(target, screen, base, limits)
     monkeypatch.setattr(search_module._Bodies, "grown", lambda *_: known)
-    found = search_module.selected(bodies, search_module._Found(target, target, base), 2)
+    found = search_module.selected(bodies, search_module._FoundCauses(target, target, base), 2)
     final, steps = found.fit, found.steps
     assert set(final.ids) == named
     assert {step.found.id for step in steps if step.found is not None} == named

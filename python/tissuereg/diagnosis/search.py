@@ -180,7 +180,7 @@ def search(target: FitTarget, screen: Screen, thresholds: Mapping[str, float]) -
     assert base is not None  # the believed model has an equilibrium: it was solved before
     found = selected(
         _Bodies(target, screen, base, thresholds),
-        _Found(target, target, base),
+        _FoundCauses(target, target, base),
         target.bench.settings.search.most_causes,
     )
     reduced = _null_after(found.target, found.fit).reduced(found.fit.residual)
@@ -188,7 +188,7 @@ def search(target: FitTarget, screen: Screen, thresholds: Mapping[str, float]) -
 
 
 @dataclass(frozen=True, eq=False)
-class _Found:
+class _FoundCauses:
     """The causes found so far.
 
     `target`, `plain`: data and model with and without nuisances for the size of the causes; `fit`: fit with all of
@@ -201,7 +201,7 @@ class _Found:
     fit: Fit
     steps: tuple[Step, ...] = ()
     rests: tuple[Fit | None, ...] = ()
-    first: "_Found | None" = None
+    first: "_FoundCauses | None" = None
 
     @property
     def ids(self) -> tuple[str, ...]:
@@ -230,17 +230,17 @@ class _Bodies:
     base: Fit
     thresholds: Mapping[str, float]
 
-    def grown(self, known: _Found) -> _Found:
+    def grown(self, known: _FoundCauses) -> _FoundCauses:
         """Return what was found with the cause that the next round accepts."""
         step = _round(known.target, self.screen, self.base, known.fit, self.thresholds)
         steps = (*known.steps, step)
         if step.found is None:
             return replace(known, steps=steps)
         plain, target, fitted = _with_finding(known.plain, self.screen, self.base, known.fit, step.found)
-        grown = _Found(target, plain, fitted, steps, first=known.first)
+        grown = _FoundCauses(target, plain, fitted, steps, first=known.first)
         return replace(grown, first=known.first or grown)
 
-    def exchanged(self, known: _Found) -> _Found:
+    def exchanged(self, known: _FoundCauses) -> _FoundCauses:
         """Return what was found with causes exchanged for their closest rivals."""
         self.given.bench.progress("revision of the causes found")
         rules, target, current = self.given.bench.settings.search, known.target, known.fit
@@ -254,7 +254,7 @@ class _Bodies:
                 current = better
         return replace(known, target=target, fit=current, steps=known.with_steps(changed))
 
-    def tested(self, known: _Found) -> tuple[_Found, Mapping[int, PossibleCause]]:
+    def tested(self, known: _FoundCauses) -> tuple[_FoundCauses, Mapping[int, PossibleCause]]:
         """Return what was found with evidence and proofs in the model of all causes, and what fails them.
 
         The first cause passed them when it was accepted alone.
@@ -274,7 +274,7 @@ class _Bodies:
         failed = {part: short for part, short in enumerate(shortcomings) if short is not None}
         return replace(known, rests=rests, steps=known.with_steps(changed)), failed
 
-    def without(self, known: _Found, part: int, failed: PossibleCause) -> _Found:
+    def without(self, known: _FoundCauses, part: int, failed: PossibleCause) -> _FoundCauses:
         """Return what was found without a cause, and without the nuisances for its error.
 
         Where nothing is left, or without it the others have no equilibrium, the first cause stays as it was accepted.
@@ -290,7 +290,7 @@ class _Bodies:
         target, current = corrected_fit(*self._refitted(known, rest, part))
         return replace(known, target=target, fit=current, steps=steps, rests=())
 
-    def _refitted(self, known: _Found, rest: Fit, part: int) -> tuple[FitTarget, Fit]:
+    def _refitted(self, known: _FoundCauses, rest: Fit, part: int) -> tuple[FitTarget, Fit]:
         """Return target and fit after a cause was taken out, given its number and the fit `rest` without it."""
         others = [pair for at, pair in enumerate(zip(known.ids, known.rests, strict=True)) if at != part]
         forms = [

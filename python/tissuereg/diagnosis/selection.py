@@ -10,7 +10,7 @@ from typing import Protocol, TypeVar
 from tissuereg.diagnosis.answer import PossibleCause
 
 
-class Known(Protocol):
+class WithCauses(Protocol):
     """A fitted model with the causes found so far."""
 
     @property
@@ -18,7 +18,7 @@ class Known(Protocol):
         """Ids of the causes, in their order."""
 
 
-_K = TypeVar("_K", bound=Known)
+_K = TypeVar("_K", bound=WithCauses)
 
 
 class Models(Protocol[_K]):
