@@ -23,7 +23,7 @@ from tissuereg.io.json import plain
 #: Threshold of the oracle fit: anything passes.
 NO_THRESHOLD = -1e6
 
-#: Level of the misfit test for the oracle fit: no p-value is below it, so the fit is never rejected.
+#: Level of the tests of misfit and constancy for the oracle fit: no p-value is below it, so the fit is never rejected.
 ANY_MISFIT = 0.0
 
 
@@ -47,6 +47,7 @@ def oracle_settings(ids: Collection[str]) -> DiagnoseSettings:
         DEFAULT,
         left_out=tuple(name for name in CAUSES if name not in ids),
         nulls=replace(DEFAULT.nulls, required=NO_THRESHOLD, misfit=ANY_MISFIT),
+        constancy=replace(DEFAULT.constancy, level=ANY_MISFIT),
         search=replace(
             DEFAULT.search,
             most_causes=len(ids),

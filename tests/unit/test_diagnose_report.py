@@ -104,8 +104,8 @@ def made_up(believed, findings=(), effects=(), **changes):
         found = Candidate(one.id, final, one.log_bayes_factor, None)
         screened = {"unknown": screened["unknown"], one.id: Screened(9.0, None, np.ones(1))}
         proof = HeldOut(("lean",), np.zeros((4, 1)), np.array([[2.5], [1.0], [2.0], [3.0]]) * np.ones((4, layout.size)))
-        steps.append(Step(screened, [found], found, proof, proof))
-    steps.append(Step(screened, [], None, None))
+        steps.append(Step(screened, [found], found, proof, proof, given=tuple(step.found.id for step in steps)))
+    steps.append(Step(screened, [], None, None, given=tuple(step.found.id for step in steps)))
     answer = BodyDiagnosis(
         verdict="named" if findings else "consistent",
         findings=tuple(findings),
@@ -303,7 +303,7 @@ def test_a_cause_that_was_removed_later_leaves_its_round_unmarked(rig, tmp_path)
     answer = replace(answer, findings=answer.findings[1:], details=details)
     text = read_page(answer, tmp_path / "report.html")
     charts = re.findall(r"<svg[^>]*aria-label='((?:First r|R)ound[^']*)'(.*?)</svg>", text)
-    assert charts[1][0] == "Round 2: further causes, given a cause that was removed later"
+    assert charts[1][0] == "Round 2: further causes, given inclusion"
     bold = {title: re.findall(r"font-weight='700'>([a-z ]+)<", chart) for title, chart in charts}
     assert list(bold.values())[:2] == [[], ["layer"]]
 

@@ -252,7 +252,7 @@ def test_what_stays_after_a_revision_passes_its_threshold_again(monkeypatch, sha
         screened = screen.of(search_module._as_screened(screen, target, before))
         steps.append(search_module.Step(screened, [top], top, proof, proof))
     alone = search_module._FoundCauses(target, target, first, (steps[0],))
-    known = search_module._FoundCauses(target, target, both, tuple(steps), first=alone)
+    known = search_module._FoundCauses(target, target, both, tuple(steps), settled=False, first=alone)
     bodies = search_module._Bodies(target, screen, base, limits)
     monkeypatch.setattr(search_module._Bodies, "grown", lambda *_: known)
     found = search_module.selected(bodies, search_module._FoundCauses(target, target, base), 2)
@@ -339,7 +339,51 @@ def test_of_two_that_fail_beside_each_other_and_alone_the_first_stays_as_it_was_
     np.testing.assert_allclose(found.reduced, null.reduced(found.final.residual))
 
 
-def test_a_cause_without_which_there_is_no_equilibrium_stays_or_leaves_the_first_alone(monkeypatch):
+@pytest.mark.parametrize(("lead", "stays"), [(7.0, True), (9.0, False)])
+def test_of_two_that_fail_the_first_does_not_stay_where_the_data_tell_it_from_the_last(monkeypatch, lead, stays):
+    target = target_of(Poisson(poisson=0.38), Latency(latency_s=0.15))
+    screen = both_found(monkeypatch, target)
+    own = search_module._Bodies.tested
+
+    def failing(bodies, known):
+        known, _ = own(bodies, known)
+        if known.settled:
+            return known, {}
+        gains = dict(zip(known.ids, (20.0, 20.0 + lead) if len(known.ids) > 1 else (1.0,), strict=True))
+        steps = iter(gains.items())
+        judged = [
+            step if step.found is None else replace(step, found=replace(step.found, gain=next(steps)[1]))
+            for step in known.steps
+        ]
+        failed = {
+            at: search_module.PossibleCause(name, 0.1, gain, 99.0) for at, (name, gain) in enumerate(gains.items())
+        }
+        return replace(known, steps=tuple(judged)), failed
+
+    monkeypatch.setattr(search_module._Bodies, "tested", failing)
+    found = search(target, screen, {"latency": 6.0, "poisson": 6.0})
+    assert found.final.ids == (("latency",) if stays else ())
+    named = ["poisson"] if stays else ["latency", "poisson"]
+    assert sorted(one["id"] for one in possible_of(found)) == named
+    if not stays:
+        assert found.target is None
+        # Nuisances for the errors of causes that are not stated would explain a part of the misfit.
+        null = search_module._null_after(target, found.base)
+        np.testing.assert_allclose(found.reduced, null.reduced(found.base.residual))
+
+
+def test_what_can_be_taken_out_is_so_before_what_the_others_have_no_equilibrium_without(monkeypatch):
+    target = target_of(Poisson(poisson=0.38), Latency(latency_s=0.15))
+    screen = both_found(monkeypatch, target)
+    rest = search_module.without
+    monkeypatch.setattr(search_module, "without", lambda target, fit, part: rest(target, fit, part) if part else None)
+    found = search(target, screen, {"latency": 1e9, "poisson": 1e9})
+    # Beside each other both fail; without the second the first is left, which has no equilibrium without itself.
+    assert [one["id"] for one in possible_of(found)] == ["latency", "poisson"]
+    assert found.final is found.base
+
+
+def test_a_cause_without_which_there_is_no_equilibrium_stays_or_takes_all_with_it(monkeypatch):
     target = target_of(Poisson(poisson=0.38), Latency(latency_s=0.15))
     screen = both_found(monkeypatch, target)
     rest = search_module.without
@@ -352,7 +396,8 @@ def test_a_cause_without_which_there_is_no_equilibrium_stays_or_leaves_the_first
     assert second.found.gain > 0.0
     screen = both_found(monkeypatch, target)
     gone = search(target, screen, {**limits, "poisson": 1e9})
-    assert gone.final.ids == ("latency",)
+    assert gone.final is gone.base
+    assert gone.target is None
     assert [one["id"] for one in possible_of(gone)] == ["poisson"]
 
 

@@ -8,8 +8,9 @@ import pytest
 
 from blind import variants
 from blind.materialise import CASES, case_names, materialise
-from tissuereg.diagnosis import bank, candidates, search
+from tissuereg.diagnosis import bank, candidates
 from tissuereg.diagnosis.causes import CAUSES, Variant
+from tissuereg.diagnosis.constancy import Constancy
 from tissuereg.diagnosis.modulus import modulus_finding
 from tissuereg.diagnosis.predictor import fingerprint
 from tissuereg.diagnosis.proof import HeldOut
@@ -51,8 +52,9 @@ def test_oracle_and_without_have_their_catalogues(monkeypatch):
     oracle = settings_of(monkeypatch, variants.oracle, ("relaxation", "inclusion"))
     assert [name for name in CAUSES if name not in oracle.left_out] == ["inclusion", "relaxation"]
     assert oracle.search.most_causes == 2
-    # The oracle fit is never rejected for its misfit, nor for its evidence.
+    # The oracle fit is never rejected for its misfit, its parts, nor its evidence.
     assert oracle.nulls.misfit <= 0.0
+    assert Constancy("inclusion", 1e-300, "time", oracle.constancy.level).holds
     assert oracle.nulls.required == variants.NO_THRESHOLD
     assert not candidates._repeats("inclusion", oracle.search.repeated)
     twice = settings_of(monkeypatch, variants.oracle, ("inclusion", "inclusion"))
@@ -66,8 +68,8 @@ def test_oracle_and_without_have_their_catalogues(monkeypatch):
 def test_without_a_judge_every_cause_passes():
     density = np.array([[5.0, 0.0], [1.0, -9.0], [2.0, 7.0], [3.0, 0.0]])
     proof = HeldOut(("a", "b"), density, np.ones((4, 4)))
-    assert not search._proved("layer", proof, DEFAULT.search)
-    assert search._proved("layer", proof, replace(DEFAULT.search, judged=False))
+    assert not proof.proves(DEFAULT.search)
+    assert proof.proves(replace(DEFAULT.search, judged=False))
 
 
 def test_ignored_forces_are_not_measured_and_leave_the_bank_where_it_is(experiment):

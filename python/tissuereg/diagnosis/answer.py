@@ -121,7 +121,7 @@ class DiagnosisDetails:
     """What the report draws of a diagnosis.
 
     `search`: all rounds of the search for causes; `target`: data, believed model and noise of its first fit;
-    `nuisances`: nuisance parameters of every model; `thresholds`: log Bayes factor required of a first cause, nats.
+    `nuisances`: nuisance parameters of every model; `thresholds`: log Bayes factor required of every cause, nats.
     """
 
     search: "Search"

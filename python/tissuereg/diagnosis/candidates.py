@@ -129,16 +129,16 @@ def _repeats(name: str, repeated: Collection[str] | None) -> bool:
     return EFFECTS[name].repeatable if repeated is None else name in repeated
 
 
-def without(target: FitTarget, current: Fit, part: int, *, hopeless: float = np.inf) -> Fit | None:
+def without(target: FitTarget, current: Fit, part: int) -> Fit | None:
     """Return the fit of a model without one of its causes; None where there is no equilibrium.
 
     `target`: data, believed model, noise and nuisances; `current`: fit with all causes; `part`: number of the cause
-    that is removed; `hopeless`: objective, in nats, above which a fit is of no use and ends early.
+    that is removed.
     """
     mine = current.slices()[part]
     others = [*current.parts[:part], *current.parts[part + 1 :]]
     start = np.delete(current.x, np.r_[mine])
-    return fit(target, others, start=start, hopeless=hopeless) or fit(target, others, hopeless=hopeless)
+    return fit(target, others, start=start) or fit(target, others)
 
 
 def exchanged(

@@ -50,7 +50,7 @@ class Diagnosed:
 
     @property
     def verdict(self) -> str:
-        """Verdict of the diagnosis, as `Diagnosis.verdict`, or that of a material test."""
+        """Verdict of the diagnosis, as `Diagnosis.verdict`."""
         return str(self.answer["verdict"])
 
 

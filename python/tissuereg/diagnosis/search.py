@@ -45,13 +45,13 @@ class Step:
     """One round of the search.
 
     `screened`: linear evidence of all causes by id; `candidates`: the causes that were fitted, likeliest first;
-    `found`: the candidate that was accepted; None where none was; `proof`: predictions of held-out blocks with the
-    accepted candidate, else with the likeliest; None where none passed its threshold. Rows are models: before the
-    cause, with it, with the generic rival instead, the believed one; `figures`: errors of the accepted candidate on the
-    held-out blocks for which errors are reported (`figure_blocks`); rows as in the proof. None where none was accepted;
-    `possible`: causes that came close to acceptance;
-    `shift`: evidence of every cause in the model of all causes found minus that in the round, nats; `lead`: nats by
-    which the cause that was exchanged for the accepted one leads it, until it is tested again.
+    `given`: ids of the causes found before; `found`: the candidate that was accepted; None where none was; `proof`:
+    predictions of held-out blocks with the accepted candidate, else with the likeliest; None where none passed its
+    threshold. Rows are models: before the cause, with it, with the generic rival instead, the believed one; `figures`:
+    errors of the accepted candidate on the held-out blocks for which errors are reported (`figure_blocks`); rows as in
+    the proof. None where none was accepted; `possible`: causes that came close to acceptance; `shift`: evidence of
+    every cause in the model of all causes found minus that in the round, nats; `lead`: nats by which the cause that was
+    exchanged for the accepted one leads it, until it is tested again.
     """
 
     screened: dict[str, Screened]
@@ -63,6 +63,7 @@ class Step:
     shift: float = 0.0
     lead: float = 0.0
     settings: DiagnoseSettings = DEFAULT
+    given: tuple[str, ...] = ()
 
     def gains(self) -> dict[str, float]:
         """Return the log Bayes factor of every cause in the round, in nats, by id.
@@ -192,14 +193,16 @@ class _FoundCauses:
     """The causes found so far.
 
     `target`, `plain`: data and model with and without nuisances for the size of the causes; `fit`: fit with all of
-    them; `steps`: rounds, in order; `rests`: fits without each cause, None where there is no equilibrium; empty before
-    they are tested; `first`: the first cause as it was accepted.
+    them; `steps`: rounds, in order; `settled`: whether they are as they were accepted, alone; `rests`: fits without
+    each cause, None where there is no equilibrium; empty before they are tested; `first`: the first cause, settled;
+    None where there is none, or a later one is likelier alone.
     """
 
     target: FitTarget
     plain: FitTarget
     fit: Fit
     steps: tuple[Step, ...] = ()
+    settled: bool = True
     rests: tuple[Fit | None, ...] = ()
     first: "_FoundCauses | None" = None
 
@@ -237,7 +240,7 @@ class _Bodies:
         if step.found is None:
             return replace(known, steps=steps)
         plain, target, fitted = _with_finding(known.plain, self.screen, self.base, known.fit, step.found)
-        grown = _FoundCauses(target, plain, fitted, steps, first=known.first)
+        grown = _FoundCauses(target, plain, fitted, steps, not known.ids, first=known.first)
         return replace(grown, first=known.first or grown)
 
     def exchanged(self, known: _FoundCauses) -> _FoundCauses:
@@ -257,9 +260,9 @@ class _Bodies:
     def tested(self, known: _FoundCauses) -> tuple[_FoundCauses, Mapping[int, PossibleCause]]:
         """Return what was found with evidence and proofs in the model of all causes, and what fails them.
 
-        The first cause passed them when it was accepted alone.
+        Of those that fail, any without which there is no equilibrium waits for the others.
         """
-        if known.first is None or known.fit is known.first.fit:
+        if known.settled:
             return known, {}
         target, current = known.target, known.fit
         rests = tuple(without(target, current, part) for part in range(len(current.parts)))
@@ -272,23 +275,30 @@ class _Bodies:
             for step, name in zip(changed.values(), current.ids, strict=True)
         )
         failed = {part: short for part, short in enumerate(shortcomings) if short is not None}
-        return replace(known, rests=rests, steps=known.with_steps(changed)), failed
+        removable = {part: short for part, short in failed.items() if rests[part] is not None}
+        return replace(known, rests=rests, steps=known.with_steps(changed)), removable or failed
 
     def without(self, known: _FoundCauses, part: int, failed: PossibleCause) -> _FoundCauses:
         """Return what was found without a cause, and without the nuisances for its error.
 
-        Where nothing is left, or without it the others have no equilibrium, the first cause stays as it was accepted.
+        Where nothing is left, the first cause stays as it was accepted alone, unless the data told it from a later one.
+        Where the others have no equilibrium without it, nothing stays.
         """
         number = known.rounds()[part]
         steps = known.with_steps({number: known.steps[number].dropped(failed)})
-        rest = known.rests[part]
+        rest, first = known.rests[part], known.first
+        if number == 0:
+            others = [step.found.gain for step in steps if step.found is not None]
+            told = 0.5 * self.given.bench.settings.search.separable**2
+            first = None if max(others, default=0.0) > failed.log_bayes_factor + told else first
         if rest is None or not rest.parts:
-            first = known.first
-            assert first is not None  # something was found
-            later = (replace(step, found=None, figures=None, shift=0.0) for step in steps[1:])
-            return replace(first, steps=(*first.steps, *later), first=first)
+            bare = tuple(replace(step, found=None, figures=None, shift=0.0) for step in steps)
+            if first is None or rest is None:
+                return _FoundCauses(self.given, self.given, self.base, bare)
+            alone = replace(first.steps[0], possible=bare[0].possible)
+            return replace(first, steps=(alone, *bare[1:]), first=first)
         target, current = corrected_fit(*self._refitted(known, rest, part))
-        return replace(known, target=target, fit=current, steps=steps, rests=())
+        return replace(known, target=target, fit=current, steps=steps, rests=(), first=first)
 
     def _refitted(self, known: _FoundCauses, rest: Fit, part: int) -> tuple[FitTarget, Fit]:
         """Return target and fit after a cause was taken out, given its number and the fit `rest` without it."""
@@ -311,7 +321,7 @@ def _round(target: FitTarget, screen: Screen, base: Fit, current: Fit, threshold
     """
     screened = screen.of(_as_screened(screen, target, current))
     candidates = refitted(target, screen, screened, current, thresholds)
-    step = Step(screened, candidates, None, None, settings=target.bench.settings)
+    step = Step(screened, candidates, None, None, settings=target.bench.settings, given=current.ids)
     passing = [candidate for candidate in candidates if candidate.gain >= thresholds[candidate.id]]
     references = references_of(target, screen, base, current) if passing else []
     for candidate in passing:

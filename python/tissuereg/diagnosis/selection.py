@@ -34,7 +34,7 @@ class Models(Protocol[_K]):
         """Return the model with the evidence of every cause beside all others, and those that fail, by their number."""
 
     def without(self, known: _K, part: int, failed: PossibleCause) -> _K:
-        """Return the model without one cause, given by its number, which failed; one cause less at least."""
+        """Return the model without a cause that failed, given by its number, or one that needs no further test."""
 
 
 def selected(models: Models[_K], none: _K, most: int) -> _K:

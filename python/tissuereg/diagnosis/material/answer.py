@@ -36,7 +36,7 @@ class MaterialDiagnosis(Diagnosis):
         Errors of the believed law, with the findings, and with a generic misfit, on data that were left out of the fit:
         ``unit`` (what was left out), ``cases``, and of each ``by_case``.
     explained : float or None
-        Share of the misfit that the findings explain; None without findings.
+        Share of the misfit that the best causes explain, named or not; None where there are none.
     sentences : tuple of str
         The answer in words.
     outcome : SelectionOutcome

@@ -82,8 +82,8 @@ def rankings(found: "BodyDiagnosis") -> str:
     early = {name for finding in found.findings[: first if steps else None] for name in finding.group}
     parts = [ranking(found.candidates, thresholds, early | groups.get(0, set()), "First round")]
     for number, step in enumerate(steps[1:], start=1):
-        before = [earlier.found.id for earlier in steps[:number] if earlier.found is not None]
-        known = ", ".join(map(plain_name, before)) if before else "a cause that was removed later"
+        before = step.given
+        known = ", ".join(map(plain_name, before))
         title = f"Round {number + 1}: further causes, given {known}"
         chart = ranking(_rows(step, before), thresholds, groups.get(number, set()), title)
         parts.append(f"<details><summary>{escape(title)}</summary>{chart}</details>")
