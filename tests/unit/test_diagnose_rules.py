@@ -506,3 +506,14 @@ def test_the_expected_gain_is_that_of_data_that_the_fit_predicts():
     density = proof.log_density.sum(axis=1)
     assert proof.expected_gain == pytest.approx(density[NAMED] - density[BEFORE], rel=0.05)
     assert proof.expected_gain > 100.0
+
+
+def test_a_cause_that_is_exchanged_leads_the_one_that_was_accepted(of_two, monkeypatch):
+    worse, better = fit(of_two, [part(of_two, "latency")]), fit(of_two, [part(of_two, "poisson")])
+    monkeypatch.setattr(search_module, "exchanged", lambda *_: (of_two, better))
+    bodies = search_module._Bodies(of_two, None, None, {})
+    step = replace(of_round(), candidates=[])
+    found = bodies.exchanged(search_module._FoundCauses(of_two, of_two, worse, (step,), settled=False))
+    assert found.fit is better
+    assert not found.settled
+    assert found.steps[0].lead == better.log_evidence - worse.log_evidence != 0.0
