@@ -372,15 +372,21 @@ def test_of_two_that_fail_the_first_does_not_stay_where_the_data_tell_it_from_th
         np.testing.assert_allclose(found.reduced, null.reduced(found.base.residual))
 
 
-def test_what_can_be_taken_out_is_so_before_what_the_others_have_no_equilibrium_without(monkeypatch):
+@pytest.mark.parametrize(
+    ("solvable", "first_out"), [((True, False), [0]), ((False, True), [1]), ((False, False), [0, 1])]
+)
+def test_of_those_that_fail_what_the_others_have_no_equilibrium_without_waits(monkeypatch, solvable, first_out):
     target = target_of(Poisson(poisson=0.38), Latency(latency_s=0.15))
     screen = both_found(monkeypatch, target)
     rest = search_module.without
-    monkeypatch.setattr(search_module, "without", lambda target, fit, part: rest(target, fit, part) if part else None)
-    found = search(target, screen, {"latency": 1e9, "poisson": 1e9})
-    # Beside each other both fail; without the second the first is left, which has no equilibrium without itself.
-    assert [one["id"] for one in possible_of(found)] == ["latency", "poisson"]
-    assert found.final is found.base
+    monkeypatch.setattr(
+        search_module, "without", lambda target, fit, part: rest(target, fit, part) if solvable[part] else None
+    )
+    bodies = search_module._Bodies(target, screen, fit(target, []), {"latency": 1e9, "poisson": 1e9})
+    known = search_module._FoundCauses(target, target, bodies.base)
+    for _ in range(2):
+        known = bodies.grown(known)
+    assert [*bodies.tested(known)[1]] == first_out
 
 
 def test_a_cause_without_which_there_is_no_equilibrium_stays_or_takes_all_with_it(monkeypatch):
