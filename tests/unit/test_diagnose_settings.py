@@ -222,7 +222,7 @@ def test_rounds_judge_by_the_settings_of_the_bench():
 
     with pytest.MonkeyPatch.context() as patched:
         assert round_of(patched).found is found
-        for changed in ({"search": {"stated": 1.0}}, {"search": {"proved": 1e9, "proved_share": 1e9}},
+        for changed in ({"search": {"stated": 1.0}}, {"search": {"proved": 1e9, "refused": 1.0}},
                         {"evidence": {"look_alike": 0.6}}, {"evidence": {"temper": 1e9}}):  # fmt: skip
             step = round_of(patched, **changed)
             assert step.found is None, changed

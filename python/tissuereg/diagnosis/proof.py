@@ -11,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import norm
 
 from tissuereg._base.arrays import BoolArray, FloatArray
 from tissuereg.diagnosis.evidence import rms
@@ -55,8 +56,11 @@ class HeldOut:
         if not rules.judged:
             return True
         density = self.log_density.sum(axis=1)
-        # Where a nuisance describes the same change, held-out data hardly differ between the models.
-        least_gain = max(0.0, min(rules.proved, rules.proved_share * self.expected_gain))
+        # Where a nuisance describes the same change, held-out data hardly differ between the models. The log density
+        # ratio of two Gaussians has a variance of twice its mean.
+        root = np.sqrt(max(self.expected_gain, 0.0))
+        reached = float(root * (root + np.sqrt(2.0) * norm.ppf(rules.refused)))
+        least_gain = max(0.0, min(rules.proved, reached))
         return bool(density[NAMED] > density[BEFORE] + least_gain and density[NAMED] > density[GENERIC])
 
 

@@ -284,10 +284,10 @@ class SearchSettings:
     repeated: tuple[str, ...] | None = None
     #: Whether a cause must be proved on held-out data.
     judged: bool = True
-    #: Gain in log predictive density that the held-out proof requires, nats, but at most so large a share of the gain
-    #: that a cause would have in these data if it were true.
+    #: Gain in log predictive density that the held-out proof requires, nats, but not more than this share of true
+    #: causes, of the size and in the place that were fitted, would fall short of in these data.
     proved: float = 4.0
-    proved_share: float = 0.5
+    refused: float = 0.05
     #: A case is held out in a proof only if the other data determine the cause's parameters: their posterior variance
     #: without the case is at most this share of the prior variance, on average.
     determined: float = 0.5
