@@ -287,7 +287,7 @@ class SearchSettings:
     #: Gain in log predictive density that the held-out proof requires, nats, but not more than this share of true
     #: causes, of the size and in the place that were fitted, would fall short of in these data.
     proved: float = 4.0
-    refused: float = 0.05
+    refused: float = 0.1
     #: A case is held out in a proof only if the other data determine the cause's parameters: their posterior variance
     #: without the case is at most this share of the prior variance, on average.
     determined: float = 0.5
