@@ -58,6 +58,11 @@ def oracle_settings(ids: Collection[str]) -> DiagnoseSettings:
     )
 
 
+def without_settings(ids: Collection[str]) -> DiagnoseSettings:
+    """Return the settings whose catalogue lacks some causes."""
+    return replace(DEFAULT, left_out=tuple(ids))
+
+
 def oracle(folder: Path, ids: Collection[str], *, threads: int = 0) -> dict:
     """Return the fit of the given causes: the catalogue holds nothing else, and all of it is accepted."""
     return answer(read_experiment(folder), threads, oracle_settings(ids))
@@ -65,7 +70,7 @@ def oracle(folder: Path, ids: Collection[str], *, threads: int = 0) -> dict:
 
 def without(folder: Path, ids: Collection[str], *, threads: int = 0) -> dict:
     """Return the diagnoser's answer without the given causes in its catalogue."""
-    return answer(read_experiment(folder), threads, replace(DEFAULT, left_out=tuple(ids)))
+    return answer(read_experiment(folder), threads, without_settings(ids))
 
 
 def no_mesh_correction(folder: Path, ids: Collection[str] = (), *, threads: int = 0) -> dict:

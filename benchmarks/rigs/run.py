@@ -6,14 +6,13 @@ import json
 import os
 import sys
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import tissuereg as tr
 from blind.materialise import folder_of
 from blind.run import keep, read_list
-from blind.variants import oracle_settings
+from blind.variants import oracle_settings, without_settings
 from common import commit
 from rigs.materialise import case_names, materialise
 from tissuereg.diagnosis.settings import DEFAULT, DiagnoseSettings
@@ -25,7 +24,7 @@ BUILD = Path("build") / "rigs"
 #: Folders, among the predictions, of answers without the hidden causes in the catalogue, and of fits of these alone;
 #: what makes the settings from their ids.
 WITHOUT, ORACLE = "without", "oracle"
-OTHERS = {WITHOUT: lambda ids: replace(DEFAULT, left_out=tuple(ids)), ORACLE: oracle_settings}
+OTHERS = {WITHOUT: without_settings, ORACLE: oracle_settings}
 
 
 def diagnose(case: str, predictions: Path, work: Path, threads: int, settings: dict[str, DiagnoseSettings]) -> dict:

@@ -138,7 +138,11 @@ class Step:
 
     def dropped(self, failed: PossibleCause) -> "Step":
         """Return the round without its finding, which joins the possible causes."""
-        return replace(self, found=None, figures=None, shift=0.0, possible=(*self.possible, failed))
+        return replace(self.bare(), possible=(*self.possible, failed))
+
+    def bare(self) -> "Step":
+        """Return the round without its finding."""
+        return replace(self, found=None, figures=None, shift=0.0)
 
     def retested(self, top: Candidate) -> "Step":
         """Return the round with the evidence of its finding in the model of all causes; `top`: with that evidence.
@@ -167,7 +171,7 @@ class Search:
 
     def withdrawn(self, target: FitTarget) -> "Search":
         """Return the same rounds with all findings withdrawn, so that the final model is the believed one."""
-        steps = [replace(step, found=None, shift=0.0) for step in self.steps]
+        steps = [step.bare() for step in self.steps]
         return Search(self.base, self.base, steps, target.null.reduced(self.base.residual))
 
 
@@ -292,7 +296,7 @@ class _Bodies:
             told = 0.5 * self.given.bench.settings.search.separable**2
             first = None if max(others, default=0.0) > failed.log_bayes_factor + told else first
         if rest is None or not rest.parts:
-            bare = tuple(replace(step, found=None, figures=None, shift=0.0) for step in steps)
+            bare = tuple(step.bare() for step in steps)
             if first is None or rest is None:
                 return _FoundCauses(self.given, self.given, self.base, bare)
             alone = replace(first.steps[0], possible=bare[0].possible)

@@ -84,9 +84,10 @@ def diagnosis_of(experiment: MaterialExperiment, outcome: SelectionOutcome, seed
     """
     refined = outcome.refined
     held_out = _held_out(outcome)
+    parameters = {} if refined is None else parameters_of(refined.fit, outcome.known.ids)
     return MaterialDiagnosis(
         verdict=outcome.verdict,
-        findings=tuple(_finding(outcome, one, held_out) for one in outcome.findings),
+        findings=tuple(_finding(outcome, one, parameters[one.id], held_out) for one in outcome.findings),
         candidates=tuple(asdict(one) for one in outcome.candidates),
         p_misfit=outcome.p_misfit,
         discrepancy=_discrepancy(outcome),
@@ -104,9 +105,10 @@ def diagnosis_of(experiment: MaterialExperiment, outcome: SelectionOutcome, seed
     )
 
 
-def _finding(outcome: SelectionOutcome, found: MaterialFinding, held_out: dict[str, Any]) -> Finding:
-    assert outcome.refined is not None  # there is a finding
-    pairs = parameters_of(outcome.refined.fit, outcome.known.ids)[found.id]
+def _finding(
+    outcome: SelectionOutcome, found: MaterialFinding, pairs: dict[str, list[float]], held_out: dict[str, Any]
+) -> Finding:
+    """Return a finding as a record; `pairs`: value and standard deviation of its parameters, by key."""
     return Finding(
         id=found.id,
         group=found.group,
