@@ -179,7 +179,9 @@ def report(cases: list[Scored], without: list[Scored], oracle: dict[str, dict], 
         f"## {TITLES[half]}",
         "",
         f"{len(cases)} of {len(case_names(half))} cases, on {len({rig_of(c.case) for c in cases})} rigs. "
-        f"Verdicts: {made(cases)}." + (f" Causes taken out: {made(without)}." if without else ""),
+        f"Verdicts: {made(cases)}."
+        + (f" Oracle fits: {made(scored(oracle))}." if oracle else "")
+        + (f" Causes taken out: {made(without)}." if without else ""),
         "",
         *_HEAD,
         *figures(cases, without, oracle),
