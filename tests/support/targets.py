@@ -11,6 +11,7 @@ from tissuereg.diagnosis.correction import Correction
 from tissuereg.diagnosis.evidence import Null
 from tissuereg.diagnosis.fit import FitTarget, FittedCause
 from tissuereg.diagnosis.noise import Noise
+from tissuereg.diagnosis.screen import Screen
 from tissuereg.diagnosis.signals import SignalLayout
 from tissuereg.experiment.experiment import Experiment
 from tissuereg.simulation.experiment import with_noise
@@ -53,3 +54,10 @@ def part(target, name, amplitude=0.1, **settings):
     variants = [v for v in CAUSES[name].variants(target.bench) if settings.items() <= v.settings.items()]
     amplitudes = np.full(len(variants[0].columns), amplitude)
     return FittedCause(name, CAUSES[name].free_parameters(target.bench, variants[0], amplitudes))
+
+
+def screen_of(target, names, null=None):
+    """Return a screen of some causes and a generic rival that does nothing."""
+    bank = {name: list(CAUSES[name].variants(target.bench)) for name in names}
+    layout = target.bench.layout
+    return Screen(bank, np.zeros((1, 1, layout.size)), target.noise, layout, target.correction, null or target.null)

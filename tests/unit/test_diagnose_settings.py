@@ -11,7 +11,7 @@ import pytest
 import tissuereg as tr
 from support.material_curves import believed, in_modes
 from support.rigs import rig
-from support.targets import hidden, part, target_of
+from support.targets import hidden, part, screen_of, target_of
 from tissuereg.diagnosis import search as search_module
 from tissuereg.diagnosis.answer import DiagnosisDetails
 from tissuereg.diagnosis.bank import numbers_of
@@ -24,7 +24,7 @@ from tissuereg.diagnosis.nulls import smooth_subspaces
 from tissuereg.diagnosis.patterns import generic_columns
 from tissuereg.diagnosis.proof import HeldOut
 from tissuereg.diagnosis.report.ranking import rankings
-from tissuereg.diagnosis.screen import Screen, Screened
+from tissuereg.diagnosis.screen import Screened
 from tissuereg.diagnosis.settings import DEFAULT, DiagnoseSettings
 from tissuereg.diagnosis.signals import SignalLayout
 from tissuereg.errors import ArgumentError
@@ -211,9 +211,7 @@ def test_rounds_judge_by_the_settings_of_the_bench():
     target = target_of(Latency(latency_s=0.15))
     base = fit(target, [])
     found = search_module.Candidate("latency", fit(target, [part(target, "latency")]), 20.0, target)
-    bank = {"latency": list(CAUSES["latency"].variants(target.bench))}
-    screen = Screen(bank, np.zeros((1, 1, target.bench.layout.size)), target.noise, target.bench.layout,
-                    target.correction, target.null)  # fmt: skip
+    screen = screen_of(target, ("latency",))
 
     def round_of(monkeypatch, **changed):
         target.bench.settings = of_groups(**changed)
