@@ -14,11 +14,11 @@ from tissuereg.diagnosis.causes import CAUSES
 from tissuereg.diagnosis.causes.base import free_parameters
 from tissuereg.diagnosis.correction import make_correction
 from tissuereg.diagnosis.evidence import Null
-from tissuereg.diagnosis.fit import FitTarget, FittedCause, at_believed_modulus, best_start, fit
+from tissuereg.diagnosis.fit import FitTarget, FittedCause, at_believed_modulus, best_start, fit, near_to
 from tissuereg.diagnosis.modulus import _pinned, modulus_finding
 from tissuereg.diagnosis.nuisances import other_forms
 from tissuereg.diagnosis.proof import figure_blocks, proof_blocks
-from tissuereg.diagnosis.refined import corrected_fit, recorrected, refined_effects
+from tissuereg.diagnosis.refined import correctable, corrected_fit, recorrected, refined_effects
 from tissuereg.diagnosis.screen import UNKNOWN, Screen, Screened
 from tissuereg.diagnosis.search import Search, Step, _with_finding
 from tissuereg.diagnosis.settings import DEFAULT
@@ -53,6 +53,12 @@ def test_a_prediction_does_not_depend_on_what_was_solved_before():
     assert np.array_equal(predictor.predict(relaxing, near=far), beside)
 
 
+def of_forms(target, bank, screened, base, cause):
+    """Return the likeliest fit of a cause, from its screened hypothesis and the alternatives to it."""
+    least, near = base.log_evidence, near_to(target, base)
+    return candidates._fit_forms(target, SimpleNamespace(bank=bank), screened, base, cause, least, near)[0]
+
+
 @pytest.mark.parametrize("form", ["coupled", "log"])
 def test_the_form_of_a_law_is_the_one_that_the_data_have(form):
     # Split invariants resemble another Poisson's ratio; without discretisation error the two can be distinguished.
@@ -60,7 +66,7 @@ def test_the_form_of_a_law_is_the_one_that_the_data_have(form):
     bank = {"mooney": list(CAUSES["mooney"].variants(target.bench))}
     screened = Screened(10.0, bank["mooney"][0], np.ones(1))
     base = fit(target, [])
-    found = candidates._fit_forms(target, SimpleNamespace(bank=bank), screened, base, "mooney", base.log_evidence)[0]
+    found = of_forms(target, bank, screened, base, "mooney")
     values, deviations = found.values(0, 1.0)
     assert (values["law"], values["volumetric"]) == ("mooney-rivlin", form)
     assert abs(values["share"] - 0.5) < 4.0 * deviations["share"]
@@ -72,6 +78,8 @@ def refitted(monkeypatch, cause, seen, fits, corrected_fit):
     """Return the candidate from a cause's fits, given a believed model of -100 nats and a threshold of six."""
     monkeypatch.setattr(candidates, "_fit_forms", lambda *_: fits)
     monkeypatch.setattr(candidates, "corrected_fit", corrected_fit)
+    monkeypatch.setattr(candidates, "near_to", lambda *_: None)
+    monkeypatch.setattr(candidates, "correctable", lambda *_: True)
     believed = SimpleNamespace(ids=(), parts=(), log_evidence=-100.0)
     own = SimpleNamespace(
         bench=SimpleNamespace(
@@ -202,7 +210,8 @@ def test_an_effect_that_becomes_another_one_is_corrected_again():
 
 
 def test_a_fine_mesh_is_not_solved_for_effects_of_memory(of_two):
-    assert refined_effects(of_two.bench, [Relaxation(g=(0.3,), tau_s=(2.0,))]) is None
+    assert not correctable(of_two, ["relaxation"])
+    assert correctable(of_two, ["poisson"])
 
 
 def predictions_of(target, monkeypatch, work):
@@ -228,18 +237,47 @@ def test_a_fit_that_cannot_arrive_ends_early(of_two, monkeypatch):
     both = fit(of_two, [part(of_two, "poisson"), *wrong])
     whole, calls = predictions_of(of_two, monkeypatch, lambda: fit(of_two, wrong))
     assert whole.objective > both.objective + 100.0
-    early, fewer = predictions_of(of_two, monkeypatch, lambda: fit(of_two, wrong, hopeless=both.objective + 30.0))
+    early, fewer = predictions_of(of_two, monkeypatch, lambda: fit(of_two, wrong, least=both.log_evidence - 30.0))
     assert fewer < calls
-    assert early.objective > both.objective + 30.0
+    assert early.log_evidence < both.log_evidence - 30.0
     # One that can arrive is not given up.
-    right = fit(of_two, [part(of_two, "poisson"), *wrong], hopeless=both.objective + 1.0)
+    right = fit(of_two, [part(of_two, "poisson"), *wrong], least=both.log_evidence - 1.0)
     assert abs(right.objective - both.objective) < 0.3
 
 
-def test_a_hopeless_fit_keeps_its_objective_and_saves_the_last_jacobian(of_two):
+def test_a_fit_that_misses_by_little_keeps_its_objective_and_saves_the_last_jacobian(of_two, monkeypatch):
     parts = [part(of_two, "poisson")]
-    exact, saved = fit(of_two, parts), fit(of_two, parts, hopeless=-1.0)
+    exact, calls = predictions_of(of_two, monkeypatch, lambda: fit(of_two, parts))
+    least = exact.log_evidence + 3.0
+    saved, fewer = predictions_of(of_two, monkeypatch, lambda: fit(of_two, parts, least=least))
     assert saved.objective == pytest.approx(exact.objective, abs=1.0)
+    assert fewer < calls
+
+
+def test_a_fit_ends_where_no_step_is_expected_to_make_it_of_use(of_two, monkeypatch):
+    parts = [part(of_two, "poisson"), part(of_two, "latency")]
+    found = fit(of_two, parts)
+    moved = found.x + np.array([0.0, 0.0, 5.0 * np.sqrt(found.covariance[2, 2])])
+    # One step would bring it there, at the cost of some 12 nats that it lacks.
+    near = found.log_evidence - 1.0
+    again, calls = predictions_of(of_two, monkeypatch, lambda: fit(of_two, parts, start=moved, least=near))
+    assert again.log_evidence > near
+    assert calls > 1 + 2
+    # Ten nats more are out of reach: the Jacobian at the start tells.
+    early, calls = predictions_of(of_two, monkeypatch, lambda: fit(of_two, parts, start=moved, least=near + 100.0))
+    assert calls == 1 + 2
+    np.testing.assert_array_equal(early.x, moved)
+
+
+def test_a_fit_takes_what_a_similar_one_knows_and_ends_alike(of_two, monkeypatch):
+    parts = [part(of_two, "poisson"), part(of_two, "latency")]
+    first = fit(of_two, parts[:1])
+    plain, calls = predictions_of(of_two, monkeypatch, lambda: fit(of_two, parts, start=np.append(first.x, 0.0)))
+    quick, fewer = predictions_of(of_two, monkeypatch, lambda: fit(of_two, parts, near=near_to(of_two, first)))
+    assert fewer < calls
+    assert abs(quick.log_evidence - plain.log_evidence) < DEFAULT.fit.least_gain
+    # Its Jacobian is its own in the end.
+    np.testing.assert_allclose(quick.jacobian, plain.jacobian, atol=0.02 * np.abs(plain.jacobian).max())
 
 
 def test_a_shifted_patch_is_fitted_without_jumps(of_two):
@@ -447,12 +485,12 @@ def test_a_fit_begins_where_the_objective_is_least():
     target = target_of(torn)
     detached = part(target, "detachment", azimuth=90.0)
     base = fit(target, [])
-    begin = best_start(target, [detached], base.x)
+    begin = best_start(target, [detached], near_to(target, base))
     places = [
         np.concatenate([base.x, start]) for start in (detached.free_parameters.start, *detached.free_parameters.starts)
     ]
     assert any(np.array_equal(begin, place) for place in places)
-    left = [fit(target, [detached], start=place, hopeless=-np.inf).objective for place in places[:2]]
+    left = [fit(target, [detached], start=place, least=np.inf).objective for place in places[:2]]
     found = fit(target, [detached], start=begin)
     assert found.objective <= min(left) + 0.5
     assert abs(found.values(0, 1.0)[0]["share"] - 0.3) < 0.1
@@ -468,9 +506,7 @@ def test_a_slip_is_found_to_begin_in_its_own_frame():
     near = next(v for v in bank["marker_slip"] if (v.settings["marker"], v.settings["onset"]) == ("P2", 1.0))
     base = fit(target, [])
     screened = Screened(10.0, near, np.full(3, 0.3))
-    found = candidates._fit_forms(target, SimpleNamespace(bank=bank), screened, base, "marker_slip", base.log_evidence)[
-        0
-    ]
+    found = of_forms(target, bank, screened, base, "marker_slip")
     values, deviations = found.values(0, 1.0)
     assert (values["marker"], values["from_time_s"]) == ("P2", 2.0)
     np.testing.assert_allclose(values["offset_mm"], slip.offset_mm, atol=4.0 * max(deviations["offset_mm"]))

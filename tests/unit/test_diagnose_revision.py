@@ -25,7 +25,7 @@ def of_two():
 
 @pytest.mark.parametrize(("share", "named"), [(0.9, {"latency", "poisson"}), (1.1, {"latency"})])
 def test_what_stays_after_a_revision_passes_its_threshold_again(monkeypatch, share, named):
-    monkeypatch.setattr(import_module("tissuereg.diagnosis.refined"), "refined_effects", lambda *_: None)
+    monkeypatch.setattr(import_module("tissuereg.diagnosis.refined"), "correctable", lambda *_: False)
     target = target_of(Poisson(poisson=0.38), Latency(latency_s=0.15))
     screen = screen_of(target, ("latency", "poisson"))
     base = fit(target, [])
@@ -95,7 +95,7 @@ def test_a_retested_cause_has_the_probability_of_its_evidence_in_the_model_of_al
 
 def both_found(monkeypatch, target, names=("latency", "poisson")):
     """Let the search find two causes in this order, whatever their evidence, and nothing more."""
-    monkeypatch.setattr(import_module("tissuereg.diagnosis.refined"), "refined_effects", lambda *_: None)
+    monkeypatch.setattr(import_module("tissuereg.diagnosis.refined"), "correctable", lambda *_: False)
     order, rounds = iter(names), search_module._round
 
     def found(target, screen, base, current, thresholds):

@@ -136,7 +136,7 @@ def test_causes_that_cannot_be_distinguished_are_a_group():
 
 def test_a_cause_that_a_later_one_makes_redundant_is_removed(of_two, monkeypatch):
     # Two rounds find a cause that explains a part, then the one that explains all of it.
-    monkeypatch.setattr(import_module("tissuereg.diagnosis.refined"), "refined_effects", lambda *_: None)
+    monkeypatch.setattr(import_module("tissuereg.diagnosis.refined"), "correctable", lambda *_: False)
     target = target_of(Latency(latency_s=0.15))
     screen = screen_of(target, ("latency", "poisson"))
     base = fit(target, [])

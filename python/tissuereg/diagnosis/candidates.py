@@ -13,8 +13,8 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.causes import catalogue
-from tissuereg.diagnosis.fit import Fit, FitTarget, FittedCause, best_start, choices_of, fit
-from tissuereg.diagnosis.refined import corrected_fit
+from tissuereg.diagnosis.fit import Fit, FitTarget, FittedCause, Near, best_start, choices_of, fit, near_to
+from tissuereg.diagnosis.refined import correctable, corrected_fit
 from tissuereg.diagnosis.screen import UNKNOWN, Screen, Screened
 from tissuereg.experiment.effects import EFFECTS
 
@@ -72,12 +72,14 @@ def refitted(
         and (rank < settings.search.refitted or screened[name].log_bayes_factor > best - settings.search.within)
     ]
     fits: dict[str, list[Fit]] = {}
+    near = near_to(target, current)
 
     def fitted_forms(name: str) -> list[Fit]:
         """Return the fits of a cause, which end early where that of the likeliest is out of reach."""
         best = max((forms[0].log_evidence for forms in fits.values()), default=-np.inf)
-        least = max(best - settings.model.correction_gain, current.log_evidence + required[name])
-        return _fit_forms(target, screen, screened[name], current, name, least)
+        correction = _correction_gain(target, (*current.ids, name))
+        least = max(best - settings.model.correction_gain, current.log_evidence + required[name] - correction)
+        return _fit_forms(target, screen, screened[name], current, name, least, near)
 
     for names in (chosen[:1], chosen[1:]):
         if names:
@@ -98,12 +100,12 @@ def refitted(
 
 
 def _fit_forms(
-    target: FitTarget, screen: Screen, screened: Screened, current: Fit, name: str, least: float
+    target: FitTarget, screen: Screen, screened: Screened, current: Fit, name: str, least: float, near: Near
 ) -> list[Fit]:
     """Return the fits of a cause, from its likeliest hypothesis and from the alternatives to it, likeliest first.
 
-    `screened`: linear evidence of the cause; `current`: fit with the causes found before; `name`: id of the cause. A
-    fit ends early where it will not reach the log evidence `least`, in nats, or where the correction of its
+    `screened`: linear evidence of the cause; `current`, `near`: fit with the causes found before; `name`: id of the
+    cause. A fit ends early where it will not reach the log evidence `least`, in nats, or where the correction of its
     discretisation error could not make it likelier than the best one.
     """
     variant = screened.best
@@ -111,14 +113,15 @@ def _fit_forms(
     cause = catalogue(target.bench.settings)[name]
     alternatives = cause.alternatives(target.bench, variant)
     choices = choices_of(name, screen.bank[name]) * (1 + len(alternatives))
-    gain = target.bench.settings.model.correction_gain
+    gain = _correction_gain(target, (*current.ids, name))
     fits: list[Fit] = []
     best = -np.inf
     for form in (variant, *alternatives):
         free_parameters = cause.free_parameters(target.bench, form, screened.amplitudes)
         parts = [*current.parts, FittedCause(name, free_parameters)]
-        start = best_start(target, parts, current.x)
-        fitted = fit(target, parts, start=start, choices=choices, hopeless=-max(least, best - gain))
+        start = best_start(target, parts, near)
+        enough = max(least, best - gain)
+        fitted = fit(target, parts, start=start, choices=choices, least=enough, near=near)
         if fitted is not None:
             fits.append(fitted)
             best = max(best, fitted.log_evidence)
@@ -135,10 +138,10 @@ def without(target: FitTarget, current: Fit, part: int) -> Fit | None:
     `target`: data, believed model, noise and nuisances; `current`: fit with all causes; `part`: number of the cause
     that is removed.
     """
-    mine = current.slices()[part]
+    mine = np.r_[current.slices()[part]]
     others = [*current.parts[:part], *current.parts[part + 1 :]]
-    start = np.delete(current.x, np.r_[mine])
-    return fit(target, others, start=start) or fit(target, others)
+    near = Near(np.delete(current.x, mine), np.delete(current.jacobian, mine, axis=0))
+    return fit(target, others, near=near) or fit(target, others)
 
 
 def exchanged(
@@ -157,17 +160,15 @@ def exchanged(
         parts = [*current.parts[:part], rival, *current.parts[part + 1 :]]
         start = np.concatenate([current.x[: mine.start], free_parameters, current.x[mine.stop :]])
         least = max(best.log_evidence, current.log_evidence + target.bench.settings.search.better)
-        reached = _reaching(
-            least, target, fit(target, parts, start=start, hopeless=target.bench.settings.model.correction_gain - least)
-        )
-        if reached is not None:
-            of_best, best = reached
+        near = least - _correction_gain(target, [cause.id for cause in parts])
+        fitted = fit(target, parts, start=start, least=near)
+        if fitted is not None and fitted.log_evidence >= near:
+            better, again = corrected_fit(target, fitted)
+            if again.log_evidence > least:
+                of_best, best = better, again
     return of_best, best
 
 
-def _reaching(least: float, target: FitTarget, fitted: Fit | None) -> tuple[FitTarget, Fit] | None:
-    """Return target and corrected fit if the log evidence exceeds `least` nats; None otherwise, and without a fit."""
-    if fitted is None or fitted.log_evidence < least - target.bench.settings.model.correction_gain:
-        return None
-    better, again = corrected_fit(target, fitted)
-    return (better, again) if again.log_evidence > least else None
+def _correction_gain(target: FitTarget, ids: Sequence[str]) -> float:
+    """Return the nats that a correction of the discretisation error may add to a fit with causes of these ids."""
+    return target.bench.settings.model.correction_gain if correctable(target, ids) else 0.0

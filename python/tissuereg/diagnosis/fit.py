@@ -132,27 +132,52 @@ class Fit:
         return centre, spread
 
 
+@dataclass(frozen=True, eq=False)
+class Near:
+    """A fitted model from which the fit of a similar one begins, whose first j parameters are the same.
+
+    `x` (j,): its parameters; `jacobian` (j, size): derivatives of its corrected prediction by them, mm and mN;
+    `solved`: its equilibria, if they are known.
+    """
+
+    x: FloatArray
+    jacobian: FloatArray
+    solved: Solved | None = None
+
+
+def near_to(target: FitTarget, found: Fit) -> Near:
+    """Return what fits of models with further causes begin from; `found`: fit without these."""
+    solver = _FitSolver(target, found.parts)
+    try:
+        solver.start_from(found.x)
+    except NO_ANSWER:
+        # The fit reached this model by steps from a neighbour; solved at once it has no equilibrium.
+        return Near(found.x, found.jacobian)
+    return Near(found.x, found.jacobian, solver.near)
+
+
 def fit(
     target: FitTarget,
     parts: Sequence[FittedCause],
     *,
     start: FloatArray | None = None,
     choices: int = 1,
-    hopeless: float = np.inf,
+    least: float = -np.inf,
+    near: Near | None = None,
 ) -> Fit | None:
     """Return the fit of a model with causes to the data.
 
     `target`: data, believed model, noise and nuisances; `parts`: causes with their parameters; empty for the believed
-    model; `start` (k,): first guess of the logarithm of the modulus and the parameters of all causes; by default the
-    first guess that the causes themselves have; `choices`: number of discrete hypotheses among which these were chosen;
-    its logarithm is subtracted from the evidence; `hopeless`: objective, in nats, above which a fit is of no use. A fit
-    that is not expected to come below it ends early, with an approximate Jacobian. The result is None where there is no
-    equilibrium at the start.
+    model; `start` (k,): first guess of the logarithm of the modulus and the parameters of all causes; by default that
+    of `near`, a similar model, and the first guess that the further causes themselves have; `choices`: number of
+    discrete hypotheses among which these were chosen; its logarithm is subtracted from the evidence; `least`: log
+    evidence, in nats, below which a fit is of no use. A fit that is not expected to reach it ends early, with an
+    approximate Jacobian. The result is None where there is no equilibrium at the start.
     """
-    limits, solver = target.bench.settings.fit, _FitSolver(target, tuple(parts))
+    limits, solver = target.bench.settings.fit, _FitSolver(target, tuple(parts), near)
     x = solver.start if start is None else start.copy()
     prediction = solver.predict(x)
-    if prediction is None and start is None:
+    if prediction is None and start is None and near is None:
         # Half-way to the prior mean the effects are smaller.
         x = 0.5 * (x + solver.mean)
         prediction = solver.predict(x)
@@ -160,10 +185,15 @@ def fit(
         return None
     solver.start_from(x)
     objective, reduced = solver.objective(x, prediction)
-    jacobian, exact = solver.jacobian(x, prediction), True
+    known = 0 if near is None else len(near.x)
+    jacobian, exact = solver.jacobian(x, prediction, near), known <= int(solver.scales)
     slopes = solver.reduced(jacobian)
     for remaining in reversed(range(limits.most_iterations)):
         step = solver.step(x, slopes, reduced)
+        # How far the objective is above that of a useful fit.
+        excess = objective + solver.log_volume(slopes) + float(np.log(choices)) + least
+        if exact and excess > limits.further_gains * solver.predicted_decrease(step, slopes):
+            break
         step *= min(1.0, limits.longest / max(float(np.abs(step / solver.deviation).max()), 1e-12))
         gained, was_exact = 0.0, exact
         for share in limits.shares if solver.predicted_decrease(step, slopes) > limits.least_predicted else ():
@@ -181,20 +211,19 @@ def fit(
             if value < objective + limits.least_gain:
                 # A shorter step would hardly decrease it further.
                 break
+        excess -= gained
         if gained < limits.least_gain:
-            if exact or objective > hopeless:
+            if exact or excess > 0.0:
                 break
             jacobian, exact = solver.jacobian(x, prediction), True
-        elif objective - min(remaining, limits.further_gains) * gained > hopeless:
+        elif excess > min(remaining, limits.further_gains) * gained:
             # Gains decrease from step to step: after a step with an exact Jacobian the fit will not reach the limit.
-            if was_exact or objective - remaining * gained > hopeless:
+            if was_exact or excess > remaining * gained:
                 break
             jacobian, exact = solver.jacobian(x, prediction), True
         slopes = solver.reduced(jacobian)
-    information = slopes @ slopes.T + np.diag(1.0 / solver.deviation**2)
-    covariance = np.asarray(np.linalg.inv(information), np.float64)
-    inner = information * solver.deviation[:, None] * solver.deviation
-    log_evidence = -objective - 0.5 * float(np.linalg.slogdet(inner)[1]) - float(np.log(choices))
+    covariance = np.asarray(np.linalg.inv(solver.information(slopes)), np.float64)
+    log_evidence = -objective - solver.log_volume(slopes) - float(np.log(choices))
     residual = target.white(np.where(target.bench.layout.seen, target.bench.layout.measured - prediction, 0.0))
     return Fit(
         solver.parts,
@@ -211,24 +240,24 @@ def fit(
     )
 
 
-def best_start(target: FitTarget, parts: Sequence[FittedCause], before: FloatArray) -> FloatArray:
+def best_start(target: FitTarget, parts: Sequence[FittedCause], near: Near) -> FloatArray:
     """Return the best first guess of the fit with a further cause: that with the smallest objective.
 
-    `target`: data, believed model, noise and nuisances; `parts`: all causes, the further one last; `before` (k,):
-    parameters of the fit without it. Result: (k + n_parameters,), the parameters before and then one of the first
-    guesses that the further cause offers; its default one where it offers no others or none of them has an equilibrium.
+    `target`: data, believed model, noise and nuisances; `parts`: all causes, the further one last; `near`:
+    the fit without it. Result: (j + n_parameters,), the parameters of that fit and then one of the first guesses that
+    the further cause offers; its default one where it offers no others or none of them has an equilibrium.
     """
     free_parameters = parts[-1].free_parameters
-    first = np.concatenate([before, free_parameters.start])
+    first = np.concatenate([near.x, free_parameters.start])
     if free_parameters.starts is None:
         return first
-    solver = _FitSolver(target, tuple(parts))
+    solver = _FitSolver(target, tuple(parts), near)
 
     def objective(x: FloatArray) -> float:
         prediction = solver.predict(x)
         return np.inf if prediction is None else solver.objective(x, prediction)[0]
 
-    tried = [first, *(np.concatenate([before, start]) for start in free_parameters.starts)]
+    tried = [first, *(np.concatenate([near.x, start]) for start in free_parameters.starts)]
     return tried[int(np.argmin(target.bench.side_by_side(objective, tried)))]
 
 
@@ -267,12 +296,14 @@ class _FitSolver:
     Its parameters x (k,) are the logarithm of the factor on the modulus, then those of all causes.
     """
 
-    def __init__(self, target: FitTarget, parts: tuple[FittedCause, ...]) -> None:
+    def __init__(self, target: FitTarget, parts: tuple[FittedCause, ...], near: Near | None = None) -> None:
         self.target = target
         self.parts = parts
         self.slices = slices_of(len(part.free_parameters.start) for part in parts)
         # The first parameter is the logarithm of the modulus over the believed one; the modulus' prior is log-normal.
         self.start = np.concatenate([[0.0], *(part.free_parameters.start for part in parts)])
+        if near is not None:
+            self.start[: len(near.x)] = near.x
         self.mean = np.concatenate([[0.0], *(part.free_parameters.mean for part in parts)])
         self.deviation = np.concatenate(
             [[target.bench.young_spread], *(part.free_parameters.deviation for part in parts)]
@@ -283,7 +314,7 @@ class _FitSolver:
         self.measured = np.where(layout.seen, layout.measured, 0.0)
         self.seen = layout.seen
         self.force = ~layout.of_markers()
-        self.near: Solved | None = None
+        self.near: Solved | None = None if near is None else near.solved
 
     def predict(self, x: FloatArray) -> FloatArray | None:
         try:
@@ -343,13 +374,17 @@ class _FitSolver:
         prior = (x - self.mean) / self.deviation
         return float(0.5 * reduced @ reduced + 0.5 * prior @ prior), reduced
 
-    def jacobian(self, x: FloatArray, prediction: FloatArray) -> FloatArray:
+    def jacobian(self, x: FloatArray, prediction: FloatArray, near: Near | None = None) -> FloatArray:
         """Return the derivative (k, size) of the corrected prediction by the parameters, in mm and mN.
 
-        `x` (k,): parameters; `prediction` (size,): corrected prediction for them, mm and mN.
+        `x` (k,): parameters; `prediction` (size,): corrected prediction for them, mm and mN; `near`: a model
+        whose derivatives by the first parameters are taken.
         """
         rows = np.zeros((len(x), len(prediction)))
         first = 1 if self.scales else 0
+        if near is not None:
+            rows[: len(near.x)] = near.jacobian
+            first = max(first, len(near.x))
         if self.scales:
             rows[0] = np.where(self.force, prediction, 0.0)
 
@@ -386,10 +421,18 @@ class _FitSolver:
         along = step @ slopes
         return float(0.5 * along @ along + 0.5 * prior @ prior)
 
+    def information(self, slopes: FloatArray) -> FloatArray:
+        """Return the Hessian (k, k) of the objective, by Gauss and Newton, from whitened derivatives (k, size)."""
+        return slopes @ slopes.T + np.diag(1.0 / self.deviation**2)
+
+    def log_volume(self, slopes: FloatArray) -> float:
+        """Return the logarithm of the volume of the prior over that of the posterior, from whitened derivatives."""
+        inner = self.information(slopes) * self.deviation[:, None] * self.deviation
+        return 0.5 * float(np.linalg.slogdet(inner)[1])
+
     def step(self, x: FloatArray, slopes: FloatArray, reduced: FloatArray) -> FloatArray:
-        information = slopes @ slopes.T + np.diag(1.0 / self.deviation**2)
         gradient = slopes @ reduced - (x - self.mean) / self.deviation**2
-        return np.asarray(np.linalg.solve(information, gradient))
+        return np.asarray(np.linalg.solve(self.information(slopes), gradient))
 
 
 def _principal_axes(covariance: FloatArray, deviation: FloatArray) -> FloatArray:

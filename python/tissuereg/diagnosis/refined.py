@@ -24,11 +24,11 @@ from tissuereg._base.arrays import FloatArray, IntArray
 from tissuereg._base.provenance import warn
 from tissuereg.diagnosis.bench import Bench, OnFineMeshes, Targets
 from tissuereg.diagnosis.causes import CAUSES
-from tissuereg.diagnosis.fit import Fit, FitTarget, at_believed_modulus, fit
+from tissuereg.diagnosis.fit import Fit, FitTarget, Near, at_believed_modulus, fit
 from tissuereg.diagnosis.predictor import FINE_SCHEMA, NO_ANSWER, fingerprint, refuse_failures
 from tissuereg.diagnosis.signals import CasePart, SignalLayout
 from tissuereg.errors import ConvergenceError, MeshError, TissueRegError
-from tissuereg.experiment.effects import ChainEffect, Effect, Stiffness, extended
+from tissuereg.experiment.effects import EFFECTS, ChainEffect, Effect, Stiffness
 from tissuereg.experiment.effects.history import Memory
 from tissuereg.experiment.experiment import Case, Experiment
 from tissuereg.io.cache import keep_arrays, read_arrays
@@ -166,17 +166,13 @@ def _simulated(bench: Bench, entry: str | None) -> OnFineMeshes:
     return made
 
 
-def refined_effects(bench: Bench, effects: Sequence[Effect]) -> FloatArray | None:
+def refined_effects(bench: Bench, effects: Sequence[Effect]) -> FloatArray:
     """Return the prediction (size,) of the believed model with further effects on the fine mesh, mm and mN.
 
-    `bench`: the believed model; `effects`: in addition to those of the experiment. The result is None where the
-    material has memory: such histories take minutes on a fine mesh, and the discretisation error of a memory effect is
-    that of the load's own response, which the correction of the believed model contains. Raises `ConvergenceError` if a
-    frame has no equilibrium.
+    `bench`: the believed model; `effects`: in addition to those of the experiment. Raises `ConvergenceError` if a frame
+    has no equilibrium.
     """
     every = (*bench.experiment.effects, *effects)
-    if remembers(extended(replace(bench.experiment, effects=every), bench.predictor.element)):
-        return None
     answers = bench.fine.simulate(every, warm=True, threads=bench.predictor.threads)
     for name, answer in answers.items():
         refuse_failures(name, answer.failed)
@@ -253,8 +249,8 @@ def corrected_fit(target: FitTarget, found: Fit) -> tuple[FitTarget, Fit]:
     corrected = target, found
     for _ in range(target.bench.settings.model.most_corrections):
         better = recorrected(target, corrected[1])
-        start, choices = corrected[1].x, found.choices
-        again = None if better is target else fit(better, found.parts, start=start, choices=choices)
+        near = Near(corrected[1].x, corrected[1].jacobian)
+        again = None if better is target else fit(better, found.parts, choices=found.choices, near=near)
         if again is None:
             break
         corrected = better, again
@@ -284,25 +280,36 @@ def _uncorrected(target: FitTarget, found: Fit) -> float:
     return remainder * error / effect if effect > 0.0 else 0.0
 
 
+def correctable(target: FitTarget, ids: Sequence[str]) -> bool:
+    """Return whether the discretisation error of causes, given by their ids, can be corrected.
+
+    It cannot where the modulus does more than scale forces, where all causes are errors of the tracker, and for data
+    that were simulated on the user's mesh. With memory it is not: such histories take minutes on a fine mesh, and the
+    discretisation error of a memory effect is that of the load's own response, which the correction of the believed
+    model contains.
+    """
+    bench = target.bench
+    if not bench.settings.model.corrected or bench.is_exact or not target.scales_forces(ids):
+        return False
+    if any(issubclass(EFFECTS[name], Memory) for name in ids) or remembers(bench.experiment):
+        return False
+    return not all(CAUSES[name].closed_form for name in ids)
+
+
 def recorrected(target: FitTarget, found: Fit) -> FitTarget:
     """Return a target whose correction is exact for the believed model and for a fitted model with causes.
 
     `target`: data, believed model and correction of the fit; `found`: fit with causes. The given target is returned
-    where the modulus does more than scale forces, where all causes are errors of the tracker or one is memory, where
-    the fine mesh has no equilibrium, and for data that were simulated on the user's mesh.
+    where there is nothing to correct (`correctable`) and where the fine mesh has no equilibrium.
     """
     bench = target.bench
-    if not bench.settings.model.corrected or bench.is_exact or not target.scales_forces(found.ids):
-        return target
-    if all(CAUSES[name].closed_form for name in found.ids):
+    if not correctable(target, found.ids):
         return target
     bench.progress(f"fine mesh with {' + '.join(found.ids)}")
     try:
         effects, coarse = at_believed_modulus(target, found)
         fine = refined_effects(bench, effects)
     except (*NO_ANSWER, MeshError):
-        return target
-    if fine is None:
         return target
     std = np.full(bench.layout.size, target.noise.force_std)
     for case in bench.layout.parts:
