@@ -95,7 +95,7 @@ def answered(name: str, curves: Curves) -> dict[str, Any]:
     return {
         **row,
         # An Ogden exponent counts as `stiffening` where pull or push alone was tested: one form, whatever its name.
-        "forms": [form.label for form in outcome.refined.fit.forms],
+        "forms": [part.free_parameters.label for part in outcome.refined.fit.parts],
         "provisional": diagnosis.provisional,
         "weighting": outcome.refined.weighting,
         "form_error": outcome.refined.form_error,
@@ -110,7 +110,7 @@ def of_a_right_form(outcome: SelectionOutcome) -> Numbers:
     bench, fit = outcome.bench, outcome.refined.fit
     if outcome.refined.weighting == "rows alike":
         bench = rows_alike(bench)
-    again = fitted(bench.problem, fit.forms, [fit.x], fit.share)
+    again = fitted(bench.problem, fit.parts, [fit.x], fit.share)
     return numbers(again, *outcome.known.ids)
 
 

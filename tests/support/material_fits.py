@@ -2,8 +2,9 @@
 
 import numpy as np
 
+from tissuereg.diagnosis.causes import CAUSES
+from tissuereg.diagnosis.fit import FittedCause
 from tissuereg.diagnosis.material.answer import parameters_of
-from tissuereg.diagnosis.material.causes import CAUSES
 from tissuereg.diagnosis.material.data import scene_of
 from tissuereg.diagnosis.material.fit import fitted
 from tissuereg.diagnosis.material.hypothesis import refitted
@@ -12,26 +13,27 @@ from tissuereg.diagnosis.material.verdict import bench_of
 
 
 def form_of(experiment, cause, label):
-    """Return the form of a cause with a label, among those that the curves of an experiment can determine."""
-    return next(form for form in CAUSES[cause].forms(scene_of(experiment)) if form.label == label)
+    """Return a cause in the form of a label, among those that the curves of an experiment can determine."""
+    forms = CAUSES[cause].in_curves(scene_of(experiment))
+    return FittedCause(cause, next(form for form in forms if form.label == label))
 
 
 def fit_and_bench(experiment, cause, label, weighting="lasting errors"):
     """Return the fit of one form, with the covariance for a form without error, and its bench."""
     bench = bench_of(experiment)
     form = form_of(experiment, cause, label)
-    starts = [np.array([bench.problem.young_log, *start]) for start in form.starts]
+    starts = [np.array([bench.problem.young_log, *start]) for start in form.free_parameters.guesses]
     if weighting == "rows alike":
         bench = rows_alike(bench)
         return fitted(bench.problem, [form], starts), bench
     return refitted(bench.problem, [form], starts)[0], bench
 
 
-def numbers(fit, *causes):
+def numbers(fit):
     """Return values and standard deviations of a fit of some causes, including the modulus."""
     young = float(np.exp(fit.x[0]))
     found = {"young_kpa": [young, young * float(np.sqrt(fit.covariance[0, 0]))]}
-    for values in parameters_of(fit, causes).values():
+    for values in parameters_of(fit).values():
         found |= values
     return found
 
@@ -40,4 +42,4 @@ def both(experiment, cause, label, weighting="lasting errors"):
     """Return the numbers with the stated deviations, those for a form without error, and the form error."""
     fit, bench = fit_and_bench(experiment, cause, label, weighting)
     with_deviations, form_error = stated(bench, fit)
-    return numbers(with_deviations, cause), numbers(fit, cause), form_error
+    return numbers(with_deviations), numbers(fit), form_error

@@ -9,15 +9,15 @@ import pytest
 import support.material_curves as made
 from support.material_curves import believed, elastic, histories, in_modes
 from support.pages import assert_sound_page
+from tissuereg.diagnosis.causes import CAUSES, Cause
 from tissuereg.diagnosis.material import diagnose_material, predicted_stresses
-from tissuereg.diagnosis.material.causes import CAUSES
 from tissuereg.diagnosis.material.data import scene_of
-from tissuereg.diagnosis.material.hypothesis import null_hypothesis
+from tissuereg.diagnosis.material.hypothesis import excluded, null_hypothesis
 from tissuereg.diagnosis.material.noise import noise_of
 from tissuereg.diagnosis.material.report import material_page
 from tissuereg.diagnosis.material.search import MaterialSearch
 from tissuereg.diagnosis.material.verdict import bench_of
-from tissuereg.experiment.effects import Stiffening
+from tissuereg.experiment.effects import EFFECTS, Stiffening
 from tissuereg.experiment.material_experiment import Curve
 from tissuereg.io.experiment_out import write_experiment
 from tissuereg.io.material_experiments import read_material_experiment, write_test_table
@@ -242,7 +242,7 @@ def test_a_sweep_through_zero_is_no_unloading():
 def test_a_cause_is_named_above_its_threshold_alone_and_not_stated_where_it_fails_a_test(monkeypatch):
     bench = bench_of(believed(in_modes(np.random.default_rng(7), ("fung", 1.0))))
     none, scene = null_hypothesis(bench.problem), scene_of(believed(list(bench.problem.data.curves)))
-    forms = {"stiffening": CAUSES["stiffening"].forms(scene)}
+    forms = {"stiffening": CAUSES["stiffening"].in_curves(scene)}
     searched = MaterialSearch(bench, none, forms, 5.0, lambda _: None)
     known = searched.run()
     gain = known.evidence - none.evidence
@@ -266,7 +266,7 @@ def test_a_cause_is_named_above_its_threshold_alone_and_not_stated_where_it_fail
 def test_a_cause_that_is_left_alone_is_proved_alone(monkeypatch):
     bench = bench_of(believed(in_modes(np.random.default_rng(7), ("fung", 1.0))))
     none, scene = null_hypothesis(bench.problem), scene_of(believed(list(bench.problem.data.curves)))
-    forms = {name: CAUSES[name].forms(scene) for name in ("stiffening", "mooney")}
+    forms = {name: CAUSES[name].in_curves(scene) for name in ("stiffening", "mooney")}
     searched = MaterialSearch(bench, none, forms, 5.0, lambda _: None)
     known = searched.run()
     assert known.ids == ("stiffening",)
@@ -287,3 +287,14 @@ def test_what_is_possible_and_what_a_group_is_worth_stand_on_the_page(tmp_path):
     text = material_page(replace(found, findings=(tied,), possible=(possible,)), tmp_path)
     assert "Possible, but not stated: mooney (probability 0.30; log Bayes factor 7.5, threshold 6.0)." in text
     assert "Probability 0.40, of the group 0.70; log Bayes factor" in text
+
+
+def test_a_cause_has_forms_in_curves_where_a_specimen_shows_its_effect():
+    shown = {name for name, cause in CAUSES.items() if type(cause).in_curves is not Cause.in_curves}
+    assert shown == {name for name in CAUSES if EFFECTS[name].of_specimen}
+
+
+def test_laws_exclude_each_other_in_a_specimen():
+    assert excluded("mooney", ["asymmetry"])
+    assert not excluded("mooney", ["fibre", "set"])
+    assert excluded("set", ["set"])

@@ -74,15 +74,15 @@ def fitted(layout, noise, parts, left):
     one = np.ones(1)
     return Fit(
         parts,
-        0.1 * one,
-        0.0 * one,
-        0.3 * one,
-        prediction,
-        np.zeros((1, layout.size)),
-        residual,
-        0.0,
-        0.0,
-        0.01 * np.eye(1),
+        x=0.1 * one,
+        covariance=0.01 * np.eye(1),
+        mean=0.0 * one,
+        deviation=0.3 * one,
+        prediction=prediction,
+        jacobian=np.zeros((1, layout.size)),
+        residual=residual,
+        objective=0.0,
+        log_evidence=0.0,
     )
 
 

@@ -99,8 +99,8 @@ def test_the_answer_and_the_extended_model_state_these_deviations():
     diagnosis = diagnose_material(believed(curves))
     refined = diagnosis.outcome.refined
     (cause,) = diagnosis.to_json()["causes"]
-    (form,) = refined.fit.forms
-    stated, _, size = both(believed(curves), cause["id"], form.label, refined.weighting)
+    (part,) = refined.fit.parts
+    stated, _, size = both(believed(curves), cause["id"], part.free_parameters.label, refined.weighting)
     assert refined.form_error == pytest.approx(size, rel=0.05)
     for key, (value, deviation) in cause["parameters"].items():
         assert value == pytest.approx(stated[key][0], rel=0.02)

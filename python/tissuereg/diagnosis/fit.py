@@ -60,31 +60,16 @@ class FittedCause:
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
-    """A fitted model.
+class FittedModel:
+    """A model with causes, fitted to data.
 
-    `parts`: the causes in the model; empty for the believed model; `x` (k,): logarithm of the factor on the modulus,
-    then the free parameters of all causes; `mean`, `deviation` (k,): prior mean and standard deviation of x;
-    `prediction` (size,): prediction of all measured numbers, corrected for the discretisation error, mm and mN;
-    `jacobian` (k, size): derivative of the corrected prediction by x, mm and mN; `residual` (size,): measured minus
-    predicted, whitened by the noise alone; 0 where nothing was measured; `objective`: minimum of half the squared
-    residual (whitened by noise and nuisances) plus half the squared distance of x from its prior mean in prior
-    deviations, nats; `log_evidence`: logarithm of the evidence in nats, up to a constant that is the same for all fits
-    to the same data; `covariance` (k, k): posterior covariance of x (Laplace); `choices`: number of discrete hypotheses
-    among which these causes were chosen.
+    `parts`: the causes in the model; empty for the believed model; `x` (k,): logarithm of the modulus, then the free
+    parameters of all causes; `covariance` (k, k): its posterior covariance (Laplace).
     """
 
     parts: tuple[FittedCause, ...]
     x: FloatArray
-    mean: FloatArray
-    deviation: FloatArray
-    prediction: FloatArray
-    jacobian: FloatArray
-    residual: FloatArray
-    objective: float
-    log_evidence: float
     covariance: FloatArray
-    choices: int = 1
 
     @property
     def ids(self) -> tuple[str, ...]:
@@ -95,18 +80,44 @@ class Fit:
         """Return for every cause the slice of `x` that holds its parameters."""
         return slices_of(len(part.free_parameters.start) for part in self.parts)
 
+    def effects_at(self, x: FloatArray, young: float) -> tuple[Effect, ...]:
+        """Return the effects of all causes at parameters `x` (k,); `young`: modulus, kPa."""
+        return tuple(
+            effect
+            for part, mine in zip(self.parts, self.slices(), strict=True)
+            for effect in part.free_parameters.effects(x[mine], young)
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Fit(FittedModel):
+    """A model fitted to the data of a body; the first of its parameters is that of a factor on the modulus.
+
+    `mean`, `deviation` (k,): prior mean and standard deviation of x; `prediction` (size,): prediction of all measured
+    numbers, corrected for the discretisation error, mm and mN; `jacobian` (k, size): derivative of the corrected
+    prediction by x, mm and mN; `residual` (size,): measured minus predicted, whitened by the noise alone; 0 where
+    nothing was measured; `objective`: minimum of half the squared residual (whitened by noise and nuisances) plus half
+    the squared distance of x from its prior mean in prior deviations, nats; `log_evidence`: logarithm of the evidence
+    in nats, up to a constant that is the same for all fits to the same data; `choices`: number of discrete hypotheses
+    among which these causes were chosen.
+    """
+
+    mean: FloatArray
+    deviation: FloatArray
+    prediction: FloatArray
+    jacobian: FloatArray
+    residual: FloatArray
+    objective: float
+    log_evidence: float
+    choices: int = 1
+
     def young(self, believed: float) -> float:
         """Return the fitted modulus in kPa; `believed`: believed modulus, kPa."""
         return believed * float(np.exp(self.x[0]))
 
     def effects(self, believed: float) -> tuple[Effect, ...]:
         """Return the effects of all causes at the fitted parameters; `believed`: believed modulus, kPa."""
-        young = self.young(believed)
-        return tuple(
-            effect
-            for part, mine in zip(self.parts, self.slices(), strict=True)
-            for effect in part.free_parameters.effects(self.x[mine], young)
-        )
+        return self.effects_at(self.x, self.young(believed))
 
     def values(self, number: int, believed: float) -> tuple[Values, Values]:
         """Return the physical parameters of one cause and their standard deviations, both by key.
@@ -228,6 +239,7 @@ def fit(
     return Fit(
         solver.parts,
         x,
+        covariance,
         solver.mean,
         solver.deviation,
         prediction,
@@ -235,7 +247,6 @@ def fit(
         residual,
         objective,
         log_evidence,
-        covariance,
         choices,
     )
 

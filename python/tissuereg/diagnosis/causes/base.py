@@ -8,14 +8,16 @@ normal priors, from which the effects of a simulation and the parameters of the 
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
 
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.bench import Bench
+from tissuereg.diagnosis.causes.scene import Scene
 from tissuereg.experiment.effects import EFFECTS, ChainEffect, Effect
+from tissuereg.experiment.effects.elastic import OtherLaw
 
 #: Physical parameters as in an answer: numbers, lists of numbers, names.
 Values = dict[str, Any]
@@ -52,7 +54,8 @@ class FreeParameters:
     quotients; `columns` (k, size): linear change of all measured numbers by a unit of every parameter, mm and mN, used
     in fits instead of simulations where those would change in jumps on the user's mesh; `between`: takes the same as
     `effects`; returns pairs of a weight and effects, whose predictions are averaged in fits where a simulation would
-    jump from one to the other on the user's mesh; `starts` (n, k): further n first guesses.
+    jump from one to the other on the user's mesh; `starts` (n, k): further n first guesses; `label`: name among the
+    forms that a cause has in curves.
     """
 
     start: FloatArray
@@ -64,6 +67,12 @@ class FreeParameters:
     columns: FloatArray | None = None
     between: Callable[[FloatArray, float], Mixture] | None = None
     starts: FloatArray | None = None
+    label: str = ""
+
+    @property
+    def guesses(self) -> list[FloatArray]:
+        """All first guesses, each (k,)."""
+        return [self.start, *([] if self.starts is None else self.starts)]
 
     def mixture(self, x: FloatArray, young: float) -> Mixture:
         """Return pairs of a weight and a tuple of effects whose predictions are averaged at given parameters.
@@ -107,6 +116,11 @@ class Cause(ABC):
             raise TypeError(message)
 
     @property
+    def is_law(self) -> bool:
+        """Whether it puts another law in place of the believed one, so that it excludes others that do."""
+        return issubclass(EFFECTS[self.id], OtherLaw)
+
+    @property
     def closed_form(self) -> bool:
         """Whether it is an error of the tracker, whose change is a closed form: computed at each call, never cached."""
         return issubclass(EFFECTS[self.id], ChainEffect)
@@ -132,6 +146,13 @@ class Cause(ABC):
 
         `bench`: the believed model; `variant`: hypothesis that was screened. Result: hypotheses with other discrete
         choices; none by default.
+        """
+        return ()
+
+    def in_curves(self, scene: Scene) -> Sequence[FreeParameters]:
+        """Return the forms, formulas with free parameters, in which stress curves can show it; none by default.
+
+        `scene`: what the curves can show.
         """
         return ()
 
@@ -175,6 +196,23 @@ def free_parameters(
     return FreeParameters(start, mean, deviation, effects, values or stated, step)
 
 
+def curve_form(
+    label: str,
+    prior: Sequence[tuple[float, float]],
+    effect: Callable[[FloatArray], Effect],
+    starts: Sequence[tuple[float, ...]] = (),
+) -> FreeParameters:
+    """Return a form of a cause in curves, with k free parameters.
+
+    `label`: its name; `prior`: k pairs of prior mean and standard deviation; `effect`: function of the parameters (k,),
+    which returns the change of the law; `starts`: first guesses; by default the prior mean.
+    """
+    guesses = np.array(starts or [tuple(mean for mean, _ in prior)], np.float64)
+    coordinates = [(first, *one, 0.05 * one[1]) for first, one in zip(guesses[0], prior, strict=True)]
+    made = free_parameters(coordinates, lambda x, young: (effect(x),))
+    return replace(made, starts=guesses[1:], label=label)
+
+
 def three(vector: FloatArray | Sequence[float]) -> tuple[float, float, float]:
     """Return a vector, shape (3,), as a tuple of three Python floats in the same unit."""
     x, y, z = (float(v) for v in vector)
@@ -184,6 +222,16 @@ def three(vector: FloatArray | Sequence[float]) -> tuple[float, float, float]:
 def logistic(x: float) -> float:
     """Return 1 / (1 + exp(-x))."""
     return float(1.0 / (1.0 + np.exp(-x)))
+
+
+def inner_share(x: float) -> float:
+    """Return the logistic function of x, kept within (0, 1) by a margin of 1e-6."""
+    return float(1e-6 + (1.0 - 2e-6) / (1.0 + np.exp(-np.clip(x, -40.0, 40.0))))
+
+
+def exponential(x: float) -> float:
+    """Return exp(x) with x clipped to [-40, 40], so that the result is finite."""
+    return float(np.exp(np.clip(x, -40.0, 40.0)))
 
 
 def logit(p: float, edge: float = 0.02) -> float:

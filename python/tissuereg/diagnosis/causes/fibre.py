@@ -1,7 +1,7 @@
 """Fibre reinforcement: one family of fibres that stiffens the body along one direction."""
 
 import itertools
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -9,7 +9,17 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.bench import Bench
-from tissuereg.diagnosis.causes.base import Cause, FreeParameters, Values, Variant, free_parameters, three
+from tissuereg.diagnosis.causes.base import (
+    Cause,
+    FreeParameters,
+    Values,
+    Variant,
+    curve_form,
+    exponential,
+    free_parameters,
+    three,
+)
+from tissuereg.diagnosis.causes.scene import Scene
 from tissuereg.experiment.effects import Effect, Fibre
 
 
@@ -56,11 +66,25 @@ class FibreCause(Cause):
             lambda x, young: {"k1_over_mu": float(np.exp(x[0])), "k2": 1.0, "direction": direction(x).tolist()},
         )
 
+    def in_curves(self, scene: Scene) -> Sequence[FreeParameters]:
+        """Return fibres along the pull, which is the x axis, and across it: logarithms of stiffness and stiffening.
+
+        One mode alone cannot distinguish fibres from a stiffer law; there is none then.
+        """
+
+        def along(towards: tuple[float, float, float]) -> Callable[[FloatArray], Fibre]:
+            return lambda x: Fibre(
+                k1_over_mu=exponential(float(x[0])), k2=exponential(min(float(x[1]), 6.0)), direction=towards
+            )
+
+        ways = {"along the pull": (1.0, 0.0, 0.0), "across the pull": (0.0, 1.0, 0.0)} if len(scene.modes) > 1 else {}
+        return [curve_form(label, [(0.0, 1.5), (0.0, 1.5)], along(way)) for label, way in ways.items()]
+
     def sentence(self, values: Values) -> str:
         """Return the finding as a sentence; `values` has the fitted `direction` (3,) and `k1_over_mu`."""
-        along = values["direction"]
-        axis = ", ".join(f"{x:.2f}" for x in along)
-        return f"Fibres along ({axis}) stiffen the body, with {values['k1_over_mu']:.2g} times its shear modulus."
+        axis = ", ".join(f"{x:.2f}" for x in values["direction"])
+        times = f"{values['k1_over_mu']:.2g} times the shear modulus"
+        return f"Fibres along ({axis}) carry load when they lengthen, with {times}."
 
 
 def _effect(size: float, direction: FloatArray) -> Effect:

@@ -7,17 +7,31 @@ too.
 """
 
 from abc import abstractmethod
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray
-from tissuereg.body.laws import main_key, shape_of
+from tissuereg.body.laws import DECLARED, main_key, shape_of
 from tissuereg.diagnosis.bench import Bench
-from tissuereg.diagnosis.causes.base import Cause, FreeParameters, Values, Variant, free_parameters, logistic, logit
+from tissuereg.diagnosis.causes.base import (
+    Cause,
+    FreeParameters,
+    Values,
+    Variant,
+    curve_form,
+    exponential,
+    free_parameters,
+    inner_share,
+    logistic,
+    logit,
+)
+from tissuereg.diagnosis.causes.scene import Scene
+from tissuereg.diagnosis.settings import MaterialSettings
 from tissuereg.experiment.effects import Asymmetry, Effect, Mooney, Stiffening
+from tissuereg.experiment.effects.elastic import OtherLaw
 
 
 @dataclass(frozen=True)
@@ -91,6 +105,15 @@ class MooneyCause(LawCause):
             lambda x, young: {"law": MOONEY, main_key(MOONEY): logistic(x[0]), "volumetric": form},
         )
 
+    def in_curves(self, scene: Scene) -> Sequence[FreeParameters]:
+        """Return one form: the logit of the share; none in simple shear, where both invariants are equal."""
+
+        def effect(x: FloatArray) -> Mooney:
+            return Mooney(law=MOONEY, **shape_of(MOONEY, inner_share(float(x[0]))))
+
+        sheared = scene.modes == ("simple-shear",)
+        return [] if sheared else [curve_form(MOONEY, [(0.0, 1.5)], effect, [(-1.5,), (1.5,)])]
+
     def sentence(self, values: Values) -> str:
         """Return the finding as a sentence; `values` has the fitted share of the second invariant."""
         return f"A share of {values[main_key(MOONEY)]:.2g} of the energy follows the second invariant (Mooney-Rivlin)."
@@ -151,14 +174,20 @@ class AsymmetryCause(LawCause):
         """
         return () if variant.settings["law"] == "bimodular" else super().alternatives(bench, variant)
 
+    def in_curves(self, scene: Scene) -> Sequence[FreeParameters]:
+        """Return Ogden's laws of one and two terms; none unless tension and compression were both tested."""
+        return _ogden(Asymmetry, scene.settings) if scene.two_sided else []
+
     def sentence(self, values: Values) -> str:
         """Return the finding as a sentence; `values` has the fitted shape of Ogden's or a bimodular `law`."""
         if values["law"] == "bimodular":
             factor = 1.0 + values[main_key("bimodular")]
-            return f"Stretched directions of the body have {factor:.3g} times the stiffness of compressed ones."
+            return f"Stretched directions have {factor:.3g} times the stiffness of compressed ones."
+        if len(values["alpha"]) > 1:
+            return f"Tension and compression differ as in an Ogden law ({_shape_words(values)})."
         exponent = values["alpha"][0]
         side = "compression" if exponent < 0 else "tension"
-        return f"The body is stiffer in {side} than the believed law (Ogden's exponent {exponent:.3g})."
+        return f"The material is stiffer in {side} than the believed law (Ogden's exponent {exponent:.3g})."
 
 
 #: Laws by which a body stiffens with strain, which are tried in material tests, and values of their first shape
@@ -197,11 +226,67 @@ class StiffeningCause(LawCause):
             lambda x, young: {"law": law, main_key(law): _shape(x, self.largest), "volumetric": form},
         )
 
+    def in_curves(self, scene: Scene) -> Sequence[FreeParameters]:
+        """Return a form of each law that is tried in curves; Ogden's too where pull or push alone was tested.
+
+        An exponent then says no more than how the tangent changes.
+        """
+        found = [
+            (_by_rate if len(DECLARED[law].shape) == 1 else _by_ratios)(law, scene.invariant) for law in STIFFENING
+        ]
+        return found if scene.two_sided else [*found, *_ogden(Stiffening, scene.settings)]
+
     def sentence(self, values: Values) -> str:
-        """Return the finding as a sentence; `values` has the fitted shape parameter of the `law`."""
-        key = main_key(str(values["law"]))
-        return f"The body stiffens with strain ({key} = {values[key]:.3g}): large pushes meet more than is believed."
+        """Return the finding as a sentence; `values` has the fitted shape parameters of the `law`."""
+        return f"The modulus changes with strain, as in a law of the kind {values['law']} ({_shape_words(values)})."
 
 
 def _shape(x: FloatArray, largest: float) -> float:
     return float(np.exp(min(x[0], largest)))
+
+
+def _shape_words(values: Values) -> str:
+    def text(value: float | list[float]) -> str:
+        return ", ".join(f"{v:.3g}" for v in value) if isinstance(value, list) else f"{value:.3g}"
+
+    return "; ".join(f"{key} {text(value)}" for key, value in values.items() if key not in ("id", "law", "volumetric"))
+
+
+def _by_rate(law: str, invariant: float) -> FreeParameters:
+    """Return the form of a law with one rate of stiffening; its prior median matters at the `invariant` (I1 - 3)."""
+
+    def effect(x: FloatArray) -> Stiffening:
+        return Stiffening(law=law, **shape_of(law, exponential(float(x[0]))))
+
+    return curve_form(law, [(float(np.log(0.5 / invariant)), 1.5)], effect)
+
+
+def _by_ratios(law: str, invariant: float) -> FreeParameters:
+    """Return the form of a law with two ratios of coefficients, of either sign, fitted times powers of `invariant`."""
+
+    def effect(x: FloatArray) -> Stiffening:
+        return Stiffening(law=law, **shape_of(law, float(x[0]) / invariant, float(x[1]) / invariant**2))
+
+    return curve_form(law, [(0.0, 3.0), (0.0, 3.0)], effect, [(0.5, 0.1), (-0.3, 1.0)])
+
+
+def _ogden(kind: type[OtherLaw], settings: MaterialSettings) -> list[FreeParameters]:
+    """Return Ogden's laws of one and two terms, as effects of a kind."""
+    largest = settings.largest_alpha
+
+    def effect(x: FloatArray) -> OtherLaw:
+        # Exponents within +- `largest` and not zero, where the law is a logarithm.
+        alphas = [min(max(float(value), -largest), largest) for value in (x[:1] if len(x) == 1 else x[:2])]
+        first = 1.0 if len(x) == 1 else inner_share(float(x[2]))
+        return kind(
+            law="ogden",
+            alpha=tuple(alpha if abs(alpha) > 1e-3 else 1e-3 for alpha in alphas),
+            weight=(first, 1.0 - first)[: len(alphas)],
+        )
+
+    prior = [(0.0, settings.alpha_spread)]
+    two = [(-20.0, 5.0, 0.0), (8.0, -3.0, 0.0), (-10.0, 18.0, 0.0), (1.5, 12.0, 2.0)]
+    return [
+        curve_form("ogden", prior, effect, [(-20.0,), (-6.0,), (6.0,), (15.0,)]),
+        curve_form("ogden-2", [*prior, *prior, (0.0, 1.5)], effect, two),
+    ]

@@ -1,6 +1,6 @@
 """Viscosity: a stress proportional to the rate of strain."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -8,7 +8,16 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.bench import Bench
-from tissuereg.diagnosis.causes.base import Cause, FreeParameters, Values, Variant, free_parameters
+from tissuereg.diagnosis.causes.base import (
+    Cause,
+    FreeParameters,
+    Values,
+    Variant,
+    curve_form,
+    exponential,
+    free_parameters,
+)
+from tissuereg.diagnosis.causes.scene import Scene
 from tissuereg.experiment.effects import Rate
 
 
@@ -37,6 +46,13 @@ class RateCause(Cause):
             lambda x, young: (Rate(viscosity_kpa_s=float(np.exp(x[0])) * young),),
         )
 
+    def in_curves(self, scene: Scene) -> Sequence[FreeParameters]:
+        """Return one form: the logarithm of the viscosity in kPa s; none where curves cannot show effects of time."""
+        if not (scene.timed and scene.paced and scene.fastest > 0):
+            return []
+        likely = float(np.log(0.1 * scene.peak / (3.0 * scene.fastest)))
+        return [curve_form("viscosity", [(likely, 2.0)], lambda x: Rate(viscosity_kpa_s=exponential(float(x[0]))))]
+
     def sentence(self, values: Values) -> str:
         """Return the finding as a sentence; `values` has the fitted `viscosity_kpa_s`."""
-        return f"The body resists fast motion: a viscosity of {values['viscosity_kpa_s']:.2g} kPa s."
+        return f"The stress grows with the rate of strain: a viscosity of {values['viscosity_kpa_s']:.2g} kPa s."

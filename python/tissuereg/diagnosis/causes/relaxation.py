@@ -1,6 +1,6 @@
 """Stress relaxation with one time constant."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -8,7 +8,17 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.bench import Bench
-from tissuereg.diagnosis.causes.base import Cause, FreeParameters, Values, Variant, free_parameters, logistic, logit
+from tissuereg.diagnosis.causes.base import (
+    Cause,
+    FreeParameters,
+    Values,
+    Variant,
+    curve_form,
+    free_parameters,
+    logistic,
+    logit,
+)
+from tissuereg.diagnosis.causes.scene import Scene
 from tissuereg.experiment.effects import Relaxation
 
 
@@ -62,7 +72,36 @@ class RelaxationCause(Cause):
             effect,
         )
 
+    def in_curves(self, scene: Scene) -> Sequence[FreeParameters]:
+        """Return a Prony series of each number of terms: their shares, and logarithms of their times in s.
+
+        There is none where the curves cannot show effects of time.
+        """
+        if not (scene.timed and scene.paced and scene.longest_s > scene.shortest_s):
+            return []
+        low, high = float(np.log(scene.shortest_s)), float(np.log(scene.longest_s))
+        found = []
+        for n in range(1, scene.settings.most_terms + 1):
+            # Prior means of the time constants are spread evenly over the decades that the test resolves.
+            times = low + (high - low) * (np.arange(n) + 0.5) / n
+            spread = (high - low) / (2.0 * n) + 0.3
+            found.append(curve_form(f"prony-{n}", [(-0.7, 1.5)] * n + [(float(t), spread) for t in times], _series))
+        return found
+
     def sentence(self, values: Values) -> str:
-        """Return the finding as a sentence; `values` has the fitted share `g` (1,) and time constant `tau_s` (1,)."""
-        share, tau = values["g"], values["tau_s"]
-        return f"Stress relaxes: {100.0 * share[0]:.0f} % of it, with a time constant of {tau[0]:.2g} s."
+        """Return the finding as a sentence; `values` has the fitted shares `g` and times `tau_s` (n_terms,)."""
+        terms = ", ".join(
+            f"{100.0 * share:.0f} % of it with a time constant of {tau:.2g} s"
+            for share, tau in zip(values["g"], values["tau_s"], strict=True)
+        )
+        return f"Stress relaxes: {terms}."
+
+
+def _series(x: FloatArray) -> Relaxation:
+    """Return the Prony series of parameters (2 n_terms,): of its shares, then of its times."""
+    n = len(x) // 2
+    shares = np.exp(np.clip(x[:n], -30.0, 30.0))
+    shares = np.maximum(shares / (1.0 + shares.sum()), 1e-12)
+    times = np.exp(np.clip(x[n:], -30.0, 30.0))
+    order = np.argsort(times)
+    return Relaxation(g=tuple(shares[order].tolist()), tau_s=tuple(times[order].tolist()))

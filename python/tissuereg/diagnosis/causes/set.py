@@ -1,12 +1,23 @@
 """Permanent set: a share of the largest strain remains after unloading."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.bench import Bench
-from tissuereg.diagnosis.causes.base import Cause, FreeParameters, Values, Variant, free_parameters, logistic, logit
+from tissuereg.diagnosis.causes.base import (
+    Cause,
+    FreeParameters,
+    Values,
+    Variant,
+    curve_form,
+    free_parameters,
+    inner_share,
+    logistic,
+    logit,
+)
+from tissuereg.diagnosis.causes.scene import Scene
 from tissuereg.experiment.effects import Set
 
 
@@ -31,7 +42,11 @@ class SetCause(Cause):
             lambda x, young: (Set(fraction=logistic(x[0])),),
         )
 
+    def in_curves(self, scene: Scene) -> Sequence[FreeParameters]:
+        """Return one form: the logit of the share of the largest strain that remains; none without unloading."""
+        effect = curve_form("set", [(-2.5, 1.2)], lambda x: Set(fraction=inner_share(float(x[0]))))
+        return [effect] if scene.unloaded else []
+
     def sentence(self, values: Values) -> str:
         """Return the finding as a sentence; `values` has the fitted `fraction` of the strain that remains."""
-        share = values["fraction"]
-        return f"The body does not return to its shape: {100 * share:.1f} % of its largest strain remains."
+        return f"A share of {100 * values['fraction']:.1f} % of the largest strain so far remains after unloading."

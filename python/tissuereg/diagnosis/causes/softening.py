@@ -1,6 +1,6 @@
 """Softening by the first large load: the Mullins effect, or damage."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -8,7 +8,16 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.bench import Bench
-from tissuereg.diagnosis.causes.base import Cause, FreeParameters, Values, Variant, free_parameters
+from tissuereg.diagnosis.causes.base import (
+    Cause,
+    FreeParameters,
+    Values,
+    Variant,
+    curve_form,
+    exponential,
+    free_parameters,
+)
+from tissuereg.diagnosis.causes.scene import Scene
 from tissuereg.experiment.effects import Softening
 
 
@@ -68,8 +77,18 @@ class SofteningCause(Cause):
             effect,
         )
 
+    def in_curves(self, scene: Scene) -> Sequence[FreeParameters]:
+        """Return one form, the Mullins effect: logarithms of r - 1 and of m in kPa; none without unloading."""
+        if not scene.unloaded:
+            return []
+
+        def effect(x: FloatArray) -> Softening:
+            return Softening(r=1.0 + exponential(float(x[0])), m_kpa=exponential(float(x[1])))
+
+        return [curve_form("ogden-roxburgh", [(0.0, 1.5), (float(np.log(0.3 * scene.peak_energy)), 1.5)], effect)]
+
     def sentence(self, values: Values) -> str:
         """Return the finding as a sentence; `values` has the fitted `r` (dimensionless) and its `form`."""
         if values["form"] == "damage":
-            return f"The body is damaged and softens while it is first loaded (r = {values['r']:.2g})."
-        return f"The first large load softens the body permanently (Mullins effect, r = {values['r']:.2g})."
+            return f"Damage softens the material while it is first loaded (r = {values['r']:.2g})."
+        return f"The first large load softens the material permanently (Mullins effect, r = {values['r']:.2g})."

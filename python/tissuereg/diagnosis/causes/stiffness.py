@@ -1,14 +1,25 @@
 """Moduli: the whole body is stiffer or softer (Young), or more or less compressible (Poisson), than believed."""
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.bench import Bench
-from tissuereg.diagnosis.causes.base import Cause, FreeParameters, Values, Variant, free_parameters, logistic, logit
+from tissuereg.diagnosis.causes.base import (
+    Cause,
+    FreeParameters,
+    Values,
+    Variant,
+    curve_form,
+    free_parameters,
+    inner_share,
+    logistic,
+    logit,
+)
+from tissuereg.diagnosis.causes.scene import Scene
 from tissuereg.experiment.effects import Poisson, Stiffness
 from tissuereg.simulation.sensitivity import Parameter
 
@@ -35,9 +46,13 @@ class StiffnessCause(Cause):
             lambda x, young: (Stiffness(young_kpa=young * float(np.exp(x[0]))),),
         )
 
+    def in_curves(self, scene: Scene) -> Sequence[FreeParameters]:
+        """Return one form without parameters of its own: the modulus is the first one of every fit."""
+        return [replace(free_parameters([], lambda x, young: (Stiffness(young_kpa=young),)), label="young")]
+
     def sentence(self, values: Values) -> str:
         """Return the finding as a sentence; `values` has the fitted modulus `young_kpa`."""
-        return f"The body's modulus is {values['young_kpa']:.3g} kPa, far from the believed one."
+        return f"The modulus at small strain is {values['young_kpa']:.3g} kPa, far from the believed one."
 
 
 @dataclass(frozen=True)
@@ -70,9 +85,24 @@ class PoissonCause(Cause):
             lambda x, young: (Poisson(poisson=0.5 * logistic(x[0])),),
         )
 
+    def in_curves(self, scene: Scene) -> Sequence[FreeParameters]:
+        """Return one form: the logit of twice the ratio; none without shear and bars.
+
+        A bar determines E, shear determines E / (1 + nu).
+        """
+        if "simple-shear" not in scene.modes or len(scene.modes) < 2:
+            return []
+        believed = min(max(2.0 * scene.poisson, 0.02), 0.999)
+        mean = float(np.log(believed / (1.0 - believed)))
+
+        def effect(x: FloatArray) -> Poisson:
+            return Poisson(poisson=0.5 * inner_share(min(float(x[0]), 8.0)))
+
+        return [curve_form("poisson", [(mean, 1.5)], effect, [(mean - 1.5,), (mean + 1.0,)])]
+
     def sentence(self, values: Values) -> str:
         """Return the finding as a sentence; `values` has the fitted ratio `poisson`."""
-        return f"The body's compressibility differs from the believed one: Poisson's ratio is {values['poisson']:.3f}."
+        return f"The compressibility differs from the believed one: Poisson's ratio is {values['poisson']:.3f}."
 
 
 def _ratio(bench: Bench) -> float:

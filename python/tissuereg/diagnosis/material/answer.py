@@ -1,7 +1,7 @@
 """The diagnosis of a material test, as a record: findings, errors on held-out data, sentences."""
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -10,10 +10,10 @@ import numpy as np
 
 from tissuereg._base.arrays import BoolArray, FloatArray
 from tissuereg.diagnosis.answer import Diagnosis, Finding, to_check, versions_now
+from tissuereg.diagnosis.causes import CAUSES
 from tissuereg.diagnosis.evidence import rms
 from tissuereg.diagnosis.material.advice import best_test
-from tissuereg.diagnosis.material.causes import CAUSES
-from tissuereg.diagnosis.material.fit import MaterialFit, effects_of, extended
+from tissuereg.diagnosis.material.fit import MaterialFit, extended
 from tissuereg.diagnosis.material.report import material_page
 from tissuereg.diagnosis.material.search import MaterialFinding
 from tissuereg.diagnosis.material.verdict import SelectionOutcome
@@ -84,7 +84,7 @@ def diagnosis_of(experiment: MaterialExperiment, outcome: SelectionOutcome, seed
     """
     refined = outcome.refined
     held_out = _held_out(outcome)
-    parameters = {} if refined is None else parameters_of(refined.fit, outcome.known.ids)
+    parameters = {} if refined is None else parameters_of(refined.fit)
     return MaterialDiagnosis(
         verdict=outcome.verdict,
         findings=tuple(_finding(outcome, one, parameters[one.id], held_out) for one in outcome.findings),
@@ -123,22 +123,22 @@ def _finding(
     )
 
 
-def parameters_of(fit: MaterialFit, ids: Sequence[str]) -> dict[str, dict[str, list[float]]]:
+def parameters_of(fit: MaterialFit) -> dict[str, dict[str, list[float]]]:
     """Return the value and the standard deviation of every parameter of each cause found.
 
-    `fit`: fit of all causes together; `ids`: ids of the causes in the order of its `forms`. Result: by id, then by key
-    of the effect's table; deviations follow from the fit's covariance by linear propagation.
+    `fit`: fit of all causes together. Result: by id, then by key of the effect's table; deviations follow from the
+    fit's covariance by linear propagation.
     """
     plain = [_numbers(effect) for effect in fit.effects]
     columns: list[list[FloatArray]] = [[] for _ in plain]
     for i, std in enumerate(np.sqrt(np.diag(fit.covariance))):
         moved = fit.x.copy()
         moved[i] += 1e-3 * std
-        for column, before, effect in zip(columns, plain, effects_of(fit.forms, moved), strict=True):
+        for column, before, effect in zip(columns, plain, fit.effects_at(moved, float(np.exp(moved[0]))), strict=True):
             after = _numbers(effect)
             column.append(np.array([(after[key] - before[key]) / (1e-3 * std) for key in before]))
     parameters = {}
-    for id, before, column in zip(ids, plain, columns, strict=True):
+    for id, before, column in zip(fit.ids, plain, columns, strict=True):
         slopes = np.stack(column, axis=1)
         spread = np.sqrt(np.einsum("pi,ij,pj->p", slopes, fit.covariance, slopes))
         parameters[id] = {key: [value, float(s)] for (key, value), s in zip(before.items(), spread, strict=True)}
@@ -219,8 +219,7 @@ def _sentence(outcome: SelectionOutcome, finding: MaterialFinding) -> str:
     assert outcome.refined is not None  # there is a finding
     fit = outcome.refined.fit
     effect = fit.effects[outcome.known.ids.index(finding.id)]
-    table: Mapping[str, object] = effect.table()
-    sentence = CAUSES[finding.id].sentence(table)
+    sentence = CAUSES[finding.id].sentence(effect.table())
     if isinstance(effect, Relaxation):
         sentence += f" Instantaneous Young's modulus: {np.exp(fit.x[0]):.3g} kPa."
     if len(finding.group) > 1:

@@ -11,8 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray
-from tissuereg.diagnosis.evidence import slices_of
-from tissuereg.diagnosis.material.causes import Form
+from tissuereg.diagnosis.fit import FittedCause, FittedModel
 from tissuereg.diagnosis.material.data import Data
 from tissuereg.diagnosis.material.model import Model
 from tissuereg.diagnosis.material.noise import Weights
@@ -41,84 +40,67 @@ class FitProblem:
     young_std: float
     settings: DiagnoseSettings = DEFAULT
 
-    def model(self, forms: Sequence[Form], x: FloatArray) -> Model:
-        """Return the believed model with causes in the given forms, at the parameters `x`.
+    def model(self, parts: Sequence[FittedCause], x: FloatArray) -> Model:
+        """Return the believed model with causes, each in one form, at the parameters `x`.
 
-        `x` (n,): the logarithm of Young's modulus in kPa, then the parameters of every form.
+        `x` (n,): the logarithm of Young's modulus in kPa, then the parameters of every cause.
         """
-        model = self.base.with_young(float(np.exp(np.clip(x[0], -30.0, 30.0))))
-        return model.with_effects(one for one in effects_of(forms, x) if not isinstance(one, Stiffness))
+        fitted = FittedModel(tuple(parts), x, np.zeros((0, 0)))
+        young = float(np.exp(np.clip(x[0], -30.0, 30.0)))
+        effects = fitted.effects_at(x, young)
+        return self.base.with_young(young).with_effects(one for one in effects if not isinstance(one, Stiffness))
 
 
 @dataclass(frozen=True, eq=False)
-class MaterialFit:
-    """A fitted hypothesis: the believed law with some causes, each in one form (formula of a law or effect).
+class MaterialFit(FittedModel):
+    """The believed law with some causes, each in one form (formula of a law or effect), fitted to curves.
 
-    `forms`: forms of its causes; `x` (n,): logarithm of Young's modulus in kPa, then the parameters of each form;
-    `covariance` (n, n): of `x`, from the curvature; valid if form and noise model are correct (`refine.stated` gives
-    the one that is reported); `share`: size of the generic misfit (a smooth Gaussian process) in its covariance, over
-    the stress; 0 for none; `evidence`: log evidence, up to a constant that all hypotheses have in common;
-    `log_posterior`: log posterior density at `x`: the log evidence without Occam's factor; `model`: the model at `x`.
+    The first of its parameters is the logarithm of Young's modulus in kPa; its covariance is valid if form and noise
+    model are correct (`refine.stated` gives the one that is reported). `share`: size of the generic misfit (a smooth
+    Gaussian process) in its covariance, over the stress; 0 for none; `evidence`: log evidence, up to a constant that
+    all hypotheses have in common; `log_posterior`: log posterior density at `x`: the log evidence without Occam's
+    factor; `model`: the model at `x`.
     """
 
-    forms: tuple[Form, ...]
-    x: FloatArray
-    covariance: FloatArray
     share: float
     evidence: float
     log_posterior: float
     model: Model
 
     @property
-    def effects(self) -> list[Effect]:
-        """Effects (changes of the believed model) at the fitted parameters, one for each form, in their order."""
-        return effects_of(self.forms, self.x)
-
-    @property
-    def slices(self) -> list[slice]:
-        """For every form the slice of `x` that holds its parameters."""
-        return slices_of(len(form.mean) for form in self.forms)
+    def effects(self) -> tuple[Effect, ...]:
+        """Effects (changes of the believed model) at the fitted parameters, one for each cause, in their order."""
+        return self.effects_at(self.x, float(np.exp(self.x[0])))
 
 
-def effects_of(forms: Sequence[Form], x: FloatArray) -> list[Effect]:
-    """Return the effects (changes of the believed model) at the parameters `x`, one for each form.
-
-    `x` (n,): the logarithm of Young's modulus in kPa, then the parameters of each form.
-    """
-    return [
-        Stiffness(young_kpa=float(np.exp(x[0]))) if form.effect is None else form.effect(x[mine])
-        for form, mine in zip(forms, slices_of(len(form.mean) for form in forms), strict=True)
-    ]
+def prior_of(problem: FitProblem, parts: Sequence[FittedCause]) -> tuple[FloatArray, FloatArray]:
+    """Return prior mean and standard deviation, each (n,), of the log modulus (kPa) and each cause's parameters."""
+    wide = any(part.id == "stiffness" for part in parts)
+    of_young = problem.settings.material.wide_young if wide else problem.young_std
+    mean = np.concatenate([[problem.young_log], *(part.free_parameters.mean for part in parts)])
+    return mean, np.concatenate([[of_young], *(part.free_parameters.deviation for part in parts)])
 
 
-def prior_of(problem: FitProblem, forms: Sequence[Form]) -> tuple[FloatArray, FloatArray]:
-    """Return prior mean and standard deviation, each (n,), of the log modulus (kPa) and each form's parameters."""
-    wide = any(form.effect is None for form in forms)
-    mean = np.concatenate([[problem.young_log], *(form.mean for form in forms)])
-    std = np.concatenate(
-        [[problem.settings.material.wide_young if wide else problem.young_std], *(form.std for form in forms)]
-    )
-    return mean, std
-
-
-def fitted(problem: FitProblem, forms: Sequence[Form], starts: Sequence[FloatArray], share: float = 0.0) -> MaterialFit:
+def fitted(
+    problem: FitProblem, parts: Sequence[FittedCause], starts: Sequence[FloatArray], share: float = 0.0
+) -> MaterialFit:
     """Return the fit of a hypothesis, the best from several starts.
 
-    `problem`: data, weights and believed model; `forms`: forms of its causes; `starts`: first guesses, each (n,);
+    `problem`: data, weights and believed model; `parts`: its causes; `starts`: first guesses, each (n,);
     `share`: size of the generic misfit in its covariance, over the stress; 0 for none. Result: the fit with the largest
     log posterior.
     """
-    ends = [_descent(problem, forms, start, share) for start in starts]
+    ends = [_descent(problem, parts, start, share) for start in starts]
     return max(ends, key=lambda fit: fit.log_posterior)
 
 
-def _descent(problem: FitProblem, forms: Sequence[Form], start: FloatArray, share: float) -> MaterialFit:
-    mean, std = prior_of(problem, forms)
+def _descent(problem: FitProblem, parts: Sequence[FittedCause], start: FloatArray, share: float) -> MaterialFit:
+    mean, std = prior_of(problem, parts)
     measured = problem.data.stress
 
     def residuals(z: FloatArray) -> FloatArray:
         try:
-            modelled = problem.data.modelled(problem.model(forms, mean + std * z))
+            modelled = problem.data.modelled(problem.model(parts, mean + std * z))
         except TissueRegError:
             modelled = np.full(len(measured), np.nan)
         if not np.isfinite(modelled).all():
@@ -135,8 +117,8 @@ def _descent(problem: FitProblem, forms: Sequence[Form], start: FloatArray, shar
     rounding = 1e-13 * float(np.trace(curvature)) * np.eye(len(z))
     covariance = std[:, None] * np.linalg.inv(curvature + rounding) * std[None, :]
     x = mean + std * z
-    model = problem.model(forms, x)
-    return MaterialFit(tuple(forms), x, covariance, share, log_posterior - occam, log_posterior, model)
+    model = problem.model(parts, x)
+    return MaterialFit(tuple(parts), x, covariance, share, log_posterior - occam, log_posterior, model)
 
 
 def _levenberg(residuals: Residuals, z: FloatArray, h: float) -> tuple[FloatArray, FloatArray, FloatArray]:

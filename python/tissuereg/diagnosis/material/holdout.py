@@ -122,11 +122,11 @@ def held_out_errors(bench: ProofInput, fit: MaterialFit, *, patch_share: float |
         if not len(left_out) or len(known) <= len(fit.x):
             continue
         own = bench.fitting[np.ix_(known, known)]
-        if not fit.forms and patch_share is None:
+        if not fit.parts and patch_share is None:
             own = np.diag(np.diag(own))
         weights = weights_of(own, bench.generic[np.ix_(known, known)])
         problem = replace(bench.problem, data=data.part(~fold.held_out), weights=weights)
-        again = fitted(problem, fit.forms, [fit.x], fit.share if patch_share is None else patch_share)
+        again = fitted(problem, fit.parts, [fit.x], fit.share if patch_share is None else patch_share)
         error = data.stress[left_out] - data.part(fold.held_out).modelled(again.model)
         if patch_share is not None:
             residual = problem.data.stress - problem.data.modelled(again.model)

@@ -11,7 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray
-from tissuereg.diagnosis.material.causes import CAUSES, Form
+from tissuereg.diagnosis.causes import CAUSES, FreeParameters
+from tissuereg.diagnosis.fit import FittedCause
 from tissuereg.diagnosis.material.fit import FitProblem, MaterialFit, fitted
 from tissuereg.diagnosis.material.noise import weights_of
 
@@ -55,13 +56,13 @@ def unknown(problem: FitProblem, known: Hypothesis) -> Hypothesis:
     ``unknown``.
     """
     shares = problem.settings.material.misfit_shares
-    fits = [fitted(problem, known.fit.forms, [known.fit.x], share) for share in shares]
+    fits = [fitted(problem, known.fit.parts, [known.fit.x], share) for share in shares]
     best = max(fits, key=lambda fit: fit.evidence)
     evidence = float(np.logaddexp.reduce([fit.evidence for fit in fits])) - math.log(len(shares))
     return Hypothesis((*known.ids, "unknown"), best, evidence)
 
 
-def with_cause(problem: FitProblem, known: Hypothesis, cause: str, forms: Sequence[Form]) -> Hypothesis:
+def with_cause(problem: FitProblem, known: Hypothesis, cause: str, forms: Sequence[FreeParameters]) -> Hypothesis:
     """Return the hypothesis with one more cause, in its best form.
 
     `problem`: data, weights and believed model; `known`: causes found so far; their forms are kept, their parameters
@@ -72,9 +73,9 @@ def with_cause(problem: FitProblem, known: Hypothesis, cause: str, forms: Sequen
     # The fit of a simpler form gives a first guess for a richer one.
     x = known.fit.x
     for form in forms:
-        starts = [np.concatenate([x, start]) for start in form.starts]
+        starts = [np.concatenate([x, start]) for start in form.guesses]
         starts += [np.concatenate([x, *more]) for more in _grown(form, found)]
-        found.append(refitted(problem, (*known.fit.forms, form), starts))
+        found.append(refitted(problem, (*known.fit.parts, FittedCause(cause, form)), starts))
     # Of forms with about the same evidence, that with the fewest parameters.
     highest = max(pair[1] for pair in found)
     as_good = [pair for pair in found if pair[1] >= highest - problem.settings.material.simpler]
@@ -84,32 +85,30 @@ def with_cause(problem: FitProblem, known: Hypothesis, cause: str, forms: Sequen
     return Hypothesis((*known.ids, cause), best[0], evidence, tuple(fit for fit, _ in ordered))
 
 
-def refitted(problem: FitProblem, forms: Sequence[Form], starts: Sequence[FloatArray]) -> tuple[MaterialFit, float]:
+def refitted(
+    problem: FitProblem, parts: Sequence[FittedCause], starts: Sequence[FloatArray]
+) -> tuple[MaterialFit, float]:
     """Return a fit of causes in given forms, with or without a generic misfit, and the log evidence of these forms.
 
-    `problem`: data, weights and believed model; `forms`: forms of the causes; `starts`: first guesses. Result: `fit`:
+    `problem`: data, weights and believed model; `parts`: the causes; `starts`: first guesses. Result: `fit`:
     the likelier of the two; `evidence`: log of the mean evidence with and without the generic misfit, weighted by their
     prior probabilities.
     """
     numbers = problem.settings.material
     none = numbers.no_misfit
-    plain = fitted(problem, forms, starts)
+    plain = fitted(problem, parts, starts)
     share = _likeliest_share(problem, plain)
     small = math.log((1.0 - none) / len(numbers.misfit_shares))
     if share == 0.0:
         return plain, plain.evidence + math.log(none)
-    smooth = fitted(problem, forms, [plain.x], share)
+    smooth = fitted(problem, parts, [plain.x], share)
     evidence = float(np.logaddexp(plain.evidence + math.log(none), smooth.evidence + small))
     return (smooth if smooth.evidence + small > plain.evidence + math.log(none) else plain), evidence
 
 
-def forms_of(cause: str, known: Sequence[str], forms: dict[str, list[Form]]) -> list[Form]:
-    """Return the forms in which a cause is tried beside those found; none where its `slot` is taken by one of those.
-
-    `known`: ids of the causes found; `forms`: forms by cause.
-    """
-    taken = {CAUSES[other].slot for other in known}
-    return [] if CAUSES[cause].slot in taken else forms[cause]
+def excluded(cause: str, known: Sequence[str]) -> bool:
+    """Return whether a cause cannot stand beside those found, given by their ids: it is one, or another law."""
+    return cause in known or (CAUSES[cause].is_law and any(CAUSES[other].is_law for other in known))
 
 
 def _likeliest_share(problem: FitProblem, fit: MaterialFit) -> float:
@@ -124,13 +123,13 @@ def _likeliest_share(problem: FitProblem, fit: MaterialFit) -> float:
     return max((0.0, *shares), key=score)
 
 
-def _grown(form: Form, found: Sequence[tuple[MaterialFit, float]]) -> list[list[FloatArray]]:
+def _grown(form: FreeParameters, found: Sequence[tuple[MaterialFit, float]]) -> list[list[FloatArray]]:
     """Return first guesses for a Prony series from the fitted one with one term less.
 
     `form`: form of the series; `found`: earlier fits with their evidence, the last of which must be that series, else
     the list is empty. A guess has two arrays, each (n_terms,): parameters of the shares, and log times in s.
     """
-    if not found or not form.label.startswith("prony") or not found[-1][0].forms[-1].label.startswith("prony"):
+    if not found or not form.label.startswith("prony"):
         return []
     last = found[-1][0]
     n = len(form.mean) // 2

@@ -5,8 +5,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray
+from tissuereg.diagnosis.causes import FreeParameters
 from tissuereg.diagnosis.evidence import log_bayes_factors
-from tissuereg.diagnosis.material.causes import Form
+from tissuereg.diagnosis.fit import FittedCause
 from tissuereg.diagnosis.material.fit import FitProblem, MaterialFit, prior_of
 from tissuereg.diagnosis.material.noise import Weights
 from tissuereg.diagnosis.settings import MaterialSettings
@@ -16,7 +17,7 @@ from tissuereg.errors import TissueRegError
 def threshold(
     problem: FitProblem,
     known: MaterialFit,
-    forms: Mapping[str, Sequence[Form]],
+    forms: Mapping[str, Sequence[FreeParameters]],
     rng: np.random.Generator,
 ) -> float:
     """Return the log Bayes factor that the best cause exceeds in one of a hundred null experiments.
@@ -31,9 +32,9 @@ def threshold(
     draws = rng.standard_normal((len(problem.data.stress), n_nulls))
     young = _young_column(problem, known)
     best = np.full(n_nulls, -np.inf)
-    for kinds in forms.values():
+    for cause, kinds in forms.items():
         for form in kinds:
-            columns = _columns(problem, known, form)
+            columns = _columns(problem, known, FittedCause(cause, form))
             if columns.size:
                 scores = np.array([log_bayes_factors(draws, np.column_stack([young, c])) for c in columns.T])
                 best = np.maximum(best, np.logaddexp.reduce(scores, axis=0) - np.log(len(scores)))
@@ -73,14 +74,14 @@ def _young_column(problem: FitProblem, known: MaterialFit) -> FloatArray:
     return column
 
 
-def _columns(problem: FitProblem, known: MaterialFit, form: Form) -> FloatArray:
+def _columns(problem: FitProblem, known: MaterialFit, part: FittedCause) -> FloatArray:
     plain = problem.data.modelled(known.model)
     columns = []
-    for start in (*form.starts, tuple(form.mean)):
+    for start in (*part.free_parameters.guesses, part.free_parameters.mean):
         if not len(start):
             continue
         try:
-            changed = problem.data.modelled(problem.model((form,), np.concatenate([known.x, start])))
+            changed = problem.data.modelled(problem.model((part,), np.concatenate([known.x, start])))
         except TissueRegError:
             continue
         if np.isfinite(changed).all():

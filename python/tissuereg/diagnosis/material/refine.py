@@ -26,8 +26,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray
+from tissuereg.diagnosis.causes import CAUSES
 from tissuereg.diagnosis.evidence import rms
-from tissuereg.diagnosis.material.causes import CAUSES
 from tissuereg.diagnosis.material.fit import MaterialFit, fitted, prior_of
 from tissuereg.diagnosis.material.holdout import HeldOutErrors, ProofInput, held_out_errors
 from tissuereg.diagnosis.material.hypothesis import Hypothesis
@@ -62,7 +62,7 @@ def refined(search: MaterialSearch, known: Hypothesis) -> Refined:
         # In a single curve only the noise model separates correlated errors from memory; other laws need none.
         del benches["rows alike" if known.fit.model.remembers else "lasting errors"]
     best = min((_of(bench, known.fit, name) for name, bench in benches.items()), key=lambda r: _error(search, r))
-    for cause in (cause for cause in known.ids if CAUSES[cause].slot == "law"):
+    for cause in (cause for cause in known.ids if CAUSES[cause].is_law):
         best = _best_form(search, replace(known, fit=best.fit), cause, best, benches)
     fit, form_error = stated(benches[best.weighting], best.fit)
     return replace(best, fit=fit, form_error=form_error)
@@ -77,7 +77,7 @@ def _best_form(
 ) -> Refined:
     place, least = known.ids.index(cause), search.bench.problem.settings.material.worth
     for fit in _in_each_form(search, known, cause):
-        if fit.forms[place].label == best.fit.forms[place].label:
+        if fit.parts[place].free_parameters.label == best.fit.parts[place].free_parameters.label:
             continue
         for name, bench in benches.items():
             tried = _of(bench, fit, name)
@@ -96,16 +96,16 @@ def _in_each_form(search: MaterialSearch, known: Hypothesis, cause: str) -> list
 
 
 def _reordered(fit: MaterialFit, order: list[str], wanted: tuple[str, ...]) -> MaterialFit:
-    """Return a fit whose forms and parameters, now in the order of the ids `order`, are in that of the ids `wanted`."""
+    """Return a fit whose causes and parameters, now in the order of the ids `order`, are in that of `wanted`."""
     places = [order.index(id) for id in wanted]
-    index = np.concatenate([[0], *(np.arange(len(fit.x))[fit.slices[place]] for place in places)]).astype(np.int64)
-    forms = tuple(fit.forms[place] for place in places)
-    return replace(fit, forms=forms, x=fit.x[index], covariance=fit.covariance[np.ix_(index, index)])
+    index = np.concatenate([[0], *(np.arange(len(fit.x))[fit.slices()[place]] for place in places)]).astype(np.int64)
+    parts = tuple(fit.parts[place] for place in places)
+    return replace(fit, parts=parts, x=fit.x[index], covariance=fit.covariance[np.ix_(index, index)])
 
 
 def _of(bench: ProofInput, fit: MaterialFit, weighting: str) -> Refined:
     if weighting == "rows alike":
-        fit = fitted(bench.problem, fit.forms, [fit.x])
+        fit = fitted(bench.problem, fit.parts, [fit.x])
     return Refined(fit, held_out_errors(bench, fit), weighting)
 
 
@@ -139,7 +139,7 @@ def stated(bench: ProofInput, fit: MaterialFit) -> tuple[MaterialFit, float]:
     rates or strains can show whether it has one elsewhere.
     """
     data = bench.problem.data
-    _, scale = prior_of(bench.problem, fit.forms)
+    _, scale = prior_of(bench.problem, fit.parts)
     slopes = _slopes(bench, fit, scale)
     weighed = np.linalg.solve(bench.fitting + fit.share**2 * bench.generic, slopes)
     inverse = np.asarray(np.linalg.inv(slopes.T @ weighed + np.eye(len(scale))), np.float64)
@@ -191,6 +191,6 @@ def _slopes(bench: ProofInput, fit: MaterialFit, scale: FloatArray) -> FloatArra
         for sign in (1.0, -1.0):
             moved = fit.x.copy()
             moved[i] += sign * step * unit
-            ends.append(problem.data.modelled(problem.model(fit.forms, moved)))
+            ends.append(problem.data.modelled(problem.model(fit.parts, moved)))
         columns.append((ends[0] - ends[1]) / (2.0 * step))
     return np.stack(columns, axis=1)

@@ -5,17 +5,17 @@ that exceeds the threshold and predicts held-out data better than the model with
 added.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from tissuereg.diagnosis.answer import PossibleCause
+from tissuereg.diagnosis.causes import FreeParameters
 from tissuereg.diagnosis.evidence import probabilities
-from tissuereg.diagnosis.material.causes import Form
 from tissuereg.diagnosis.material.fit import MaterialFit
 from tissuereg.diagnosis.material.holdout import HeldOutErrors, ProofInput, held_out_errors
-from tissuereg.diagnosis.material.hypothesis import Hypothesis, forms_of, refitted, unknown, with_cause
+from tissuereg.diagnosis.material.hypothesis import Hypothesis, excluded, refitted, unknown, with_cause
 from tissuereg.diagnosis.selection import selected
 from tissuereg.experiment.effects.history import Relaxation
 
@@ -82,7 +82,7 @@ class MaterialSearch:
 
     bench: ProofInput
     none: Hypothesis
-    forms: dict[str, list[Form]]
+    forms: dict[str, Sequence[FreeParameters]]
     threshold: float
     progress: Progress
     #: The race of single causes against the believed model, for the answer.
@@ -133,19 +133,15 @@ class MaterialSearch:
         `known`: hypothesis with the causes found before; `skipped`: ids of causes that are not tried. The generic
         misfit is a smooth Gaussian process.
         """
-        causes = [id for id in self.forms if id not in known.ids and id not in skipped]
-        found = []
-        for cause in causes:
-            forms = forms_of(cause, known.ids, self.forms)
-            if forms:
-                found.append(self._with(known, cause, forms))
+        causes = [id for id in self.forms if id not in skipped and not excluded(id, known.ids)]
+        found = [self._with(known, cause) for cause in causes]
         found.sort(key=lambda hypothesis: -hypothesis.evidence)
         return found, unknown(self.bench.problem, known)
 
-    def _with(self, known: Hypothesis, cause: str, forms: list[Form]) -> Hypothesis:
-        key = (known.ids, tuple(form.label for form in known.fit.forms), cause)
+    def _with(self, known: Hypothesis, cause: str) -> Hypothesis:
+        key = (known.ids, tuple(part.free_parameters.label for part in known.fit.parts), cause)
         if key not in self._tried:
-            self._tried[key] = with_cause(self.bench.problem, known, cause, forms)
+            self._tried[key] = with_cause(self.bench.problem, known, cause, self.forms[cause])
         return self._tried[key]
 
     def in_forms(self, rest: Hypothesis, cause: str) -> tuple[MaterialFit, ...]:
@@ -153,7 +149,7 @@ class MaterialSearch:
 
         `rest`: hypothesis without that cause; `cause`: its id.
         """
-        return self._with(rest, cause, self.forms[cause]).forms
+        return self._with(rest, cause).forms
 
     def _step(self, known: Hypothesis) -> Hypothesis | None:
         self.progress(f"fits of all causes given {', '.join(known.ids) or 'none'}")
@@ -257,8 +253,8 @@ class MaterialSearch:
         if not kept:
             return self.none
         fit = known.fit
-        start = np.concatenate([fit.x[:1], *(fit.x[fit.slices[place]] for place in kept)])
-        fit, evidence = refitted(self.bench.problem, [fit.forms[place] for place in kept], [start])
+        start = np.concatenate([fit.x[:1], *(fit.x[fit.slices()[place]] for place in kept)])
+        fit, evidence = refitted(self.bench.problem, [fit.parts[place] for place in kept], [start])
         return Hypothesis(tuple(known.ids[place] for place in kept), fit, evidence)
 
     def finding(self, known: Hypothesis, cause: str) -> MaterialFinding:
