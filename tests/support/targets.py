@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from support.rigs import rig
+from tissuereg.diagnosis.answer import Finding
 from tissuereg.diagnosis.bench import Bench
 from tissuereg.diagnosis.causes import CAUSES
 from tissuereg.diagnosis.correction import Correction
@@ -61,3 +62,10 @@ def screen_of(target, names, null=None):
     bank = {name: list(CAUSES[name].variants(target.bench)) for name in names}
     layout = target.bench.layout
     return Screen(bank, np.zeros((1, 1, layout.size)), target.noise, layout, target.correction, null or target.null)
+
+
+def finding_of(group, **changes):
+    """Return a finding of some ids that the data cannot distinguish, the first of them the likeliest."""
+    figures = {"probability": 0.9, "log_bayes_factor": 30.0, "threshold": 6.0, "group_probability": 0.9}
+    rest = {"parameters": {}, "deviations": {}, "held_out": {}, "sentence": ""}
+    return Finding(id=group[0], group=group, **{**figures, **rest, **changes})

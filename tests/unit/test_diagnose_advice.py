@@ -5,9 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from support.targets import part, target_of
+from support.targets import finding_of, part, target_of
 from tissuereg.diagnosis.advice import _actions, _prediction, _separability, advise
-from tissuereg.diagnosis.answer import Finding
 from tissuereg.diagnosis.candidates import Candidate
 from tissuereg.diagnosis.fit import fit
 from tissuereg.diagnosis.search import Step
@@ -29,7 +28,7 @@ def apart(target, action, one, other):
 
 
 def tied(*names):
-    return Finding(names[0], names, 0.6, 9.0, 6.0, {}, {}, {}, "", 0.9)
+    return finding_of(names, probability=0.6, log_bayes_factor=9.0)
 
 
 def step_of(target, fits, found):

@@ -9,10 +9,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from support.targets import part, target_of
+from support.targets import finding_of, part, target_of
 from tissuereg.cli import diagnose as command
 from tissuereg.cli.common import Stopwatch
-from tissuereg.diagnosis.answer import Finding
 from tissuereg.diagnosis.causes import CAUSES
 from tissuereg.diagnosis.causes.base import Cause
 from tissuereg.diagnosis.constancy import AfterFit, FittedPart, fitted_parts
@@ -154,7 +153,7 @@ def test_a_law_that_stands_for_another_one_is_stated_as_a_law():
 
 def stated(p, *, group=("relaxation",)):
     member = Membership("relaxation", p, 0.05)
-    return Finding(group[0], group, 0.9, 30.0, 6.0, {"g": [0.4]}, {}, {}, "Stress relaxes.", 0.9, member)
+    return finding_of(group, parameters={"g": [0.4]}, sentence="Stress relaxes.", membership=member)
 
 
 def test_a_family_alone_is_no_name():

@@ -10,11 +10,10 @@ import pytest
 import tissuereg as tr
 from support.rig_folders import write_rig
 from support.rigs import rig
-from support.targets import part, target_of
+from support.targets import finding_of, part, target_of
 from tissuereg.body.load import Load
 from tissuereg.cli import diagnose as command
 from tissuereg.cli.common import Stopwatch
-from tissuereg.diagnosis.answer import Finding
 from tissuereg.diagnosis.bank import make_bank, make_outside
 from tissuereg.diagnosis.bench import Bench
 from tissuereg.diagnosis.candidates import without
@@ -317,7 +316,7 @@ def test_what_may_be_stated_follows_from_the_shares(probability, family, holds, 
 
 
 def test_the_probability_of_a_finding_is_shared_with_what_is_outside():
-    mean = Finding("inclusion", ("inclusion",), 0.9, 20.0, 6.0, {}, {}, {}, "", 0.95)
+    mean = finding_of(("inclusion",), probability=0.9, log_bayes_factor=20.0, group_probability=0.95)
     shared = _beside(mean, Outside("inclusion", 20.0, {}, 0.8, 0.9, DEFAULT))
     assert (shared.probability, shared.group_probability) == pytest.approx((0.72, 0.76))
     assert shared.is_sure

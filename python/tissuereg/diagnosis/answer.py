@@ -32,9 +32,9 @@ if TYPE_CHECKING:
 SCHEMA = "tissuereg.diagnosis/1"
 
 
-@dataclass(frozen=True, eq=False)
-class Finding:
-    """One accepted cause.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Accepted:
+    """A cause that was accepted, and its evidence.
 
     Attributes
     ----------
@@ -49,6 +49,28 @@ class Finding:
         Log Bayes factor of the model with the cause against the model without it, nats.
     threshold : float
         Log Bayes factor that was required, nats.
+    group_probability : float
+        Posterior probability of all ids of the group together; at least `stated`, or it would be no finding.
+    """
+
+    id: str
+    group: tuple[str, ...]
+    probability: float
+    log_bayes_factor: float
+    threshold: float
+    group_probability: float
+
+    def as_possible(self) -> "PossibleCause":
+        """Return the cause as one that is not stated."""
+        return PossibleCause(self.id, self.group_probability, self.log_bayes_factor, self.threshold)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Finding(Accepted):
+    """An accepted cause that is stated: an `Accepted`, with its parameters.
+
+    Attributes
+    ----------
     parameters : dict
         Fitted parameters by key of the ``[[effect]]`` table; the ending of a key names the unit.
     deviations : dict
@@ -58,33 +80,21 @@ class Finding:
         marker's coordinate, ``chi_...`` of markers and forces in noise deviations. Empty where there are none.
     sentence : str
         The finding in words.
-    group_probability : float
-        Posterior probability of all ids of the group together; at least `stated`, or it would be no finding.
     membership : Membership or None
         Whether the data hold the cause, or only the family that it is the best member of; None where there is no other
         member that could be told from it.
     """
 
-    id: str
-    group: tuple[str, ...]
-    probability: float
-    log_bayes_factor: float
-    threshold: float
     parameters: Values
     deviations: Values
     held_out: Mapping[str, Any]
     sentence: str
-    group_probability: float
     membership: Membership | None = None
 
     @property
     def is_sure(self) -> bool:
         """Whether one cause is stated: not a group that the data cannot distinguish, nor a family alone."""
         return len(self.group) == 1 and (self.membership is None or self.membership.holds)
-
-    def as_possible(self) -> "PossibleCause":
-        """Return the finding as a cause that is not stated."""
-        return PossibleCause(self.id, self.group_probability, self.log_bayes_factor, self.threshold)
 
     def to_json(self) -> dict[str, Any]:
         """Return the finding as plain data for JSON; a number with a standard deviation becomes a pair of both."""

@@ -2,14 +2,14 @@
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from tissuereg._base.arrays import BoolArray, FloatArray
-from tissuereg.diagnosis.answer import Diagnosis, Finding, to_check, versions_now
+from tissuereg.diagnosis.answer import Accepted, Diagnosis, Finding, to_check, versions_now
 from tissuereg.diagnosis.causes import CAUSES
 from tissuereg.diagnosis.evidence import rms
 from tissuereg.diagnosis.material.advice import best_test
@@ -85,9 +85,10 @@ def diagnosis_of(experiment: MaterialExperiment, outcome: SelectionOutcome, seed
     refined = outcome.refined
     held_out = _held_out(outcome)
     parameters = {} if refined is None else parameters_of(refined.fit)
+    findings = tuple(_finding(outcome, one, parameters[one.id], held_out) for one in outcome.findings)
     return MaterialDiagnosis(
         verdict=outcome.verdict,
-        findings=tuple(_finding(outcome, one, parameters[one.id], held_out) for one in outcome.findings),
+        findings=findings,
         candidates=tuple(asdict(one) for one in outcome.candidates),
         p_misfit=outcome.p_misfit,
         discrepancy=_discrepancy(outcome),
@@ -100,7 +101,7 @@ def diagnosis_of(experiment: MaterialExperiment, outcome: SelectionOutcome, seed
         experiment=experiment,
         held_out=held_out,
         explained=outcome.explained if outcome.known.ids else None,
-        sentences=tuple(_sentences(outcome)),
+        sentences=tuple(_sentences(outcome, [finding.sentence for finding in findings])),
         outcome=outcome,
     )
 
@@ -110,16 +111,11 @@ def _finding(
 ) -> Finding:
     """Return a finding as a record; `pairs`: value and standard deviation of its parameters, by key."""
     return Finding(
-        id=found.id,
-        group=found.group,
-        probability=found.probability,
-        log_bayes_factor=found.log_bayes_factor,
-        threshold=found.threshold,
+        **{one.name: getattr(found, one.name) for one in fields(Accepted)},
         parameters={key: value for key, (value, _) in pairs.items()},
         deviations={key: deviation for key, (_, deviation) in pairs.items()},
         held_out=held_out,
         sentence=_sentence(outcome, found),
-        group_probability=found.group_probability,
     )
 
 
@@ -230,9 +226,9 @@ def _sentence(outcome: SelectionOutcome, finding: MaterialFinding) -> str:
     return sentence
 
 
-def _sentences(outcome: SelectionOutcome) -> list[str]:
+def _sentences(outcome: SelectionOutcome, of_findings: Sequence[str]) -> list[str]:
     base, named = outcome.held_out["base"], outcome.held_out["named"]
-    sentences = [_sentence(outcome, finding) for finding in outcome.findings]
+    sentences = list(of_findings)
     if outcome.verdict == "consistent":
         return [f"The believed law explains these curves within their noise (p = {outcome.p_misfit:.2g})."]
     if outcome.verdict == "unexplained":

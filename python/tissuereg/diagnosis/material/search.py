@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from tissuereg.diagnosis.answer import PossibleCause
+from tissuereg.diagnosis.answer import Accepted, PossibleCause
 from tissuereg.diagnosis.causes import FreeParameters
 from tissuereg.diagnosis.evidence import probabilities
 from tissuereg.diagnosis.material.fit import MaterialFit
@@ -37,32 +37,18 @@ class CandidateCause:
     detectability: float
 
 
-@dataclass(frozen=True, eq=False)
-class MaterialFinding:
-    """An accepted cause, with the group of causes that the data cannot distinguish from it.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class MaterialFinding(Accepted):
+    """An accepted cause, given the other findings.
 
-    `id`: id of the likeliest cause; `group`: ids that these data cannot distinguish from it, itself first;
-    `probability`: posterior probability among all causes, no cause, and a generic misfit, given the other findings;
-    `log_bayes_factor`: of all findings against the other findings without it, nats; `separability`: root of twice the
-    difference in log posterior from each other cause of the group; `rivals`: for each of these, the hypothesis with it
-    in place of this one; `threshold`: log Bayes factor that was required of it, nats; `group_probability`: posterior
-    probability of all causes of the group together; `proved`: whether it predicts held-out data better than the other
-    findings alone and than a generic misfit.
+    `separability`: root of twice the difference in log posterior from each other cause of the group; `rivals`: for each
+    of these, the hypothesis with it in place of this one; `proved`: whether it predicts held-out data better than the
+    other findings alone and than a generic misfit.
     """
 
-    id: str
-    group: tuple[str, ...]
-    probability: float
-    log_bayes_factor: float
     separability: dict[str, float]
     rivals: dict[str, Hypothesis]
-    threshold: float
-    group_probability: float
     proved: bool
-
-    def as_possible(self) -> PossibleCause:
-        """Return the finding as a cause that is not stated."""
-        return PossibleCause(self.id, self.group_probability, self.log_bayes_factor, self.threshold)
 
     def passes(self, stated: float) -> bool:
         """Return whether it passes its threshold, its proof, and is, with its group, as probable as `stated`."""
@@ -272,15 +258,15 @@ class MaterialSearch:
         last = Hypothesis((*rest.ids, cause), known.fit, known.evidence)
         chances = probabilities({h.ids[-1]: h.evidence - rest.evidence for h in (last, generic, *racers)}, 1.0)
         return MaterialFinding(
-            cause,
-            (cause, *rivals),
-            chances[cause],
-            known.evidence - rest.evidence,
-            {name: apart[name] for name in rivals},
-            rivals,
-            self.required(rest, last),
-            sum(chances[name] for name in (cause, *rivals)),
-            known is self._proved_alone or self.is_proved(rest, last, generic),
+            id=cause,
+            group=(cause, *rivals),
+            probability=chances[cause],
+            log_bayes_factor=known.evidence - rest.evidence,
+            threshold=self.required(rest, last),
+            group_probability=sum(chances[name] for name in (cause, *rivals)),
+            separability={name: apart[name] for name in rivals},
+            rivals=rivals,
+            proved=known is self._proved_alone or self.is_proved(rest, last, generic),
         )
 
 
