@@ -16,6 +16,7 @@ import numpy as np
 
 from blind.materialise import DATA
 from tissuereg.diagnosis.causes import CAUSES
+from tissuereg.diagnosis.causes.laws import STIFFENING
 
 #: Least reduction of the sum of squares on held-out data for a gain to be defined.
 LEAST_TO_GAIN = 9.0
@@ -76,8 +77,7 @@ class Scored:
         """Whether the single hidden effect has a form that the fit cannot represent."""
         cause = self.truth["cause"][0]
         if cause == "stiffening":
-            # The fit tries Fung and Yeoh, in two forms each.
-            return self.truth["parameters"][cause]["law"] == "veronda-westmann"
+            return not STIFFENING.get(self.truth["parameters"][cause]["law"])
         return not self.truth["own_form"] and cause not in OWNED_SINCE
 
 

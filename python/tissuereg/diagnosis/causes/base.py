@@ -211,30 +211,3 @@ def curve_form(
     coordinates = [(first, *one, 0.05 * one[1]) for first, one in zip(guesses[0], prior, strict=True)]
     made = free_parameters(coordinates, lambda x, young: (effect(x),))
     return replace(made, starts=guesses[1:], label=label)
-
-
-def three(vector: FloatArray | Sequence[float]) -> tuple[float, float, float]:
-    """Return a vector, shape (3,), as a tuple of three Python floats in the same unit."""
-    x, y, z = (float(v) for v in vector)
-    return x, y, z
-
-
-def logistic(x: float) -> float:
-    """Return 1 / (1 + exp(-x))."""
-    return float(1.0 / (1.0 + np.exp(-x)))
-
-
-def inner_share(x: float) -> float:
-    """Return the logistic function of x, kept within (0, 1) by a margin of 1e-6."""
-    return float(1e-6 + (1.0 - 2e-6) / (1.0 + np.exp(-np.clip(x, -40.0, 40.0))))
-
-
-def exponential(x: float) -> float:
-    """Return exp(x) with x clipped to [-40, 40], so that the result is finite."""
-    return float(np.exp(np.clip(x, -40.0, 40.0)))
-
-
-def logit(p: float, edge: float = 0.02) -> float:
-    """Return log(p / (1 - p)), the inverse of `logistic`, of a share `p` that is first clipped to [edge, 1 - edge]."""
-    p = min(max(p, edge), 1.0 - edge)
-    return float(np.log(p / (1.0 - p)))

@@ -8,16 +8,8 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.bench import Bench
-from tissuereg.diagnosis.causes.base import (
-    Cause,
-    FreeParameters,
-    Mixture,
-    Values,
-    Variant,
-    free_parameters,
-    logistic,
-    logit,
-)
+from tissuereg.diagnosis.causes.base import Cause, FreeParameters, Mixture, Values, Variant, free_parameters
+from tissuereg.diagnosis.causes.numbers import logistic, logit
 from tissuereg.experiment.effects import Detachment
 from tissuereg.experiment.effects.supports import freeing_shares, node_areas
 

@@ -11,16 +11,8 @@ from scipy.spatial import KDTree
 from tissuereg._base.arrays import FloatArray
 from tissuereg.body.mesh import Mesh
 from tissuereg.diagnosis.bench import Bench
-from tissuereg.diagnosis.causes.base import (
-    Cause,
-    FreeParameters,
-    Values,
-    Variant,
-    free_parameters,
-    logistic,
-    logit,
-    three,
-)
+from tissuereg.diagnosis.causes.base import Cause, FreeParameters, Values, Variant, free_parameters
+from tissuereg.diagnosis.causes.numbers import logistic, logit, three
 from tissuereg.experiment.effects import Inclusion
 
 #: Radius and centre, mm.

@@ -12,7 +12,8 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.bench import Bench
-from tissuereg.diagnosis.causes.base import Cause, FreeParameters, Values, Variant, free_parameters, three
+from tissuereg.diagnosis.causes.base import Cause, FreeParameters, Values, Variant, free_parameters
+from tissuereg.diagnosis.causes.numbers import three
 from tissuereg.experiment.effects import Effect, Frame, Latency, MarkerSlip, MarkerSwap, Scale, seen_markers
 
 

@@ -261,7 +261,11 @@ def smooth(
                 raise EnsembleError(message, dropped=dropped)
     factor = spread_factor(n_members, exact=draws[1])
     found = zip(component, scale, probabilities(logs), ensembles, parts, errors, covariances, strict=True)
-    return Smoothed(tuple(_answer(c, s, w, z, x, e, d, observed, factor) for c, s, w, z, x, e, d in found), dropped)
+    pairs = []
+    for c, s, weight, latents, rows, error, covariance in found:
+        mean, spread, pulls = _conditioned(rows, error, covariance, observed, factor)
+        pairs.append(Pair(int(c), float(s), float(weight), latents, mean, spread, pulls, covariance))
+    return Smoothed(tuple(pairs), dropped)
 
 
 def _updated(
@@ -281,21 +285,14 @@ def _updated(
     return step.apply(np.ascontiguousarray(latents)), rows, lost, step.log_evidence or 0.0
 
 
-def _answer(
-    component: int,
-    scale: float,
-    weight: float,
-    latents: FloatArray,
-    rows: FloatArray,
-    error: FloatArray,
-    covariance: FloatArray,
-    observed: FloatArray,
-    factor: float,
-) -> Pair:
-    """Return the posterior of a pair: each member's error is conditioned on what it leaves at the markers.
+def _conditioned(
+    rows: FloatArray, error: FloatArray, covariance: FloatArray, observed: FloatArray, factor: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return mean (n_rows,), covariance (n_rows, n_rows) and pulls of a posterior ensemble, as for `Pair`.
 
-    `rows` (n_members, n_rows): the members decoded; `error` (n_rows, n_rows): covariance of the model's own error;
-    `covariance` (n_obs, n_obs): C_d; `factor`: on the members' covariance, for their number; others as for `Pair`.
+    Each member's error is conditioned on what it leaves at the markers. `rows` (n_members, n_rows): the members
+    decoded; `error` (n_rows, n_rows): covariance of the model's own error; `covariance` (n_obs, n_obs): C_d; `factor`:
+    on the members' covariance, for their number.
     """
     n_obs = len(observed)
     pulls = np.asarray(np.linalg.solve(covariance, observed[:, None] - rows[:, :n_obs].T).T, np.float64)
@@ -303,8 +300,7 @@ def _answer(
     left = error - error[:, :n_obs] @ np.linalg.solve(covariance, error[:n_obs])
     mean = answers.mean(axis=0)
     away = answers - mean
-    spread = away.T @ away * (factor / (len(away) - 1)) + left
-    return Pair(int(component), float(scale), float(weight), latents, mean, spread, pulls, covariance)
+    return mean, np.asarray(away.T @ away * (factor / (len(away) - 1)) + left), pulls
 
 
 @lru_cache(maxsize=4)
