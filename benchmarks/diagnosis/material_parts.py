@@ -111,7 +111,7 @@ def of_a_right_form(outcome: SelectionOutcome) -> Numbers:
     if outcome.refined.weighting == "rows alike":
         bench = rows_alike(bench)
     again = fitted(bench.problem, fit.parts, [fit.x], fit.share)
-    return numbers(again, *outcome.known.ids)
+    return numbers(again)
 
 
 def pairs(parts: dict[str, list[Curve]]) -> list[tuple[str, str, str]]:

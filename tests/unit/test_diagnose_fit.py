@@ -1,6 +1,8 @@
 """Fits of known causes, revision of several, and a search whose findings are withdrawn."""
 
+from copy import copy
 from dataclasses import replace
+from importlib import import_module
 from types import SimpleNamespace
 
 import numpy as np
@@ -14,7 +16,7 @@ from tissuereg.diagnosis.causes import CAUSES
 from tissuereg.diagnosis.causes.base import free_parameters
 from tissuereg.diagnosis.correction import make_correction
 from tissuereg.diagnosis.evidence import Null
-from tissuereg.diagnosis.fit import FitTarget, FittedCause, at_believed_modulus, best_start, fit, near_to
+from tissuereg.diagnosis.fit import FitTarget, FittedCause, Near, at_believed_modulus, best_start, fit, near_to
 from tissuereg.diagnosis.modulus import _pinned, modulus_finding
 from tissuereg.diagnosis.nuisances import other_forms
 from tissuereg.diagnosis.proof import figure_blocks, proof_blocks
@@ -23,6 +25,7 @@ from tissuereg.diagnosis.screen import UNKNOWN, Screen, Screened
 from tissuereg.diagnosis.search import Search, Step, _with_finding
 from tissuereg.diagnosis.settings import DEFAULT
 from tissuereg.diagnosis.signals import SignalLayout
+from tissuereg.errors import ConvergenceError
 from tissuereg.experiment.effects import (
     ActuatorOffset,
     Detachment,
@@ -209,9 +212,80 @@ def test_an_effect_that_becomes_another_one_is_corrected_again():
     assert len(calls) == 1
 
 
-def test_a_fine_mesh_is_not_solved_for_effects_of_memory(of_two):
-    assert not correctable(of_two, ["relaxation"])
+def test_a_fine_mesh_is_not_solved_for_effects_of_memory(of_two, monkeypatch):
+    assert not correctable(of_two, ["poisson", "relaxation"])
+    assert not correctable(replace(of_two, bench=remembering(of_two.bench)), ["poisson"])
+    assert not correctable(of_two, [])
     assert correctable(of_two, ["poisson"])
+    monkeypatch.setattr(import_module("tissuereg.diagnosis.refined"), "refined_effects", lambda *_: pytest.fail("fine"))
+    assert recorrected(of_two, SimpleNamespace(ids=("poisson", "relaxation"))) is of_two
+
+
+def remembering(bench):
+    """Return the bench of the same experiment with a believed relaxation."""
+    relaxing = Relaxation(g=(0.3,), tau_s=(2.0,))
+    return bench.of(replace(bench.experiment, effects=(*bench.experiment.effects, relaxing)))
+
+
+def test_a_fit_starts_from_the_equilibria_of_the_one_that_it_extends():
+    target = target_of(Relaxation(g=(0.4,), tau_s=(1.0,)))
+    found = fit(target, [part(target, "relaxation", part="whole")])
+    near = near_to(target, found)
+    further = [*found.parts, part(target, "poisson")]
+    with_start, starts = seen_starts(target, lambda: fit(target, further, near=near))
+    assert starts[0] is near.solved is not None
+    # The believed model's are further away.
+    assert abs(fit(target, further, near=Near(near.x, near.jacobian)).objective - with_start.objective) < 0.01
+    # What has no memory needs no start.
+    assert near_to(target, fit(target, [part(target, "poisson")])).solved is None
+
+
+def seen_starts(target, work):
+    """Return the result of some work, and the solutions from which the predictions that it needed started."""
+    starts, predictor = [], target.bench.predictor
+    predict = predictor.predict
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(
+            predictor, "predict", lambda *a, near=None, **k: (starts.append(near), predict(*a, near=near, **k))[1]
+        )
+        found = work()
+    return found, starts
+
+
+def test_a_model_without_equilibrium_at_once_is_near_without_equilibria(of_two, monkeypatch):
+    found = fit(of_two, [part(of_two, "poisson")])
+    monkeypatch.setattr(of_two.bench.predictor, "goes_through_time", lambda _: True)
+
+    def fails(*_, **__):
+        error = ConvergenceError("none")
+        raise error
+
+    monkeypatch.setattr(of_two.bench.predictor, "solved", fails)
+    near = near_to(of_two, found)
+    assert near.solved is None
+    np.testing.assert_array_equal(near.jacobian, found.jacobian)
+
+
+def test_a_fit_is_not_given_up_before_its_own_jacobian_is_known(of_two, monkeypatch):
+    parts = [part(of_two, "poisson"), part(of_two, "latency")]
+    first, found = fit(of_two, parts[:1]), fit(of_two, parts)
+    # A Jacobian of the wrong sign leads nowhere.
+    wrong = Near(first.x, -first.jacobian)
+    for least in (-np.inf, found.log_evidence - 1.0):
+        again = fit(of_two, parts, near=wrong, least=least)
+        assert abs(again.objective - found.objective) < 0.5
+    # Nor is it in the end, if all iterations gain.
+    short = replace(DEFAULT, fit=replace(DEFAULT.fit, most_iterations=1))
+    ended = fit(replace(of_two, bench=with_settings(of_two.bench, short)), parts, near=wrong)
+    exact = fit(of_two, parts, start=ended.x).jacobian
+    np.testing.assert_allclose(ended.jacobian, exact, atol=0.05 * np.abs(exact).max())
+
+
+def with_settings(bench, settings):
+    """Return the same bench with other settings."""
+    other = copy(bench)
+    other.settings = settings
+    return other
 
 
 def predictions_of(target, monkeypatch, work):
@@ -263,7 +337,7 @@ def test_a_fit_ends_where_no_step_is_expected_to_make_it_of_use(of_two, monkeypa
     again, calls = predictions_of(of_two, monkeypatch, lambda: fit(of_two, parts, start=moved, least=near))
     assert again.log_evidence > near
     assert calls > 1 + 2
-    # Ten nats more are out of reach: the Jacobian at the start tells.
+    # A hundred nats more are out of reach: the Jacobian at the start tells.
     early, calls = predictions_of(of_two, monkeypatch, lambda: fit(of_two, parts, start=moved, least=near + 100.0))
     assert calls == 1 + 2
     np.testing.assert_array_equal(early.x, moved)
@@ -490,7 +564,7 @@ def test_a_fit_begins_where_the_objective_is_least():
         np.concatenate([base.x, start]) for start in (detached.free_parameters.start, *detached.free_parameters.starts)
     ]
     assert any(np.array_equal(begin, place) for place in places)
-    left = [fit(target, [detached], start=place, least=np.inf).objective for place in places[:2]]
+    left = [fit(target, [detached], start=place).objective for place in places[:2]]
     found = fit(target, [detached], start=begin)
     assert found.objective <= min(left) + 0.5
     assert abs(found.values(0, 1.0)[0]["share"] - 0.3) < 0.1

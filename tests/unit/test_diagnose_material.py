@@ -298,3 +298,27 @@ def test_laws_exclude_each_other_in_a_specimen():
     assert excluded("mooney", ["asymmetry"])
     assert not excluded("mooney", ["fibre", "set"])
     assert excluded("set", ["set"])
+
+
+def test_every_form_in_curves_is_said_in_one_sentence():
+    rng = np.random.default_rng(3)
+    cycled = histories(rng, lambda mode, times, strain: made.elastic(("plain",), mode, strain), path="cycles")
+    scene = scene_of(believed([*in_modes(rng, ("plain",)), *cycled]))
+    said = {}
+    for name, cause in CAUSES.items():
+        for form in cause.in_curves(scene):
+            for guess in form.guesses:
+                (effect,) = form.effects(guess, 4.0)
+                said[name, form.label, *guess] = cause.sentence(effect.table())
+    assert {name for name, *_ in said} == {name for name in CAUSES if EFFECTS[name].of_specimen}
+    assert all(
+        sentence.count(".") and sentence.endswith(".") and "the body" not in sentence for sentence in said.values()
+    )
+    assert "stiffer in compression" in said["asymmetry", "ogden", -20.0]
+    assert "stiffer in tension" in said["asymmetry", "ogden", 15.0]
+    # Below the exponent of the neo-Hookean law, 2.
+    assert "exponent 1.2, stiffer in compression" in CAUSES["asymmetry"].sentence({"law": "ogden", "alpha": [1.2]})
+    assert "weight" not in CAUSES["stiffening"].sentence({"law": "ogden", "alpha": [-9.0], "weight": [1.0]})
+    assert said["stiffness", "young"].startswith("The modulus at small strain is 4 kPa")
+    two = CAUSES["relaxation"].sentence({"g": [0.2, 0.004], "tau_s": [2.0, 30.0]})
+    assert "20 % with a time constant of 2 s and 0.4 % with a time constant of 30 s" in two

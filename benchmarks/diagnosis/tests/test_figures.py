@@ -1,9 +1,11 @@
 """When an answer is right, and how parts of material tests are compared."""
 
+import numpy as np
 import pytest
 
 from common import read_archive
 from diagnosis import febio, material_parts
+from support.material_curves import in_modes
 
 
 def test_an_answer_is_right_with_every_true_cause_and_no_other():
@@ -39,3 +41,13 @@ def test_parts_are_compared_by_their_difference_or_by_the_smaller_one():
         ("a", "both", "within"),
         ("b", "both", "within"),
     ]
+
+
+def test_a_part_is_answered_with_the_numbers_of_a_right_form_beside_the_stated_ones():
+    curves = in_modes(np.random.default_rng(1), ("fung", 1.0), modes=("tension", "compression"))
+    row = material_parts.answered("made", curves)
+    assert row["forms"]
+    assert set(row["right"]) == set(row["stated"])
+    for value, deviation in row["right"].values():
+        assert np.isfinite(value)
+        assert deviation > 0.0

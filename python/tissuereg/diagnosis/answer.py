@@ -34,7 +34,7 @@ SCHEMA = "tissuereg.diagnosis/1"
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Accepted:
-    """A cause that was accepted, and its evidence.
+    """A cause in the model that was found, and its evidence.
 
     Attributes
     ----------
@@ -50,7 +50,7 @@ class Accepted:
     threshold : float
         Log Bayes factor that was required, nats.
     group_probability : float
-        Posterior probability of all ids of the group together; at least `stated`, or it would be no finding.
+        Posterior probability of all ids of the group together; of a finding it is at least `stated`.
     """
 
     id: str

@@ -71,14 +71,18 @@ def refitted(
         if screened[name].log_bayes_factor > likely * required[name]
         and (rank < settings.search.refitted or screened[name].log_bayes_factor > best - settings.search.within)
     ]
+    if not chosen:
+        return []
     fits: dict[str, list[Fit]] = {}
     near = near_to(target, current)
 
     def fitted_forms(name: str) -> list[Fit]:
         """Return the fits of a cause, which end early where that of the likeliest is out of reach."""
         best = max((forms[0].log_evidence for forms in fits.values()), default=-np.inf)
-        correction = _correction_gain(target, (*current.ids, name))
-        least = max(best - settings.model.correction_gain, current.log_evidence + required[name] - correction)
+        # Less than required suffices to be in the group of another cause.
+        enough = current.log_evidence + required[name] - settings.as_likely_within
+        enough -= _correction_gain(target, (*current.ids, name))
+        least = max(best - settings.model.correction_gain, enough)
         return _fit_forms(target, screen, screened[name], current, name, least, near)
 
     for names in (chosen[:1], chosen[1:]):
@@ -160,9 +164,9 @@ def exchanged(
         parts = [*current.parts[:part], rival, *current.parts[part + 1 :]]
         start = np.concatenate([current.x[: mine.start], free_parameters, current.x[mine.stop :]])
         least = max(best.log_evidence, current.log_evidence + target.bench.settings.search.better)
-        near = least - _correction_gain(target, [cause.id for cause in parts])
-        fitted = fit(target, parts, start=start, least=near)
-        if fitted is not None and fitted.log_evidence >= near:
+        before = least - _correction_gain(target, [cause.id for cause in parts])
+        fitted = fit(target, parts, start=start, least=before)
+        if fitted is not None and fitted.log_evidence >= before:
             better, again = corrected_fit(target, fitted)
             if again.log_evidence > least:
                 of_best, best = better, again

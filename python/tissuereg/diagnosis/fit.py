@@ -4,8 +4,9 @@
 
 over x, the logarithm of the modulus followed by the free parameters (`FreeParameters`) of all causes; y are the
 measured numbers, f(x) those predicted, mean and deviation the prior of x. L^-1 whitens by the noise; the other nuisance
-parameters are integrated out in C0. The Jacobian comes from difference quotients; Broyden's update carries it from step
-to step, and it is evaluated again where steps no longer reduce the objective. With H the Hessian in units of the prior
+parameters are integrated out in C0. The Jacobian comes from difference quotients, that of the start in part from a
+similar model; Broyden's update carries it from step to step, and it is evaluated again where steps no longer reduce the
+objective. With H the Hessian in units of the prior
 deviations, the log evidence is -objective - 1/2 log det H - log(number of discrete choices).
 """
 
@@ -59,12 +60,21 @@ class FittedCause:
     free_parameters: FreeParameters
 
 
+def effects_of(parts: Sequence[FittedCause], x: FloatArray, young: float) -> tuple[Effect, ...]:
+    """Return the effects of causes at parameters `x` (k,) of a model with them; `young`: modulus, kPa."""
+    return tuple(
+        effect
+        for part, mine in zip(parts, slices_of(len(part.free_parameters.start) for part in parts), strict=True)
+        for effect in part.free_parameters.effects(x[mine], young)
+    )
+
+
 @dataclass(frozen=True, eq=False)
 class FittedModel:
     """A model with causes, fitted to data.
 
-    `parts`: the causes in the model; empty for the believed model; `x` (k,): logarithm of the modulus, then the free
-    parameters of all causes; `covariance` (k, k): its posterior covariance (Laplace).
+    `parts`: the causes in the model; empty for the believed model; `x` (k,): logarithm of the modulus, or of a factor
+    on it, then the free parameters of all causes; `covariance` (k, k): its posterior covariance (Laplace).
     """
 
     parts: tuple[FittedCause, ...]
@@ -81,17 +91,13 @@ class FittedModel:
         return slices_of(len(part.free_parameters.start) for part in self.parts)
 
     def effects_at(self, x: FloatArray, young: float) -> tuple[Effect, ...]:
-        """Return the effects of all causes at parameters `x` (k,); `young`: modulus, kPa."""
-        return tuple(
-            effect
-            for part, mine in zip(self.parts, self.slices(), strict=True)
-            for effect in part.free_parameters.effects(x[mine], young)
-        )
+        """Return the effects of all causes at other parameters (k,); `young`: modulus, kPa."""
+        return effects_of(self.parts, x, young)
 
 
 @dataclass(frozen=True, eq=False)
 class Fit(FittedModel):
-    """A model fitted to the data of a body; the first of its parameters is that of a factor on the modulus.
+    """A model fitted to the data of a body; its first parameter is the logarithm of a factor on the modulus.
 
     `mean`, `deviation` (k,): prior mean and standard deviation of x; `prediction` (size,): prediction of all measured
     numbers, corrected for the discretisation error, mm and mN; `jacobian` (k, size): derivative of the corrected
@@ -147,8 +153,8 @@ class Fit(FittedModel):
 class Near:
     """A fitted model from which the fit of a similar one begins, whose first j parameters are the same.
 
-    `x` (j,): its parameters; `jacobian` (j, size): derivatives of its corrected prediction by them, mm and mN;
-    `solved`: its equilibria, if they are known.
+    `x` (j,): its parameters; `jacobian` (j, size): guess of the derivatives of the corrected prediction by them, mm and
+    mN; `solved`: its equilibria, if they are known.
     """
 
     x: FloatArray
@@ -160,7 +166,7 @@ def near_to(target: FitTarget, found: Fit) -> Near:
     """Return what fits of models with further causes begin from; `found`: fit without these."""
     solver = _FitSolver(target, found.parts)
     try:
-        solver.start_from(found.x)
+        solver.start_from(found.x, threads=None)
     except NO_ANSWER:
         # The fit reached this model by steps from a neighbour; solved at once it has no equilibrium.
         return Near(found.x, found.jacobian)
@@ -182,8 +188,8 @@ def fit(
     model; `start` (k,): first guess of the logarithm of the modulus and the parameters of all causes; by default that
     of `near`, a similar model, and the first guess that the further causes themselves have; `choices`: number of
     discrete hypotheses among which these were chosen; its logarithm is subtracted from the evidence; `least`: log
-    evidence, in nats, below which a fit is of no use. A fit that is not expected to reach it ends early, with an
-    approximate Jacobian. The result is None where there is no equilibrium at the start.
+    evidence, in nats, below which a fit is of no use. A fit that is not expected to reach it ends early, away from
+    its optimum or with an approximate Jacobian. The result is None where there is no equilibrium at the start.
     """
     limits, solver = target.bench.settings.fit, _FitSolver(target, tuple(parts), near)
     x = solver.start if start is None else start.copy()
@@ -196,8 +202,9 @@ def fit(
         return None
     solver.start_from(x)
     objective, reduced = solver.objective(x, prediction)
-    known = 0 if near is None else len(near.x)
-    jacobian, exact = solver.jacobian(x, prediction, near), known <= int(solver.scales)
+    # The derivative by a modulus that only scales forces is known exactly.
+    exact = near is None or len(near.x) <= int(solver.scales)
+    jacobian, own = solver.jacobian(x, prediction, near), exact
     slopes = solver.reduced(jacobian)
     for remaining in reversed(range(limits.most_iterations)):
         step = solver.step(x, slopes, reduced)
@@ -224,14 +231,17 @@ def fit(
                 break
         excess -= gained
         if gained < limits.least_gain:
-            if exact or excess > 0.0:
+            if exact or (own and excess > 0.0):
                 break
-            jacobian, exact = solver.jacobian(x, prediction), True
+            jacobian, exact, own = solver.jacobian(x, prediction), True, True
         elif excess > min(remaining, limits.further_gains) * gained:
             # Gains decrease from step to step: after a step with an exact Jacobian the fit will not reach the limit.
-            if was_exact or excess > remaining * gained:
+            if was_exact or (own and excess > remaining * gained):
                 break
-            jacobian, exact = solver.jacobian(x, prediction), True
+            jacobian, exact, own = solver.jacobian(x, prediction), True, True
+        slopes = solver.reduced(jacobian)
+    if not own:
+        jacobian = solver.jacobian(x, prediction)
         slopes = solver.reduced(jacobian)
     covariance = np.asarray(np.linalg.inv(solver.information(slopes)), np.float64)
     log_evidence = -objective - solver.log_volume(slopes) - float(np.log(choices))
@@ -259,16 +269,15 @@ def best_start(target: FitTarget, parts: Sequence[FittedCause], near: Near) -> F
     the further cause offers; its default one where it offers no others or none of them has an equilibrium.
     """
     free_parameters = parts[-1].free_parameters
-    first = np.concatenate([near.x, free_parameters.start])
-    if free_parameters.starts is None:
-        return first
+    tried = [np.concatenate([near.x, start]) for start in free_parameters.guesses]
+    if len(tried) == 1:
+        return tried[0]
     solver = _FitSolver(target, tuple(parts), near)
 
     def objective(x: FloatArray) -> float:
         prediction = solver.predict(x)
         return np.inf if prediction is None else solver.objective(x, prediction)[0]
 
-    tried = [first, *(np.concatenate([near.x, start]) for start in free_parameters.starts)]
     return tried[int(np.argmin(target.bench.side_by_side(objective, tried)))]
 
 
@@ -373,11 +382,12 @@ class _FitSolver:
                 mixture = [(a * b, (*before, *more)) for a, before in mixture for b, more in own if b > 0.0]
         return mixture
 
-    def start_from(self, x: FloatArray) -> None:
-        """Let the following solutions start from the equilibria for parameters (k,) that were just predicted."""
-        if effects := max(self.mixture(x), key=lambda one: one[0])[1]:
+    def start_from(self, x: FloatArray, threads: int | None = 1) -> None:
+        """Let the following solutions start from the equilibria for parameters (k,), where start matters to them."""
+        effects, predictor = max(self.mixture(x), key=lambda one: one[0])[1], self.target.bench.predictor
+        if effects and predictor.goes_through_time(effects):
             young = None if self.scales else self.factor(x)
-            self.near = self.target.bench.predictor.solved(effects, young=young, threads=1, near=self.near)
+            self.near = predictor.solved(effects, young=young, threads=threads, near=self.near)
 
     def objective(self, x: FloatArray, prediction: FloatArray) -> tuple[float, FloatArray]:
         white = self.target.white(np.where(self.seen, self.measured - prediction, 0.0))

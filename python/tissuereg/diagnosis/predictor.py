@@ -124,6 +124,11 @@ class Predictor:
         self._solved = [*self._solved, (near, found)][-self.settings.most_solved :]
         return found
 
+    def goes_through_time(self, effects: Sequence[Effect] = ()) -> bool:
+        """Return whether the frames of a model with further effects are solved one after another."""
+        bodily = tuple(effect for effect in effects if not isinstance(effect, ChainEffect))
+        return goes_through_time(self._worked(bodily, None))
+
     @cached_property
     def _believed(self) -> Solved:
         """The equilibria of the believed model without further effects."""

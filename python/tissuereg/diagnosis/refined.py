@@ -283,10 +283,10 @@ def _uncorrected(target: FitTarget, found: Fit) -> float:
 def correctable(target: FitTarget, ids: Sequence[str]) -> bool:
     """Return whether the discretisation error of causes, given by their ids, can be corrected.
 
-    It cannot where the modulus does more than scale forces, where all causes are errors of the tracker, and for data
-    that were simulated on the user's mesh. With memory it is not: such histories take minutes on a fine mesh, and the
-    discretisation error of a memory effect is that of the load's own response, which the correction of the believed
-    model contains.
+    It cannot where the modulus does more than scale forces, where all causes are errors of the tracker or there is
+    none, for data that were simulated on the user's mesh, and where `settings.model.corrected` is off. With memory it
+    is not: such histories take minutes on a fine mesh, and the discretisation error of a memory effect is that of the
+    load's own response, which the correction of the believed model contains.
     """
     bench = target.bench
     if not bench.settings.model.corrected or bench.is_exact or not target.scales_forces(ids):

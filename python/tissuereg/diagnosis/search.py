@@ -110,7 +110,7 @@ class Step:
         """
         assert self.found is not None
         rules = self.settings.search
-        as_likely = self.found.gain + self.settings.evidence.temper * np.log(rules.as_likely)
+        as_likely = self.found.gain - self.settings.as_likely_within
         others = (c for c in self.close(0.5 * rules.separable**2) if c.id not in named)
         close = [c.id for c in others if c.gain > min(threshold, as_likely)]
         return (self.found.id, *close)[: rules.most_in_group]

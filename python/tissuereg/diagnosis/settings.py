@@ -6,6 +6,7 @@ class (`causes`): a changed cause is passed in `DiagnoseSettings.causes`.
 
 from collections.abc import Mapping
 from dataclasses import MISSING, asdict, dataclass, field, fields
+from math import log
 from typing import TYPE_CHECKING, Any, cast
 
 from tissuereg._base.arguments import of_kind, real
@@ -452,6 +453,11 @@ class DiagnoseSettings:
         for one in fields(self):
             if one.default_factory is not MISSING:
                 of_kind(one.name, getattr(self, one.name), cast("type[Any]", one.default_factory))
+
+    @property
+    def as_likely_within(self) -> float:
+        """Nats by which a cause may fall behind another and still be `as_likely`."""
+        return -self.evidence.temper * log(self.search.as_likely)
 
     def to_json(self, catalogue: "Mapping[str, Cause]") -> dict[str, Any]:
         """Return all settings as plain data, those of the causes of a catalogue, by id, included."""

@@ -1,4 +1,4 @@
-"""The catalogue of causes that a diagnosis can name: each has a module with its hypotheses, parameters and sentence."""
+"""The catalogue of causes that a diagnosis can name, each with hypotheses, parameters, forms in curves, a sentence."""
 
 from tissuereg.diagnosis.causes.actuators import DirectionCause, GainCause, OffsetCause
 from tissuereg.diagnosis.causes.base import Cause, FreeParameters, Values, Variant

@@ -1,9 +1,10 @@
-"""Base class of causes: hypotheses with sensitivity columns, free parameters of the nonlinear fit, and a sentence.
+"""Base class of causes: hypotheses with sensitivity columns, free parameters of fits, forms in curves, a sentence.
 
 A cause has several hypotheses (`Variant`), one for each discrete choice: an actuator, a place, a direction, an onset.
 Screening uses their columns, the change of all measured numbers by one prior standard deviation of each amplitude. The
 nonlinear fit starts from a hypothesis and varies the cause's free parameters (`FreeParameters`), real numbers with
-normal priors, from which the effects of a simulation and the parameters of the answer follow.
+normal priors, from which the effects of a simulation and the parameters of the answer follow. Stress curves have no
+hypotheses; a cause that they can show has forms, each with its free parameters.
 """
 
 from abc import ABC, abstractmethod
@@ -208,6 +209,7 @@ def curve_form(
     which returns the change of the law; `starts`: first guesses; by default the prior mean.
     """
     guesses = np.array(starts or [tuple(mean for mean, _ in prior)], np.float64)
-    coordinates = [(first, *one, 0.05 * one[1]) for first, one in zip(guesses[0], prior, strict=True)]
+    # Fits to curves choose their own steps.
+    coordinates = [(first, *one, np.nan) for first, one in zip(guesses[0], prior, strict=True)]
     made = free_parameters(coordinates, lambda x, young: (effect(x),))
     return replace(made, starts=guesses[1:], label=label)

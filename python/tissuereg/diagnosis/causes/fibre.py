@@ -76,7 +76,7 @@ class FibreCause(Cause):
         """Return the finding as a sentence; `values` has the fitted `direction` (3,) and `k1_over_mu`."""
         axis = ", ".join(f"{x:.2f}" for x in values["direction"])
         times = f"{values['k1_over_mu']:.2g} times the shear modulus"
-        return f"Fibres along ({axis}) carry load when they lengthen, with {times}."
+        return f"Fibres along ({axis}), of a stiffness k1 of {times}, carry load when they lengthen."
 
 
 def _effect(size: float, direction: FloatArray) -> Effect:

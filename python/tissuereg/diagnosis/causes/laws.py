@@ -176,8 +176,8 @@ class AsymmetryCause(LawCause):
         if len(values["alpha"]) > 1:
             return f"Tension and compression differ as in an Ogden law ({_shape_words(values)})."
         exponent = values["alpha"][0]
-        side = "compression" if exponent < 0 else "tension"
-        return f"The material is stiffer in {side} than the believed law (Ogden's exponent {exponent:.3g})."
+        side = "compression" if exponent < EVEN else "tension"
+        return f"Tension and compression differ as in an Ogden law of exponent {exponent:.3g}, stiffer in {side}."
 
 
 #: Laws by which a body stiffens with strain, which are tried in material tests, and values of their first shape
@@ -239,7 +239,9 @@ def _shape_words(values: Values) -> str:
     def text(value: float | list[float]) -> str:
         return ", ".join(f"{v:.3g}" for v in value) if isinstance(value, list) else f"{value:.3g}"
 
-    return "; ".join(f"{key} {text(value)}" for key, value in values.items() if key not in ("id", "law", "volumetric"))
+    # A single term has all the weight.
+    shape = {key: value for key, value in values.items() if not (key == "weight" and len(value) == 1)}
+    return "; ".join(f"{key} {text(value)}" for key, value in shape.items() if key not in ("id", "law", "volumetric"))
 
 
 def _by_rate(law: str, invariant: float) -> FreeParameters:

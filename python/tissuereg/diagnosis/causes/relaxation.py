@@ -82,11 +82,11 @@ class RelaxationCause(Cause):
 
     def sentence(self, values: Values) -> str:
         """Return the finding as a sentence; `values` has the fitted shares `g` and times `tau_s` (n_terms,)."""
-        terms = ", ".join(
-            f"{100.0 * share:.0f} % of it with a time constant of {tau:.2g} s"
+        terms = " and ".join(
+            f"{100.0 * share:.2g} % with a time constant of {tau:.2g} s"
             for share, tau in zip(values["g"], values["tau_s"], strict=True)
         )
-        return f"Stress relaxes: {terms}."
+        return f"Of the instantaneous stress {terms} relaxes."
 
 
 def _series(x: FloatArray) -> Relaxation:

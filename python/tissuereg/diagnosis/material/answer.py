@@ -18,6 +18,7 @@ from tissuereg.diagnosis.material.report import material_page
 from tissuereg.diagnosis.material.search import MaterialFinding
 from tissuereg.diagnosis.material.verdict import SelectionOutcome
 from tissuereg.experiment.effects import Effect
+from tissuereg.experiment.effects.elastic import Fibre
 from tissuereg.experiment.effects.history import Relaxation
 from tissuereg.experiment.material_experiment import Curve, MaterialExperiment
 
@@ -216,6 +217,9 @@ def _sentence(outcome: SelectionOutcome, finding: MaterialFinding) -> str:
     fit = outcome.refined.fit
     effect = fit.effects[outcome.known.ids.index(finding.id)]
     sentence = CAUSES[finding.id].sentence(effect.table())
+    if isinstance(effect, Fibre):
+        label = fit.parts[outcome.known.ids.index(finding.id)].free_parameters.label
+        sentence += f" They lie {label}."
     if isinstance(effect, Relaxation):
         sentence += f" Instantaneous Young's modulus: {np.exp(fit.x[0]):.3g} kPa."
     if len(finding.group) > 1:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray
-from tissuereg.diagnosis.fit import FittedCause, FittedModel
+from tissuereg.diagnosis.fit import FittedCause, FittedModel, effects_of
 from tissuereg.diagnosis.material.data import Data
 from tissuereg.diagnosis.material.model import Model
 from tissuereg.diagnosis.material.noise import Weights
@@ -45,9 +45,8 @@ class FitProblem:
 
         `x` (n,): the logarithm of Young's modulus in kPa, then the parameters of every cause.
         """
-        fitted = FittedModel(tuple(parts), x, np.zeros((0, 0)))
         young = float(np.exp(np.clip(x[0], -30.0, 30.0)))
-        effects = fitted.effects_at(x, young)
+        effects = effects_of(parts, x, young)
         return self.base.with_young(young).with_effects(one for one in effects if not isinstance(one, Stiffness))
 
 

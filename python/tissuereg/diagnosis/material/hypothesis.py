@@ -126,8 +126,8 @@ def _likeliest_share(problem: FitProblem, fit: MaterialFit) -> float:
 def _grown(form: FreeParameters, found: Sequence[tuple[MaterialFit, float]]) -> list[list[FloatArray]]:
     """Return first guesses for a Prony series from the fitted one with one term less.
 
-    `form`: form of the series; `found`: earlier fits with their evidence, the last of which must be that series, else
-    the list is empty. A guess has two arrays, each (n_terms,): parameters of the shares, and log times in s.
+    `form`: form of the series, else the list is empty; `found`: fits of the same cause in earlier forms, with their
+    evidence. A guess has two arrays, each (n_terms,): parameters of the shares, and log times in s.
     """
     if not found or not form.label.startswith("prony"):
         return []

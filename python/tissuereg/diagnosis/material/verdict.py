@@ -8,7 +8,7 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.answer import PossibleCause
-from tissuereg.diagnosis.causes import catalogue
+from tissuereg.diagnosis.causes import CAUSES
 from tissuereg.diagnosis.causes.scene import Scene
 from tissuereg.diagnosis.material.data import data_of, scene_of
 from tissuereg.diagnosis.material.fit import FitProblem, MaterialFit
@@ -65,7 +65,7 @@ def find_out(
     bench = bench_of(experiment, settings)
     problem, scene = bench.problem, scene_of(experiment, settings.material)
     none = null_hypothesis(problem)
-    tried = {id: cause.in_curves(scene) for id, cause in catalogue(settings).items() if id not in settings.left_out}
+    tried = {id: cause.in_curves(scene) for id, cause in CAUSES.items() if id not in settings.left_out}
     forms = {id: forms for id, forms in tried.items() if forms}
     progress("threshold from null experiments")
     limit = threshold(problem, none.fit, forms, rng)
