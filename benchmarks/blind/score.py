@@ -76,7 +76,7 @@ def rows(cases: list[Scored], oracle: dict[str, dict], without: dict[str, list[S
         Scored cases of a hidden id, diagnosed with that id removed from the catalogue, by id.
     """
     table = [*_null_rows(cases), *_single_rows(cases, oracle), *_outside_rows(cases, without)]
-    table += [*_gain_rows(cases, oracle), *_pair_rows(cases), *_probability_rows(cases), *_tied_rows(cases)]
+    table += [*_gain_rows(cases, oracle), *_pair_rows(cases), *_probability_rows(cases), *_tied_rows(cases, oracle)]
     return table
 
 
@@ -204,7 +204,7 @@ def calibration_error(cases: list[Scored], n_bins: int = 5) -> float:
     return sum(gaps) / len(stated) if stated else 0.0
 
 
-def _tied_rows(cases):
+def _tied_rows(cases, oracle):
     tied = of_kind(cases, "tied")
     flags = [
         len(c.groups) == 1 and 2 <= len(c.groups[0]) <= 3 and bool(set(c.truth["cause"]) & c.groups[0]) for c in tied
@@ -212,6 +212,10 @@ def _tied_rows(cases):
     pure = sum(flag and c.groups[0] <= set(c.truth["group_ok"]) for flag, c in zip(flags, tied, strict=True))
     note = f"{pure} of these groups contain tied ids only" if tied else ""
     yield _count("tied causes: a group that contains the hidden one", flags, ">= 90 %", 0.9, note=note)
+    visible = {c.case for c in seen(tied, oracle)}
+    if any(c.case in oracle for c in tied):
+        shown = [flag for flag, c in zip(flags, tied, strict=True) if c.case in visible]
+        yield _count(f"the same, where the oracle fit gains {SEEN:g} nats", shown, "", 0.0)
 
 
 def confusion(cases: list[Scored]) -> dict[str, Counter]:

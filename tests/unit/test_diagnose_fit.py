@@ -269,11 +269,12 @@ def test_a_model_without_equilibrium_at_once_is_near_without_equilibria(of_two, 
 def test_a_fit_is_not_given_up_before_its_own_jacobian_is_known(of_two, monkeypatch):
     parts = [part(of_two, "poisson"), part(of_two, "latency")]
     first, found = fit(of_two, parts[:1]), fit(of_two, parts)
-    # A Jacobian of the wrong sign leads nowhere.
-    wrong = Near(first.x, -first.jacobian)
-    for least in (-np.inf, found.log_evidence - 1.0):
-        again = fit(of_two, parts, near=wrong, least=least)
-        assert abs(again.objective - found.objective) < 0.5
+    # A Jacobian of the wrong sign leads nowhere, one of zeros promises nothing.
+    for factor in (0.0, -1.0):
+        wrong = Near(first.x, factor * first.jacobian)
+        for least in (-np.inf, found.log_evidence - 1.0):
+            again = fit(of_two, parts, near=wrong, least=least)
+            assert abs(again.objective - found.objective) < 0.5
     # Nor is it in the end, if all iterations gain.
     short = replace(DEFAULT, fit=replace(DEFAULT.fit, most_iterations=1))
     ended = fit(replace(of_two, bench=with_settings(of_two.bench, short)), parts, near=wrong)
@@ -341,6 +342,26 @@ def test_a_fit_ends_where_no_step_is_expected_to_make_it_of_use(of_two, monkeypa
     early, calls = predictions_of(of_two, monkeypatch, lambda: fit(of_two, parts, start=moved, least=near + 100.0))
     assert calls == 1 + 2
     np.testing.assert_array_equal(early.x, moved)
+
+
+def test_a_fit_that_is_of_use_ends_as_it_would_without_a_limit(of_two, monkeypatch):
+    parts = [part(of_two, "poisson"), part(of_two, "latency")]
+    far = fit(of_two, parts).x + np.array([0.0, 1.5, 0.0])
+    free, calls = predictions_of(of_two, monkeypatch, lambda: fit(of_two, parts, start=far))
+    least = free.log_evidence - 0.1
+    held, same = predictions_of(of_two, monkeypatch, lambda: fit(of_two, parts, start=far, least=least))
+    assert (same, held.log_evidence) == (calls, free.log_evidence)
+
+
+def test_the_price_of_a_choice_counts_in_what_a_fit_must_reach(of_two, monkeypatch):
+    parts = [part(of_two, "poisson"), part(of_two, "latency")]
+    found = fit(of_two, parts)
+    least = found.log_evidence - 30.0
+    _, free = predictions_of(of_two, monkeypatch, lambda: fit(of_two, parts, start=found.x, choices=2, least=least))
+    moved = found.x + np.array([0.0, 0.0, 3.0 * np.sqrt(found.covariance[2, 2])])
+    many = int(np.exp(40.0))
+    _, calls = predictions_of(of_two, monkeypatch, lambda: fit(of_two, parts, start=moved, choices=many, least=least))
+    assert calls == free == 1 + 2  # at its optimum, and given up at its start
 
 
 def test_a_fit_takes_what_a_similar_one_knows_and_ends_alike(of_two, monkeypatch):

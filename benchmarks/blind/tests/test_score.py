@@ -184,6 +184,8 @@ def test_a_tied_cause_needs_its_group_and_no_more_than_three_ids():
     ]
     row = figure(cases, "tied causes: a group that contains the hidden one")
     assert (row.hits, row.n, row.note) == (2, 4, "1 of these groups contain tied ids only")
+    oracle = {name: {"causes": [{"log_bayes_factor": gain}]} for name, gain in (("b1", 9.0), ("b2", 7.0), ("b4", 5.0))}
+    assert counted(cases, "the same, where the oracle fit gains 6 nats", oracle=oracle) == (1, 2)
 
 
 def test_cases_that_were_stored_later_are_counted_apart_too():
