@@ -269,24 +269,24 @@ def test_a_model_without_equilibrium_at_once_is_near_without_equilibria(of_two, 
 def test_a_fit_is_not_given_up_before_its_own_jacobian_is_known(of_two, monkeypatch):
     parts = [part(of_two, "poisson"), part(of_two, "latency")]
     first, found = fit(of_two, parts[:1]), fit(of_two, parts)
-    # A Jacobian of the wrong sign leads nowhere, one of zeros promises nothing.
-    for factor in (0.0, -1.0):
-        wrong = Near(first.x, factor * first.jacobian)
+    # A Jacobian of the wrong sign leads nowhere, one of zeros promises nothing, one far too steep little.
+    far = found.x + np.array([0.0, 1.5, 0.0])
+    for at, of, factor in ((first.x, first, 0.0), (first.x, first, -1.0), (far, found, 0.0), (far, found, 100.0)):
+        wrong = Near(at, factor * of.jacobian)
         for least in (-np.inf, found.log_evidence - 1.0):
             again = fit(of_two, parts, near=wrong, least=least)
             assert abs(again.objective - found.objective) < 0.5
     # Nor is it in the end, if all iterations gain.
-    short = replace(DEFAULT, fit=replace(DEFAULT.fit, most_iterations=1))
-    ended = fit(replace(of_two, bench=with_settings(of_two.bench, short)), parts, near=wrong)
-    exact = fit(of_two, parts, start=ended.x).jacobian
-    np.testing.assert_allclose(ended.jacobian, exact, atol=0.05 * np.abs(exact).max())
+    ended = fit(with_iterations(of_two, 1), parts, near=wrong)
+    exact = fit(with_iterations(of_two, 0), parts, start=ended.x).jacobian
+    np.testing.assert_allclose(ended.jacobian, exact, atol=1e-6 * np.abs(exact).max())
 
 
-def with_settings(bench, settings):
-    """Return the same bench with other settings."""
-    other = copy(bench)
-    other.settings = settings
-    return other
+def with_iterations(target, most):
+    """Return the same target with another number of iterations of its fits, at most."""
+    bench = copy(target.bench)
+    bench.settings = replace(DEFAULT, fit=replace(DEFAULT.fit, most_iterations=most))
+    return replace(target, bench=bench)
 
 
 def predictions_of(target, monkeypatch, work):
