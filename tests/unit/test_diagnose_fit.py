@@ -77,12 +77,13 @@ def test_the_form_of_a_law_is_the_one_that_the_data_have(form):
     assert effect.volumetric == form
 
 
-def refitted(monkeypatch, cause, seen, fits, corrected_fit):
+def refitted(monkeypatch, cause, seen, fits, corrected_fit, *, least=None, corrects=True):
     """Return the candidate from a cause's fits, given a believed model of -100 nats and a threshold of six."""
-    monkeypatch.setattr(candidates, "_fit_forms", lambda *_: fits)
+    seen_least = [] if least is None else least
+    monkeypatch.setattr(candidates, "_fit_forms", lambda *given: (seen_least.append(given[5]), fits)[1])
     monkeypatch.setattr(candidates, "corrected_fit", corrected_fit)
     monkeypatch.setattr(candidates, "near_to", lambda *_: None)
-    monkeypatch.setattr(candidates, "correctable", lambda *_: True)
+    monkeypatch.setattr(candidates, "correctable", lambda *_: corrects)
     believed = SimpleNamespace(ids=(), parts=(), log_evidence=-100.0)
     own = SimpleNamespace(
         bench=SimpleNamespace(
@@ -98,6 +99,14 @@ def test_of_several_forms_the_likeliest_after_correction_is_taken(monkeypatch):
     right = {"log": SimpleNamespace(log_evidence=-32.0), "coupled": SimpleNamespace(log_evidence=-2.0)}
     found = refitted(monkeypatch, "mooney", 70.0, coarse, lambda _, fitted: (fitted.form, right[fitted.form]))
     assert (found.target, found.fit, found.gain) == ("coupled", right["coupled"], 98.0)
+
+
+@pytest.mark.parametrize(("corrects", "gain"), [(True, DEFAULT.model.correction_gain), (False, 0.0)])
+def test_a_fit_goes_on_while_it_may_be_in_a_group_or_gain_by_its_correction(monkeypatch, corrects, gain):
+    least, only = [], [SimpleNamespace(log_evidence=-50.0)]
+    refitted(monkeypatch, "mooney", 70.0, only, lambda target, fitted: (target, fitted), least=least, corrects=corrects)
+    # The believed model has -100 nats, six are required, and a tenth of the probability makes a rival.
+    assert least == [pytest.approx(-100.0 + 6.0 - 2.0 * np.log(10.0) - gain)]
 
 
 @pytest.mark.parametrize(("seen", "gain"), [(7.0, 30.0), (5.0, 1.0)])

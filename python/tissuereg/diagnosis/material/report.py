@@ -8,7 +8,9 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.material.history import predicted_stresses, stress_of
-from tissuereg.diagnosis.report.ranking import chance, plain_name, possible_words, probable, ranking, separated
+from tissuereg.diagnosis.report import STYLE
+from tissuereg.diagnosis.report.ranking import chance, possible_words, ranking, separated
+from tissuereg.diagnosis.report.words import finding_section
 from tissuereg.io.experiment_out import experiment_text
 from tissuereg.report import svg
 from tissuereg.report.markup import document, escape, table
@@ -17,13 +19,6 @@ from tissuereg.report.provenance import provenance_section
 if TYPE_CHECKING:
     from tissuereg.diagnosis.material.answer import MaterialDiagnosis
     from tissuereg.experiment.material_experiment import Curve
-
-_STYLE = """
-.verdict { font-size: 1.2rem; } h3 { margin: 1.2rem 0 .3rem; } code { font-size: .85em; color: #555; }
-svg { display: block; font-family: system-ui, sans-serif; margin: .4rem 0; }
-.key span { display: inline-block; width: 1.4em; height: .7em; margin: 0 .3em 0 1em; }
-pre { background: #f4f6f8; padding: .8rem; overflow: auto; font-size: 13px; }
-"""
 
 _SAID = {
     "named": "The believed law does not explain the curves; the cause is named.",
@@ -49,13 +44,14 @@ def material_page(found: "MaterialDiagnosis", folder: Path) -> str:
     `found`: the diagnosis; `folder`: folder of the page, to which paths in the extended model are relative.
     """
     answer = found.to_json()
+    of_findings = {finding.sentence for finding in found.findings}
     tone = "yes" if answer["verdict"] == "consistent" else "no"
     parts = [
         f"<h1>What the law of {escape(found.experiment.name)} gets wrong</h1>",
         f"<p class='verdict'><b class='{tone}'>{_SAID[answer['verdict']]}</b></p>",
-        *(f"<p>{escape(sentence)}</p>" for sentence in answer["sentences"]),
+        *(f"<p>{escape(sentence)}</p>" for sentence in answer["sentences"] if sentence not in of_findings),
         f"<p>{escape(_discrepancy(answer))}</p>",
-        *(_finding(cause) for cause in answer["causes"]),
+        *(finding_section(finding) for finding in found.findings),
         *(f"<p>{escape(possible_words(one))}</p>" for one in answer["possible"]),
         "<h2>Curves</h2>",
         f"<p class='key'>{_key(found)}</p>",
@@ -75,7 +71,7 @@ def material_page(found: "MaterialDiagnosis", folder: Path) -> str:
     ]
     text = escape(experiment_text(found.extended, folder))
     parts.append(f"<h2>The extended model</h2><pre>{text}</pre>")
-    return document("Diagnosis", parts, _STYLE)
+    return document("Diagnosis", parts, STYLE)
 
 
 def _discrepancy(answer: dict[str, Any]) -> str:
@@ -85,18 +81,6 @@ def _discrepancy(answer: dict[str, Any]) -> str:
         f"times the uncertainty of the stress; largest in {before['under']} and {before['when']}, worst in "
         f"{' and '.join(before['where'])}. With the findings, curves without further effects would misfit as much with "
         f"probability {chance(answer['p_misfit'])}."
-    )
-
-
-def _finding(cause: dict[str, Any]) -> str:
-    rows = [(escape(key), f"{value:.4g} \u00b1 {spread:.2g}") for key, (value, spread) in cause["parameters"].items()]
-    tied = ", ".join(plain_name(name) for name in cause["group"][1:])
-    return (
-        f"<h3>{escape(plain_name(cause['id']))} <code>{escape(cause['id'])}</code></h3>"
-        f"<p>{probable(cause['probability'], cause['group_probability'], len(cause['group']))}; log Bayes factor "
-        f"{cause['log_bayes_factor']:.1f} (threshold {cause['threshold']:.1f})."
-        f"{f' Tied with: {escape(tied)}.' if tied else ''}</p>"
-        + table(("parameter", "value \u00b1 standard deviation"), rows)
     )
 
 

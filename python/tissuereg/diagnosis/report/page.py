@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from tissuereg.diagnosis.report import EXTENDED_FILE
+from tissuereg.diagnosis.report import EXTENDED_FILE, STYLE
 from tissuereg.diagnosis.report.history import SHARE, histories
 from tissuereg.diagnosis.report.proved import proved
 from tissuereg.diagnosis.report.ranking import rankings
@@ -18,15 +18,6 @@ from tissuereg.report.viewer import viewer, viewer_script
 
 if TYPE_CHECKING:
     from tissuereg.diagnosis.answer import BodyDiagnosis, DiagnosisDetails
-
-_STYLE = """
-.verdict { font-size: 1.2rem; } .finding { border-left: 4px solid #1f5fa8; padding-left: 1rem; margin: 1rem 0; }
-.finding p { margin: .4rem 0; } h3 { margin: 1.2rem 0 .3rem; } code { font-size: .85em; color: #555; }
-svg { display: block; font-family: system-ui, sans-serif; margin: .4rem 0; }
-.key span { display: inline-block; width: 1.4em; height: .7em; margin: 0 .3em 0 1em; }
-pre { background: #f4f6f8; padding: .8rem; overflow: auto; max-height: 24rem; font-size: 13px; }
-summary { cursor: pointer; }
-"""
 
 
 def page(found: "BodyDiagnosis", folder: Path) -> str:
@@ -43,7 +34,7 @@ def page(found: "BodyDiagnosis", folder: Path) -> str:
     parts.append(provenance_section(found.provenance.to_json(found.settings)))
     if found.details is not None:
         parts.append(viewer_script())
-    return document("Diagnosis", parts, _STYLE)
+    return document("Diagnosis", parts, STYLE)
 
 
 def _body(found: "BodyDiagnosis", details: "DiagnosisDetails") -> str:

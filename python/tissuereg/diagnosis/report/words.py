@@ -69,7 +69,8 @@ def summary(found: "BodyDiagnosis") -> str:
 
 def findings(found: "BodyDiagnosis") -> str:
     """Return every finding with its parameters and evidence, as HTML."""
-    parts = [_finding(finding) for finding in found.findings] or ["<p>No cause was accepted.</p>"]
+    parts = [finding_section(finding, gain_words(finding)) for finding in found.findings]
+    parts = parts or ["<p>No cause was accepted.</p>"]
     said = [inconstant_words(one.to_json()) for one in found.constancy if not one.holds]
     said += [outside_words(one.to_json()) for one in found.outside if not one.holds]
     said += [possible_words(one) for one in found.possible]
@@ -152,7 +153,8 @@ def _left(found: "BodyDiagnosis") -> str:
     return text if found.left is None else f"{text} {found.left['sentence']}"
 
 
-def _finding(finding: "Finding") -> str:
+def finding_section(finding: "Finding", gain: str = "") -> str:
+    """Return a finding with its parameters and evidence, as HTML; `gain`: what it predicts better, plain text."""
     rows = [(escape(key), _pair(value, finding.deviations.get(key))) for key, value in finding.parameters.items()]
     tied = ""
     if len(finding.group) > 1:
@@ -168,7 +170,8 @@ def _finding(finding: "Finding") -> str:
         f"<section class='finding'><h3>{escape(plain_name(finding.id))} <code>{escape(finding.id)}</code></h3>"
         f"<p>{escape(finding.sentence)}</p><p>{figures}</p>{tied}"
         + table(("parameter", "value \u00b1 standard deviation"), rows)
-        + f"<p>{escape(gain_words(finding))}</p></section>"
+        + (f"<p>{escape(gain)}</p>" if gain else "")
+        + "</section>"
     )
 
 
