@@ -353,6 +353,34 @@ def test_a_fit_ends_where_no_step_is_expected_to_make_it_of_use(of_two, monkeypa
     np.testing.assert_array_equal(early.x, moved)
 
 
+def test_a_fit_that_begins_at_its_end_with_a_jacobian_needs_its_own_alone(of_two, monkeypatch):
+    parts = [part(of_two, "poisson"), part(of_two, "latency")]
+    found = fit(of_two, parts)
+    near = Near(found.x, found.jacobian)
+    again, calls = predictions_of(of_two, monkeypatch, lambda: fit(of_two, parts, near=near))
+    assert calls == 1 + 2
+    np.testing.assert_array_equal(again.x, found.x)
+
+
+def test_of_several_forms_each_is_fitted_as_far_as_its_correction_could_lead(of_two, monkeypatch):
+    seen, nats = [], iter((-50.0, -90.0))
+
+    def fitted(*_, least, **__):
+        seen.append(least)
+        return SimpleNamespace(log_evidence=next(nats))
+
+    monkeypatch.setattr(candidates, "fit", fitted)
+    base, bank = fit(of_two, []), {"mooney": list(CAUSES["mooney"].variants(of_two.bench))}
+    screened, near = Screened(10.0, bank["mooney"][0], np.ones(1)), near_to(of_two, base)
+    made = candidates._fit_forms(of_two, SimpleNamespace(bank=bank), screened, base, "mooney", -70.0, near)
+    assert [one.log_evidence for one in made] == [-50.0, -90.0]
+    assert seen == [-70.0, -70.0]
+    seen.clear()
+    nats = iter((-10.0, -90.0))
+    candidates._fit_forms(of_two, SimpleNamespace(bank=bank), screened, base, "mooney", -70.0, near)
+    assert seen == [-70.0, -10.0 - DEFAULT.model.correction_gain]
+
+
 def test_a_fit_that_is_of_use_ends_as_it_would_without_a_limit(of_two, monkeypatch):
     parts = [part(of_two, "poisson"), part(of_two, "latency")]
     far = fit(of_two, parts).x + np.array([0.0, 1.5, 0.0])
