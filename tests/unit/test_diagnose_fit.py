@@ -278,9 +278,9 @@ def test_a_model_without_equilibrium_at_once_is_near_without_equilibria(of_two, 
 def test_a_fit_is_not_given_up_before_its_own_jacobian_is_known(of_two, monkeypatch):
     parts = [part(of_two, "poisson"), part(of_two, "latency")]
     first, found = fit(of_two, parts[:1]), fit(of_two, parts)
-    # A Jacobian of the wrong sign leads nowhere, one of zeros promises nothing, one far too steep little.
-    far = found.x + np.array([0.0, 1.5, 0.0])
-    for at, of, factor in ((first.x, first, 0.0), (first.x, first, -1.0), (far, found, 0.0), (far, found, 100.0)):
+    # A Jacobian of the wrong sign leads nowhere, one of zeros promises nothing.
+    far = found.x + np.array([0.0, 2.5, 0.0])
+    for at, of, factor in ((first.x, first, 0.0), (first.x, first, -1.0), (far, found, 0.0)):
         wrong = Near(at, factor * of.jacobian)
         for least in (-np.inf, found.log_evidence - 1.0):
             again = fit(of_two, parts, near=wrong, least=least)
@@ -351,6 +351,24 @@ def test_a_fit_ends_where_no_step_is_expected_to_make_it_of_use(of_two, monkeypa
     early, calls = predictions_of(of_two, monkeypatch, lambda: fit(of_two, parts, start=moved, least=near + 100.0))
     assert calls == 1 + 2
     np.testing.assert_array_equal(early.x, moved)
+
+
+@pytest.mark.parametrize(
+    ("uncorrected", "corrected", "tried", "taken"),
+    [(-27.0, 3.0, 1, True), (-27.0, 1.0, 1, False), (-29.0, 40.0, 0, False)],
+)
+def test_a_rival_is_taken_for_what_it_gains_after_its_correction(monkeypatch, uncorrected, corrected, tried, taken):
+    # It must be better by 2 nats, to which a correction may add 30.
+    right, made = SimpleNamespace(log_evidence=corrected), []
+    monkeypatch.setattr(candidates, "correctable", lambda *_: True)
+    monkeypatch.setattr(candidates, "fit", lambda *_, **__: SimpleNamespace(log_evidence=uncorrected))
+    monkeypatch.setattr(candidates, "corrected_fit", lambda *_: (made.append(1), ("better", right))[1])
+    cause = FittedCause("poisson", None)
+    current = SimpleNamespace(parts=(cause,), x=np.zeros(2), log_evidence=0.0, slices=lambda: [slice(1, 2)])
+    target = SimpleNamespace(bench=SimpleNamespace(settings=DEFAULT))
+    found = candidates.exchanged(target, current, 0, [(FittedCause("mooney", None), np.ones(1))])
+    assert len(made) == tried
+    assert found == (("better", right) if taken else (target, current))
 
 
 def test_a_fit_that_begins_at_its_end_with_a_jacobian_needs_its_own_alone(of_two, monkeypatch):
