@@ -322,3 +322,8 @@ def test_every_form_in_curves_is_said_in_one_sentence():
     assert said["stiffness", "young"].startswith("The modulus at small strain is 4 kPa")
     two = CAUSES["relaxation"].sentence({"g": [0.2, 0.004], "tau_s": [2.0, 30.0]})
     assert "20 % with a time constant of 2 s and 0.4 % with a time constant of 30 s" in two
+    # Terms are stated from the shortest time on.
+    series = next(form for form in CAUSES["relaxation"].in_curves(scene) if form.label == "prony-2")
+    (sorted_,) = series.effects(np.log([0.1, 0.4, 30.0, 2.0]), 4.0)
+    assert sorted_.tau_s == pytest.approx((2.0, 30.0))
+    assert sorted_.g == pytest.approx((0.4 / 1.5, 0.1 / 1.5))
