@@ -18,7 +18,7 @@ from tissuereg.diagnosis.constancy import AfterFit, FittedPart, fitted_parts
 from tissuereg.diagnosis.evidence import Blocks, Null, log_mean_exp, tail_probability
 from tissuereg.diagnosis.families import FAMILIES, Membership, memberships
 from tissuereg.diagnosis.fit import fit
-from tissuereg.diagnosis.report.words import _finding, verdict_sentence
+from tissuereg.diagnosis.report.words import finding_section, verdict_sentence
 from tissuereg.diagnosis.run import _verdict
 from tissuereg.diagnosis.screen import Screen
 from tissuereg.diagnosis.settings import DEFAULT
@@ -166,8 +166,8 @@ def test_a_family_alone_is_no_name():
 def test_a_family_alone_is_said_by_page_and_command():
     found = SimpleNamespace(verdict="group", findings=(stated(0.001),), suspicions=(), candidates=())
     assert "one of the effects of time and load history (best: relaxation)" in verdict_sentence(found)
-    assert "hold its family alone, effects of time and load history" in _finding(stated(0.001))
-    assert "family alone" not in _finding(stated(0.5))
+    assert "hold its family alone, effects of time and load history" in finding_section(stated(0.001))
+    assert "family alone" not in finding_section(stated(0.5))
     for p, said in ((0.001, True), (0.5, False)):
         answer = {
             "verdict": "group",
