@@ -16,9 +16,8 @@ import numpy as np
 from tissuereg._base.arrays import FloatArray
 from tissuereg.body.laws import DECLARED, main_key, shape_of
 from tissuereg.diagnosis.bench import Bench
-from tissuereg.diagnosis.causes.base import Cause, FreeParameters, Values, Variant, curve_form, free_parameters
+from tissuereg.diagnosis.causes.base import Cause, FreeParameters, Scene, Values, Variant, curve_form, free_parameters
 from tissuereg.diagnosis.causes.numbers import exponential, inner_share, logistic, logit
-from tissuereg.diagnosis.causes.scene import Scene
 from tissuereg.diagnosis.settings import MaterialSettings
 from tissuereg.experiment.effects import Asymmetry, Effect, Mooney, Stiffening
 from tissuereg.experiment.effects.elastic import OtherLaw

@@ -8,9 +8,8 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.bench import Bench
-from tissuereg.diagnosis.causes.base import Cause, FreeParameters, Values, Variant, curve_form, free_parameters
+from tissuereg.diagnosis.causes.base import Cause, FreeParameters, Scene, Values, Variant, curve_form, free_parameters
 from tissuereg.diagnosis.causes.numbers import exponential
-from tissuereg.diagnosis.causes.scene import Scene
 from tissuereg.experiment.effects import Rate
 
 

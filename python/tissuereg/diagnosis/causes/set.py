@@ -6,9 +6,8 @@ from typing import ClassVar
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.bench import Bench
-from tissuereg.diagnosis.causes.base import Cause, FreeParameters, Values, Variant, curve_form, free_parameters
+from tissuereg.diagnosis.causes.base import Cause, FreeParameters, Scene, Values, Variant, curve_form, free_parameters
 from tissuereg.diagnosis.causes.numbers import inner_share, logistic, logit
-from tissuereg.diagnosis.causes.scene import Scene
 from tissuereg.experiment.effects import Set
 
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray
-from tissuereg.diagnosis.causes.scene import Scene
+from tissuereg.diagnosis.causes.base import Scene
 from tissuereg.diagnosis.material.data import data_of
 from tissuereg.diagnosis.material.history import stress_of
 from tissuereg.diagnosis.material.model import Model

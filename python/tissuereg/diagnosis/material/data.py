@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from tissuereg._base.arrays import BoolArray, FloatArray, IntArray
-from tissuereg.diagnosis.causes.scene import Scene
+from tissuereg.diagnosis.causes.base import Scene
 from tissuereg.diagnosis.material.history import stress_of
 from tissuereg.diagnosis.material.model import Model
 from tissuereg.diagnosis.settings import DEFAULT, MaterialSettings

@@ -9,7 +9,7 @@ import numpy as np
 from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.answer import PossibleCause
 from tissuereg.diagnosis.causes import CAUSES
-from tissuereg.diagnosis.causes.scene import Scene
+from tissuereg.diagnosis.causes.base import Scene
 from tissuereg.diagnosis.material.data import data_of, scene_of
 from tissuereg.diagnosis.material.fit import FitProblem, MaterialFit
 from tissuereg.diagnosis.material.holdout import HeldOutErrors, ProofInput, folds_of, held_out_errors
