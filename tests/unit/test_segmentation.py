@@ -166,7 +166,10 @@ def test_a_body_with_labels_by_the_command(tmp_path, capsys):
     corners = above[mesh.tets]
     assert not ((corners.min(axis=1) < -1.5) & (corners.max(axis=1) > 1.5)).any()
     inside = np.isin(mesh.tets, mesh.node_set("tumour")).all(axis=1)
-    assert mesh.volumes[inside].sum() == pytest.approx(volumes["tumour"], rel=0.08)  # flat tets beside it
+    # Flat tets beside it have all corners in the set, too: how many, differs from run to run of the mesher.
+    within = np.linalg.norm(mesh.nodes[mesh.tets].mean(axis=1) - MIDDLE - OFF, axis=1) < RADIUS
+    assert inside[within].all()
+    assert mesh.volumes[within].sum() == pytest.approx(volumes["tumour"], rel=0.03)
     assert np.array_equal(np.union1d(mesh.node_set("organ"), mesh.node_set("tumour")), np.arange(mesh.n_nodes))
     # Nodes of the surface near the label, to the middles of its voxels.
     skin = mesh.surface_nodes
