@@ -327,3 +327,18 @@ def test_every_form_in_curves_is_said_in_one_sentence():
     (sorted_,) = series.effects(np.log([0.1, 0.4, 30.0, 2.0]), 4.0)
     assert sorted_.tau_s == pytest.approx((2.0, 30.0))
     assert sorted_.g == pytest.approx((0.4 / 1.5, 0.1 / 1.5))
+
+
+def test_priors_of_forms_follow_the_range_of_the_curves():
+    cycled = histories(
+        np.random.default_rng(3), lambda mode, times, strain: made.elastic(("plain",), mode, strain), path="cycles"
+    )
+    scene = scene_of(believed(cycled))
+    laws = {form.label: form for form in CAUSES["stiffening"].in_curves(scene)}
+    assert np.exp(laws["fung"].mean[0]) == pytest.approx(0.5 / scene.invariant)
+    (yeoh,) = laws["yeoh"].effects(np.ones(2), 4.0)
+    assert [v for k, v in yeoh.table().items() if k not in ("id", "law")] == pytest.approx(
+        [1.0 / scene.invariant, 1.0 / scene.invariant**2]
+    )
+    (softening,) = CAUSES["softening"].in_curves(scene)
+    assert np.exp(softening.mean[1]) == pytest.approx(0.3 * scene.peak_energy)
