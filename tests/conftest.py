@@ -29,6 +29,15 @@ def block_mesh() -> tr.Mesh:
 
 
 @pytest.fixture(scope="session")
+def of_two():
+    """The target of fits to a small experiment with two hidden effects."""
+    from support.targets import target_of
+    from tissuereg.experiment.effects import Latency, Poisson
+
+    return target_of(Poisson(poisson=0.3), Latency(latency_s=0.1))
+
+
+@pytest.fixture(scope="session")
 def shared_data() -> Path:
     """Measured data and reference solutions next to the repository; tests that need them are skipped without it."""
     folder = REPOSITORY.parent / "shared"

@@ -212,8 +212,8 @@ def _tied_rows(cases, oracle):
     pure = sum(flag and c.groups[0] <= set(c.truth["group_ok"]) for flag, c in zip(flags, tied, strict=True))
     note = f"{pure} of these groups contain tied ids only" if tied else ""
     yield _count("tied causes: a group that contains the hidden one", flags, ">= 90 %", 0.9, note=note)
-    visible = {c.case for c in seen(tied, oracle)}
     if any(c.case in oracle for c in tied):
+        visible = {c.case for c in seen(tied, oracle)}
         shown = [flag for flag, c in zip(flags, tied, strict=True) if c.case in visible]
         yield _count(f"the same, where the oracle fit gains {SEEN:g} nats", shown, "", 0.0)
 

@@ -1,6 +1,5 @@
-"""Fits of known causes, revision of several, and a search whose findings are withdrawn."""
+"""Fits of known causes and their corrections, findings of the modulus, groups."""
 
-from copy import copy
 from dataclasses import replace
 from importlib import import_module
 from types import SimpleNamespace
@@ -16,7 +15,7 @@ from tissuereg.diagnosis.causes import CAUSES
 from tissuereg.diagnosis.causes.base import free_parameters
 from tissuereg.diagnosis.correction import make_correction
 from tissuereg.diagnosis.evidence import Null
-from tissuereg.diagnosis.fit import FitTarget, FittedCause, Near, at_believed_modulus, best_start, fit, near_to
+from tissuereg.diagnosis.fit import FitTarget, FittedCause, at_believed_modulus, fit, near_to
 from tissuereg.diagnosis.modulus import _pinned, modulus_finding
 from tissuereg.diagnosis.nuisances import other_forms
 from tissuereg.diagnosis.proof import figure_blocks, proof_blocks
@@ -25,10 +24,8 @@ from tissuereg.diagnosis.screen import UNKNOWN, Screen, Screened
 from tissuereg.diagnosis.search import Search, Step, _with_finding
 from tissuereg.diagnosis.settings import DEFAULT
 from tissuereg.diagnosis.signals import SignalLayout
-from tissuereg.errors import ConvergenceError
 from tissuereg.experiment.effects import (
     ActuatorOffset,
-    Detachment,
     Latency,
     MarkerSlip,
     Mooney,
@@ -36,11 +33,6 @@ from tissuereg.experiment.effects import (
     Relaxation,
     Sliding,
 )
-
-
-@pytest.fixture(scope="module")
-def of_two():
-    return target_of(Poisson(poisson=0.3), Latency(latency_s=0.1))
 
 
 def test_a_prediction_does_not_depend_on_what_was_solved_before():
@@ -75,45 +67,6 @@ def test_the_form_of_a_law_is_the_one_that_the_data_have(form):
     assert abs(values["share"] - 0.5) < 4.0 * deviations["share"]
     (effect,) = found.effects(target.bench.young)
     assert effect.volumetric == form
-
-
-def refitted(monkeypatch, cause, seen, fits, corrected_fit, *, least=None, corrects=True):
-    """Return the candidate from a cause's fits, given a believed model of -100 nats and a threshold of six."""
-    seen_least = [] if least is None else least
-    monkeypatch.setattr(candidates, "_fit_forms", lambda *given: (seen_least.append(given[5]), fits)[1])
-    monkeypatch.setattr(candidates, "corrected_fit", corrected_fit)
-    monkeypatch.setattr(candidates, "near_to", lambda *_: None)
-    monkeypatch.setattr(candidates, "correctable", lambda *_: corrects)
-    believed = SimpleNamespace(ids=(), parts=(), log_evidence=-100.0)
-    own = SimpleNamespace(
-        bench=SimpleNamespace(
-            settings=DEFAULT, progress=lambda _: None, side_by_side=lambda work, tried: [work(one) for one in tried]
-        )
-    )
-    (found,) = candidates.refitted(own, None, {cause: Screened(seen, None, np.empty(0))}, believed, {cause: 6.0})
-    return found
-
-
-def test_of_several_forms_the_likeliest_after_correction_is_taken(monkeypatch):
-    coarse = [SimpleNamespace(form="log", log_evidence=-10.0), SimpleNamespace(form="coupled", log_evidence=-17.0)]
-    right = {"log": SimpleNamespace(log_evidence=-32.0), "coupled": SimpleNamespace(log_evidence=-2.0)}
-    found = refitted(monkeypatch, "mooney", 70.0, coarse, lambda _, fitted: (fitted.form, right[fitted.form]))
-    assert (found.target, found.fit, found.gain) == ("coupled", right["coupled"], 98.0)
-
-
-@pytest.mark.parametrize(("corrects", "gain"), [(True, DEFAULT.model.correction_gain), (False, 0.0)])
-def test_a_fit_goes_on_while_it_may_be_in_a_group_or_gain_by_its_correction(monkeypatch, corrects, gain):
-    least, only = [], [SimpleNamespace(log_evidence=-50.0)]
-    refitted(monkeypatch, "mooney", 70.0, only, lambda target, fitted: (target, fitted), least=least, corrects=corrects)
-    # The believed model has -100 nats, six are required, and a tenth of the probability makes a rival.
-    assert least == [pytest.approx(-100.0 + 6.0 - 2.0 * np.log(10.0) - gain)]
-
-
-@pytest.mark.parametrize(("seen", "gain"), [(7.0, 30.0), (5.0, 1.0)])
-def test_a_cause_with_evidence_in_screening_but_not_in_its_fit_is_corrected(monkeypatch, seen, gain):
-    lost, right = SimpleNamespace(log_evidence=-99.0), SimpleNamespace(log_evidence=-70.0)
-    found = refitted(monkeypatch, "sliding", seen, [lost], lambda target, _: (target, right))
-    assert found.gain == gain
 
 
 def test_a_fit_finds_modulus_and_causes_within_their_deviations(of_two):
@@ -234,200 +187,6 @@ def remembering(bench):
     """Return the bench of the same experiment with a believed relaxation."""
     relaxing = Relaxation(g=(0.3,), tau_s=(2.0,))
     return bench.of(replace(bench.experiment, effects=(*bench.experiment.effects, relaxing)))
-
-
-def test_a_fit_starts_from_the_equilibria_of_the_one_that_it_extends():
-    target = target_of(Relaxation(g=(0.4,), tau_s=(1.0,)))
-    found = fit(target, [part(target, "relaxation", part="whole")])
-    near = near_to(target, found)
-    further = [*found.parts, part(target, "poisson")]
-    with_start, starts = seen_starts(target, lambda: fit(target, further, near=near))
-    assert starts[0] is near.solved is not None
-    # The believed model's are further away.
-    assert abs(fit(target, further, near=Near(near.x, near.jacobian)).objective - with_start.objective) < 0.01
-    # What has no memory needs no start.
-    assert near_to(target, fit(target, [part(target, "poisson")])).solved is None
-
-
-def seen_starts(target, work):
-    """Return the result of some work, and the solutions from which the predictions that it needed started."""
-    starts, predictor = [], target.bench.predictor
-    predict = predictor.predict
-    with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(
-            predictor, "predict", lambda *a, near=None, **k: (starts.append(near), predict(*a, near=near, **k))[1]
-        )
-        found = work()
-    return found, starts
-
-
-def test_a_model_without_equilibrium_at_once_is_near_without_equilibria(of_two, monkeypatch):
-    found = fit(of_two, [part(of_two, "poisson")])
-    monkeypatch.setattr(of_two.bench.predictor, "goes_through_time", lambda _: True)
-
-    def fails(*_, **__):
-        error = ConvergenceError("none")
-        raise error
-
-    monkeypatch.setattr(of_two.bench.predictor, "solved", fails)
-    near = near_to(of_two, found)
-    assert near.solved is None
-    np.testing.assert_array_equal(near.jacobian, found.jacobian)
-
-
-def test_a_fit_is_not_given_up_before_its_own_jacobian_is_known(of_two, monkeypatch):
-    parts = [part(of_two, "poisson"), part(of_two, "latency")]
-    first, found = fit(of_two, parts[:1]), fit(of_two, parts)
-    # A Jacobian of the wrong sign leads nowhere, one of zeros promises nothing.
-    far = found.x + np.array([0.0, 2.5, 0.0])
-    for at, of, factor in ((first.x, first, 0.0), (first.x, first, -1.0), (far, found, 0.0)):
-        wrong = Near(at, factor * of.jacobian)
-        for least in (-np.inf, found.log_evidence - 1.0):
-            again = fit(of_two, parts, near=wrong, least=least)
-            assert abs(again.objective - found.objective) < 0.5
-    # Nor is it in the end, if all iterations gain.
-    ended = fit(with_iterations(of_two, 1), parts, near=wrong)
-    exact = fit(with_iterations(of_two, 0), parts, start=ended.x).jacobian
-    np.testing.assert_allclose(ended.jacobian, exact, atol=1e-6 * np.abs(exact).max())
-
-
-def with_iterations(target, most):
-    """Return the same target with another number of iterations of its fits, at most."""
-    bench = copy(target.bench)
-    bench.settings = replace(DEFAULT, fit=replace(DEFAULT.fit, most_iterations=most))
-    return replace(target, bench=bench)
-
-
-def predictions_of(target, monkeypatch, work):
-    """Return the result of some work, and the number of predictions it needed."""
-    calls = []
-    predict = target.bench.predictor.predict
-    with monkeypatch.context() as patched:
-        patched.setattr(target.bench.predictor, "predict", lambda *a, **k: (calls.append(a), predict(*a, **k))[1])
-        found = work()
-    return found, len(calls)
-
-
-def test_a_fit_that_begins_at_its_end_needs_its_jacobian_alone(of_two, monkeypatch):
-    parts = [part(of_two, "poisson"), part(of_two, "latency")]
-    found = fit(of_two, parts)
-    again, calls = predictions_of(of_two, monkeypatch, lambda: fit(of_two, parts, start=found.x))
-    assert calls == 1 + len(found.x) - 1  # the start, and one for each parameter: the modulus scales forces
-    np.testing.assert_array_equal(again.x, found.x)
-
-
-def test_a_fit_that_cannot_arrive_ends_early(of_two, monkeypatch):
-    wrong = [part(of_two, "latency")]
-    both = fit(of_two, [part(of_two, "poisson"), *wrong])
-    whole, calls = predictions_of(of_two, monkeypatch, lambda: fit(of_two, wrong))
-    assert whole.objective > both.objective + 100.0
-    early, fewer = predictions_of(of_two, monkeypatch, lambda: fit(of_two, wrong, least=both.log_evidence - 30.0))
-    assert fewer < calls
-    assert early.log_evidence < both.log_evidence - 30.0
-    # One that can arrive is not given up.
-    right = fit(of_two, [part(of_two, "poisson"), *wrong], least=both.log_evidence - 1.0)
-    assert abs(right.objective - both.objective) < 0.3
-
-
-def test_a_fit_that_misses_by_little_keeps_its_objective_and_saves_the_last_jacobian(of_two, monkeypatch):
-    parts = [part(of_two, "poisson")]
-    exact, calls = predictions_of(of_two, monkeypatch, lambda: fit(of_two, parts))
-    least = exact.log_evidence + 3.0
-    saved, fewer = predictions_of(of_two, monkeypatch, lambda: fit(of_two, parts, least=least))
-    assert saved.objective == pytest.approx(exact.objective, abs=1.0)
-    assert fewer < calls
-
-
-def test_a_fit_ends_where_no_step_is_expected_to_make_it_of_use(of_two, monkeypatch):
-    parts = [part(of_two, "poisson"), part(of_two, "latency")]
-    found = fit(of_two, parts)
-    moved = found.x + np.array([0.0, 0.0, 5.0 * np.sqrt(found.covariance[2, 2])])
-    # One step would bring it there, at the cost of some 12 nats that it lacks.
-    near = found.log_evidence - 1.0
-    again, calls = predictions_of(of_two, monkeypatch, lambda: fit(of_two, parts, start=moved, least=near))
-    assert again.log_evidence > near
-    assert calls > 1 + 2
-    # A hundred nats more are out of reach: the Jacobian at the start tells.
-    early, calls = predictions_of(of_two, monkeypatch, lambda: fit(of_two, parts, start=moved, least=near + 100.0))
-    assert calls == 1 + 2
-    np.testing.assert_array_equal(early.x, moved)
-
-
-@pytest.mark.parametrize(
-    ("uncorrected", "corrected", "tried", "taken"),
-    [(-27.0, 3.0, 1, True), (-27.0, 1.0, 1, False), (-29.0, 40.0, 0, False)],
-)
-def test_a_rival_is_taken_for_what_it_gains_after_its_correction(monkeypatch, uncorrected, corrected, tried, taken):
-    # It must be better by 2 nats, to which a correction may add 30.
-    right, made = SimpleNamespace(log_evidence=corrected), []
-    monkeypatch.setattr(candidates, "correctable", lambda *_: True)
-    monkeypatch.setattr(candidates, "fit", lambda *_, **__: SimpleNamespace(log_evidence=uncorrected))
-    monkeypatch.setattr(candidates, "corrected_fit", lambda *_: (made.append(1), ("better", right))[1])
-    cause = FittedCause("poisson", None)
-    current = SimpleNamespace(parts=(cause,), x=np.zeros(2), log_evidence=0.0, slices=lambda: [slice(1, 2)])
-    target = SimpleNamespace(bench=SimpleNamespace(settings=DEFAULT))
-    found = candidates.exchanged(target, current, 0, [(FittedCause("mooney", None), np.ones(1))])
-    assert len(made) == tried
-    assert found == (("better", right) if taken else (target, current))
-
-
-def test_a_fit_that_begins_at_its_end_with_a_jacobian_needs_its_own_alone(of_two, monkeypatch):
-    parts = [part(of_two, "poisson"), part(of_two, "latency")]
-    found = fit(of_two, parts)
-    near = Near(found.x, found.jacobian)
-    again, calls = predictions_of(of_two, monkeypatch, lambda: fit(of_two, parts, near=near))
-    assert calls == 1 + 2
-    np.testing.assert_array_equal(again.x, found.x)
-
-
-def test_of_several_forms_each_is_fitted_as_far_as_its_correction_could_lead(of_two, monkeypatch):
-    seen, nats = [], iter((-50.0, -90.0))
-
-    def fitted(*_, least, **__):
-        seen.append(least)
-        return SimpleNamespace(log_evidence=next(nats))
-
-    monkeypatch.setattr(candidates, "fit", fitted)
-    base, bank = fit(of_two, []), {"mooney": list(CAUSES["mooney"].variants(of_two.bench))}
-    screened, near = Screened(10.0, bank["mooney"][0], np.ones(1)), near_to(of_two, base)
-    made = candidates._fit_forms(of_two, SimpleNamespace(bank=bank), screened, base, "mooney", -70.0, near)
-    assert [one.log_evidence for one in made] == [-50.0, -90.0]
-    assert seen == [-70.0, -70.0]
-    seen.clear()
-    nats = iter((-10.0, -90.0))
-    candidates._fit_forms(of_two, SimpleNamespace(bank=bank), screened, base, "mooney", -70.0, near)
-    assert seen == [-70.0, -10.0 - DEFAULT.model.correction_gain]
-
-
-def test_a_fit_that_is_of_use_ends_as_it_would_without_a_limit(of_two, monkeypatch):
-    parts = [part(of_two, "poisson"), part(of_two, "latency")]
-    far = fit(of_two, parts).x + np.array([0.0, 1.5, 0.0])
-    free, calls = predictions_of(of_two, monkeypatch, lambda: fit(of_two, parts, start=far))
-    least = free.log_evidence - 0.1
-    held, same = predictions_of(of_two, monkeypatch, lambda: fit(of_two, parts, start=far, least=least))
-    assert (same, held.log_evidence) == (calls, free.log_evidence)
-
-
-def test_the_price_of_a_choice_counts_in_what_a_fit_must_reach(of_two, monkeypatch):
-    parts = [part(of_two, "poisson"), part(of_two, "latency")]
-    found = fit(of_two, parts)
-    least = found.log_evidence - 30.0
-    _, free = predictions_of(of_two, monkeypatch, lambda: fit(of_two, parts, start=found.x, choices=2, least=least))
-    moved = found.x + np.array([0.0, 0.0, 3.0 * np.sqrt(found.covariance[2, 2])])
-    many = int(np.exp(40.0))
-    _, calls = predictions_of(of_two, monkeypatch, lambda: fit(of_two, parts, start=moved, choices=many, least=least))
-    assert calls == free == 1 + 2  # at its optimum, and given up at its start
-
-
-def test_a_fit_takes_what_a_similar_one_knows_and_ends_alike(of_two, monkeypatch):
-    parts = [part(of_two, "poisson"), part(of_two, "latency")]
-    first = fit(of_two, parts[:1])
-    plain, calls = predictions_of(of_two, monkeypatch, lambda: fit(of_two, parts, start=np.append(first.x, 0.0)))
-    quick, fewer = predictions_of(of_two, monkeypatch, lambda: fit(of_two, parts, near=near_to(of_two, first)))
-    assert fewer < calls
-    assert abs(quick.log_evidence - plain.log_evidence) < DEFAULT.fit.least_gain
-    # Its Jacobian is its own in the end.
-    np.testing.assert_allclose(quick.jacobian, plain.jacobian, atol=0.02 * np.abs(plain.jacobian).max())
 
 
 def test_a_shifted_patch_is_fitted_without_jumps(of_two):
@@ -628,22 +387,6 @@ def test_a_detachment_grows_without_jumps():
     (effect,) = detached.free_parameters.effects(np.array([20.0, -1.0]), bench.young)
     assert effect.azimuth_deg == 20.0
     assert effect.share == pytest.approx(1.0 / (1.0 + np.e))
-
-
-def test_a_fit_begins_where_the_objective_is_least():
-    torn = Detachment(boundary="base", azimuth_deg=100.0, share=0.3)
-    target = target_of(torn)
-    detached = part(target, "detachment", azimuth=90.0)
-    base = fit(target, [])
-    begin = best_start(target, [detached], near_to(target, base))
-    places = [
-        np.concatenate([base.x, start]) for start in (detached.free_parameters.start, *detached.free_parameters.starts)
-    ]
-    assert any(np.array_equal(begin, place) for place in places)
-    left = [fit(target, [detached], start=place).objective for place in places[:2]]
-    found = fit(target, [detached], start=begin)
-    assert found.objective <= min(left) + 0.5
-    assert abs(found.values(0, 1.0)[0]["share"] - 0.3) < 0.1
 
 
 def test_a_slip_is_found_to_begin_in_its_own_frame():

@@ -18,11 +18,6 @@ from tissuereg.diagnosis.settings import DEFAULT
 from tissuereg.experiment.effects import Latency, Poisson
 
 
-@pytest.fixture(scope="module")
-def of_two():
-    return target_of(Poisson(poisson=0.3), Latency(latency_s=0.1))
-
-
 @pytest.mark.parametrize(("share", "named"), [(0.9, {"latency", "poisson"}), (1.1, {"latency"})])
 def test_what_stays_after_a_revision_passes_its_threshold_again(monkeypatch, share, named):
     monkeypatch.setattr(import_module("tissuereg.diagnosis.refined"), "correctable", lambda *_: False)

@@ -26,11 +26,6 @@ from tissuereg.diagnosis.signals import SignalLayout
 from tissuereg.experiment.effects import Latency, MarkerSlip, Poisson
 
 
-@pytest.fixture(scope="module")
-def of_two():
-    return target_of(Poisson(poisson=0.3), Latency(latency_s=0.1))
-
-
 def test_null_draws_have_the_error_of_another_mesh(of_two):
     layout = of_two.bench.layout
     screen = screen_of(of_two, ("latency",))

@@ -11,6 +11,7 @@ deviations, the log evidence is -objective - 1/2 log det H - log(number of discr
 """
 
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -90,10 +91,6 @@ class FittedModel:
         """Return for every cause the slice of `x` that holds its parameters."""
         return slices_of(len(part.free_parameters.start) for part in self.parts)
 
-    def effects_at(self, x: FloatArray, young: float) -> tuple[Effect, ...]:
-        """Return the effects of all causes at other parameters (k,); `young`: modulus, kPa."""
-        return effects_of(self.parts, x, young)
-
 
 @dataclass(frozen=True, eq=False)
 class Fit(FittedModel):
@@ -117,13 +114,18 @@ class Fit(FittedModel):
     log_evidence: float
     choices: int = 1
 
+    @property
+    def near(self) -> "Near":
+        """What the fit of a similar model begins from, without its equilibria."""
+        return Near(self.x, self.jacobian)
+
     def young(self, believed: float) -> float:
         """Return the fitted modulus in kPa; `believed`: believed modulus, kPa."""
         return believed * float(np.exp(self.x[0]))
 
     def effects(self, believed: float) -> tuple[Effect, ...]:
         """Return the effects of all causes at the fitted parameters; `believed`: believed modulus, kPa."""
-        return self.effects_at(self.x, self.young(believed))
+        return effects_of(self.parts, self.x, self.young(believed))
 
     def values(self, number: int, believed: float) -> tuple[Values, Values]:
         """Return the physical parameters of one cause and their standard deviations, both by key.
@@ -165,12 +167,11 @@ class Near:
 def near_to(target: FitTarget, found: Fit) -> Near:
     """Return what fits of models with further causes begin from; `found`: fit without these."""
     solver = _FitSolver(target, found.parts)
-    try:
-        solver.start_from(found.x, threads=None)
-    except NO_ANSWER:
-        # The fit reached this model by steps from a neighbour; solved at once it has no equilibrium.
-        return Near(found.x, found.jacobian)
-    return Near(found.x, found.jacobian, solver.near)
+    if target.bench.predictor.goes_through_time(found.effects(target.bench.young)):
+        # A fit that reached this model by steps from a neighbour may have no equilibrium that is found at once.
+        with suppress(*NO_ANSWER):
+            solver.start_from(found.x, threads=None)
+    return replace(found.near, solved=solver.near)
 
 
 def fit(
@@ -208,8 +209,8 @@ def fit(
     slopes = solver.reduced(jacobian)
     for remaining in reversed(range(limits.most_iterations)):
         step = solver.step(x, slopes, reduced)
-        # How far the objective is above that of a useful fit.
-        excess = objective + solver.log_volume(slopes) + float(np.log(choices)) + least
+        # How much evidence is lacking.
+        excess = least - solver.log_evidence(objective, slopes, choices)
         if exact and excess > limits.further_gains * solver.predicted_decrease(step, slopes):
             break
         step *= min(1.0, limits.longest / max(float(np.abs(step / solver.deviation).max()), 1e-12))
@@ -244,7 +245,6 @@ def fit(
         jacobian = solver.jacobian(x, prediction)
         slopes = solver.reduced(jacobian)
     covariance = np.asarray(np.linalg.inv(solver.information(slopes)), np.float64)
-    log_evidence = -objective - solver.log_volume(slopes) - float(np.log(choices))
     residual = target.white(np.where(target.bench.layout.seen, target.bench.layout.measured - prediction, 0.0))
     return Fit(
         solver.parts,
@@ -256,7 +256,7 @@ def fit(
         jacobian,
         residual,
         objective,
-        log_evidence,
+        solver.log_evidence(objective, slopes, choices),
         choices,
     )
 
@@ -383,11 +383,10 @@ class _FitSolver:
         return mixture
 
     def start_from(self, x: FloatArray, threads: int | None = 1) -> None:
-        """Let the following solutions start from the equilibria for parameters (k,), where start matters to them."""
-        effects, predictor = max(self.mixture(x), key=lambda one: one[0])[1], self.target.bench.predictor
-        if effects and predictor.goes_through_time(effects):
+        """Let the following solutions start from the equilibria for parameters (k,)."""
+        if effects := max(self.mixture(x), key=lambda one: one[0])[1]:
             young = None if self.scales else self.factor(x)
-            self.near = predictor.solved(effects, young=young, threads=threads, near=self.near)
+            self.near = self.target.bench.predictor.solved(effects, young=young, threads=threads, near=self.near)
 
     def objective(self, x: FloatArray, prediction: FloatArray) -> tuple[float, FloatArray]:
         white = self.target.white(np.where(self.seen, self.measured - prediction, 0.0))
@@ -446,10 +445,10 @@ class _FitSolver:
         """Return the Hessian (k, k) of the objective, by Gauss and Newton, from whitened derivatives (k, size)."""
         return slopes @ slopes.T + np.diag(1.0 / self.deviation**2)
 
-    def log_volume(self, slopes: FloatArray) -> float:
-        """Return the logarithm of the volume of the prior over that of the posterior, from whitened derivatives."""
+    def log_evidence(self, objective: float, slopes: FloatArray, choices: int) -> float:
+        """Return the log evidence of a fit, nats, from its objective and whitened derivatives (k, size)."""
         inner = self.information(slopes) * self.deviation[:, None] * self.deviation
-        return 0.5 * float(np.linalg.slogdet(inner)[1])
+        return -objective - 0.5 * float(np.linalg.slogdet(inner)[1]) - float(np.log(choices))
 
     def step(self, x: FloatArray, slopes: FloatArray, reduced: FloatArray) -> FloatArray:
         gradient = slopes @ reduced - (x - self.mean) / self.deviation**2

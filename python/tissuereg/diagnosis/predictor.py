@@ -110,8 +110,7 @@ class Predictor:
         `effects`: in addition to those of the experiment, without errors of the tracker, which are left out; `young`:
         factor on the believed modulus; `threads`: threads to use; `near`: solution of a similar model to start from.
         """
-        # The tracker does not act on the body: models that differ in it alone have one solution.
-        bodily = tuple(effect for effect in effects if not isinstance(effect, ChainEffect))
+        bodily = _bodily(effects)
         worked = self._worked(bodily, young)
         if not goes_through_time(worked):
             near = None
@@ -126,8 +125,7 @@ class Predictor:
 
     def goes_through_time(self, effects: Sequence[Effect] = ()) -> bool:
         """Return whether the frames of a model with further effects are solved one after another."""
-        bodily = tuple(effect for effect in effects if not isinstance(effect, ChainEffect))
-        return goes_through_time(self._worked(bodily, None))
+        return goes_through_time(self._worked(_bodily(effects), None))
 
     @cached_property
     def _believed(self) -> Solved:
@@ -166,6 +164,11 @@ class Predictor:
         times = {case.name: case.times for case in cases}
         fields = {name: found.all_displacement for name, found in solved.items()}
         return Solved(effects, young, places, forces, times, fields)
+
+
+def _bodily(effects: Sequence[Effect]) -> tuple[Effect, ...]:
+    """Return effects without the tracker's: it does not act on the body; models that differ in it have one solution."""
+    return tuple(effect for effect in effects if not isinstance(effect, ChainEffect))
 
 
 def refuse_failures(case: str, failed: Sequence[tuple[int, str]]) -> None:

@@ -24,7 +24,7 @@ from tissuereg._base.arrays import FloatArray, IntArray
 from tissuereg._base.provenance import warn
 from tissuereg.diagnosis.bench import Bench, OnFineMeshes, Targets
 from tissuereg.diagnosis.causes import CAUSES
-from tissuereg.diagnosis.fit import Fit, FitTarget, Near, at_believed_modulus, fit
+from tissuereg.diagnosis.fit import Fit, FitTarget, at_believed_modulus, fit
 from tissuereg.diagnosis.predictor import FINE_SCHEMA, NO_ANSWER, fingerprint, refuse_failures
 from tissuereg.diagnosis.signals import CasePart, SignalLayout
 from tissuereg.errors import ConvergenceError, MeshError, TissueRegError
@@ -249,7 +249,7 @@ def corrected_fit(target: FitTarget, found: Fit) -> tuple[FitTarget, Fit]:
     corrected = target, found
     for _ in range(target.bench.settings.model.most_corrections):
         better = recorrected(target, corrected[1])
-        near = Near(corrected[1].x, corrected[1].jacobian)
+        near = corrected[1].near
         again = None if better is target else fit(better, found.parts, choices=found.choices, near=near)
         if again is None:
             break

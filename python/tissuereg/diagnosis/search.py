@@ -22,7 +22,7 @@ from tissuereg.diagnosis.candidates import (
 )
 from tissuereg.diagnosis.causes import CAUSES
 from tissuereg.diagnosis.evidence import Null, fit_amplitudes, probabilities
-from tissuereg.diagnosis.fit import Fit, FitTarget, Near, fit
+from tissuereg.diagnosis.fit import Fit, FitTarget, fit
 from tissuereg.diagnosis.nuisances import effect_nuisances, other_forms
 from tissuereg.diagnosis.proof import (
     GENERIC,
@@ -315,7 +315,7 @@ class _Bodies:
         errors = self.given.white(effect_nuisances(self.given.bench, rest.prediction - self.base.prediction))
         null = Null(np.concatenate([self.given.null.nuisances, *forms, errors]))
         target = replace(known.target, null=null)
-        return target, fit(target, rest.parts, near=Near(rest.x, rest.jacobian)) or rest
+        return target, fit(target, rest.parts, near=rest.near) or rest
 
 
 def _round(target: FitTarget, screen: Screen, base: Fit, current: Fit, thresholds: Mapping[str, float]) -> Step:
@@ -357,7 +357,7 @@ def _with_finding(
     errors = plain.white(effect_nuisances(plain.bench, found.fit.prediction - base.prediction))
     target = replace(plain, null=Null(np.concatenate([null.nuisances, errors])))
     alone = found.fit
-    return plain, target, fit(target, alone.parts, near=Near(alone.x, alone.jacobian)) or alone
+    return plain, target, fit(target, alone.parts, near=alone.near) or alone
 
 
 def _forms(target: FitTarget, screen: Screen, name: str, change: FloatArray) -> FloatArray:

@@ -239,8 +239,8 @@ def _shape_words(values: Values) -> str:
         return ", ".join(f"{v:.3g}" for v in value) if isinstance(value, list) else f"{value:.3g}"
 
     # A single term has all the weight.
-    shape = {key: value for key, value in values.items() if not (key == "weight" and len(value) == 1)}
-    return "; ".join(f"{key} {text(value)}" for key, value in shape.items() if key not in ("id", "law", "volumetric"))
+    left_out = {"id", "law", "volumetric", *(("weight",) if len(values.get("weight", ())) == 1 else ())}
+    return "; ".join(f"{key} {text(value)}" for key, value in values.items() if key not in left_out)
 
 
 def _by_rate(law: str, invariant: float) -> FreeParameters:

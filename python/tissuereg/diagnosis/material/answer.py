@@ -12,6 +12,7 @@ from tissuereg._base.arrays import BoolArray, FloatArray
 from tissuereg.diagnosis.answer import Accepted, Diagnosis, Finding, to_check, versions_now
 from tissuereg.diagnosis.causes import CAUSES
 from tissuereg.diagnosis.evidence import rms
+from tissuereg.diagnosis.fit import effects_of
 from tissuereg.diagnosis.material.advice import best_test
 from tissuereg.diagnosis.material.fit import MaterialFit, extended
 from tissuereg.diagnosis.material.report import material_page
@@ -131,7 +132,9 @@ def parameters_of(fit: MaterialFit) -> dict[str, dict[str, list[float]]]:
     for i, std in enumerate(np.sqrt(np.diag(fit.covariance))):
         moved = fit.x.copy()
         moved[i] += 1e-3 * std
-        for column, before, effect in zip(columns, plain, fit.effects_at(moved, float(np.exp(moved[0]))), strict=True):
+        for column, before, effect in zip(
+            columns, plain, effects_of(fit.parts, moved, float(np.exp(moved[0]))), strict=True
+        ):
             after = _numbers(effect)
             column.append(np.array([(after[key] - before[key]) / (1e-3 * std) for key in before]))
     parameters = {}
@@ -215,11 +218,11 @@ def _when(outcome: SelectionOutcome, chi: FloatArray) -> str:
 def _sentence(outcome: SelectionOutcome, finding: MaterialFinding) -> str:
     assert outcome.refined is not None  # there is a finding
     fit = outcome.refined.fit
-    effect = fit.effects[outcome.known.ids.index(finding.id)]
+    place = fit.ids.index(finding.id)
+    effect = fit.effects[place]
     sentence = CAUSES[finding.id].sentence(effect.table())
     if isinstance(effect, Fibre):
-        label = fit.parts[outcome.known.ids.index(finding.id)].free_parameters.label
-        sentence += f" They lie {label}."
+        sentence += f" They lie {fit.parts[place].free_parameters.label}."
     if isinstance(effect, Relaxation):
         sentence += f" Instantaneous Young's modulus: {np.exp(fit.x[0]):.3g} kPa."
     if len(finding.group) > 1:

@@ -69,7 +69,7 @@ class MaterialFit(FittedModel):
     @property
     def effects(self) -> tuple[Effect, ...]:
         """Effects (changes of the believed model) at the fitted parameters, one for each cause, in their order."""
-        return self.effects_at(self.x, float(np.exp(self.x[0])))
+        return effects_of(self.parts, self.x, float(np.exp(self.x[0])))
 
 
 def prior_of(problem: FitProblem, parts: Sequence[FittedCause]) -> tuple[FloatArray, FloatArray]:
