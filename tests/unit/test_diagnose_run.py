@@ -1,7 +1,7 @@
 """A whole diagnosis gives the same answer every time, on any number of threads."""
 
 from dataclasses import replace
-from threading import Barrier, get_ident
+from threading import Barrier, Lock
 
 import numpy as np
 import pytest
@@ -9,14 +9,17 @@ import pytest
 import tissuereg as tr
 from support.answers import told
 from support.rigs import rig
+from tissuereg.diagnosis import predictor
 from tissuereg.diagnosis.bank import make_bank
 from tissuereg.diagnosis.bench import Bench
 from tissuereg.diagnosis.causes import CAUSES
+from tissuereg.diagnosis.predictor import Predictor
 from tissuereg.diagnosis.readings import judge
 from tissuereg.diagnosis.run import _own_modulus
 from tissuereg.diagnosis.signals import SignalLayout
-from tissuereg.experiment.effects import Poisson, Stiffness
+from tissuereg.experiment.effects import Poisson, Relaxation, Set, Stiffness, Swelling
 from tissuereg.experiment.experiment import Simulated
+from tissuereg.simulation.experiment import solve_cases
 
 
 def test_the_answer_depends_on_neither_threads_nor_the_call():
@@ -49,24 +52,63 @@ def test_of_forces_below_their_noise_no_modulus_is_stated_that_the_search_found(
     assert found.findings == ()
 
 
-@pytest.mark.parametrize(("threads", "jobs", "inside"), [(2, 4, 1), (4, 2, 2), (8, 2, 4)])
-def test_work_within_work_side_by_side_shares_the_threads(threads, jobs, inside):
+@pytest.mark.parametrize("threads", [1, 2, 4])
+def test_work_within_work_solves_no_more_bodies_at_a_time_than_there_are_threads(threads, monkeypatch):
     believed = rig()
     bench = Bench(believed, SignalLayout(believed), threads=threads)
+    lock, running, most = Lock(), 0, 0
+    # Without a timeout of its own a barrier would wait for threads that are not let in.
+    together = Barrier(threads, timeout=30.0)
 
-    def seen(_):
-        # All threads must come for one to go on: there are that many, and eight calls are a multiple of them.
-        together = Barrier(inside, timeout=30.0)
+    def solved(worked, cases, **options):
+        nonlocal running, most
+        with lock:
+            running += 1
+            most = max(most, running)
+        together.wait()
+        found = solve_cases(worked, cases, **options)
+        with lock:
+            running -= 1
+        return found
 
-        def wait(number):
-            together.wait()
-            return number, get_ident()
+    _ = bench.base
+    monkeypatch.setattr(predictor, "solve_cases", solved)
 
-        done = bench.side_by_side(wait, range(8))
-        assert [number for number, _ in done] == list(range(8))
-        return len({thread for _, thread in done})
+    def changes(number):
+        return bench.changes([[Poisson(poisson=0.3 + 0.01 * (4 * number + part))] for part in range(4)])
 
-    assert set(bench.side_by_side(seen, range(jobs))) == {inside}
+    found = bench.side_by_side(changes, range(threads))
+    monkeypatch.undo()
+    assert most == threads
+    for number, made in enumerate(found):
+        for one, again in zip(made, changes(number), strict=True):
+            np.testing.assert_array_equal(one, again)
+
+
+@pytest.mark.parametrize(
+    ("effect", "apart"),
+    [
+        (Relaxation(g=(0.4,), tau_s=(2.0,)), True),
+        (Set(fraction=0.2), False),
+        (Swelling(linear_strain=0.02, from_time_s=0.0, to_time_s=4.0), False),
+        (Poisson(poisson=0.3), False),
+    ],
+    ids=lambda value: getattr(value, "id", value),
+)
+def test_cases_with_a_history_of_their_own_are_solved_side_by_side(effect, apart, monkeypatch):
+    believed = rig()
+    asked = []
+
+    def solved(worked, cases, **options):
+        asked.append([case.name for case in cases])
+        return solve_cases(worked, cases, **options)
+
+    monkeypatch.setattr(predictor, "solve_cases", solved)
+    one, two = (Predictor(believed, SignalLayout(believed), threads=n).solved([effect], threads=1) for n in (1, 2))
+    names = list(believed.cases)
+    assert sorted(asked[-len(names) :]) == sorted([name] for name in names) if apart else asked[-1] == names
+    for name in names:
+        np.testing.assert_array_equal(one.fields[name], two.fields[name])
 
 
 def test_a_modulus_that_an_effect_states_is_the_one_that_is_fitted():

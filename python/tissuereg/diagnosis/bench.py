@@ -4,8 +4,6 @@ A `Bench` gives the model's prediction on the user's mesh, its sensitivities (`t
 effect makes, all as flat vectors in the order of a `SignalLayout`.
 """
 
-import os
-import threading
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -26,9 +24,6 @@ from tissuereg.experiment.experiment import Experiment
 from tissuereg.simulation.fine import FineModel
 from tissuereg.simulation.memory import goes_through_time
 from tissuereg.simulation.sensitivity import Cause
-
-#: In a thread that works beside others (`Bench.side_by_side`), `threads`: how many threads it may use itself.
-_SHARE = threading.local()
 
 #: Places of inner targets by case and name, each (n_frames, 3) in mm.
 Targets = Mapping[str, Mapping[str, FloatArray]]
@@ -174,13 +169,11 @@ class Bench:
     def side_by_side(self, work: Callable[[_In], _Out], tried: Sequence[_In]) -> list[_Out]:
         """Return `work(one)` for every entry `one` of `tried`, in order; calls run in parallel, each on one thread.
 
-        Work that calls this itself shares the threads with the work beside it.
+        Work may call this itself: of all that runs, no more bodies are solved at a time than there are threads.
         """
-        workers = getattr(_SHARE, "threads", None) or self.predictor.threads or os.cpu_count() or 1
-        if workers == 1 or len(tried) <= 1:
+        if self.predictor.workers == 1 or len(tried) <= 1:
             return [work(one) for one in tried]
-        own = max(workers // len(tried), 1)
-        with ThreadPoolExecutor(workers, initializer=setattr, initargs=(_SHARE, "threads", own)) as pool:
+        with ThreadPoolExecutor(self.predictor.workers) as pool:
             return list(pool.map(work, tried))
 
     @property

@@ -4,7 +4,9 @@ Also what they depend on, as a hash by which results are cached.
 """
 
 import hashlib
+import os
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -18,11 +20,11 @@ from tissuereg.diagnosis.settings import DEFAULT, ModelSettings
 from tissuereg.diagnosis.signals import SignalLayout
 from tissuereg.errors import ConvergenceError, ExperimentError, MaterialError, SupportError
 from tissuereg.experiment.effects import ChainEffect, Effect, extended, seen_markers
-from tissuereg.experiment.experiment import Experiment
+from tissuereg.experiment.experiment import Case, Experiment
 from tissuereg.io.json import dumps
 from tissuereg.simulation.experiment import Simulators, solve_cases
 from tissuereg.simulation.frames import FrameSettings, Rigs, Similar
-from tissuereg.simulation.memory import goes_through_time
+from tissuereg.simulation.memory import SolvedCase, are_apart, goes_through_time
 
 #: To be increased when fine meshes, or changes by the shape on them, give other results: older entries are not read.
 FINE_SCHEMA = 4
@@ -53,6 +55,7 @@ class Predictor:
 
     `experiment`: the believed model, with its own effects; `layout`: order of the predicted numbers; `element` {"tet4",
     "tet4-averaged", "tet10"}: elements to use; `threads`: threads to use; 0 takes all cores; `settings`: tolerances.
+    Attribute `workers`: how many bodies are solved at a time, however many predictions are asked for.
     """
 
     def __init__(
@@ -70,6 +73,7 @@ class Predictor:
         self.element = element
         self.threads = threads
         self.observation = MarkerObservation(experiment.mesh, experiment.marker_reference, experiment.marker_names)
+        self.workers = threads or os.cpu_count() or 1
         self._simulators: Simulators = {}
         self._rigs: Rigs = {}
         # Each with the solution that it started from: another start changes its last digits.
@@ -128,6 +132,11 @@ class Predictor:
         return goes_through_time(self._worked(_bodily(effects), None))
 
     @cached_property
+    def _pool(self) -> ThreadPoolExecutor:
+        """The threads in which all bodies are solved: with more of them more memory would be held."""
+        return ThreadPoolExecutor(self.workers)
+
+    @cached_property
     def _believed(self) -> Solved:
         """The equilibria of the believed model without further effects."""
         return self.solved(())
@@ -148,12 +157,16 @@ class Predictor:
         near: Solved | None,
     ) -> Solved:
         cases = list(worked.cases.values())
-        solved = solve_cases(
-            worked,
-            cases,
-            settings=FrameSettings(self.element, self.settings.tolerance, threads),
-            similar=Similar(None if near is None else near.fields, self._rigs, self._simulators),
-        )
+        apart = threads == 1 and are_apart(worked)
+        how = FrameSettings(self.element, self.settings.tolerance, threads)
+        similar = Similar(None if near is None else near.fields, self._rigs, self._simulators)
+
+        def together(some: Sequence[Case]) -> dict[str, SolvedCase]:
+            return solve_cases(worked, some, settings=how, similar=similar)
+
+        solved: dict[str, SolvedCase] = {}
+        for part in self._pool.map(together, [[case] for case in cases] if apart else [cases]):
+            solved.update(part)
         places, forces = {}, {}
         for case in cases:
             found = solved[case.name]

@@ -64,6 +64,12 @@ def goes_through_time(experiment: Experiment) -> bool:
     return hangs_already(experiment) or any(isinstance(effect, Memory | Sliding) for effect in experiment.effects)
 
 
+def are_apart(experiment: Experiment) -> bool:
+    """Return whether each case is a history of its own that nothing is solved before; argument as above."""
+    grows = any(isinstance(effect, Swelling) for effect in experiment.effects)
+    return goes_through_time(experiment) and not is_carried(experiment) and not grows
+
+
 def remembers(experiment: Experiment) -> bool:
     """Return True if the stress depends on earlier frames, by memory (such as relaxation) or by swelling."""
     return any(isinstance(effect, Memory) for effect in experiment.effects)

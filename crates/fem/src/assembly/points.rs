@@ -168,13 +168,13 @@ fn gradients_with<const N: usize, const Q: usize>(
     geometry: &Geometry,
     displacement: &[f64],
 ) -> Vec<Matrix3> {
-    (0..geometry.n_elements())
-        .flat_map(|element| {
-            let u = local::<N>(geometry, element, displacement);
-            let jacobian = &geometry.inverse_jacobian[element];
-            rule.gradients.iter().map(move |g| displacement_gradient(&u, g, jacobian))
-        })
-        .collect()
+    let mut all = vec![[[0.0; 3]; 3]; Q * geometry.n_elements()];
+    for (element, own) in all.as_chunks_mut::<Q>().0.iter_mut().enumerate() {
+        let u = local::<N>(geometry, element, displacement);
+        let jacobian = &geometry.inverse_jacobian[element];
+        *own = rule.gradients.map(|g| displacement_gradient(&u, &g, jacobian));
+    }
+    all
 }
 
 fn det_f_with<const N: usize, const Q: usize>(

@@ -1,7 +1,7 @@
 //! Pads that are bonded to a body for some frames and released again.
 
 use std::collections::BTreeMap;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 
 use super::run::{Given, History};
 use crate::body::Body;
@@ -53,8 +53,8 @@ pub struct Rig {
     middles: Vec<Vec<usize>>,
     /// Displacement of each pad's nodes and middles when it was bonded, mm; none where it is gone.
     bonded: Vec<Option<Vec<[f64; 3]>>>,
-    /// Bodies by the pads that are present.
-    bodies: BTreeMap<Vec<bool>, Arc<Body>>,
+    /// Bodies by the pads that are present, shared with the rigs that were made from this one.
+    bodies: Arc<Mutex<BTreeMap<Vec<bool>, Arc<Body>>>>,
 }
 
 /// One frame of a rig.
@@ -100,7 +100,7 @@ impl Rig {
         }
         let middles = free.iter().map(|nodes| middles_of(&body, nodes)).collect();
         let bonded = vec![None; free.len()];
-        Ok(Self { body, history, pads: free, middles, bonded, bodies: BTreeMap::new() })
+        Ok(Self { body, history, pads: free, middles, bonded, bodies: Arc::default() })
     }
 
     /// The same rig at its beginning, with another material and behaviour.
@@ -117,7 +117,7 @@ impl Rig {
             pads: self.pads.clone(),
             middles: self.middles.clone(),
             bonded: vec![None; self.pads.len()],
-            bodies: self.bodies.clone(),
+            bodies: Arc::clone(&self.bodies),
         })
     }
 
@@ -178,7 +178,7 @@ impl Rig {
         let given: Vec<[f64; 3]> = motions.iter().map(|m| m.unwrap_or_default()).collect();
         check_finite("motion of a pad", &given)?;
         let guess = change.map(|rows| self.after(rows)).transpose()?;
-        let mut history = self.history.clone();
+        let mut history = self.history.branch();
         let mut bonded = self.bonded.clone();
         let mut comes = false;
         for (place, motion) in bonded.iter_mut().zip(motions) {
@@ -204,7 +204,7 @@ impl Rig {
         }
         let solution =
             self.settle(&mut history, &bonded, load, (&given, guess), time_s, settings)?;
-        self.history = history;
+        history.replace(&mut self.history);
         self.bonded = bonded;
         Ok(self.frame(solution))
     }
@@ -219,7 +219,7 @@ impl Rig {
 
     /// One frame with the pads that are bonded; motions and the displacement that is expected.
     fn settle(
-        &mut self,
+        &self,
         history: &mut History,
         bonded: &[Option<Vec<[f64; 3]>>],
         load: &Load,
@@ -240,15 +240,7 @@ impl Rig {
             let given = Given { guess, ..Given::default() };
             return history.advance_held(&self.body, load, given, time_s, settings);
         }
-        if !self.bodies.contains_key(&present) {
-            let mut supports = self.body.supports().clone();
-            for (nodes, _) in self.pads.iter().zip(&present).filter(|(_, there)| **there) {
-                supports = supports.hold(nodes);
-            }
-            let body = Arc::new(self.body.with_supports(supports)?);
-            self.bodies.insert(present.clone(), body);
-        }
-        let body = self.bodies.get(&present).unwrap_or(&self.body);
+        let body = &*self.with_pads(present)?;
         let moved = |(rows, motion): (&Option<Vec<[f64; 3]>>, &[f64; 3])| {
             let place = |row: &[f64; 3]| std::array::from_fn(|i| row[i] + motion[i]);
             rows.as_ref().map(|rows| rows.iter().map(place).collect())
@@ -262,6 +254,21 @@ impl Rig {
         let load = Load { prescribed: None, ..load.clone() };
         let given = Given { prescribed: Some(prescribed), guess };
         history.advance_held(body, &load, given, time_s, settings)
+    }
+
+    /// The body held by the pads that are present, analysed once for all rigs that share it.
+    fn with_pads(&self, present: Vec<bool>) -> Result<Arc<Body>, FemError> {
+        let mut bodies = self.bodies.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(body) = bodies.get(&present) {
+            return Ok(Arc::clone(body));
+        }
+        let mut supports = self.body.supports().clone();
+        for (nodes, _) in self.pads.iter().zip(&present).filter(|(_, there)| **there) {
+            supports = supports.hold(nodes);
+        }
+        let body = Arc::new(self.body.with_supports(supports)?);
+        bodies.insert(present, Arc::clone(&body));
+        Ok(body)
     }
 
     /// Displacement of all nodes, flat, from that of the body's own held nodes and of the nodes and
@@ -334,4 +341,73 @@ fn acts(load: &Load, history: &History, time_s: f64) -> bool {
 fn mean(places: &[[f64; 3]]) -> [f64; 3] {
     let n = places.len().max(1) as f64;
     std::array::from_fn(|i| places.iter().map(|x| x[i]).sum::<f64>() / n)
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::expect_used)]
+
+    use super::*;
+    use crate::element::Element;
+    use crate::memory::Relaxation;
+    use crate::mesh::Mesh;
+
+    fn rig() -> Rig {
+        let nodes =
+            vec![[0.0; 3], [9.0, 0.0, 0.0], [0.0, 9.0, 0.0], [0.0, 0.0, 9.0], [9.0, 9.0, 9.0]];
+        let mesh = Mesh::new(nodes, vec![[0, 1, 2, 3], [1, 2, 3, 4]]).expect("sound");
+        let body = Body::new(mesh, Element::Tet4, [0, 1, 2]).expect("held");
+        let relaxation = Relaxation { g: vec![0.4], tau_s: vec![2.0], ..Relaxation::default() };
+        let behaviour = Behaviour { relaxation: Some(relaxation), ..Behaviour::default() };
+        let law = Material::neo_hookean(10.0, 0.4).expect("sound");
+        let history = History::new(&body, law, behaviour).expect("sound");
+        Rig::new(body, history, vec![Pad { nodes: vec![3] }, Pad { nodes: vec![4] }])
+            .expect("sound")
+    }
+
+    fn push(rig: &mut Rig, down: [Option<f64>; 2], time_s: f64) -> Result<RigFrame, FemError> {
+        let motions = down.map(|z| z.map(|z| [0.0, 0.0, z]));
+        rig.advance(&Load::default(), &motions, time_s, &SolveSettings::default())
+    }
+
+    #[test]
+    fn rigs_made_from_each_other_analyse_a_body_once() {
+        let first = rig();
+        let again = || {
+            let material = Material::neo_hookean(10.0, 0.4).expect("sound");
+            first.afresh(material, first.history.behaviour().clone()).expect("sound")
+        };
+        let (mut one, mut two) = (again(), again());
+        push(&mut one, [Some(-0.5), None], 0.0).expect("stands");
+        push(&mut two, [None, Some(-0.5)], 0.0).expect("stands");
+        let (one, two) = (again(), again());
+        for present in [[true, false], [false, true]] {
+            let [a, b] = [&one, &two].map(|rig| rig.with_pads(present.to_vec()).expect("held"));
+            assert!(Arc::ptr_eq(&a, &b));
+        }
+        assert_eq!(first.bodies.lock().expect("whole").len(), 2);
+    }
+
+    #[test]
+    fn states_take_turns_in_two_rooms() {
+        let mut rig = rig();
+        let mut rooms = Vec::new();
+        for k in 0..6 {
+            push(&mut rig, [Some(-0.1 * f64::from(k)), None], f64::from(k)).expect("stands");
+            rooms.push(rig.history.room());
+        }
+        assert_ne!(rooms[2], rooms[3]);
+        assert_eq!(rooms[2..4], rooms[4..6]);
+    }
+
+    #[test]
+    fn a_frame_that_fails_leaves_the_rig_as_it_was() {
+        let (mut tried, mut other) = (rig(), rig());
+        for rig in [&mut tried, &mut other] {
+            push(rig, [Some(-0.5), None], 0.0).expect("stands");
+        }
+        assert!(push(&mut tried, [Some(-40.0), None], 1.0).is_err());
+        let [after, alone] = [&mut tried, &mut other].map(|rig| push(rig, [Some(-1.0), None], 2.0));
+        assert_eq!(after.expect("stands").pads, alone.expect("stands").pads);
+    }
 }

@@ -63,6 +63,17 @@ pub struct History {
     material: Material,
     behaviour: Behaviour,
     now: Now,
+    spare: Spare,
+}
+
+/// Room for the states at the end of a next step: those of an earlier one. A copy of a history begins without.
+#[derive(Debug, Default)]
+struct Spare(Vec<PointState>);
+
+impl Clone for Spare {
+    fn clone(&self) -> Self {
+        Self::default()
+    }
 }
 
 /// Where a history has come to.
@@ -101,7 +112,7 @@ impl History {
             slips: Vec::new(),
             largest_load: 0.0,
         };
-        Ok(Self { material, behaviour, now })
+        Ok(Self { material, behaviour, now, spare: Spare::default() })
     }
 
     /// Time of the last frame, s; none before the first.
@@ -167,10 +178,37 @@ impl History {
         }
         let surface = surface_of(body, load)?;
         let mut now = self.now.clone();
+        let mut spare = std::mem::take(&mut self.spare);
         let frame = Frame { history: self, body, load, target, guess, surface, time_s, settings };
-        let answer = settings.in_pool(|| frame.reach(&mut now))?;
-        self.now = now;
+        let answer = settings.in_pool(|| frame.reach(&mut now, &mut spare.0))?;
+        let before = std::mem::replace(&mut self.now, now);
+        self.spare = spare;
+        self.make_room(before);
         Ok(answer)
+    }
+
+    /// A copy that goes on from here, in the room that this history has for next states.
+    pub(super) fn branch(&mut self) -> Self {
+        let spare = std::mem::take(&mut self.spare);
+        Self { spare, ..self.clone() }
+    }
+
+    /// Take the place of the history `before`; its states, if nothing else shares them, leave room for the next ones.
+    pub(super) fn replace(mut self, before: &mut Self) {
+        std::mem::swap(&mut self, before);
+        before.make_room(self.now);
+    }
+
+    /// Where its states are.
+    #[cfg(test)]
+    pub(super) fn room(&self) -> *const PointState {
+        self.now.states.as_ptr()
+    }
+
+    fn make_room(&mut self, before: Now) {
+        if let Ok(states) = Arc::try_unwrap(before.states) {
+            self.spare = Spare(states);
+        }
     }
 
     fn check_frame(&self, body: &Body, time_s: f64) -> Result<(), FemError> {
@@ -210,15 +248,15 @@ struct Frame<'a> {
 }
 
 impl Frame<'_> {
-    /// Lead `now` to the frame, in as many steps as it takes.
-    fn reach(&self, now: &mut Now) -> Result<Solution, FemError> {
+    /// Lead `now` to the frame, in as many steps as it takes; `spare`: room for states.
+    fn reach(&self, now: &mut Now, spare: &mut Vec<PointState>) -> Result<Solution, FemError> {
         let start = now.clone();
         let mut solver = Solver::new(self.body, self.settings.is_parallel());
         let mut total = SolveReport::default();
         let (mut done, mut part) = (0.0, 1.0);
         loop {
             let to = if done + 1.01 * part >= 1.0 { 1.0 } else { done + part };
-            match self.step(&mut solver, &start, now, to) {
+            match self.step(&mut solver, &start, now, spare, to) {
                 Ok(mut answer) => {
                     total = sum(&total, &answer.report);
                     done = to;
@@ -251,8 +289,10 @@ impl Frame<'_> {
         solver: &mut Solver,
         start: &Now,
         now: &mut Now,
+        spare: &mut Vec<PointState>,
         to: f64,
     ) -> Result<Solution, FemError> {
+        let parallel = self.settings.is_parallel();
         let time = match start.time_s {
             Some(before) => before + to * (self.time_s - before),
             None => self.time_s,
@@ -261,7 +301,8 @@ impl Frame<'_> {
         let n_points = self.body.element().n_points();
         let behaviour = &self.history.behaviour;
         let elastic = &self.history.material;
-        let step = StepState::new(behaviour, &now.states, n_points, length, time);
+        let step =
+            StepState::new(elastic, behaviour, &now.states, n_points, length, time, parallel);
         let model = StepModel { elastic, step: &step };
         let load = self.load_at(start, to);
         let settings = match start.time_s {
@@ -279,7 +320,7 @@ impl Frame<'_> {
             surface: &self.surface,
             load: &load,
             settings: &settings,
-            parallel: self.settings.is_parallel(),
+            parallel,
             least_load: now.largest_load,
         };
         let mut state = State::at_rest(self.body.n_nodes());
@@ -287,7 +328,7 @@ impl Frame<'_> {
         let first = Problem { surface: &surface, ..problem };
         problem.least_load = solver.unbalanced(&first, &mut state).max(now.largest_load);
         let springs = &self.load.springs;
-        let rest = || Metric::at_rest(self.body, elastic, springs, problem.parallel);
+        let rest = || Metric::at_rest(self.body, elastic, springs, parallel);
         let guessed = self.guess.as_ref().filter(|_| to >= 1.0);
         let near = guessed.map(|guess| self.near(guess));
         let first = Problem { surface: &surface, ..problem };
@@ -310,11 +351,13 @@ impl Frame<'_> {
         let problem = Problem { surface: &surface, ..problem };
 
         let gradients = gradients_at_points(self.body.geometry(), &state.displacement);
-        if !step.update(elastic, &gradients, Arc::make_mut(&mut now.states).as_mut_slice()) {
+        let Some(states) = step.updated(elastic, &gradients, std::mem::take(spare), parallel)
+        else {
             let worst = problem.worst_tets(&state.displacement);
             let (tet, det_f) = worst.first().map_or((0, f64::NAN), |w| (w.tet, w.det_f));
             return Err(FemError::InvertedStart { tet, det_f });
-        }
+        };
+        now.states = Arc::new(states);
         now.largest_load = problem.load_norm(&state, 1.0);
         now.displacement.clone_from(&state.displacement);
         now.force.clone_from(&load.force);

@@ -113,8 +113,9 @@ fn rotate(m: &mut Matrix3, axes: &mut Matrix3, p: usize, q: usize) {
         return;
     }
     let half = 0.5 * (m[q][q] - m[p][p]) / off;
-    let t = half.signum() / (half.abs() + half.hypot(1.0));
-    let cos = 1.0 / t.hypot(1.0);
+    // `hypot` would take half of the time; where the square overflows nothing is left to turn.
+    let t = half.signum() / (half.abs() + (half * half + 1.0).sqrt());
+    let cos = 1.0 / (t * t + 1.0).sqrt();
     let sin = t * cos;
     m[p][p] -= t * off;
     m[q][q] += t * off;

@@ -25,7 +25,7 @@ impl Weights {
 }
 
 /// What one point remembers.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, PartialEq)]
 pub(crate) struct PointState {
     /// Displacement gradient at the end of the last step.
     pub(super) gradient: Matrix3,
@@ -42,6 +42,21 @@ impl PointState {
     /// Whether it remembers stresses.
     pub(super) fn remembers(&self) -> bool {
         self.volumetric.is_some() || self.isochoric.is_some()
+    }
+}
+
+impl Clone for PointState {
+    fn clone(&self) -> Self {
+        Self { volumetric: self.volumetric.clone(), isochoric: self.isochoric.clone(), ..*self }
+    }
+
+    /// Without allocation where as much is remembered.
+    fn clone_from(&mut self, source: &Self) {
+        self.gradient = source.gradient;
+        self.volumetric.clone_from(&source.volumetric);
+        self.isochoric.clone_from(&source.isochoric);
+        self.largest_energy = source.largest_energy;
+        self.largest_strain = source.largest_strain;
     }
 }
 
@@ -66,6 +81,12 @@ pub(super) struct PointStep {
     pub(super) flow: Option<Flow>,
     /// Largest energy before the step that softens, kPa.
     largest_energy: f64,
+}
+
+impl PointStep {
+    /// At a point that remembers stresses and nothing else, without these: they do not change its elastic stress.
+    pub(super) const ELASTIC: Self =
+        Self { pull: None, history_stress: None, flow: None, largest_energy: 0.0 };
 }
 
 /// What holds at all points alike.
@@ -157,7 +178,8 @@ impl Common {
         }
     }
 
-    fn history_stress(&self, state: &PointState) -> Option<Matrix3> {
+    /// `S_hist`, kPa; none where no stress is remembered.
+    pub(super) fn history_stress(&self, state: &PointState) -> Option<Matrix3> {
         let parts = [&state.volumetric, &state.isochoric];
         let mut sum: Option<Matrix3> = None;
         for (decay, memory) in self.decays.iter().zip(parts) {

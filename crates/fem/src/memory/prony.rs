@@ -19,7 +19,7 @@ pub(super) struct Term {
 }
 
 /// What a series remembers at one point.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, PartialEq)]
 pub(super) struct Memory {
     /// Elastic second Piola–Kirchhoff stress at the end of the last step, kPa.
     pub(super) elastic: Matrix3,
@@ -30,6 +30,18 @@ pub(super) struct Memory {
 impl Memory {
     pub(super) fn new(n_terms: usize) -> Self {
         Self { elastic: ZERO, terms: vec![ZERO; n_terms] }
+    }
+}
+
+impl Clone for Memory {
+    fn clone(&self) -> Self {
+        Self { elastic: self.elastic, terms: self.terms.clone() }
+    }
+
+    /// Without allocation where there are as many terms.
+    fn clone_from(&mut self, source: &Self) {
+        self.elastic = source.elastic;
+        self.terms.clone_from(&source.terms);
     }
 }
 
