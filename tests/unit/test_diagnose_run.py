@@ -9,7 +9,7 @@ import pytest
 import tissuereg as tr
 from support.answers import told
 from support.rigs import rig
-from tissuereg.diagnosis import predictor
+from tissuereg.diagnosis import predictor, run
 from tissuereg.diagnosis.bank import make_bank
 from tissuereg.diagnosis.bench import Bench
 from tissuereg.diagnosis.causes import CAUSES
@@ -162,3 +162,10 @@ def test_a_recording_is_compared_with_elements_that_do_not_lock(monkeypatch):
     ):  # fmt: skip
         with pytest.raises(SeenError, match=f"^{expected}$"):
             tr.diagnose(experiment, element=element, keep=False)
+
+
+def test_memory_that_a_step_has_freed_is_given_back_before_the_next(monkeypatch):
+    steps, given = [], []
+    monkeypatch.setattr(run, "give_back", lambda: given.append(len(steps)))
+    tr.diagnose(rig(), keep=False, progress=steps.append)
+    assert given == list(range(len(steps)))

@@ -17,6 +17,7 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg._base.choices import Element
+from tissuereg._base.machine import give_back
 from tissuereg._base.provenance import warn
 from tissuereg.diagnosis.advice import advise
 from tissuereg.diagnosis.answer import BodyDiagnosis, DiagnosisDetails, Finding, to_check, versions_now
@@ -76,7 +77,12 @@ def diagnose_body(
     element = element or (simulated.element if simulated is not None and plain else "tet4")
     layout = SignalLayout(experiment)
     noise = estimate_noise(experiment, layout, settings.noise)
-    said = progress or (lambda step: None)
+
+    def said(step: str) -> None:
+        give_back()
+        if progress is not None:
+            progress(step)
+
     said("units and axes")
     suspicions = suspect_recording(experiment, layout, element=element, threads=threads, settings=settings.readings)
     if any(one.log_odds is not None for one in suspicions):
