@@ -14,10 +14,7 @@ from tissuereg.diagnosis.fit import FittedCause, Near, best_start, fit, near_to
 from tissuereg.diagnosis.screen import Screened
 from tissuereg.diagnosis.settings import DEFAULT
 from tissuereg.errors import ConvergenceError
-from tissuereg.experiment.effects import (
-    Detachment,
-    Relaxation,
-)
+from tissuereg.experiment.effects import Detachment, Relaxation
 
 
 def refitted(monkeypatch, cause, seen, fits, corrected_fit, *, least=None, corrects=True):
@@ -121,30 +118,26 @@ def with_iterations(target, most):
     return replace(target, bench=bench)
 
 
-def predictions_of(target, monkeypatch, work):
+def predictions_of(target, work):
     """Return the result of some work, and the number of predictions it needed."""
-    calls = []
-    predict = target.bench.predictor.predict
-    with monkeypatch.context() as patched:
-        patched.setattr(target.bench.predictor, "predict", lambda *a, **k: (calls.append(a), predict(*a, **k))[1])
-        found = work()
-    return found, len(calls)
+    found, starts = seen_starts(target, work)
+    return found, len(starts)
 
 
-def test_a_fit_that_begins_at_its_end_needs_its_jacobian_alone(of_two, monkeypatch):
+def test_a_fit_that_begins_at_its_end_needs_its_jacobian_alone(of_two):
     parts = [part(of_two, "poisson"), part(of_two, "latency")]
     found = fit(of_two, parts)
-    again, calls = predictions_of(of_two, monkeypatch, lambda: fit(of_two, parts, start=found.x))
+    again, calls = predictions_of(of_two, lambda: fit(of_two, parts, start=found.x))
     assert calls == 1 + len(found.x) - 1  # the start, and one for each parameter: the modulus scales forces
     np.testing.assert_array_equal(again.x, found.x)
 
 
-def test_a_fit_that_cannot_arrive_ends_early(of_two, monkeypatch):
+def test_a_fit_that_cannot_arrive_ends_early(of_two):
     wrong = [part(of_two, "latency")]
     both = fit(of_two, [part(of_two, "poisson"), *wrong])
-    whole, calls = predictions_of(of_two, monkeypatch, lambda: fit(of_two, wrong))
+    whole, calls = predictions_of(of_two, lambda: fit(of_two, wrong))
     assert whole.objective > both.objective + 100.0
-    early, fewer = predictions_of(of_two, monkeypatch, lambda: fit(of_two, wrong, least=both.log_evidence - 30.0))
+    early, fewer = predictions_of(of_two, lambda: fit(of_two, wrong, least=both.log_evidence - 30.0))
     assert fewer < calls
     assert early.log_evidence < both.log_evidence - 30.0
     # One that can arrive is not given up.
@@ -152,26 +145,26 @@ def test_a_fit_that_cannot_arrive_ends_early(of_two, monkeypatch):
     assert abs(right.objective - both.objective) < 0.3
 
 
-def test_a_fit_that_misses_by_little_keeps_its_objective_and_saves_the_last_jacobian(of_two, monkeypatch):
+def test_a_fit_that_misses_by_little_keeps_its_objective_and_saves_the_last_jacobian(of_two):
     parts = [part(of_two, "poisson")]
-    exact, calls = predictions_of(of_two, monkeypatch, lambda: fit(of_two, parts))
+    exact, calls = predictions_of(of_two, lambda: fit(of_two, parts))
     least = exact.log_evidence + 3.0
-    saved, fewer = predictions_of(of_two, monkeypatch, lambda: fit(of_two, parts, least=least))
+    saved, fewer = predictions_of(of_two, lambda: fit(of_two, parts, least=least))
     assert saved.objective == pytest.approx(exact.objective, abs=1.0)
     assert fewer < calls
 
 
-def test_a_fit_ends_where_no_step_is_expected_to_make_it_of_use(of_two, monkeypatch):
+def test_a_fit_ends_where_no_step_is_expected_to_make_it_of_use(of_two):
     parts = [part(of_two, "poisson"), part(of_two, "latency")]
     found = fit(of_two, parts)
     moved = found.x + np.array([0.0, 0.0, 5.0 * np.sqrt(found.covariance[2, 2])])
     # One step would bring it there, at the cost of some 12 nats that it lacks.
     near = found.log_evidence - 1.0
-    again, calls = predictions_of(of_two, monkeypatch, lambda: fit(of_two, parts, start=moved, least=near))
+    again, calls = predictions_of(of_two, lambda: fit(of_two, parts, start=moved, least=near))
     assert again.log_evidence > near
     assert calls > 1 + 2
     # A hundred nats more are out of reach: the Jacobian at the start tells.
-    early, calls = predictions_of(of_two, monkeypatch, lambda: fit(of_two, parts, start=moved, least=near + 100.0))
+    early, calls = predictions_of(of_two, lambda: fit(of_two, parts, start=moved, least=near + 100.0))
     assert calls == 1 + 2
     np.testing.assert_array_equal(early.x, moved)
 
@@ -194,11 +187,11 @@ def test_a_rival_is_taken_for_what_it_gains_after_its_correction(monkeypatch, un
     assert found == (("better", right) if taken else (target, current))
 
 
-def test_a_fit_that_begins_at_its_end_with_a_jacobian_needs_its_own_alone(of_two, monkeypatch):
+def test_a_fit_that_begins_at_its_end_with_a_jacobian_needs_its_own_alone(of_two):
     parts = [part(of_two, "poisson"), part(of_two, "latency")]
     found = fit(of_two, parts)
     near = Near(found.x, found.jacobian)
-    again, calls = predictions_of(of_two, monkeypatch, lambda: fit(of_two, parts, near=near))
+    again, calls = predictions_of(of_two, lambda: fit(of_two, parts, near=near))
     assert calls == 1 + 2
     np.testing.assert_array_equal(again.x, found.x)
 
@@ -222,31 +215,31 @@ def test_of_several_forms_each_is_fitted_as_far_as_its_correction_could_lead(of_
     assert seen == [-70.0, -10.0 - DEFAULT.model.correction_gain]
 
 
-def test_a_fit_that_is_of_use_ends_as_it_would_without_a_limit(of_two, monkeypatch):
+def test_a_fit_that_is_of_use_ends_as_it_would_without_a_limit(of_two):
     parts = [part(of_two, "poisson"), part(of_two, "latency")]
     far = fit(of_two, parts).x + np.array([0.0, 1.5, 0.0])
-    free, calls = predictions_of(of_two, monkeypatch, lambda: fit(of_two, parts, start=far))
+    free, calls = predictions_of(of_two, lambda: fit(of_two, parts, start=far))
     least = free.log_evidence - 0.1
-    held, same = predictions_of(of_two, monkeypatch, lambda: fit(of_two, parts, start=far, least=least))
+    held, same = predictions_of(of_two, lambda: fit(of_two, parts, start=far, least=least))
     assert (same, held.log_evidence) == (calls, free.log_evidence)
 
 
-def test_the_price_of_a_choice_counts_in_what_a_fit_must_reach(of_two, monkeypatch):
+def test_the_price_of_a_choice_counts_in_what_a_fit_must_reach(of_two):
     parts = [part(of_two, "poisson"), part(of_two, "latency")]
     found = fit(of_two, parts)
     least = found.log_evidence - 30.0
-    _, free = predictions_of(of_two, monkeypatch, lambda: fit(of_two, parts, start=found.x, choices=2, least=least))
+    _, free = predictions_of(of_two, lambda: fit(of_two, parts, start=found.x, choices=2, least=least))
     moved = found.x + np.array([0.0, 0.0, 3.0 * np.sqrt(found.covariance[2, 2])])
     many = int(np.exp(40.0))
-    _, calls = predictions_of(of_two, monkeypatch, lambda: fit(of_two, parts, start=moved, choices=many, least=least))
+    _, calls = predictions_of(of_two, lambda: fit(of_two, parts, start=moved, choices=many, least=least))
     assert calls == free == 1 + 2  # at its optimum, and given up at its start
 
 
-def test_a_fit_takes_what_a_similar_one_knows_and_ends_alike(of_two, monkeypatch):
+def test_a_fit_takes_what_a_similar_one_knows_and_ends_alike(of_two):
     parts = [part(of_two, "poisson"), part(of_two, "latency")]
     first = fit(of_two, parts[:1])
-    plain, calls = predictions_of(of_two, monkeypatch, lambda: fit(of_two, parts, start=np.append(first.x, 0.0)))
-    quick, fewer = predictions_of(of_two, monkeypatch, lambda: fit(of_two, parts, near=near_to(of_two, first)))
+    plain, calls = predictions_of(of_two, lambda: fit(of_two, parts, start=np.append(first.x, 0.0)))
+    quick, fewer = predictions_of(of_two, lambda: fit(of_two, parts, near=near_to(of_two, first)))
     assert fewer < calls
     assert abs(quick.log_evidence - plain.log_evidence) < DEFAULT.fit.least_gain
     # Its Jacobian is its own in the end.

@@ -4,7 +4,6 @@ Also what they depend on, as a hash by which results are cached.
 """
 
 import hashlib
-import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -14,6 +13,7 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg._base.choices import Element
+from tissuereg._base.machine import n_cores
 from tissuereg._version import __version__
 from tissuereg.body.observe import MarkerObservation
 from tissuereg.diagnosis.settings import DEFAULT, ModelSettings
@@ -73,7 +73,7 @@ class Predictor:
         self.element = element
         self.threads = threads
         self.observation = MarkerObservation(experiment.mesh, experiment.marker_reference, experiment.marker_names)
-        self.workers = threads or os.cpu_count() or 1
+        self.workers = threads or n_cores()
         self._simulators: Simulators = {}
         self._rigs: Rigs = {}
         # Each with the solution that it started from: another start changes its last digits.

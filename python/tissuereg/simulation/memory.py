@@ -65,7 +65,7 @@ def goes_through_time(experiment: Experiment) -> bool:
 
 
 def are_apart(experiment: Experiment) -> bool:
-    """Return whether each case is a history of its own that nothing is solved before; argument as above."""
+    """Return whether each case is a history of its own, before which nothing is solved; effects are applied."""
     grows = any(isinstance(effect, Swelling) for effect in experiment.effects)
     return goes_through_time(experiment) and not is_carried(experiment) and not grows
 

@@ -204,7 +204,7 @@ impl Rig {
         }
         let solution =
             self.settle(&mut history, &bonded, load, (&given, guess), time_s, settings)?;
-        history.replace(&mut self.history);
+        self.history.go_on_as(history);
         self.bonded = bonded;
         Ok(self.frame(solution))
     }

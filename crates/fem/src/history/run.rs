@@ -193,10 +193,10 @@ impl History {
         Self { spare, ..self.clone() }
     }
 
-    /// Take the place of the history `before`; its states, if nothing else shares them, leave room for the next ones.
-    pub(super) fn replace(mut self, before: &mut Self) {
-        std::mem::swap(&mut self, before);
-        before.make_room(self.now);
+    /// Go on as `next`, a branch that went on from here.
+    pub(super) fn go_on_as(&mut self, next: Self) {
+        let before = std::mem::replace(self, next);
+        self.make_room(before.now);
     }
 
     /// Where its states are.
@@ -205,6 +205,7 @@ impl History {
         self.now.states.as_ptr()
     }
 
+    /// Keep the states of an earlier frame, if nothing else shares them, as room for the next ones.
     fn make_room(&mut self, before: Now) {
         if let Ok(states) = Arc::try_unwrap(before.states) {
             self.spare = Spare(states);

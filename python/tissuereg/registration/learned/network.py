@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray, IntArray, float_array
+from tissuereg._base.machine import n_cores
 from tissuereg._base.provenance import reads
 from tissuereg.body.mesh import Mesh
 from tissuereg.errors import ModelError
@@ -70,7 +71,7 @@ class NetworkModel:
             )
             raise ModelError(message, where=str(self.folder))
         self._card = card
-        self._threads = threads or os.cpu_count() or 1
+        self._threads = threads or n_cores()
         self._encoder = _session(self.folder / "encoder.onnx")
         self._cut: dict[str, CutDecoder] = {}
         known = card["prior"]

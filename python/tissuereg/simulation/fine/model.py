@@ -1,6 +1,5 @@
 """Predictions of the fine model for the markers, forces and targets of an experiment."""
 
-import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -12,6 +11,7 @@ import numpy as np
 from tissuereg._base.arguments import called, check_choice, check_running, each, flag, maybe, of_kind
 from tissuereg._base.arrays import FloatArray
 from tissuereg._base.choices import Element
+from tissuereg._base.machine import n_cores
 from tissuereg.body.mesh import Mesh
 from tissuereg.errors import ArgumentError
 from tissuereg.experiment.effects import (
@@ -150,7 +150,7 @@ class FineModel:
         wanted = [case for name, case in fine.cases.items() if cases is None or name in cases]
         for name in cases or ():
             fine.case(name)
-        threads = threads or os.cpu_count() or 1
+        threads = threads or n_cores()
         worked = extended(fine, "tet10")
         if remembers(worked):
             readings = self._through_time(fine, wanted, through_time == "solved", threads, progress)
