@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 from threadpoolctl import ThreadpoolController
 
+import tissuereg as tr
+from support.rigs import rig
 from tissuereg._base.blas import BlasThreads
 
 
@@ -89,4 +91,11 @@ def test_an_error_and_another_thread_leave_the_number_as_it_was():
         thread.start()
         thread.join()
         assert set(now()) == {1}
+    assert set(now()) == {2}
+
+
+def test_a_diagnosis_has_one_thread_of_blas():
+    seen = set()
+    tr.diagnose(rig(), keep=False, progress=lambda step: seen.update(now()))
+    assert seen == {1}
     assert set(now()) == {2}

@@ -1,7 +1,9 @@
 """A whole diagnosis gives the same answer every time, on any number of threads."""
 
+import ctypes
+import platform
 from dataclasses import replace
-from threading import Barrier, Lock
+from threading import Barrier, Lock, active_count
 
 import numpy as np
 import pytest
@@ -9,6 +11,8 @@ import pytest
 import tissuereg as tr
 from support.answers import told
 from support.rigs import rig
+from tissuereg._base.provenance import recorded
+from tissuereg.body.material import Material
 from tissuereg.diagnosis import predictor, run
 from tissuereg.diagnosis.bank import make_bank
 from tissuereg.diagnosis.bench import Bench
@@ -17,9 +21,12 @@ from tissuereg.diagnosis.predictor import Predictor
 from tissuereg.diagnosis.readings import judge
 from tissuereg.diagnosis.run import _own_modulus
 from tissuereg.diagnosis.signals import SignalLayout
+from tissuereg.errors import LockingWarning
 from tissuereg.experiment.effects import Poisson, Relaxation, Set, Stiffness, Swelling
 from tissuereg.experiment.experiment import Simulated
 from tissuereg.simulation.experiment import solve_cases
+
+RELAXATION = Relaxation(g=(0.4,), tau_s=(2.0,))
 
 
 def test_the_answer_depends_on_neither_threads_nor_the_call():
@@ -80,6 +87,8 @@ def test_work_within_work_solves_no_more_bodies_at_a_time_than_there_are_threads
     found = bench.side_by_side(changes, range(threads))
     monkeypatch.undo()
     assert most == threads
+    # Which has kept none of these solutions.
+    bench = Bench(believed, SignalLayout(believed), threads=1)
     for number, made in enumerate(found):
         for one, again in zip(made, changes(number), strict=True):
             np.testing.assert_array_equal(one, again)
@@ -88,7 +97,7 @@ def test_work_within_work_solves_no_more_bodies_at_a_time_than_there_are_threads
 @pytest.mark.parametrize(
     ("effect", "apart"),
     [
-        (Relaxation(g=(0.4,), tau_s=(2.0,)), True),
+        (RELAXATION, True),
         (Set(fraction=0.2), False),
         (Swelling(linear_strain=0.02, from_time_s=0.0, to_time_s=4.0), False),
         (Poisson(poisson=0.3), False),
@@ -164,8 +173,51 @@ def test_a_recording_is_compared_with_elements_that_do_not_lock(monkeypatch):
             tr.diagnose(experiment, element=element, keep=False)
 
 
+@pytest.mark.parametrize("threads", [1, 2])
+def test_warnings_of_the_believed_model_are_noted_where_a_prediction_is_asked_for(threads):
+    stiff = replace(rig(), material=Material(young=10.0, poisson=0.48), effects=(RELAXATION,))
+    bench = Bench(stiff, SignalLayout(stiff), threads=threads)
+    with recorded() as record, pytest.warns(LockingWarning) as given:
+        bench.predictor.predict(threads=1)
+    assert [text for text in record.warnings if "lock" in text]
+    assert threads > 1 or given[0].filename == __file__
+
+
+def test_no_thread_is_left_by_predictions():
+    before = active_count()
+    slow = replace(rig(), effects=(RELAXATION,))
+    bench = Bench(slow, SignalLayout(slow), threads=2)
+    bench.changes([[Poisson(poisson=0.3)], [Poisson(poisson=0.35)]])
+    assert active_count() == before
+
+
+def test_what_is_kept_of_a_rig_for_further_histories_is_never_advanced():
+    slow = replace(rig(), effects=(RELAXATION,))
+    bench = Bench(slow, SignalLayout(slow), threads=1)
+    bench.changes([[Relaxation(g=(share,), tau_s=(2.0,))] for share in (0.2, 0.3)])
+    rigs = bench.predictor._rigs
+    assert rigs
+    for (_, pads, _), kept in rigs.items():
+        # Before the times of all cases: a history that has begun cannot go there.
+        kept.rig.advance(-1.0, np.full((len(pads), 3), np.nan))
+
+
 def test_memory_that_a_step_has_freed_is_given_back_before_the_next(monkeypatch):
     steps, given = [], []
     monkeypatch.setattr(run, "give_back", lambda: given.append(len(steps)))
     tr.diagnose(rig(), keep=False, progress=steps.append)
     assert given == list(range(len(steps)))
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="other C libraries keep no freed memory to give back")
+def test_freed_memory_is_given_back_by_the_call_of_the_c_library(monkeypatch):
+    called = []
+
+    class Library:
+        def malloc_trim(self, pad):
+            called.append(pad)
+
+    assert ctypes.CDLL(None).malloc_trim
+    monkeypatch.setattr(ctypes, "CDLL", lambda name: Library())
+    run.give_back()
+    assert called == [0]

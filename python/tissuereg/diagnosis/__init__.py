@@ -10,6 +10,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, overload
 
 from tissuereg._base.arguments import called, check_choice, check_running, flag, of_kind
+from tissuereg._base.blas import BlasThreads
 from tissuereg._base.choices import ELEMENTS, Element
 from tissuereg._base.provenance import call_text, note_origins, provenance_now, recorded
 from tissuereg.errors import ArgumentError
@@ -111,7 +112,7 @@ def diagnose(
         check_choice("element", element, ELEMENTS, ArgumentError)
     numbers = check_settings(settings)
     given = {"seed": seed, "element": element}
-    with recorded(call_text("tissuereg.diagnose", experiment=experiment, **given)):
+    with recorded(call_text("tissuereg.diagnose", experiment=experiment, **given)), BlasThreads().one():
         note_origins(experiment)
         if isinstance(experiment, MaterialExperiment):
             from tissuereg.diagnosis.material import diagnose_material

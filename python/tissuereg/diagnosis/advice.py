@@ -126,6 +126,7 @@ def _prediction(target: FitTarget, fit: Fit, action: _Action) -> FloatArray:
         experiment,
         SignalLayout(experiment),
         element=target.bench.predictor.element,
+        threads=target.bench.predictor.threads,
         settings=target.bench.settings.model,
     )
     return predictor.predict(fit.effects(target.bench.young), young=float(np.exp(fit.x[0])))

@@ -6,8 +6,10 @@ Also what they depend on, as a hash by which results are cached.
 import hashlib
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextvars import copy_context
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
+from threading import BoundedSemaphore
 
 import numpy as np
 
@@ -74,6 +76,8 @@ class Predictor:
         self.threads = threads
         self.observation = MarkerObservation(experiment.mesh, experiment.marker_reference, experiment.marker_names)
         self.workers = threads or n_cores()
+        # With more bodies at a time more memory would be held.
+        self._slots = BoundedSemaphore(self.workers)
         self._simulators: Simulators = {}
         self._rigs: Rigs = {}
         # Each with the solution that it started from: another start changes its last digits.
@@ -132,11 +136,6 @@ class Predictor:
         return goes_through_time(self._worked(_bodily(effects), None))
 
     @cached_property
-    def _pool(self) -> ThreadPoolExecutor:
-        """The threads in which all bodies are solved: with more of them more memory would be held."""
-        return ThreadPoolExecutor(self.workers)
-
-    @cached_property
     def _believed(self) -> Solved:
         """The equilibria of the believed model without further effects."""
         return self.solved(())
@@ -162,11 +161,16 @@ class Predictor:
         similar = Similar(None if near is None else near.fields, self._rigs, self._simulators)
 
         def together(some: Sequence[Case]) -> dict[str, SolvedCase]:
-            return solve_cases(worked, some, settings=how, similar=similar)
+            with self._slots:
+                return solve_cases(worked, some, settings=how, similar=similar)
 
-        solved: dict[str, SolvedCase] = {}
-        for part in self._pool.map(together, [[case] for case in cases] if apart else [cases]):
-            solved.update(part)
+        if apart and self.workers > 1 and len(cases) > 1:
+            # In copies of this context, so that warnings come to the records that are open here.
+            calls = [partial(copy_context().run, together, [case]) for case in cases]
+            with ThreadPoolExecutor(min(self.workers, len(cases))) as pool:
+                solved = {name: one for part in pool.map(lambda call: call(), calls) for name, one in part.items()}
+        else:
+            solved = together(cases)
         places, forces = {}, {}
         for case in cases:
             found = solved[case.name]

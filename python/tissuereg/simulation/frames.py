@@ -184,18 +184,19 @@ def solve_frames(
     body_force = None if acting.weight is None else float_array("weight", acting.weight, (3,))
     plan = _Plan(mesh, held, pads, springs, settings)
     rigs = None if acting.in_reference or springs else similar.rigs
-    old = None if rigs is None else rigs.get(plan.key)
-    if old is not None and old.mesh is mesh:
-        spreader = old.spreader
-        young, poisson = spreader.moduli(material)
-        rig = old.rig.again(young, poisson, law=material.core_law(), behaviour=_core_behaviour(behaviour))
-    else:
+    kept = None if rigs is None else rigs.get(plan.key)
+    if kept is None or kept.mesh is not mesh:
         # Distributes tractions over nodes and holds the moduli; it never solves.
         spreader = Simulator(mesh, element=settings.element, held_nodes=np.arange(mesh.n_nodes))
-        rig = plan.build(spreader, material, behaviour, body_force if acting.in_reference else None)
+        built = plan.build(spreader, material, behaviour, body_force if acting.in_reference else None)
+        kept = KeptRig(mesh, spreader, built)
+    spreader, rig = kept.spreader, kept.rig
     if rigs is not None:
+        # What is kept is never advanced: nobody waits for it, and it remembers no frames.
+        young, poisson = spreader.moduli(material)
+        rig = rig.again(young, poisson, law=material.core_law(), behaviour=_core_behaviour(behaviour))
         rigs.pop(plan.key, None)
-        rigs[plan.key] = KeptRig(mesh, spreader, rig)
+        rigs[plan.key] = kept
         for oldest in list(rigs)[: -SIZE.rigs_kept]:
             rigs.pop(oldest, None)
     guides = None if similar.near is None else float_array("near", similar.near, (n, spreader.body.n_nodes, 3))

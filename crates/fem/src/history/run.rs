@@ -199,10 +199,10 @@ impl History {
         self.make_room(before.now);
     }
 
-    /// Where its states are.
+    /// Where its states are, and the room for the next ones.
     #[cfg(test)]
-    pub(super) fn room(&self) -> *const PointState {
-        self.now.states.as_ptr()
+    pub(super) fn rooms(&self) -> [*const PointState; 2] {
+        [self.now.states.as_ptr(), self.spare.0.as_ptr()]
     }
 
     /// Keep the states of an earlier frame, if nothing else shares them, as room for the next ones.

@@ -80,7 +80,7 @@ impl StepState {
     }
 
     /// What the points remember at the end of the step, at these displacement gradients (one per point); none where
-    /// one is inverted. `spare`: room for it, states of any earlier step.
+    /// one is inverted. `spare`: room for it, all states of any earlier step or none.
     pub(crate) fn updated<M: PointModel>(
         &self,
         elastic: &M,
@@ -89,9 +89,8 @@ impl StepState {
         parallel: bool,
     ) -> Option<Vec<PointState>> {
         let mut states = spare;
-        states.truncate(self.before.len());
         let filled = states.len();
-        states.extend_from_slice(&self.before[filled..]);
+        states.extend(self.before.iter().skip(filled).cloned());
         let least = least_part(states.len(), parallel);
         let both = self.before.par_iter().zip(gradients);
         let whole = states.par_iter_mut().zip(both).with_min_len(least).enumerate().all(

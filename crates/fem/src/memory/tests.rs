@@ -84,11 +84,16 @@ fn stress_and_tangent_are_derivatives_of_every_behaviour() {
     for (name, behaviour) in behaviours() {
         behaviour.check().expect(name);
         let mut states = Arc::new(fresh_states(&behaviour, 1));
+        let mut room = Vec::new();
         for (k, time) in [0.0, 0.5, 2.0].into_iter().enumerate() {
             let length = if k == 0 { 0.0 } else { 0.7 };
             let step = StepState::new(&material, &behaviour, &states, 1, length, time, false);
             let h = gradient(k as u64 + 3, 0.25);
-            states = Arc::new(step.updated(&material, &[h], Vec::new(), false).expect("upright"));
+            let updated = |room| step.updated(&material, &[h], room, false).expect("upright");
+            let next = updated(Vec::new());
+            assert_eq!(next, updated(room), "{name}: whatever was in the room");
+            room = states.to_vec();
+            states = Arc::new(next);
         }
         let step = StepState::new(&material, &behaviour, &states, 1, 0.3, 2.3, false);
         let model = StepModel { elastic: &material, step: &step };
