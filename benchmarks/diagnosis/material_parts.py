@@ -110,7 +110,7 @@ def of_a_right_form(outcome: SelectionOutcome) -> Numbers:
     bench, fit = outcome.bench, outcome.refined.fit
     if outcome.refined.weighting == "rows alike":
         bench = rows_alike(bench)
-    again = fitted(bench.problem, fit.parts, [fit.x], fit.share)
+    again = fitted(bench, fit.parts, [fit.x], fit.share)
     return numbers(again)
 
 

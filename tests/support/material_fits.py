@@ -5,11 +5,10 @@ import numpy as np
 from tissuereg.diagnosis.causes import CAUSES
 from tissuereg.diagnosis.fit import FittedCause
 from tissuereg.diagnosis.material.answer import parameters_of
+from tissuereg.diagnosis.material.bench import bench_of
 from tissuereg.diagnosis.material.data import scene_of
-from tissuereg.diagnosis.material.fit import fitted
-from tissuereg.diagnosis.material.hypothesis import refitted
+from tissuereg.diagnosis.material.fit import fitted, refitted
 from tissuereg.diagnosis.material.refine import rows_alike, stated
-from tissuereg.diagnosis.material.verdict import bench_of
 
 
 def form_of(experiment, cause, label):
@@ -22,11 +21,11 @@ def fit_and_bench(experiment, cause, label, weighting="lasting errors"):
     """Return the fit of one form, with the covariance for a form without error, and its bench."""
     bench = bench_of(experiment)
     form = form_of(experiment, cause, label)
-    starts = [np.array([bench.problem.young_log, *start]) for start in form.free_parameters.guesses]
+    starts = [np.array([bench.young_log, *start]) for start in form.free_parameters.guesses]
     if weighting == "rows alike":
         bench = rows_alike(bench)
-        return fitted(bench.problem, [form], starts), bench
-    return refitted(bench.problem, [form], starts)[0], bench
+        return fitted(bench, [form], starts), bench
+    return refitted(bench, [form], starts)[0], bench
 
 
 def numbers(fit):

@@ -11,12 +11,12 @@ from support.material_curves import believed, elastic, histories, in_modes
 from support.pages import assert_sound_page
 from tissuereg.diagnosis.causes import CAUSES, Cause
 from tissuereg.diagnosis.material import diagnose_material, predicted_stresses
+from tissuereg.diagnosis.material.bench import bench_of
 from tissuereg.diagnosis.material.data import scene_of
-from tissuereg.diagnosis.material.hypothesis import excluded, null_hypothesis
+from tissuereg.diagnosis.material.fit import excluded, null_hypothesis
 from tissuereg.diagnosis.material.noise import noise_of
 from tissuereg.diagnosis.material.report import material_page
 from tissuereg.diagnosis.material.search import MaterialSearch
-from tissuereg.diagnosis.material.verdict import bench_of
 from tissuereg.experiment.effects import EFFECTS, Stiffening
 from tissuereg.experiment.material_experiment import Curve
 from tissuereg.io.experiment_out import write_experiment
@@ -241,7 +241,7 @@ def test_a_sweep_through_zero_is_no_unloading():
 
 def test_a_cause_is_named_above_its_threshold_alone_and_not_stated_where_it_fails_a_test(monkeypatch):
     bench = bench_of(believed(in_modes(np.random.default_rng(7), ("fung", 1.0))))
-    none, scene = null_hypothesis(bench.problem), scene_of(believed(list(bench.problem.data.curves)))
+    none, scene = null_hypothesis(bench), scene_of(believed(list(bench.data.curves)))
     forms = {"stiffening": CAUSES["stiffening"].in_curves(scene)}
     searched = MaterialSearch(bench, none, forms, 5.0, lambda _: None)
     known = searched.run()
@@ -265,7 +265,7 @@ def test_a_cause_is_named_above_its_threshold_alone_and_not_stated_where_it_fail
 
 def test_a_cause_that_is_left_alone_is_proved_alone(monkeypatch):
     bench = bench_of(believed(in_modes(np.random.default_rng(7), ("fung", 1.0))))
-    none, scene = null_hypothesis(bench.problem), scene_of(believed(list(bench.problem.data.curves)))
+    none, scene = null_hypothesis(bench), scene_of(believed(list(bench.data.curves)))
     forms = {name: CAUSES[name].in_curves(scene) for name in ("stiffening", "mooney")}
     searched = MaterialSearch(bench, none, forms, 5.0, lambda _: None)
     known = searched.run()

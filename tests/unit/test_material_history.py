@@ -7,8 +7,7 @@ import support.material_curves as made
 import tissuereg as tr
 from support.meshes import block
 from tissuereg import _core
-from tissuereg.diagnosis.material.history import stress_of
-from tissuereg.diagnosis.material.model import Model
+from tissuereg.diagnosis.material.model import Model, stress_of
 from tissuereg.errors import ExperimentError, MaterialError
 from tissuereg.experiment.effects import EFFECTS
 from tissuereg.experiment.effects.history import Rate, Relaxation, Set, Softening, Swelling

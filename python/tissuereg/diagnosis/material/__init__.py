@@ -1,15 +1,15 @@
 """Diagnosis of material tests: which causes explain the difference between measured stress curves and a believed law.
 
-`diagnose_material` runs all steps: `noise` (measurement error of the curves), `hypothesis` (fits of causes and their
-evidence), `nulls` (threshold and p-value from simulated null experiments), `search` (selection of causes, held-out
-proof, groups), `verdict`, `refine` (form, weights and standard deviations of the reported fit), `answer` and
-`report`. `causes` is the catalogue; `history.stress_of` computes the stress of a model along a curve.
+`diagnose_material` runs all steps: `noise` (measurement error of the curves), `bench` (what all fits share),
+`fit` (fits of causes and their evidence), `search` (selection of causes, held-out proof, groups), `verdict`
+(threshold and p-value from simulated null experiments), `refine` (form, weights and standard deviations of the reported
+fit), `answer` and `report`. `model.stress_of` computes the stress of a model along a curve.
 """
 
 from collections.abc import Callable
 
 from tissuereg.diagnosis.material.answer import MaterialDiagnosis, diagnosis_of
-from tissuereg.diagnosis.material.history import predicted_stresses
+from tissuereg.diagnosis.material.model import predicted_stresses
 from tissuereg.diagnosis.material.verdict import find_out
 from tissuereg.diagnosis.settings import DEFAULT, DiagnoseSettings
 from tissuereg.experiment.material_experiment import MaterialExperiment

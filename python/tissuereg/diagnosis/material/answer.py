@@ -1,8 +1,7 @@
 """The diagnosis of a material test, as a record: findings, errors on held-out data, sentences."""
 
-from collections import Counter
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,12 +13,13 @@ from tissuereg.diagnosis.causes import CAUSES
 from tissuereg.diagnosis.evidence import rms
 from tissuereg.diagnosis.fit import effects_of
 from tissuereg.diagnosis.material.advice import best_test
-from tissuereg.diagnosis.material.fit import MaterialFit, extended
+from tissuereg.diagnosis.material.data import Data
+from tissuereg.diagnosis.material.fit import MaterialFit
 from tissuereg.diagnosis.material.report import material_page
 from tissuereg.diagnosis.material.search import MaterialFinding
 from tissuereg.diagnosis.material.verdict import SelectionOutcome
 from tissuereg.experiment.effects import Effect
-from tissuereg.experiment.effects.elastic import Fibre
+from tissuereg.experiment.effects.elastic import Fibre, OtherLaw
 from tissuereg.experiment.effects.history import Relaxation
 from tissuereg.experiment.material_experiment import Curve, MaterialExperiment
 
@@ -34,23 +34,31 @@ class MaterialDiagnosis(Diagnosis):
         The experiment with the causes found as effects; the same as `experiment` where none was named.
     experiment : MaterialExperiment
         Believed law and measured curves.
-    held_out : dict
-        Errors of the believed law, with the findings, and with a generic misfit, on data that were left out of the fit:
-        ``unit`` (what was left out), ``cases``, and of each ``by_case``.
-    explained : float or None
-        Share of the misfit that the best causes explain, named or not; None where there are none.
-    sentences : tuple of str
-        The answer in words.
     outcome : SelectionOutcome
         All intermediate results, for further work in Python.
     """
 
     extended: MaterialExperiment
     experiment: MaterialExperiment
-    held_out: dict[str, Any]
-    explained: float | None
-    sentences: tuple[str, ...]
     outcome: SelectionOutcome
+
+    @property
+    def held_out(self) -> dict[str, Any]:
+        """Errors of the believed law, with the findings, and with a generic misfit, on data left out of the fit.
+
+        They are ``unit`` (what was left out), ``cases``, and of each ``by_case``.
+        """
+        return _held_out(self.outcome)
+
+    @property
+    def explained(self) -> float | None:
+        """Share of the misfit that the best causes explain, named or not; None where there are none."""
+        return self.outcome.explained if self.outcome.known.ids else None
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """The answer in words."""
+        return tuple(_sentences(self.outcome, [finding.sentence for finding in self.findings]))
 
     @property
     def provisional(self) -> bool:
@@ -79,67 +87,66 @@ class MaterialDiagnosis(Diagnosis):
 
 
 def diagnosis_of(experiment: MaterialExperiment, outcome: SelectionOutcome, seed: int) -> MaterialDiagnosis:
-    """Return the diagnosis that follows from all steps.
-
-    `experiment`: believed law and measured curves; `outcome`: result of all steps; `seed`: seed of the simulated null
-    experiments.
-    """
-    refined = outcome.refined
-    held_out = _held_out(outcome)
-    parameters = {} if refined is None else parameters_of(refined.fit)
-    findings = tuple(_finding(outcome, one, parameters[one.id], held_out) for one in outcome.findings)
+    """Return the diagnosis that follows from the outcome of all steps; `seed`: of the simulated null experiments."""
+    fit = None if outcome.refined is None else outcome.refined.fit
     return MaterialDiagnosis(
         verdict=outcome.verdict,
-        findings=findings,
-        candidates=tuple(asdict(one) for one in outcome.candidates),
+        findings=() if fit is None else tuple(_finding(outcome, fit, one) for one in outcome.findings),
+        candidates=outcome.candidates,
         p_misfit=outcome.p_misfit,
         discrepancy=_discrepancy(outcome),
-        extended=experiment if refined is None else extended(experiment, refined.fit),
+        extended=experiment if fit is None else _extended(experiment, fit),
         next_experiment=_next(experiment, outcome),
         seed=seed,
         versions=versions_now(),
         possible=tuple(asdict(one) for one in outcome.possible),
-        numbers=outcome.bench.problem.settings,
+        numbers=outcome.bench.settings,
         experiment=experiment,
-        held_out=held_out,
-        explained=outcome.explained if outcome.known.ids else None,
-        sentences=tuple(_sentences(outcome, [finding.sentence for finding in findings])),
         outcome=outcome,
     )
 
 
-def _finding(
-    outcome: SelectionOutcome, found: MaterialFinding, pairs: dict[str, list[float]], held_out: dict[str, Any]
-) -> Finding:
-    """Return a finding as a record; `pairs`: value and standard deviation of its parameters, by key."""
+def _extended(experiment: MaterialExperiment, fit: MaterialFit) -> MaterialExperiment:
+    """Return the experiment with the causes found; the modulus is the fitted one, unless it is itself a finding."""
+
+    def replaced(old: Effect) -> bool:
+        return any(old.id == new.id or (isinstance(old, OtherLaw) and isinstance(new, OtherLaw)) for new in fit.effects)
+
+    kept = [old for old in experiment.effects if not replaced(old)]
+    changed = replace(experiment, effects=(*kept, *fit.effects))
+    if any(effect.id == "stiffness" for effect in changed.effects):
+        return changed
+    young = float(np.exp(fit.x[0]))
+    std = young * float(np.sqrt(fit.covariance[0, 0]))
+    return replace(changed, material=replace(experiment.material, young=young), young_std=std)
+
+
+def _finding(outcome: SelectionOutcome, fit: MaterialFit, found: MaterialFinding) -> Finding:
+    """Return a finding as a record; `fit`: the reported one."""
+    pairs = parameters_of(fit)[found.id]
     return Finding(
         **{one.name: getattr(found, one.name) for one in fields(Accepted)},
         parameters={key: value for key, (value, _) in pairs.items()},
         deviations={key: deviation for key, (_, deviation) in pairs.items()},
-        held_out=held_out,
-        sentence=_sentence(outcome, found),
+        held_out=_held_out(outcome),
+        sentence=_sentence(outcome, fit, found),
     )
 
 
 def parameters_of(fit: MaterialFit) -> dict[str, dict[str, list[float]]]:
-    """Return the value and the standard deviation of every parameter of each cause found.
+    """Return value and standard deviation (by linear propagation) of all parameters, by id and key of the table."""
 
-    `fit`: fit of all causes together. Result: by id, then by key of the effect's table; deviations follow from the
-    fit's covariance by linear propagation.
-    """
-    plain = [_numbers(effect) for effect in fit.effects]
-    columns: list[list[FloatArray]] = [[] for _ in plain]
-    for i, std in enumerate(np.sqrt(np.diag(fit.covariance))):
-        moved = fit.x.copy()
-        moved[i] += 1e-3 * std
-        for column, before, effect in zip(
-            columns, plain, effects_of(fit.parts, moved, float(np.exp(moved[0]))), strict=True
-        ):
-            after = _numbers(effect)
-            column.append(np.array([(after[key] - before[key]) / (1e-3 * std) for key in before]))
+    def numbers(x: FloatArray) -> list[dict[str, float]]:
+        return [_numbers(effect) for effect in effects_of(fit.parts, x, float(np.exp(x[0])))]
+
+    plain, steps = numbers(fit.x), 1e-3 * np.sqrt(np.diag(fit.covariance))
+    moved = [numbers(fit.x + row) for row in np.diag(steps)]
     parameters = {}
-    for id, before, column in zip(fit.ids, plain, columns, strict=True):
-        slopes = np.stack(column, axis=1)
+    for number, (id, before) in enumerate(zip(fit.ids, plain, strict=True)):
+        columns = [
+            [(after[number][key] - before[key]) / h for key in before] for after, h in zip(moved, steps, strict=True)
+        ]
+        slopes = np.stack(columns, axis=1)
         spread = np.sqrt(np.einsum("pi,ij,pj->p", slopes, fit.covariance, slopes))
         parameters[id] = {key: [value, float(s)] for (key, value), s in zip(before.items(), spread, strict=True)}
     return parameters
@@ -170,54 +177,55 @@ def _held_out(outcome: SelectionOutcome) -> dict[str, Any]:
 
 def _discrepancy(outcome: SelectionOutcome) -> dict[str, Any]:
     """Return, in JSON's types, the believed law's misfit (kPa, noise deviations), and where and when it is largest."""
-    data = outcome.bench.problem.data
-    residual = data.stress - data.modelled(outcome.believed.model)
+    data = outcome.bench.data
+    residual = data.residual(outcome.believed.model)
     chi = residual / np.sqrt(np.diag(outcome.bench.noise))
     sizes = {
         name: rms(chi[data.curve_of == i]) for i, name in enumerate(_names(data.curves)) if (data.curve_of == i).any()
     }
-    worst = sorted(sizes, key=lambda name: -sizes[name])[:2]
-    modes = np.array(data.modes)
-    under = max(dict.fromkeys(modes.tolist()), key=lambda mode: float(np.mean(chi[modes == mode] ** 2)))
+    modes = data.names("mode")
     return {
         "rms_kpa": rms(residual),
         "in_sigma": rms(chi),
-        "where": worst,
-        "when": _when(outcome, chi),
-        "under": under,
+        "where": sorted(sizes, key=lambda name: -sizes[name])[:2],
+        "when": _largest(chi, _times(data), 3),
+        "under": _largest(chi, {mode: modes == mode for mode in dict.fromkeys(modes.tolist())}, 1),
     }
 
 
 def _names(curves: Sequence[Curve]) -> list[str]:
     """Return the name of each curve; curves of the same name are numbered from 1 on."""
-    seen: Counter[str] = Counter()
-    several = Counter(curve.name for curve in curves)
-    names = []
-    for curve in curves:
-        seen[curve.name] += 1
-        names.append(curve.name if several[curve.name] == 1 else f"{curve.name}, number {seen[curve.name]}")
-    return names
+    names = [curve.name for curve in curves]
+    return [
+        name if names.count(name) == 1 else f"{name}, number {names[: i + 1].count(name)}"
+        for i, name in enumerate(names)
+    ]
 
 
-def _when(outcome: SelectionOutcome, chi: FloatArray) -> str:
-    data = outcome.bench.problem.data
-    parts: dict[str, BoolArray] = {"at small strain": np.abs(data.strain) < 1 / 3}
-    parts["at middle strain"] = (np.abs(data.strain) >= 1 / 3) & (np.abs(data.strain) < 2 / 3)
-    parts["at large strain"] = np.abs(data.strain) >= 2 / 3
-    held, back = [], []
+def _largest(chi: FloatArray, parts: Mapping[str, BoolArray], least: int) -> str:
+    """Return the part (a mask of rows, by name) of at least so many rows with the largest mean square."""
+    seen = {name: float(np.mean(chi[rows] ** 2)) for name, rows in parts.items() if rows.sum() >= least}
+    return max(seen, key=lambda name: seen[name])
+
+
+def _times(data: Data) -> dict[str, BoolArray]:
+    """Return masks (n,) of the rows of each kind, in words that say when a residual is largest."""
+    held, back, size = [], [], np.abs(data.strain)
     for curve, rows in zip(data.curves, data.rows, strict=True):
         moves = np.diff(np.abs(curve.strains), prepend=0.0)
         still = np.abs(moves) < 1e-3 * np.abs(curve.strains).max()
         held.append(still[rows])
         back.append((moves < 0)[rows] & ~still[rows])
-    parts["while the strain is held"], parts["while unloading"] = np.concatenate(held), np.concatenate(back)
-    seen = {name: float(np.mean(chi[rows] ** 2)) for name, rows in parts.items() if rows.sum() >= 3}
-    return max(seen, key=lambda name: seen[name])
+    return {
+        "at small strain": size < 1 / 3,
+        "at middle strain": (size >= 1 / 3) & (size < 2 / 3),
+        "at large strain": size >= 2 / 3,
+        "while the strain is held": np.concatenate(held),
+        "while unloading": np.concatenate(back),
+    }
 
 
-def _sentence(outcome: SelectionOutcome, finding: MaterialFinding) -> str:
-    assert outcome.refined is not None  # there is a finding
-    fit = outcome.refined.fit
+def _sentence(outcome: SelectionOutcome, fit: MaterialFit, finding: MaterialFinding) -> str:
     place = fit.ids.index(finding.id)
     effect = fit.effects[place]
     sentence = CAUSES[finding.id].sentence(effect.table())
@@ -226,36 +234,32 @@ def _sentence(outcome: SelectionOutcome, finding: MaterialFinding) -> str:
     if isinstance(effect, Relaxation):
         sentence += f" Instantaneous Young's modulus: {np.exp(fit.x[0]):.3g} kPa."
     if len(finding.group) > 1:
-        tied = " or ".join(finding.group[1:])
-        largest = max(finding.separability.values())
-        needed = f"separability {largest:.1f}, {outcome.bench.problem.settings.search.separable:g} are needed"
-        sentence += f" These data cannot distinguish it from {tied} ({needed})."
+        needed = f"{finding.separability:.1f}, {outcome.bench.settings.search.separable:g} are needed"
+        sentence += f" These data cannot distinguish it from {' or '.join(finding.group[1:])} (separability {needed})."
     return sentence
 
 
 def _sentences(outcome: SelectionOutcome, of_findings: Sequence[str]) -> list[str]:
-    base, named = outcome.held_out["base"], outcome.held_out["named"]
-    sentences = list(of_findings)
     if outcome.verdict == "consistent":
         return [f"The believed law explains these curves within their noise (p = {outcome.p_misfit:.2g})."]
-    if outcome.verdict == "unexplained":
-        nearest = [c.id for c in outcome.candidates if c.id != "unknown"][:2]
+    if outcome.refined is None:
+        nearest = [c["id"] for c in outcome.candidates if c["id"] != "unknown"][:2]
         share = f" The best of them explain {outcome.explained:.0%} of the misfit." if outcome.known.ids else ""
         return [
             "The believed law does not explain these curves, nor does any cause of the catalogue; "
             f"the nearest are {' and '.join(nearest) or 'none'}.{share}"
         ]
-    what = {"part": "the last part of each curve", "mode": "a mode", "rate": "a rate", "specimen": "a specimen"}
+    base, named, unit = outcome.held_out["base"], outcome.held_out["named"], outcome.bench.unit
+    what = "the last part of each curve" if unit == "part" else f"a {unit}"
     change = f"from {base.rms_all:.3g} to {named.rms_all:.3g} kPa"
-    sentences.append(f"The prediction error of {what[outcome.bench.unit]} that is held out changes {change}.")
-    if outcome.p_misfit <= outcome.bench.problem.settings.nulls.misfit:
-        sentences.append(f"A misfit beyond the noise remains: {outcome.explained:.0%} of it are explained.")
-        assert outcome.refined is not None  # there are findings
-        sentences.append(
+    sentences = [*of_findings, f"The prediction error of {what} that is held out changes {change}."]
+    if outcome.p_misfit <= outcome.bench.settings.nulls.misfit:
+        sentences += [
+            f"A misfit beyond the noise remains: {outcome.explained:.0%} of it are explained.",
             f"The form found has a model error of some {outcome.refined.form_error:.1%} of the stress; the stated "
-            "deviations include it for the modes, rates and strains tested."
-        )
-    if outcome.bench.unit == "part":
+            "deviations include it for the modes, rates and strains tested.",
+        ]
+    if unit == "part":
         sentences.append(
             "Only the last part of the curves could be held out: provisional until another mode, rate or specimen is "
             "tested; the stated deviations do not cover those."
@@ -266,7 +270,7 @@ def _sentences(outcome: SelectionOutcome, of_findings: Sequence[str]) -> list[st
 def _again(outcome: SelectionOutcome) -> dict[str, Any]:
     """Return, in JSON's types, the advice to repeat the mode and the part of a curve with the largest residual."""
     worst = _discrepancy(outcome)
-    mode, curves = worst["under"].replace("-", " "), outcome.bench.problem.data.curves
+    mode, curves = worst["under"].replace("-", " "), outcome.bench.data.curves
     others = len({curve.specimen for curve in curves if curve.mode == worst["under"]}) > 1
     with_what = "a further specimen" if others else "another specimen"
     action = (
@@ -277,22 +281,14 @@ def _again(outcome: SelectionOutcome) -> dict[str, Any]:
 
 
 def _next(experiment: MaterialExperiment, outcome: SelectionOutcome) -> dict[str, Any] | None:
-    """Return, in JSON's types, the test that distinguishes causes of a group; None where there is no such test.
-
-    Where no cause explains the curves, it is the advice to repeat a test.
-    """
+    """Return, in JSON's types, the test that distinguishes causes of a group, or repeats one that none explains."""
     if outcome.verdict == "unexplained":
         return _again(outcome)
     for finding in outcome.findings:
         for rival in finding.group[1:]:
-            other = finding.rivals[rival].fit.model
-            advice = best_test(
-                experiment, outcome.scene, outcome.known.fit.model, other, outcome.bench.problem.settings.material
-            )
+            models = outcome.known.fit.model, finding.rivals[rival].fit.model
+            advice = best_test(experiment, *models, outcome.bench.settings.material)
             if advice is not None:
-                return {
-                    "action": advice.action,
-                    "separates": [[finding.id, rival]],
-                    "separability": advice.separability,
-                }
+                action, separability = advice
+                return {"action": action, "separates": [[finding.id, rival]], "separability": separability}
     return None

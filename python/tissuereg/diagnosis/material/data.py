@@ -1,7 +1,4 @@
-"""What was measured: thinned rows of every curve that are fitted, and what the curves can show at all.
-
-Rows have the coordinates on which a smooth misfit may depend.
-"""
+"""What was measured: thinned rows of every curve that are fitted, and what the curves can show at all."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -10,8 +7,7 @@ import numpy as np
 
 from tissuereg._base.arrays import BoolArray, FloatArray, IntArray
 from tissuereg.diagnosis.causes.base import Scene
-from tissuereg.diagnosis.material.history import stress_of
-from tissuereg.diagnosis.material.model import Model
+from tissuereg.diagnosis.material.model import Model, stress_of
 from tissuereg.diagnosis.settings import DEFAULT, MaterialSettings
 from tissuereg.experiment.material_experiment import Curve, MaterialExperiment
 
@@ -20,11 +16,11 @@ from tissuereg.experiment.material_experiment import Curve, MaterialExperiment
 class Data:
     """The n rows (measured points) of all curves that are used in fits, curve after curve.
 
-    `curves`: curves of the experiment; some may have no rows; `rows`: for each curve, the indices of its rows that are
-    used; `stress` (n,): nominal stress, kPa, compression negative; `curve_of` (n,): index of the curve; `level` (n,):
-    size of the stress plus a tenth of the curve's peak, kPa, by which relative errors are multiplied; `arc` (n,):
-    progress along the load history, 0 to 1, strain and time counting half each; `strain` (n,): strain over the largest
-    strain of its mode, -1 to 1; `log_rate` (n,): decadic logarithm of the strain rate in 1/s; 0 where it is not known.
+    `rows`: for each curve, the indices of its rows that are used, or none; `stress` (n,): nominal stress, kPa,
+    compression negative; `curve_of` (n,): index of the curve; `level` (n,): size of the stress plus a tenth of the
+    curve's peak, kPa, by which relative errors are multiplied; `arc` (n,): progress along the load history, 0 to 1;
+    `strain` (n,): strain over the largest of its mode, -1 to 1; `log_rate` (n,): decadic logarithm of the strain rate
+    in 1/s; 0 where it is not known.
     """
 
     curves: tuple[Curve, ...]
@@ -36,15 +32,9 @@ class Data:
     strain: FloatArray
     log_rate: FloatArray
 
-    @property
-    def modes(self) -> list[str]:
-        """Mode of every row: "tension", "compression" or "simple-shear"."""
-        return [self.curves[c].mode for c in self.curve_of]
-
-    @property
-    def specimens(self) -> list[str]:
-        """Name of the specimen of every row."""
-        return [self.curves[c].specimen for c in self.curve_of]
+    def names(self, unit: str) -> "np.ndarray[Any, np.dtype[np.str_]]":
+        """Return the ``mode``, ``rate`` or ``specimen`` of every row, shape (n,)."""
+        return np.array([str(getattr(curve, unit)) for curve in self.curves])[self.curve_of]
 
     def part(self, kept: BoolArray) -> "Data":
         """Return the data with the rows of a mask (n,); curves without rows contribute nothing."""
@@ -57,50 +47,35 @@ class Data:
         parts = [stress_of(model, c, rows) for c, rows in zip(self.curves, self.rows, strict=True) if len(rows)]
         return np.concatenate(parts)
 
+    def residual(self, model: Model) -> FloatArray:
+        """Return measured minus modelled stresses (n,), kPa."""
+        return self.stress - self.modelled(model)
+
 
 def data_of(experiment: MaterialExperiment, max_rows: int = DEFAULT.material.most_rows) -> Data:
-    """Return the rows (measured points) of an experiment that are used in fits.
-
-    `experiment`: its curves are used; `max_rows`: largest number of rows of all curves together, but a curve may keep
-    12 in any case. Result: rows evenly spaced along each load history.
-    """
+    """Return rows evenly spaced along each load history, `max_rows` in all, but 12 of a curve in any case."""
     curves = experiment.curves
     share = max(12, max_rows // len(curves))
     largest: dict[str, float] = {}
     for curve in curves:
         largest[curve.mode] = max(largest.get(curve.mode, 0.0), float(np.abs(curve.strains).max()))
-    rows: list[IntArray] = []
-    parts: list[tuple[Any, ...]] = []
+    rows, parts = [], []
     for index, curve in enumerate(curves):
         arc = path_arc(curve)
         kept = _thinned(curve, arc, share)
-        rows.append(kept)
-        stress = curve.stress[kept]
-        peak = float(np.nanmax(np.abs(curve.stress)))
+        stress, strain, one = curve.stress[kept], curve.strains[kept] / largest[curve.mode], np.ones(len(kept))
+        level = np.abs(stress) + 0.1 * float(np.nanmax(np.abs(curve.stress)))
         rate = 0.0 if np.isnan(curve.rate) else float(np.log10(curve.rate))
-        parts.append(
-            (
-                stress,
-                np.full(len(kept), index),
-                np.abs(stress) + 0.1 * peak,
-                arc[kept],
-                curve.strains[kept] / largest[curve.mode],
-                np.full(len(kept), rate),
-            )
-        )
+        rows.append(kept)
+        parts.append((stress, index * one.astype(np.int64), level, arc[kept], strain, rate * one))
     columns: list[Any] = [np.concatenate(column) for column in zip(*parts, strict=True)]
     return Data(curves, tuple(rows), *columns)
 
 
 def path_arc(curve: Curve) -> FloatArray:
-    """Return the progress of each row along its load history, shape (n,), from 0 to 1.
-
-    `curve`: n rows, with or without times. Progress is the mean of two shares: of the path length in strain and of the
-    time; without times it is the former alone.
-    """
+    """Return the progress (n,) along a load history, 0 to 1, in which the path length in strain and time count half."""
     moved = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(curve.amounts)))])
-    strain = moved / (moved[-1] or 1.0)
-    times = curve.times
+    strain, times = moved / (moved[-1] or 1.0), curve.times
     if not np.isfinite(times).all() or times[-1] <= times[0]:
         return np.asarray(strain)
     return np.asarray(0.5 * strain + 0.5 * (times - times[0]) / (times[-1] - times[0]))
@@ -112,15 +87,11 @@ def _thinned(curve: Curve, arc: FloatArray, share: int) -> IntArray:
     rows = measured[(np.abs(curve.strains[measured]) > 0) | (np.abs(curve.stress[measured]) > 0)]
     if len(rows) <= share:
         return np.asarray(rows)
-    places = np.interp(np.linspace(0.0, 1.0, share), _with_count(arc[rows]), np.arange(len(rows)))
+    # The number of a row counts half, so that short loadings keep rows.
+    own, count = arc[rows], np.linspace(0.0, 1.0, len(rows))
+    along = 0.5 * (own - own[0]) / (float(own[-1] - own[0]) or 1.0) + 0.5 * count
+    places = np.interp(np.linspace(0.0, 1.0, share), along, np.arange(len(rows)))
     return np.asarray(rows[np.unique(np.round(places).astype(np.int64))])
-
-
-def _with_count(arc: FloatArray) -> FloatArray:
-    """Return the mean (n,) of progress `arc` (n,) and row number, each scaled to 0 to 1: short loadings keep rows."""
-    count = np.linspace(0.0, 1.0, len(arc))
-    span = float(arc[-1] - arc[0]) or 1.0
-    return np.asarray(0.5 * (arc - arc[0]) / span + 0.5 * count)
 
 
 def scene_of(experiment: MaterialExperiment, settings: MaterialSettings = DEFAULT.material) -> Scene:
@@ -129,10 +100,10 @@ def scene_of(experiment: MaterialExperiment, settings: MaterialSettings = DEFAUL
     bars = np.concatenate([np.zeros(1), *(c.strains for c in curves if c.mode != "simple-shear")])
     timed = [curve for curve in curves if curve.timed]
     steps = np.concatenate([np.zeros(0), *(np.diff(curve.clock) for curve in timed)])
-    lengths = [float(curve.clock[-1] - curve.clock[0]) for curve in timed]
-    longest = max(lengths, default=0.0)
+    longest = max((float(curve.clock[-1] - curve.clock[0]) for curve in timed), default=0.0)
     positive = steps[steps > 0]
-    rates = {curve.rate for curve in curves if not np.isnan(curve.rate)}
+    rates = [curve.rate for curve in curves if not np.isnan(curve.rate)]
+    two_rates = bool(rates) and max(rates) > 1.2 * min(rates)
     peaks = [float(np.nanmax(np.abs(curve.stress))) for curve in curves]
     energies = [0.5 * p * float(np.abs(c.strains).max()) for p, c in zip(peaks, curves, strict=True)]
     unloaded = any(_unloaded(curve) for curve in curves)
@@ -143,7 +114,7 @@ def scene_of(experiment: MaterialExperiment, settings: MaterialSettings = DEFAUL
         pulled=bool(bars.max() > 0.01),
         pushed=bool(bars.min() < -0.01),
         timed=bool(timed) and longest > 0,
-        paced=bool(timed) and (unloaded or _two_paces(rates) or any(_holds(curve) for curve in timed)),
+        paced=bool(timed) and (unloaded or two_rates or any(_holds(curve) for curve in timed)),
         unloaded=unloaded,
         shortest_s=max(float(np.median(positive)) if len(positive) else 0.0, longest * 1e-4),
         longest_s=longest,
@@ -155,37 +126,26 @@ def scene_of(experiment: MaterialExperiment, settings: MaterialSettings = DEFAUL
 
 
 def _invariant(curve: Curve) -> FloatArray:
+    """Return I1 - 3 at preserved volume of every row (n,)."""
     if curve.mode == "simple-shear":
         return np.asarray(curve.amounts**2)
     return np.asarray(curve.amounts**2 + 2.0 / curve.amounts - 3.0)
 
 
 def _unloaded(curve: Curve) -> bool:
-    sizes = np.abs(curve.strains)
-    falls = sizes < 0.9 * np.maximum.accumulate(sizes)
-    # A sweep from tension through zero to compression is no unloading.
-    return bool((falls & (np.sign(curve.strains) == np.sign(_of_largest(curve)))).any()) and not _sweeps(curve)
-
-
-def _of_largest(curve: Curve) -> FloatArray:
-    sizes = np.abs(curve.strains)
-    source = np.maximum.accumulate(np.where(sizes >= np.maximum.accumulate(sizes), np.arange(len(sizes)), 0))
-    return np.asarray(curve.strains[source])
-
-
-def _sweeps(curve: Curve) -> bool:
-    moves = np.diff(curve.strains)
-    return bool((moves >= 0).all() or (moves <= 0).all()) and curve.strains.min() < 0 < curve.strains.max()
+    """Return whether the strain falls below nine tenths of its largest so far; not that of a sweep through zero."""
+    strains, moves = curve.strains, np.diff(curve.strains)
+    sizes, largest = np.abs(strains), np.maximum.accumulate(np.abs(strains))
+    source = np.maximum.accumulate(np.where(sizes >= largest, np.arange(len(sizes)), 0))
+    falls = (sizes < 0.9 * largest) & (np.sign(strains) == np.sign(strains[source]))
+    sweeps = ((moves >= 0).all() or (moves <= 0).all()) and strains.min() < 0 < strains.max()
+    return bool(falls.any() and not sweeps)
 
 
 def _holds(curve: Curve) -> bool:
     steps, moves = np.diff(curve.clock), np.abs(np.diff(curve.strains))
     still = moves < 1e-3 * np.abs(curve.strains).max()
     return bool(steps[still].sum() > 0.1 * steps.sum())
-
-
-def _two_paces(rates: set[float]) -> bool:
-    return len(rates) > 1 and max(rates) > 1.2 * min(rates)
 
 
 def _fastest(curve: Curve) -> float:

@@ -10,10 +10,11 @@ whitening for any share is a division:
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from tissuereg._base.arrays import FloatArray, IntArray
+from tissuereg._base.arrays import BoolArray, FloatArray
 from tissuereg.diagnosis.material.data import Data, path_arc
 from tissuereg.diagnosis.settings import DEFAULT, MaterialSettings
 from tissuereg.experiment.material_experiment import Curve, MaterialExperiment
@@ -35,13 +36,7 @@ class CurveNoise:
 
 
 def noise_of(experiment: MaterialExperiment, settings: MaterialSettings = DEFAULT.material) -> CurveNoise:
-    """Return the estimated noise of the curves of an experiment.
-
-    White noise is estimated from the difference between every row and a cubic through its four neighbours along the
-    load history. Curves of one mode and rate repeat each other: the factors between them and their mean give the spread
-    of specimens, the remaining differences the correlated errors along a curve. Typical values are returned where no
-    curve is repeated.
-    """
+    """Return the noise of an experiment's curves: as repeated curves show it, weighed with typical values."""
     std = np.array([_white(curve, experiment.stress_std, settings.least_noise) for curve in experiment.curves])
     factors, rests, repeats = 0.0, 0.0, 0
     for group in _repeated(experiment.curves):
@@ -56,18 +51,13 @@ def noise_of(experiment: MaterialExperiment, settings: MaterialSettings = DEFAUL
 
 
 def covariance(data: Data, noise: CurveNoise, settings: MaterialSettings = DEFAULT.material) -> FloatArray:
-    """Return the covariance of measured stresses about a correct law, shape (n, n), in kPa^2.
-
-    `data`: the n rows used; `noise`: standard deviations.
-    """
-    level, specimens = data.level, np.array(data.specimens)
+    """Return the covariance (n, n) of measured stresses about a correct law, kPa^2."""
+    level, specimens = data.level, data.names("specimen")
     total = np.diag(noise.std[data.curve_of] ** 2)
-    together = data.curve_of[:, None] == data.curve_of[None, :]
     lasting = (1.0 - settings.rough) * _near(data.arc, settings.along_length) + settings.rough * np.eye(len(level))
-    total += noise.along**2 * np.outer(level, level) * lasting * together
+    total += noise.along**2 * np.outer(level, level) * lasting * _same(data.curve_of)
     if len(set(specimens)) > 1:
-        signed = data.stress
-        total += noise.factor**2 * np.outer(signed, signed) * (specimens[:, None] == specimens[None, :])
+        total += noise.factor**2 * np.outer(data.stress, data.stress) * _same(specimens)
     return np.asarray(total)
 
 
@@ -83,52 +73,29 @@ class Weights:
     spectrum: FloatArray
 
     def whitened(self, residual: FloatArray, share: float = 0.0) -> FloatArray:
-        """Return residuals, (n,) or (n, k) in kPa, over their standard deviations and without correlation.
-
-        `share`: size of the generic misfit over the stress.
-        """
+        """Return residuals, (n,) or (n, k) in kPa, whitened; `share`: size of the generic misfit over the stress."""
         turned = self.whitener @ residual
         size = np.sqrt(1.0 + share**2 * self.spectrum)
         return np.asarray(turned / (size if turned.ndim == 1 else size[:, None]))
 
     def log_size(self, share: float) -> float:
-        """Return half the log of the determinant of noise plus generic covariance (size `share`) over that of noise."""
+        """Return half the log determinant of noise with a generic misfit of size `share`, over that of noise."""
         return 0.5 * float(np.log1p(share**2 * self.spectrum).sum())
 
 
 def weights_of(noise: FloatArray, generic: FloatArray) -> Weights:
-    """Return the whitening for a noise covariance and the covariance of a generic misfit.
-
-    `noise`, `generic` (n, n): kPa^2; `generic` for a misfit of size 1 over the stress. It costs one Cholesky factor and
-    one eigenvalue problem.
-    """
-    factor = np.linalg.cholesky(noise)
-    inverse = np.linalg.inv(factor)
+    """Return the whitening for covariances (n, n) of noise and of a generic misfit of size 1 over the stress, kPa^2."""
+    inverse = np.linalg.inv(np.linalg.cholesky(noise))
     spectrum, vectors = np.linalg.eigh(inverse @ generic @ inverse.T)
     return Weights(vectors.T @ inverse, np.maximum(spectrum, 0.0))
 
 
 def generic_covariance(data: Data, settings: MaterialSettings = DEFAULT.material) -> FloatArray:
     """Return the covariance, shape (n, n), kPa^2, of a generic misfit of size 1 over the stress at the n rows."""
-    modes = np.array(data.modes)
+    same, rough = _same(data.names("mode")), settings.rough * np.eye(len(data.stress))
     path = 0.7 * _near(data.arc, settings.misfit_arc) + 0.3 * _near(data.arc, settings.misfit_short_arc)
     alike = _near(data.strain, settings.misfit_strain) * path * _near(data.log_rate, settings.misfit_rate)
-    alike = (1.0 - settings.rough) * alike * (modes[:, None] == modes[None, :]) + settings.rough * np.eye(len(modes))
-    return np.asarray(np.outer(data.level, data.level) * alike)
-
-
-def patched(
-    noise: FloatArray, generic: FloatArray, share: float, known: IntArray, left_out: IntArray, residual: FloatArray
-) -> FloatArray:
-    """Return the posterior mean of a generic misfit at some rows, given the residual at others.
-
-    `noise`, `generic` (n, n): covariances, kPa^2; `share`: size of the misfit over the stress; `known`, `left_out`:
-    indices of the rows with and without a residual; `residual` (n_known,): measured minus modelled there, kPa. Result:
-    (n_left_out,), to be added to the model, kPa.
-    """
-    own = noise[np.ix_(known, known)] + share**2 * generic[np.ix_(known, known)]
-    across = share**2 * generic[np.ix_(left_out, known)]
-    return np.asarray(across @ np.linalg.solve(own, residual))
+    return np.asarray(np.outer(data.level, data.level) * ((1.0 - settings.rough) * alike * same + rough))
 
 
 def _near(values: FloatArray, length: float) -> FloatArray:
@@ -136,14 +103,20 @@ def _near(values: FloatArray, length: float) -> FloatArray:
     return np.asarray(np.exp(-0.5 * ((values[:, None] - values[None, :]) / length) ** 2))
 
 
+def _same(values: Any) -> BoolArray:
+    """Return whether the values (n,) of two rows are the same, (n, n)."""
+    return np.asarray(values[:, None] == values[None, :])
+
+
 def _white(curve: Curve, given: float | None, least: float) -> float:
+    """Return the white noise of a stress, kPa, by the difference of rows from a cubic through their four neighbours."""
     if given is not None:
         return given
     measured = np.isfinite(curve.stress)
     place, stress = path_arc(curve)[measured], curve.stress[measured]
-    least *= float(np.abs(stress).max())
+    peak = float(np.abs(stress).max())
     if len(stress) < 7:
-        return max(least, 0.01 * float(np.abs(stress).max()))
+        return max(least * peak, 0.01 * peak)
     # Adding the row number separates rows at equal progress.
     place = place + np.linspace(0.0, 0.2, len(place))
     differences = []
@@ -152,7 +125,7 @@ def _white(curve: Curve, given: float | None, least: float) -> float:
         weights = _cubic_weights(place[others] - place[i])
         differences.append((stress[i] - weights @ stress[others]) / np.sqrt(1.0 + weights @ weights))
     # The median is robust against the few corners of a path.
-    return max(least, 1.4826 * float(np.median(np.abs(differences))))
+    return max(least * peak, 1.4826 * float(np.median(np.abs(differences))))
 
 
 def _cubic_weights(offsets: FloatArray) -> FloatArray:
@@ -165,36 +138,28 @@ def _cubic_weights(offsets: FloatArray) -> FloatArray:
 
 
 def _repeated(curves: Sequence[Curve]) -> list[list[int]]:
-    """Return sets of indices of curves that repeat each other; curves without a repeat are left out.
-
-    They have one mode, rates that are unknown or differ by less than a tenth, and similar strains along the load
-    history.
-    """
+    """Return sets of indices of curves that repeat each other; curves without a repeat are left out."""
     sets: list[list[int]] = []
     for index, curve in enumerate(curves):
-        for members in sets:
-            first = curves[members[0]]
-            rates = (np.isnan(first.rate) and np.isnan(curve.rate)) or abs(first.rate - curve.rate) < 0.1 * first.rate
-            if first.mode == curve.mode and rates and _similar_path(first, curve):
-                members.append(index)
-                break
-        else:
+        members = next((one for one in sets if _repeats(curves[one[0]], curve)), None)
+        if members is None:
             sets.append([index])
+        else:
+            members.append(index)
     return [members for members in sets if len(members) > 1]
 
 
-def _similar_path(one: Curve, other: Curve) -> bool:
-    largest = np.abs(one.strains).max()
+def _repeats(one: Curve, other: Curve) -> bool:
+    """Return whether two curves have one mode, the same or unknown rates, and similar strains along their histories."""
+    rates = (np.isnan(one.rate) and np.isnan(other.rate)) or abs(one.rate - other.rate) < 0.1 * one.rate
     places = np.linspace(0.05, 1.0, 20)
     paths = [np.interp(places, path_arc(c), c.strains) for c in (one, other)]
-    return bool(np.abs(paths[0] - paths[1]).max() < 0.15 * largest)
+    apart = np.abs(paths[0] - paths[1]).max()
+    return one.mode == other.mode and bool(rates and apart < 0.15 * np.abs(one.strains).max())
 
 
 def _spread(curves: Sequence[Curve], std: FloatArray) -> tuple[float, float]:
-    """Return the variance of the factor between specimens and that of correlated errors along curves, over the stress.
-
-    `curves`: measured curves that repeat each other; `std` (n_curves,): white noise of each, kPa.
-    """
+    """Return the variances of specimens' factor and of correlated errors over the stress; `std`: white noise, kPa."""
     places = np.linspace(0.05, 1.0, 40)
     # Stress at equal strain, so that small differences of a machine's stroke do not count as errors of the stress.
     common = np.mean([np.interp(places, path_arc(c), c.strains) for c in curves], axis=0)
@@ -210,6 +175,7 @@ def _spread(curves: Sequence[Curve], std: FloatArray) -> tuple[float, float]:
 
 
 def _at(curve: Curve, places: FloatArray, strains: FloatArray) -> FloatArray:
+    """Return a curve's stresses (k,) at progress `places` (k,), moved along its slope to `strains` (k,)."""
     measured = np.isfinite(curve.stress)
     arc = path_arc(curve)[measured]
     stress = np.interp(places, arc, curve.stress[measured])

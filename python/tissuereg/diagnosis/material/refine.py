@@ -21,6 +21,7 @@ approach follows Kennedy and O'Hagan, J. R. Stat. Soc. B 63, 2001, on calibratio
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -28,9 +29,15 @@ import numpy as np
 from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.causes import CAUSES
 from tissuereg.diagnosis.evidence import rms
-from tissuereg.diagnosis.material.fit import MaterialFit, fitted, prior_of
-from tissuereg.diagnosis.material.holdout import HeldOutErrors, ProofInput, held_out_errors
-from tissuereg.diagnosis.material.hypothesis import Hypothesis
+from tissuereg.diagnosis.material.bench import CurveBench
+from tissuereg.diagnosis.material.fit import (
+    HeldOutErrors,
+    Hypothesis,
+    MaterialFit,
+    chances_of_sizes,
+    fitted,
+    held_out_errors,
+)
 from tissuereg.diagnosis.material.noise import weights_of
 from tissuereg.diagnosis.material.search import MaterialSearch
 
@@ -41,136 +48,101 @@ class Refined:
 
     `fit`: fit to all rows; its covariance includes the model error of its form (the formula of the law); `held_out`:
     errors on held-out data with the same form and weights; `weighting`: ``lasting errors`` (rows weighted by the full
-    covariance with correlated errors) or ``rows alike`` (equally within a curve); `form_error`: root mean square of the
-    form's model error, over the stress; NaN until it is estimated.
+    covariance with correlated errors) or ``rows alike`` (equally within a curve); `decides`: error (rms, kPa) by which
+    it was chosen; `form_error`: root mean square of the form's model error, over the stress; NaN until it is estimated.
     """
 
     fit: MaterialFit
     held_out: HeldOutErrors
     weighting: str
+    decides: float
     form_error: float = math.nan
 
 
 def refined(search: MaterialSearch, known: Hypothesis) -> Refined:
-    """Return the fit of the causes found in the form and with the weights that predict held-out data best.
-
-    `search`: search that found them, with its data; `known`: the believed law with the causes found. Result: with one
-    of the forms (formulas) tried of each cause, and its deviations.
-    """
+    """Return the fit of the causes found, in the forms and with the weights that predict held-out data best."""
     benches = {"lasting errors": search.bench, "rows alike": rows_alike(search.bench)}
     if search.bench.unit == "part":
         # In a single curve only the noise model separates correlated errors from memory; other laws need none.
-        del benches["rows alike" if known.fit.model.remembers else "lasting errors"]
-    best = min((_of(bench, known.fit, name) for name, bench in benches.items()), key=lambda r: _error(search, r))
+        del benches["rows alike" if known.fit.model.memory else "lasting errors"]
+    best = min(_weighted(benches, known.fit), key=lambda one: one.decides)
+    least = search.bench.settings.material.worth
     for cause in (cause for cause in known.ids if CAUSES[cause].is_law):
-        best = _best_form(search, replace(known, fit=best.fit), cause, best, benches)
+        place = known.ids.index(cause)
+        for fit in _in_each_form(search, replace(known, fit=best.fit), cause):
+            if fit.parts[place].free_parameters.label == best.fit.parts[place].free_parameters.label:
+                continue
+            for tried in _weighted(benches, fit):
+                worth = 1.0 / (1.0 - least) if len(fit.x) < len(best.fit.x) else 1.0 - least
+                if tried.decides < worth * best.decides:
+                    best = tried
     fit, form_error = stated(benches[best.weighting], best.fit)
     return replace(best, fit=fit, form_error=form_error)
 
 
-def _best_form(
-    search: MaterialSearch,
-    known: Hypothesis,
-    cause: str,
-    best: Refined,
-    benches: dict[str, ProofInput],
-) -> Refined:
-    place, least = known.ids.index(cause), search.bench.problem.settings.material.worth
-    for fit in _in_each_form(search, known, cause):
-        if fit.parts[place].free_parameters.label == best.fit.parts[place].free_parameters.label:
-            continue
-        for name, bench in benches.items():
-            tried = _of(bench, fit, name)
-            simpler = len(fit.x) < len(best.fit.x)
-            worth = 1.0 / (1.0 - least) if simpler else 1.0 - least
-            if _error(search, tried) < worth * _error(search, best):
-                best = tried
-    return best
-
-
 def _in_each_form(search: MaterialSearch, known: Hypothesis, cause: str) -> list[MaterialFit]:
+    """Return fits of the causes found with one of them in each of its forms, likeliest first."""
     rest = search.lacking(known, cause)
-    fits = search.in_forms(rest, cause)
-    order = [*rest.ids, cause]
-    return [_reordered(fit, order, known.ids) for fit in fits]
+    places = [[*rest.ids, cause].index(id) for id in known.ids]
+    fits = []
+    for fit in search.joined(rest, cause).forms:
+        index = np.concatenate([[0], *(np.arange(len(fit.x))[fit.slices()[i]] for i in places)]).astype(np.int64)
+        parts, covariance = tuple(fit.parts[i] for i in places), fit.covariance[np.ix_(index, index)]
+        fits.append(replace(fit, parts=parts, x=fit.x[index], covariance=covariance))
+    return fits
 
 
-def _reordered(fit: MaterialFit, order: list[str], wanted: tuple[str, ...]) -> MaterialFit:
-    """Return a fit whose causes and parameters, now in the order of the ids `order`, are in that of `wanted`."""
-    places = [order.index(id) for id in wanted]
-    index = np.concatenate([[0], *(np.arange(len(fit.x))[fit.slices()[place]] for place in places)]).astype(np.int64)
-    parts = tuple(fit.parts[place] for place in places)
-    return replace(fit, parts=parts, x=fit.x[index], covariance=fit.covariance[np.ix_(index, index)])
+def _weighted(benches: Mapping[str, CurveBench], fit: MaterialFit) -> list[Refined]:
+    """Return a fit with each way to weight rows."""
+    found = []
+    for name, bench in benches.items():
+        own = fitted(bench, fit.parts, [fit.x]) if name == "rows alike" else fit
+        errors = held_out_errors(bench, own)
+        # The error that decides between fits: on held-out data, or of the fit for a single curve.
+        decides = rms(bench.data.residual(own.model)) if bench.unit == "part" else errors.rms_all
+        found.append(Refined(own, errors, name, decides))
+    return found
 
 
-def _of(bench: ProofInput, fit: MaterialFit, weighting: str) -> Refined:
-    if weighting == "rows alike":
-        fit = fitted(bench.problem, fit.parts, [fit.x])
-    return Refined(fit, held_out_errors(bench, fit), weighting)
-
-
-def _error(search: MaterialSearch, refined: Refined) -> float:
-    """Return the error (rms, kPa) that decides between fits: on held-out data, or of the fit for a single curve."""
-    if search.bench.unit != "part":
-        return refined.held_out.rms_all
-    data = search.bench.problem.data
-    return rms(data.stress - data.modelled(refined.fit.model))
-
-
-def rows_alike(bench: ProofInput) -> ProofInput:
-    """Return a bench (data, covariances and folds) on which the rows of a curve have equal weights in fits.
-
-    Prediction errors are still measured in units of the full noise covariance.
-    """
-    data = bench.problem.data
-    peaks = np.array([float(np.nanmax(np.abs(curve.stress))) for curve in data.curves])
-    size = np.maximum(bench.errors.std, bench.problem.settings.material.rows_alike * peaks)[data.curve_of]
+def rows_alike(bench: CurveBench) -> CurveBench:
+    """Return a bench on which the rows of a curve have equal weights in fits; errors are measured as before."""
+    peaks = np.array([float(np.nanmax(np.abs(curve.stress))) for curve in bench.data.curves])
+    size = np.maximum(bench.errors.std, bench.settings.material.rows_alike * peaks)[bench.data.curve_of]
     own = np.diag(size**2)
-    problem = replace(bench.problem, weights=weights_of(own, np.zeros_like(own)))
-    return replace(bench, problem=problem, fitting=own)
+    return replace(bench, weights=weights_of(own, np.zeros_like(own)), fitting=own)
 
 
-def stated(bench: ProofInput, fit: MaterialFit) -> tuple[MaterialFit, float]:
+def stated(bench: CurveBench, fit: MaterialFit) -> tuple[MaterialFit, float]:
     """Return a fit with the covariance due to noise, the model error of its form, and the prior; and that error.
 
-    `bench`: its `noise` is the covariance of the curves' errors, its `fitting` the one that weights fits; `fit`: fit to
-    all rows, which is otherwise unchanged. The error is the root mean square of that of the form (the formula of the
-    law), over the stress. A form that agrees with the curves within their noise shows none here; only other modes,
-    rates or strains can show whether it has one elsewhere.
+    The error is the root mean square of that of the form (the formula of the law), over the stress. A form that agrees
+    with the curves within their noise shows none here; only other modes, rates or strains can show whether it has one
+    elsewhere.
     """
-    data = bench.problem.data
-    _, scale = prior_of(bench.problem, fit.parts)
+    _, scale = bench.prior(fit.parts)
     slopes = _slopes(bench, fit, scale)
     weighed = np.linalg.solve(bench.fitting + fit.share**2 * bench.generic, slopes)
     inverse = np.asarray(np.linalg.inv(slopes.T @ weighed + np.eye(len(scale))), np.float64)
     gain = inverse @ weighed.T
-    residual = data.stress - data.modelled(fit.model)
-    squared = _squared_size(bench, slopes, gain, inverse, residual)
+    squared = _squared_size(bench, fit, slopes, gain, inverse)
     errors = gain @ (bench.noise + squared * bench.generic) @ gain.T + inverse @ inverse
     return replace(fit, covariance=scale[:, None] * errors * scale[None, :]), math.sqrt(squared)
 
 
 def _squared_size(
-    bench: ProofInput, slopes: FloatArray, gain: FloatArray, inverse: FloatArray, residual: FloatArray
+    bench: CurveBench, fit: MaterialFit, slopes: FloatArray, gain: FloatArray, inverse: FloatArray
 ) -> float:
-    """Return the posterior mean square of the form's model error, over the stress.
-
-    `slopes` (n, k): derivatives of stresses, kPa per prior deviation; `gain` (k, n): change of parameters by errors,
-    1/kPa; `inverse` (k, k): covariance by the curvature, over prior deviations; `residual` (n,): measured minus
-    modelled stress, kPa.
-    """
+    """Return the posterior mean square of the form's model error, over the stress; arguments as in `stated`."""
     unit = np.sqrt(np.diag(bench.noise))
     # Simulated curves may be fitted to the last digit.
-    found = max(float(np.sum((residual / unit) ** 2)), float(np.finfo(np.float64).tiny))
+    found = max(float(np.sum((bench.data.residual(fit.model) / unit) ** 2)), float(np.finfo(np.float64).tiny))
     maker = (np.eye(len(unit)) - slopes @ gain) / unit[:, None]
     prior = (slopes @ inverse) / unit[:, None]
     least = maker @ bench.noise @ maker.T + prior @ prior.T
     more = maker @ bench.generic @ maker.T
-    numbers = bench.problem.settings.material
-    shares, none = numbers.misfit_shares, numbers.no_misfit
-    sizes = np.array([0.0, *shares])
-    chances = np.array([none, *[(1.0 - none) / len(shares)] * len(shares)])
-    logs = np.log(chances) + [_log_density(found, least + size**2 * more) for size in sizes]
+    chances = chances_of_sizes(bench.settings.material)
+    sizes = np.array([*chances])
+    logs = np.log([*chances.values()]) + [_log_density(found, least + size**2 * more) for size in sizes]
     weights = np.exp(logs - logs.max())
     return float(weights @ sizes**2 / weights.sum())
 
@@ -182,15 +154,10 @@ def _log_density(found: float, covariance: FloatArray) -> float:
     return (shape - 1.0) * math.log(found) - found / unit - math.lgamma(shape) - shape * math.log(unit)
 
 
-def _slopes(bench: ProofInput, fit: MaterialFit, scale: FloatArray) -> FloatArray:
+def _slopes(bench: CurveBench, fit: MaterialFit, scale: FloatArray) -> FloatArray:
     """Return the derivatives (n, k) of the stresses, kPa, by parameters in prior deviations, which are `scale` (k,)."""
-    problem, step = bench.problem, bench.problem.settings.material.step
-    columns = []
-    for i, unit in enumerate(scale):
-        ends = []
-        for sign in (1.0, -1.0):
-            moved = fit.x.copy()
-            moved[i] += sign * step * unit
-            ends.append(problem.data.modelled(problem.model(fit.parts, moved)))
+    step, columns = bench.settings.material.step, []
+    for moved in np.diag(step * scale):
+        ends = [bench.data.modelled(bench.model(fit.parts, x)) for x in (fit.x + moved, fit.x - moved)]
         columns.append((ends[0] - ends[1]) / (2.0 * step))
     return np.stack(columns, axis=1)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray
-from tissuereg.diagnosis.material.history import predicted_stresses, stress_of
+from tissuereg.diagnosis.material.model import predicted_stresses, stress_of
 from tissuereg.diagnosis.report import STYLE
 from tissuereg.diagnosis.report.ranking import chance, possible_words, ranking, separated
 from tissuereg.diagnosis.report.words import finding_section
@@ -28,9 +28,6 @@ _SAID = {
     "unexplained": "The believed law does not explain the curves, nor does any cause of the catalogue.",
 }
 
-#: Models whose held-out errors are listed.
-_MODELS = (("base", "believed law"), ("named", "with the findings"), ("generic", "with a generic patch"))
-
 _MEASURED = "#555"
 _WIDTH, _LEFT, _RIGHT, _HEIGHT = 900.0, 70.0, 20.0, 300.0
 
@@ -39,12 +36,13 @@ _MOST_POINTS = 300
 
 
 def material_page(found: "MaterialDiagnosis", folder: Path) -> str:
-    """Return the HTML page of a diagnosed material test, without external resources.
-
-    `found`: the diagnosis; `folder`: folder of the page, to which paths in the extended model are relative.
-    """
+    """Return the HTML page of a diagnosed material test; `folder`: paths in the extended model are relative to it."""
     answer = found.to_json()
     of_findings = {finding.sentence for finding in found.findings}
+    named = {name for finding in found.findings for name in finding.group}
+    thresholds = {row["id"]: found.outcome.threshold for row in found.candidates if row["id"] != "unknown"}
+    shown = [(_MEASURED, "measured"), (svg.BEFORE, "believed law, fitted")]
+    shown += [(svg.AFTER, "with the findings")] if found.findings else []
     tone = "yes" if answer["verdict"] == "consistent" else "no"
     parts = [
         f"<h1>What the law of {escape(found.experiment.name)} gets wrong</h1>",
@@ -54,13 +52,13 @@ def material_page(found: "MaterialDiagnosis", folder: Path) -> str:
         *(finding_section(finding) for finding in found.findings),
         *(f"<p>{escape(possible_words(one))}</p>" for one in answer["possible"]),
         "<h2>Curves</h2>",
-        f"<p class='key'>{_key(found)}</p>",
+        f"<p class='key'>{''.join(svg.swatch(colour, said) for colour, said in shown)}</p>",
         *_charts(found),
         "<h2>All causes that were tried</h2>",
         "<p>The log Bayes factor (in nats) measures how much better a cause predicts the curves than the law without "
         "it; it includes the penalty for the cause's free parameters. The red line is the threshold, which curves "
         "without any effect exceed rarely.</p>",
-        _ranking(found),
+        ranking(found.candidates, thresholds, named, "First round"),
         "<h2>Prediction of held-out data</h2>",
         _held_out(answer["held_out"]),
         "<h2>What to measure next</h2>",
@@ -68,9 +66,8 @@ def material_page(found: "MaterialDiagnosis", folder: Path) -> str:
         provenance_section(answer["provenance"]),
         "<h2>What was assumed</h2>",
         _assumed(answer),
+        f"<h2>The extended model</h2><pre>{escape(experiment_text(found.extended, folder))}</pre>",
     ]
-    text = escape(experiment_text(found.extended, folder))
-    parts.append(f"<h2>The extended model</h2><pre>{text}</pre>")
     return document("Diagnosis", parts, STYLE)
 
 
@@ -82,12 +79,6 @@ def _discrepancy(answer: dict[str, Any]) -> str:
         f"{' and '.join(before['where'])}. With the findings, curves without further effects would misfit as much with "
         f"probability {chance(answer['p_misfit'])}."
     )
-
-
-def _key(found: "MaterialDiagnosis") -> str:
-    shown = [(_MEASURED, "measured"), (svg.BEFORE, "believed law, fitted")]
-    shown += [(svg.AFTER, "with the findings")] if found.findings else []
-    return "".join(svg.swatch(colour, said) for colour, said in shown)
 
 
 def _charts(found: "MaterialDiagnosis") -> list[str]:
@@ -133,20 +124,15 @@ def _chart(mode: str, drawn: Sequence[tuple["Curve", FloatArray, FloatArray | No
     return svg.picture(_WIDTH, _HEIGHT, parts, f"Curves in {mode}")
 
 
-def _ranking(found: "MaterialDiagnosis") -> str:
-    named = {name for finding in found.findings for name in finding.group}
-    thresholds = {row["id"]: found.outcome.threshold for row in found.candidates if row["id"] != "unknown"}
-    return ranking(found.candidates, thresholds, named, "First round")
-
-
 def _held_out(held: dict[str, Any]) -> str:
     def cell(value: float | None) -> str:
         return "-" if value is None or not np.isfinite(value) else f"{value:.3g}"
 
-    rows = [(escape(case), *(cell(by[f"rms_{key}_kpa"]) for key, _ in _MODELS)) for case, by in held["by_case"].items()]
-    rows.append(("all", *(cell(held[f"rms_{key}_kpa"]) for key, _ in _MODELS)))
-    rows.append(("all, over their uncertainty", *(cell(held[f"chi_{key}"]) for key, _ in _MODELS)))
-    head = (f"{held['unit']} held out, rms kPa", *(name for _, name in _MODELS))
+    rms, chi = ([what.format(key) for key in ("base", "named", "generic")] for what in ("rms_{}_kpa", "chi_{}"))
+    rows = [(escape(case), *(cell(of_case[key]) for key in rms)) for case, of_case in held["by_case"].items()]
+    rows.append(("all", *(cell(held[key]) for key in rms)))
+    rows.append(("all, over their uncertainty", *(cell(held[key]) for key in chi)))
+    head = (f"{held['unit']} held out, rms kPa", "believed law", "with the findings", "with a generic patch")
     return table(head, rows) + f"<p>Noise of a stress: {held['noise_kpa']:.2g} kPa (rms).</p>"
 
 

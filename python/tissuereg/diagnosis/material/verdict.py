@@ -1,25 +1,36 @@
-"""The sequence of steps of a material diagnosis: fit of the believed law, threshold, search, proof, verdict."""
+"""The steps of a material diagnosis: fit of the believed law, threshold, search, proof, test of the residual, verdict.
+
+Threshold and p-value come from simulated null experiments, which have noise but no effect.
+"""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.answer import PossibleCause
-from tissuereg.diagnosis.causes import CAUSES
-from tissuereg.diagnosis.causes.base import Scene
-from tissuereg.diagnosis.material.data import data_of, scene_of
-from tissuereg.diagnosis.material.fit import FitProblem, MaterialFit
-from tissuereg.diagnosis.material.holdout import HeldOutErrors, ProofInput, folds_of, held_out_errors
-from tissuereg.diagnosis.material.hypothesis import Hypothesis, null_hypothesis, plain_fit, unknown
-from tissuereg.diagnosis.material.model import Model
-from tissuereg.diagnosis.material.noise import covariance, generic_covariance, noise_of, weights_of
-from tissuereg.diagnosis.material.nulls import misfit_probability, threshold
+from tissuereg.diagnosis.causes import CAUSES, FreeParameters
+from tissuereg.diagnosis.evidence import log_bayes_factors
+from tissuereg.diagnosis.fit import FittedCause
+from tissuereg.diagnosis.material.bench import CurveBench, bench_of
+from tissuereg.diagnosis.material.data import scene_of
+from tissuereg.diagnosis.material.fit import (
+    HeldOutErrors,
+    Hypothesis,
+    MaterialFit,
+    held_out_errors,
+    null_hypothesis,
+    plain_fit,
+    unknown,
+)
+from tissuereg.diagnosis.material.noise import Weights
 from tissuereg.diagnosis.material.refine import Refined, refined
-from tissuereg.diagnosis.material.search import CandidateCause, MaterialFinding, MaterialSearch
-from tissuereg.diagnosis.settings import DEFAULT, DiagnoseSettings
+from tissuereg.diagnosis.material.search import MaterialFinding, MaterialSearch
+from tissuereg.diagnosis.settings import DiagnoseSettings, MaterialSettings
+from tissuereg.errors import TissueRegError
 from tissuereg.experiment.material_experiment import MaterialExperiment
 
 
@@ -35,7 +46,7 @@ class SelectionOutcome:
     exceed, nats; `p_misfit`: p-value of the residual after the findings; `explained`: share of the misfit (in squared
     units of noise) that the findings explain; NaN without findings; `held_out`: errors on held-out data of the believed
     law (``base``), with the findings (``named``), and with a generic misfit (``generic``); `bench`: rows, covariances
-    and the parts that are held out; `scene`: tested modes and ranges of strain, time and stress.
+    and the parts that are held out.
     """
 
     verdict: str
@@ -44,39 +55,29 @@ class SelectionOutcome:
     refined: Refined | None
     findings: tuple[MaterialFinding, ...]
     possible: tuple[PossibleCause, ...]
-    candidates: tuple[CandidateCause, ...]
+    candidates: tuple[dict[str, Any], ...]
     threshold: float
     p_misfit: float
     explained: float
     held_out: dict[str, HeldOutErrors]
-    bench: ProofInput
-    scene: Scene
+    bench: CurveBench
 
 
 def find_out(
-    experiment: MaterialExperiment, seed: int, progress: Callable[[str], None], settings: DiagnoseSettings = DEFAULT
+    experiment: MaterialExperiment, seed: int, progress: Callable[[str], None], settings: DiagnoseSettings
 ) -> SelectionOutcome:
-    """Return everything that a diagnosis of material tests finds, from noise and fits to the verdict.
-
-    `experiment`: believed law and measured curves; `seed`: seed of the simulated null experiments; `progress`: called
-    with the name of the step that begins.
-    """
+    """Return everything that a diagnosis finds; `seed`: of the null experiments; `progress`: called with each step."""
     rng, rules = np.random.default_rng(seed), settings.nulls
-    bench = bench_of(experiment, settings)
-    problem, scene = bench.problem, scene_of(experiment, settings.material)
-    none = null_hypothesis(problem)
+    bench, scene = bench_of(experiment, settings), scene_of(experiment, settings.material)
+    none = null_hypothesis(bench)
     tried = {id: cause.in_curves(scene) for id, cause in CAUSES.items() if id not in settings.left_out}
     forms = {id: forms for id, forms in tried.items() if forms}
     progress("threshold from null experiments")
-    limit = threshold(problem, none.fit, forms, rng)
-    search = MaterialSearch(bench, none, forms, limit, progress)
-    known = search.run()
-    data = problem.data
-    believed = plain_fit(problem, bench.noise)
-    residual = data.stress - data.modelled(known.fit.model)
-    p_misfit = misfit_probability(problem.weights, residual, rng, settings.material)
-    explained = _explained(bench, data.stress - data.modelled(believed.model), residual) if known.ids else math.nan
-    generic = unknown(problem, none)
+    search = MaterialSearch(bench, none, forms, _threshold(bench, none.fit, forms, rng), progress)
+    known, believed = search.run(), plain_fit(bench)
+    before, after = (bench.data.residual(fit.model) for fit in (believed, known.fit))
+    p_misfit = _misfit_probability(bench.weights, after, rng, settings.material)
+    explained = _explained(bench, before, after) if known.ids else math.nan
     verdict = "consistent" if p_misfit > rules.misfit else "unexplained"
     findings: tuple[MaterialFinding, ...] = ()
     if known.ids and (p_misfit > rules.misfit or explained > settings.material.explained):
@@ -86,7 +87,7 @@ def find_out(
     reported = refined(search, known) if findings else None
     base = held_out_errors(bench, believed)
     named = base if reported is None else reported.held_out
-    patch = held_out_errors(bench, none.fit, patch_share=generic.fit.share)
+    generic = held_out_errors(bench, none.fit, patch_share=unknown(bench, none).fit.share)
     return SelectionOutcome(
         verdict,
         known,
@@ -95,28 +96,70 @@ def find_out(
         findings,
         tuple(search.possible),
         tuple(search.first_race),
-        limit,
+        search.threshold,
         p_misfit,
         explained,
-        {"base": base, "named": named, "generic": patch},
+        {"base": base, "named": named, "generic": generic},
         bench,
-        scene,
     )
 
 
-def bench_of(experiment: MaterialExperiment, settings: DiagnoseSettings = DEFAULT) -> ProofInput:
-    """Return the rows, covariances and folds that fits and proofs of an experiment need."""
-    numbers = settings.material
-    data, noise = data_of(experiment, numbers.most_rows), noise_of(experiment, numbers)
-    own, generic = covariance(data, noise, numbers), generic_covariance(data, numbers)
-    base = Model(experiment.material).with_effects(experiment.effects)
-    young = float(base.material.young_array[0])
-    std = numbers.young_spread if experiment.young_std is None else math.log1p(experiment.young_std / young)
-    problem = FitProblem(base, data, weights_of(own, generic), math.log(young), std, settings)
-    unit, folds = folds_of(experiment, data, numbers)
-    return ProofInput(unit, folds, problem, own, generic, own, noise)
-
-
-def _explained(bench: ProofInput, before: FloatArray, after: FloatArray) -> float:
-    sizes = [float(np.sum(bench.problem.weights.whitened(error) ** 2)) - len(error) for error in (before, after)]
+def _explained(bench: CurveBench, before: FloatArray, after: FloatArray) -> float:
+    sizes = [float(np.sum(bench.weights.whitened(error) ** 2)) - len(error) for error in (before, after)]
     return 1.0 - max(sizes[1], 0.0) / sizes[0] if sizes[0] > 0 else 0.0
+
+
+def _threshold(
+    bench: CurveBench, known: MaterialFit, forms: Mapping[str, Sequence[FreeParameters]], rng: np.random.Generator
+) -> float:
+    """Return the log Bayes factor, nats, that the best cause exceeds in one of a hundred null experiments.
+
+    Every form is linearised about its first guesses: one column of stress with a unit prior amplitude, in addition to
+    the column of the modulus.
+    """
+    numbers = bench.settings.material
+    draws = rng.standard_normal((len(bench.data.stress), numbers.thresholds_from))
+    plain = bench.data.modelled(known.model)
+    change = (bench.data.modelled(bench.model((), known.x + np.array([1e-3]))) - plain) / 1e-3
+    young = bench.weights.whitened(change * float(bench.prior(())[1][0]))
+    best = np.full(numbers.thresholds_from, -np.inf)
+    for part in (FittedCause(cause, form) for cause, kinds in forms.items() for form in kinds):
+        pairs = [np.column_stack([young, column]) for column in _columns(bench, known.x, plain, part)]
+        if pairs:
+            scores = np.array([log_bayes_factors(draws, pair) for pair in pairs])
+            best = np.maximum(best, np.logaddexp.reduce(scores, axis=0) - np.log(len(scores)))
+    best = best - log_bayes_factors(draws, young[:, None])
+    return max(numbers.least_threshold, float(np.quantile(best, numbers.quantile)))
+
+
+def _columns(bench: CurveBench, x: FloatArray, plain: FloatArray, part: FittedCause) -> Iterator[FloatArray]:
+    """Yield the whitened changes (n,) of stresses `plain` (n,) by a cause at its first guesses and its prior mean."""
+    for start in (*part.free_parameters.guesses, part.free_parameters.mean):
+        if len(start):
+            try:
+                changed = bench.data.modelled(bench.model((part,), np.concatenate([x, start])))
+            except TissueRegError:
+                continue
+            if np.isfinite(changed).all():
+                yield bench.weights.whitened(changed - plain)
+
+
+def _misfit_probability(
+    weights: Weights, residual: FloatArray, rng: np.random.Generator, settings: MaterialSettings
+) -> float:
+    """Return the p-value, above 0, of the structure in a residual (n,), kPa.
+
+    The statistic is the largest log likelihood ratio of a generic misfit (a smooth Gaussian process) against none, over
+    its sizes.
+    """
+    n_nulls, shares = settings.misfits_from, settings.misfit_shares
+    found = _structure(weights, weights.whitened(residual)[:, None], shares)[0]
+    scale = np.exp(settings.noise_spread * rng.standard_normal(n_nulls))
+    nulls = _structure(weights, rng.standard_normal((len(residual), n_nulls)) * scale, shares)
+    return float((1 + (nulls >= found).sum()) / (1 + n_nulls))
+
+
+def _structure(weights: Weights, white: FloatArray, shares: Sequence[float]) -> FloatArray:
+    grown = [share**2 * weights.spectrum for share in shares]
+    gains = [0.5 * (white**2).T @ (one / (1.0 + one)) - 0.5 * np.log1p(one).sum() for one in grown]
+    return np.asarray(np.max(gains, axis=0))
