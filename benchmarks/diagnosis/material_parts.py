@@ -28,9 +28,9 @@ from support.material_curves import believed, histories, in_modes, with_lasting_
 from support.material_fits import both, numbers
 from tissuereg.cli.common import envelope
 from tissuereg.diagnosis.material import diagnose_material
+from tissuereg.diagnosis.material.answer import SelectionOutcome
 from tissuereg.diagnosis.material.fit import fitted
 from tissuereg.diagnosis.material.refine import rows_alike
-from tissuereg.diagnosis.material.verdict import SelectionOutcome
 from tissuereg.experiment.material_experiment import Curve, MaterialExperiment
 
 HERE = Path(__file__).resolve().parent

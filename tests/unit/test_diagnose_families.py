@@ -12,6 +12,7 @@ import pytest
 from support.targets import finding_of, part, target_of
 from tissuereg.cli import diagnose as command
 from tissuereg.cli.common import Stopwatch
+from tissuereg.diagnosis.answer import verdict_of
 from tissuereg.diagnosis.causes import CAUSES
 from tissuereg.diagnosis.causes.base import Cause
 from tissuereg.diagnosis.constancy import AfterFit, FittedPart, fitted_parts
@@ -19,7 +20,6 @@ from tissuereg.diagnosis.evidence import Blocks, Null, log_mean_exp, tail_probab
 from tissuereg.diagnosis.families import FAMILIES, Membership, memberships
 from tissuereg.diagnosis.fit import fit
 from tissuereg.diagnosis.report.words import finding_section, verdict_sentence
-from tissuereg.diagnosis.run import _verdict
 from tissuereg.diagnosis.screen import Screen
 from tissuereg.diagnosis.settings import DEFAULT
 from tissuereg.experiment.effects import Poisson
@@ -157,10 +157,10 @@ def stated(p, *, group=("relaxation",)):
 
 
 def test_a_family_alone_is_no_name():
-    assert _verdict([stated(0.5)], 0.5, withdrawn=False) == "named"
-    assert _verdict([stated(0.001)], 0.5, withdrawn=False) == "group"
-    assert _verdict([stated(0.5, group=("relaxation", "rate"))], 0.5, withdrawn=False) == "group"
-    assert _verdict([replace(stated(0.5), membership=None)], 0.5, withdrawn=False) == "named"
+    assert verdict_of([stated(0.5)], 0.5, withdrawn=False) == "named"
+    assert verdict_of([stated(0.001)], 0.5, withdrawn=False) == "group"
+    assert verdict_of([stated(0.5, group=("relaxation", "rate"))], 0.5, withdrawn=False) == "group"
+    assert verdict_of([replace(stated(0.5), membership=None)], 0.5, withdrawn=False) == "named"
 
 
 def test_a_family_alone_is_said_by_page_and_command():

@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 from support.rigs import rig
+from tissuereg.diagnosis.answer import verdict_of
 from tissuereg.diagnosis.bench import Bench
 from tissuereg.diagnosis.noise import Noise
 from tissuereg.diagnosis.nulls import Battery, Misfit, smooth_subspaces
-from tissuereg.diagnosis.run import _explains_enough, _verdict
+from tissuereg.diagnosis.run import _explains_enough
 from tissuereg.diagnosis.signals import SignalLayout
 
 N_NULLS = 300
@@ -83,6 +84,6 @@ def test_findings_with_a_misfit_are_named_where_they_explain_half_of_it(p, expla
 
 
 def test_a_diagnosis_with_withdrawn_findings_is_never_consistent():
-    assert _verdict([], 0.3, withdrawn=False) == "consistent"
-    assert _verdict([], 0.3, withdrawn=True) == "unexplained"
-    assert _verdict([], 0.003, withdrawn=False) == "unexplained"
+    assert verdict_of([], 0.3, withdrawn=False) == "consistent"
+    assert verdict_of([], 0.3, withdrawn=True) == "unexplained"
+    assert verdict_of([], 0.003, withdrawn=False) == "unexplained"

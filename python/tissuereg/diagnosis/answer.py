@@ -3,7 +3,7 @@
 import os
 import platform
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -344,6 +344,15 @@ class BodyDiagnosis(Diagnosis):
         from tissuereg.diagnosis.report.page import page
 
         return page(self, folder)
+
+
+def verdict_of(
+    findings: Sequence[Finding], misfit: float, *, withdrawn: bool = False, level: float = DEFAULT.nulls.misfit
+) -> str:
+    """Return the verdict by the findings and the p-value of the residual; `withdrawn`: whether there were others."""
+    if not findings:
+        return "consistent" if misfit >= level and not withdrawn else "unexplained"
+    return "named" if all(finding.is_sure for finding in findings) else "group"
 
 
 def to_check(action: str, kind: str, name: str, **more: Any) -> dict[str, Any]:

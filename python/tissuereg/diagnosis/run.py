@@ -20,7 +20,7 @@ from tissuereg._base.choices import Element
 from tissuereg._base.machine import give_back
 from tissuereg._base.provenance import warn
 from tissuereg.diagnosis.advice import advise
-from tissuereg.diagnosis.answer import BodyDiagnosis, DiagnosisDetails, Finding, to_check, versions_now
+from tissuereg.diagnosis.answer import BodyDiagnosis, DiagnosisDetails, Finding, to_check, verdict_of, versions_now
 from tissuereg.diagnosis.bank import Bank, make_bank, make_outside
 from tissuereg.diagnosis.bench import Bench, Targets
 from tissuereg.diagnosis.candidates import without
@@ -116,7 +116,7 @@ def _searched(bench: Bench, noise: Noise, *, silent: bool, seed: int, keep: bool
         believed.target, judged.found, judged.findings, judged.misfit, judged.screen,
     )  # fmt: skip
     larger = understated(experiment, target.noise, settings.noise)
-    verdict = _verdict(findings, misfit.p, withdrawn=judged.withdrawn or silent, level=rules.misfit)
+    verdict = verdict_of(findings, misfit.p, withdrawn=judged.withdrawn or silent, level=rules.misfit)
     if verdict == "consistent" and larger:
         verdict = UNDERSTATED
     effects: tuple[Effect, ...] = found.final.effects(bench.young)
@@ -369,12 +369,6 @@ def _own_modulus(experiment: Experiment) -> Experiment:
 def _explains_enough(misfit: Misfit, rules: NullSettings = DEFAULT.nulls) -> bool:
     """Return whether findings may be named: no misfit is left, or they explain enough of the believed model's."""
     return misfit.p >= rules.misfit or misfit.explained >= rules.explained
-
-
-def _verdict(findings: list[Finding], misfit: float, *, withdrawn: bool, level: float = DEFAULT.nulls.misfit) -> str:
-    if not findings:
-        return "consistent" if misfit >= level and not withdrawn else "unexplained"
-    return "named" if all(finding.is_sure for finding in findings) else "group"
 
 
 def target_rms(measured: Targets, *models: Targets | None) -> list[float | None]:

@@ -8,9 +8,9 @@ fit), `answer` and `report`. `model.stress_of` computes the stress of a model al
 
 from collections.abc import Callable
 
-from tissuereg.diagnosis.material.answer import MaterialDiagnosis, diagnosis_of
+from tissuereg.diagnosis.material.answer import MaterialDiagnosis
 from tissuereg.diagnosis.material.model import predicted_stresses
-from tissuereg.diagnosis.material.verdict import find_out
+from tissuereg.diagnosis.material.verdict import diagnosis_of
 from tissuereg.diagnosis.settings import DEFAULT, DiagnoseSettings
 from tissuereg.experiment.material_experiment import MaterialExperiment
 
@@ -64,5 +64,4 @@ def diagnose_material(
     >>> [finding.id for finding in diagnose_material(gel).findings]
     ['stiffening']
     """
-    outcome = find_out(experiment, seed, progress or (lambda message: None), settings)
-    return diagnosis_of(experiment, outcome, seed)
+    return diagnosis_of(experiment, seed, progress or (lambda message: None), settings)

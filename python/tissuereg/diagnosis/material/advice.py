@@ -1,32 +1,52 @@
 """Which further test would distinguish two causes that the measured curves cannot."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray
+from tissuereg.diagnosis.answer import to_check
+from tissuereg.diagnosis.material.bench import CurveBench
 from tissuereg.diagnosis.material.data import data_of
-from tissuereg.diagnosis.material.model import Model, stress_of
+from tissuereg.diagnosis.material.fit import Hypothesis
+from tissuereg.diagnosis.material.model import stress_of
 from tissuereg.diagnosis.material.noise import CurveNoise, covariance
+from tissuereg.diagnosis.material.search import MaterialFinding
 from tissuereg.diagnosis.settings import MaterialSettings
 from tissuereg.errors import ExperimentError
 from tissuereg.experiment.material_experiment import Curve, MaterialExperiment
 
 
-def best_test(
-    experiment: MaterialExperiment, one: Model, other: Model, settings: MaterialSettings
-) -> tuple[str, float] | None:
-    """Return the usual test, in words, that separates two fitted models best, and by how many noise deviations.
+def repeated(experiment: MaterialExperiment, worst: dict[str, Any]) -> dict[str, Any]:
+    """Return, for the answer, the advice to repeat the mode and the part of a curve with the largest residual."""
+    mode = worst["under"].replace("-", " ")
+    others = len({curve.specimen for curve in experiment.curves if curve.mode == worst["under"]}) > 1
+    with_what = "a further specimen" if others else "another specimen"
+    action = (
+        f"measure {mode} again with {with_what}, with more rows {worst['when']}: the residual is largest there, worst "
+        f"in {' and '.join(worst['where'])}; a deviation that does not repeat is no property of the material"
+    )
+    return to_check(action, "mode", worst["under"], where=worst["where"], when=worst["when"])
 
-    The result is None where no test has finite stresses under both models.
-    """
-    tests = []
-    for action, curve in _stock(experiment, settings.advised_rows):
-        first, second = (stress_of(model, curve) for model in (one, other))
-        if np.isfinite(first).all() and np.isfinite(second).all():
-            tests.append((action, _separability(experiment, curve, first, second, settings)))
-    return max(tests, key=lambda test: test[1], default=None)
+
+def next_test(
+    bench: CurveBench, experiment: MaterialExperiment, known: Hypothesis, findings: Sequence[MaterialFinding]
+) -> dict[str, Any] | None:
+    """Return, for the answer, the usual test that separates best the causes of a group, if there is a group."""
+    settings = bench.settings.material
+    for finding in findings:
+        for rival, other in finding.rivals.items():
+            tests = []
+            for action, curve in _stock(experiment, settings.advised_rows):
+                first, second = (stress_of(fit.model, curve) for fit in (known.fit, other.fit))
+                if np.isfinite(first).all() and np.isfinite(second).all():
+                    tests.append((_separability(experiment, curve, first, second, settings), action))
+            if tests:
+                size, action = max(tests, key=lambda test: test[0])
+                return {"action": action, "separates": [[finding.id, rival]], "separability": size}
+    return None
 
 
 def _separability(

@@ -1,27 +1,47 @@
 """The diagnosis of a material test, as a record: findings, errors on held-out data, sentences."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from tissuereg._base.arrays import BoolArray, FloatArray
-from tissuereg.diagnosis.answer import Accepted, Diagnosis, Finding, to_check, versions_now
+from tissuereg.diagnosis.answer import Accepted, Diagnosis, Finding
 from tissuereg.diagnosis.causes import CAUSES
 from tissuereg.diagnosis.evidence import rms
 from tissuereg.diagnosis.fit import effects_of
-from tissuereg.diagnosis.material.advice import best_test
+from tissuereg.diagnosis.material.bench import CurveBench
 from tissuereg.diagnosis.material.data import Data
-from tissuereg.diagnosis.material.fit import MaterialFit
+from tissuereg.diagnosis.material.fit import HeldOutErrors, Hypothesis, MaterialFit
+from tissuereg.diagnosis.material.refine import Refined
 from tissuereg.diagnosis.material.report import material_page
 from tissuereg.diagnosis.material.search import MaterialFinding
-from tissuereg.diagnosis.material.verdict import SelectionOutcome
 from tissuereg.experiment.effects import Effect
 from tissuereg.experiment.effects.elastic import Fibre, OtherLaw
 from tissuereg.experiment.effects.history import Relaxation
 from tissuereg.experiment.material_experiment import Curve, MaterialExperiment
+
+
+@dataclass(frozen=True, eq=False)
+class SelectionOutcome:
+    """What the steps of a diagnosis of material tests found, from which its answer and report are made.
+
+    `bench`: rows, covariances and the parts that are held out; `threshold`: log Bayes factor that a first cause must
+    exceed, nats; `known`: the believed law with the causes found; `believed`: the believed law, fitted with independent
+    rows; `explained`: share of the misfit (in squared units of noise) that the causes explain; NaN without any;
+    `refined`: the reported fit of the causes; None where none is stated; `held_out`: errors on held-out data of the
+    believed law (``base``), with the findings (``named``), and with a generic misfit (``generic``).
+    """
+
+    bench: CurveBench
+    threshold: float
+    known: Hypothesis
+    believed: MaterialFit
+    explained: float
+    refined: Refined | None
+    held_out: dict[str, HeldOutErrors]
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
@@ -56,14 +76,40 @@ class MaterialDiagnosis(Diagnosis):
         return self.outcome.explained if self.outcome.known.ids else None
 
     @property
-    def sentences(self) -> tuple[str, ...]:
-        """The answer in words."""
-        return tuple(_sentences(self.outcome, [finding.sentence for finding in self.findings]))
-
-    @property
     def provisional(self) -> bool:
         """Whether only the last part of the curves could be held out."""
         return self.outcome.bench.unit == "part"
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """The answer in words."""
+        outcome = self.outcome
+        if self.verdict == "consistent":
+            return (f"The believed law explains these curves within their noise (p = {self.p_misfit:.2g}).",)
+        if outcome.refined is None:
+            nearest = [c["id"] for c in self.candidates if c["id"] != "unknown"][:2]
+            share = f" The best of them explain {outcome.explained:.0%} of the misfit." if outcome.known.ids else ""
+            return (
+                "The believed law does not explain these curves, nor does any cause of the catalogue; "
+                f"the nearest are {' and '.join(nearest) or 'none'}.{share}",
+            )
+        base, named, unit = outcome.held_out["base"], outcome.held_out["named"], outcome.bench.unit
+        what = "the last part of each curve" if unit == "part" else f"a {unit}"
+        change = f"from {base.rms_all:.3g} to {named.rms_all:.3g} kPa"
+        sentences = [finding.sentence for finding in self.findings]
+        sentences.append(f"The prediction error of {what} that is held out changes {change}.")
+        if self.p_misfit <= outcome.bench.settings.nulls.misfit:
+            sentences += [
+                f"A misfit beyond the noise remains: {outcome.explained:.0%} of it are explained.",
+                f"The form found has a model error of some {outcome.refined.form_error:.1%} of the stress; the stated "
+                "deviations include it for the modes, rates and strains tested.",
+            ]
+        if unit == "part":
+            sentences.append(
+                "Only the last part of the curves could be held out: provisional until another mode, rate or specimen "
+                "is tested; the stated deviations do not cover those."
+            )
+        return tuple(sentences)
 
     def _own_json(self) -> dict[str, Any]:
         errors, refined = self.outcome.bench.errors, self.outcome.refined
@@ -86,27 +132,7 @@ class MaterialDiagnosis(Diagnosis):
         return material_page(self, folder)
 
 
-def diagnosis_of(experiment: MaterialExperiment, outcome: SelectionOutcome, seed: int) -> MaterialDiagnosis:
-    """Return the diagnosis that follows from the outcome of all steps; `seed`: of the simulated null experiments."""
-    fit = None if outcome.refined is None else outcome.refined.fit
-    return MaterialDiagnosis(
-        verdict=outcome.verdict,
-        findings=() if fit is None else tuple(_finding(outcome, fit, one) for one in outcome.findings),
-        candidates=outcome.candidates,
-        p_misfit=outcome.p_misfit,
-        discrepancy=_discrepancy(outcome),
-        extended=experiment if fit is None else _extended(experiment, fit),
-        next_experiment=_next(experiment, outcome),
-        seed=seed,
-        versions=versions_now(),
-        possible=tuple(asdict(one) for one in outcome.possible),
-        numbers=outcome.bench.settings,
-        experiment=experiment,
-        outcome=outcome,
-    )
-
-
-def _extended(experiment: MaterialExperiment, fit: MaterialFit) -> MaterialExperiment:
+def extended_by(experiment: MaterialExperiment, fit: MaterialFit) -> MaterialExperiment:
     """Return the experiment with the causes found; the modulus is the fitted one, unless it is itself a finding."""
 
     def replaced(old: Effect) -> bool:
@@ -121,8 +147,8 @@ def _extended(experiment: MaterialExperiment, fit: MaterialFit) -> MaterialExper
     return replace(changed, material=replace(experiment.material, young=young), young_std=std)
 
 
-def _finding(outcome: SelectionOutcome, fit: MaterialFit, found: MaterialFinding) -> Finding:
-    """Return a finding as a record; `fit`: the reported one."""
+def finding_of(outcome: SelectionOutcome, fit: MaterialFit, found: MaterialFinding) -> Finding:
+    """Return an accepted cause as a finding; `fit`: the reported one."""
     pairs = parameters_of(fit)[found.id]
     return Finding(
         **{one.name: getattr(found, one.name) for one in fields(Accepted)},
@@ -175,11 +201,11 @@ def _held_out(outcome: SelectionOutcome) -> dict[str, Any]:
     }
 
 
-def _discrepancy(outcome: SelectionOutcome) -> dict[str, Any]:
+def discrepancy_of(bench: CurveBench, believed: MaterialFit) -> dict[str, Any]:
     """Return, in JSON's types, the believed law's misfit (kPa, noise deviations), and where and when it is largest."""
-    data = outcome.bench.data
-    residual = data.residual(outcome.believed.model)
-    chi = residual / np.sqrt(np.diag(outcome.bench.noise))
+    data = bench.data
+    residual = data.residual(believed.model)
+    chi = residual / np.sqrt(np.diag(bench.noise))
     sizes = {
         name: rms(chi[data.curve_of == i]) for i, name in enumerate(_names(data.curves)) if (data.curve_of == i).any()
     }
@@ -237,58 +263,3 @@ def _sentence(outcome: SelectionOutcome, fit: MaterialFit, finding: MaterialFind
         needed = f"{finding.separability:.1f}, {outcome.bench.settings.search.separable:g} are needed"
         sentence += f" These data cannot distinguish it from {' or '.join(finding.group[1:])} (separability {needed})."
     return sentence
-
-
-def _sentences(outcome: SelectionOutcome, of_findings: Sequence[str]) -> list[str]:
-    if outcome.verdict == "consistent":
-        return [f"The believed law explains these curves within their noise (p = {outcome.p_misfit:.2g})."]
-    if outcome.refined is None:
-        nearest = [c["id"] for c in outcome.candidates if c["id"] != "unknown"][:2]
-        share = f" The best of them explain {outcome.explained:.0%} of the misfit." if outcome.known.ids else ""
-        return [
-            "The believed law does not explain these curves, nor does any cause of the catalogue; "
-            f"the nearest are {' and '.join(nearest) or 'none'}.{share}"
-        ]
-    base, named, unit = outcome.held_out["base"], outcome.held_out["named"], outcome.bench.unit
-    what = "the last part of each curve" if unit == "part" else f"a {unit}"
-    change = f"from {base.rms_all:.3g} to {named.rms_all:.3g} kPa"
-    sentences = [*of_findings, f"The prediction error of {what} that is held out changes {change}."]
-    if outcome.p_misfit <= outcome.bench.settings.nulls.misfit:
-        sentences += [
-            f"A misfit beyond the noise remains: {outcome.explained:.0%} of it are explained.",
-            f"The form found has a model error of some {outcome.refined.form_error:.1%} of the stress; the stated "
-            "deviations include it for the modes, rates and strains tested.",
-        ]
-    if unit == "part":
-        sentences.append(
-            "Only the last part of the curves could be held out: provisional until another mode, rate or specimen is "
-            "tested; the stated deviations do not cover those."
-        )
-    return sentences
-
-
-def _again(outcome: SelectionOutcome) -> dict[str, Any]:
-    """Return, in JSON's types, the advice to repeat the mode and the part of a curve with the largest residual."""
-    worst = _discrepancy(outcome)
-    mode, curves = worst["under"].replace("-", " "), outcome.bench.data.curves
-    others = len({curve.specimen for curve in curves if curve.mode == worst["under"]}) > 1
-    with_what = "a further specimen" if others else "another specimen"
-    action = (
-        f"measure {mode} again with {with_what}, with more rows {worst['when']}: the residual is largest there, worst "
-        f"in {' and '.join(worst['where'])}; a deviation that does not repeat is no property of the material"
-    )
-    return to_check(action, "mode", worst["under"], where=worst["where"], when=worst["when"])
-
-
-def _next(experiment: MaterialExperiment, outcome: SelectionOutcome) -> dict[str, Any] | None:
-    """Return, in JSON's types, the test that distinguishes causes of a group, or repeats one that none explains."""
-    if outcome.verdict == "unexplained":
-        return _again(outcome)
-    for finding in outcome.findings:
-        for rival in finding.group[1:]:
-            models = outcome.known.fit.model, finding.rivals[rival].fit.model
-            advice = best_test(experiment, *models, outcome.bench.settings.material)
-            if advice is not None:
-                action, separability = advice
-                return {"action": action, "separates": [[finding.id, rival]], "separability": separability}
-    return None

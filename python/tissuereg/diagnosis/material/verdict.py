@@ -5,21 +5,26 @@ Threshold and p-value come from simulated null experiments, which have noise but
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import asdict
 
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray
-from tissuereg.diagnosis.answer import PossibleCause
+from tissuereg.diagnosis.answer import verdict_of, versions_now
 from tissuereg.diagnosis.causes import CAUSES, FreeParameters
 from tissuereg.diagnosis.evidence import log_bayes_factors
 from tissuereg.diagnosis.fit import FittedCause
+from tissuereg.diagnosis.material.advice import next_test, repeated
+from tissuereg.diagnosis.material.answer import (
+    MaterialDiagnosis,
+    SelectionOutcome,
+    discrepancy_of,
+    extended_by,
+    finding_of,
+)
 from tissuereg.diagnosis.material.bench import CurveBench, bench_of
 from tissuereg.diagnosis.material.data import scene_of
 from tissuereg.diagnosis.material.fit import (
-    HeldOutErrors,
-    Hypothesis,
     MaterialFit,
     held_out_errors,
     null_hypothesis,
@@ -27,46 +32,17 @@ from tissuereg.diagnosis.material.fit import (
     unknown,
 )
 from tissuereg.diagnosis.material.noise import Weights
-from tissuereg.diagnosis.material.refine import Refined, refined
-from tissuereg.diagnosis.material.search import MaterialFinding, MaterialSearch
+from tissuereg.diagnosis.material.refine import refined
+from tissuereg.diagnosis.material.search import MaterialSearch
 from tissuereg.diagnosis.settings import DiagnoseSettings, MaterialSettings
 from tissuereg.errors import TissueRegError
 from tissuereg.experiment.material_experiment import MaterialExperiment
 
 
-@dataclass(frozen=True, eq=False)
-class SelectionOutcome:
-    """Everything that a diagnosis of material tests found, from which its answer and report are made.
-
-    `verdict` {"named", "group", "consistent", "unexplained"}; `known`: the believed law with the causes found;
-    `believed`: the believed law, fitted with independent rows; `refined`: the reported fit of the findings; None
-    without findings; `findings`: named causes; none where the verdict is consistent or unexplained; `possible`: causes
-    that were found and are not stated, as their evidence or probability does not suffice given the others;
-    `candidates`: every cause tried alone, and the generic misfit; `threshold`: log Bayes factor that a first cause must
-    exceed, nats; `p_misfit`: p-value of the residual after the findings; `explained`: share of the misfit (in squared
-    units of noise) that the findings explain; NaN without findings; `held_out`: errors on held-out data of the believed
-    law (``base``), with the findings (``named``), and with a generic misfit (``generic``); `bench`: rows, covariances
-    and the parts that are held out.
-    """
-
-    verdict: str
-    known: Hypothesis
-    believed: MaterialFit
-    refined: Refined | None
-    findings: tuple[MaterialFinding, ...]
-    possible: tuple[PossibleCause, ...]
-    candidates: tuple[dict[str, Any], ...]
-    threshold: float
-    p_misfit: float
-    explained: float
-    held_out: dict[str, HeldOutErrors]
-    bench: CurveBench
-
-
-def find_out(
+def diagnosis_of(
     experiment: MaterialExperiment, seed: int, progress: Callable[[str], None], settings: DiagnoseSettings
-) -> SelectionOutcome:
-    """Return everything that a diagnosis finds; `seed`: of the null experiments; `progress`: called with each step."""
+) -> MaterialDiagnosis:
+    """Return the diagnosis of a material test; `seed`: of the null experiments; `progress`: called with each step."""
     rng, rules = np.random.default_rng(seed), settings.nulls
     bench, scene = bench_of(experiment, settings), scene_of(experiment, settings.material)
     none = null_hypothesis(bench)
@@ -78,29 +54,33 @@ def find_out(
     before, after = (bench.data.residual(fit.model) for fit in (believed, known.fit))
     p_misfit = _misfit_probability(bench.weights, after, rng, settings.material)
     explained = _explained(bench, before, after) if known.ids else math.nan
-    verdict = "consistent" if p_misfit > rules.misfit else "unexplained"
-    findings: tuple[MaterialFinding, ...] = ()
-    if known.ids and (p_misfit > rules.misfit or explained > settings.material.explained):
-        findings = search.findings
-        verdict = "group" if any(len(finding.group) > 1 for finding in findings) else "named"
+    stated = known.ids and (p_misfit > rules.misfit or explained > settings.material.explained)
+    accepted = search.findings if stated else ()
     progress("form and weights that predict best")
-    reported = refined(search, known) if findings else None
+    reported = refined(search, known) if accepted else None
     base = held_out_errors(bench, believed)
     named = base if reported is None else reported.held_out
     generic = held_out_errors(bench, none.fit, patch_share=unknown(bench, none).fit.share)
-    return SelectionOutcome(
-        verdict,
-        known,
-        believed,
-        reported,
-        findings,
-        tuple(search.possible),
-        tuple(search.first_race),
-        search.threshold,
-        p_misfit,
-        explained,
-        {"base": base, "named": named, "generic": generic},
-        bench,
+    errors = {"base": base, "named": named, "generic": generic}
+    outcome = SelectionOutcome(bench, search.threshold, known, believed, explained, reported, errors)
+    worst, fit = discrepancy_of(bench, believed), None if reported is None else reported.fit
+    findings = () if fit is None else tuple(finding_of(outcome, fit, one) for one in accepted)
+    verdict = verdict_of(findings, p_misfit, level=rules.misfit)
+    repeat = verdict == "unexplained"
+    return MaterialDiagnosis(
+        verdict=verdict,
+        findings=findings,
+        candidates=tuple(search.first_race),
+        p_misfit=p_misfit,
+        discrepancy=worst,
+        extended=experiment if fit is None else extended_by(experiment, fit),
+        next_experiment=repeated(experiment, worst) if repeat else next_test(bench, experiment, known, accepted),
+        seed=seed,
+        versions=versions_now(),
+        possible=tuple(asdict(one) for one in search.possible),
+        numbers=settings,
+        experiment=experiment,
+        outcome=outcome,
     )
 
 
@@ -112,11 +92,9 @@ def _explained(bench: CurveBench, before: FloatArray, after: FloatArray) -> floa
 def _threshold(
     bench: CurveBench, known: MaterialFit, forms: Mapping[str, Sequence[FreeParameters]], rng: np.random.Generator
 ) -> float:
-    """Return the log Bayes factor, nats, that the best cause exceeds in one of a hundred null experiments.
-
-    Every form is linearised about its first guesses: one column of stress with a unit prior amplitude, in addition to
-    the column of the modulus.
-    """
+    """Return the log Bayes factor, nats, that the best cause exceeds in one of a hundred null experiments."""
+    # Every form is linearised about its first guesses: one column of stress with a unit prior amplitude, in addition to
+    # the column of the modulus.
     numbers = bench.settings.material
     draws = rng.standard_normal((len(bench.data.stress), numbers.thresholds_from))
     plain = bench.data.modelled(known.model)
@@ -147,11 +125,7 @@ def _columns(bench: CurveBench, x: FloatArray, plain: FloatArray, part: FittedCa
 def _misfit_probability(
     weights: Weights, residual: FloatArray, rng: np.random.Generator, settings: MaterialSettings
 ) -> float:
-    """Return the p-value, above 0, of the structure in a residual (n,), kPa.
-
-    The statistic is the largest log likelihood ratio of a generic misfit (a smooth Gaussian process) against none, over
-    its sizes.
-    """
+    """Return the p-value, above 0, of the structure in a residual (n,), kPa."""
     n_nulls, shares = settings.misfits_from, settings.misfit_shares
     found = _structure(weights, weights.whitened(residual)[:, None], shares)[0]
     scale = np.exp(settings.noise_spread * rng.standard_normal(n_nulls))
@@ -160,6 +134,7 @@ def _misfit_probability(
 
 
 def _structure(weights: Weights, white: FloatArray, shares: Sequence[float]) -> FloatArray:
+    """Return the largest log likelihood ratio, over its sizes, of a generic misfit against none."""
     grown = [share**2 * weights.spectrum for share in shares]
     gains = [0.5 * (white**2).T @ (one / (1.0 + one)) - 0.5 * np.log1p(one).sum() for one in grown]
     return np.asarray(np.max(gains, axis=0))
