@@ -70,9 +70,9 @@ def fit_amplitudes(residual: FloatArray, columns: FloatArray) -> Amplitudes:
 class Blocks:
     """Many hypotheses with the same number of columns, factored once for any number of residuals.
 
-    `columns` float32 (n_blocks, p, size): changes by one prior standard deviation of each amplitude, whitened by noise
-    and nuisances (`Null.reduced`); `positive`: whether the one amplitude (p = 1) cannot be negative: its prior is then
-    half-normal.
+    `columns` (n_blocks, p, size): changes by one prior standard deviation of each amplitude, whitened by noise and
+    nuisances (`Null.reduced`), in the precision of the products: float32 in a bank; `positive`: whether the one
+    amplitude (p = 1) cannot be negative: its prior is then half-normal.
     """
 
     def __init__(self, columns: FloatArray, *, positive: bool = False) -> None:
@@ -90,24 +90,13 @@ class Blocks:
         `residuals` (n, size): n residuals of the data, whitened by noise and nuisances (`Null.reduced`).
         """
         n_blocks, p, size = self.columns.shape
-        along = residuals.astype(np.float32) @ self.columns.reshape(-1, size).T
+        along = residuals.astype(self.columns.dtype) @ self.columns.reshape(-1, size).T
         along = along.astype(np.float64).reshape(-1, n_blocks, p)
         half = np.einsum("kij,nkj->nki", self._inverse, along, optimize=True)
         log_factor = 0.5 * (half**2).sum(axis=-1) - self._logdet
         if self.positive:
             log_factor += np.log(2.0) + norm.logcdf(half[..., 0])
         return np.asarray(log_factor)
-
-
-def log_bayes_factors(residuals: FloatArray, columns: FloatArray) -> FloatArray:
-    """Return the log Bayes factors (n,), in nats, of one hypothesis for n residuals (size, n), whitened.
-
-    `columns` (size, p): whitened changes by one prior standard deviation of each of its amplitudes.
-    """
-    inner = np.eye(columns.shape[1]) + columns.T @ columns
-    along = columns.T @ residuals
-    gain = 0.5 * np.einsum("in,in->n", along, np.linalg.solve(inner, along))
-    return np.asarray(gain - 0.5 * np.linalg.slogdet(inner)[1])
 
 
 def slices_of(sizes: Iterable[int]) -> list[slice]:

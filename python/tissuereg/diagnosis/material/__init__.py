@@ -1,9 +1,7 @@
 """Diagnosis of material tests: which causes explain the difference between measured stress curves and a believed law.
 
-`diagnose_material` runs all steps: `noise` (measurement error of the curves), `bench` (what all fits share),
-`fit` (fits of causes and their evidence), `search` (selection of causes, held-out proof, groups), `verdict`
-(threshold and p-value from simulated null experiments), `refine` (form, weights and standard deviations of the reported
-fit), `answer` and `report`. `model.stress_of` computes the stress of a model along a curve.
+The steps are in `verdict`, what all fits share in `bench`; rounds of the search, evidence and records of the answer
+are those of bodies. ``docs/material.md`` describes the method.
 """
 
 from collections.abc import Callable

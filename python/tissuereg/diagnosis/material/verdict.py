@@ -12,7 +12,7 @@ import numpy as np
 from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.answer import verdict_of, versions_now
 from tissuereg.diagnosis.causes import CAUSES, FreeParameters
-from tissuereg.diagnosis.evidence import log_bayes_factors
+from tissuereg.diagnosis.evidence import Blocks, log_mean_exp
 from tissuereg.diagnosis.fit import FittedCause
 from tissuereg.diagnosis.material.advice import next_test, repeated
 from tissuereg.diagnosis.material.answer import (
@@ -96,17 +96,17 @@ def _threshold(
     # Every form is linearised about its first guesses: one column of stress with a unit prior amplitude, in addition to
     # the column of the modulus.
     numbers = bench.settings.material
-    draws = rng.standard_normal((len(bench.data.stress), numbers.thresholds_from))
+    draws = rng.standard_normal((len(bench.data.stress), numbers.thresholds_from)).T
     plain = bench.data.modelled(known.model)
     change = (bench.data.modelled(bench.model((), known.x + np.array([1e-3]))) - plain) / 1e-3
     young = bench.weights.whitened(change * float(bench.prior(())[1][0]))
-    best = np.full(numbers.thresholds_from, -np.inf)
+    best = -Blocks(young[None, None]).log_bayes_factors(draws)[:, 0]
+    found = [np.full(len(draws), -np.inf)]
     for part in (FittedCause(cause, form) for cause, kinds in forms.items() for form in kinds):
-        pairs = [np.column_stack([young, column]) for column in _columns(bench, known.x, plain, part)]
-        if pairs:
-            scores = np.array([log_bayes_factors(draws, pair) for pair in pairs])
-            best = np.maximum(best, np.logaddexp.reduce(scores, axis=0) - np.log(len(scores)))
-    best = best - log_bayes_factors(draws, young[:, None])
+        if columns := [*_columns(bench, known.x, plain, part)]:
+            pairs = np.array([[young, column] for column in columns])
+            found.append(log_mean_exp(Blocks(pairs).log_bayes_factors(draws)))
+    best += np.max(found, axis=0)
     return max(numbers.least_threshold, float(np.quantile(best, numbers.quantile)))
 
 
