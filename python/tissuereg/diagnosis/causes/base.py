@@ -89,20 +89,18 @@ class Scene:
     """Tested modes and ranges of a set of curves, which set the priors and decide what causes can be observed.
 
     `modes`: tested modes; `poisson`: believed Poisson's ratio; `invariant`: largest ``I1 - 3``, with I1 the first
-    invariant of the right Cauchy-Green tensor at preserved volume; `pulled`, `pushed`: whether a bar was stretched and
-    compressed, each by more than 1 %; `timed`: whether times or rates are known; `paced`: whether effects of time can
-    be distinguished from those of strain (holds, unloading, or two rates that differ by a fifth); `unloaded`: whether
-    the strain falls below nine tenths of its largest so far; `shortest_s`, `longest_s`: range of time constants that
-    the curves can resolve, s; `peak`: largest stress, kPa; `peak_energy`: half the largest stress times its strain,
-    kPa; `fastest`: largest rate of strain, 1/s; 0 where times are not known; `settings`: priors of the causes.
+    invariant of the right Cauchy-Green tensor at preserved volume; `two_sided`: whether bars were stretched and
+    compressed, each by more than 1 %; `paced`: whether effects of time can be distinguished from those of strain (times
+    are known, with holds, unloading, or two rates that differ by a fifth); `unloaded`: whether the strain falls below
+    nine tenths of its largest so far; `shortest_s`, `longest_s`: range of time constants that the curves can resolve,
+    s; `peak`: largest stress, kPa; `peak_energy`: half the largest stress times its strain, kPa; `fastest`: largest
+    rate of strain, 1/s; 0 where times are not known; `settings`: priors of the causes.
     """
 
     modes: tuple[str, ...]
     poisson: float
     invariant: float
-    pulled: bool
-    pushed: bool
-    timed: bool
+    two_sided: bool
     paced: bool
     unloaded: bool
     shortest_s: float
@@ -111,11 +109,6 @@ class Scene:
     peak_energy: float
     fastest: float
     settings: MaterialSettings = DEFAULT.material
-
-    @property
-    def two_sided(self) -> bool:
-        """Whether tension and compression were both tested."""
-        return self.pulled and self.pushed
 
 
 @dataclass(frozen=True)

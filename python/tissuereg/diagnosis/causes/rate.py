@@ -40,7 +40,7 @@ class RateCause(Cause):
 
     def in_curves(self, scene: Scene) -> Sequence[FreeParameters]:
         """Return one form: the logarithm of the viscosity in kPa s; none where curves cannot show effects of time."""
-        if not (scene.timed and scene.paced and scene.fastest > 0):
+        if not (scene.paced and scene.fastest > 0):
             return []
         likely = float(np.log(0.1 * scene.peak / (3.0 * scene.fastest)))
         return [curve_form("viscosity", [(likely, 2.0)], lambda x: Rate(viscosity_kpa_s=exponential(float(x[0]))))]

@@ -68,7 +68,7 @@ class RelaxationCause(Cause):
 
         There is none where the curves cannot show effects of time.
         """
-        if not (scene.timed and scene.paced and scene.longest_s > scene.shortest_s):
+        if not (scene.paced and scene.longest_s > scene.shortest_s):
             return []
         low, high = float(np.log(scene.shortest_s)), float(np.log(scene.longest_s))
         found = []

@@ -39,7 +39,7 @@ class CurveBench:
     errors: CurveNoise
     unit: str
     blocks: dict[str, BoolArray]
-    settings: DiagnoseSettings = DEFAULT
+    settings: DiagnoseSettings
 
     def model(self, parts: Sequence[FittedCause], x: FloatArray) -> Model:
         """Return the believed model with causes at `x` (n,): log of Young's modulus in kPa, then their parameters."""

@@ -52,7 +52,7 @@ class Data:
         return self.stress - self.modelled(model)
 
 
-def data_of(experiment: MaterialExperiment, max_rows: int = DEFAULT.material.most_rows) -> Data:
+def data_of(experiment: MaterialExperiment, max_rows: int) -> Data:
     """Return rows evenly spaced along each load history, `max_rows` in all, but 12 of a curve in any case."""
     curves = experiment.curves
     share = max(12, max_rows // len(curves))
@@ -111,9 +111,7 @@ def scene_of(experiment: MaterialExperiment, settings: MaterialSettings = DEFAUL
         modes=tuple(dict.fromkeys(curve.mode for curve in curves)),
         poisson=float(experiment.material.poisson_array[0]),
         invariant=max(float(_invariant(curve).max()) for curve in curves),
-        pulled=bool(bars.max() > 0.01),
-        pushed=bool(bars.min() < -0.01),
-        timed=bool(timed) and longest > 0,
+        two_sided=bool(bars.max() > 0.01 and bars.min() < -0.01),
         paced=bool(timed) and (unloaded or two_rates or any(_holds(curve) for curve in timed)),
         unloaded=unloaded,
         shortest_s=max(float(np.median(positive)) if len(positive) else 0.0, longest * 1e-4),

@@ -50,7 +50,7 @@ def noise_of(experiment: MaterialExperiment, settings: MaterialSettings = DEFAUL
     return CurveNoise(std, float(factor), float(along), repeats)
 
 
-def covariance(data: Data, noise: CurveNoise, settings: MaterialSettings = DEFAULT.material) -> FloatArray:
+def covariance(data: Data, noise: CurveNoise, settings: MaterialSettings) -> FloatArray:
     """Return the covariance (n, n) of measured stresses about a correct law, kPa^2."""
     level, specimens = data.level, data.names("specimen")
     total = np.diag(noise.std[data.curve_of] ** 2)
