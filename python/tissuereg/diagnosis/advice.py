@@ -28,11 +28,7 @@ from tissuereg.experiment.experiment import Actuator, Case, Experiment
 
 @dataclass(frozen=True, eq=False)
 class _Action:
-    """A load case that could be measured next.
-
-    `words`: the instruction in plain text; `case`: the same as a load case, with the commanded motion of one pad
-    (n_frames, 3) in mm, and without measurements.
-    """
+    """A load case that could be measured next: the instruction in `words`, and the `case` without measurements."""
 
     words: str
     case: Case
@@ -41,15 +37,12 @@ class _Action:
 def advise(target: FitTarget, steps: Sequence[Step], findings: Sequence[Finding]) -> dict[str, Any] | None:
     """Return the proposed load case that best separates causes between which the data cannot decide.
 
-    `target`: data, believed model, noise and nuisances; `steps`: rounds of the search for causes; `findings`: accepted
-    causes, each with its group, the ids of the causes that explain the data about as well. The result has three
-    entries: ``action`` is the instruction in words, ``separates`` lists the pairs of ids, and ``separability`` is the
-    least over these pairs of the norm of the difference between the two fitted models' predictions under the action, in
-    noise deviations, given the uncertainty of the tracker's frame, of the modulus as fitted, and of forces. The result
-    is None where no causes are tied, and where no pad is moved.
+    `steps`: rounds of the search; `findings`: each with its group, the ids of the causes that explain the data about as
+    well. The result has ``action``, the instruction in words, ``separates``, the pairs of ids, and ``separability``,
+    the least over these pairs of the norm of the difference between the two fitted models' predictions under the
+    action, in noise deviations, given the uncertainty of the tracker's frame, of the modulus as fitted, and of forces.
+    It is None where no causes are tied, and where no pad is moved.
 
-    Notes
-    -----
     The separability is an upper bound: the models' parameters are not fitted again to the outcome, and the
     discretisation error of the markers under the action is not known.
     """
@@ -76,11 +69,7 @@ def advise(target: FitTarget, steps: Sequence[Step], findings: Sequence[Finding]
 
 
 def _actions(experiment: Experiment, settings: AdviceSettings = DEFAULT.report) -> list[_Action]:
-    """Return the load cases that could be measured next with the displacement-controlled pads of an experiment.
-
-    For every pad these are pushes and pulls along the three axes, as far as it has moved, and its own motion with a
-    long hold; where no forces were measured, also its own motion with a measurement of its force.
-    """
+    """Return pushes and pulls of every pad along three axes, its motion with a long hold, or with its force."""
     actions: list[_Action] = []
     known = experiment.force_std is not None
 
@@ -133,12 +122,7 @@ def _prediction(target: FitTarget, fit: Fit, action: _Action) -> FloatArray:
 
 
 def _separability(target: FitTarget, action: _Action, fit: Fit, one: FloatArray, other: FloatArray) -> float:
-    """Return the norm of the difference between two fitted models' predictions under an action, in standard deviations.
-
-    `one`, `other` (n,): the predictions, flat arrays of marker displacements in mm and forces in mN; `fit`: the fit
-    that predicts `one`; the difference is whitened by noise, tracker frame, force error and its uncertainty of the
-    modulus.
-    """
+    """Return the norm of the difference (n,), mm and mN, of two predictions under an action, in standard deviations."""
     layout = SignalLayout(_measured(target, action))
     markers = layout.of_markers()
     force_std = (

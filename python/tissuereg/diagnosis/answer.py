@@ -369,11 +369,7 @@ def versions_now() -> dict[str, str]:
 
 
 def _pairs(values: Values, deviations: Values) -> dict[str, Any]:
-    """Return fitted parameters by key, each number that has a standard deviation as the pair [value, deviation].
-
-    Lists of numbers become lists of such pairs. The components of a centre or a direction, and the first semi-axis as a
-    radius, are added under keys of their own.
-    """
+    """Return fitted parameters by key, numbers as pairs [value, deviation]; a place also by axis, and a radius."""
     pairs: dict[str, Any] = {}
     for key, value in values.items():
         spread = deviations.get(key)

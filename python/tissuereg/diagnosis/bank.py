@@ -30,11 +30,10 @@ Bank = dict[str, list[Variant]]
 def make_bank(bench: Bench, *, keep: bool = True) -> Bank:
     """Return the bank: for every hypothesis of every cause, the change that it makes to the predicted data.
 
-    `bench`: the believed model; its prediction is taken from the cache too; `keep`: whether to read and write the
-    cache. The result lists the hypotheses of each cause by its id; the columns (p, size) of a hypothesis are changes of
-    all measured numbers by one prior standard deviation of each of its p amplitudes, in mm and mN, single precision.
-    Hypotheses that change a number without bounds (`largest_change`) are left out. Raises `ConvergenceError` if the
-    believed model itself has no equilibrium.
+    `keep`: whether to read and write the cache, from which the believed model's prediction is taken too. The columns
+    (p, size) of a hypothesis are changes by one prior standard deviation of each of its p amplitudes, in mm and mN,
+    single precision. Hypotheses that change a number without bounds (`largest_change`) are left out. Raises
+    `ConvergenceError` if the believed model itself has no equilibrium.
     """
     entry = f"bank_{fingerprint(bench.experiment, f'{bench.predictor.element} {SCHEMA} {numbers_of(bench.settings)}')}"
     base, bank = _read(entry) if keep else (None, {})
@@ -91,10 +90,7 @@ def _write(entry: str, base: FloatArray, bank: Bank) -> None:
 
 
 def _read(entry: str) -> tuple[FloatArray | None, Bank]:
-    """Return the cached prediction (size,) of the believed model, mm and mN, and its hypotheses by id of the cause.
-
-    They are None and empty where the cache has no whole entry of the name `entry`.
-    """
+    """Return the cached prediction (size,) of the believed model, mm and mN, and the bank; None and {} without any."""
     kept = read_arrays(entry)
     if kept is None:
         return None, {}

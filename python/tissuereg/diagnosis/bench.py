@@ -48,10 +48,9 @@ class Bench:
     """The believed model of an experiment: its prediction, its sensitivities, and its changes by effects.
 
     Predictions are flat vectors of all measured numbers, (size,): displacements of markers in mm, forces in mN.
-    `experiment`: the believed model, with loads and marker places; `layout`: order of these numbers; `element` {"tet4",
-    "tet4-averaged", "tet10"}: elements to use; `threads`: threads to use; 0 takes all cores; `settings`: all numbers;
-    `progress`: called with the name of every step that begins. Attributes: `young`: mean of the believed modulus, kPa;
-    `young_spread`: its prior standard deviation over that mean; `extent`: extent of the body, mm.
+    `element` {"tet4", "tet4-averaged", "tet10"}: elements to use; `threads`: 0 takes all cores; `progress`: called with
+    the name of every step that begins. Attributes: `young`: mean of the believed modulus, kPa; `young_spread`: its
+    prior standard deviation over that mean; `extent`: of the body, mm.
     """
 
     def __init__(
@@ -120,18 +119,17 @@ class Bench:
         return Tangents(self.predictor)
 
     def by(self, direction: Callable[[State], Sequence[Cause]], count: int) -> FloatArray:
-        """Return the derivatives of the prediction by some parameters, shape (count, size), in mm and mN per unit.
+        """Return the derivatives of the prediction by `count` parameters, (count, size), in mm and mN per unit.
 
-        `direction`: returns, for an equilibrium, the derivatives of load or material by the parameters; `count`: number
-        of parameters.
+        `direction`: returns, for an equilibrium, the derivatives of load or material by the parameters.
         """
         return self.tangents.columns(direction, count)
 
     def by_fields(self, shares: "sparse.csr_array") -> FloatArray:
         """Return the derivatives of the prediction by the modulus in parts of the body, (n_fields, size), mm and mN.
 
-        `shares` (n_tets, n_fields), sparse: share of every tet that belongs to each part. The derivatives are by the
-        relative change of the modulus: extrapolated linearly, they are the changes for a doubled modulus.
+        `shares` (n_tets, n_fields): share of every tet that belongs to each part. The derivatives are by the relative
+        change of the modulus: extrapolated linearly, they are the changes for a doubled modulus.
         """
         return self.tangents.by_fields(shares)
 
@@ -144,17 +142,14 @@ class Bench:
         return np.asarray((self.predictor.predict(young=1.002) - self.base)[None] / 0.002)
 
     def change(self, *effects: Effect) -> FloatArray | None:
-        """Return the change (size,) of the prediction that effects make together, mm and mN.
-
-        The result is None where an effect does not apply, or the body has no equilibrium with them.
-        """
+        """Return the change (size,), mm and mN, that effects make together; None as in `changes`."""
         return self.changes([effects])[0]
 
     def changes(self, tried: Sequence[Sequence[Effect]]) -> list[FloatArray | None]:
         """Return the change of the prediction that each of many sets of effects makes, each (size,), mm and mN.
 
-        The change is None where an effect of the set does not apply, or the body has no equilibrium with it. Several
-        sets are simulated in parallel, the frames of each history one after another on one thread.
+        It is None where an effect of the set does not apply, or the body has no equilibrium with it. Several sets are
+        simulated in parallel, the frames of each history one after another on one thread.
         """
         base = self.base
 

@@ -23,9 +23,9 @@ from tissuereg.experiment.effects import EFFECTS
 class Candidate:
     """A cause that was fitted together with the causes found in earlier rounds.
 
-    `id`: id of the cause; `fit`: fit of the model with this cause, as the last, and those found before; `gain`: log
-    Bayes factor of that model against the one without this cause, nats; `target`: the data and the believed model that
-    were fitted; for likely candidates the discretisation error of the causes is corrected in it.
+    `fit`: fit of the model with this cause, as the last, and those found before; `gain`: log Bayes factor of that model
+    against the one without this cause, nats; `target`: what was fitted; for likely candidates the discretisation error
+    of the causes is corrected in it.
     """
 
     id: str
@@ -39,18 +39,13 @@ class Candidate:
 
 
 def refitted(
-    target: FitTarget,
-    screen: Screen,
-    screened: Mapping[str, Screened],
-    current: Fit,
-    required: Mapping[str, float],
+    target: FitTarget, screen: Screen, screened: Mapping[str, Screened], current: Fit, required: Mapping[str, float]
 ) -> list[Candidate]:
     """Return the causes with enough linear evidence, each fitted with those found before, likeliest first.
 
-    For candidates that come near to acceptance the discretisation error of the causes is corrected. `target`: data,
-    believed model, noise and nuisances; `screen`: all hypotheses of the bank; `screened`: linear evidence of all causes
-    given the current fit, by id; `current`: fit with the causes found before; `required`: log Bayes factor that each
-    cause must exceed, nats, by id.
+    For candidates that come near to acceptance the discretisation error of the causes is corrected. `screened`: linear
+    evidence given the fit `current` with the causes found before, by id; `required`: log Bayes factor that each cause
+    must exceed, nats, by id.
     """
     settings = target.bench.settings
     taken = set(current.ids)
@@ -106,12 +101,7 @@ def refitted(
 def _fit_forms(
     target: FitTarget, screen: Screen, screened: Screened, current: Fit, name: str, least: float, near: Near
 ) -> list[Fit]:
-    """Return the fits of a cause, from its likeliest hypothesis and from the alternatives to it, likeliest first.
-
-    `screened`: linear evidence of the cause; `current`, `near`: fit with the causes found before; `name`: id of the
-    cause. A fit ends early where it will not reach the log evidence `least`, in nats, or where the correction of its
-    discretisation error could not make it likelier than the best one.
-    """
+    """Return the fits of a cause from its likeliest hypothesis and the alternatives to it, likeliest first."""
     variant = screened.best
     assert variant is not None  # only the generic rival has none
     cause = catalogue(target.bench.settings)[name]
@@ -124,6 +114,7 @@ def _fit_forms(
         free_parameters = cause.free_parameters(target.bench, form, screened.amplitudes)
         parts = [*current.parts, FittedCause(name, free_parameters)]
         start = best_start(target, parts, near)
+        # A fit ends early where the correction of its discretisation error could not make it likelier than the best.
         enough = max(least, best - gain)
         fitted = fit(target, parts, start=start, choices=choices, least=enough, near=near)
         if fitted is not None:
@@ -137,11 +128,7 @@ def _repeats(name: str, repeated: Collection[str] | None) -> bool:
 
 
 def without(target: FitTarget, current: Fit, part: int) -> Fit | None:
-    """Return the fit of a model without one of its causes; None where there is no equilibrium.
-
-    `target`: data, believed model, noise and nuisances; `current`: fit with all causes; `part`: number of the cause
-    that is removed.
-    """
+    """Return the fit of a model without the cause of number `part`; None where there is no equilibrium."""
     mine = np.r_[current.slices()[part]]
     others = [*current.parts[:part], *current.parts[part + 1 :]]
     near = Near(np.delete(current.x, mine), np.delete(current.jacobian, mine, axis=0))
@@ -153,10 +140,9 @@ def exchanged(
 ) -> tuple[FitTarget, Fit]:
     """Return the fit with the best of some rivals in place of one cause, where that gains `better` nats.
 
-    The discretisation error of the causes is corrected in every fit. `target`: data, believed model, noise and
-    nuisances; `current`: fit with all causes; `part`: number of the cause that may be replaced; `rivals`: other causes,
-    each with the free parameters (k,) at which its fit begins. Result: target and fit; the given ones where no rival is
-    better.
+    The discretisation error of the causes is corrected in every fit. `part`: number of the cause in the fit `current`;
+    `rivals`: other causes, each with the free parameters (k,) at which its fit begins. Result: target and fit; the
+    given ones where no rival is better.
     """
     mine = current.slices()[part]
     best, of_best = current, target

@@ -39,8 +39,8 @@ _LEAST = 1e-6
 class Constancy:
     """Result of the constancy test of one finding.
 
-    `id`: the cause; `p`: probability that data which it explains are as inconstant; `differs_by`: the partition of the
-    data over which its change is least constant; `level`: p-value below which it is not stated.
+    `p`: probability that data which the cause explains are as inconstant; `differs_by`: the partition of the data over
+    which its change is least constant; `level`: p-value below which it is not stated.
     """
 
     id: str
@@ -134,10 +134,9 @@ def p_value(evidence: FloatArray) -> float:
 class FittedPart:
     """One cause of a fit with what the fit leaves of the data, given the errors of all causes.
 
-    `id`: the cause; `beside`: ids of the others; `left`: the residual without all that the parameters change; `errors`:
-    covariance of the causes' errors, beside that of the nuisances; `inconstancies`: evidence that its change is not the
-    same in all parts of the data (`AfterFit.inconstancies`); none where it has not one size; `number`: of the cause in
-    the fit.
+    `beside`: ids of the others; `left`: the residual without all that the parameters change; `errors`: covariance of
+    the causes' errors, beside that of the nuisances; `inconstancies`: as `AfterFit.inconstancies`; none where the
+    change has not one size; `number`: of the cause in the fit.
     """
 
     id: str
@@ -160,10 +159,9 @@ def fitted_parts(
 ) -> list[FittedPart]:
     """Return every cause of a fit that has parameters, in their order, ready for tests of what the fit leaves.
 
-    `target`: data and model of the fit; `found`: fit with causes; `null`: covariance of noise and nuisances, the
-    modulus included; `draws` (n, size): residuals of data without any effect, whitened by it (`draw_nulls`); `seed`:
-    seed of further draws. Each cause may be off in its form by a share of its change in any part of the data, and the
-    others as when a further cause is looked for.
+    `null`: covariance of noise and nuisances, the modulus included; `draws` (n, size): residuals of data without any
+    effect, whitened by it (`draw_nulls`); `seed`: seed of further draws. Each cause may be off in its form by a share
+    of its change in any part of the data, and the others as when a further cause is looked for.
     """
     bench = target.bench
     parts = partitions(bench.experiment, bench.layout, bench.base, settings)
@@ -196,9 +194,8 @@ def partitions(
 ) -> dict[str, FloatArray]:
     """Return the partitions of the data, by name, each as weights (k, size) of all measured numbers.
 
-    `experiment`: with the commands of its cases; `layout`: order of the data; `base` (size,): prediction of the
-    believed model, mm and mN. The weights are 0 and 1 for cases, phases of the load, axes and forces; numbers of unit
-    size for time, place and the size of the load.
+    `base` (size,): prediction of the believed model, mm and mN. The weights are 0 and 1 for cases, phases of the load,
+    axes and forces; numbers of unit size for time, place and the size of the load.
     """
     size, parts = layout.size, layout.parts
     begin = min(float(part.times[0]) for part in parts)
@@ -238,8 +235,7 @@ def phases(case: Case, part: CasePart, least: float) -> dict[str, FloatArray]:
     """Return the frames of each phase of a case, 0 or 1 (n_frames,), by name.
 
     They are those before the load, in which it grows, the first and second half of every hold, in which it falls, and
-    after it. `case`: with its commands; `part`: its place in the data; `least`: share of the largest command below
-    which there is no load.
+    after it. `least`: share of the largest command below which there is no load.
     """
     acts = [*case.displacements.values(), *case.applied_forces.values()]
     size = np.linalg.norm(np.concatenate(acts, axis=1), axis=1) if acts else np.zeros(part.n_frames)

@@ -18,10 +18,10 @@ from tissuereg.simulation.fine.reading import force_maps, mapped
 class OfEffect:
     """The discretisation error of one effect, for predictions that contain more or less of the effect.
 
-    `base` (size,): prediction of the believed model on the user's mesh, mm and mN; `change` (size,): change that the
-    effect makes there, mm and mN; `along` (size,): weights whose scalar product with a change is the amount of the
-    effect in it: 0 for no change, 1 for `change`; `difference` (size,): prediction with the effect on the fine mesh
-    minus the corrected one of the user's mesh, at the believed modulus, mm and mN.
+    `base` (size,): prediction of the believed model on the user's mesh; `change` (size,): change that the effect makes
+    there; `along` (size,): weights whose scalar product with a change is the amount of the effect in it: 0 for no
+    change, 1 for `change`; `difference` (size,): prediction with the effect on the fine mesh minus the corrected one of
+    the user's mesh. All in mm and mN, at the believed modulus.
     """
 
     base: FloatArray
@@ -89,9 +89,8 @@ class Correction:
         """Return a correction that is exact for the believed model and for the model with an effect.
 
         `base`, `coarse` (size,): predictions on the user's mesh without and with the effect, at the believed modulus,
-        mm and mN; `fine` (size,): prediction on the fine mesh with the effect; `std` (size,): standard deviation of the
-        noise, mm and mN, by which the amount of the effect in a prediction is weighted. Returns this correction where
-        the effect changes nothing.
+        mm and mN; `fine` (size,): that on the fine mesh with the effect; `std` (size,): deviation of the noise, mm and
+        mN, by which the amount of the effect is weighted. Returns this correction where the effect changes nothing.
         """
         change = coarse - base
         weighed = change / std**2
@@ -115,8 +114,8 @@ class Correction:
 def make_correction(layout: SignalLayout, coarse: FloatArray, fine: FloatArray) -> Correction:
     """Return the correction that maps a prediction on one mesh exactly to that on another.
 
-    `layout`: order of both; `coarse`, `fine` (size,): predictions of the believed model on two meshes, mm and mN. The
-    result has one 3 x 3 map of forces for each frame and pad.
+    `coarse`, `fine` (size,): predictions of the believed model on two meshes, mm and mN. The result has one 3 x 3 map
+    of forces for each frame and pad.
     """
     maps = {}
     for part in layout.parts:

@@ -29,11 +29,10 @@ from tissuereg.diagnosis.signals import SignalLayout
 def describe(layout: SignalLayout, base: Fit, final: Fit, settings: AdviceSettings = DEFAULT.report) -> dict[str, Any]:
     """Return where, when and by how much the believed model with fitted modulus differs from the data.
 
-    `layout`: order of the data; `base`, `final`: fits of the believed model and of that with all causes found. The
-    result has the entries ``rms_mm`` and ``in_sigma``, root mean square residual of a marker's coordinate in mm and in
-    noise deviations; ``where``, names of the worst markers; ``when``, a text; ``under``, name of the worst case;
+    The result has the entries ``rms_mm`` and ``in_sigma``, root mean square residual of a marker's coordinate in mm and
+    in noise deviations; ``where``, names of the worst markers; ``when``, a text; ``under``, name of the worst case;
     ``chi_by_case``, ``chi_forces_by_case`` and ``chi_by_marker``, root mean square residuals in noise deviations by
-    name; and ``after``, with ``rms_mm`` and ``in_sigma`` of the final model.
+    name; and ``after``, with ``rms_mm`` and ``in_sigma`` of the model with all causes found, `final`.
     """
     seen, white = layout.seen, base.residual
     markers = layout.of_markers() & seen
@@ -78,10 +77,8 @@ def residual_summary(
 ) -> dict[str, Any]:
     """Return a description of the residual that remains after the findings, where it is too large to be noise.
 
-    `layout`: order of the data; `screen`: all hypotheses, to find the cause that it resembles; `found`: the search,
-    with findings and remaining residual; `misfit`: result of the misfit test of that residual. The result has the
-    p-value ``p``, ``where`` (names of markers and pads), the text ``when``, ``looks_like`` (an id, or ``"unknown"``),
-    and the text ``sentence``.
+    The result has the p-value ``p`` of the misfit test, ``where`` (names of markers and pads), the text ``when``,
+    ``looks_like`` (an id, or ``"unknown"``), and the text ``sentence``.
     """
     where = largest_residuals(layout, found.reduced, settings)
     case, time = worst_frame(layout, found.reduced)
@@ -158,11 +155,9 @@ _ACTIONS = {
 def next_check(bench: Bench, residual: FloatArray, like: str = "") -> dict[str, Any]:
     """Return the component of the rig or model to check next, where no cause explains the data.
 
-    `bench`: the believed model; `residual` (size,): unexplained residual, whitened by noise and nuisances; `like`:
-    what it resembles most, in words; empty for nothing. The result has ``action``, the advice in words,
-    ``separates`` (empty) and ``separability`` (None), and ``check``: the component's ``kind`` and ``name``, the
-    ``share`` of the misfit near it, ``where`` (markers and pads, the worst first), and ``case`` and ``time_s`` of the
-    worst frame.
+    `residual` (size,): unexplained, whitened by noise and nuisances; `like`: what it resembles most, in words; empty
+    for nothing. The result is that of `to_check`: the component's ``kind`` and ``name``, the ``share`` of the misfit
+    near it, ``where`` (markers and pads, the worst first), and ``case`` and ``time_s`` of the worst frame.
     """
     layout, settings = bench.layout, bench.settings.report
     components = list(components_of(bench))
@@ -187,8 +182,7 @@ def next_check(bench: Bench, residual: FloatArray, like: str = "") -> dict[str, 
 def components_of(bench: Bench) -> Iterator[RigComponent]:
     """Yield every marker, pad, support and case, and the body, as components that can be checked.
 
-    The proximity of each, (size,), weighs every measured number from 0 (far) to 1 (at it); the body's is that of its
-    motion.
+    Proximities (size,) weigh every measured number from 0 (far) to 1 (at it); the body's is that of its motion.
     """
     layout, experiment = bench.layout, bench.experiment
     for i, name in enumerate(layout.marker_names):
@@ -216,7 +210,7 @@ def log_likelihood_gain(
     """Return the gain in log likelihood, in nats, of an additional variance near a component over unit variance.
 
     `residual` (size,): whitened by noise and nuisances; `proximity` (size,): weight of every measured number in the
-    additional variance, 0 to 1; `layout`: order of both. The gain is the largest over the sizes of that variance.
+    additional variance, 0 to 1. The gain is the largest over the sizes of that variance.
     """
     seen, variances = layout.seen, np.geomspace(*settings.variances)
     squares, variance = residual[seen] ** 2, 1.0 + variances[:, None] * proximity[seen]
@@ -225,10 +219,7 @@ def log_likelihood_gain(
 
 
 def _share(residual: FloatArray, proximity: FloatArray, layout: SignalLayout, settings: AdviceSettings) -> float:
-    """Return the share of the squared residual (size,) beyond noise that lies near a component of the rig.
-
-    `residual`: whitened; `proximity` (size,): weight of every measured number, 0 to 1.
-    """
+    """Return the share of a whitened residual (size,), squared and beyond noise, that lies near a component."""
     seen = layout.seen
     beyond = residual[seen] ** 2 - 1.0
     whole, there = float(beyond.sum()), float(beyond[proximity[seen] > settings.near].sum())

@@ -24,8 +24,7 @@ from tissuereg.diagnosis.settings import DEFAULT
 class Null:
     """The covariance of whitened data without any cause: ``C0 = I + N N^T``, noise and nuisances.
 
-    `nuisances` (n_nuisances, size): N^T, whitened changes by nuisance parameters, times their prior standard
-    deviations.
+    `nuisances` (n_nuisances, size): N^T, whitened changes by one prior standard deviation of each nuisance parameter.
     """
 
     def __init__(self, nuisances: FloatArray) -> None:
@@ -43,10 +42,9 @@ class Null:
 
 @dataclass(frozen=True, eq=False)
 class Amplitudes:
-    """Result of the linear fit of one hypothesis, which has p amplitudes.
+    """Result of the linear fit of one hypothesis with p amplitudes.
 
-    `log_bayes_factor`: log Bayes factor of the hypothesis against no cause, nats; `mean` (p,): posterior mean of the
-    amplitudes, in prior standard deviations.
+    `log_bayes_factor`: against no cause, nats; `mean` (p,): posterior mean of the amplitudes, in prior deviations.
     """
 
     log_bayes_factor: float
@@ -56,8 +54,8 @@ class Amplitudes:
 def fit_amplitudes(residual: FloatArray, columns: FloatArray) -> Amplitudes:
     """Return the evidence and the amplitudes of one hypothesis, by linear regression on the residual.
 
-    `residual` (size,): of the data, whitened by noise and nuisances (`Null.reduced`); `columns` (p, size): changes by
-    one prior standard deviation of each amplitude, whitened likewise.
+    `residual` (size,), `columns` (p, size): of the data, and changes by one prior standard deviation of each amplitude,
+    both whitened by noise and nuisances (`Null.reduced`).
     """
     inner = np.eye(len(columns)) + columns @ columns.T
     factor = cho_factor(inner, lower=True)
@@ -85,9 +83,9 @@ class Blocks:
         self._inverse = np.linalg.inv(lower)
 
     def log_bayes_factors(self, residuals: FloatArray) -> FloatArray:
-        """Return the log Bayes factors, in nats, of all hypotheses against no cause, shape (n, n_blocks).
+        """Return the log Bayes factors (n, n_blocks), in nats, of all hypotheses against no cause.
 
-        `residuals` (n, size): n residuals of the data, whitened by noise and nuisances (`Null.reduced`).
+        `residuals` (n, size): whitened by noise and nuisances.
         """
         n_blocks, p, size = self.columns.shape
         along = residuals.astype(self.columns.dtype) @ self.columns.reshape(-1, size).T
@@ -100,10 +98,7 @@ class Blocks:
 
 
 def slices_of(sizes: Iterable[int]) -> list[slice]:
-    """Return where the parameters of each cause lie in the vector x, whose first entry is that of the modulus.
-
-    `sizes`: number of parameters of each cause.
-    """
+    """Return where the parameters of causes of these sizes lie in the vector x, whose first entry is the modulus."""
     return [slice(first, last) for first, last in pairwise(accumulate(sizes, initial=1))]
 
 
@@ -130,8 +125,8 @@ def tail_probability(value: float, drawn: FloatArray) -> float:
 def probabilities(log_bayes_factors: Mapping[str, float], temper: float = DEFAULT.evidence.temper) -> dict[str, float]:
     """Return the posterior probability of every cause by id and, under an empty name, of no cause.
 
-    `log_bayes_factors`: log Bayes factor of every cause against no cause, nats, by id. Prior probabilities are equal;
-    the results are proportional to ``exp(log_bayes_factor / temper)`` and have the sum 1.
+    `log_bayes_factors`: against no cause, nats, by id. Prior probabilities are equal; the results are proportional to
+    ``exp(log_bayes_factor / temper)`` and have the sum 1.
     """
     names = ["", *log_bayes_factors]
     logs = np.array([0.0, *log_bayes_factors.values()]) / temper

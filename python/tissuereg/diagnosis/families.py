@@ -36,9 +36,9 @@ FAMILIES = {
 class Membership:
     """Whether the data hold a cause, or its family alone.
 
-    `id`: the cause; `p`: probability that data which it explains speak as much for something else of its family;
-    `level`: p-value below which the family alone is stated; `beaten`: whether an effect of the family that is outside
-    the catalogue explains the data better (`outside`).
+    `p`: probability that data which the cause explains speak as much for something else of its family; `level`: p-value
+    below which the family alone is stated; `beaten`: whether an effect of the family that is outside the catalogue
+    explains the data better (`outside`).
     """
 
     id: str
@@ -79,9 +79,8 @@ class Membership:
 def memberships(parts: Sequence[FittedPart], screen: Screen, settings: ConstancySettings) -> dict[int, Membership]:
     """Return for causes of a fit, by number, whether the data hold them or their families alone.
 
-    `parts`: the causes with what their fit leaves of the data; `screen`: all hypotheses of the bank. Not in the result
-    are causes without relatives that could change what is left, and without inconstancies; and those that begin to act
-    somewhere (`Cause.constant`): what they leave is another effect beside them.
+    Not in the result are causes without relatives that could change what is left, and without inconstancies; and those
+    that begin to act somewhere (`Cause.constant`): what they leave is another effect beside them.
     """
     found = {}
     for part in (one for one in parts if CAUSES[one.id].constant):

@@ -19,9 +19,8 @@ from tissuereg.diagnosis.search import Search, Step
 def findings_of(target: FitTarget, screen: Screen, found: Search, thresholds: Mapping[str, float]) -> list[Finding]:
     """Return the findings of a search; the modulus is one of them where it lies beyond its prior.
 
-    `target`: data, believed model, noise and nuisances of the first fit; `screen`: all hypotheses and the generic
-    rival; `found`: all rounds of the search; `thresholds`: log Bayes factor required of every cause, nats, by id. The
-    findings lack the errors at inner targets, which are added later.
+    `target`: of the first fit; `thresholds`: log Bayes factor required of every cause, nats, by id. The findings lack
+    the errors at inner targets, which are added later.
     """
     findings = []
     young = target.bench.young
@@ -66,9 +65,8 @@ def possible_of(found: Search) -> tuple[dict[str, Any], ...]:
 def candidates_of(screen: Screen, first: Step) -> tuple[dict[str, Any], ...]:
     """Return every cause that was tried in the first round, likeliest first, as plain data for the answer.
 
-    `screen`: all hypotheses; `first`: first round of the search. Each entry has ``id``, ``probability``,
-    ``log_bayes_factor`` in nats, and ``detectability``, the norm of the change that the cause makes, in noise
-    deviations.
+    Each entry has ``id``, ``probability``, ``log_bayes_factor`` in nats, and ``detectability``, the norm of the change
+    that the cause makes, in noise deviations.
     """
     chances, gains = first.chances(), first.gains()
     rows: list[dict[str, Any]] = []

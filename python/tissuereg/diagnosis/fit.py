@@ -31,8 +31,8 @@ from tissuereg.experiment.effects import Effect
 class FitTarget:
     """The data and the believed model that all fits to one experiment share, with noise and nuisances.
 
-    `bench`: the believed model, and by its layout the data; `noise`: measurement noise; `correction`: correction of the
-    discretisation error; `null`: covariance of noise and of all nuisances but the modulus, which is fitted.
+    `correction`: of the discretisation error; `null`: covariance of noise and of all nuisances but the modulus, which
+    is fitted. The layout of `bench` holds the data.
     """
 
     bench: Bench
@@ -264,9 +264,9 @@ def fit(
 def best_start(target: FitTarget, parts: Sequence[FittedCause], near: Near) -> FloatArray:
     """Return the best first guess of the fit with a further cause: that with the smallest objective.
 
-    `target`: data, believed model, noise and nuisances; `parts`: all causes, the further one last; `near`:
-    the fit without it. Result: (j + n_parameters,), the parameters of that fit and then one of the first guesses that
-    the further cause offers; its default one where it offers no others or none of them has an equilibrium.
+    `parts`: all causes, the further one last; `near`: the fit without it. Result: (j + n_parameters,), the parameters
+    of that fit and then one of the first guesses of the further cause; its default one where it offers no others or
+    none of them has an equilibrium.
     """
     free_parameters = parts[-1].free_parameters
     tried = [np.concatenate([near.x, start]) for start in free_parameters.guesses]
@@ -288,9 +288,9 @@ def choices_of(cause: str, variants: Sequence[Variant]) -> int:
 
 
 def predicted(target: FitTarget, found: Fit, *, without: int) -> FloatArray:
-    """Return the prediction (size,), mm and mN, of a fitted model without one of its causes, else unchanged.
+    """Return the prediction (size,), mm and mN, of a fit without one of its causes.
 
-    `target`: data and model of the fit; `without`: number of the cause. Raises as `at_believed_modulus`.
+    `without`: number of the cause. Raises as `at_believed_modulus`.
     """
     others = (*found.parts[:without], *found.parts[without + 1 :])
     x, solver = np.delete(found.x, np.r_[found.slices()[without]]), _FitSolver(target, others)
@@ -300,9 +300,8 @@ def predicted(target: FitTarget, found: Fit, *, without: int) -> FloatArray:
 def at_believed_modulus(target: FitTarget, found: Fit) -> tuple[tuple[Effect, ...], FloatArray]:
     """Return the effects of a fit's causes, and the prediction with them on the user's mesh, at the believed modulus.
 
-    `target`: data, believed model, noise and nuisances; `found`: fit with causes. The prediction is (size,), in mm and
-    mN, and not corrected for the discretisation error. Raises `ConvergenceError` if a frame has no equilibrium;
-    `ExperimentError`, `MaterialError` or `SupportError` if an effect does not apply to the experiment.
+    The prediction is (size,), in mm and mN, and not corrected for the discretisation error. Raises `ConvergenceError`
+    if a frame has no equilibrium; `ExperimentError`, `MaterialError` or `SupportError` if an effect does not apply.
     """
     x = found.x.copy()
     x[0] = 0.0
@@ -311,10 +310,7 @@ def at_believed_modulus(target: FitTarget, found: Fit) -> tuple[tuple[Effect, ..
 
 
 class _FitSolver:
-    """Objective, Jacobian and step of one fit, for the causes `parts`, to the data and the believed model of `target`.
-
-    Its parameters x (k,) are the logarithm of the factor on the modulus, then those of all causes.
-    """
+    """Objective, Jacobian and step of one fit with the causes `parts`, for parameters (k,) as in `FittedModel.x`."""
 
     def __init__(self, target: FitTarget, parts: tuple[FittedCause, ...], near: Near | None = None) -> None:
         self.target = target
@@ -355,10 +351,7 @@ class _FitSolver:
         return np.where(self.force, factor * total, total) if self.scales else total
 
     def body(self, effects: Sequence[Effect], factor: float) -> FloatArray:
-        """Return the prediction (size,) on the user's mesh with effects, in mm and mN.
-
-        `factor`: modulus over the believed one; it is left out where it only scales forces.
-        """
+        """Return the prediction (size,) on the user's mesh, mm and mN; `factor`: modulus over the believed one."""
         bench = self.target.bench
         if not effects and (self.scales or factor == 1.0):
             return bench.base
@@ -370,10 +363,7 @@ class _FitSolver:
         return float(np.exp(np.clip(x[0], -3.0, 3.0)))
 
     def mixture(self, x: FloatArray) -> Mixture:
-        """Return weights of sum 1 and sets of effects, over whose predictions the fit averages for parameters (k,).
-
-        Causes whose predictions are linear in their parameters are left out.
-        """
+        """Return weights of sum 1 and the sets of effects to average over; causes with linear columns are left out."""
         young = self.target.bench.young * (1.0 if self.scales else self.factor(x))
         mixture: Mixture = [(1.0, ())]
         for part, mine in zip(self.parts, self.slices, strict=True):
@@ -395,11 +385,7 @@ class _FitSolver:
         return float(0.5 * reduced @ reduced + 0.5 * prior @ prior), reduced
 
     def jacobian(self, x: FloatArray, prediction: FloatArray, near: Near | None = None) -> FloatArray:
-        """Return the derivative (k, size) of the corrected prediction by the parameters, in mm and mN.
-
-        `x` (k,): parameters; `prediction` (size,): corrected prediction for them, mm and mN; `near`: a model
-        whose derivatives by the first parameters are taken.
-        """
+        """Return the derivative (k, size) of the corrected prediction, mm and mN, its first rows from `near`."""
         rows = np.zeros((len(x), len(prediction)))
         first = 1 if self.scales else 0
         if near is not None:
@@ -422,10 +408,7 @@ class _FitSolver:
         return rows
 
     def updated(self, jacobian: FloatArray, step: FloatArray, change: FloatArray) -> FloatArray:
-        """Return Broyden's update of a Jacobian (k, size) by a step (k,) and the change (size,) that it made.
-
-        The update is the least one in units of the prior deviations.
-        """
+        """Return Broyden's update of a Jacobian (k, size) by a step (k,) and the change (size,) that it made."""
         along = step / self.deviation
         unpredicted = change - step @ jacobian
         update = np.outer(along / (self.deviation * float(along @ along)), unpredicted)

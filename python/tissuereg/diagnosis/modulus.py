@@ -22,12 +22,10 @@ from tissuereg.diagnosis.search import Search, prove, references_of
 def modulus_finding(target: FitTarget, screen: Screen, found: Search) -> Finding | None:
     """Return the modulus as a finding where it lies far from its prior mean, the data determine it, and it is proved.
 
-    `target`: data, believed model, noise and nuisances of the first fit; `screen`: all hypotheses, with the generic
-    rival; `found`: the search with the causes found; the modulus is the first parameter of their fit. The log Bayes
-    factor compares a free modulus with its log-normal prior: half the square of the distance in prior deviations, which
-    is the same for half and for twice the believed modulus. The proof compares predictions of held-out data with those
-    of the model whose modulus is fixed at the believed value. The result is None where one of the three fails,
-    where its probability is less than `stated`, and where that model has no equilibrium.
+    `found`: the search with the causes found; the modulus is the first parameter of their fit. The proof compares
+    predictions of held-out data with those of the model whose modulus is fixed at the believed value. The result is
+    None where one of the three fails, where its probability is less than `stated`, and where that model has no
+    equilibrium.
     """
     target = found.target or target
     final, bench = found.final, target.bench

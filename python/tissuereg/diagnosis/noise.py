@@ -39,10 +39,9 @@ class Noise:
     force_evidence: float = 0.0
 
     def whitened(self, flat: FloatArray, layout: SignalLayout) -> FloatArray:
-        """Return residuals or changes of predictions whitened by the noise; entries that were not measured become 0.
+        """Return residuals or changes of predictions (..., size), mm and mN, whitened by the noise: a linear map.
 
-        `flat` (..., size): residuals or changes, mm and mN; `layout`: their order. Result: (..., size), dimensionless.
-        The map is linear.
+        The result is dimensionless; entries that were not measured become 0.
         """
         white = np.zeros_like(flat)
         for part in layout.parts:
@@ -70,11 +69,7 @@ class Noise:
         return np.where(seen, own + along * together, 0.0)
 
     def _faded(self, values: FloatArray, memory: float, step: FloatArray, seen: BoolArray) -> FloatArray:
-        """Return the innovations (..., n_frames, k, 3) of an autoregressive process, scaled to unit variance.
-
-        `values` (..., n_frames, k, 3): the process, of unit variance; `memory`: its correlation between frames `step_s`
-        apart; `step` (n_frames,): time since the frame before, s; `seen`: which values were measured.
-        """
+        """Return the innovations of an autoregressive process (..., n_frames, k, 3), both of unit variance."""
         if memory == 0.0:
             return values
         share = memory ** (np.nan_to_num(step[1:], nan=self.step_s) / self.step_s)[:, None, None]
@@ -88,9 +83,8 @@ class Noise:
 def estimate_noise(experiment: Experiment, layout: SignalLayout, settings: NoiseSettings = DEFAULT.noise) -> Noise:
     """Return the noise estimated from rest frames and holds, or the stated one where they do not contradict it.
 
-    `experiment`: with the stated standard deviations, and optionally a rest case (a case without load); `layout`: its
-    measured numbers. Where there are no rest frames, the noise has the stated standard deviations and is white in time.
-    Raises `NoiseError` if forces were measured and their standard deviation is not stated.
+    Where there are no frames of a rest case (one without load), the noise has the stated standard deviations and is
+    white in time. Raises `NoiseError` if forces were measured and their standard deviation is not stated.
     """
     n_markers = len(experiment.marker_names)
     stated = np.full(n_markers, experiment.marker_std)
@@ -151,12 +145,7 @@ def scale_evidence(power: float, freedom: float, settings: NoiseSettings) -> flo
 
 
 def _still(experiment: Experiment, layout: SignalLayout, least_hold: int) -> list[tuple[FloatArray, int]]:
-    """Return runs of frames without change of load, each with the number of parameters fitted to every coordinate.
-
-    A run (n_frames, n_markers, n_axes), in mm, is the rest case minus its mean (1 parameter), or a hold minus a
-    straight line in time (2), which removes slow changes such as relaxation. Axes along which nothing was measured are
-    omitted.
-    """
+    """Return runs (n_frames, n_markers, n_axes), mm, without change of load, with the number of fitted parameters."""
     found = []
     along = np.any([np.isfinite(part.markers(layout.measured)).any(axis=(0, 1)) for part in layout.parts], axis=0)
     for part in layout.parts:
@@ -177,6 +166,7 @@ def _still(experiment: Experiment, layout: SignalLayout, least_hold: int) -> lis
             rows = np.arange(begin + 1, end)
             rows = rows[whole[rows]]
             if len(rows) >= least_hold:
+                # A line in time removes slow changes such as relaxation.
                 line = np.stack([np.ones(len(rows)), part.times[rows] - part.times[rows].mean()], axis=1)
                 values = frames[rows].reshape(len(rows), -1)
                 values = values - line @ np.linalg.lstsq(line, values, rcond=None)[0]
@@ -187,22 +177,13 @@ def _still(experiment: Experiment, layout: SignalLayout, least_hold: int) -> lis
 def _believed(
     stated: FloatArray, found: FloatArray, statistic: FloatArray, freedom: float, settings: NoiseSettings
 ) -> FloatArray:
-    """Return standard deviations (k,): stated ones where a chi-square test agrees, estimated ones elsewhere.
-
-    `stated`, `found` (k,): stated and estimated standard deviations, mm; `statistic` (k,): sums of squares over the
-    stated variance; `freedom`: their degrees of freedom.
-    """
+    """Return standard deviations (k,), mm: stated ones where a chi-square test agrees, those found elsewhere."""
     tail = 2.0 * np.minimum(chi2.sf(statistic, freedom), chi2.cdf(statistic, freedom))
     return np.where(tail < settings.level, np.maximum(found, settings.least_share * stated), stated)
 
 
 def _memory(runs: list[FloatArray], shapes: list[tuple[int, int]], above: float) -> float:
-    """Return the correlation of noise from one frame to the next, over all runs of frames; 0 if there is none.
-
-    `runs`: arrays (n_frames, k, n_axes) in mm, from each of which a mean or a line in time was subtracted; `shapes`:
-    for each run its number of frames and the number of parameters subtracted, 1 (mean) or 2 (line); `above`: standard
-    errors of white noise beyond which there is one.
-    """
+    """Return the correlation of noise from one frame to the next, over runs (n_frames, k, n_axes) in mm; 0 if none."""
     power = float(sum((values**2).sum() for values in runs))
     if power == 0.0:
         return 0.0
@@ -214,11 +195,7 @@ def _memory(runs: list[FloatArray], shapes: list[tuple[int, int]], above: float)
 
 
 def _expected(memory: float, shapes: list[tuple[int, int]]) -> tuple[float, float]:
-    """Return the expected sums of squares and of products of neighbouring frames, for one coordinate of unit noise.
-
-    `memory`: correlation from one frame to the next; `shapes`: for each run of frames its number of frames and the
-    number of parameters fitted to it and subtracted, 1 (mean) or 2 (line in time).
-    """
+    """Return the expected sums of squares and of products of neighbouring frames, for a coordinate of unit noise."""
     power = pairs = 0.0
     for n_frames, fitted in shapes:
         frames = np.arange(n_frames)

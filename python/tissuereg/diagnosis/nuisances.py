@@ -57,13 +57,12 @@ class Nuisances:
 def make_nuisances(bench: Bench, mesh_errors: FloatArray, correction: Correction, *, keep: bool = False) -> Nuisances:
     """Return the nuisance parameters of an experiment, with the change that each makes.
 
-    `bench`: the believed model; `mesh_errors` (n_meshes, size): predictions on further fine meshes minus those on
-    the correcting one, mm and mN; `correction`: correction of the discretisation error, at the believed modulus;
-    `keep`: whether changes by the shape are read from and written to the cache. The parameters are the modulus, six
-    of the tracker's frame, three of its drift, the shape of the body and of its patches (`shape`); for the
-    remaining discretisation error, which is proportional to the load, smooth patterns over the markers and the
-    three components of every force in each case, of the size by which fine meshes differ; where ``trial_share`` is
-    stated, the difference between trials of one case.
+    `mesh_errors` (n_meshes, size): predictions on further fine meshes minus those on the correcting one, mm and mN;
+    `correction`: at the believed modulus; `keep`: whether changes by the shape are read from and written to the cache.
+    The parameters are the modulus, six of the tracker's frame, three of its drift, the shape of the body and of its
+    patches (`shape`); for the remaining discretisation error, which is proportional to the load, smooth patterns over
+    the markers and the three components of every force in each case, of the size by which fine meshes differ; where
+    ``trial_share`` is stated, the difference between trials of one case.
     """
     layout, base, numbers = bench.layout, bench.base, bench.settings.nuisances
     rows = [("stiffness", bench.young_spread * bench.by_young[0])]
@@ -111,8 +110,8 @@ def frame_columns(
 ) -> Iterator[tuple[FloatArray, FloatArray]]:
     """Yield for each axis the changes (size,) by a shift along it and by a rotation about it of the tracker's frame.
 
-    The changes are in mm, by one prior standard deviation; those of forces are 0. `layout`: order of the entries;
-    `base` (size,): predicted displacements of the markers, mm.
+    The changes are in mm, by one prior standard deviation; those of forces are 0. `base` (size,): predicted
+    displacements of the markers, mm.
     """
     middle = layout.reference.mean(axis=0)
     for axis in range(3):
@@ -136,11 +135,7 @@ def _bent_alike(bench: Bench) -> Iterator[tuple[str, FloatArray]]:
 
 
 def _trials(bench: Bench, patterns: FloatArray) -> Iterator[tuple[str, FloatArray]]:
-    """Yield names and columns (size,), in mm, of the difference between trials, that is repetitions, of one case.
-
-    The difference is a pattern, smooth over the markers, times a share of each marker's measured motion. `patterns`
-    (n_patterns, n_markers): smooth patterns.
-    """
+    """Yield names and columns (size,), mm, of the difference between trials, that is repetitions, of one case."""
     layout, share = bench.layout, bench.experiment.trial_share
     for part in layout.parts if share else ():
         moved = np.nan_to_num(np.linalg.norm(part.markers(layout.measured), axis=-1))
@@ -152,9 +147,8 @@ def _trials(bench: Bench, patterns: FloatArray) -> Iterator[tuple[str, FloatArra
 def effect_nuisances(bench: Bench, change: FloatArray) -> FloatArray:
     """Return nuisances for the model error of the causes found, whose laws are only approximately the body's own.
 
-    `bench`: the believed model; `change` (size,): change that the causes found so far make, mm and mN. Result: (n,
-    size), changes by one prior standard deviation, mm and mN: in every case the change itself, smooth patterns over the
-    markers and the components of every force.
+    `change` (size,): that the causes found so far make. Result: (n, size), changes by one prior standard deviation: in
+    every case the change itself, smooth patterns over the markers and the components of every force. All in mm and mN.
     """
     layout = bench.layout
     patterns = smooth_patterns(layout.reference, bench.extent, bench.settings.nuisances)

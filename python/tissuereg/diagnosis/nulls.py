@@ -49,9 +49,8 @@ def draw_nulls(
 ) -> Nulls:
     """Return residuals drawn for data without any effect, and the thresholds that follow.
 
-    `screen`: all hypotheses; `null`: covariance of noise and nuisances; `noise`: measurement noise; `layout`: order of
-    the data; `mesh_errors`: for each further fine mesh the prediction (size,) on it minus that on the correcting one,
-    mm and mN; `seed`: seed of the draws. There are `draws` residuals.
+    `mesh_errors`: for each further fine mesh the prediction (size,) on it minus that on the correcting one, mm and mN;
+    `seed`: seed of the draws. There are `draws` residuals.
     """
     generator = np.random.default_rng([seed, 5])
     alone = settings.nulls.noise_alone
@@ -79,12 +78,9 @@ def draw_nulls(
 
 
 def _thresholds(found: Mapping[str, FloatArray], settings: NullSettings = DEFAULT.nulls) -> dict[str, float]:
-    """Return a threshold for every cause, in nats, so that any cause passes its own in at most `level` of the draws.
-
-    `found`: log Bayes factors (n,) of every cause in n draws without any effect, by id. The threshold of a cause is a
-    quantile of its own log Bayes factors, of the same order for all causes, and at least `least_threshold`.
-    """
+    """Return a threshold for every cause, nats, such that any cause passes its own in at most `level` of the draws."""
     values = np.array(list(found.values()))
+    # A quantile of its own evidence, of the same order for all causes.
     # The last share is Bonferroni's bound, which holds however the causes are correlated.
     for share in settings.level * np.geomspace(1.0, 1.0 / len(values), settings.shares):
         least = np.maximum(np.quantile(values, 1.0 - share, axis=1), settings.least_threshold)
@@ -120,10 +116,9 @@ class Battery:
     def judge(self, before: FloatArray, after: FloatArray, nulls: FloatArray) -> Misfit:
         """Return the misfit test of a model's residual.
 
-        `before`, `after` (size,): residuals, whitened by noise and nuisances (`Null.reduced`), of the believed model
-        and of the model that is judged; `nulls` (n, size): likewise whitened residuals of null draws, that is of data
-        without any effect. The p-value is the rank of the largest standardised statistic among those of the null draws,
-        and the tail of a Gumbel distribution fitted to them by moments where it exceeds all draws.
+        `before`, `after` (size,): residuals of the believed model and of the model that is judged; `nulls` (n, size):
+        those of null draws; all whitened by noise and nuisances (`Null.reduced`). The p-value is that of the largest
+        standardised statistic among those of the null draws (`tail_probability`).
         """
         sums, drawn = self.sums(np.stack([before, after])), self.sums(nulls)
         logs = np.log(drawn)
@@ -163,8 +158,8 @@ def smooth_subspaces(
 ) -> list[FloatArray]:
     """Return the subspaces of smooth changes: per case, one for each time history and one for all of them together.
 
-    `layout`: order of the data; `base` (size,): prediction of the believed model, mm and mN; `extent`: extent of the
-    body, mm; `noise`: measurement noise. Each subspace is given by orthonormal rows (k, size) over whitened data.
+    `base` (size,): prediction of the believed model, mm and mN; `extent`: extent of the body, mm. Each subspace is
+    given by orthonormal rows (k, size) over whitened data.
     """
     patterns = smooth_patterns(layout.reference, extent, settings.nuisances)[: settings.nulls.smooth]
     found = []
@@ -179,9 +174,6 @@ def smooth_subspaces(
 
 
 def _removed(sums: FloatArray, expected: float, of_none: float) -> float:
-    """Return the share of a statistic's excess over its mean without any effect, `expected`, that a model removes.
-
-    `sums` (2,): the statistic of the believed model and of the one judged; `of_none`: value where there is no excess.
-    """
+    """Return the share of a statistic's excess over its `expected` value that a model removes, `of_none` of none."""
     before, after = sums.tolist()
     return float((before - after) / (before - expected)) if before > expected else of_none

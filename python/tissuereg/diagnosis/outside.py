@@ -44,9 +44,9 @@ OUTSIDE = {
 class Outside:
     """A finding beside the effects outside the catalogue.
 
-    `id`: the cause; `log_bayes_factor`: of it, nats; `kinds`: log Bayes factor of every kind of effect outside the
-    catalogue in its place, nats; `probability`: share of the cause among them; `family_probability`: share of it
-    together with kinds of its family; `settings`: of the diagnosis.
+    `log_bayes_factor`: of the cause, nats; `kinds`: that of every kind of effect outside the catalogue in its place,
+    nats; `probability`: share of the cause among them; `family_probability`: share of it together with kinds of its
+    family.
     """
 
     id: str
@@ -96,11 +96,8 @@ def outside_variants(bench: Bench) -> dict[str, list[Variant]]:
     """Return the hypotheses of every kind of effect outside the catalogue, with unit amplitudes.
 
     Those of one kind have the same number of columns. There are none for a body with memory, and none of a kind without
-    sizes or places.
-
-    Notes
-    -----
-    Costs one adjoint solution for each measured number, and 36 solutions for each pad, in every equilibrium.
+    sizes or places. Costs one adjoint solution for each measured number, and 36 solutions for each pad, in every
+    equilibrium.
     """
     if not bench.is_elastic:
         return {}
@@ -148,10 +145,7 @@ def _fields(mesh: Mesh, rules: OutsideSettings) -> list[FloatArray]:
 
 
 def _springs(bench: Bench, shares: "sparse.csr_array") -> "sparse.csr_array":
-    """Return the stiffness of a unit of springs at every node of each ball, (n_balls, n_nodes), mN/mm.
-
-    `shares` (n_tets, n_balls): of every tet that lies in each ball (`shares_of_balls`).
-    """
+    """Return the stiffness of a unit of springs at every node of each ball, (n_balls, n_nodes), mN/mm."""
     mesh = bench.experiment.mesh
     corners = (np.ones(mesh.tets.size), (mesh.tets.ravel(), np.repeat(np.arange(mesh.n_tets), 4)))
     to_nodes = sparse.csr_array(corners, shape=(mesh.n_nodes, mesh.n_tets))
@@ -161,13 +155,10 @@ def _springs(bench: Bench, shares: "sparse.csr_array") -> "sparse.csr_array":
 
 
 def _growth(bench: Bench, shares: "sparse.csr_array") -> "sparse.csr_array":
-    """Return the nodal forces (n_balls, 3 n_element_nodes), mN, by which a unit of linear strain of each ball acts.
-
-    `shares`: as for `_springs`. A body that has grown freely is without stress: they are the internal forces of a ball
-    that is stretched as much.
-    """
+    """Return the nodal forces (n_balls, 3 n_element_nodes), mN, by which a unit of linear strain of each ball acts."""
     mesh, material = bench.experiment.mesh, bench.tangents.worked.material
     simulator, step = Simulator(mesh, element=bench.predictor.element), 1e-6
+    # A body that has grown freely is without stress: the forces are those of a ball that is stretched as much.
     stretched = step * simulator.body.nodes
     young = np.broadcast_to(per_tet(material.young_array), (mesh.n_tets,))
     plain = simulator.internal_forces(stretched, material)
@@ -179,11 +170,7 @@ def _growth(bench: Bench, shares: "sparse.csr_array") -> "sparse.csr_array":
 
 
 def _pad_variants(bench: Bench) -> list[Variant]:
-    """Return one hypothesis for each pad that a case moves: it shifts and turns by any linear map of its motion.
-
-    There are 36 columns: shifts along and turns about three axes, by each component of the motion, and by that times
-    the size of the motion over the largest. A turn moves the rim as far as a shift.
-    """
+    """Return one hypothesis of 36 columns for each pad that a case moves: it shifts and turns in other ways."""
     pads = [pad for pad in present_pads(bench) if pad.kind == "displacement"]
     motions = [
         (name, motion) for case in bench.experiment.cases.values() for name, motion in case.displacements.items()
@@ -191,6 +178,7 @@ def _pad_variants(bench: Bench) -> list[Variant]:
     most = {pad.name: max(_largest(motion) for name, motion in motions if name == pad.name) for pad in pads}
 
     def moved(state: State) -> list[Load]:
+        # Shifts along and turns about three axes, by each component of the motion, and by that times its relative size.
         loads = []
         for pad in pads:
             nodes = state.simulator.held_nodes[state.pad_rows.get(pad.name, [])]

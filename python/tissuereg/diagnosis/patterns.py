@@ -25,8 +25,8 @@ _LEAST = 1e-6
 def smooth_patterns(places: FloatArray, extent: float, settings: NuisanceSettings = DEFAULT.nuisances) -> FloatArray:
     """Return the leading eigenvectors of a Gaussian process of unit variance over places.
 
-    `places` (n, 3): mm; `extent`: extent of the body, mm; `settings`: number and length. Result: (n_patterns, n),
-    dimensionless, scaled by the roots of the eigenvalues, so that their squares sum to nearly 1 at every place.
+    `places` (n, 3) and `extent` of the body: mm. Result: (n_patterns, n), dimensionless, scaled by the roots of the
+    eigenvalues, so that their squares sum to nearly 1 at every place.
     """
     distance = np.linalg.norm(places[:, None] - places[None], axis=2)
     values, vectors = np.linalg.eigh(np.exp(-0.5 * (distance / (settings.pattern_length * extent)) ** 2))
@@ -57,9 +57,9 @@ def thinned_patterns(
 
 
 def load_history(part: CasePart, base: FloatArray) -> FloatArray:
-    """Return the predicted size of the marker motion in every frame over its largest, (n_frames,), 0 to 1.
+    """Return the predicted size of the marker motion in every frame over its largest, (n_frames,); 0 in a case at rest.
 
-    It is 0 throughout in a case at rest. `part`: the case; `base` (size,): prediction of the believed model, mm and mN.
+    `base` (size,): prediction of the believed model, mm and mN.
     """
     moved = np.sqrt((part.markers(base) ** 2).sum(axis=(1, 2)))
     return np.asarray(moved / moved.max()) if moved.max() > 1e-6 else np.zeros(part.n_frames)
@@ -68,9 +68,8 @@ def load_history(part: CasePart, base: FloatArray) -> FloatArray:
 def marker_columns(layout: SignalLayout, part: CasePart, history: FloatArray, patterns: FloatArray) -> FloatArray:
     """Return flat vectors of all measured numbers in which the markers of one case move by a pattern times a history.
 
-    `layout`: order of the vectors; `part`: the case, outside which all entries are zero; `history` (n_frames,) for all
-    markers, or (n_frames, n_markers) for each, mm; `patterns` (n_patterns, n_markers): factor at every marker. Result:
-    (3, n_patterns, size), in mm, for motions along x, y and z.
+    `history` (n_frames,) for all markers, or (n_frames, n_markers) for each, mm; `patterns` (n_patterns, n_markers):
+    factor at every marker. Result: (3, n_patterns, size), in mm, for motions along x, y and z; zero outside the case.
     """
     columns = np.zeros((3, len(patterns), layout.size))
     for axis in range(3):
@@ -79,10 +78,9 @@ def marker_columns(layout: SignalLayout, part: CasePart, history: FloatArray, pa
 
 
 def force_columns(layout: SignalLayout, part: CasePart, pad: int, history: FloatArray) -> FloatArray:
-    """Return flat vectors of all measured numbers in which one component of a pad's force follows a history.
+    """Return vectors (3, size), mN, in which one component of a pad's force in one case follows a history (n_frames,).
 
-    `layout`: order of the vectors; `part`: the case, outside which all entries are zero; `pad`: number of the pad in
-    `part.pads`; `history` (n_frames,): mN. Result: (3, size), in mN, one for each component.
+    `pad`: number of the pad in `part.pads`; `history`: mN.
     """
     columns = np.zeros((3, layout.size))
     for axis in range(3):
@@ -103,8 +101,8 @@ def orthonormal(columns: FloatArray) -> FloatArray:
 def generic_columns(bench: Bench, marker_std: float) -> FloatArray:
     """Return the changes that the generic rival, smooth and without a physical cause, makes, for several sizes of it.
 
-    `bench`: the believed model; `marker_std`: typical noise of a coordinate, mm. Result: (n_sizes, p, size), changes of
-    all measured numbers by one prior standard deviation of each of the rival's p amplitudes, mm and mN.
+    `marker_std`: typical noise of a coordinate, mm. Result: (n_sizes, p, size), changes of all measured numbers by one
+    prior standard deviation of each of the rival's p amplitudes, mm and mN.
     """
     layout = bench.layout
     patterns = smooth_patterns(layout.reference, bench.extent, bench.settings.nuisances)
@@ -141,12 +139,11 @@ def generic_columns(bench: Bench, marker_std: float) -> FloatArray:
 
 
 def histories(part: CasePart, base: FloatArray, fading: float = DEFAULT.evidence.fading) -> list[FloatArray]:
-    """Return the time histories, each (n_frames,), that a generic change may have in a case.
+    """Return the time histories, each (n_frames,), dimensionless, that a generic change may have in a case.
 
     They are load, load squared (minus load), fading memory of the load, clock and constant; without load only a
-    constant and the clock. `part`: the case; `base` (size,): prediction of the believed model, mm and mN; `fading`:
-    time in which the memory fades, over the duration of the case. The histories are dimensionless and of about unit
-    size.
+    constant and the clock. `base` (size,): prediction of the believed model, mm and mN; `fading`: time in which the
+    memory fades, over the duration of the case.
     """
     load = load_history(part, base)
     span = float(part.times[-1] - part.times[0]) if part.n_frames > 1 else 1.0

@@ -55,9 +55,8 @@ class Solved:
 class Predictor:
     """The believed model of an experiment, solved with varying further effects.
 
-    `experiment`: the believed model, with its own effects; `layout`: order of the predicted numbers; `element` {"tet4",
-    "tet4-averaged", "tet10"}: elements to use; `threads`: threads to use; 0 takes all cores; `settings`: tolerances.
-    Attribute `workers`: how many bodies are solved at a time, however many predictions are asked for.
+    `element` {"tet4", "tet4-averaged", "tet10"}: elements to use; `threads`: 0 takes all cores. Attribute `workers`:
+    how many bodies are solved at a time, however many predictions are asked for.
     """
 
     def __init__(
@@ -93,12 +92,11 @@ class Predictor:
     ) -> FloatArray:
         """Return the prediction (size,) of all measured numbers with further effects, in mm (markers) and mN (forces).
 
-        `effects`: in addition to those of the experiment; `young`: factor on the believed modulus; `threads`: threads
-        to use; by default the predictor's own number; `near`: solution of a similar model, from which frames that are
-        solved one after another start; by default that of the believed model. All entries of the result are finite. It
-        does not depend on what was predicted before, or is at the same time.
-        Raises `ConvergenceError` if a frame has no equilibrium; `ExperimentError` if an effect does not apply to the
-        experiment.
+        `effects`: in addition to those of the experiment; `young`: factor on the believed modulus; `threads`: by
+        default the predictor's own number; `near`: solution of a similar model, from which frames that are solved one
+        after another start; by default that of the believed model. All entries are finite, and do not depend on what
+        was predicted before, or is at the same time. Raises `ConvergenceError` if a frame has no equilibrium;
+        `ExperimentError` if an effect does not apply to the experiment.
         """
         believed = replace(self.experiment, effects=(*self.experiment.effects, *effects))
         solved = self.solved(effects, young=young, threads=threads, near=near)
@@ -115,8 +113,7 @@ class Predictor:
     ) -> Solved:
         """Return the equilibria of the believed model with further effects; the last few solutions are kept.
 
-        `effects`: in addition to those of the experiment, without errors of the tracker, which are left out; `young`:
-        factor on the believed modulus; `threads`: threads to use; `near`: solution of a similar model to start from.
+        Errors of the tracker among the `effects` are left out; the arguments are those of `predict`.
         """
         bodily = _bodily(effects)
         worked = self._worked(bodily, young)
@@ -148,12 +145,7 @@ class Predictor:
         return extended(believed, self.element)
 
     def _solve(
-        self,
-        worked: Experiment,
-        effects: tuple[Effect, ...],
-        young: float | None,
-        threads: int,
-        near: Solved | None,
+        self, worked: Experiment, effects: tuple[Effect, ...], young: float | None, threads: int, near: Solved | None
     ) -> Solved:
         cases = list(worked.cases.values())
         apart = threads == 1 and are_apart(worked)
@@ -189,10 +181,7 @@ def _bodily(effects: Sequence[Effect]) -> tuple[Effect, ...]:
 
 
 def refuse_failures(case: str, failed: Sequence[tuple[int, str]]) -> None:
-    """Raise `ConvergenceError` if a frame of a case has no equilibrium; the error names the first such frame.
-
-    `case`: name of the case; `failed`: number of each frame without equilibrium, with the reason.
-    """
+    """Raise `ConvergenceError` that names the first of the frames of a case that `failed`, each with the reason."""
     if failed:
         frame, why = failed[0]
         message = f"every frame must find equilibrium; frame {frame} of case '{case}' does not: {why}"
@@ -200,10 +189,7 @@ def refuse_failures(case: str, failed: Sequence[tuple[int, str]]) -> None:
 
 
 def fingerprint(experiment: Experiment, of: str) -> str:
-    """Return a hash, 32 hexadecimal digits, of all that a believed model's prediction depends on and of a label.
-
-    `of`: the label, such as a version of the cached content.
-    """
+    """Return a hash, 32 hexadecimal digits, of all that a believed model's prediction depends on, and of a label."""
     digest = hashlib.sha256(f"{__version__} {of}".encode())
     mesh = experiment.mesh
     parts = [mesh.nodes, mesh.tets, mesh.fixed_nodes, experiment.marker_reference]

@@ -28,8 +28,8 @@ BEFORE, NAMED, GENERIC, BELIEVED = range(4)
 class LinearModel:
     """A model linear in its parameters x: residual = columns^T x + white noise, x ~ N(0, I).
 
-    `residual` (size,): measured minus predicted at x = 0, whitened by the noise; `columns` (p, size): whitened changes
-    of the prediction by one prior standard deviation of each parameter.
+    `residual` (size,): measured minus predicted at x = 0, whitened by the noise; `columns` (p, size): whitened
+    likewise.
     """
 
     residual: FloatArray
@@ -67,8 +67,7 @@ class HeldOut:
 def linear_model(target: FitTarget, fit: Fit, extra: FloatArray | None = None) -> LinearModel:
     """Return a fit as a model linear in its nuisances, its parameters and the amplitudes of further columns.
 
-    `target`: data, believed model, noise and nuisances; `fit`: the fit, about which the model is linear; `extra` (p,
-    size): further columns, whitened by the noise, times prior standard deviations; None for none.
+    `extra` (p, size): further columns, whitened by the noise, times prior standard deviations; None for none.
     """
     slopes = target.slopes(fit)
     # The model is linear about the fit; x = 0 is the prior mean.
@@ -80,8 +79,8 @@ def linear_model(target: FitTarget, fit: Fit, extra: FloatArray | None = None) -
 def held_out(models: list[LinearModel], blocks: dict[str, BoolArray]) -> HeldOut:
     """Return the predictions of blocks of the data by several models, each block predicted from all other data.
 
-    `models`: models to be compared; `blocks`: by name, a boolean mask (size,) of the entries that are held out
-    together. Log densities lack the constant that all models have in common.
+    `blocks`: by name, a boolean mask (size,) of the entries that are held out together. Log densities lack the constant
+    that all models have in common.
     """
     size = len(models[0].residual)
     density = np.zeros((len(models), len(blocks)))
@@ -109,9 +108,9 @@ def proof_blocks(
 ) -> dict[str, BoolArray]:
     """Return the blocks that are held out to prove a cause by its predictive density, as masks (size,) by name.
 
-    `layout`: order of the data; `slopes` (k, size): whitened changes of the prediction by one prior standard deviation
-    of each of the cause's parameters. The blocks are the load cases in which the cause shows and without which its
-    parameters are still determined (`determined`); if there is none, blocks of frames of the case that shows it most.
+    `slopes` (k, size): whitened changes of the prediction by one prior standard deviation of each of the cause's
+    parameters. The blocks are the load cases in which the cause shows and without which its parameters are still
+    determined (`determined`); if there is none, blocks of frames of the case that shows it most.
     """
 
     def determined(mask: BoolArray) -> bool:
@@ -125,10 +124,9 @@ def figure_blocks(
 ) -> dict[str, BoolArray]:
     """Return the blocks for which prediction errors with and without a cause are stated, as masks (size,) by name.
 
-    `layout`: order of the data; `slopes` (k, size): whitened changes of the prediction by one prior standard deviation
-    of each of the cause's parameters; `change` (size,): whitened change that the fitted cause makes. The blocks are the
-    load cases whose change the other data determine (`undetermined`); if there is none, blocks of frames of the case
-    with the largest change. Undetermined parameters do no harm where their columns vanish.
+    `slopes` (k, size): as for `proof_blocks`; `change` (size,): whitened change that the fitted cause makes. The blocks
+    are the load cases whose change the other data determine (`undetermined`); if there is none, blocks of frames of the
+    case with the largest change. Undetermined parameters do no harm where their columns vanish.
     """
 
     def determined(mask: BoolArray) -> bool:
@@ -143,10 +141,9 @@ def figure_blocks(
 def held_out_figures(layout: SignalLayout, noise: Noise, proof: HeldOut, figures: HeldOut) -> dict[str, object]:
     """Return the held-out errors of a finding: of markers in mm, and of markers and forces in noise deviations.
 
-    `layout`: order of the data; `noise`: measurement noise; `proof`, `figures`: predictions of the blocks of
-    `proof_blocks` and of `figure_blocks`, by the models before the cause, with it, with the generic rival instead, and
-    by the believed model. The entries are ``rms_..._mm`` and ``chi_...`` of three models, ``noise_mm``,
-    ``log_density_gain`` in nats, and ``cases``, the names of the blocks.
+    `proof`, `figures`: predictions of the blocks of `proof_blocks` and of `figure_blocks`, with the rows of `prove`.
+    The entries are ``rms_..._mm`` and ``chi_...`` of three models, ``noise_mm``, ``log_density_gain`` in nats, and
+    ``cases``, the names of the blocks.
     """
     typical = float(noise.marker_std.mean())
     rows = {"base": BELIEVED, "named": NAMED, "generic": GENERIC}
@@ -167,10 +164,7 @@ def held_out_figures(layout: SignalLayout, noise: Noise, proof: HeldOut, figures
 def frame_blocks(
     layout: SignalLayout, part: CasePart, n_blocks: int = DEFAULT.search.time_blocks
 ) -> dict[str, BoolArray]:
-    """Return masks (size,) by name that divide one case into `n_blocks` blocks of frames.
-
-    Each block holds every `n_blocks`-th frame; a case of fewer frames has a block for each frame.
-    """
+    """Return masks (size,) by name that divide a case into `n_blocks` blocks, each of every `n_blocks`-th frame."""
     blocks = {}
     for number in range(min(n_blocks, part.n_frames)):
         mask = np.zeros(layout.size, bool)
@@ -186,21 +180,15 @@ def frame_blocks(
 def _blocks(
     layout: SignalLayout, shown: FloatArray, determined: Callable[[BoolArray], bool], n_blocks: int
 ) -> dict[str, BoolArray]:
-    """Return the cases that a cause changes and without which it is still determined, as masks (size,) by name.
-
-    `shown` (size,): squared whitened change of every measured number; `determined`: returns whether the other data
-    suffice, given a mask. If there is no such case, the blocks are blocks of frames of the case that changes most.
-    """
+    """Return the cases that a cause changes and that the other data determine, as masks (size,) by name."""
     power = {part.name: float(shown[layout.of_case(part.name)].sum()) for part in layout.parts}
     masks = {name: layout.of_case(name) for name, size in power.items() if size > 1.0}
     cases = {name: mask for name, mask in masks.items() if determined(mask)}
+    # Without such a case, blocks of frames of the one that changes most.
     return cases or frame_blocks(layout, layout[max(power, key=lambda name: power[name])], n_blocks)
 
 
 def _spread(slopes: FloatArray, mask: BoolArray) -> FloatArray:
-    """Return the posterior covariance (k, k) of parameters, in prior deviations, given all data but a block.
-
-    `slopes` (k, size): whitened changes by one prior deviation of each parameter; `mask` (size,): entries of the block.
-    """
+    """Return the posterior covariance (k, k) of parameters, in prior deviations, given all data but a block."""
     others = slopes[:, ~mask]
     return np.asarray(np.linalg.inv(np.eye(len(slopes)) + others @ others.T))

@@ -42,10 +42,7 @@ MOST_ENTRIES = 500
 
 
 def flat_of(layout: SignalLayout, answers: Mapping[str, CaseSimulation]) -> FloatArray:
-    """Return simulated cases as a flat vector (size,): marker displacements in mm and forces in mN.
-
-    `layout`: order of the vector; `answers`: simulation of every case, by name. Frames without equilibrium are NaN.
-    """
+    """Return simulated cases, by name, as a flat vector (size,), mm and mN; frames without equilibrium are NaN."""
     return layout.flatten(
         {name: answer.markers for name, answer in answers.items()},
         {name: answer.forces for name, answer in answers.items()},
@@ -66,8 +63,8 @@ def entry_of(experiment: Experiment) -> str:
 def refined_predictions(bench: Bench, entry: str | None) -> tuple[FloatArray, FloatArray]:
     """Return the prediction of the believed model on the correcting fine mesh, and those on further fine meshes.
 
-    `bench`: the believed model (`solvable`); `entry`: name of the cached entry (`entry_of`), None to use no cache.
-    Result: (size,) and (thirds, size), mm and mN. Raises `ConvergenceError` if a frame has no equilibrium.
+    Result: (size,) and (thirds, size), mm and mN. `entry`: name of the cached entry (`entry_of`), None to use no cache.
+    Raises `ConvergenceError` if a frame has no equilibrium (`solvable`).
     """
     made = _simulated(bench, entry).flat
     for part in bench.layout.parts:
@@ -167,10 +164,9 @@ def _simulated(bench: Bench, entry: str | None) -> OnFineMeshes:
 
 
 def refined_effects(bench: Bench, effects: Sequence[Effect]) -> FloatArray:
-    """Return the prediction (size,) of the believed model with further effects on the fine mesh, mm and mN.
+    """Return the prediction (size,), mm and mN, on the fine mesh, with effects in addition to those of the experiment.
 
-    `bench`: the believed model; `effects`: in addition to those of the experiment. Raises `ConvergenceError` if a frame
-    has no equilibrium.
+    Raises `ConvergenceError` if a frame has no equilibrium.
     """
     every = (*bench.experiment.effects, *effects)
     answers = bench.fine.simulate(every, warm=True, threads=bench.predictor.threads)
@@ -260,11 +256,7 @@ def corrected_fit(target: FitTarget, found: Fit) -> tuple[FitTarget, Fit]:
 
 
 def _uncorrected(target: FitTarget, found: Fit) -> float:
-    """Return the estimated discretisation error of a fit that its correction does not cover, in noise deviations.
-
-    It is the error of the effect that was corrected last, times the relative size of that part of the new effect which
-    is no multiple of it.
-    """
+    """Return the estimated discretisation error of a fit that its correction does not cover, in noise deviations."""
     of_effect = target.correction.of_effect
     if of_effect is None:
         return 0.0
@@ -273,6 +265,7 @@ def _uncorrected(target: FitTarget, found: Fit) -> float:
     except NO_ANSWER:
         # The fit reached this model by steps from a neighbour; solved at once it has no equilibrium.
         return 0.0
+    # The error of the effect corrected last, times the relative size of what in the new effect is no multiple of it.
     remainder, error, effect = (
         float(np.linalg.norm(target.null.reduced(target.white(np.where(target.bench.layout.seen, flat, 0.0)))))
         for flat in (other, of_effect.difference, of_effect.change)
@@ -299,8 +292,7 @@ def correctable(target: FitTarget, ids: Sequence[str]) -> bool:
 def recorrected(target: FitTarget, found: Fit) -> FitTarget:
     """Return a target whose correction is exact for the believed model and for a fitted model with causes.
 
-    `target`: data, believed model and correction of the fit; `found`: fit with causes. The given target is returned
-    where there is nothing to correct (`correctable`) and where the fine mesh has no equilibrium.
+    It is the given one where there is nothing to correct (`correctable`) and where the fine mesh has no equilibrium.
     """
     bench = target.bench
     if not correctable(target, found.ids):

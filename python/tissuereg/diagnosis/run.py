@@ -60,9 +60,8 @@ def diagnose_body(
 ) -> BodyDiagnosis:
     """Return the diagnosis of a body: the causes of the difference between its measurements and its simulation.
 
-    `experiment`: the believed model and the measurements; `seed`: seed of all random draws; `threads`: threads to use;
-    0 takes all cores; `keep`: whether the cache is used; `element`: elements of the believed model, None for the
-    default; `progress`: called with the name of the step that begins; `settings`: all numbers. Errors are those of
+    `threads`: 0 takes all cores; `keep`: whether the cache is used; `element`: elements of the believed model, None for
+    the default; `progress`: called with the name of the step that begins. Errors are those of
     `tissuereg.diagnosis.diagnose`.
     """
     experiment = _own_modulus(experiment)
@@ -170,12 +169,7 @@ def _looks_like(judged: "_Judged", null: Null, outside: Callable[[], Bank], sett
 
 @dataclass(frozen=True, eq=False)
 class _Judged:
-    """The search with a noise model, and the test of what it leaves.
-
-    `best`: the best fit, which `found` lacks where its findings are withdrawn; `withdrawn`: whether they are; `tested`:
-    the constancy of the causes that were found, of those withdrawn too; `outside`: the same beside effects outside the
-    catalogue; `weak`: those that are not probable enough beside these, as plain data for the answer.
-    """
+    """The search with a noise model, and the tests of what it found and of what it leaves."""
 
     screen: Screen
     nulls: Nulls
@@ -190,10 +184,7 @@ class _Judged:
 
 
 def _judged(bank: Bank, believed: "BelievedModel", outside: Callable[[], Bank], *, silent: bool, seed: int) -> _Judged:
-    """Return the causes found under the noise of a believed model.
-
-    `outside`: returns the hypotheses of effects outside the catalogue; other arguments as for `_searched`.
-    """
+    """Return the causes found under the noise of a believed model; other arguments as for `_searched`."""
     target, null, noise = believed.target, believed.null, believed.target.noise
     bench, layout, settings = target.bench, target.bench.layout, target.bench.settings
     generic = generic_columns(bench, float(noise.marker_std.mean()))
@@ -316,9 +307,8 @@ class BelievedModel:
 def make_believed(bench: Bench, noise: Noise, *, keep: bool = True) -> BelievedModel:
     """Return the believed model, corrected for discretisation error, with its nuisance parameters.
 
-    `bench`: the believed model; `noise`: measurement noise; `keep`: whether predictions on fine meshes and changes by
-    the shape are read from and written to the cache. Raises `ConvergenceError` if a frame has no equilibrium on a fine
-    mesh (`solvable`).
+    `keep`: whether predictions on fine meshes and changes by the shape are read from and written to the cache. Raises
+    `ConvergenceError` if a frame has no equilibrium on a fine mesh (`solvable`).
     """
     layout = bench.layout
     if bench.is_exact:
@@ -343,10 +333,7 @@ def _at_modulus(bench: Bench, noise: Noise, correction: Correction, nuisances: N
 
 
 def _with_targets(findings: list[Finding], bench: Bench, effects: Sequence[Effect]) -> list[Finding]:
-    """Return findings that also state the rms errors, mm, at inner targets, with and without all the findings.
-
-    They are unchanged where no target was measured.
-    """
+    """Return findings that also state the rms errors, mm, at measured inner targets, with and without all findings."""
     measured = {name: case.targets for name, case in bench.experiment.cases.items() if case.targets}
     if not findings or not measured:
         return findings

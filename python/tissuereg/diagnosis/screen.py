@@ -30,8 +30,8 @@ class Screened:
     """Linear evidence of one cause.
 
     `log_bayes_factor`: of the cause against no cause, nats: logarithm of the mean Bayes factor of its hypotheses;
-    `best`: the likeliest hypothesis; None for the generic rival; `amplitudes` (p,): posterior mean of the amplitudes of
-    that hypothesis, in prior standard deviations; empty for the generic rival.
+    `best`: the likeliest one; `amplitudes` (p,): posterior mean of its amplitudes, in prior standard deviations. The
+    generic rival has neither.
     """
 
     log_bayes_factor: float
@@ -43,8 +43,7 @@ class Screen:
     """All hypotheses, corrected and whitened by noise and nuisances once for any number of residuals.
 
     `bank`: hypotheses of each cause, with columns in mm and mN; `generic` (n_sizes, p, size): columns of the generic
-    rival, mm and mN; `noise`: measurement noise; `layout`: order of all columns; `correction`: correction of the
-    discretisation error; `null`: covariance of noise and nuisances. `generic_white` (n_sizes, p, size): the rival's
+    rival, mm and mN; `null`: covariance of noise and nuisances. `generic_white` (n_sizes, p, size): the rival's
     columns, whitened by the noise alone.
     """
 
@@ -95,10 +94,7 @@ class Screen:
         return np.stack([self.white(variant.columns.astype(np.float64)) for variant in self.bank[name]])
 
     def detectability(self, name: str, variant: Variant, amplitudes: FloatArray) -> float:
-        """Return the size of the change that a hypothesis makes, a norm whitened by noise and nuisances.
-
-        `name`: id of its cause; `amplitudes` (p,): its amplitudes in prior standard deviations.
-        """
+        """Return the norm, whitened by noise and nuisances, of the change by a hypothesis of amplitudes (p,)."""
         number = next(i for i, other in enumerate(self.bank[name]) if other is variant)
         return float(np.linalg.norm(amplitudes @ self.blocks[name].columns[number].astype(np.float64)))
 

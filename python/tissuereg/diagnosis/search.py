@@ -14,12 +14,7 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.answer import PossibleCause
-from tissuereg.diagnosis.candidates import (
-    Candidate,
-    exchanged,
-    refitted,
-    without,
-)
+from tissuereg.diagnosis.candidates import Candidate, exchanged, refitted, without
 from tissuereg.diagnosis.causes import CAUSES
 from tissuereg.diagnosis.evidence import Null, fit_amplitudes, probabilities
 from tissuereg.diagnosis.fit import Fit, FitTarget, fit
@@ -48,10 +43,9 @@ class Step:
     `given`: ids of the causes found before; `found`: the candidate that was accepted; None where none was; `proof`:
     predictions of held-out blocks with the accepted candidate, else with the likeliest; None where none passed its
     threshold. Rows are models: before the cause, with it, with the generic rival instead, the believed one; `figures`:
-    errors of the accepted candidate on the held-out blocks for which errors are reported (`figure_blocks`); rows as in
-    the proof. None where none was accepted; `possible`: causes that came close to acceptance; `shift`: evidence of
-    every cause in the model of all causes found minus that in the round, nats; `lead`: nats by which the cause that was
-    exchanged for the accepted one leads it, until it is tested again.
+    the same for the blocks for which errors of the accepted one are reported (`figure_blocks`); `possible`: causes that
+    came close to acceptance; `shift`: evidence of every cause in the model of all causes found minus that in the round,
+    nats; `lead`: nats by which the cause that was exchanged for the accepted one leads it, until it is tested again.
     """
 
     screened: dict[str, Screened]
@@ -66,10 +60,7 @@ class Step:
     given: tuple[str, ...] = ()
 
     def gains(self) -> dict[str, float]:
-        """Return the log Bayes factor of every cause in the round, in nats, by id.
-
-        It is that of the nonlinear fit where the cause was fitted, else that of the linear screening.
-        """
+        """Return the log Bayes factor of every cause in the round, nats, by id: of its fit, else of the screening."""
         screened = {name: screened.log_bayes_factor for name, screened in self.screened.items()}
         return screened | {candidate.id: candidate.gain for candidate in self.candidates}
 
@@ -92,10 +83,7 @@ class Step:
         return {**chances, **{name: (1.0 - look_alike) * chance for name, chance in own.items()}, UNKNOWN: unknown}
 
     def close(self, nats: float) -> list[Candidate]:
-        """Return the other candidates, likeliest first, within `nats` of the accepted one's log Bayes factor.
-
-        Their log Bayes factors are those of `evidence`.
-        """
+        """Return the other candidates, likeliest first, that come within `nats` of the accepted one by `evidence`."""
         if self.found is None:
             return []
         least = self.found.gain - nats
@@ -106,7 +94,7 @@ class Step:
         """Return the id of the accepted cause, then those the data cannot distinguish from it, likeliest first.
 
         `threshold`: log Bayes factor required of that cause, nats; `named`: ids that are findings themselves and join
-        no group. Result: at most `most_in_group` ids.
+        no group.
         """
         assert self.found is not None
         rules = self.settings.search
@@ -121,10 +109,7 @@ class Step:
         return sum(chances.get(name, 0.0) for name in self.group(threshold, named))
 
     def failed(self, threshold: float, named: Collection[str] = ()) -> PossibleCause | None:
-        """Return the accepted cause as a possible one where it fails its threshold, proof or probability, else None.
-
-        Arguments as for `group`.
-        """
+        """Return the accepted cause if it fails threshold, proof or probability, else None; takes what `group` does."""
         assert self.found is not None
         assert self.proof is not None
         chance = self.probability(threshold, named)
@@ -145,7 +130,7 @@ class Step:
         return replace(self, found=None, figures=None, shift=0.0)
 
     def retested(self, top: Candidate) -> "Step":
-        """Return the round with the evidence of its finding in the model of all causes; `top`: with that evidence.
+        """Return the round with the evidence that its finding, `top`, has in the model of all causes.
 
         All causes of the round keep their distance to the cause that was accepted first.
         """
@@ -178,8 +163,7 @@ class Search:
 def search(target: FitTarget, screen: Screen, thresholds: Mapping[str, float]) -> Search:
     """Return the causes that the data show, with all rounds of the search for them.
 
-    `target`: data, believed model, noise and nuisances; `screen`: all hypotheses of the bank; `thresholds`: log Bayes
-    factor that each cause must exceed, nats, by id. The result is without causes where none is accepted.
+    `thresholds`: log Bayes factor that each cause must exceed, nats, by id. There are no causes where none is accepted.
     """
     base = fit(target, [])
     assert base is not None  # the believed model has an equilibrium: it was solved before
@@ -194,20 +178,18 @@ def search(target: FitTarget, screen: Screen, thresholds: Mapping[str, float]) -
 
 @dataclass(frozen=True, eq=False)
 class _FoundCauses:
-    """The causes found so far.
+    """The causes found so far, with the model of all of them and the rounds in which they were found."""
 
-    `target`, `plain`: data and model with and without nuisances for the size of the causes; `fit`: fit with all of
-    them; `steps`: rounds, in order; `settled`: whether they are as they were accepted, alone; `rests`: fits without
-    each cause, None where there is no equilibrium; empty before they are tested; `first`: the first cause, settled;
-    None where there is none, or a later one is likelier alone.
-    """
-
+    #: Data and model with and without nuisances for the size of the causes.
     target: FitTarget
     plain: FitTarget
     fit: Fit
     steps: tuple[Step, ...] = ()
+    #: Whether the causes are as they were accepted, alone.
     settled: bool = True
+    #: Fits without each cause, None where there is no equilibrium; empty before they are tested.
     rests: tuple[Fit | None, ...] = ()
+    #: The first cause, settled; None where there is none, or a later one is likelier alone.
     first: "_FoundCauses | None" = None
 
     @property
@@ -226,11 +208,7 @@ class _FoundCauses:
 
 @dataclass(frozen=True, eq=False)
 class _Bodies:
-    """The models of a body (`selection.Models`).
-
-    `given`: data and believed model, without nuisances for the errors of causes; `screen`: all hypotheses; `base`: fit
-    of the believed model; `thresholds`: nats, by id.
-    """
+    """The models of a body (`selection.Models`); `given`: without nuisances for the errors of causes."""
 
     given: FitTarget
     screen: Screen
@@ -262,10 +240,7 @@ class _Bodies:
         return replace(known, target=target, fit=current, steps=known.with_steps(changed))
 
     def tested(self, known: _FoundCauses) -> tuple[_FoundCauses, Mapping[int, PossibleCause]]:
-        """Return what was found with evidence and proofs in the model of all causes, and what fails them.
-
-        Of those that fail, any without which there is no equilibrium waits for the others.
-        """
+        """Return what was found with evidence and proofs in the model of all causes, and what fails them."""
         if known.settled:
             return known, {}
         target, current = known.target, known.fit
@@ -279,21 +254,19 @@ class _Bodies:
             for step, name in zip(changed.values(), current.ids, strict=True)
         )
         failed = {part: short for part, short in enumerate(shortcomings) if short is not None}
+        # Causes without which there is no equilibrium wait for the others.
         removable = {part: short for part, short in failed.items() if rests[part] is not None}
         return replace(known, rests=rests, steps=known.with_steps(changed)), removable or failed
 
     def without(self, known: _FoundCauses, part: int, failed: PossibleCause) -> _FoundCauses:
-        """Return what was found without a cause, and without the nuisances for its error.
-
-        Where nothing is left, the first cause stays as it was accepted alone, unless the data told it from a later one.
-        Where the others have no equilibrium without it, nothing stays.
-        """
+        """Return what was found without a cause, and without the nuisances for its error."""
         number = known.rounds()[part]
         steps = known.with_steps({number: known.steps[number].dropped(failed)})
         rest, first = known.rests[part], known.first
         if number == 0:
             others = [step.found.gain for step in steps if step.found is not None]
             told = 0.5 * self.given.bench.settings.search.separable**2
+            # The first cause stays as it was accepted alone, unless the data tell it from a later one.
             first = None if max(others, default=0.0) > failed.log_bayes_factor + told else first
         if rest is None or not rest.parts:
             bare = tuple(step.bare() for step in steps)
@@ -319,10 +292,7 @@ class _Bodies:
 
 
 def _round(target: FitTarget, screen: Screen, base: Fit, current: Fit, thresholds: Mapping[str, float]) -> Step:
-    """Return one round: the candidates for a further cause, and the likeliest that passes the held-out proof.
-
-    `base`, `current`: fits of the believed model and with the causes found before; `thresholds`: nats, by id.
-    """
+    """Return one round: the candidates for a further cause, and the likeliest that passes the held-out proof."""
     screened = screen.of(_as_screened(screen, target, current))
     candidates = refitted(target, screen, screened, current, thresholds)
     step = Step(screened, candidates, None, None, settings=target.bench.settings, given=current.ids)
@@ -344,11 +314,7 @@ def _round(target: FitTarget, screen: Screen, base: Fit, current: Fit, threshold
 def _with_finding(
     plain: FitTarget, screen: Screen, base: Fit, before: Fit, found: Candidate
 ) -> tuple[FitTarget, FitTarget, Fit]:
-    """Return the targets after a cause was found, without and with nuisances for its size, and the fit to the last.
-
-    `plain`: the target before, without such nuisances; `base`: fit of the believed model; `before`: fit without
-    `found`.
-    """
+    """Return the targets after a cause was found, without and with nuisances for its size, and the fit to the last."""
     # A found cause has a model error of its own. Its discretisation error was corrected; what remains of that, and the
     # error of its form, are nuisances when further causes are tested.
     forms = _forms(plain, screen, found.id, found.fit.prediction - before.prediction)
@@ -366,20 +332,11 @@ def _forms(target: FitTarget, screen: Screen, name: str, change: FloatArray) -> 
 
 
 def _judged(
-    target: FitTarget,
-    screen: Screen,
-    base: Fit,
-    current: Fit,
-    before: Fit | None,
-    part: int,
-    step: Step,
+    target: FitTarget, screen: Screen, base: Fit, current: Fit, before: Fit | None, part: int, step: Step
 ) -> Step:
-    """Return the round of a finding with its evidence and proof in the model of all causes.
-
-    `before`: fit without it; None where there is no equilibrium, and evidence and proof are those of its round; `part`:
-    its number in the fit `current`. The gain of a finding is the evidence that its removal costs.
-    """
+    """Return the round of a finding with evidence and proof in the model of all causes; `before`: fit without it."""
     assert step.found is not None
+    # The evidence that the removal of the cause costs; without an equilibrium that of its round.
     gain = step.found.gain + step.lead if before is None else current.log_evidence - before.log_evidence
     step = step.retested(Candidate(current.parts[part].id, current, gain, target))
     if before is None:
@@ -401,9 +358,8 @@ def prove(
 ) -> HeldOut:
     """Return the predictions of the compared models on held-out blocks: of a proof, or those whose errors are stated.
 
-    `references`: models that a cause is compared with; `current`, `found`: fits without and with it; `part`: number of
-    the judged cause in the latter; None for the modulus; `stated`: whether the blocks are those whose errors are stated
-    (`figure_blocks`).
+    `references`: as `references_of`; `current`, `found`: fits without and with the cause; `part`: its number in the
+    latter; None for the modulus; `stated`: whether the blocks are those whose errors are stated (`figure_blocks`).
     """
     slopes, change = _columns_and_change(target, current, found, part)
     layout, rules = target.bench.layout, target.bench.settings.search
@@ -420,10 +376,7 @@ def prove(
 
 
 def _columns_and_change(target: FitTarget, current: Fit, found: Fit, part: int | None) -> tuple[FloatArray, FloatArray]:
-    """Return the change of the prediction by each parameter of a cause (k, size), and by the whole cause (size,).
-
-    Both are whitened by the noise, the former by one prior deviation; `current`, `found`, `part`: as for `prove`.
-    """
+    """Return whitened changes: by one prior deviation of each parameter (k, size), and by the whole cause (size,)."""
     slopes = target.slopes(found)[slice(1) if part is None else found.slices()[part]]
     change = target.white(found.prediction - current.prediction)
     return (slopes if len(slopes) else change[None]), change

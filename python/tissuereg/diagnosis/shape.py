@@ -38,8 +38,8 @@ from tissuereg.simulation.fine.third import gaps
 class Direction:
     """One way in which the body's shape may deviate from the mesh.
 
-    `name`: name of the nuisance; `motion` (n_nodes, 3): motion of the mesh's nodes per mm of the deviation; `std_mm`:
-    prior standard deviation, mm.
+    `motion` (n_nodes, 3): motion of the mesh's nodes per mm of the deviation; `std_mm`: its prior standard deviation,
+    mm.
     """
 
     name: str
@@ -52,10 +52,9 @@ def shape_directions(
 ) -> list[Direction]:
     """Return the ways in which the shape of an experiment's body may deviate from its mesh.
 
-    `experiment`: mesh and patches, with their deviations where stated; `given`: the mesh whose facets the experiment's
-    own mesh subdivides; gaps to the smooth surface are those of its facets; by default the experiment's own mesh;
-    `settings`: default deviations.
-    Result: ten for each pad, one for each support whose edge is no edge of the body, and those of the whole surface.
+    `given`: the mesh whose facets the experiment's own mesh subdivides, by default that itself; gaps to the smooth
+    surface are those of its facets. Result: ten for each pad, one for each support whose edge is no edge of the body,
+    and those of the whole surface.
     """
     surface = _BodySurface(experiment, given or experiment.mesh, settings)
     found = [direction for pad in experiment.actuators for direction in _of_pad(surface, pad)]
@@ -64,10 +63,7 @@ def shape_directions(
 
 
 class _BodySurface:
-    """The surface of a body: normals, gaps to the smooth surface, sharp edges, nodes of each patch.
-
-    `normals` (n_nodes, 3): of unit length; `gaps` (n_nodes, 3): mm; `facets`: rms gap, mm; `sharp`: node numbers.
-    """
+    """The surface of a body: unit normals and gaps to the smooth surface, mm, (n_nodes, 3), sharp edges, patches."""
 
     def __init__(self, experiment: Experiment, given: Mesh, settings: ShapeSettings) -> None:
         from scipy.spatial import KDTree
@@ -94,10 +90,7 @@ class _BodySurface:
         return float(np.sqrt((share * self.folds.areas).sum() / np.pi))
 
     def unresolved(self, nodes: IntArray, ball_radius: float | None) -> float:
-        """Return the deviation of where the edge of a patch lies that is due to the given mesh, mm.
-
-        `nodes`: of the patch, on the surface; `ball_radius`: mm, where it is given by a ball, not by its nodes.
-        """
+        """Return the deviation of a patch's edge due to the given mesh, mm; `ball_radius`: mm, of a patch in a ball."""
         outline = outline_nodes(self.mesh.surface, nodes)
         if not len(outline):
             return 0.0
@@ -234,7 +227,7 @@ def _nearness(mesh: Mesh, nodes: IntArray, reach: float) -> FloatArray:
 def shape_nuisances(bench: Bench, fine: FloatArray, *, keep: bool = False) -> list[tuple[str, FloatArray]]:
     """Return name and column (size,), mm and mN, of each deviation of the shape, by one prior standard deviation.
 
-    `bench`, `fine`: as for `shape_columns`; `keep`: whether the columns are read from and written to the cache.
+    `fine`: as for `shape_columns`; `keep`: whether the columns are read from and written to the cache.
     """
     experiment = bench.experiment
     edges = [pad.edge_std for pad in experiment.actuators] + [support.edge_std for support in experiment.boundaries]
@@ -254,13 +247,10 @@ def shape_nuisances(bench: Bench, fine: FloatArray, *, keep: bool = False) -> li
 def shape_columns(bench: Bench, fine: FloatArray) -> Iterator[tuple[Direction, FloatArray]]:
     """Yield every deviation of the body's shape with the change of the prediction (size,) that it makes, per mm.
 
-    `bench`: the believed model. A model with memory is replaced by its elastic counterpart; `fine` (size,): prediction
-    of the believed model on the fine mesh with ten-node elements, mm and mN. Changes are in mm and mN, per mm of the
-    deviation; forces are mapped to those of ten-node elements (`Correction`). Raises `ConvergenceError` if a frame has
-    no equilibrium.
+    A model with memory is replaced by its elastic counterpart. `fine` (size,): prediction of the believed model on the
+    fine mesh with ten-node elements, mm and mN. Changes are in mm and mN; forces are mapped to those of ten-node
+    elements (`Correction`). Raises `ConvergenceError` if a frame has no equilibrium.
 
-    Notes
-    -----
     Costs one factored tangent of the fine mesh for each state, and for each direction and state one evaluation of the
     internal forces and one solution.
     """

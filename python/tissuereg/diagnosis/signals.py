@@ -56,9 +56,9 @@ class CasePart:
 class SignalLayout:
     """The order of all measured numbers of an experiment in one flat vector.
 
-    `experiment`: with its measured cases. Raises `ExperimentError` if nothing was measured. Attributes: `parts`: for
-    each case, in the experiment's order, where its numbers lie; `size`: length of the flat vector; `measured` (size,):
-    displacements of markers from their reference places in mm, and forces in mN; NaN = not measured.
+    Raises `ExperimentError` if nothing was measured. Attributes: `parts`: for each case, in the experiment's order,
+    where its numbers lie; `size`: length of the vector; `measured` (size,): displacements of markers from their
+    reference places in mm, and forces in mN; NaN = not measured.
     """
 
     def __init__(self, experiment: Experiment) -> None:

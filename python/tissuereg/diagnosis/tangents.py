@@ -56,9 +56,9 @@ class State:
 class Tangents:
     """All equilibria of an elastic model, each with its factored tangent stiffness.
 
-    `predictor`: solver of a model without memory, without sliding supports, and with an unloaded mesh; `keep`: whether
-    all tangents of a small enough body stay in memory, not just the last one. Raises `ConvergenceError` if a state has
-    no equilibrium.
+    `predictor`: of a model without memory, without sliding supports, and with an unloaded mesh; `keep`: whether all
+    tangents of a small enough body stay in memory, not just the last one. Raises `ConvergenceError` if a state has no
+    equilibrium.
     """
 
     def __init__(self, predictor: Predictor, *, keep: bool = True) -> None:
@@ -70,19 +70,14 @@ class Tangents:
         self._kept: dict[int, tuple[Linearised, FloatArray, FloatArray]] = {}
 
     def columns(self, direction: Callable[[State], Sequence[Cause]], count: int) -> FloatArray:
-        """Return the derivatives of the prediction by some parameters, (count, size), in mm and mN per unit of each.
+        """Return the derivatives of the prediction by `count` parameters, (count, size), in mm and mN per unit of each.
 
-        `direction`: returns, for an equilibrium, the derivatives of the load or the material by the parameters, `count`
-        of them; `count`: number of parameters.
+        `direction`: returns, for an equilibrium, the derivatives of the load or the material by the parameters.
         """
         return self._seen(self._columns(lambda _, state: direction(state), count))
 
     def _columns(self, direction: Callable[[int, State], Sequence[Cause]], count: int) -> FloatArray:
-        """Return derivatives (count, size) of the prediction, in mm and mN per unit, before the tracker's effects.
-
-        `direction`: takes the number of an equilibrium and the equilibrium, and returns the derivatives of load or
-        material; `count`: number of parameters.
-        """
+        """Return derivatives (count, size) of the prediction, in mm and mN per unit, before the tracker's effects."""
         flat = np.zeros((count, self.layout.size))
         for number, state in enumerate(self.states):
             tangent, slopes, _ = self._at(number)
@@ -108,11 +103,8 @@ class Tangents:
         """Return the derivatives of the prediction by many parameters, (count, size), in mm and mN per unit of each.
 
         `rates`: takes the derivatives of n_obs measured numbers in an equilibrium by all inputs, and the displacement
-        of its nodes (n_element_nodes, 3) in mm; returns those by the parameters, (count, n_obs).
-
-        Notes
-        -----
-        Costs one solution for each measured number and state.
+        of its nodes (n_element_nodes, 3) in mm; returns those by the parameters, (count, n_obs). Costs one solution for
+        each measured number and state.
         """
         flat = np.zeros((count, self.layout.size))
         n_markers = len(self.layout.marker_names)
@@ -135,9 +127,6 @@ class Tangents:
 
         `motions`: each (n_nodes, 3). Result: (n_motions, size), in mm and mN for a unit of each motion. Patches move
         with their nodes, reference places of markers do not. The weight of material that the motion adds is neglected.
-
-        Notes
-        -----
         Costs one evaluation of the internal forces (forward difference) and one solution for each motion and state.
         """
         longest = [max(float(np.abs(motion).max()), np.finfo(float).tiny) for motion in motions]
@@ -169,10 +158,7 @@ class Tangents:
         return [State(case, mine, believed.simulator, believed.loads[mine[0]], rows) for mine in frames]
 
     def _at(self, number: int) -> tuple[Linearised, FloatArray, FloatArray]:
-        """Return the tangent stiffness, the Jacobian of the markers and the displacement (n_nodes, 3), mm, in a state.
-
-        The Jacobian (n_markers, 3, n_used, 3) is that of marker displacements by those of the nodes that carry them.
-        """
+        """Return a state's tangent, markers' Jacobian (n_markers, 3, n_used, 3), displacement (n_nodes, 3) in mm."""
         if number in self._kept:
             return self._kept[number]
         if not self._keep:
@@ -228,10 +214,7 @@ class _Moved:
         )
 
     def out_of_balance(self, field: FloatArray, state: State) -> FloatArray:
-        """Return the pads' nodal forces minus the internal ones, (n_nodes, 3) in mN.
-
-        `field` (n_nodes, 3): displacements of all nodes, mm; `state`: the equilibrium whose loads act.
-        """
+        """Return the pads' nodal forces minus the internal ones, (n_nodes, 3), mN, under displacements `field`, mm."""
         held = self._simulator.internal_forces(field, self._experiment.material)
         pulled = self._simulator.forces(Load(traction=traction_of(self._experiment, state.case, state.frame)))
         return -held if pulled is None else pulled - held

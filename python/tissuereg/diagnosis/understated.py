@@ -40,8 +40,7 @@ class UnderstatedNoise:
     """A channel whose noise is larger than stated.
 
     `channel`: ``markers`` or ``forces``; `stated`, `estimated`: standard deviation of a coordinate, mm, or of a force
-    component, mN; `factor`: the estimated over the stated one; `log_bayes_factor`: evidence for the larger noise
-    against the stated one, nats.
+    component, mN; `factor`: the estimated over the stated one; `log_bayes_factor`: evidence for the larger one, nats.
     """
 
     channel: str
@@ -116,12 +115,10 @@ class _NoiseSize:
 def _channels(
     rows: FloatArray, residual: FloatArray, layout: SignalLayout, settings: NoiseSettings
 ) -> tuple[_NoiseSize, _NoiseSize]:
-    """Return the noise of markers and forces in the part of a residual (size,) that the rows (k, size) cannot change.
-
-    Rows that act on both carry the noise of one into the left-over of the other, unless both are in units of their own
-    noise: the two are estimated again in these units until they stay.
-    """
+    """Return the noise of markers and forces in what the rows (k, size) cannot change of a residual (size,)."""
     markers, groups = layout.of_markers(), _rows_of_markers(layout)
+    # Rows that act on both channels carry the noise of one into the left-over of the other, unless both are in units of
+    # their own noise: they are estimated again in these units until they stay.
     span, scale = orthonormal(rows), np.ones(layout.size)
     of_markers = of_forces = _NoiseSize(1.0, 0.0)
     for _ in range(_MOST_ROUNDS):
@@ -147,10 +144,7 @@ def _pooled(squares: FloatArray, freedom: FloatArray, groups: list[BoolArray], s
 
 
 def _larger(found: _NoiseSize, settings: NoiseSettings, before: float = 1.0) -> tuple[float, float] | None:
-    """Return the factor on the assumed standard deviation and the evidence against the stated one, nats.
-
-    `before`: the assumed standard deviation over the stated one. None where the noise is not larger than assumed.
-    """
+    """Return the factor on the assumed deviation, and the evidence against the stated one; None if not larger."""
     factor, power = float(np.sqrt(found.variance)), found.freedom * found.variance
     if factor < settings.least_factor or scale_evidence(power, found.freedom, settings) < settings.least_evidence:
         return None

@@ -66,10 +66,7 @@ class DirectionCause(Cause):
     spread_deg: float = 3.0
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return one hypothesis for each actuator that a case uses: its motion or force is rotated.
-
-        It is rotated by two angles, about axes perpendicular to the motion.
-        """
+        """Return one hypothesis for each actuator in use: its motion or force is rotated, by two angles across it."""
         for pad in present_pads(bench):
             across = _across(bench, pad)
             if bench.is_elastic and pad.kind == "displacement":
@@ -112,9 +109,8 @@ class OffsetCause(Cause):
     def variants(self, bench: Bench) -> Iterable[Variant]:
         """Return up to two hypotheses for each actuator that a case uses: offset of its motion, or shift of its patch.
 
-        Columns (3, size): changes by one prior standard deviation of each offset along x, y and z, or of each of two
-        shifts along the surface; the third column of a shift is zero. The offset is tried only for prescribed
-        displacements of a body without memory.
+        Columns (3, size): by each offset along x, y and z, or by each of two shifts along the surface and zeros. The
+        offset is tried only for prescribed displacements of a body without memory.
         """
         for pad in present_pads(bench):
             if pad.kind == "displacement" and bench.is_elastic:

@@ -31,11 +31,10 @@ Mixture = list[tuple[float, tuple[Effect, ...]]]
 class Variant:
     """One hypothesis of a cause: its discrete choices are fixed, and p amplitudes are free.
 
-    `label`: name that distinguishes it from the others of the same cause; `columns` (p, size): change of all `size`
-    measured numbers by one prior standard deviation of each amplitude: marker displacements in mm and forces in mN;
-    `settings`: the discrete choices by name, for instance ``{"actuator": "left pad"}``, and values at which the fit
-    starts; `positive`: whether the amplitude cannot be negative; there is then one (p = 1); `fixed`: whether the
-    amplitude is exactly 1, as for two markers that are exchanged; there is then one (p = 1).
+    `label`: name among the hypotheses of the cause; `columns` (p, size): change of all measured numbers by one prior
+    standard deviation of each amplitude, mm (markers) and mN (forces); `settings`: the discrete choices by name, such
+    as ``{"actuator": "left pad"}``, and values at which the fit starts; `positive`: whether the one amplitude (p = 1)
+    cannot be negative; `fixed`: whether the one amplitude is exactly 1, as for two markers that are exchanged.
     """
 
     label: str
@@ -49,13 +48,12 @@ class Variant:
 class FreeParameters:
     """The k parameters that the nonlinear fit of one cause varies: real numbers without bounds, with normal priors.
 
-    `start`, `mean`, `deviation` (k,): first guess, prior mean and prior standard deviation; `effects`: takes parameters
-    (k,) and the body's Young's modulus in kPa; returns effects, each a change of the simulation; `values`: takes the
-    same; returns the physical parameters of the answer, by key of the effect's table; `step` (k,): steps of difference
-    quotients; `columns` (k, size): linear change of all measured numbers by a unit of every parameter, mm and mN, used
-    in fits instead of simulations where those would change in jumps on the user's mesh; `between`: takes the same as
-    `effects`; returns pairs of a weight and effects, whose predictions are averaged in fits where a simulation would
-    jump from one to the other on the user's mesh; `starts` (n, k): further n first guesses; `label`: name among the
+    `start`, `mean`, `deviation` (k,): first guess, prior mean and prior standard deviation; `effects`, `values`: take
+    parameters (k,) and the body's Young's modulus in kPa, and return the effects of a simulation and the physical
+    parameters of the answer, by key of the effect's table; `step` (k,): steps of difference quotients; `columns` (k,
+    size): linear change of all measured numbers by a unit of every parameter, mm and mN, used in fits instead of
+    simulations that would jump on the user's mesh; `between`: takes the same as `effects`; returns what is averaged in
+    fits (`mixture`) where one simulation would jump; `starts` (n, k): further n first guesses; `label`: name among the
     forms that a cause has in curves.
     """
 
@@ -76,10 +74,9 @@ class FreeParameters:
         return [self.start, *([] if self.starts is None else self.starts)]
 
     def mixture(self, x: FloatArray, young: float) -> Mixture:
-        """Return pairs of a weight and a tuple of effects whose predictions are averaged at given parameters.
+        """Return pairs of a weight and effects whose predictions on the user's mesh are averaged at parameters (k,).
 
-        `x` (k,): the parameters; `young`: Young's modulus of the body, kPa. The weights have the sum 1; the predictions
-        are those on the user's mesh. There is a single pair where `between` is None.
+        `young`: Young's modulus, kPa. The weights have the sum 1; there is a single pair where `between` is None.
         """
         return [(1.0, self.effects(x, young))] if self.between is None else self.between(x, young)
 
@@ -115,10 +112,7 @@ class Scene:
 class Cause(ABC):
     """One physical error of a simulation that a diagnosis can name as the cause of a misfit.
 
-    Fields of an instance are its numbers: sizes, prior deviations, counts. Attributes of each class: `id`: name of the
-    cause in answers and in ``[[effect]]`` tables; `family`: id of the kind of error that it is one of; `discrete`: keys
-    of `Variant.settings` that the free parameters cannot change; `absolute`: whether its size does not scale with
-    Young's modulus; `constant`: whether its change has one size in all parts of the data.
+    Fields of an instance are its numbers: sizes, prior deviations, counts.
     """
 
     #: Id in answers and in ``[[effect]]`` tables.
@@ -157,31 +151,23 @@ class Cause(ABC):
     def variants(self, bench: Bench) -> Iterable[Variant]:
         """Return the hypotheses of the cause in an experiment; none where it cannot occur or cannot be observed.
 
-        `bench`: the believed model of the experiment, with its prediction and sensitivities. All hypotheses have the
-        same number p of columns.
+        All have the same number p of columns.
         """
 
     @abstractmethod
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
         """Return the free parameters of the nonlinear fit: first guess, prior and step of each, and its effects.
 
-        `bench`: the believed model; `variant`: hypothesis from which the fit starts, whose discrete choices the effects
-        have; `amplitudes` (p,): fitted linear amplitudes of its columns, in prior standard deviations.
+        `variant`: hypothesis from which the fit starts, whose discrete choices the effects have; `amplitudes` (p,):
+        fitted linear amplitudes of its columns, in prior standard deviations.
         """
 
     def alternatives(self, bench: Bench, variant: Variant) -> tuple[Variant, ...]:
-        """Return hypotheses that differ too little from a screened one to be screened; each is fitted beside it.
-
-        `bench`: the believed model; `variant`: hypothesis that was screened. Result: hypotheses with other discrete
-        choices; none by default.
-        """
+        """Return hypotheses with other discrete choices, too like `variant` to be screened, to be fitted beside it."""
         return ()
 
     def in_curves(self, scene: Scene) -> Sequence[FreeParameters]:
-        """Return the forms, formulas with free parameters, in which stress curves can show it; none by default.
-
-        `scene`: what the curves can show.
-        """
+        """Return the forms, formulas with free parameters, in which stress curves can show it; none by default."""
         return ()
 
     def believed(self, bench: Bench) -> bool:
@@ -189,10 +175,9 @@ class Cause(ABC):
         return any(effect.id == self.id for effect in bench.experiment.effects)
 
     def simulated(self, bench: Bench, tried: Iterable[tuple[str, Effect, Mapping[str, Any]]]) -> Iterator[Variant]:
-        """Yield a hypothesis of positive amplitude, whose column is simulated, for each of some effects.
+        """Yield a hypothesis of positive amplitude, whose column is simulated, for each label, effect and settings.
 
-        `tried`: label, effect and settings of each hypothesis; effects that do not apply, or with which the body has no
-        equilibrium, have none.
+        Effects that do not apply, or with which the body has no equilibrium, have none.
         """
         every = list(tried)
         changes = bench.changes([[effect] for _, effect, _ in every])
@@ -213,8 +198,7 @@ def free_parameters(
     """Return k free parameters of a cause from four numbers for each: first guess, prior mean, deviation and step.
 
     `coordinates`: k rows of these numbers; the deviation is the prior standard deviation, the step that of difference
-    quotients. `effects`, `values`: functions of the parameters (k,) and the body's Young's modulus in kPa; they return
-    the changes of a simulation and the physical parameters of the answer, by default the keys of the effect's table.
+    quotients. `effects`, `values`: as in `FreeParameters`; by default values are the keys of the effect's table.
     """
 
     def stated(x: FloatArray, young: float) -> Values:
@@ -232,8 +216,8 @@ def curve_form(
 ) -> FreeParameters:
     """Return a form of a cause in curves, with k free parameters.
 
-    `label`: its name; `prior`: k pairs of prior mean and standard deviation; `effect`: function of the parameters (k,),
-    which returns the change of the law; `starts`: first guesses; by default the prior mean.
+    `prior`: k pairs of prior mean and standard deviation; `effect`: takes the parameters (k,) and returns the change of
+    the law; `starts`: first guesses; by default the prior mean.
     """
     guesses = np.array(starts or [tuple(mean for mean, _ in prior)], np.float64)
     # Fits to curves choose their own steps.

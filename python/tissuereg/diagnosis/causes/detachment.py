@@ -34,10 +34,7 @@ class DetachmentCause(Cause):
     depths: int = 200
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return one hypothesis for each support, direction of the detached rim and detached share of the area.
-
-        Choices at which no node is freed or no equilibrium exists are left out.
-        """
+        """Return one hypothesis for each support, direction of the detached rim and detached share of the area."""
         names = [boundary.name for boundary in bench.experiment.boundaries]
         azimuths = [(share, 360.0 * turn / count) for share, count in self.directions for turn in range(count)]
         return self.simulated(
@@ -90,8 +87,7 @@ class DetachmentCause(Cause):
 
         turns, shares = azimuth + np.array(self.turns_deg), [logit(share, self.least_share) for share in self.starts]
         found = free_parameters(
-            [(azimuth, azimuth, 60.0, 5.0), (start, logit(0.08), 1.5, 0.2)],
-            lambda x, young: (effect(x),),
+            [(azimuth, azimuth, 60.0, 5.0), (start, logit(0.08), 1.5, 0.2)], lambda x, young: (effect(x),)
         )
         return replace(found, between=between, starts=np.array([(turn, share) for turn in turns for share in shares]))
 

@@ -39,10 +39,7 @@ class DrainageCause(Cause):
         """Return two free parameters: logit of the share that relaxes, and logarithm of the time constant in s."""
         tau, middle = float(variant.settings["tau"]), float(np.log(times_of(bench, self.times)).mean())
         return free_parameters(
-            [
-                (logit(self.share * float(amplitudes[0])), 0.0, 1.2, 0.1),
-                (float(np.log(tau)), middle, 1.5, 0.1),
-            ],
+            [(logit(self.share * float(amplitudes[0])), 0.0, 1.2, 0.1), (float(np.log(tau)), middle, 1.5, 0.1)],
             lambda x, young: (Drainage(share=logistic(x[0]), tau_s=float(np.exp(x[1]))),),
         )
 

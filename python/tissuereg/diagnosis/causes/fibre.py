@@ -26,22 +26,17 @@ class FibreCause(Cause):
     size: float = 0.5
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return one hypothesis for each of 13 fibre directions: the lines through neighbours in a cubic lattice.
-
-        Their stiffness is fixed. There is none where the believed material has fibres.
-        """
+        """Return one hypothesis for each of 13 directions, lines in a cubic lattice; none where fibres are believed."""
         if bench.experiment.material.fibre is not None:
             return []
         named = ((f"along {' '.join(f'{x:.2f}' for x in direction)}", direction) for direction in _lines())
         return self.simulated(bench, ((name, _effect(self.size, way), {"direction": way}) for name, way in named))
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
-        """Return three free parameters: the logarithm of the stiffness, and two rotations of the direction.
+        """Return three free parameters: the logarithm of the stiffness over the shear modulus, and two rotations.
 
-        The stiffness is given over the shear modulus. The rotations are tangents of the angles by which the fibres
-        deviate from the direction of the hypothesis, towards two perpendicular axes. `bench`: the simulation as
-        believed; `variant`: hypothesis that starts the fit; `amplitudes` (1,): its fitted amplitudes, in prior standard
-        deviations. The result has first guess, prior, step and effect of each parameter.
+        The rotations are tangents of the angles by which the fibres deviate from the direction of the hypothesis,
+        towards two perpendicular axes.
         """
         along = np.asarray(variant.settings["direction"])
         sides = np.linalg.svd(along[None])[2][1:]

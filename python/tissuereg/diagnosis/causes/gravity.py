@@ -32,10 +32,9 @@ class GravityCause(Cause):
     known: float = 0.2
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return one hypothesis, whose three amplitudes are the components of the change of the body's weight.
+        """Return one hypothesis, whose columns (3, size) are by the components of the change of the body's weight.
 
-        Columns (3, size): changes by one prior standard deviation of each component. The list is empty where a
-        simulation with a changed weight has no equilibrium.
+        There is none where a simulation with a changed weight has no equilibrium.
         """
         spread = self.unknown if bench.experiment.gravity is None else self.known
         if bench.is_elastic:
@@ -68,11 +67,7 @@ class GravityCause(Cause):
         return f"Gravity acts along ({axis}) with {over:.2g} g, unlike in the simulation."
 
     def _by_tangents(self, bench: Bench) -> FloatArray:
-        """Return the derivatives of the prediction by the weight along each axis, shape (3, size), in mm and mN.
-
-        They are per unit of standard gravity. Pads are attached to the shape that has sagged under the weight, so that
-        they move with it.
-        """
+        """Return the derivatives (3, size) by the weight along each axis, over standard gravity, in mm and mN."""
         worked, tangents = bench.tangents.worked, bench.tangents
         unit = [worked.material.weight(axis) for axis in np.eye(3)]
         free = Simulator(worked.mesh, element=bench.predictor.element)
@@ -82,6 +77,7 @@ class GravityCause(Cause):
             else Load(body_force=np.zeros(3))
         )
         threads = bench.predictor.threads
+        # Pads are attached to the shape that has sagged under the weight, so that they move with it.
         standing = free.solve(rest, worked.material, threads=threads).all_displacement
         sag = (
             Linearised(free, rest, worked.material, standing, threads=threads)

@@ -36,10 +36,7 @@ class InclusionCause(Cause):
     least_excess: float = 0.05
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return one hypothesis, linear in the contrast, for each radius and each centre on a grid.
-
-        There is none for a body with memory.
-        """
+        """Return one hypothesis, linear in the contrast, for each radius and centre on a grid; none with memory."""
         if not bench.is_elastic:
             return
         balls = balls_in(bench.experiment.mesh, self.radii, self.spacing)

@@ -36,15 +36,12 @@ class LawCause(Cause):
     def effect(self, law: str, size: float, form: str) -> Effect:
         """Return the effect that puts another law in place of the believed one.
 
-        `law`: its name; `size`: shape parameter, dimensionless, 0 for the neo-Hookean law; `form` {"coupled", "log",
-        "quadratic"}: energy of volume change, as `Material.volumetric`.
+        `size`: shape parameter, dimensionless, 0 for the neo-Hookean law; `form` {"coupled", "log", "quadratic"}:
+        energy of volume change, as `Material.volumetric`.
         """
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return one hypothesis for each law and shape parameter tried; none unless the believed law is neo-Hookean.
-
-        Its energy of volume change is the one with which it contains the believed law.
-        """
+        """Return one hypothesis for each law and shape parameter tried; none unless the believed law is neo-Hookean."""
         return self.simulated(
             bench,
             (
@@ -60,10 +57,7 @@ class LawCause(Cause):
 
 
 def _forms(bench: Bench) -> tuple[str, ...]:
-    """Return the names of the energies of volume change (`Material.volumetric`) that are tried for other laws.
-
-    The first one makes the other law contain the believed one. There is none where the believed law is not neo-Hookean.
-    """
+    """Return the energies of volume change that are tried; the first makes the other law contain the believed one."""
     material = bench.experiment.material
     if material.law != "neo-hookean":
         return ()
@@ -138,10 +132,7 @@ class AsymmetryCause(LawCause):
         return Asymmetry(law=law, alpha=(exponent,), weight=(1.0,), volumetric=form)
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
-        """Return one free parameter: Ogden's exponent minus 2, or the logarithm of the stiffness ratio.
-
-        The ratio is that of the bimodular law, of tension over compression; an exponent of 2 is the neo-Hookean law.
-        """
+        """Return one free parameter: Ogden's exponent minus 2, or the logarithm of the ratio of a bimodular law."""
         form, law = str(variant.settings["volumetric"]), str(variant.settings["law"])
         start = float(variant.settings["size"]) * min(max(float(amplitudes[0]), 0.1), 2.0)
         if law == "ogden":
@@ -157,10 +148,7 @@ class AsymmetryCause(LawCause):
         )
 
     def alternatives(self, bench: Bench, variant: Variant) -> tuple[Variant, ...]:
-        """Return the hypothesis with the same Ogden exponent for each other form of the energy of volume change.
-
-        There is none for a bimodular law.
-        """
+        """Return the hypotheses of another energy of volume change; none for a bimodular law."""
         return () if variant.settings["law"] == "bimodular" else super().alternatives(bench, variant)
 
     def in_curves(self, scene: Scene) -> Sequence[FreeParameters]:
@@ -182,11 +170,7 @@ class AsymmetryCause(LawCause):
 #: Laws by which a body stiffens with strain, which are tried in material tests, and values of their first shape
 #: parameter at which changes of a rig are simulated: exponents of Fung's law (skin has some tens), a ratio of Yeoh's. A
 #: law without values is not tried in rigs.
-STIFFENING: dict[str, tuple[float, ...]] = {
-    "fung": (1.0, 4.0, 16.0),
-    "veronda-westmann": (),
-    "yeoh": (2.0,),
-}
+STIFFENING: dict[str, tuple[float, ...]] = {"fung": (1.0, 4.0, 16.0), "veronda-westmann": (), "yeoh": (2.0,)}
 
 
 @dataclass(frozen=True)
@@ -216,10 +200,7 @@ class StiffeningCause(LawCause):
         )
 
     def in_curves(self, scene: Scene) -> Sequence[FreeParameters]:
-        """Return a form of each law that is tried in curves; Ogden's too where pull or push alone was tested.
-
-        An exponent then says no more than how the tangent changes.
-        """
+        """Return a form of each law that is tried in curves; Ogden's too where pull or push alone was tested."""
         found = [
             (_by_rate if len(DECLARED[law].shape) == 1 else _by_ratios)(law, scene.invariant) for law in STIFFENING
         ]

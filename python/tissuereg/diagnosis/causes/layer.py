@@ -40,10 +40,7 @@ class LayerCause(Cause):
             yield Variant(f"{size:.1f} mm", self.spread * column[None], {"thickness": size})
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
-        """Return two free parameters: logarithms of the thickness in mm and of the contrast.
-
-        The contrast is the modulus of the layer over that of the core.
-        """
+        """Return two free parameters: logarithms of the thickness in mm and of the modulus ratio of layer and core."""
         contrast = 1.0 + float(np.clip(self.spread * amplitudes[0], -0.85, 20.0))
         thickness = float(variant.settings["thickness"])
 

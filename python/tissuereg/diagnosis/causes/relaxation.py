@@ -34,7 +34,7 @@ class RelaxationCause(Cause):
     def variants(self, bench: Bench) -> Iterable[Variant]:
         """Return hypotheses for several time constants, of the whole stress and of its isochoric part.
 
-        A fixed share relaxes. There is none where no time passes, or where relaxation is already believed.
+        There is none where no time passes, or where relaxation is already believed.
         """
         if bench.longest_case == 0.0 or self.believed(bench):
             return []
@@ -64,10 +64,7 @@ class RelaxationCause(Cause):
         )
 
     def in_curves(self, scene: Scene) -> Sequence[FreeParameters]:
-        """Return a Prony series of each number of terms: their shares, and logarithms of their times in s.
-
-        There is none where the curves cannot show effects of time.
-        """
+        """Return a Prony series of each number of terms: shares, and logarithms of times in s; none without time."""
         if not (scene.paced and scene.longest_s > scene.shortest_s):
             return []
         low, high = float(np.log(scene.shortest_s)), float(np.log(scene.longest_s))

@@ -50,8 +50,8 @@ class SlidingCause(Cause):
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
         """Return the logarithm of the compliance of springs, or the logarithms of friction coefficient and cohesion.
 
-        The compliance is Young's modulus over spring stiffness and extent of the body; the cohesion is given over the
-        modulus. All are dimensionless.
+        The compliance is Young's modulus over spring stiffness and extent of the body; the cohesion is over the
+        modulus.
         """
         name, size = str(variant.settings["boundary"]), float(variant.settings["size"])
         more = float(np.clip(amplitudes[0], 0.1, 10.0))

@@ -28,10 +28,7 @@ class SofteningCause(Cause):
     forms: tuple[tuple[str, float], ...] = (("ogden-roxburgh", 0.1), ("damage", 0.0))
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return four hypotheses: Mullins effect and damage, each over two energies; none where one is believed.
-
-        The former acts on reloading only, the latter on first loading too.
-        """
+        """Return four hypotheses: Mullins effect and damage, each over two energies; none where one is believed."""
         if self.believed(bench):
             return []
         return self.simulated(
@@ -48,10 +45,7 @@ class SofteningCause(Cause):
         )
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
-        """Return two free parameters: the logarithms of r - 1 and of m over Young's modulus, both dimensionless.
-
-        The body loses at most the share 1/r of the stress (damage: 1 - 1/r), over an energy density of about m (kPa).
-        """
+        """Return two free parameters: the logarithms of r - 1 and of m over Young's modulus, both dimensionless."""
         betas = dict(self.forms)
         # At most a share of (1 - 1/r) of the stress is lost.
         lost = min((1.0 - 1.0 / self.size) * float(np.clip(amplitudes[0], 0.05, 2.8)), 0.9)

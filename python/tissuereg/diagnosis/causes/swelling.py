@@ -27,8 +27,7 @@ class SwellingCause(Cause):
     def variants(self, bench: Bench) -> Iterable[Variant]:
         """Return one hypothesis for each window of time: the whole session, its first and its second half.
 
-        A fixed linear strain is reached at the end of the window. There is none where no time passes, or where swelling
-        is already believed.
+        There is none where no time passes, or where swelling is already believed.
         """
         if self.believed(bench):
             return
@@ -51,8 +50,7 @@ class SwellingCause(Cause):
         """Return one free parameter: the linear strain at the end of the window, in units of `size` (0.01)."""
         window, pads = variant.settings["window"], str(variant.settings["pads"])
         return free_parameters(
-            [(float(amplitudes[0]), 0.0, 1.5, 0.1)],
-            lambda x, young: (_effect(self.size * float(x[0]), window, pads),),
+            [(float(amplitudes[0]), 0.0, 1.5, 0.1)], lambda x, young: (_effect(self.size * float(x[0]), window, pads),)
         )
 
     def sentence(self, values: Values) -> str:

@@ -29,19 +29,13 @@ class FrameCause(Cause):
     turn_deg: float = 0.5
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return one hypothesis: the tracker's frame is shifted, and rotated about the mean marker place.
-
-        Columns (6, size): changes by one prior standard deviation of each of three shifts and three rotations.
-        """
+        """Return one hypothesis, with columns (6, size): the frame is shifted, and rotated about the mean place."""
         shifts = [changed_by(bench, _frame(bench, np.eye(6)[i])) for i in range(6)]
         scale = np.array([self.shift_mm] * 3 + [self.turn_deg] * 3)
         return [Variant("frame", scale[:, None] * np.array(shifts))]
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
-        """Return six free parameters: shifts along x, y and z in mm, then a rotation vector in degrees.
-
-        The rotation is about the mean reference place of the markers.
-        """
+        """Return six free parameters: shifts in mm, then a rotation vector in degrees about the mean marker place."""
         scale = np.array([self.shift_mm] * 3 + [self.turn_deg] * 3)
         return free_parameters(
             [(float(s * a), 0.0, float(s), 0.05) for s, a in zip(scale, amplitudes, strict=True)],
@@ -66,20 +60,14 @@ class ScaleCause(Cause):
     shift_mm: float = 0.5
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return one hypothesis: a wrong scale about the mean marker place, and three shifts.
-
-        Columns (4, size): changes by one prior standard deviation of the scale and of each shift.
-        """
+        """Return one hypothesis, with columns (4, size): a wrong scale about the mean place, and three shifts."""
         middle = _middle(bench)
         scale = changed_by(bench, Scale(scale=1.01, origin_mm=three(middle))) * 100.0 * self.scale
         shifts = [self.shift_mm * changed_by(bench, Frame(shift_mm=three(axis))) for axis in np.eye(3)]
         return [Variant("scale", np.array([scale, *shifts]))]
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
-        """Return four free parameters: the scale minus one, then shifts along x, y and z in mm.
-
-        The scale is about the mean reference place of the markers; with the shifts it is one about any origin.
-        """
+        """Return four free parameters: the scale minus one, about the mean marker place, then three shifts in mm."""
         spread = np.array([self.scale, self.shift_mm, self.shift_mm, self.shift_mm])
 
         def effect(x: FloatArray) -> Scale:
@@ -119,8 +107,7 @@ class LatencyCause(Cause):
         """Return one free parameter: the delay in units of half the time between frames."""
         unit = self.delay * bench.frame_step
         return free_parameters(
-            [(float(amplitudes[0]), 0.0, 1.0, 0.1)],
-            lambda x, young: (Latency(latency_s=unit * float(x[0])),),
+            [(float(amplitudes[0]), 0.0, 1.0, 0.1)], lambda x, young: (Latency(latency_s=unit * float(x[0])),)
         )
 
     def sentence(self, values: Values) -> str:
@@ -144,10 +131,7 @@ class SlipCause(Cause):
     onsets: int = 4
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return one hypothesis for each marker and each of several times at which it may slip.
-
-        Columns (3, size): changes by one prior standard deviation of its offset along x, y and z.
-        """
+        """Return one hypothesis, with columns (3, size), for each marker and each of several times of its slip."""
         return (
             self._slip(bench, marker, onset)
             for onset in _onsets(bench, self.onsets)
@@ -155,11 +139,7 @@ class SlipCause(Cause):
         )
 
     def alternatives(self, bench: Bench, variant: Variant) -> tuple[Variant, ...]:
-        """Return the hypothesis that the same marker slips at another frame, for each frame near the screened time.
-
-        Frames between the screened times before and after that of `variant` are taken. `bench`: the simulation as
-        believed; `variant`: hypothesis that was screened; the ones returned are fitted beside it.
-        """
+        """Return the hypotheses that the marker slips at another frame between the neighbouring screened times."""
         screened, mine = _onsets(bench, self.onsets), float(variant.settings["onset"])
         before = max((onset for onset in screened if onset < mine), default=-np.inf)
         after = min((onset for onset in screened if onset > mine), default=np.inf)
@@ -181,10 +161,7 @@ class SlipCause(Cause):
         return f"Marker '{values['marker']}' has slipped by {size:.2f} mm, from {values['from_time_s']:.4g} s on."
 
     def _slip(self, bench: Bench, marker: str, onset: float) -> Variant:
-        """Return the hypothesis that `marker` slips at the time `onset` (s), with columns (3, size) in mm.
-
-        Each column is the change of all measured numbers by one prior standard deviation of the offset along x, y or z.
-        """
+        """Return the hypothesis that `marker` slips at the time `onset` (s), with one column for each axis."""
         later, number = bench.layout.times() >= onset, bench.layout.marker_names.index(marker)
         columns = np.zeros((3, bench.layout.size))
         for part in bench.layout.parts:
@@ -224,11 +201,7 @@ class SwapCause(Cause):
 
 
 def _likely_pairs(bench: Bench, most: int) -> list[tuple[str, str]]:
-    """Return the names of the pairs of markers that are most likely exchanged, likeliest first.
-
-    For two markers, the distance of each one's measured place from its predicted place is divided by that from the
-    other one's, both summed over all frames; pairs of largest ratio are likeliest.
-    """
+    """Return the names of the pairs of markers that are most likely exchanged, likeliest first."""
     names = bench.layout.marker_names
     own, other = np.zeros(len(names)), np.zeros((len(names), len(names)))
     for part in bench.layout.parts:
@@ -237,6 +210,7 @@ def _likely_pairs(bench: Bench, most: int) -> list[tuple[str, str]]:
         apart = np.linalg.norm(np.nan_to_num(measured[:, :, None] - predicted[:, None], nan=0.0), axis=3)
         own += np.einsum("fii->i", apart)
         other += apart.sum(axis=0)
+    # Distances of measured from predicted places, over those from the places of the other marker.
     ratio = (own[:, None] + own) / np.maximum(other + other.T, 1e-9)
     pairs = sorted(itertools.combinations(range(len(names)), 2), key=lambda pair: -ratio[pair])
     return [(names[i], names[j]) for i, j in pairs[:most]]

@@ -53,11 +53,10 @@ def suspect_recording(
 ) -> list[RecordingSuspicion]:
     """Return the suspicion that the recording of an experiment is misread, with what to write instead.
 
-    `experiment`: the believed model and the measurements; `layout`: order of the measurements; `element`: elements of
-    the believed model; averaged ones stand for linear tets, unless these made the data; `threads`: threads to use, 0
-    for all cores; `settings`: how readings are weighed. Result: at most one suspicion; empty if the recording is
-    plausible. A reading is reported if it is a thousand times likelier than the input as given, prior odds included,
-    and explains what it changes. Readings that leave motion and forces unchanged cannot be distinguished.
+    `element`: elements of the believed model; averaged ones stand for linear tets, unless these made the data;
+    `threads`: 0 for all cores. Result: at most one suspicion; empty if the recording is plausible. A reading is
+    reported if it is a thousand times likelier than the input as given, prior odds included, and explains what it
+    changes. Readings that leave motion and forces unchanged cannot be distinguished.
     """
     if element == "tet4" and (experiment.simulated is None or experiment.simulated.model != "plain"):
         # Linear tets that lock have forces that are off by a factor, as those in another unit are.
@@ -102,11 +101,7 @@ def _misread(
     others: Sequence[WeighedReading],
     settings: RecordingSettings = RECORDINGS,
 ) -> RecordingSuspicion:
-    """Return the suspicion that another reading of the recording is right.
-
-    `plain`, `best`: the recording as given, and the reading that beats it; `others`: all that were weighed, to name
-    those that fit equally well.
-    """
+    """Return the suspicion that the reading `best` is right, with those of the `others` that fit equally well."""
     reading = best.reading
     facts = []
     if best.markers is not None and plain.markers is not None:

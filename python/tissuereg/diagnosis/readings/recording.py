@@ -39,8 +39,7 @@ def responses(
 ) -> dict[tuple[str, ...], Response]:
     """Return the linear response of the believed model for every set of actuators that a case has, by their names.
 
-    `experiment`: the believed model; weight and memory are left out; `element`: elements of the model; `threads`:
-    threads to use, 0 for all cores. The result is empty where the model has no equilibrium.
+    Weight and memory are left out; `threads`: 0 for all cores. The result is empty where the model has no equilibrium.
     """
     plain = replace(experiment, gravity=None)
     if goes_through_time(plain):

@@ -138,10 +138,7 @@ class Weigher:
         )
 
     def _at(self, turn: FloatArray) -> tuple[float, list[FloatArray] | None]:
-        """Return, for reference places turned by (3, 3), their log likelihood and the response at them, by case.
-
-        The response is (n_pads, 3, n_markers, 3); None where places are too far from the body to be on it.
-        """
+        """Return the log likelihood of places turned by (3, 3), and the response at them by case, None off the body."""
         key = turn.tobytes()
         if key not in self._seen:
             places = self._experiment.marker_reference @ turn.T

@@ -98,10 +98,7 @@ def _curve(title: str, part: "CasePart", before: FloatArray, after: FloatArray, 
 
 
 def _load(case: "Case") -> dict[str, FloatArray]:
-    """Return the size of every actuator's motion or force over its largest, each (n_frames,), by a label.
-
-    The label states the largest size, in mm or mN; actuators at rest are left out.
-    """
+    """Return the size of every actuator's motion or force over its largest, each (n_frames,), by a label."""
     load = {}
     for given, unit in ((case.displacements, "mm"), (case.applied_forces, "mN")):
         for name, values in given.items():

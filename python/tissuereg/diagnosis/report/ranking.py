@@ -150,10 +150,7 @@ def _scaled(value: float) -> float:
 
 
 def _rows(step: "Step", before: Sequence[str]) -> list[dict[str, Any]]:
-    """Return the causes tried in a later round, with ``id`` and ``log_bayes_factor`` in nats, likeliest first.
-
-    `before`: ids of the causes already in the model, which are listed only if they were fitted again.
-    """
+    """Return the causes tried in a later round, likeliest first; those known `before` only if fitted again."""
     gains = {name: screened.log_bayes_factor for name, screened in step.screened.items()}
     gains |= {candidate.id: candidate.gain for candidate in step.candidates}
     tried = {candidate.id for candidate in step.candidates}
