@@ -188,7 +188,7 @@ def gaussian_process(folder: Path, ids: Collection[str] = (), *, threads: int = 
     reduced = scene.null.reduced(scene.residual)
     p = float(chi2.sf(reduced @ reduced, scene.n))
     sizes = scene.white(generic_columns(scene.bench, float(scene.noise.marker_std.mean())))
-    gains = [fit_amplitudes(reduced, scene.null.reduced(columns)).log_bayes_factor for columns in sizes]
+    gains = [fit_amplitudes(reduced, scene.null.reduced(columns))[0] for columns in sizes]
     patch = sizes[int(np.argmax(gains))]
     return {
         "verdict": "consistent" if p > LEVEL else "unexplained",

@@ -60,7 +60,7 @@ class Needs:
 
     def log_likelihood(self, factors: np.ndarray) -> float:
         """Return the log likelihood, up to a constant, for prior standard deviations scaled by factors (n,)."""
-        return fit_amplitudes(self.left, factors[:, None] * self.columns).log_bayes_factor
+        return fit_amplitudes(self.left, factors[:, None] * self.columns)[0]
 
 
 def needs_of(folder: Path, threads: int = 0) -> Needs:

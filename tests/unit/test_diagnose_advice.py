@@ -40,8 +40,8 @@ def test_the_action_that_separates_the_tied_causes_best_is_advised(target, fits)
     advice = advise(target, [step_of(target, fits, "poisson")], [tied("poisson", "scale")])
     assert advice["separates"] == [["poisson", "scale"]]
     each = []
-    for action in _actions(target.bench.experiment):
-        each.append((apart(target, action, fits["poisson"], fits["scale"]), action.words))
+    for words, action in _actions(target.bench.experiment):
+        each.append((apart(target, action, fits["poisson"], fits["scale"]), words))
     assert (advice["separability"], advice["action"]) == max(each)
     # Frame, modulus and forces explain some of it.
     one, other = (_prediction(target, fits[name], action) for name in ("poisson", "scale"))
@@ -54,7 +54,7 @@ def test_a_difference_within_the_uncertainty_of_the_modulus_does_not_separate(ta
     # Known to a third: forces that differ by as much are many noise deviations apart.
     one = replace(fits["poisson"], covariance=np.diag([0.35**2, 1e-4]))
     stiffer = replace(one, x=one.x + np.array([0.35, 0.0]))
-    action = _actions(target.bench.experiment)[0]
+    _, action = _actions(target.bench.experiment)[0]
     monkeypatch.setattr(target.bench, "scales_forces", scales)
     assert apart(target, action, one, stiffer) < 2.0
     surer = replace(one, covariance=np.diag([1e-8, 1e-4]))
@@ -68,7 +68,7 @@ def test_members_of_a_group_are_compared_with_the_finding_of_their_own_round(tar
     findings = [tied("poisson", "scale"), tied("latency", "scale")]
     advice = advise(target, steps, findings)
     assert advice["separates"] == [["poisson", "scale"], ["latency", "scale"]]
-    action = next(a for a in _actions(target.bench.experiment) if a.words == advice["action"])
+    action = dict(_actions(target.bench.experiment))[advice["action"]]
     each = [
         apart(target, action, fits["poisson"], fits["scale"]),
         apart(target, action, later["latency"], later["scale"]),

@@ -15,8 +15,8 @@ from tissuereg.diagnosis.causes import CAUSES
 from tissuereg.diagnosis.causes.base import free_parameters
 from tissuereg.diagnosis.correction import make_correction
 from tissuereg.diagnosis.evidence import Null
+from tissuereg.diagnosis.findings import _pinned, modulus_finding
 from tissuereg.diagnosis.fit import FitTarget, FittedCause, at_believed_modulus, fit, near_to
-from tissuereg.diagnosis.modulus import _pinned, modulus_finding
 from tissuereg.diagnosis.nuisances import other_forms
 from tissuereg.diagnosis.proof import figure_blocks, proof_blocks
 from tissuereg.diagnosis.refined import correctable, corrected_fit, recorrected, refined_effects

@@ -12,8 +12,8 @@ from support.targets import part, screen_of, target_of
 from tissuereg.diagnosis import search as search_module
 from tissuereg.diagnosis.discrepancy import residual_summary
 from tissuereg.diagnosis.evidence import Null
+from tissuereg.diagnosis.findings import modulus_finding
 from tissuereg.diagnosis.fit import fit
-from tissuereg.diagnosis.modulus import modulus_finding
 from tissuereg.diagnosis.noise import Noise, estimate_noise
 from tissuereg.diagnosis.nuisances import effect_nuisances
 from tissuereg.diagnosis.nulls import Misfit, draw_nulls

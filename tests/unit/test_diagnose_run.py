@@ -13,12 +13,11 @@ from support.answers import told
 from support.rigs import rig
 from tissuereg._base.provenance import recorded
 from tissuereg.body.material import Material
-from tissuereg.diagnosis import predictor, run
+from tissuereg.diagnosis import predictor, readings, run
 from tissuereg.diagnosis.bank import make_bank
 from tissuereg.diagnosis.bench import Bench
 from tissuereg.diagnosis.causes import CAUSES
 from tissuereg.diagnosis.predictor import Predictor
-from tissuereg.diagnosis.readings import judge
 from tissuereg.diagnosis.run import _own_modulus
 from tissuereg.diagnosis.signals import SignalLayout
 from tissuereg.errors import LockingWarning
@@ -164,7 +163,7 @@ def test_a_recording_is_compared_with_elements_that_do_not_lock(monkeypatch):
     def suspected(*_, element, **__):
         raise SeenError(element)
 
-    monkeypatch.setattr(judge, "responses", suspected)
+    monkeypatch.setattr(readings, "responses", suspected)
     plain = replace(rig(), simulated=Simulated("plain", "tet4", tables_sha256="0" * 64))
     for experiment, element, expected in (
         (rig(), None, "tet4-averaged"), (rig(), "tet10", "tet10"), (plain, None, "tet4"),

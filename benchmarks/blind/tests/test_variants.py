@@ -11,7 +11,7 @@ from blind.materialise import CASES, case_names, materialise
 from tissuereg.diagnosis import bank, candidates
 from tissuereg.diagnosis.causes import CAUSES, Variant
 from tissuereg.diagnosis.constancy import Constancy
-from tissuereg.diagnosis.modulus import modulus_finding
+from tissuereg.diagnosis.findings import modulus_finding
 from tissuereg.diagnosis.predictor import fingerprint
 from tissuereg.diagnosis.proof import HeldOut
 from tissuereg.diagnosis.settings import DEFAULT

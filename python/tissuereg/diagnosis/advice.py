@@ -1,12 +1,11 @@
 """Advice on what to measure next: the proposed load case whose predicted outcomes best separate tied causes.
 
-Causes are tied where the data cannot decide between them. For every pair of tied causes the two fitted models are
-simulated under the proposed load case; the separability is the norm of the difference of their predictions, whitened by
+The separability of a pair is the norm of the difference between the fitted models' predictions under it, whitened by
 noise, tracker frame, modulus and force error.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -24,14 +23,6 @@ from tissuereg.diagnosis.settings import DEFAULT, AdviceSettings
 from tissuereg.diagnosis.signals import SignalLayout
 from tissuereg.errors import TissueRegError
 from tissuereg.experiment.experiment import Actuator, Case, Experiment
-
-
-@dataclass(frozen=True, eq=False)
-class _Action:
-    """A load case that could be measured next: the instruction in `words`, and the `case` without measurements."""
-
-    words: str
-    case: Case
 
 
 def advise(target: FitTarget, steps: Sequence[Step], findings: Sequence[Finding]) -> dict[str, Any] | None:
@@ -56,26 +47,27 @@ def advise(target: FitTarget, steps: Sequence[Step], findings: Sequence[Finding]
         return None
     tied = dict.fromkeys(candidate for pair in pairs for candidate in pair)
     best: dict[str, Any] | None = None
-    for action in _actions(target.bench.experiment, target.bench.settings.report):
+    for words, rig in _actions(target.bench.experiment, target.bench.settings.report):
         try:
-            outcomes = {candidate: _prediction(target, candidate.fit, action) for candidate in tied}
-            least = min(_separability(target, action, one.fit, outcomes[one], outcomes[other]) for one, other in pairs)
+            outcomes = {candidate: _prediction(target, candidate.fit, rig) for candidate in tied}
+            least = min(_separability(target, rig, one.fit, outcomes[one], outcomes[other]) for one, other in pairs)
         except TissueRegError:  # an action without equilibrium is no advice
             continue
         if best is None or least > best["separability"]:
             named = [[one.id, other.id] for one, other in pairs]
-            best = {"action": action.words, "separates": named, "separability": least}
+            best = {"action": words, "separates": named, "separability": least}
     return best
 
 
-def _actions(experiment: Experiment, settings: AdviceSettings = DEFAULT.report) -> list[_Action]:
-    """Return pushes and pulls of every pad along three axes, its motion with a long hold, or with its force."""
-    actions: list[_Action] = []
+def _actions(experiment: Experiment, settings: AdviceSettings = DEFAULT.report) -> list[tuple[str, Experiment]]:
+    """Return the load cases that could be measured next, each in words and as an experiment without data."""
+    # Pushes and pulls as far as each pad has moved, its own motion with a long hold, and with its force if not known.
+    actions: list[tuple[str, Experiment]] = []
     known = experiment.force_std is not None
 
     def add(words: str, pad: Actuator, motion: FloatArray, hold: float, *, force: bool) -> None:
-        words = f"{words}, hold {hold:.0f} s"
-        actions.append(_Action(words, _case(experiment, pad, motion, hold, settings.ramp_s, force=force)))
+        case = _case(experiment, pad, motion, hold, settings.ramp_s, force=force)
+        actions.append((f"{words}, hold {hold:.0f} s", replace(experiment, cases={"next": case}, rest_case=None)))
 
     for pad in experiment.actuators:
         given = [case.displacements[pad.name] for case in experiment.cases.values() if pad.name in case.displacements]
@@ -104,42 +96,28 @@ def _case(experiment: Experiment, pad: Actuator, motion: FloatArray, hold: float
     return Case("next", times, markers, given, forces={pad.name: np.zeros((len(times), 3))} if force else {})
 
 
-def _measured(target: FitTarget, action: _Action) -> Experiment:
-    return replace(target.bench.experiment, cases={"next": action.case}, rest_case=None)
-
-
-def _prediction(target: FitTarget, fit: Fit, action: _Action) -> FloatArray:
-    """Return a fitted model's prediction under an action, flat: marker displacements in mm, then pad forces in mN."""
-    experiment = _measured(target, action)
-    predictor = Predictor(
-        experiment,
-        SignalLayout(experiment),
-        element=target.bench.predictor.element,
-        threads=target.bench.predictor.threads,
-        settings=target.bench.settings.model,
-    )
+def _prediction(target: FitTarget, fit: Fit, rig: Experiment) -> FloatArray:
+    """Return a fitted model's prediction in a rig, flat: marker displacements in mm, then pad forces in mN."""
+    own, settings = target.bench.predictor, target.bench.settings.model
+    predictor = Predictor(rig, SignalLayout(rig), element=own.element, threads=own.threads, settings=settings)
     return predictor.predict(fit.effects(target.bench.young), young=float(np.exp(fit.x[0])))
 
 
-def _separability(target: FitTarget, action: _Action, fit: Fit, one: FloatArray, other: FloatArray) -> float:
-    """Return the norm of the difference (n,), mm and mN, of two predictions under an action, in standard deviations."""
-    layout = SignalLayout(_measured(target, action))
+def _separability(target: FitTarget, rig: Experiment, fit: Fit, one: FloatArray, other: FloatArray) -> float:
+    """Return the norm of the difference (n,), mm and mN, of two predictions in a rig, in standard deviations."""
+    layout, settings = SignalLayout(rig), target.bench.settings
     markers = layout.of_markers()
-    force_std = (
-        target.noise.force_std
-        if target.bench.experiment.force_std is not None
-        else target.bench.settings.report.measured_to
-    )
+    force_std = settings.report.measured_to if rig.force_std is None else target.noise.force_std
     std = np.where(markers, float(target.noise.marker_std.mean()), force_std)
-    columns = [column for pair in frame_columns(layout, one, target.bench.settings.nuisances) for column in pair]
+    columns = [column for pair in frame_columns(layout, one, settings.nuisances) for column in pair]
     deviation = float(np.sqrt(fit.covariance[0, 0]))
     if target.scales_forces(fit.ids):
         columns.append(np.where(markers, 0.0, deviation * one))
     else:
         stiffer = replace(fit, x=fit.x + deviation * np.eye(len(fit.x))[0])
-        columns.append(_prediction(target, stiffer, action) - one)
+        columns.append(_prediction(target, stiffer, rig) - one)
     for part in layout.parts:
         for pad in range(len(part.pads)):
             strength = np.linalg.norm(part.forces(one)[:, pad], axis=1)
-            columns += list(force_columns(layout, part, pad, target.bench.settings.nuisances.force_left * strength))
+            columns += list(force_columns(layout, part, pad, settings.nuisances.force_left * strength))
     return float(np.linalg.norm(Null(np.array(columns) / std).reduced((one - other) / std)))

@@ -1,9 +1,8 @@
 """Candidates of a round of the search, and the revision of causes that were found one after another.
 
 Candidates are the causes with enough linear evidence given the current model. Each is fitted nonlinearly over its
-likeliest hypothesis and the alternatives to it, with the discretisation error of the cause corrected (`refined`), and
-has a log Bayes factor. The first cause was accepted while the later ones were still missing from the model: in the
-revision each is exchanged for the candidates that came close to it in its round.
+likeliest hypothesis and the alternatives to it, with the discretisation error of the cause corrected (`refined`). In
+the revision each cause is exchanged for those that came close to it, as later ones were missing from the model then.
 """
 
 from collections.abc import Collection, Mapping, Sequence

@@ -1,12 +1,10 @@
 """Constancy test of findings: whether the change that a cause makes is the same in all parts of the data.
 
-A wrong cause is fitted to the effect of the true one. It is right on the whole and wrong in parts: too large in one
-load case and too small in another, or during ramps and during holds. Partitions of the data (`partitions`) divide it by
-case, phase of the load, time, place, axis, channel and size of the load. In each partition the change c that the cause
-makes, weighted part by part, spans a subspace: a cause whose size differs from part to part would change the data in
-it. So do its columns J, if it has several parameters. Nuisances, the modulus and the cause's own parameters are
-projected out. With m orthonormal rows B and the residual z, scaled down to the size of noise where it is larger, the
-evidence for changes of the size t is
+A wrong cause is fitted to the effect of the true one: right on the whole and wrong in parts, such as a load case, or
+ramps and holds. Partitions of the data (`partitions`) divide it. In each the change that the cause makes, weighted part
+by part, spans a subspace: a cause whose size differs from part to part would change the data in it. So do its columns,
+if it has several parameters. Nuisances, the modulus and the cause's own parameters are projected out. With m
+orthonormal rows B and the residual z, the evidence for changes of the size t is
 
     a2 t^2 / (2 (1 + t^2)) - m/2 log(1 + t^2),    a2 = |B z|^2;
 
@@ -165,7 +163,7 @@ def fitted_parts(
     """
     bench = target.bench
     parts = partitions(bench.experiment, bench.layout, bench.base, settings)
-    slopes = target.white(found.jacobian) * found.deviation[:, None]
+    slopes = target.slopes(found)
     changes = [found.prediction - predicted(target, found, without=number) for number in range(len(found.parts))]
     ready = []
     for number, (name, mine) in enumerate(zip(found.ids, found.slices(), strict=True)):
@@ -274,6 +272,3 @@ def _orthonormal(rows: FloatArray, least: float) -> FloatArray:
 def _beside(rows: FloatArray, own: FloatArray) -> FloatArray:
     """Return rows (..., size) without their part in the span of orthonormal rows (k, size)."""
     return np.asarray(rows - (rows @ own.T) @ own)
-
-
-__all__ = ["AfterFit", "Constancy", "FittedPart", "fitted_parts", "p_value", "partitions", "phases"]

@@ -52,11 +52,10 @@ class OfEffect:
 class Correction:
     """The correction from the user's mesh to a finer one: a difference for markers, a linear map per frame for forces.
 
-    Forces need a map because their error is proportional to modulus and memory; the error of the markers depends on the
-    motion alone. `layout`: order of the data; `maps`: by name of the case, matrices (n_frames, n_pads, 3, 3) that map
-    the forces of the pads; forces of other cases are not mapped; `difference` (size,): fine minus mapped prediction, mm
-    and mN; `modulus`: modulus over the believed one for which derivatives are given; forces are proportional to it;
-    `of_effect`: the further discretisation error of a fitted effect; None where there is none.
+    Forces need a map because their error is proportional to modulus and memory; that of the markers depends on the
+    motion alone. `maps`: by name of the case, matrices (n_frames, n_pads, 3, 3); forces of other cases are not mapped;
+    `difference` (size,): fine minus mapped prediction, mm and mN; `modulus`: over the believed one, for which
+    derivatives are given; `of_effect`: the further discretisation error of a fitted effect; None where there is none.
     """
 
     layout: SignalLayout

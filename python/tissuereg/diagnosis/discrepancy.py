@@ -1,10 +1,9 @@
 """The discrepancy: where, when and under which load a model differs from the measurements, and what to check then.
 
-The component of the rig or model near which an unexplained residual is largest is the one to check. Every marker, pad,
-support and case, and the body as a whole, is a hypothesis with one parameter ``a``: the reduced residual has the
-variance ``1 + a w`` instead of 1, where the weight ``w``, 0 to 1, is the proximity of a measured number to the
-component. The chosen one has the largest gain in log likelihood, maximised over ``a``, minus the logarithm of the
-number of components of its kind.
+Every marker, pad, support and case, and the body as a whole, is a hypothesis with one parameter ``a``: the reduced
+residual has the variance ``1 + a w`` instead of 1, where the weight ``w``, 0 to 1, is the proximity of a measured
+number to the component. The one to check has the largest gain in log likelihood, maximised over ``a``, minus the
+logarithm of the number of components of its kind.
 """
 
 from collections import Counter
@@ -26,7 +25,7 @@ from tissuereg.diagnosis.settings import DEFAULT, AdviceSettings
 from tissuereg.diagnosis.signals import SignalLayout
 
 
-def describe(layout: SignalLayout, base: Fit, final: Fit, settings: AdviceSettings = DEFAULT.report) -> dict[str, Any]:
+def describe(layout: SignalLayout, base: Fit, final: Fit, settings: AdviceSettings) -> dict[str, Any]:
     """Return where, when and by how much the believed model with fitted modulus differs from the data.
 
     The result has the entries ``rms_mm`` and ``in_sigma``, root mean square residual of a marker's coordinate in mm and
@@ -80,8 +79,8 @@ def residual_summary(
     The result has the p-value ``p`` of the misfit test, ``where`` (names of markers and pads), the text ``when``,
     ``looks_like`` (an id, or ``"unknown"``), and the text ``sentence``.
     """
-    where = largest_residuals(layout, found.reduced, settings)
-    case, time = worst_frame(layout, found.reduced)
+    where = _largest(layout, found.reduced, settings)
+    case, time = _worst_frame(layout, found.reduced)
     alike = nearest_cause(screen, found, settings.looks_like)[0]
     when = f"most at {time:.4g} s, under case {case}"
     places = f"at {', '.join(where)}" if where else "spread over all markers and pads"
@@ -90,20 +89,15 @@ def residual_summary(
     return {"p": misfit.p, "where": where, "when": when, "looks_like": alike, "sentence": sentence}
 
 
-def largest_residuals(
-    layout: SignalLayout, reduced: FloatArray, settings: AdviceSettings = DEFAULT.report
-) -> list[str]:
-    """Return the names of the markers and pads with the largest root mean square residuals, the largest first.
-
-    `reduced` (size,): whitened by noise and nuisances. At most `most_places` are named, and only those above `above`.
-    """
+def _largest(layout: SignalLayout, reduced: FloatArray, settings: AdviceSettings) -> list[str]:
+    """Return the names of the markers and pads with the largest root mean squares in a whitened residual (size,)."""
     chi = {name: rms(values) for name, values in _by_place(layout, reduced, pads=True).items()}
     worst = sorted((name for name in chi if chi[name] > settings.above), key=lambda name: -chi[name])
     return worst[: settings.most_places]
 
 
-def worst_frame(layout: SignalLayout, reduced: FloatArray) -> tuple[str, float]:
-    """Return the case and the time, s, of the frame with the largest sum of squares in a whitened residual (size,)."""
+def _worst_frame(layout: SignalLayout, reduced: FloatArray) -> tuple[str, float]:
+    """Return case and time, s, of the frame with the largest sum of squares in a whitened residual (size,)."""
     worst = ("", 0.0, -np.inf)
     for part in layout.parts:
         power = (part.markers(reduced) ** 2).sum(axis=(1, 2)) + (part.forces(reduced) ** 2).sum(axis=(1, 2))
@@ -113,7 +107,7 @@ def worst_frame(layout: SignalLayout, reduced: FloatArray) -> tuple[str, float]:
     return worst[:2]
 
 
-def nearest_cause(screen: Screen, found: Search, least: float = DEFAULT.report.looks_like) -> tuple[str, float]:
+def nearest_cause(screen: Screen, found: Search, least: float) -> tuple[str, float]:
     """Return the id of the further cause that the remaining residual resembles most, and its log Bayes factor, nats.
 
     The id is ``"unknown"`` where that is less than `least`.
@@ -127,12 +121,8 @@ def nearest_cause(screen: Screen, found: Search, least: float = DEFAULT.report.l
 
 
 @dataclass(frozen=True, eq=False)
-class RigComponent:
-    """A component of the rig or of the model that can be checked.
-
-    `kind`: ``marker``, ``pad``, ``support``, ``case`` or ``body``; `name`: its name in the experiment; for the body the
-    name of its elements; `proximity` (size,): how near every measured number is to the component, 0 to 1.
-    """
+class _Component:
+    """A component that can be checked: its kind and name, and how near (size,) every number is to it, 0 to 1."""
 
     kind: str
     name: str
@@ -164,11 +154,11 @@ def next_check(bench: Bench, residual: FloatArray, like: str = "") -> dict[str, 
     count = Counter(one.kind for one in components)
     chosen = max(
         components,
-        key=lambda one: log_likelihood_gain(residual, one.proximity, layout, settings) - np.log(count[one.kind]),
+        key=lambda one: _gain(residual, one.proximity, layout, settings) - np.log(count[one.kind]),
     )
     share = _share(residual, chosen.proximity, layout, settings)
-    case, time = worst_frame(layout, residual * np.sqrt(chosen.proximity))
-    where = largest_residuals(layout, residual, settings)
+    case, time = _worst_frame(layout, residual * np.sqrt(chosen.proximity))
+    where = _largest(layout, residual, settings)
     elements = "" if chosen.name == "tet10" else "diagnose again with the elements tet10; if the misfit remains, "
     action = _ACTIONS[chosen.kind].format(name=chosen.name, elements=elements)
     worst = f", worst at {', '.join(where)}" if where and chosen.kind not in ("marker", "case") else ""
@@ -179,14 +169,14 @@ def next_check(bench: Bench, residual: FloatArray, like: str = "") -> dict[str, 
     return to_check(action, chosen.kind, chosen.name, share=share, where=where, case=case, time_s=time)
 
 
-def components_of(bench: Bench) -> Iterator[RigComponent]:
+def components_of(bench: Bench) -> Iterator[_Component]:
     """Yield every marker, pad, support and case, and the body, as components that can be checked.
 
     Proximities (size,) weigh every measured number from 0 (far) to 1 (at it); the body's is that of its motion.
     """
     layout, experiment = bench.layout, bench.experiment
     for i, name in enumerate(layout.marker_names):
-        yield RigComponent("marker", name, _near_markers(layout, np.eye(len(layout.marker_names))[i]))
+        yield _Component("marker", name, _near_markers(layout, np.eye(len(layout.marker_names))[i]))
     for pad in experiment.actuators:
         near = _near_markers(layout, _closeness(bench, pad.nodes))
         for part in layout.parts:
@@ -195,23 +185,17 @@ def components_of(bench: Bench) -> Iterator[RigComponent]:
                 part.markers(near)[:] = 0.0
             if pad.name in part.pads:
                 part.forces(near)[:, part.pads.index(pad.name)] = 1.0
-        yield RigComponent("pad", pad.name, near)
+        yield _Component("pad", pad.name, near)
     for boundary in experiment.boundaries:
-        yield RigComponent("support", boundary.name, _near_markers(layout, _closeness(bench, boundary.nodes)))
+        yield _Component("support", boundary.name, _near_markers(layout, _closeness(bench, boundary.nodes)))
     if len(layout.parts) > 1:
         for part in layout.parts:
-            yield RigComponent("case", part.name, layout.of_case(part.name).astype(np.float64))
-    yield RigComponent("body", bench.predictor.element, _squared_motion(layout, bench.base))
+            yield _Component("case", part.name, layout.of_case(part.name).astype(np.float64))
+    yield _Component("body", bench.predictor.element, _squared_motion(layout, bench.base))
 
 
-def log_likelihood_gain(
-    residual: FloatArray, proximity: FloatArray, layout: SignalLayout, settings: AdviceSettings = DEFAULT.report
-) -> float:
-    """Return the gain in log likelihood, in nats, of an additional variance near a component over unit variance.
-
-    `residual` (size,): whitened by noise and nuisances; `proximity` (size,): weight of every measured number in the
-    additional variance, 0 to 1. The gain is the largest over the sizes of that variance.
-    """
+def _gain(residual: FloatArray, proximity: FloatArray, layout: SignalLayout, settings: AdviceSettings) -> float:
+    """Return the largest gain in log likelihood, nats, of additional variances near a component over unit variance."""
     seen, variances = layout.seen, np.geomspace(*settings.variances)
     squares, variance = residual[seen] ** 2, 1.0 + variances[:, None] * proximity[seen]
     nats = 0.5 * (squares * (1.0 - 1.0 / variance) - np.log(variance)).sum(axis=1)

@@ -10,7 +10,6 @@ columns are first multiplied by C0^-1/2 ("reduced"), which integrates the nuisan
 """
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from itertools import accumulate, pairwise
 
 import numpy as np
@@ -40,29 +39,17 @@ class Null:
         return np.asarray(white - ((white @ self._modes.T) * self._shrink) @ self._modes)
 
 
-@dataclass(frozen=True, eq=False)
-class Amplitudes:
-    """Result of the linear fit of one hypothesis with p amplitudes.
-
-    `log_bayes_factor`: against no cause, nats; `mean` (p,): posterior mean of the amplitudes, in prior deviations.
-    """
-
-    log_bayes_factor: float
-    mean: FloatArray
-
-
-def fit_amplitudes(residual: FloatArray, columns: FloatArray) -> Amplitudes:
-    """Return the evidence and the amplitudes of one hypothesis, by linear regression on the residual.
+def fit_amplitudes(residual: FloatArray, columns: FloatArray) -> tuple[float, FloatArray]:
+    """Return the log Bayes factor of one hypothesis against no cause, nats, and its amplitudes, by linear regression.
 
     `residual` (size,), `columns` (p, size): of the data, and changes by one prior standard deviation of each amplitude,
-    both whitened by noise and nuisances (`Null.reduced`).
+    both whitened by noise and nuisances (`Null.reduced`). The amplitudes (p,) are posterior means in prior deviations.
     """
     inner = np.eye(len(columns)) + columns @ columns.T
     factor = cho_factor(inner, lower=True)
     along = columns @ residual
     mean = cho_solve(factor, along)
-    log_factor = float(0.5 * along @ mean - np.log(np.diag(factor[0])).sum())
-    return Amplitudes(log_factor, mean)
+    return float(0.5 * along @ mean - np.log(np.diag(factor[0])).sum()), mean
 
 
 class Blocks:

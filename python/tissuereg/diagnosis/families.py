@@ -1,10 +1,9 @@
 """Families of causes: whether the data hold a cause itself, or only the kind of error that it is one of.
 
-A true cause that the catalogue lacks is best imitated by a cause of its family (`Cause.family`), such as one law by
-another. What that leaves of the data lies along changes that further members of the family make, or along parts in
-which the cause is inconstant (`constancy`). The evidence for either, the mean over hypotheses and members, is compared
-with that of data in which nothing but noise and nuisances is left. Where it is too large the family alone is stated,
-with its best member.
+A true cause that the catalogue lacks is best imitated by a cause of its family (`Cause.family`). What that leaves of
+the data lies along changes that further members of the family make, or along parts in which the cause is inconstant
+(`constancy`). The evidence for either is compared with that of data in which nothing but noise and nuisances is left.
+Where it is too large the family alone is stated, with its best member.
 """
 
 from collections.abc import Sequence
@@ -70,10 +69,8 @@ class Membership:
 
     def to_json(self) -> dict[str, Any]:
         """Return the test as plain data for JSON."""
-        alone = not self.holds
-        return {"id": self.family, "words": self.words, "p": self.p, "alone": alone} | (
-            {"reason": self.reason} if alone else {}
-        )
+        said = {} if self.holds else {"reason": self.reason}
+        return {"id": self.family, "words": self.words, "p": self.p, "alone": not self.holds, **said}
 
 
 def memberships(parts: Sequence[FittedPart], screen: Screen, settings: ConstancySettings) -> dict[int, Membership]:
@@ -109,6 +106,3 @@ def _of_relatives(part: FittedPart, screen: Screen, settings: ConstancySettings)
         if each:
             members.append(log_mean_exp(np.array(each), axis=0))
     return log_mean_exp(np.array(members), axis=0) if members else None
-
-
-__all__ = ["FAMILIES", "Membership", "memberships"]

@@ -3,11 +3,10 @@
     minimise 1/2 |C0^-1/2 L^-1 (y - f(x))|^2 + 1/2 |(x - mean) / deviation|^2
 
 over x, the logarithm of the modulus followed by the free parameters (`FreeParameters`) of all causes; y are the
-measured numbers, f(x) those predicted, mean and deviation the prior of x. L^-1 whitens by the noise; the other nuisance
-parameters are integrated out in C0. The Jacobian comes from difference quotients, that of the start in part from a
-similar model; Broyden's update carries it from step to step, and it is evaluated again where steps no longer reduce the
-objective. With H the Hessian in units of the prior
-deviations, the log evidence is -objective - 1/2 log det H - log(number of discrete choices).
+measured numbers, f(x) those predicted. L^-1 whitens by the noise; the other nuisances are integrated out in C0. The
+Jacobian comes from difference quotients, that of the start in part from a similar model; Broyden's update carries it
+from step to step. With H the Hessian in units of the prior deviations, the log evidence is
+-objective - 1/2 log det H - log(number of discrete choices).
 """
 
 from collections.abc import Iterable, Sequence
@@ -96,13 +95,12 @@ class FittedModel:
 class Fit(FittedModel):
     """A model fitted to the data of a body; its first parameter is the logarithm of a factor on the modulus.
 
-    `mean`, `deviation` (k,): prior mean and standard deviation of x; `prediction` (size,): prediction of all measured
-    numbers, corrected for the discretisation error, mm and mN; `jacobian` (k, size): derivative of the corrected
-    prediction by x, mm and mN; `residual` (size,): measured minus predicted, whitened by the noise alone; 0 where
-    nothing was measured; `objective`: minimum of half the squared residual (whitened by noise and nuisances) plus half
-    the squared distance of x from its prior mean in prior deviations, nats; `log_evidence`: logarithm of the evidence
-    in nats, up to a constant that is the same for all fits to the same data; `choices`: number of discrete hypotheses
-    among which these causes were chosen.
+    `mean`, `deviation` (k,): prior mean and standard deviation of x; `prediction` (size,): of all measured numbers,
+    corrected for the discretisation error, mm and mN; `jacobian` (k, size): its derivative by x; `residual` (size,):
+    measured minus predicted, whitened by the noise alone; 0 where nothing was measured; `objective`: minimum of half
+    the squared residual, whitened by nuisances too, plus half the squared distance of x from its prior mean in prior
+    deviations, nats; `log_evidence`: nats, up to a constant of all fits to the same data; `choices`: number of discrete
+    hypotheses among which these causes were chosen.
     """
 
     mean: FloatArray
@@ -128,11 +126,11 @@ class Fit(FittedModel):
         return effects_of(self.parts, self.x, self.young(believed))
 
     def values(self, number: int, believed: float) -> tuple[Values, Values]:
-        """Return the physical parameters of one cause and their standard deviations, both by key.
+        """Return the physical parameters of the cause of a number and their standard deviations, both by key.
 
-        `number`: number of the cause in the fit; `believed`: believed modulus, kPa; the ending of a key names the unit.
-        Physical parameters may be nonlinear functions of the fitted ones. Each principal axis of the fitted covariance
-        is followed by one deviation to both sides; half the sum of the squared changes is the variance.
+        `believed`: believed modulus, kPa. Physical parameters may be nonlinear functions of the fitted ones: each
+        principal axis of the fitted covariance is followed by one deviation to both sides; half the sum of the squared
+        changes is the variance.
         """
         part, mine = self.parts[number], self.slices()[number]
         young = self.young(believed)
@@ -155,8 +153,8 @@ class Fit(FittedModel):
 class Near:
     """A fitted model from which the fit of a similar one begins, whose first j parameters are the same.
 
-    `x` (j,): its parameters; `jacobian` (j, size): guess of the derivatives of the corrected prediction by them, mm and
-    mN; `solved`: its equilibria, if they are known.
+    `x` (j,): its parameters; `jacobian` (j, size): guess of the derivatives by them; `solved`: its equilibria, if
+    known.
     """
 
     x: FloatArray
@@ -183,14 +181,13 @@ def fit(
     least: float = -np.inf,
     near: Near | None = None,
 ) -> Fit | None:
-    """Return the fit of a model with causes to the data.
+    """Return the fit of a model with causes to the data; None where there is no equilibrium at the start.
 
-    `target`: data, believed model, noise and nuisances; `parts`: causes with their parameters; empty for the believed
-    model; `start` (k,): first guess of the logarithm of the modulus and the parameters of all causes; by default that
-    of `near`, a similar model, and the first guess that the further causes themselves have; `choices`: number of
-    discrete hypotheses among which these were chosen; its logarithm is subtracted from the evidence; `least`: log
-    evidence, in nats, below which a fit is of no use. A fit that is not expected to reach it ends early, away from
-    its optimum or with an approximate Jacobian. The result is None where there is no equilibrium at the start.
+    `parts`: the causes; empty for the believed model; `start` (k,): first guess of x; by default that of `near`, a
+    similar model, and the first guess that the further causes themselves have; `choices`: number of discrete hypotheses
+    among which these were chosen; its logarithm is subtracted from the evidence; `least`: log evidence, in nats, below
+    which a fit is of no use. A fit that is not expected to reach it ends early, away from its optimum or with an
+    approximate Jacobian.
     """
     limits, solver = target.bench.settings.fit, _FitSolver(target, tuple(parts), near)
     x = solver.start if start is None else start.copy()

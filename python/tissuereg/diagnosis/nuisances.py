@@ -25,17 +25,8 @@ _LEAST_FORM = 1e-6
 
 #: Nuisances of the error of mesh and shape begin with these words.
 OF_THE_MESH = (
-    "mesh ",
-    "bent ",
-    "place of ",
-    "rim of ",
-    "size of ",
-    "height of ",
-    "tilt of ",
-    "edge of ",
-    "facets",
-    "surface ",
-)
+    "mesh ", "bent ", "place of ", "rim of ", "size of ", "height of ", "tilt of ", "edge of ", "facets", "surface ",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,16 +88,12 @@ def make_nuisances(bench: Bench, mesh_errors: FloatArray, correction: Correction
     rows = [(name, column) for (name, _), column in zip(rows, carried, strict=True)]
     if not bench.is_exact:
         rows += shape_nuisances(bench, correction.corrected(bench.base), keep=keep)
-    kept = [
-        (name, column)
-        for name, column in rows
-        if column.any() and (numbers.of_mesh or not name.startswith(OF_THE_MESH))
-    ]
+    kept = [row for row in rows if row[1].any() and (numbers.of_mesh or not row[0].startswith(OF_THE_MESH))]
     return Nuisances(tuple(name for name, _ in kept), np.array([column for _, column in kept]))
 
 
 def frame_columns(
-    layout: SignalLayout, base: FloatArray, settings: NuisanceSettings = DEFAULT.nuisances
+    layout: SignalLayout, base: FloatArray, settings: NuisanceSettings
 ) -> Iterator[tuple[FloatArray, FloatArray]]:
     """Yield for each axis the changes (size,) by a shift along it and by a rotation about it of the tracker's frame.
 
@@ -150,17 +137,17 @@ def effect_nuisances(bench: Bench, change: FloatArray) -> FloatArray:
     `change` (size,): that the causes found so far make. Result: (n, size), changes by one prior standard deviation: in
     every case the change itself, smooth patterns over the markers and the components of every force. All in mm and mN.
     """
-    layout = bench.layout
+    layout, share = bench.layout, bench.settings.nuisances.effect_error
     patterns = smooth_patterns(layout.reference, bench.extent, bench.settings.nuisances)
     columns = []
     for part in layout.parts:
         mine = np.zeros(layout.size)
-        part.markers(mine)[:] = bench.settings.nuisances.effect_error * part.markers(change)
+        part.markers(mine)[:] = share * part.markers(change)
         columns.append(mine)
-        history = bench.settings.nuisances.effect_error * np.sqrt((part.markers(change) ** 2).mean(axis=(1, 2)))
+        history = share * np.sqrt((part.markers(change) ** 2).mean(axis=(1, 2)))
         columns += list(marker_columns(layout, part, history, patterns).reshape(-1, layout.size))
         for i in range(len(part.pads)):
-            strength = bench.settings.nuisances.effect_error * np.linalg.norm(part.forces(change)[:, i], axis=1)
+            strength = share * np.linalg.norm(part.forces(change)[:, i], axis=1)
             columns += list(force_columns(layout, part, i, strength))
     return np.array([column for column in columns if column.any()]).reshape(-1, layout.size)
 
@@ -171,10 +158,10 @@ def other_forms(
     """Return nuisances for the form of a found cause: another place, onset, history or exponent than fitted.
 
     Without them the difference between the fitted and the true form would be taken for a further cause. `hypotheses`
-    (n_variants, p, size): columns of all hypotheses of the cause, whitened by the noise; `change` (size,): change that
-    the fitted cause makes, whitened. Result: (n, size), whitened changes by one prior standard deviation, orthogonal to
-    the fitted change: each hypothesis that reproduces the share `form_alike` of it is fitted to it and scaled to its
-    norm, and its part orthogonal to it is kept; all together have the size `form_error`.
+    (n_variants, p, size), `change` (size,): columns of all hypotheses of the cause, and change that the fitted one
+    makes, whitened by the noise. Result: (n, size), changes by one prior standard deviation, orthogonal to the fitted
+    one: each hypothesis that reproduces the share `form_alike` of it is fitted to it and scaled to its norm, and its
+    orthogonal part is kept; all together have the size `form_error`.
     """
     power, found = float(change @ change), []
     for columns in hypotheses:

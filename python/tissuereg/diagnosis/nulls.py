@@ -1,15 +1,12 @@
 """Null draws: residuals of effect-free data of the same rig, the thresholds that follow, and the test of a residual.
 
 A draw is the sum of measurement noise of uncertain size, nuisance parameters from their priors, and the discretisation
-error of a mesh that is neither the user's nor the correcting one; noise alone would give much lower thresholds. The log
-Bayes factors of all causes are computed for every draw, and each cause gets a quantile of its own as threshold, the
-same for all and such that any cause passes in a share `level` of the draws.
+error of a mesh that is neither the user's nor the correcting one; noise alone would give much lower thresholds.
 
-In the misfit test of a model's residual a battery of statistics is computed, each a sum of squares (over everything, a
-case, a pad's force, a smooth subspace) or a largest one (over markers, over frames). Sums over single cases, markers
-and frames detect large local residuals. A wrong cause leaves small, smooth residuals in phase with the load; sums over
-subspaces of smooth patterns, which hold little of the noise, detect those. The logarithm of each statistic is
-standardised by its mean and standard deviation over null draws, and the p-value is that of the largest of them.
+The misfit test has a battery of statistics, each a sum of squares (over everything, a case, a pad's force, a smooth
+subspace) or a largest one (over markers, over frames). Single cases, markers and frames detect large local residuals;
+smooth subspaces, which hold little of the noise, the smooth residuals in phase with the load that a wrong cause leaves.
+The logarithm of each is standardised over null draws, and the p-value is that of the largest of them.
 """
 
 from collections.abc import Mapping, Sequence
@@ -28,10 +25,9 @@ from tissuereg.diagnosis.signals import SignalLayout
 
 @dataclass(frozen=True, eq=False)
 class Nulls:
-    """Residuals drawn for data without any effect, and the thresholds of causes that follow from them.
+    """Residuals (n, size) drawn for data without any effect, whitened by noise and nuisances, and thresholds of causes.
 
-    `residuals` (n, size): whitened by noise and nuisances; `thresholds`: log Bayes factor that each cause must exceed,
-    nats, by id. It is higher for causes that resemble a discretisation error.
+    The thresholds, nats, by id, are higher for causes that resemble a discretisation error.
     """
 
     residuals: FloatArray
@@ -52,29 +48,27 @@ def draw_nulls(
     `mesh_errors`: for each further fine mesh the prediction (size,) on it minus that on the correcting one, mm and mN;
     `seed`: seed of the draws. There are `draws` residuals.
     """
-    generator = np.random.default_rng([seed, 5])
-    alone = settings.nulls.noise_alone
+    generator, rules = np.random.default_rng([seed, 5]), settings.nulls
+    alone = rules.noise_alone
     white = [] if alone else [noise.whitened(error, layout) for error in mesh_errors]
     nuisances = null.nuisances[: 0 if alone else None]
-    draws = np.empty((settings.nulls.draws, layout.size))
-    for i in range(settings.nulls.draws):
-        drawn = noise.draw(layout, generator) * (1.0 + settings.nulls.noise_spread * generator.standard_normal())
-        sizes = 1.0 + settings.nulls.marker_spread * generator.standard_normal(len(layout.marker_names))
+    draws = np.empty((rules.draws, layout.size))
+    for i in range(rules.draws):
+        drawn = noise.draw(layout, generator) * (1.0 + rules.noise_spread * generator.standard_normal())
+        sizes = 1.0 + rules.marker_spread * generator.standard_normal(len(layout.marker_names))
         for part in layout.parts:
             part.markers(drawn)[:] *= sizes[:, None]
         drawn += generator.standard_normal(len(nuisances)) @ nuisances
         if white:
-            size = generator.choice([-1.0, 1.0]) * generator.uniform(
-                1.0 / settings.nulls.mesh_spread, settings.nulls.mesh_spread
-            )
+            size = generator.choice([-1.0, 1.0]) * generator.uniform(1.0 / rules.mesh_spread, rules.mesh_spread)
             drawn += settings.nuisances.mesh_share * size * white[i % len(white)]
         draws[i] = drawn
     residuals = null.reduced(draws)
     found = screen.many(residuals)
     found.pop(UNKNOWN)
-    required = settings.nulls.required
+    required = rules.required
     given = None if required is None else dict.fromkeys(found, required)
-    return Nulls(residuals, given or _thresholds(found, settings.nulls))
+    return Nulls(residuals, given or _thresholds(found, rules))
 
 
 def _thresholds(found: Mapping[str, FloatArray], settings: NullSettings = DEFAULT.nulls) -> dict[str, float]:
@@ -93,9 +87,9 @@ def _thresholds(found: Mapping[str, FloatArray], settings: NullSettings = DEFAUL
 class Misfit:
     """Result of the misfit test.
 
-    `p`: p-value: probability that data without any effect misfit as much; `explained`: share of the believed model's
-    misfit (statistic minus its mean over draws of such data) that the judged model removes: in the sum of all squares
-    or, where that is smaller, in the statistic that is largest for the judged model.
+    `p`: probability that data without any effect misfit as much; `explained`: share of the believed model's misfit
+    (statistic minus its mean over draws of such data) that the judged model removes: in the sum of all squares or,
+    where that is smaller, in the statistic that is largest for the judged model.
     """
 
     p: float

@@ -1,10 +1,9 @@
 """Effects outside the catalogue that a finding must beat: what else could look like it.
 
-No catalogue is whole, and what it lacks is imitated by what it has: a thread that holds a place, or a modulus that
-varies from end to end, by a ball of other stiffness. Four kinds of effects stand for what is outside: the modulus
-varies in any smooth way, a place is held by something else, a place grows, a pad moves otherwise. Each has columns, as
-the hypotheses of a cause have, and by them its evidence in what the model without a finding leaves. With that evidence
-the finding has a share of the probability of all, which is its `Outside.probability`.
+No catalogue is whole, and what it lacks is imitated by what it has: a thread that holds a place by a ball of other
+stiffness. Four kinds of effects stand for what is outside (`OUTSIDE`). Each has columns, as the hypotheses of a cause
+have, and by them its evidence in what the model without a finding leaves. With that evidence the finding has a share of
+the probability of all, which is its `Outside.probability`.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -17,7 +16,6 @@ from scipy.special import softmax
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.body.load import Load
-from tissuereg.body.mesh import Mesh
 from tissuereg.diagnosis.bench import Bench
 from tissuereg.diagnosis.causes import CAUSES, Variant
 from tissuereg.diagnosis.causes.actuators import load_of, motion_of, present_pads
@@ -102,7 +100,9 @@ def outside_variants(bench: Bench) -> dict[str, list[Variant]]:
     if not bench.is_elastic:
         return {}
     mesh, rules, tangents = bench.experiment.mesh, bench.settings.outside, bench.tangents
-    fields = _fields(mesh, rules)
+    centres = mesh.nodes[mesh.tets].mean(axis=1)
+    # Relative changes of the modulus of every tet, (n_patterns, n_tets), for each length.
+    fields = [thinned_patterns(centres, length * mesh.extent, rules) for length in rules.lengths]
     balls = balls_in(mesh, rules.radii, rules.spacing)
     shares = shares_of_balls(mesh, balls)
     weights, pushes = _springs(bench, shares), _growth(bench, shares)
@@ -128,20 +128,6 @@ def outside_variants(bench: Bench) -> dict[str, list[Variant]]:
         "pad-motion": _pad_variants(bench),
     }
     return {kind: several for kind, several in found.items() if several and rules.sizes(kind)}
-
-
-def _fields(mesh: Mesh, rules: OutsideSettings) -> list[FloatArray]:
-    """Return relative changes of the modulus of every tet, (n_patterns, n_tets), for each length."""
-    return [
-        thinned_patterns(
-            mesh.nodes[mesh.tets].mean(axis=1),
-            length * mesh.extent,
-            most_places=rules.most_places,
-            held_variance=rules.held_variance,
-            most=rules.most_patterns,
-        )
-        for length in rules.lengths
-    ]
 
 
 def _springs(bench: Bench, shares: "sparse.csr_array") -> "sparse.csr_array":
@@ -172,10 +158,9 @@ def _growth(bench: Bench, shares: "sparse.csr_array") -> "sparse.csr_array":
 def _pad_variants(bench: Bench) -> list[Variant]:
     """Return one hypothesis of 36 columns for each pad that a case moves: it shifts and turns in other ways."""
     pads = [pad for pad in present_pads(bench) if pad.kind == "displacement"]
-    motions = [
-        (name, motion) for case in bench.experiment.cases.values() for name, motion in case.displacements.items()
-    ]
-    most = {pad.name: max(_largest(motion) for name, motion in motions if name == pad.name) for pad in pads}
+    most = dict.fromkeys((pad.name for pad in pads), 0.0)
+    for case in bench.experiment.cases.values():
+        most |= {name: max(most.get(name, 0.0), _largest(motion)) for name, motion in case.displacements.items()}
 
     def moved(state: State) -> list[Load]:
         # Shifts along and turns about three axes, by each component of the motion, and by that times its relative size.
@@ -219,10 +204,8 @@ class OutsideBank:
         """
         reduced, found = null.reduced(residual)[None], {}
         for kind, columns in self._columns.items():
-            kept = null.reduced(columns)
-            blocks = [
-                Blocks((size * kept).astype(np.float32), positive=self._positive[kind]) for size in rules.sizes(kind)
-            ]
+            kept, positive = null.reduced(columns), self._positive[kind]
+            blocks = [Blocks((size * kept).astype(np.float32), positive=positive) for size in rules.sizes(kind)]
             found[kind] = float(log_mean_exp(np.concatenate([one.log_bayes_factors(reduced)[0] for one in blocks])))
         return found
 
@@ -267,6 +250,3 @@ def _won(null: Null, before: FloatArray, after: FloatArray) -> float:
 def _clock(bench: Bench) -> FloatArray:
     """Return the time of every measured number (size,) since the first frame, over the duration of all cases."""
     return (bench.layout.times() - bench.first_time) / max(bench.last_time - bench.first_time, 1e-9)
-
-
-__all__ = ["OUTSIDE", "Outside", "OutsideBank", "nearest_of", "outside_tests", "outside_variants"]

@@ -1,10 +1,8 @@
 """Columns of smooth changes: Gaussian-process patterns over the markers times a history over the frames of a case.
 
 A column is a flat vector of all measured numbers, (size,): displacements of markers in mm and forces in mN. The generic
-rival is a hypothesis of such columns for any smooth change, without a physical cause: a Gaussian process in a few
-hundred columns. Over the markers it is smooth. Over the frames of each case it is a sum of histories: the load, its
-square, its fading memory, the clock and a constant. Single frames may be displaced as if the actuator had jammed, and
-forces have columns of their own. Its size is unknown: the evidence is the mean over several sizes.
+rival is a hypothesis of such columns for any smooth change, without a physical cause. Single frames may be displaced in
+it as if the actuator had jammed. Its size is unknown: the evidence is the mean over several sizes.
 """
 
 import numpy as np
@@ -12,7 +10,7 @@ from scipy.spatial.distance import cdist
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.bench import Bench
-from tissuereg.diagnosis.settings import DEFAULT, NuisanceSettings
+from tissuereg.diagnosis.settings import DEFAULT, NuisanceSettings, OutsideSettings, ShapeSettings
 from tissuereg.diagnosis.signals import CasePart, SignalLayout
 
 #: Places whose patterns are computed at a time, to bound memory.
@@ -22,7 +20,7 @@ _AT_A_TIME = 20_000
 _LEAST = 1e-6
 
 
-def smooth_patterns(places: FloatArray, extent: float, settings: NuisanceSettings = DEFAULT.nuisances) -> FloatArray:
+def smooth_patterns(places: FloatArray, extent: float, settings: NuisanceSettings) -> FloatArray:
     """Return the leading eigenvectors of a Gaussian process of unit variance over places.
 
     `places` (n, 3) and `extent` of the body: mm. Result: (n_patterns, n), dimensionless, scaled by the roots of the
@@ -34,23 +32,21 @@ def smooth_patterns(places: FloatArray, extent: float, settings: NuisanceSetting
     return np.asarray((np.sqrt(np.maximum(values[chosen], 0.0)) * vectors[:, chosen]).T)
 
 
-def thinned_patterns(
-    places: FloatArray, length: float, *, most_places: int, held_variance: float, most: int
-) -> FloatArray:
+def thinned_patterns(places: FloatArray, length: float, rules: OutsideSettings | ShapeSettings) -> FloatArray:
     """Return the leading patterns (n_patterns, n) of a Gaussian process of unit variance over places (n, 3) in mm.
 
-    `length`: its correlation length, mm; `most_places`: more places are thinned out evenly to compute the patterns
-    (Nystrom approximation); `held_variance`: share of the variance that they represent; `most`: their number at most.
+    `length`: its correlation length, mm. More than `most_places` are thinned out evenly to compute the patterns
+    (Nystrom approximation), which represent `held_variance` with `most_patterns` at most.
     """
-    known = places[:: -(-len(places) // most_places)]
+    known = places[:: -(-len(places) // rules.most_places)]
 
     def alike(of: FloatArray) -> FloatArray:
         return np.asarray(np.exp(-0.5 * cdist(of, known, "sqeuclidean") / length**2))
 
     values, vectors = np.linalg.eigh(alike(known))
     values, vectors = values[::-1], vectors[:, ::-1]
-    enough = int(np.searchsorted(np.cumsum(values), held_variance * values.sum())) + 1
-    chosen = slice(min(enough, most))
+    enough = int(np.searchsorted(np.cumsum(values), rules.held_variance * values.sum())) + 1
+    chosen = slice(min(enough, rules.most_patterns))
     shapes = vectors[:, chosen] / np.sqrt(values[chosen])
     parts = (places[first : first + _AT_A_TIME] for first in range(0, len(places), _AT_A_TIME))
     return np.concatenate([alike(part) @ shapes for part in parts]).T
@@ -104,38 +100,27 @@ def generic_columns(bench: Bench, marker_std: float) -> FloatArray:
     `marker_std`: typical noise of a coordinate, mm. Result: (n_sizes, p, size), changes of all measured numbers by one
     prior standard deviation of each of the rival's p amplitudes, mm and mN.
     """
-    layout = bench.layout
+    layout, base, rules = bench.layout, bench.base, bench.settings.evidence
     patterns = smooth_patterns(layout.reference, bench.extent, bench.settings.nuisances)
-    base = bench.base
     markers: list[FloatArray] = []
     forces: list[FloatArray] = []
     jams: list[FloatArray] = []
     for part in layout.parts:
-        for history in histories(part, base, bench.settings.evidence.fading):
+        for history in histories(part, base, rules.fading):
             markers += list(marker_columns(layout, part, history, patterns).reshape(-1, layout.size))
             for i in range(len(part.pads)):
                 largest = np.abs(part.forces(base)[:, i]).max()
                 forces += list(force_columns(layout, part, i, history * largest))
         change = np.diff(part.markers(base), axis=0)
         for frame in range(1, part.n_frames):
-            if np.abs(change[frame - 1]).max() > bench.settings.evidence.jam_above * marker_std:
+            if np.abs(change[frame - 1]).max() > rules.jam_above * marker_std:
                 column = np.zeros(layout.size)
-                part.markers(column)[frame] = bench.settings.evidence.jam * change[frame - 1]
-                if part.pads:
-                    part.forces(column)[frame] = (
-                        bench.settings.evidence.jam * np.diff(part.forces(base), axis=0)[frame - 1]
-                    )
+                part.markers(column)[frame] = rules.jam * change[frame - 1]
+                part.forces(column)[frame] = rules.jam * np.diff(part.forces(base), axis=0)[frame - 1]
                 jams.append(column)
-    smooth = np.array(markers).reshape(-1, layout.size)
-    strong = np.array(forces).reshape(-1, layout.size)
-    steps = np.array(jams).reshape(-1, layout.size)
-    return np.array(
-        [
-            np.concatenate([size * marker_std * smooth, share * strong, steps])
-            for size, share in bench.settings.evidence.generic_sizes
-        ],
-        np.float32,
-    ).astype(np.float64)
+    smooth, strong, steps = (np.array(columns).reshape(-1, layout.size) for columns in (markers, forces, jams))
+    each = [np.concatenate([size * marker_std * smooth, share * strong, steps]) for size, share in rules.generic_sizes]
+    return np.array(each, np.float32).astype(np.float64)
 
 
 def histories(part: CasePart, base: FloatArray, fading: float = DEFAULT.evidence.fading) -> list[FloatArray]:

@@ -40,10 +40,9 @@ class LinearModel:
 class HeldOut:
     """Predictions of blocks of data by several models, each fitted to all data but the block.
 
-    `blocks`: names of the blocks; `log_density` (n_models, n_blocks): log predictive density of every block given all
-    others, nats; `residuals` (n_models, size): whitened residuals of the predictions, NaN outside all blocks;
-    `expected_gain`: gain in log density over the model before, nats, if the cause is as it was fitted and nothing else
-    is wrong, without noise.
+    `blocks`: their names; `log_density` (n_models, n_blocks): of every block given all others, nats; `residuals`
+    (n_models, size): whitened, NaN outside all blocks; `expected_gain`: gain in log density over the model before,
+    nats, if the cause is as it was fitted and nothing else is wrong, without noise.
     """
 
     blocks: tuple[str, ...]
@@ -130,10 +129,8 @@ def figure_blocks(
     """
 
     def determined(mask: BoolArray) -> bool:
-        mine = slopes[:, mask]
-        return bool(
-            np.trace(_spread(slopes, mask) @ mine @ mine.T) <= settings.undetermined * (change[mask] ** 2).sum()
-        )
+        mine, most = slopes[:, mask], settings.undetermined * (change[mask] ** 2).sum()
+        return bool(np.trace(_spread(slopes, mask) @ mine @ mine.T) <= most)
 
     return _blocks(layout, change**2, determined, settings.time_blocks)
 

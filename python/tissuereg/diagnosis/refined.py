@@ -4,14 +4,11 @@ Meshing and solving take long; predictions of the believed model are cached, nam
 
 The effect of a cause has a discretisation error of its own. Four-node elements lock by an amount that depends on
 Poisson's ratio: on a body of 600 nodes a change of the ratio moves markers two to three times too far, and a law that
-is stiffer in tension twice too far; without a correction the two cannot be distinguished. The boundary of an inclusion
-cuts across elements: with a radius of 8 mm in elements of 5 mm a quarter of its effect is error. In data without noise
-that displaced the fitted place by 1.9 mm, and by 0.6 mm after the correction; the fine mesh's own error is 6 %.
+is stiffer in tension twice too far; without a correction the two cannot be distinguished. An inclusion of 8 mm radius
+in elements of 5 mm was displaced by 1.9 mm, and by 0.6 mm after the correction.
 
-A fit is simulated on the fine mesh, the difference becomes part of the correction, and the model is fitted again. The
-error is assumed proportional to the effect. Where the new fit is another effect rather than more or less of the same,
-the correction is computed again: on 600 nodes friction slips ten times too far, and the slipping region depends on the
-friction.
+A fit is therefore simulated on the fine mesh, the difference becomes part of the correction, and the model is fitted
+again. The error is assumed proportional to the effect; where the new fit is another effect, it is computed again.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -76,9 +73,8 @@ def solvable(bench: Bench, *, keep: bool = True) -> Bench:
     """Return the believed model of an experiment whose cases end before frames that no fine mesh can predict.
 
     It is `bench` itself where there are none; else there is a warning. A prediction of later frames on the user's mesh
-    would have gone through a state that is none of the body's, and with memory would keep it. `keep`: whether
-    predictions on fine meshes are read from and written to the cache. Raises `ConvergenceError` if no loaded frame has
-    an equilibrium, or no frame of a case.
+    would have gone through a state that is none of the body's, and with memory would keep it. `keep`: whether the cache
+    is used. Raises `ConvergenceError` if no loaded frame has an equilibrium, or no frame of a case.
     """
     simulated = _simulated(bench, entry_of(bench.experiment) if keep else None)
     made, targets = simulated.flat, dict(simulated.targets)
@@ -103,7 +99,8 @@ def solvable(bench: Bench, *, keep: bool = True) -> Bench:
         )
     if kept.all():
         return bench
-    if not any(np.any(motion) for case in cases.values() for motion in _commands(case)):
+    given = (one for case in cases.values() for one in (case.displacements, case.applied_forces))
+    if not any(np.any(motion) for motions in given for motion in motions.values()):
         message = f"experiment '{bench.experiment.name}' must have a loaded frame with an equilibrium on a fine mesh"
         raise ConvergenceError(message)
     shorter = bench.of(replace(bench.experiment, cases=cases))
@@ -127,10 +124,6 @@ def _until(case: Case, frame: int) -> Case:
 
 def _cut(of: Mapping[str, FloatArray], frame: int) -> dict[str, FloatArray]:
     return {name: rows[:frame] for name, rows in of.items()}
-
-
-def _commands(case: Case) -> list[FloatArray]:
-    return [*case.displacements.values(), *case.applied_forces.values()]
 
 
 def _unsolved(part: CasePart, made: FloatArray) -> IntArray:
@@ -232,15 +225,9 @@ def _read(bench: Bench, entry: str) -> OnFineMeshes | None:
 def corrected_fit(target: FitTarget, found: Fit) -> tuple[FitTarget, Fit]:
     """Return a target whose correction covers a fitted model, and the fit to it: correct and refit until they agree.
 
-    `target`: data, believed model and correction of the fit; `found`: fit with causes. The two given ones are
-    returned where `recorrected` changes nothing.
-
-    Notes
-    -----
-    Most effects need one round: in 12 fits of bodies of 600 nodes a second one at the new fit changed the log evidence
-    by 1.3 at most, where the first one changed it by up to 18, and moved no parameter by more than 0.5 of its
-    deviations. Friction needs six: of a test body whose friction has a size of 21 noise deviations the fit gains 51
-    nats on the user's mesh, 35 after one round, 108 after six, and 103 with ten-node elements throughout.
+    The two given ones are returned where `recorrected` changes nothing. Most effects need one round: in 12 fits of
+    bodies of 600 nodes a second one changed the log evidence by 1.3 at most, where the first one changed it by up to
+    18. Friction needs six: on such a mesh it slips ten times too far, and where it slips depends on the friction.
     """
     corrected = target, found
     for _ in range(target.bench.settings.model.most_corrections):
@@ -278,8 +265,8 @@ def correctable(target: FitTarget, ids: Sequence[str]) -> bool:
 
     It cannot where the modulus does more than scale forces, where all causes are errors of the tracker or there is
     none, for data that were simulated on the user's mesh, and where `settings.model.corrected` is off. With memory it
-    is not: such histories take minutes on a fine mesh, and the discretisation error of a memory effect is that of the
-    load's own response, which the correction of the believed model contains.
+    is not: such histories take minutes on a fine mesh, and the error is that of the load's own response, which is
+    corrected.
     """
     bench = target.bench
     if not bench.settings.model.corrected or bench.is_exact or not target.scales_forces(ids):

@@ -1,11 +1,4 @@
-"""Diagnosis of a body: the sequence of steps from measurements to verdict.
-
-Input is an `Experiment` (believed model and measurements), output a `BodyDiagnosis`. The steps: other readings of the
-recording, noise model, bank of hypotheses, correction of the discretisation error, nuisance parameters, linear evidence
-of all causes, thresholds from data drawn without any effect, search with nonlinear fits and held-out proof, test of the
-residual, verdict and advice.
-Each is a module of this package; ``docs/diagnose.md`` describes them in this order.
-"""
+"""Diagnosis of a body: the sequence of steps from measurements to verdict, each a module (``docs/diagnose.md``)."""
 
 import warnings
 from collections.abc import Callable, Sequence
@@ -56,7 +49,7 @@ def diagnose_body(
     keep: bool,
     element: Element | None,
     progress: Callable[[str], None] | None,
-    settings: DiagnoseSettings = DEFAULT,
+    settings: DiagnoseSettings,
 ) -> BodyDiagnosis:
     """Return the diagnosis of a body: the causes of the difference between its measurements and its simulation.
 
@@ -111,9 +104,7 @@ def _searched(bench: Bench, noise: Noise, *, silent: bool, seed: int, keep: bool
         again = _with_larger_noise(bank, believed, judged, outside, silent=silent, seed=seed)
         if again is not None:
             believed, judged = again
-    target, found, findings, misfit, screen = (
-        believed.target, judged.found, judged.findings, judged.misfit, judged.screen,
-    )  # fmt: skip
+    target, found, findings, misfit = believed.target, judged.found, judged.findings, judged.misfit
     larger = understated(experiment, target.noise, settings.noise)
     verdict = verdict_of(findings, misfit.p, withdrawn=judged.withdrawn or silent, level=rules.misfit)
     if verdict == "consistent" and larger:
@@ -135,12 +126,12 @@ def _searched(bench: Bench, noise: Noise, *, silent: bool, seed: int, keep: bool
         verdict=verdict,
         understated=larger,
         findings=tuple(findings),
-        candidates=candidates_of(screen, found.steps[0]),
+        candidates=candidates_of(judged.screen, found.steps[0]),
         possible=(*possible_of(found), *judged.weak),
         constancy=tuple(judged.tested),
         outside=tuple(judged.outside),
         p_misfit=misfit.p,
-        left=residual_summary(layout, screen, found, misfit, settings.report)
+        left=residual_summary(layout, judged.screen, found, misfit, settings.report)
         if findings and misfit.p < rules.misfit
         else None,
         discrepancy=describe(layout, found.base, found.final, settings.report),
@@ -283,8 +274,7 @@ def _misread(
 class BelievedModel:
     """The believed model, corrected for discretisation error, with its nuisance parameters.
 
-    `target`: the input of fits: data, corrected model, noise, and the covariance of noise and all nuisances but the
-    modulus; `nuisances`: nuisance parameters with their columns; `null`: covariance of noise and all nuisances, the
+    `target`: the input of fits; `nuisances`: with their columns; `null`: covariance of noise and all nuisances, the
     modulus included; `mesh_errors` (n_meshes, size): predictions on further fine meshes minus those on the mesh that
     corrects, mm and mN; `correction`: of the discretisation error, at the believed modulus.
     """

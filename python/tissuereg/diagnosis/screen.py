@@ -1,8 +1,6 @@
 """Screening: the exact linear-Gaussian evidence of every hypothesis in the bank, and of the generic rival.
 
-Input is a residual whitened by noise and nuisances, output the log Bayes factor of every cause against no cause: that
-of each hypothesis (`evidence`), averaged over the hypotheses of the cause. The average is the penalty for having
-searched in many places.
+The log Bayes factor of a cause is averaged over its hypotheses: the penalty for having searched in many places.
 """
 
 from collections.abc import Callable
@@ -55,16 +53,15 @@ class Screen:
         self.white: Callable[[FloatArray], FloatArray] = lambda columns: noise.whitened(
             correction.of_columns(columns), layout
         )
+        believed = replace(correction, modulus=1.0)
         self.generic_white: FloatArray = np.stack(
-            [noise.whitened(replace(correction, modulus=1.0).of_columns(block), layout) for block in generic]
+            [noise.whitened(believed.of_columns(block), layout) for block in generic]
         )
 
         def reduced(columns: FloatArray) -> FloatArray:
             flat = columns.reshape(-1, columns.shape[-1])
-            parts = [
-                null.reduced(noise.whitened(correction.of_columns(flat[i : i + _AT_A_TIME].astype(np.float64)), layout))
-                for i in range(0, len(flat), _AT_A_TIME)
-            ]
+            pieces = (flat[i : i + _AT_A_TIME].astype(np.float64) for i in range(0, len(flat), _AT_A_TIME))
+            parts = [null.reduced(self.white(piece)) for piece in pieces]
             return np.concatenate(parts).astype(np.float32).reshape(columns.shape)  # type: ignore[return-value]
 
         self.blocks = {
@@ -83,7 +80,7 @@ class Screen:
             if variants[top].fixed:
                 amplitudes = np.ones(1)
             else:
-                amplitudes = fit_amplitudes(residual, blocks.columns[top].astype(np.float64)).mean
+                amplitudes = fit_amplitudes(residual, blocks.columns[top].astype(np.float64))[1]
             found[name] = Screened(float(log_mean_exp(each)), variants[top], amplitudes)
         each = np.array([block.log_bayes_factors(residual[None])[0, 0] for block in self.generic])
         found[UNKNOWN] = Screened(float(log_mean_exp(each)), None, np.empty(0))

@@ -1,10 +1,8 @@
-"""The search for causes: forward selection with held-out proof, then exchange and elimination.
+"""The search for causes: forward selection with held-out proof, then exchange and elimination (`selection`).
 
 Each round screens all causes on the residual of the current model, fits the likely ones, and accepts the first that
 passes its threshold and the held-out proof (`proof`) and is likelier than not. The found cause joins the model together
-with nuisances for its own error (`nuisances.effect_nuisances`, `nuisances.other_forms`). With two or more causes, each
-is exchanged for its closest rivals in the end; those that stay pass the same tests again, in the model of all causes,
-or the answer lists them as possible.
+with nuisances for its own error (`nuisances.effect_nuisances`, `nuisances.other_forms`).
 """
 
 from collections.abc import Collection, Mapping
@@ -112,14 +110,9 @@ class Step:
         """Return the accepted cause if it fails threshold, proof or probability, else None; takes what `group` does."""
         assert self.found is not None
         assert self.proof is not None
-        chance = self.probability(threshold, named)
-        if (
-            self.found.gain >= threshold
-            and self.proof.proves(self.settings.search)
-            and chance >= self.settings.search.stated
-        ):
-            return None
-        return PossibleCause(self.found.id, chance, self.found.gain, threshold)
+        chance, rules = self.probability(threshold, named), self.settings.search
+        passes = self.found.gain >= threshold and self.proof.proves(rules) and chance >= rules.stated
+        return None if passes else PossibleCause(self.found.id, chance, self.found.gain, threshold)
 
     def dropped(self, failed: PossibleCause) -> "Step":
         """Return the round without its finding, which joins the possible causes."""
@@ -142,10 +135,9 @@ class Step:
 class Search:
     """All rounds of the search for causes.
 
-    `base`: fit of the believed model; `final`: fit with all causes found; `steps`: rounds in order; the last one
+    `base`, `final`: fits of the believed model and with all causes found; `steps`: rounds in order; the last one
     accepted nothing, unless there are `most_causes`; `reduced` (size,): residual of the final model, whitened by noise,
-    nuisances and the model's own parameters; `target`: data and model of the last fit, with the discretisation error of
-    the causes found corrected; None where none was found.
+    nuisances and the model's own parameters; `target`: of the last fit; None where no cause was found.
     """
 
     base: Fit
@@ -388,7 +380,7 @@ def references_of(target: FitTarget, screen: Screen, base: Fit, current: Fit) ->
     `base`, `current`: fits of the believed model and without the cause. The rival has the size of most evidence.
     """
     reduced = target.null.reduced(current.residual)
-    gains = [fit_amplitudes(reduced, target.null.reduced(columns)).log_bayes_factor for columns in screen.generic_white]
+    gains = [fit_amplitudes(reduced, target.null.reduced(columns))[0] for columns in screen.generic_white]
     rival = linear_model(target, current, np.asarray(screen.generic_white[int(np.argmax(gains))]))
     return [linear_model(target, current), rival, linear_model(target, base)]
 

@@ -10,7 +10,6 @@ from math import log
 from typing import TYPE_CHECKING, Any, cast
 
 from tissuereg._base.arguments import of_kind, real
-from tissuereg.diagnosis.readings.settings import RecordingSettings
 
 if TYPE_CHECKING:
     from tissuereg.diagnosis.causes import Cause
@@ -318,6 +317,43 @@ class SearchSettings:
     determined_modulus: float = 0.3
     #: The fitted modulus is in the extended model where its posterior deviation is below this share of the prior's.
     known_modulus: float = 0.5
+
+
+@dataclass(frozen=True)
+class RecordingSettings:
+    """How recordings are weighed against the believed model; shares of lengths are of the body's extent."""
+
+    #: Frames of a case that are used, at most: readings differ in all of them alike.
+    frames: int = 12
+    #: Markers that count, at most: what the model gets wrong is alike in neighbours.
+    markers: int = 5
+    #: Commands by which the response is computed: of a displacement as a share of the extent, of a force as a share of
+    #: modulus times squared extent. Small enough to be linear, and far above the solver's tolerance.
+    motion: float = 1e-3
+    force: float = 1e-4
+    #: Residual over load of these solutions.
+    tolerance: float = 1e-6
+    #: Errors of the believed model, as shares of the prediction: from a good model to one without any relation.
+    errors: tuple[float, ...] = (0.05, 0.1, 0.2, 0.4, 0.8)
+    #: Least prior standard deviation of the modulus' logarithm.
+    modulus_std: float = 0.3
+    #: Moduli that are tried, evenly within so many standard deviations about their mean.
+    n_moduli: int = 33
+    moduli_within: float = 4.0
+    #: How far places may be off without a command, as a share.
+    places: float = 0.02
+    #: Largest penalty for places, nats: beyond, they are wrong for another reason.
+    most_nats: float = 30.0
+    #: Share of the squares beyond the noise that a reading must explain in every channel it changes.
+    explained: float = 0.5
+    #: A pad is silent where the believed model predicts `loud` times the noise (rms) and no more than `quiet` times is
+    #: measured.
+    loud: float = 10.0
+    quiet: float = 2.0
+    #: Share of the prediction under another reading below which nothing is predicted as given.
+    nothing: float = 1e-6
+    #: Odds are stated up to this power of ten.
+    most_digits: int = 9
 
 
 @dataclass(frozen=True)

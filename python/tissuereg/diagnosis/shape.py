@@ -1,8 +1,7 @@
 """Uncertainty of the shape of a body and of its patches: motions of the mesh's nodes with prior deviations.
 
-The same description gives different bodies in different solvers. A pad "in a ball" may be a disc, the nodes in the
-ball, or a patch that conforms to it; flat facets differ from the smooth surface; a segmented surface is off by a
-fraction of a voxel. These are nuisances, never findings. Each is a direction, a motion of the mesh's nodes per mm:
+The same description gives different bodies in different solvers, and a segmented surface is off by a fraction of a
+voxel. These are nuisances, never findings. Each is a direction, a motion of the mesh's nodes per mm:
 
 * a patch is shifted along the surface, in two directions, or is larger;
 * its rim is no circle, but a wave with two or three periods around the patch;
@@ -106,6 +105,14 @@ class _BodySurface:
         others = [other.nodes for other in self.patches if other is not patch]
         return np.isin(np.arange(self.mesh.n_nodes), np.concatenate([self.sharp, *others]))
 
+    def near(self, patch: Actuator | Boundary, radius: float) -> FloatArray:
+        """Return how every node moves with a patch, (n_nodes, 1): 1 on it, a Gaussian of the distance, or 0."""
+        from scipy.spatial import KDTree
+
+        away = KDTree(self.mesh.nodes[self.of(patch)]).query(self.mesh.nodes)[0]
+        moves = np.exp(-0.5 * (away / (self.settings.reach * radius)) ** 2)
+        return np.where(self.stays(patch), 0.0, moves)[:, None]
+
     def along(self, motion: FloatArray) -> FloatArray:
         """Return a motion (n_nodes, 3) without its part along the surface's normals."""
         return np.asarray(motion - (motion * self.normals).sum(axis=1, keepdims=True) * self.normals)
@@ -124,7 +131,7 @@ def _of_pad(surface: _BodySurface, pad: Actuator) -> Iterator[Direction]:
     place = _std_of(pad, rules.place_share * radius, mesh_edge)
     size, height = _std_of(pad, rules.size_share * radius, mesh_edge), _std_of(pad, rules.height_share * radius)
     arms = mesh.nodes - (mesh.nodes[inside].mean(axis=0) if rim is None else np.asarray(rim.centre))
-    near = np.where(surface.stays(pad), 0.0, _nearness(mesh, inside, surface.settings.reach * radius))[:, None]
+    near = surface.near(pad, radius)
     first = np.linalg.svd(normal[None])[2][1]
     sides = np.array([first, np.cross(normal, first)])
     for number, side in enumerate(sides):
@@ -132,25 +139,20 @@ def _of_pad(surface: _BodySurface, pad: Actuator) -> Iterator[Direction]:
     outwards = surface.along(near * arms / radius)
     yield Direction(f"size of {pad.name}", outwards, size)
     angle = np.arctan2(arms @ sides[1], arms @ sides[0])
-    for times in surface.settings.waves:
+    for times in rules.waves:
         for number, wave in enumerate((np.cos(times * angle), np.sin(times * angle))):
             yield Direction(f"rim of {pad.name} {times} {number}", wave[:, None] * outwards, place)
     # Facets lie off the smooth surface, and each at its own angle.
     across = float(np.hypot(height, np.sqrt((surface.gaps[inside] ** 2).sum(axis=1).mean())))
     yield Direction(f"height of {pad.name}", near * normal, across)
     for number, side in enumerate(sides):
-        yield Direction(
-            f"tilt of {pad.name} {number}",
-            (arms @ side / radius)[:, None] * near * normal,
-            surface.settings.tilt_share * across,
-        )
+        turned = (arms @ side / radius)[:, None] * near * normal
+        yield Direction(f"tilt of {pad.name} {number}", turned, rules.tilt_share * across)
 
 
 def _of_grip(surface: _BodySurface, pad: Actuator, radius: float) -> Iterator[Direction]:
     """Yield the deviations of a pad that surrounds the body: shifts along its surface, and a displaced edge."""
-    near = np.where(surface.stays(pad), 0.0, _nearness(surface.mesh, surface.of(pad), surface.settings.reach * radius))[
-        :, None
-    ]
+    near = surface.near(pad, radius)
     rules, mesh_edge = surface.settings, surface.unresolved(surface.of(pad), None)
     place = _std_of(pad, rules.place_share * radius, mesh_edge)
     for axis, side in enumerate(np.eye(3)):
@@ -193,15 +195,7 @@ def _of_surface(surface: _BodySurface, experiment: Experiment) -> Iterator[Direc
     if not std > 1e-6 * mesh.extent:
         return
     length = experiment.surface_length or surface.settings.length_share * mesh.extent
-    rules = surface.settings
-    patterns = thinned_patterns(
-        mesh.nodes[free],
-        length,
-        most_places=rules.most_places,
-        held_variance=rules.held_variance,
-        most=rules.most_patterns,
-    )
-    for number, pattern in enumerate(patterns):
+    for number, pattern in enumerate(thinned_patterns(mesh.nodes[free], length, surface.settings)):
         motion = np.zeros_like(mesh.nodes)
         motion[free] = pattern[:, None] * surface.normals[free]
         yield Direction(f"surface {number}", motion, std)
@@ -214,14 +208,6 @@ def _carried(given: Mesh, motion: FloatArray, mesh: Mesh) -> FloatArray:
     carried = np.zeros_like(mesh.nodes)
     carried[mesh.surface_nodes] = between.predict(motion[between.nodes])
     return carried
-
-
-def _nearness(mesh: Mesh, nodes: IntArray, reach: float) -> FloatArray:
-    """Return a Gaussian of every node's distance to given nodes, (n_nodes,), 1 on them; `reach`: its width, mm."""
-    from scipy.spatial import KDTree
-
-    away = KDTree(mesh.nodes[nodes]).query(mesh.nodes)[0]
-    return np.asarray(np.exp(-0.5 * (away / reach) ** 2))
 
 
 def shape_nuisances(bench: Bench, fine: FloatArray, *, keep: bool = False) -> list[tuple[str, FloatArray]]:

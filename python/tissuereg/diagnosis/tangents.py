@@ -1,9 +1,8 @@
 """Sensitivities of all measured numbers, from the tangent stiffness of the believed model's equilibria.
 
-Frames under the same load are one equilibrium, whose tangent is factored once. The derivative by a parameter costs one
-solution with it (direct differentiation). Derivatives by the modulus of every tetrahedron come from one adjoint
-solution for each measured number, so that an inclusion at any place is a weighted sum of them. For elastic models only;
-the causes of a model with memory are simulated at one size (`Bench.change`).
+Frames under the same load are one equilibrium, whose tangent is factored once. Derivatives by the modulus of every
+tetrahedron come from adjoint solutions, so that an inclusion at any place is a weighted sum of them. For elastic models
+only; the causes of a model with memory are simulated at one size (`Bench.change`).
 """
 
 from collections.abc import Callable, Sequence
@@ -30,9 +29,9 @@ from tissuereg.simulation.solve import Simulator
 class State:
     """One equilibrium of a load case, with the frames that have it.
 
-    `case`: the load case; `frames` int64 (n,): its frames with this equilibrium; `simulator`: solver of the body, with
-    the boundaries and pads as held nodes; `load`: prescribed displacements, mm, and forces, mN; `pad_rows`: by pad, its
-    rows in the list of the held nodes.
+    `frames` int64 (n,): of the case, with this equilibrium; `simulator`: solver of the body, with boundaries and pads
+    as held nodes; `load`: displacements, mm, and forces, mN; `pad_rows`: by pad, its rows in the list of the held
+    nodes.
     """
 
     case: Case

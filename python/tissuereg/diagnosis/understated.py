@@ -1,14 +1,13 @@
 """Understated noise: what the best fit leaves is like noise, and larger than the stated one.
 
-A wrong model leaves smooth residuals. Their part orthogonal to all nuisances, to the fit's own parameters and to the
-generic rival (any smooth change over markers, load and time) is noise, whatever the model misses. Its size is compared
-with the statement by the evidence for one factor s on the standard deviations of a channel:
+The part of a residual orthogonal to all nuisances, to the fit's own parameters and to the generic rival (any smooth
+change) is noise, whatever the model misses. Its size is compared with the statement by the evidence for one factor s
+on the standard deviations of a channel:
 
     log p(q | s) = -q / (2 s^2) - n log s,      log s ~ N(0, spread) as stated, U(0, log(largest)) understated,
 
 with q the sum of squares and n its degrees of freedom. The sum is n times a median over the markers, so that single
-markers that slip or are exchanged do not count as noise. Nuisances that act on markers and forces carry the noise of
-one into the left-over of the other; both are therefore estimated in units of their own noise.
+markers that slip or are exchanged do not count as noise.
 """
 
 from dataclasses import asdict, dataclass, replace
@@ -116,7 +115,10 @@ def _channels(
     rows: FloatArray, residual: FloatArray, layout: SignalLayout, settings: NoiseSettings
 ) -> tuple[_NoiseSize, _NoiseSize]:
     """Return the noise of markers and forces in what the rows (k, size) cannot change of a residual (size,)."""
-    markers, groups = layout.of_markers(), _rows_of_markers(layout)
+    number = np.full(layout.size, -1)
+    for part in layout.parts:
+        part.markers(number)[:] = np.arange(part.n_markers)[:, None]
+    markers, groups = number >= 0, [number == i for i in range(len(layout.marker_names))]
     # Rows that act on both channels carry the noise of one into the left-over of the other, unless both are in units of
     # their own noise: they are estimated again in these units until they stay.
     span, scale = orthonormal(rows), np.ones(layout.size)
@@ -149,13 +151,3 @@ def _larger(found: _NoiseSize, settings: NoiseSettings, before: float = 1.0) -> 
     if factor < settings.least_factor or scale_evidence(power, found.freedom, settings) < settings.least_evidence:
         return None
     return factor, scale_evidence(power * before**2, found.freedom, settings)
-
-
-def _rows_of_markers(layout: SignalLayout) -> list[BoolArray]:
-    groups = []
-    for number in range(len(layout.marker_names)):
-        rows = np.zeros(layout.size, bool)
-        for part in layout.parts:
-            part.markers(rows)[:, number] = True
-        groups.append(rows)
-    return groups

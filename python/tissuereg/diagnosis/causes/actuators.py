@@ -72,9 +72,8 @@ class DirectionCause(Cause):
             if bench.is_elastic and pad.kind == "displacement":
                 columns = bench.by(partial(_turns, pad, across), 2)
             else:
-                changes = [
-                    bench.change(ActuatorDirection(actuator=pad.name, rotation_deg=three(axis))) for axis in across
-                ]
+                turns = [ActuatorDirection(actuator=pad.name, rotation_deg=three(axis)) for axis in across]
+                changes = [bench.change(turn) for turn in turns]
                 if any(change is None for change in changes):
                     continue
                 columns = np.array(changes)

@@ -1,10 +1,9 @@
 """Base class of causes: hypotheses with sensitivity columns, free parameters of fits, forms in curves, a sentence.
 
 A cause has several hypotheses (`Variant`), one for each discrete choice: an actuator, a place, a direction, an onset.
-Screening uses their columns, the change of all measured numbers by one prior standard deviation of each amplitude. The
-nonlinear fit starts from a hypothesis and varies the cause's free parameters (`FreeParameters`), real numbers with
-normal priors, from which the effects of a simulation and the parameters of the answer follow. Stress curves have no
-hypotheses; a cause that they can show has forms, each with its free parameters.
+Screening uses their columns; the nonlinear fit starts from a hypothesis and varies the cause's free parameters
+(`FreeParameters`). Stress curves have no hypotheses; a cause that they can show has forms, each with its free
+parameters.
 """
 
 from abc import ABC, abstractmethod

@@ -35,26 +35,20 @@ class DetachmentCause(Cause):
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
         """Return one hypothesis for each support, direction of the detached rim and detached share of the area."""
-        names = [boundary.name for boundary in bench.experiment.boundaries]
         azimuths = [(share, 360.0 * turn / count) for share, count in self.directions for turn in range(count)]
-        return self.simulated(
-            bench,
-            (
-                (
-                    f"{name} {azimuth:.0f} deg {share:g}",
-                    Detachment(boundary=name, azimuth_deg=azimuth, share=share),
-                    {"boundary": name, "azimuth": azimuth, "share": share},
-                )
-                for name in names
-                for share, azimuth in azimuths
-            ),
-        )
+        tried = []
+        for name in (boundary.name for boundary in bench.experiment.boundaries):
+            for share, azimuth in azimuths:
+                effect = Detachment(boundary=name, azimuth_deg=azimuth, share=share)
+                settings = {"boundary": name, "azimuth": azimuth, "share": share}
+                tried.append((f"{name} {azimuth:.0f} deg {share:g}", effect, settings))
+        return self.simulated(bench, tried)
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
         """Return two free parameters: direction of the rim (degrees from x to y) and logit of the detached share.
 
-        A node is either free or held, so that a simulation on the user's mesh changes in jumps. The prediction is
-        therefore interpolated between the two simulations whose edges lie at the nodes next to the detachment's edge.
+        A node is free or held, so that simulations change in jumps: the prediction is interpolated between the two
+        whose edges lie at the nodes next to the detachment's edge.
         """
         name, share = str(variant.settings["boundary"]), float(variant.settings["share"])
         azimuth = float(variant.settings["azimuth"])

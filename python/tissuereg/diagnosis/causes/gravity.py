@@ -71,19 +71,14 @@ class GravityCause(Cause):
         worked, tangents = bench.tangents.worked, bench.tangents
         unit = [worked.material.weight(axis) for axis in np.eye(3)]
         free = Simulator(worked.mesh, element=bench.predictor.element)
-        rest = (
-            Load(body_force=worked.material.weight(worked.gravity.direction, worked.gravity.g_mm_per_s2))
-            if worked.gravity
-            else Load(body_force=np.zeros(3))
-        )
+        weight = worked.gravity
+        pull = np.zeros(3) if weight is None else worked.material.weight(weight.direction, weight.g_mm_per_s2)
+        rest = Load(body_force=pull)
         threads = bench.predictor.threads
         # Pads are attached to the shape that has sagged under the weight, so that they move with it.
         standing = free.solve(rest, worked.material, threads=threads).all_displacement
-        sag = (
-            Linearised(free, rest, worked.material, standing, threads=threads)
-            .derivatives([Load(body_force=force) for force in unit])
-            .displacement
-        )
+        tangent = Linearised(free, rest, worked.material, standing, threads=threads)
+        sag = tangent.derivatives([Load(body_force=force) for force in unit]).displacement
 
         def direction(state: State) -> Sequence[Moved]:
             loads = []

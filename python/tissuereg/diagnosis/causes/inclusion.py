@@ -49,10 +49,9 @@ class InclusionCause(Cause):
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
         """Return five free parameters: centre (3,) in mm, logarithm of the radius in mm, and strength of the contrast.
 
-        The contrast is the ball's modulus over that around it; its strength is the logarithm of ``contrast - 1`` for a
-        stiff ball, and the logit of ``1 - contrast`` for a soft one. A small ball of high contrast and a large one of
-        low contrast have nearly the same effect. In the logarithms of the radius and of ``contrast - 1`` that valley of
-        the objective is straight, in that of the contrast it is not.
+        The strength is the logarithm of ``contrast - 1`` for a stiff ball, and the logit of ``1 - contrast`` for a soft
+        one. A small ball of high contrast and a large one of low contrast have nearly the same effect; in these
+        logarithms that valley of the objective is straight.
         """
         centre, radius = np.asarray(variant.settings["centre"]), float(variant.settings["radius"])
         middle = bench.experiment.mesh.nodes.mean(axis=0)
@@ -134,6 +133,3 @@ def _line(low: float, high: float, radius: float, spacing: float) -> FloatArray:
     if high - low < 2.0 * radius:
         return np.array([0.5 * (low + high)])
     return np.arange(low + 0.5 * radius, high, spacing * radius)
-
-
-__all__ = ["Ball", "InclusionCause", "balls_in", "shares_of_balls"]

@@ -31,18 +31,12 @@ class SofteningCause(Cause):
         """Return four hypotheses: Mullins effect and damage, each over two energies; none where one is believed."""
         if self.believed(bench):
             return []
-        return self.simulated(
-            bench,
-            (
-                (
-                    f"{form}, energy {energy:g}",
-                    Softening(r=self.size, m_kpa=energy * bench.young, beta=beta, form=form),
-                    {"form": form, "energy": energy},
-                )
-                for form, beta in self.forms
-                for energy in self.energies
-            ),
-        )
+        tried = []
+        for form, beta in self.forms:
+            for energy in self.energies:
+                effect = Softening(r=self.size, m_kpa=energy * bench.young, beta=beta, form=form)
+                tried.append((f"{form}, energy {energy:g}", effect, {"form": form, "energy": energy}))
+        return self.simulated(bench, tried)
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
         """Return two free parameters: the logarithms of r - 1 and of m over Young's modulus, both dimensionless."""

@@ -18,12 +18,8 @@ _ONE: FloatArray = np.eye(3)
 
 
 @dataclass(frozen=True, eq=False)
-class Channel:
-    """A group of columns of the recording that can be misread alone.
-
-    `file`: file or table that holds them; `columns`: their names; `units`: other units of their numbers; `pads`: names
-    of the actuators whose rows they are; empty for markers.
-    """
+class _Channel:
+    """A group of columns of a file that can be misread alone; `pads`: the actuators whose rows they are."""
 
     file: str
     columns: str
@@ -58,19 +54,18 @@ AS_GIVEN = RecordingReading("", 0.0, "", "", ())
 def proposals(moved: Sequence[str], pulled: Sequence[str], felt: Sequence[str]) -> Iterator[RecordingReading]:
     """Yield the readings of a recording other than that as given.
 
-    `moved`, `pulled`, `felt`: names of the actuators whose motion and whose force is prescribed, and of those whose
-    force was measured.
+    `moved`, `pulled`, `felt`: actuators whose motion and whose force is prescribed, and those whose force was measured.
     """
-    reference = Channel("[markers.reference]", "x, y, z", LENGTHS)
-    markers = Channel("markers.csv", "x_mm, y_mm, z_mm", LENGTHS)
+    reference = _Channel("[markers.reference]", "x, y, z", LENGTHS)
+    markers = _Channel("markers.csv", "x_mm, y_mm, z_mm", LENGTHS)
     channels = [
-        Channel("actuators.csv", "x_mm, y_mm, z_mm", LENGTHS, tuple(moved)),
-        Channel("forces_applied.csv", "x_mN, y_mN, z_mN", FORCES, tuple(pulled)),
-        Channel("forces.csv", "x_mN, y_mN, z_mN", FORCES, tuple(felt)),
+        _Channel("actuators.csv", "x_mm, y_mm, z_mm", LENGTHS, tuple(moved)),
+        _Channel("forces_applied.csv", "x_mN, y_mN, z_mN", FORCES, tuple(pulled)),
+        _Channel("forces.csv", "x_mN, y_mN, z_mN", FORCES, tuple(felt)),
     ]
     channels = [channel for channel in channels if channel.pads]
     parts = [
-        Channel(channel.file, channel.columns, channel.units, (pad,))
+        _Channel(channel.file, channel.columns, channel.units, (pad,))
         for channel in channels
         if len(channel.pads) > 1
         for pad in channel.pads
@@ -101,7 +96,7 @@ def proposals(moved: Sequence[str], pulled: Sequence[str], felt: Sequence[str]) 
             yield _reading(kind, cost, f"read as {title}", write, group, turn)
 
 
-def _in_units(group: Sequence[Channel], cost: float) -> Iterator[RecordingReading]:
+def _in_units(group: Sequence[_Channel], cost: float) -> Iterator[RecordingReading]:
     """Yield the readings of channels in each other unit; none without a channel. `cost`: beside that of a unit."""
     for factor, name in group[0].units.items() if group else ():
         text = f"read in {name} (times {factor:g})"
@@ -125,7 +120,7 @@ def _both(one: RecordingReading, other: RecordingReading) -> RecordingReading:
 
 
 def _reading(
-    kind: str, cost: float, text: str, write: str, group: Sequence[Channel], turn: FloatArray
+    kind: str, cost: float, text: str, write: str, group: Sequence[_Channel], turn: FloatArray
 ) -> RecordingReading:
     files = tuple(channel.file for channel in group)
     whose = f" of {group[0].pads[0]}" if len(group) == 1 and len(group[0].pads) == 1 else ""

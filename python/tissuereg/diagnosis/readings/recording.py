@@ -11,7 +11,7 @@ import numpy as np
 
 from tissuereg._base.arrays import BoolArray, FloatArray
 from tissuereg._base.choices import Element
-from tissuereg.diagnosis.readings.settings import RECORDINGS, RecordingSettings
+from tissuereg.diagnosis.settings import RecordingSettings
 from tissuereg.diagnosis.signals import CasePart, SignalLayout
 from tissuereg.errors import TissueRegError
 from tissuereg.experiment.effects import extended
@@ -35,7 +35,7 @@ class Response:
 
 
 def responses(
-    experiment: Experiment, *, element: Element, threads: int, settings: RecordingSettings = RECORDINGS
+    experiment: Experiment, *, element: Element, threads: int, settings: RecordingSettings
 ) -> dict[tuple[str, ...], Response]:
     """Return the linear response of the believed model for every set of actuators that a case has, by their names.
 
@@ -102,12 +102,12 @@ def _unit_case(experiment: Experiment, name: str, pads: Sequence[str], settings:
 
 @dataclass(frozen=True, eq=False)
 class Recorded:
-    """One case: its commands and what was measured, less what was measured without a command.
+    """One case: its commands and what was measured, less what was measured without a command; NaN = not measured.
 
-    `response`: answer of the believed model to the actuators of the case; `commands` (n_pads, n_frames, 3): mm or mN,
-    as given; `is_motion` bool (n_pads,): whether each is a displacement; `motion` (n_frames, n_markers, 3): motion of
-    the markers, mm; `rest` (n_markers, 3): their places without a command, mm; `felt`: names of the pads whose force
-    was measured; `forces` (n_frames, n_felt, 3): mN. NaN = not measured.
+    `response`: of the believed model to the actuators of the case; `commands` (n_pads, n_frames, 3): mm or mN;
+    `is_motion` bool (n_pads,): whether each is a displacement; `motion` (n_frames, n_markers, 3): of the markers, mm;
+    `rest` (n_markers, 3): their places without a command, mm; `felt`: pads whose force was measured; `forces`
+    (n_frames, n_felt, 3): mN.
     """
 
     response: Response
@@ -123,7 +123,7 @@ def recorded(
     experiment: Experiment,
     layout: SignalLayout,
     known: dict[tuple[str, ...], Response],
-    settings: RecordingSettings = RECORDINGS,
+    settings: RecordingSettings,
 ) -> list[Recorded]:
     """Return the cases in which an actuator acts; `known`: responses by the actuators present."""
     found = []

@@ -14,7 +14,7 @@ from tissuereg._base.arrays import FloatArray
 from tissuereg.body.observe import MarkerObservation
 from tissuereg.diagnosis.readings.proposals import RecordingReading
 from tissuereg.diagnosis.readings.recording import Recorded
-from tissuereg.diagnosis.readings.settings import RECORDINGS, RecordingSettings
+from tissuereg.diagnosis.settings import RecordingSettings
 from tissuereg.errors import MarkerError
 from tissuereg.experiment.experiment import Experiment
 from tissuereg.registration.readings.likelihood import standoff
@@ -83,9 +83,7 @@ class _Compared:
 class Weigher:
     """Weighs readings of one experiment; `cases`: what was recorded in its cases."""
 
-    def __init__(
-        self, experiment: Experiment, cases: Sequence[Recorded], settings: RecordingSettings = RECORDINGS
-    ) -> None:
+    def __init__(self, experiment: Experiment, cases: Sequence[Recorded], settings: RecordingSettings) -> None:
         self._settings = settings
         self._experiment, self._cases = experiment, cases
         self._extent = experiment.mesh.extent
@@ -114,20 +112,16 @@ class Weigher:
             )
             for pad, one in _forces(case, commands, reading):
                 forces.setdefault(pad, []).append(one)
-        nats = self._prior.copy()
-        ones, noise = np.ones_like(self._factors), self._experiment.marker_std
-        if markers:
-            # A stiffer body moves less under given forces, and needs larger forces for a given motion.
-            nats += np.logaddexp.reduce(
-                sum(one.log_likelihood(noise, ones, 1.0 / self._factors, self._settings.errors) for one in markers),
-                axis=1,
-            )
-        if forces:
-            felt = [one for parts in forces.values() for one in parts]
-            nats += np.logaddexp.reduce(
-                sum(one.log_likelihood(self._force_std, self._factors, ones, self._settings.errors) for one in felt),
-                axis=1,
-            )
+        nats, ones = self._prior.copy(), np.ones_like(self._factors)
+        felt = [one for parts in forces.values() for one in parts]
+        # A stiffer body moves less under given forces, and needs larger forces for a given motion.
+        for parts, noise, moved, pulled in (
+            (markers, self._experiment.marker_std, ones, 1.0 / self._factors),
+            (felt, self._force_std, self._factors, ones),
+        ):
+            if parts:
+                each = [one.log_likelihood(noise, moved, pulled, self._settings.errors) for one in parts]
+                nats += np.logaddexp.reduce(sum(each), axis=1)
         best = int(np.argmax(nats))
         factor = float(self._factors[best])
         return WeighedReading(
@@ -143,12 +137,8 @@ class Weigher:
         if key not in self._seen:
             places = self._experiment.marker_reference @ turn.T
             outside = np.maximum(skin_of(self._experiment.mesh).closest(places).distance, 0.0)
-            near = -min(
-                0.5
-                * _counted(places, self._settings.markers)
-                * float(np.mean((outside / standoff(self._extent)) ** 2)),
-                self._settings.most_nats,
-            )
+            off = float(np.mean((outside / standoff(self._extent)) ** 2))
+            near = -min(0.5 * _counted(places, self._settings.markers) * off, self._settings.most_nats)
             self._seen[key] = near, self._observed(places) if near > -self._settings.most_nats else None
         return self._seen[key]
 
@@ -191,9 +181,7 @@ def _markers(
         # Markers off the body move for no reason that the model knows.
         power = float(measured[seen] @ measured[seen])
         return [_Compared(int(seen.sum()), counted, _log_factor(turn), power, 0.0, 0.0, power, 0.0, 0.0)]
-    by_pad = np.einsum("pfa,pamx->pfmx", commands, field)
-    moved, pulled = by_pad[case.is_motion].sum(axis=0), by_pad[~case.is_motion].sum(axis=0)
-    return [_compared(measured[seen], moved[seen], pulled[seen], counted, turn)]
+    return [_compared(case, measured, np.einsum("pfa,pamx->pfmx", commands, field), counted, turn)]
 
 
 def _forces(case: Recorded, commands: FloatArray, reading: RecordingReading) -> list[tuple[str, _Compared]]:
@@ -201,24 +189,19 @@ def _forces(case: Recorded, commands: FloatArray, reading: RecordingReading) -> 
     for i, pad in enumerate(case.felt):
         turn = reading.forces.get(pad, np.eye(3))
         measured = case.forces[:, i] @ turn.T
-        seen = np.isfinite(measured)
-        if seen.any():
+        if np.isfinite(measured).any():
             by_pad = np.einsum("pfa,pax->pfx", commands, case.response.forces[pad])
-            moved, pulled = by_pad[case.is_motion].sum(axis=0), by_pad[~case.is_motion].sum(axis=0)
-            found.append((pad, _compared(measured[seen], moved[seen], pulled[seen], 3.0, turn)))
+            found.append((pad, _compared(case, measured, by_pad, 3.0, turn)))
     return found
 
 
-def _compared(
-    measured: FloatArray, moved: FloatArray, pulled: FloatArray, counted: float, turn: FloatArray
-) -> _Compared:
-    return _Compared(
-        measured.size, counted, _log_factor(turn),
-        *(float(a @ b) for a, b in (
-            (measured, measured), (measured, moved), (measured, pulled), (moved, moved), (moved, pulled),
-            (pulled, pulled),
-        )),
-    )  # fmt: skip
+def _compared(case: Recorded, measured: FloatArray, by_pad: FloatArray, counted: float, turn: FloatArray) -> _Compared:
+    """Return a channel as sums; `by_pad` (n_pads, ...): what the command of each pad changes in it."""
+    seen = np.isfinite(measured)
+    y = measured[seen]
+    m, p = (by_pad[rows].sum(axis=0)[seen] for rows in (case.is_motion, ~case.is_motion))
+    products = (float(a @ b) for a, b in ((y, y), (y, m), (y, p), (m, m), (m, p), (p, p)))
+    return _Compared(y.size, counted, _log_factor(turn), *products)
 
 
 def _agreement(parts: Sequence[_Compared], noise: float, moved: float, pulled: float) -> Agreement:

@@ -45,9 +45,8 @@ class ChannelCurve:
         stride = -(-len(self.times) // most)
         size = np.where(np.isfinite(self.before), self.before, -1.0)
         rows = [i + int(np.argmax(size[i : i + stride])) for i in range(0, len(size), stride)]
-        return ChannelCurve(
-            self.title, self.times[rows], self.before[rows], self.after[rows], self.low[rows], self.high[rows]
-        )
+        every = (self.times, self.before, self.after, self.low, self.high)
+        return ChannelCurve(self.title, *(values[rows] for values in every))
 
 
 def curves(details: "DiagnosisDetails") -> dict[str, list[ChannelCurve]]:
@@ -62,16 +61,12 @@ def curves(details: "DiagnosisDetails") -> dict[str, list[ChannelCurve]]:
     if search.final.parts and len(search.reduced):
         # Reduced also by the parameters of the causes found and by their discretisation error.
         after = search.reduced
-    charts: dict[str, list[ChannelCurve]] = {}
+    rows, charts = (before, after, layout.seen.astype(np.float64)), {}
     for part in layout.parts:
-        seen = part.markers(layout.seen.astype(np.float64))
-        charts[part.name] = [_curve("markers", part, part.markers(before), part.markers(after), seen)]
+        several = [_curve("markers", part, *(part.markers(flat) for flat in rows))]
         for i, pad in enumerate(part.pads):
-            known = part.forces(layout.seen.astype(np.float64))[:, i]
-            charts[part.name].append(
-                _curve(f"force at {pad}", part, part.forces(before)[:, i], part.forces(after)[:, i], known)
-            )
-        charts[part.name] = [curve for curve in charts[part.name] if np.isfinite(curve.before).any()]
+            several.append(_curve(f"force at {pad}", part, *(part.forces(flat)[:, i] for flat in rows)))
+        charts[part.name] = [curve for curve in several if np.isfinite(curve.before).any()]
     return charts
 
 

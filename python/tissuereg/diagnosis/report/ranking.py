@@ -82,10 +82,8 @@ def rankings(found: "BodyDiagnosis") -> str:
     early = {name for finding in found.findings[: first if steps else None] for name in finding.group}
     parts = [ranking(found.candidates, thresholds, early | groups.get(0, set()), "First round")]
     for number, step in enumerate(steps[1:], start=1):
-        before = step.given
-        known = ", ".join(map(plain_name, before))
-        title = f"Round {number + 1}: further causes, given {known}"
-        chart = ranking(_rows(step, before), thresholds, groups.get(number, set()), title)
+        title = f"Round {number + 1}: further causes, given {', '.join(map(plain_name, step.given))}"
+        chart = ranking(_rows(step), thresholds, groups.get(number, set()), title)
         parts.append(f"<details><summary>{escape(title)}</summary>{chart}</details>")
     return "\n".join(parts)
 
@@ -149,10 +147,8 @@ def _scaled(value: float) -> float:
     return math.copysign(math.log10(1.0 + abs(value)), value)
 
 
-def _rows(step: "Step", before: Sequence[str]) -> list[dict[str, Any]]:
-    """Return the causes tried in a later round, likeliest first; those known `before` only if fitted again."""
-    gains = {name: screened.log_bayes_factor for name, screened in step.screened.items()}
-    gains |= {candidate.id: candidate.gain for candidate in step.candidates}
-    tried = {candidate.id for candidate in step.candidates}
-    order = sorted(gains.items(), key=lambda item: -item[1])
-    return [{"id": name, "log_bayes_factor": gain} for name, gain in order if name in tried or name not in before]
+def _rows(step: "Step") -> list[dict[str, Any]]:
+    """Return the causes tried in a later round, likeliest first; those of the model before only if fitted again."""
+    known = {*step.given} - {candidate.id for candidate in step.candidates}
+    order = sorted(step.gains().items(), key=lambda item: -item[1])
+    return [{"id": name, "log_bayes_factor": gain} for name, gain in order if name not in known]

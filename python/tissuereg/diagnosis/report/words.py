@@ -49,8 +49,7 @@ def verdict_sentence(found: "BodyDiagnosis") -> str:
 
 def summary(found: "BodyDiagnosis") -> str:
     """Return the top of the page as HTML: title, verdict, size of the residual, and what is provisional."""
-    good = found.verdict == "consistent"
-    tone = "yes" if good else "no"
+    tone = "yes" if found.verdict == "consistent" else "no"
     parts = [
         f"<h1>What the simulation of {escape(found.extended.name)} gets wrong</h1>",
         f"<p class='verdict'><b class='{tone}'>{escape(verdict_sentence(found))}</b></p>",
