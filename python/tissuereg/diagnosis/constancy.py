@@ -206,13 +206,13 @@ def partitions(
     for number, part in enumerate(parts):
         cases[number, part.begin : part.end] = 1.0
         for name, frames in phases(experiment.cases[part.name], part, settings.least_load).items():
-            _put(by_phase.setdefault(name, np.zeros(size)), part, frames)
+            part.put(by_phase.setdefault(name, np.zeros(size)), frames)
         own = (part.times - part.times[0]) / max(float(part.times[-1] - part.times[0]), 1e-9)
-        _put(time[0], part, (part.times - begin) / span - 0.5)
-        _put(time[1], part, own - 0.5)
+        part.put(time[0], (part.times - begin) / span - 0.5)
+        part.put(time[1], own - 0.5)
         history = load_history(part, base)
-        _put(load[0], part, history)
-        _put(load[1], part, history**2)
+        part.put(load[0], history)
+        part.put(load[1], history**2)
         part.forces(force)[:] = 1.0
         for i in range(3):
             part.markers(place[i])[:] = places[:, i, None]
@@ -255,12 +255,6 @@ def phases(case: Case, part: CasePart, least: float) -> dict[str, FloatArray]:
         "after": ~inside & (frame > on[-1] if len(on) else False),
     }
     return {name: np.asarray(frames, np.float64) for name, frames in found.items() if frames.any()}
-
-
-def _put(weights: FloatArray, part: CasePart, history: FloatArray) -> None:
-    """Write a history (n_frames,) into the weights (size,) of all numbers of a case."""
-    part.markers(weights)[:] = history[:, None, None]
-    part.forces(weights)[:] = history[:, None, None]
 
 
 def _orthonormal(rows: FloatArray, least: float) -> FloatArray:

@@ -167,8 +167,7 @@ def frame_blocks(
         mask = np.zeros(layout.size, bool)
         part_mask = np.zeros(part.n_frames, bool)
         part_mask[number::n_blocks] = True
-        part.markers(mask)[part_mask] = True
-        part.forces(mask)[part_mask] = True
+        part.put(mask, part_mask)
         whole = part.n_frames == 1
         blocks[part.name if whole else f"{part.name}, every {n_blocks}th frame from {number}"] = mask
     return blocks

@@ -52,6 +52,11 @@ class CasePart:
         """Return the case's forces in flat vectors (..., size): a view of shape (..., n_frames, n_pads, 3)."""
         return flat[..., self.middle : self.end].reshape(*flat.shape[:-1], self.n_frames, len(self.pads), 3)
 
+    def put(self, flat: NDArray[_T], history: NDArray[_T]) -> None:
+        """Write the values of all frames, (n_frames,), into the case's numbers of a flat vector (size,)."""
+        self.markers(flat)[:] = history[:, None, None]
+        self.forces(flat)[:] = history[:, None, None]
+
 
 class SignalLayout:
     """The order of all measured numbers of an experiment in one flat vector.
@@ -107,8 +112,7 @@ class SignalLayout:
         """Return the time of every entry in s, shape (size,)."""
         moments = np.zeros(self.size)
         for part in self.parts:
-            part.markers(moments)[:] = part.times[:, None, None]
-            part.forces(moments)[:] = part.times[:, None, None]
+            part.put(moments, part.times)
         return moments
 
     def flatten(self, places: Mapping[str, FloatArray], forces: Mapping[str, Mapping[str, FloatArray]]) -> FloatArray:

@@ -90,28 +90,16 @@ def _body_layers(body: "Experiment", new: Sequence[Effect]) -> list[Signs]:
     for title, colour, chosen in (("inclusion found", "#b0143c", True), ("inclusion believed", "#3c3c3c", False)):
         some = [one for one in body.effects if isinstance(one, Inclusion) and any(one is x for x in new) == chosen]
         if some:
+            places = np.array([one.centre_mm for one in some])
+            axes = np.array([np.diag(one.semi_axes_mm).ravel() for one in some])
+            names = [f"{title}: contrast {one.contrast:g}" for one in some]
             layers.append(
-                Signs(
-                    kind="ellipsoids",
-                    title=title,
-                    colour=colour,
-                    places=np.array([one.centre_mm for one in some]),
-                    by=np.array([np.diag(one.semi_axes_mm).ravel() for one in some]),
-                    names=[f"{title}: contrast {one.contrast:g}" for one in some],
-                    behind=0.8,
-                )
+                Signs(kind="ellipsoids", title=title, colour=colour, places=places, by=axes, names=names, behind=0.8)
             )
     if body.targets:
+        places, names = np.array(list(body.targets.values())), list(body.targets)
         layers.append(
-            Signs(
-                kind="points",
-                title="targets",
-                colour=TARGET,
-                places=np.array(list(body.targets.values())),
-                names=list(body.targets),
-                labels=True,
-                behind=0.8,
-            )
+            Signs(kind="points", title="targets", colour=TARGET, places=places, names=names, labels=True, behind=0.8)
         )
     return layers
 
@@ -120,22 +108,12 @@ def _marker_layers(layout: "SignalLayout", new: Sequence[Effect], residuals: lis
     names, places = list(layout.marker_names), layout.reference
     seen = [[np.where(np.isfinite(one), places, np.nan) for one in cases] for cases in residuals]
     unseen = [[np.where(np.isfinite(one), np.nan, places) for one in cases] for cases in residuals]
+    rms = "Residual of a coordinate in this frame (rms)"
     accused = sorted({name for effect in new for name in _markers_of(effect)} & set(names))
     layers = [
         Signs(kind="points", title="markers", colour="#20262e", places=seen, size=3.0),
         Signs(kind="points", title="markers not seen", colour="#7d858e", places=unseen, shape="ring"),
-        Signs(
-            kind="arrows",
-            title="residual of a marker",
-            colour=(BEFORE, AFTER),
-            places=places,
-            by=residuals,
-            names=names,
-            width=2.0,
-            grow=LOOK.arrow,
-            rms="Residual of a coordinate in this frame (rms)",
-            behind=0.6,
-        ),
+        _arrows("residual of a marker", colour=(BEFORE, AFTER), places=places, by=residuals, names=names, rms=rms),
     ]
     if accused:
         rows = [names.index(name) for name in accused]
@@ -152,34 +130,15 @@ def _force_layers(body: "Experiment", forces: list[list[FloatArray]]) -> list[Si
         return []
     centres = np.array([body.mesh.nodes[body.actuator(one.name).nodes].mean(axis=0) for one in body.actuators])
     names = [actuator.name for actuator in body.actuators]
-    layers = [
-        Signs(
-            kind="points",
-            title="pads",
-            colour="#6b5310",
-            places=centres,
-            shape="square",
-            names=names,
-            labels=True,
-            behind=0.7,
-        )
-    ]
+    pads: dict[str, Any] = {"places": centres, "names": names}
+    layers = [Signs(kind="points", title="pads", colour="#6b5310", shape="square", labels=True, behind=0.7, **pads)]
     if any(np.isfinite(one).any() for cases in forces for one in cases):
-        layers.append(
-            Signs(
-                kind="arrows",
-                title="residual of a force",
-                colour=FLOOR,
-                places=centres,
-                by=forces,
-                names=names,
-                width=2.0,
-                grow=LOOK.arrow,
-                unit="mN",
-                behind=0.6,
-            )
-        )
+        layers.append(_arrows("residual of a force", colour=FLOOR, by=forces, unit="mN", **pads))
     return layers
+
+
+def _arrows(title: str, **more: Any) -> Signs:
+    return Signs(kind="arrows", title=title, width=2.0, grow=LOOK.arrow, behind=0.6, **more)
 
 
 def _markers_of(effect: Any) -> tuple[str, ...]:
