@@ -162,10 +162,7 @@ class Bench:
         return self.side_by_side(one, tried)
 
     def side_by_side(self, work: Callable[[_In], _Out], tried: Sequence[_In]) -> list[_Out]:
-        """Return `work(one)` for every entry `one` of `tried`, in order; calls run in parallel, each on one thread.
-
-        Work may call this itself: of all that runs, no more bodies are solved at a time than there are threads.
-        """
+        """Return `work(one)` for every entry of `tried`, in order; calls run in parallel and may call this too."""
         if self.predictor.workers == 1 or len(tried) <= 1:
             return [work(one) for one in tried]
         with ThreadPoolExecutor(self.predictor.workers) as pool:

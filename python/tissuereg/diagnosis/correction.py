@@ -30,10 +30,7 @@ class OfEffect:
     difference: FloatArray
 
     def share(self, coarse: FloatArray) -> FloatArray:
-        """Return the amount of the effect, shape (...), in predictions (..., size) on the user's mesh, mm and mN.
-
-        The amount is 0 for the believed model, 1 for that with the effect; predictions are at the believed modulus.
-        """
+        """Return the amount (...) of the effect in predictions (..., size) at the believed modulus, mm and mN."""
         return np.asarray((coarse - self.base) @ self.along)
 
     def at(self, coarse: FloatArray) -> FloatArray:
@@ -41,10 +38,7 @@ class OfEffect:
         return np.asarray(self.share(coarse)[..., None] * self.difference)
 
     def other(self, coarse: FloatArray) -> FloatArray:
-        """Return the part, (..., size) in mm and mN, of a model's changes that is no multiple of the effect's change.
-
-        `coarse` (..., size): predictions of the model on the user's mesh at the believed modulus, mm and mN.
-        """
+        """Return the part (..., size), mm and mN, of a prediction's change that is no multiple of the effect's."""
         return np.asarray(coarse - self.base - self.share(coarse)[..., None] * self.change)
 
 
@@ -65,19 +59,13 @@ class Correction:
     of_effect: OfEffect | None = None
 
     def corrected(self, coarse: FloatArray, modulus: float = 1.0) -> FloatArray:
-        """Return predictions (..., size) on the user's mesh, mm and mN, as the finer mesh would give them.
-
-        `modulus`: the modulus with which they were computed, over the believed one.
-        """
+        """Return predictions (..., size) with a modulus, over the believed one, as the finer mesh would give them."""
         scale = self._scale(modulus)
         missing = self.difference if self.of_effect is None else self.difference + self.of_effect.at(coarse / scale)
         return self._mapped(coarse) + scale * missing
 
     def of_columns(self, columns: FloatArray) -> FloatArray:
-        """Return derivatives (..., size) of a prediction on the user's mesh, converted to the finer mesh and modulus.
-
-        They are given at the believed modulus and returned for the modulus of this correction.
-        """
+        """Return derivatives (..., size) at the believed modulus, converted to the finer mesh and to `self.modulus`."""
         return self.at_modulus(self._mapped(columns))
 
     def at_modulus(self, columns: FloatArray) -> FloatArray:

@@ -108,10 +108,7 @@ def _worst_frame(layout: SignalLayout, reduced: FloatArray) -> tuple[str, float]
 
 
 def nearest_cause(screen: Screen, found: Search, least: float) -> tuple[str, float]:
-    """Return the id of the further cause that the remaining residual resembles most, and its log Bayes factor, nats.
-
-    The id is ``"unknown"`` where that is less than `least`.
-    """
+    """Return the id of the further cause most like the residual, `UNKNOWN` below `least`, and its evidence, nats."""
     gains = {name: one.log_bayes_factor for name, one in screen.of(found.reduced).items()}
     named = set(found.final.ids)
     others = {name: gain for name, gain in gains.items() if name not in named and name != UNKNOWN}

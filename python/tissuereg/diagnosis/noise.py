@@ -128,10 +128,7 @@ def estimate_noise(experiment: Experiment, layout: SignalLayout, settings: Noise
 
 
 def scale_evidence(power: float, freedom: float, settings: NoiseSettings) -> float:
-    """Return the log Bayes factor, nats, of noise larger than stated against that stated.
-
-    `power`: sum of squares over the stated variance; `freedom`: its degrees of freedom.
-    """
+    """Return the log Bayes factor, nats, of larger noise; `power`: sum of squares over the stated variance."""
     reach = 6.0 * settings.spread
     stated, larger = np.linspace(-reach, reach, 2001), np.linspace(0.0, np.log(settings.largest_factor), 20001)
 

@@ -97,10 +97,9 @@ class Misfit:
 
 
 class Battery:
-    """The statistics of the misfit test, each a sum of squares of residuals or the largest of several such sums.
+    """The statistics of the misfit test: sums of squares of residuals, or the largest of several such sums.
 
-    `layout`: order of the data; `subspaces`: for each subspace of smooth changes, orthonormal rows (k, size) that span
-    it (`smooth_subspaces`).
+    `subspaces`: orthonormal rows (k, size) that span each subspace of smooth changes (`smooth_subspaces`).
     """
 
     def __init__(self, layout: SignalLayout, subspaces: Sequence[FloatArray]) -> None:
@@ -125,10 +124,7 @@ class Battery:
         return Misfit(p, min(shares))
 
     def sums(self, residuals: FloatArray) -> FloatArray:
-        """Return all statistics, shape (n, n_statistics), of residuals (n, size) whitened by noise and nuisances.
-
-        The statistics are positive; the sum of all squares is the first.
-        """
+        """Return all statistics (n, n_statistics), positive, of residuals (n, size), first the sum of all squares."""
         layout, rows = self.layout, [(residuals**2).sum(axis=1)]
         per_marker = np.zeros((len(residuals), len(layout.marker_names)))
         per_frame = []

@@ -188,20 +188,14 @@ def _largest(rows: FloatArray) -> float:
 
 
 class OutsideBank:
-    """The hypotheses of effects outside the catalogue, whitened by the noise once for any number of residuals.
-
-    `bank`: hypotheses by kind (`outside_variants`); `white`: whitens columns (..., size) by the noise alone.
-    """
+    """The hypotheses of effects outside the catalogue by kind, whitened by the noise once for any residuals."""
 
     def __init__(self, bank: Mapping[str, Sequence[Variant]], white: Callable[[FloatArray], FloatArray]) -> None:
         self._positive = {kind: several[0].positive for kind, several in bank.items()}
         self._columns = {kind: white(np.stack([one.columns for one in several])) for kind, several in bank.items()}
 
     def evidence(self, residual: FloatArray, null: Null, rules: OutsideSettings) -> dict[str, float]:
-        """Return the log Bayes factor of every kind against no effect, nats: the mean over its hypotheses and sizes.
-
-        `residual` (size,): whitened by the noise; `null`: covariance of noise and nuisances.
-        """
+        """Return the log Bayes factor, nats, of every kind against no effect: the mean over hypotheses and sizes."""
         reduced, found = null.reduced(residual)[None], {}
         for kind, columns in self._columns.items():
             kept, positive = null.reduced(columns), self._positive[kind]

@@ -96,10 +96,7 @@ class Screen:
         return float(np.linalg.norm(amplitudes @ self.blocks[name].columns[number].astype(np.float64)))
 
     def many(self, residuals: FloatArray) -> dict[str, FloatArray]:
-        """Return the log Bayes factors (n,), in nats, of every cause and of the generic rival, by id.
-
-        `residuals` (n, size): whitened by noise and nuisances.
-        """
+        """Return the log Bayes factors (n,), nats, of all causes and the generic rival for residuals (n, size)."""
         found = {name: log_mean_exp(self._each(name, residuals)) for name in self.blocks}
         each = [block.log_bayes_factors(residuals)[:, 0] for block in self.generic]
         found[UNKNOWN] = log_mean_exp(np.stack(each, axis=-1))

@@ -53,10 +53,7 @@ class FibreCause(Cause):
         )
 
     def in_curves(self, scene: Scene) -> Sequence[FreeParameters]:
-        """Return fibres along the pull, which is the x axis, and across it: logarithms of stiffness and stiffening.
-
-        One mode alone cannot distinguish fibres from a stiffer law; there is none then.
-        """
+        """Return fibres along the pull (x) and across it: logarithms of stiffness and stiffening; none in one mode."""
 
         def along(towards: tuple[float, float, float]) -> Callable[[FloatArray], Fibre]:
             return lambda x: Fibre(

@@ -113,10 +113,7 @@ def shares_of_balls(mesh: Mesh, balls: Sequence[Ball]) -> "sparse.csr_array":
 
 
 def balls_in(mesh: Mesh, radii: Sequence[float], spacing: float) -> list[Ball]:
-    """Return balls inside a body: on a grid for each radius, coarser for larger balls.
-
-    `radii`: over the extent of the body; `spacing`: of the grid, over the radius.
-    """
+    """Return balls inside a body, on a grid for each radius; `radii`: over the extent, `spacing`: over the radius."""
     tree, reach = KDTree(mesh.nodes[mesh.tets].mean(axis=1)), float(np.cbrt(6.0 * mesh.volumes.max()))
     low, high = mesh.nodes.min(axis=0), mesh.nodes.max(axis=0)
     found: list[Ball] = []

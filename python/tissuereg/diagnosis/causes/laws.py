@@ -108,10 +108,7 @@ EVEN = 2.0
 
 @dataclass(frozen=True)
 class AsymmetryCause(LawCause):
-    """Ogden's law with one term, or a bimodular law, whose tension and compression differ at the smallest strain.
-
-    Ogden's law is stiffer in compression for negative exponents, in tension for large positive ones.
-    """
+    """Ogden's law with one term, or a bimodular law, whose tension and compression differ at the smallest strain."""
 
     id: ClassVar[str] = "asymmetry"
     family: ClassVar[str] = "law"
@@ -119,14 +116,11 @@ class AsymmetryCause(LawCause):
     tried: tuple[tuple[str, float], ...] = (("ogden", -12.0), ("ogden", 10.0), ("bimodular", -0.4), ("bimodular", 0.7))
 
     def effect(self, law: str, size: float, form: str) -> Effect:
-        """Return a bimodular law of excess `size`, or Ogden's law whose exponent is 2 (neo-Hookean) plus `size`.
-
-        The excess is the stiffness in tension over that in compression, minus one. An exponent near 0 is moved to 0.1
-        or -0.1.
-        """
+        """Return a bimodular law of excess `size` in tension, or Ogden's law of the exponent 2 plus `size`."""
         if law == "bimodular":
             return Asymmetry(law=law, volumetric=form, **shape_of(law, size))
         exponent = EVEN + size
+        # Ogden's law has no exponent of zero.
         if abs(exponent) < 0.1:
             exponent = 0.1 if exponent >= 0 else -0.1
         return Asymmetry(law=law, alpha=(exponent,), weight=(1.0,), volumetric=form)

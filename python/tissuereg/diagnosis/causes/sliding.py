@@ -28,10 +28,7 @@ class SlidingCause(Cause):
     cohesions: tuple[float, ...] = (0.03, 0.1)
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return four hypotheses for each support: springs of two compliances, and friction with two cohesions.
-
-        A support already believed to slide, or without a whole surface triangle, has none.
-        """
+        """Return four hypotheses for each support that is not believed to slide: two of springs, two of friction."""
         taken = {getattr(effect, "boundary", None) for effect in bench.experiment.effects if effect.id == self.id}
         for boundary in bench.experiment.boundaries:
             name = boundary.name

@@ -21,10 +21,7 @@ if TYPE_CHECKING:
 
 
 def page(found: "BodyDiagnosis", folder: Path) -> str:
-    """Return the page of a diagnosis, HTML; `folder`: the folder in which it will lie.
-
-    Without the `details` of the diagnosis the page has text and the ranking alone.
-    """
+    """Return the page of a diagnosis, HTML, for its folder; without `details` it has text and the ranking alone."""
     parts = [summary(found), "<h2>Findings</h2>", findings(found)]
     if found.details is not None:
         parts += [_body(found, found.details), _history(found, found.details)]
