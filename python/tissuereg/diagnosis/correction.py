@@ -33,10 +33,6 @@ class OfEffect:
         """Return the amount (...) of the effect in predictions (..., size) at the believed modulus, mm and mN."""
         return np.asarray((coarse - self.base) @ self.along)
 
-    def at(self, coarse: FloatArray) -> FloatArray:
-        """Return what must be added to predictions (..., size) on the user's mesh for the effect's error, mm and mN."""
-        return np.asarray(self.share(coarse)[..., None] * self.difference)
-
     def other(self, coarse: FloatArray) -> FloatArray:
         """Return the part (..., size), mm and mN, of a prediction's change that is no multiple of the effect's."""
         return np.asarray(coarse - self.base - self.share(coarse)[..., None] * self.change)
@@ -60,8 +56,9 @@ class Correction:
 
     def corrected(self, coarse: FloatArray, modulus: float = 1.0) -> FloatArray:
         """Return predictions (..., size) with a modulus, over the believed one, as the finer mesh would give them."""
-        scale = self._scale(modulus)
-        missing = self.difference if self.of_effect is None else self.difference + self.of_effect.at(coarse / scale)
+        scale, missing, effect = self._scale(modulus), self.difference, self.of_effect
+        if effect is not None:
+            missing = missing + effect.share(coarse / scale)[..., None] * effect.difference
         return self._mapped(coarse) + scale * missing
 
     def of_columns(self, columns: FloatArray) -> FloatArray:

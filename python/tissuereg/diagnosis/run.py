@@ -165,12 +165,14 @@ class _Judged:
     screen: Screen
     nulls: Nulls
     found: Search
+    #: The best fit, which `found` lacks where its findings are withdrawn.
     best: Fit
     findings: list[Finding]
     misfit: Misfit
     withdrawn: bool
     tested: list[Constancy]
     outside: list[Outside]
+    #: Causes that are not probable enough beside these, as plain data for the answer.
     weak: list[dict[str, Any]]
 
 

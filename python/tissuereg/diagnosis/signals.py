@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from tissuereg._base.arrays import BoolArray, FloatArray
 from tissuereg.errors import ExperimentError
-from tissuereg.experiment.experiment import Case, Experiment
+from tissuereg.experiment.experiment import Experiment
 
 _T = TypeVar("_T", bound=np.generic)
 
@@ -79,7 +79,10 @@ class SignalLayout:
             at = part.end
         self.parts = tuple(parts)
         self.size = at
-        self.measured: FloatArray = self._of_cases(experiment.cases)
+        cases = experiment.cases.items()
+        self.measured = self.flatten(
+            {name: case.markers for name, case in cases}, {name: case.forces for name, case in cases}
+        )
         if not np.isfinite(self.measured).any():
             message = (
                 f"experiment '{experiment.name}' must have measured markers or forces to be diagnosed; it has none"
@@ -127,8 +130,3 @@ class SignalLayout:
             for i, pad in enumerate(part.pads):
                 part.forces(flat)[:, i] = forces[part.name][pad]
         return flat
-
-    def _of_cases(self, cases: Mapping[str, Case]) -> FloatArray:
-        return self.flatten(
-            {name: case.markers for name, case in cases.items()}, {name: case.forces for name, case in cases.items()}
-        )

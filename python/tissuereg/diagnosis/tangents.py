@@ -129,7 +129,9 @@ class Tangents:
         Costs one evaluation of the internal forces (forward difference) and one solution for each motion and state.
         """
         longest = [max(float(np.abs(motion).max()), np.finfo(float).tiny) for motion in motions]
-        step = self.predictor.settings.shape_step * _shortest_edge(self.worked.mesh)
+        edges = self.worked.mesh.nodes[self.worked.mesh.edges]
+        shortest = float(np.linalg.norm(edges[:, 0] - edges[:, 1], axis=1).min())
+        step = self.predictor.settings.shape_step * shortest
         moved = [
             _Moved(self.worked, self.predictor, motion, step / most)
             for motion, most in zip(motions, longest, strict=True)
@@ -221,10 +223,6 @@ class _Moved:
     def seen(self, field: FloatArray) -> FloatArray:
         """Return the displacements of the markers, (n_markers, 3) in mm, in a displacement field (n_nodes, 3) in mm."""
         return self._observation.predict(field[self._observation.nodes])
-
-
-def _shortest_edge(mesh: Mesh) -> float:
-    return float(np.linalg.norm(mesh.nodes[mesh.edges[:, 0]] - mesh.nodes[mesh.edges[:, 1]], axis=1).min())
 
 
 def per_tet(young: FloatArray) -> FloatArray:

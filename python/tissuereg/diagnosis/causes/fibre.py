@@ -53,7 +53,7 @@ class FibreCause(Cause):
         )
 
     def in_curves(self, scene: Scene) -> Sequence[FreeParameters]:
-        """Return fibres along the pull (x) and across it: logarithms of stiffness and stiffening; none in one mode."""
+        """Return fibres along the pull (the x axis) and across it; none for one mode, which a stiffer law fits too."""
 
         def along(towards: tuple[float, float, float]) -> Callable[[FloatArray], Fibre]:
             return lambda x: Fibre(

@@ -112,7 +112,8 @@ class AsymmetryCause(LawCause):
 
     id: ClassVar[str] = "asymmetry"
     family: ClassVar[str] = "law"
-    #: Distances of Ogden's exponent from the even one, excesses of a bimodular law.
+    #: Distances of Ogden's exponent from the even one, excesses of a bimodular law. Ogden's law is stiffer in
+    #: compression for negative exponents, in tension for large positive ones.
     tried: tuple[tuple[str, float], ...] = (("ogden", -12.0), ("ogden", 10.0), ("bimodular", -0.4), ("bimodular", 0.7))
 
     def effect(self, law: str, size: float, form: str) -> Effect:
@@ -198,6 +199,7 @@ class StiffeningCause(LawCause):
         found = [
             (_by_rate if len(DECLARED[law].shape) == 1 else _by_ratios)(law, scene.invariant) for law in STIFFENING
         ]
+        # Of pull or push alone an exponent says no more than how the tangent changes.
         return found if scene.two_sided else [*found, *_ogden(Stiffening, scene.settings)]
 
     def sentence(self, values: Values) -> str:

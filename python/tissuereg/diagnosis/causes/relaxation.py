@@ -64,7 +64,7 @@ class RelaxationCause(Cause):
         )
 
     def in_curves(self, scene: Scene) -> Sequence[FreeParameters]:
-        """Return a Prony series of each number of terms: shares, and logarithms of times in s; none without time."""
+        """Return a Prony series of each number of terms; none where curves cannot show effects of time."""
         if not (scene.paced and scene.longest_s > scene.shortest_s):
             return []
         low, high = float(np.log(scene.shortest_s)), float(np.log(scene.longest_s))

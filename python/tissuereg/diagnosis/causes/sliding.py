@@ -32,7 +32,7 @@ class SlidingCause(Cause):
         taken = {getattr(effect, "boundary", None) for effect in bench.experiment.effects if effect.id == self.id}
         for boundary in bench.experiment.boundaries:
             name = boundary.name
-            if name in taken or not len(_triangles(bench, name)):
+            if name in taken or not len(Sliding(boundary=name, spring_kpa_per_mm=1.0).triangles(bench.experiment)):
                 continue
             own = [("springs", size, _springs(bench, name, size, bench.young)) for size in self.compliances]
             own += [("friction", c, _friction(name, self.coefficient, c * bench.young)) for c in self.cohesions]
@@ -74,10 +74,6 @@ class SlidingCause(Cause):
                 f"cohesion {values['cohesion_kpa']:.2g} kPa)."
             )
         return f"Boundary '{values['boundary']}' slides, as if on springs of {values['spring_kpa_per_mm']:.2g} kPa/mm."
-
-
-def _triangles(bench: Bench, boundary: str) -> FloatArray:
-    return np.asarray(Sliding(boundary=boundary, spring_kpa_per_mm=1.0).triangles(bench.experiment))
 
 
 def _springs(bench: Bench, boundary: str, compliance: float, young: float) -> Sliding:

@@ -77,6 +77,7 @@ class PoissonCause(Cause):
 
     def in_curves(self, scene: Scene) -> Sequence[FreeParameters]:
         """Return one form: the logit of twice the ratio; none without shear and bars."""
+        # A bar determines E, shear determines E / (1 + nu).
         if "simple-shear" not in scene.modes or len(scene.modes) < 2:
             return []
         believed = min(max(2.0 * scene.poisson, 0.02), 0.999)

@@ -90,7 +90,8 @@ def proposals(moved: Sequence[str], pulled: Sequence[str], felt: Sequence[str]) 
             if exchanged and group[0] in parts:
                 continue  # one pad alone has no axes of its own
             one = not exchanged and int((signs < 0).sum()) in (1, 3)
-            kind = "sign" if one and group[0].pads and len(group) == 1 else _kind(turn)
+            kind = "mirrored" if np.linalg.det(turn) < 0 else "frame"
+            kind = "sign" if one and group[0].pads and len(group) == 1 else kind
             cost = (COSTS.axes if exchanged else COSTS.flip) + own
             write = f"write the columns {group[0].columns.split(',')[0]}, ... as {title}"
             yield _reading(kind, cost, f"read as {title}", write, group, turn)
@@ -137,10 +138,6 @@ def _reading(
         dict.fromkeys(commands, turn),
         dict.fromkeys(felt, turn),
     )
-
-
-def _kind(turn: FloatArray) -> str:
-    return "mirrored" if np.linalg.det(turn) < 0 else "frame"
 
 
 def _listed(names: Sequence[str]) -> str:

@@ -214,14 +214,11 @@ def _nuisances(names: Sequence[str]) -> list[str]:
 
 def _name(finding: "Finding") -> str:
     """Return the cause that a finding states, its group, or its family with the best member."""
-    name = _either([plain_name(name) for name in finding.group])
+    names = [plain_name(name) for name in finding.group]
+    name = names[0] if len(names) == 1 else f"either {_listed(names, 'or')}"
     if finding.membership is None or finding.membership.holds:
         return name
     return f"one of the {finding.membership.words} (best: {name})"
-
-
-def _either(names: list[str]) -> str:
-    return names[0] if len(names) == 1 else f"either {_listed(names, 'or')}"
 
 
 def _listed(names: list[str], last: str = "and") -> str:
