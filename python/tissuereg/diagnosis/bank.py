@@ -54,7 +54,7 @@ def make_bank(bench: Bench, *, keep: bool = True) -> Bank:
     return {name: bank[name] for name in wanted if bank[name]}
 
 
-def make_outside(bench: Bench, *, keep: bool) -> Bank:
+def make_outside(bench: Bench, *, keep: bool = True) -> Bank:
     """Return the hypotheses of every kind of effect outside the catalogue (`outside_variants`), as `make_bank` does."""
     settings = replace(bench.settings.outside, variations=(), holds=(), strains=(), motions=()), bench.settings.model
     entry = f"outside_{fingerprint(bench.experiment, f'{bench.predictor.element} {SCHEMA} {settings}')}"
