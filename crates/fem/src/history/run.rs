@@ -9,7 +9,7 @@ use crate::check::check_length;
 use crate::error::{FemError, NoEquilibrium};
 use crate::load::{Load, NodalLoad};
 use crate::material::Material;
-use crate::memory::{Behaviour, PointState, StepModel, StepState, fresh_states};
+use crate::memory::{Behaviour, StepModel, StepState, fresh_states};
 use crate::solve::{
     LoadSteps, Metric, Model, Problem, Solution, SolveReport, SolveSettings, Solver, State, norm,
     solution, surface_of,
@@ -62,13 +62,14 @@ const SMALLEST_PART: f64 = 1.0 / 64.0;
 pub struct History {
     material: Material,
     behaviour: Behaviour,
+    n_points: usize,
     now: Now,
     spare: Spare,
 }
 
 /// Room for the states at the end of a next step: those of an earlier one. A copy of a history begins without.
 #[derive(Debug, Default)]
-struct Spare(Vec<PointState>);
+struct Spare(Vec<f64>);
 
 impl Clone for Spare {
     fn clone(&self) -> Self {
@@ -85,8 +86,8 @@ struct Now {
     displacement: Vec<f64>,
     /// Loads of the last frame, `(3 n_nodes)`, mN.
     force: Vec<f64>,
-    /// One per quadrature point; shared until the end of a step.
-    states: Arc<Vec<PointState>>,
+    /// What the quadrature points remember; shared until the end of a step.
+    states: Arc<Vec<f64>>,
     /// One per point of the springs that may slip; none before the first step with such.
     slips: Vec<Slip>,
     /// Largest norm of a load so far, mN: a residual small compared with it is no force.
@@ -104,15 +105,16 @@ impl History {
         behaviour.check()?;
         material.check_size(body.n_tets(), body.element().n_points())?;
         let n = 3 * body.n_nodes();
+        let n_points = body.n_tets() * body.element().n_points();
         let now = Now {
             time_s: None,
             displacement: vec![0.0; n],
             force: vec![0.0; n],
-            states: Arc::new(fresh_states(&behaviour, body.n_tets() * body.element().n_points())),
+            states: Arc::new(fresh_states(&behaviour, n_points)),
             slips: Vec::new(),
             largest_load: 0.0,
         };
-        Ok(Self { material, behaviour, now, spare: Spare::default() })
+        Ok(Self { material, behaviour, n_points, now, spare: Spare::default() })
     }
 
     /// Time of the last frame, s; none before the first.
@@ -201,7 +203,7 @@ impl History {
 
     /// Where its states are, and the room for the next ones.
     #[cfg(test)]
-    pub(super) fn rooms(&self) -> [*const PointState; 2] {
+    pub(super) fn rooms(&self) -> [*const f64; 2] {
         [self.now.states.as_ptr(), self.spare.0.as_ptr()]
     }
 
@@ -216,7 +218,7 @@ impl History {
         let n_nodes = self.now.displacement.len() / 3;
         check_length("body (nodes of the history)", n_nodes, body.n_nodes())?;
         let n_points = body.n_tets() * body.element().n_points();
-        check_length("body (points of the history)", self.now.states.len(), n_points)?;
+        check_length("body (points of the history)", self.n_points, n_points)?;
         if !time_s.is_finite() {
             return Err(FemError::BadParameter { name: "time_s", must: "finite", found: time_s });
         }
@@ -250,7 +252,7 @@ struct Frame<'a> {
 
 impl Frame<'_> {
     /// Lead `now` to the frame, in as many steps as it takes; `spare`: room for states.
-    fn reach(&self, now: &mut Now, spare: &mut Vec<PointState>) -> Result<Solution, FemError> {
+    fn reach(&self, now: &mut Now, spare: &mut Vec<f64>) -> Result<Solution, FemError> {
         let start = now.clone();
         let mut solver = Solver::new(self.body, self.settings.is_parallel());
         let mut total = SolveReport::default();
@@ -290,7 +292,7 @@ impl Frame<'_> {
         solver: &mut Solver,
         start: &Now,
         now: &mut Now,
-        spare: &mut Vec<PointState>,
+        spare: &mut Vec<f64>,
         to: f64,
     ) -> Result<Solution, FemError> {
         let parallel = self.settings.is_parallel();

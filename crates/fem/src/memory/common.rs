@@ -1,7 +1,8 @@
 //! The state within a time step, and the update of a point's memory at its end.
 
 use super::behaviour::{Behaviour, Drainage, Part, Softening, SofteningForm, Swelling};
-use super::prony::{Decay, Memory, Term};
+use super::layout::{Layout, matrix};
+use super::prony::{Decay, Term};
 use super::softening::Softened;
 use super::tensor::{
     ZERO, det_f_minus_one, green_strain, inverse_transposed, plus, plus_identity, plus_scalar,
@@ -21,42 +22,6 @@ impl Weights {
     /// has the volumetric factor.
     pub(super) fn of_whole(&self, left: f64) -> f64 {
         self.volumetric + self.isochoric * (left - 1.0)
-    }
-}
-
-/// What one point remembers.
-#[derive(Debug, PartialEq)]
-pub(crate) struct PointState {
-    /// Displacement gradient at the end of the last step.
-    pub(super) gradient: Matrix3,
-    /// Of the whole stress, or of its volumetric part where parts relax differently.
-    pub(super) volumetric: Option<Memory>,
-    pub(super) isochoric: Option<Memory>,
-    /// Largest energy so far that softens, kPa.
-    pub(super) largest_energy: f64,
-    /// Logarithmic strain of the largest norm so far.
-    pub(super) largest_strain: Matrix3,
-}
-
-impl PointState {
-    /// Whether it remembers stresses.
-    pub(super) fn remembers(&self) -> bool {
-        self.volumetric.is_some() || self.isochoric.is_some()
-    }
-}
-
-impl Clone for PointState {
-    fn clone(&self) -> Self {
-        Self { volumetric: self.volumetric.clone(), isochoric: self.isochoric.clone(), ..*self }
-    }
-
-    /// Without allocation where as much is remembered.
-    fn clone_from(&mut self, source: &Self) {
-        self.gradient = source.gradient;
-        self.volumetric.clone_from(&source.volumetric);
-        self.isochoric.clone_from(&source.isochoric);
-        self.largest_energy = source.largest_energy;
-        self.largest_strain = source.largest_strain;
     }
 }
 
@@ -92,6 +57,7 @@ impl PointStep {
 /// What holds at all points alike.
 #[derive(Debug, Clone)]
 pub(super) struct Common {
+    pub(super) layout: Layout,
     /// `s` at the end of the step.
     pub(super) stretch: f64,
     pub(super) weights: Weights,
@@ -111,6 +77,7 @@ impl Common {
     /// Of a step of `length` seconds (0: at once) that ends at `time`, s.
     pub(super) fn new(behaviour: &Behaviour, length: f64, time: f64) -> Self {
         let mut common = Self {
+            layout: Layout::new(behaviour),
             stretch: 1.0,
             weights: Weights { volumetric: 1.0, isochoric: 1.0 },
             decays: behaviour.series().map(|terms| Decay::new(&terms)),
@@ -134,13 +101,15 @@ impl Common {
         self.viscous = if length > 0.0 { 2.0 * self.viscosity / length } else { 0.0 };
     }
 
-    /// What holds at a point.
-    pub(super) fn point(&self, state: &PointState) -> PointStep {
+    /// What holds at a point that remembers a row of numbers.
+    pub(super) fn point(&self, row: &[f64]) -> PointStep {
+        let Layout { gradient, largest_energy, .. } = self.layout;
+        let flows = gradient.filter(|_| self.viscous != 0.0);
         PointStep {
-            pull: self.pull(state),
-            history_stress: self.history_stress(state),
-            flow: (self.viscous != 0.0).then(|| Flow::new(self.viscous, &state.gradient)),
-            largest_energy: state.largest_energy,
+            pull: self.pull(row),
+            history_stress: self.history_stress(row),
+            flow: flows.map(|first| Flow::new(self.viscous, &matrix(row, first))),
+            largest_energy: largest_energy.map_or(0.0, |place| row[place]),
         }
     }
 
@@ -164,12 +133,13 @@ impl Common {
     }
 
     /// `Fp⁻¹ / s`
-    fn pull(&self, state: &PointState) -> Option<Matrix3> {
-        let moved = state.largest_strain.as_flattened().iter().any(|&v| v != 0.0);
+    fn pull(&self, row: &[f64]) -> Option<Matrix3> {
         let shrink = 1.0 / self.stretch;
+        let largest = self.layout.largest_strain.map_or(ZERO, |first| matrix(row, first));
+        let moved = largest.as_flattened().iter().any(|&v| v != 0.0);
         match self.set.filter(|_| moved) {
             Some(fraction) => {
-                let stays = scaled(fraction, &state.largest_strain);
+                let stays = scaled(fraction, &largest);
                 let back = spectral(&stays, |e| (-e).exp());
                 Some(scaled(shrink, &back))
             }
@@ -179,12 +149,11 @@ impl Common {
     }
 
     /// `S_hist`, kPa; none where no stress is remembered.
-    pub(super) fn history_stress(&self, state: &PointState) -> Option<Matrix3> {
-        let parts = [&state.volumetric, &state.isochoric];
+    pub(super) fn history_stress(&self, row: &[f64]) -> Option<Matrix3> {
         let mut sum: Option<Matrix3> = None;
-        for (decay, memory) in self.decays.iter().zip(parts) {
-            if let Some(memory) = memory {
-                let own = decay.history(memory);
+        for (decay, place) in self.decays.iter().zip(&self.layout.series) {
+            if let Some(place) = place {
+                let own = decay.history(&row[place.clone()]);
                 sum = Some(sum.map_or(own, |sum| plus(&sum, &own)));
             }
         }
@@ -193,6 +162,11 @@ impl Common {
 }
 
 impl Common {
+    /// Whether what holds at a point takes long to compute.
+    pub(super) fn is_dear(&self) -> bool {
+        self.set.is_some() || self.viscous != 0.0
+    }
+
     /// Whether points remember stresses and nothing else happens to them.
     pub(super) fn is_memory_alone(&self) -> bool {
         self.softening.is_none() && self.set.is_none() && self.viscous == 0.0 && self.stretch == 1.0

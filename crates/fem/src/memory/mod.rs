@@ -16,7 +16,7 @@
 //! * `prony`: `a` and `S_hist`, the relaxed answer to all steps before (Simo's recursion);
 //! * `softening`: `φ` or `φ_d`, of the largest energy so far (Mullins effect or damage; the other is
 //!   its argument);
-//! * `common`: what is remembered and what holds within a step; `Fp` is the set, `s` the swelling;
+//! * `layout`: what is remembered; `common`: what holds within a step; `Fp` is the set, `s` the swelling;
 //! * `point`: chain rule of the first line, stress and tangent, once for all laws, and the update of
 //!   what is remembered; `state`: all points of a body, as the element loops see them; `test_piece`:
 //!   one point through a material test.
@@ -30,6 +30,7 @@
 
 mod behaviour;
 mod common;
+mod layout;
 mod point;
 mod prony;
 mod softening;
@@ -42,6 +43,5 @@ mod tests;
 pub use behaviour::{
     Behaviour, Drainage, Part, Relaxation, Set, Softening, SofteningForm, Swelling,
 };
-pub(crate) use common::PointState;
 pub(crate) use state::{StepModel, StepState, fresh_states};
 pub use test_piece::stress_history;

@@ -12,7 +12,8 @@
 //! and `Fe = F A` with a constant `A` gives `P = s³ P_e Aᵀ`.
 
 use super::behaviour::SofteningForm;
-use super::common::{Common, PointState, PointStep, Weights};
+use super::common::{Common, PointStep, Weights};
+use super::layout::{matrix, set_matrix};
 use super::softening::Softened;
 use super::tensor::{
     ZERO, add_scaled, contracted, det_f_minus_one, green_strain, inverse_transposed, log_strain,
@@ -200,12 +201,12 @@ impl Common {
         at: &PointStep,
         h: &Matrix3,
         law: impl Fn(&Matrix3) -> Option<Response>,
-        state: &mut PointState,
+        row: &mut [f64],
     ) -> Option<()> {
-        if state.remembers() || self.softening.is_some() {
-            self.update_stresses(at, h, &self.parts(at, h, law)?, state);
+        if self.layout.remembers() || self.softening.is_some() {
+            self.update_stresses(at, h, &self.parts(at, h, law)?, row);
         }
-        self.update_strains(h, state);
+        self.update_strains(h, row);
         Some(())
     }
 
@@ -215,40 +216,39 @@ impl Common {
         at: &PointStep,
         h: &Matrix3,
         parts: &Parts,
-        state: &mut PointState,
+        row: &mut [f64],
     ) {
-        if state.remembers() {
+        if self.layout.remembers() {
             let inverse = transposed(&inverse_transposed(&plus_identity(h)));
             let second = |volumetric: f64, isochoric: f64| {
                 let weights = Weights { volumetric, isochoric };
                 product(&inverse, &self.stored(at, h, parts, weights).stress)
             };
-            let (one, none) = (1.0, 0.0);
-            if let Some(memory) = &mut state.volumetric {
-                self.decays[0].update(memory, second(one, if self.split { none } else { one }));
-            }
-            if let Some(memory) = &mut state.isochoric {
-                self.decays[1].update(memory, second(none, one));
+            let weights = [(1.0, if self.split { 0.0 } else { 1.0 }), (0.0, 1.0)];
+            let places = self.decays.iter().zip(&self.layout.series);
+            for ((decay, place), (volumetric, isochoric)) in places.zip(weights) {
+                if let Some(place) = place {
+                    decay.update(&mut row[place.clone()], &second(volumetric, isochoric));
+                }
             }
         }
-        if let Some(softening) = &self.softening {
-            let energy = parts.softening_energy(softening.form);
-            if energy > state.largest_energy {
-                state.largest_energy = energy;
-            }
+        if let Some((softening, place)) = self.softening.as_ref().zip(self.layout.largest_energy) {
+            row[place] = row[place].max(parts.softening_energy(softening.form));
         }
     }
 
     /// The part of [`update`](Self::update) that does not depend on the law.
-    pub(super) fn update_strains(&self, h: &Matrix3, state: &mut PointState) {
-        if self.set.is_some() {
+    pub(super) fn update_strains(&self, h: &Matrix3, row: &mut [f64]) {
+        if let Some(first) = self.layout.largest_strain {
             let strain = log_strain(&self.without_swelling(h));
             let square = |strain: &Matrix3| contracted(strain, strain);
-            if square(&strain) > square(&state.largest_strain) {
-                state.largest_strain = strain;
+            if square(&strain) > square(&matrix(row, first)) {
+                set_matrix(row, first, &strain);
             }
         }
-        state.gradient = *h;
+        if let Some(first) = self.layout.gradient {
+            set_matrix(row, first, h);
+        }
     }
 }
 

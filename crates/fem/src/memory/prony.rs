@@ -8,7 +8,7 @@
 //! a   = 1 − Σ g_i (1 − β_i),           S_hist = Σ g_i (e_i H_i,n − β_i S_e,n)
 //! ```
 
-use super::tensor::{ZERO, add_scaled};
+use super::tensor::ZERO;
 use crate::material::Matrix3;
 
 /// One term of a series: its share and its time, s.
@@ -16,33 +16,6 @@ use crate::material::Matrix3;
 pub(super) struct Term {
     pub(super) share: f64,
     pub(super) tau: f64,
-}
-
-/// What a series remembers at one point.
-#[derive(Debug, PartialEq)]
-pub(super) struct Memory {
-    /// Elastic second Piola–Kirchhoff stress at the end of the last step, kPa.
-    pub(super) elastic: Matrix3,
-    /// `H_i`, kPa.
-    pub(super) terms: Vec<Matrix3>,
-}
-
-impl Memory {
-    pub(super) fn new(n_terms: usize) -> Self {
-        Self { elastic: ZERO, terms: vec![ZERO; n_terms] }
-    }
-}
-
-impl Clone for Memory {
-    fn clone(&self) -> Self {
-        Self { elastic: self.elastic, terms: self.terms.clone() }
-    }
-
-    /// Without allocation where there are as many terms.
-    fn clone_from(&mut self, source: &Self) {
-        self.elastic = source.elastic;
-        self.terms.clone_from(&source.terms);
-    }
 }
 
 /// `e` and `β` of every term over one step.
@@ -74,26 +47,32 @@ impl Decay {
         1.0 - self.factors.iter().fold(0.0, lost)
     }
 
-    /// `S_hist`, kPa.
-    pub(super) fn history(&self, memory: &Memory) -> Matrix3 {
+    /// `S_hist`, kPa; `memory`: what is remembered, `S_e` and each `H_i`.
+    pub(super) fn history(&self, memory: &[f64]) -> Matrix3 {
         let mut sum = ZERO;
-        for ((Term { share, .. }, e, beta), term) in self.factors.iter().zip(&memory.terms) {
-            add_scaled(&mut sum, share * e, term);
-            add_scaled(&mut sum, -share * beta, &memory.elastic);
+        let (matrices, _) = memory.as_chunks::<9>();
+        if let Some((elastic, terms)) = matrices.split_first() {
+            for ((Term { share, .. }, e, beta), term) in self.factors.iter().zip(terms) {
+                let (kept, lost) = (share * e, -share * beta);
+                for (k, sum) in sum.as_flattened_mut().iter_mut().enumerate() {
+                    *sum += kept * term[k];
+                    *sum += lost * elastic[k];
+                }
+            }
         }
         sum
     }
 
     /// End the step at an elastic stress, kPa.
-    pub(super) fn update(&self, memory: &mut Memory, elastic: Matrix3) {
-        for ((_, e, beta), term) in self.factors.iter().zip(&mut memory.terms) {
-            for i in 0..3 {
-                for j in 0..3 {
-                    let change = elastic[i][j] - memory.elastic[i][j];
-                    term[i][j] = e * term[i][j] + beta * change;
+    pub(super) fn update(&self, memory: &mut [f64], elastic: &Matrix3) {
+        let (matrices, _) = memory.as_chunks_mut::<9>();
+        if let Some((before, terms)) = matrices.split_first_mut() {
+            for ((_, e, beta), term) in self.factors.iter().zip(terms) {
+                for (k, elastic) in elastic.as_flattened().iter().enumerate() {
+                    term[k] = e * term[k] + beta * (elastic - before[k]);
                 }
             }
+            before.copy_from_slice(elastic.as_flattened());
         }
-        memory.elastic = elastic;
     }
 }

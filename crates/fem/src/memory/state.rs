@@ -6,8 +6,8 @@ use std::sync::Arc;
 use rayon::prelude::*;
 
 use super::behaviour::Behaviour;
-use super::common::{Common, PointState, PointStep};
-use super::prony::{Memory, Term};
+use super::common::{Common, PointStep};
+use super::layout::Layout;
 use super::tensor::ZERO;
 use crate::assembly::{PointModel, Remembered};
 use crate::element::PACK;
@@ -21,30 +21,17 @@ const SHARED: usize = 256;
 pub(crate) struct StepState {
     pub(super) common: Common,
     n_points: usize,
-    /// What the points remember before the step.
-    before: Arc<Vec<PointState>>,
-    /// What holds at each point; none where elements are taken side by side.
+    /// What the points remember before the step, a row each.
+    before: Arc<Vec<f64>>,
+    /// What holds at each point, where that takes long to compute.
     points: Vec<PointStep>,
     /// For elements side by side: of neo-Hookean bodies, where memory is all there is.
     pub(super) remembered: Option<Remembered>,
 }
 
-/// Points of a body that has been through nothing.
-pub(crate) fn fresh_states(behaviour: &Behaviour, n: usize) -> Vec<PointState> {
-    vec![fresh_state(behaviour); n]
-}
-
-/// A point that has been through nothing.
-pub(super) fn fresh_state(behaviour: &Behaviour) -> PointState {
-    let memory = |terms: &[Term]| (!terms.is_empty()).then(|| Memory::new(terms.len()));
-    let [volumetric, isochoric] = behaviour.series();
-    PointState {
-        gradient: ZERO,
-        volumetric: memory(&volumetric),
-        isochoric: if behaviour.is_split() { memory(&isochoric) } else { None },
-        largest_energy: 0.0,
-        largest_strain: ZERO,
-    }
+/// What `n` points remember that have been through nothing.
+pub(crate) fn fresh_states(behaviour: &Behaviour, n: usize) -> Vec<f64> {
+    vec![0.0; n * Layout::new(behaviour).width]
 }
 
 impl StepState {
@@ -52,21 +39,23 @@ impl StepState {
     pub(crate) fn new<M: PointModel>(
         elastic: &M,
         behaviour: &Behaviour,
-        before: &Arc<Vec<PointState>>,
+        before: &Arc<Vec<f64>>,
         n_points: usize,
         length: f64,
         time: f64,
         parallel: bool,
     ) -> Self {
         let common = Common::new(behaviour, length, time);
-        let least = least_part(before.len(), parallel);
+        let width = common.layout.width.max(1);
+        let least = least_part(before.len() / width, parallel);
         let plain = n_points == 1 && common.is_memory_alone() && elastic.neo_hookean().is_some();
         let remembered = plain.then(|| remembered(&common, before, parallel));
-        let points = match plain {
-            true => Vec::new(),
-            false => {
-                before.par_iter().with_min_len(least).map(|state| common.point(state)).collect()
+        let points = match common.is_dear() {
+            true => {
+                let rows = before.par_chunks(width).with_min_len(least);
+                rows.map(|row| common.point(row)).collect()
             }
+            false => Vec::new(),
         };
         Self { common, n_points, before: Arc::clone(before), points, remembered }
     }
@@ -75,34 +64,41 @@ impl StepState {
         let index = element * self.n_points + point;
         match self.points.get(index) {
             Some(at) => Cow::Borrowed(at),
-            None => Cow::Owned(self.common.point(&self.before[index])),
+            None => Cow::Owned(self.common.point(self.common.layout.row(&self.before, index))),
         }
     }
 
     /// What the points remember at the end of the step, at these displacement gradients (one per point); none where
-    /// one is inverted. `spare`: room for it, all states of any earlier step or none.
+    /// one is inverted. `spare`: room for it, what they remember at any other time, or empty.
     pub(crate) fn updated<M: PointModel>(
         &self,
         elastic: &M,
         gradients: &[Matrix3],
-        spare: Vec<PointState>,
+        spare: Vec<f64>,
         parallel: bool,
-    ) -> Option<Vec<PointState>> {
+    ) -> Option<Vec<f64>> {
         let mut states = spare;
-        let filled = states.len();
-        states.extend(self.before.iter().skip(filled).cloned());
-        let least = least_part(states.len(), parallel);
-        let both = self.before.par_iter().zip(gradients);
-        let whole = states.par_iter_mut().zip(both).with_min_len(least).enumerate().all(
-            |(index, (state, (before, h)))| {
+        states.resize(self.before.len(), 0.0);
+        let width = self.common.layout.width.max(1);
+        let least = least_part(gradients.len(), parallel);
+        let both = self.before.par_chunks(width).zip(gradients);
+        let whole = states.par_chunks_mut(width).zip(both).with_min_len(least).enumerate().all(
+            |(index, (row, (before, h)))| {
                 let (element, point) = (index / self.n_points, index % self.n_points);
-                state.clone_from(before);
-                let at = self.points.get(index).unwrap_or(&PointStep::ELASTIC);
+                row.copy_from_slice(before);
                 let law = |he: &Matrix3| elastic.response(element, point, he);
-                self.common.update(at, h, law, state).is_some()
+                self.common.update(&self.elastic_at(element, point), h, law, row).is_some()
             },
         );
         whole.then_some(states)
+    }
+
+    /// What holds at a point, of which its elastic stress depends: nothing where memory is all there is.
+    fn elastic_at(&self, element: usize, point: usize) -> Cow<'_, PointStep> {
+        match self.common.is_memory_alone() {
+            true => Cow::Borrowed(&PointStep::ELASTIC),
+            false => self.at(element, point),
+        }
     }
 }
 
@@ -140,24 +136,24 @@ impl<M: PointModel> PointModel for StepModel<'_, M> {
 }
 
 /// What is remembered, eight points at a time.
-fn remembered(common: &Common, states: &[PointState], parallel: bool) -> Remembered {
+fn remembered(common: &Common, states: &[f64], parallel: bool) -> Remembered {
     const PLACES: [(usize, usize); 6] = [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)];
     let volumetric = common.weights.volumetric;
     let isochoric = if common.split { common.weights.isochoric } else { volumetric };
-    let some = states.first().is_some_and(PointState::remembers);
-    let packed = |eight: &[PointState]| {
+    let width = common.layout.width.max(1);
+    let packed = |eight: &[f64]| {
         let mut six = [[0.0; PACK]; 6];
-        for (l, state) in eight.iter().enumerate() {
-            let stress = common.history_stress(state).unwrap_or(ZERO);
+        for (l, row) in eight.chunks(width).enumerate() {
+            let stress = common.history_stress(row).unwrap_or(ZERO);
             for (row, (i, j)) in six.iter_mut().zip(PLACES) {
                 row[l] = stress[i][j];
             }
         }
         six
     };
-    let least = least_part(states.len(), parallel).div_ceil(PACK);
-    let stress = if some {
-        states.par_chunks(PACK).with_min_len(least).map(packed).collect()
+    let least = least_part(states.len() / width, parallel).div_ceil(PACK);
+    let stress = if common.layout.remembers() {
+        states.par_chunks(PACK * width).with_min_len(least).map(packed).collect()
     } else {
         Vec::new()
     };

@@ -1,9 +1,9 @@
 //! A material test through time: one point with memory, no mesh.
 
 use super::behaviour::Behaviour;
-use super::common::{Common, PointState, PointStep};
+use super::common::{Common, PointStep};
 use super::point::Parts;
-use super::state::fresh_state;
+use super::state::fresh_states;
 use crate::check::check_length;
 use crate::error::FemError;
 use crate::material::homogeneous::{Mode, sheared};
@@ -91,7 +91,7 @@ fn check_order(times_s: &[f64]) -> Result<(), FemError> {
 struct Piece<'a> {
     law: &'a Law,
     common: Common,
-    state: PointState,
+    state: Vec<f64>,
     time_s: f64,
     /// None in simple shear.
     sides: Option<FreeSides>,
@@ -102,7 +102,7 @@ impl<'a> Piece<'a> {
         Self {
             law,
             common: Common::new(behaviour, 0.0, start_s),
-            state: fresh_state(behaviour),
+            state: fresh_states(behaviour, 1),
             time_s: start_s,
             sides: mode.n_free().map(FreeSides::new),
         }
