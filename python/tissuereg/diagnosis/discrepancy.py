@@ -118,7 +118,7 @@ def nearest_cause(screen: Screen, found: Search, least: float) -> tuple[str, flo
 
 
 @dataclass(frozen=True, eq=False)
-class _Component:
+class RigComponent:
     """A component that can be checked: its kind and name, and how near (size,) every number is to it, 0 to 1."""
 
     kind: str
@@ -166,14 +166,14 @@ def next_check(bench: Bench, residual: FloatArray, like: str = "") -> dict[str, 
     return to_check(action, chosen.kind, chosen.name, share=share, where=where, case=case, time_s=time)
 
 
-def components_of(bench: Bench) -> Iterator[_Component]:
+def components_of(bench: Bench) -> Iterator[RigComponent]:
     """Yield every marker, pad, support and case, and the body, as components that can be checked.
 
     Proximities (size,) weigh every measured number from 0 (far) to 1 (at it); the body's is that of its motion.
     """
     layout, experiment = bench.layout, bench.experiment
     for i, name in enumerate(layout.marker_names):
-        yield _Component("marker", name, _near_markers(layout, np.eye(len(layout.marker_names))[i]))
+        yield RigComponent("marker", name, _near_markers(layout, np.eye(len(layout.marker_names))[i]))
     for pad in experiment.actuators:
         near = _near_markers(layout, _closeness(bench, pad.nodes))
         for part in layout.parts:
@@ -182,13 +182,13 @@ def components_of(bench: Bench) -> Iterator[_Component]:
                 part.markers(near)[:] = 0.0
             if pad.name in part.pads:
                 part.forces(near)[:, part.pads.index(pad.name)] = 1.0
-        yield _Component("pad", pad.name, near)
+        yield RigComponent("pad", pad.name, near)
     for boundary in experiment.boundaries:
-        yield _Component("support", boundary.name, _near_markers(layout, _closeness(bench, boundary.nodes)))
+        yield RigComponent("support", boundary.name, _near_markers(layout, _closeness(bench, boundary.nodes)))
     if len(layout.parts) > 1:
         for part in layout.parts:
-            yield _Component("case", part.name, layout.of_case(part.name).astype(np.float64))
-    yield _Component("body", bench.predictor.element, _squared_motion(layout, bench.base))
+            yield RigComponent("case", part.name, layout.of_case(part.name).astype(np.float64))
+    yield RigComponent("body", bench.predictor.element, _squared_motion(layout, bench.base))
 
 
 def _gain(residual: FloatArray, proximity: FloatArray, layout: SignalLayout, settings: AdviceSettings) -> float:
