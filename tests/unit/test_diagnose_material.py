@@ -17,6 +17,7 @@ from tissuereg.diagnosis.material.fit import excluded, null_hypothesis
 from tissuereg.diagnosis.material.noise import noise_of
 from tissuereg.diagnosis.material.report import material_page
 from tissuereg.diagnosis.material.search import MaterialSearch
+from tissuereg.diagnosis.settings import DEFAULT
 from tissuereg.experiment.effects import EFFECTS, Stiffening
 from tissuereg.experiment.material_experiment import Curve
 from tissuereg.io.experiment_out import write_experiment
@@ -183,6 +184,18 @@ def test_the_same_call_gives_the_same_answer():
     experiment = believed(in_modes(np.random.default_rng(6), ("fung", 1.0)))
     one, other = (diagnose_material(experiment, seed=3).to_json() for _ in range(2))
     assert one == other
+
+
+def test_a_p_value_at_its_level_is_no_misfit():
+    experiment = believed(in_modes(np.random.default_rng(6), ("fung", 1.0)))
+    level = diagnose_material(experiment).p_misfit
+    # No share of a misfit is enough: findings stand where none is left.
+    strict = replace(DEFAULT.material, explained=2.0)
+    for misfit, verdict in ((level, "group"), (level + 1e-3, "unexplained")):
+        settings = replace(DEFAULT, nulls=replace(DEFAULT.nulls, misfit=misfit), material=strict)
+        diagnosis = diagnose_material(experiment, settings=settings)
+        assert diagnosis.verdict == verdict
+        assert not [sentence for sentence in diagnosis.sentences if "remains" in sentence]
 
 
 def test_what_is_held_out_can_be_chosen():

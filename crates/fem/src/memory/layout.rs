@@ -6,7 +6,7 @@ use super::behaviour::Behaviour;
 use crate::material::Matrix3;
 
 /// Numbers of a matrix.
-const NINE: usize = 9;
+pub(super) const NINE: usize = 9;
 
 /// Where the numbers are in the row of a point. All of them are zero at first.
 #[derive(Debug, Clone, Default)]
@@ -44,6 +44,11 @@ impl Layout {
     /// Whether stresses are remembered.
     pub(super) fn remembers(&self) -> bool {
         self.series.iter().any(Option::is_some)
+    }
+
+    /// Numbers of a point where rows are gone through as chunks, which have one at least.
+    pub(super) fn stride(&self) -> usize {
+        self.width.max(1)
     }
 
     /// The row of a point, of those of all points.

@@ -8,6 +8,7 @@
 //! a   = 1 − Σ g_i (1 − β_i),           S_hist = Σ g_i (e_i H_i,n − β_i S_e,n)
 //! ```
 
+use super::layout::NINE;
 use super::tensor::ZERO;
 use crate::material::Matrix3;
 
@@ -50,7 +51,7 @@ impl Decay {
     /// `S_hist`, kPa; `memory`: what is remembered, `S_e` and each `H_i`.
     pub(super) fn history(&self, memory: &[f64]) -> Matrix3 {
         let mut sum = ZERO;
-        let (matrices, _) = memory.as_chunks::<9>();
+        let (matrices, _) = memory.as_chunks::<NINE>();
         if let Some((elastic, terms)) = matrices.split_first() {
             for ((Term { share, .. }, e, beta), term) in self.factors.iter().zip(terms) {
                 let (kept, lost) = (share * e, -share * beta);
@@ -65,7 +66,7 @@ impl Decay {
 
     /// End the step at an elastic stress, kPa.
     pub(super) fn update(&self, memory: &mut [f64], elastic: &Matrix3) {
-        let (matrices, _) = memory.as_chunks_mut::<9>();
+        let (matrices, _) = memory.as_chunks_mut::<NINE>();
         if let Some((before, terms)) = matrices.split_first_mut() {
             for ((_, e, beta), term) in self.factors.iter().zip(terms) {
                 for (k, elastic) in elastic.as_flattened().iter().enumerate() {

@@ -46,7 +46,7 @@ impl StepState {
         parallel: bool,
     ) -> Self {
         let common = Common::new(behaviour, length, time);
-        let width = common.layout.width.max(1);
+        let width = common.layout.stride();
         let least = least_part(before.len() / width, parallel);
         let plain = n_points == 1 && common.is_memory_alone() && elastic.neo_hookean().is_some();
         let remembered = plain.then(|| remembered(&common, before, parallel));
@@ -79,7 +79,7 @@ impl StepState {
     ) -> Option<Vec<f64>> {
         let mut states = spare;
         states.resize(self.before.len(), 0.0);
-        let width = self.common.layout.width.max(1);
+        let width = self.common.layout.stride();
         let least = least_part(gradients.len(), parallel);
         let both = self.before.par_chunks(width).zip(gradients);
         let whole = states.par_chunks_mut(width).zip(both).with_min_len(least).enumerate().all(
@@ -93,7 +93,7 @@ impl StepState {
         whole.then_some(states)
     }
 
-    /// What holds at a point, of which its elastic stress depends: nothing where memory is all there is.
+    /// What its elastic stress at a point depends on: nothing of the step where memory is all there is.
     fn elastic_at(&self, element: usize, point: usize) -> Cow<'_, PointStep> {
         match self.common.is_memory_alone() {
             true => Cow::Borrowed(&PointStep::ELASTIC),
@@ -140,7 +140,7 @@ fn remembered(common: &Common, states: &[f64], parallel: bool) -> Remembered {
     const PLACES: [(usize, usize); 6] = [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)];
     let volumetric = common.weights.volumetric;
     let isochoric = if common.split { common.weights.isochoric } else { volumetric };
-    let width = common.layout.width.max(1);
+    let width = common.layout.stride();
     let packed = |eight: &[f64]| {
         let mut six = [[0.0; PACK]; 6];
         for (l, row) in eight.chunks(width).enumerate() {

@@ -98,7 +98,7 @@ class MaterialDiagnosis(Diagnosis):
         change = f"from {base.rms_all:.3g} to {named.rms_all:.3g} kPa"
         sentences = [finding.sentence for finding in self.findings]
         sentences.append(f"The prediction error of {what} that is held out changes {change}.")
-        if self.p_misfit <= outcome.bench.settings.nulls.misfit:
+        if self.p_misfit < outcome.bench.settings.nulls.misfit:
             sentences += [
                 f"A misfit beyond the noise remains: {outcome.explained:.0%} of it are explained.",
                 f"The form found has a model error of some {outcome.refined.form_error:.1%} of the stress; the stated "

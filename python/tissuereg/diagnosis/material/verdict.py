@@ -54,7 +54,7 @@ def diagnosis_of(
     before, after = (bench.data.residual(fit.model) for fit in (believed, known.fit))
     p_misfit = _misfit_probability(bench.weights, after, rng, settings.material)
     explained = _explained(bench, before, after) if known.ids else math.nan
-    stated = known.ids and (p_misfit > rules.misfit or explained > settings.material.explained)
+    stated = known.ids and (p_misfit >= rules.misfit or explained > settings.material.explained)
     accepted = search.findings if stated else ()
     progress("form and weights that predict best")
     reported = refined(search, known) if accepted else None
