@@ -50,7 +50,9 @@ def test_a_step_whose_line_is_gone_is_noticed(root):
 
 
 @pytest.mark.parametrize("guide", sorted(path.stem for path in GUIDES.glob("*.md") if path.stem != "index"))
-def test_every_block_of_a_guide_is_a_step(guide):
+def test_every_step_of_a_guide_finds_its_line(guide, root):
+    copy_of_crates(root)
+    assert follow(guide, root)
     found = steps(guide)
     assert found[-1].verb == "Run"
     assert any(step.verb == "New file" for step in found)

@@ -286,3 +286,41 @@ def test_an_inconstant_cause_is_said_on_the_page_and_no_finding(tmp_path, monkey
     assert asked == [DEFAULT.constancy] * len(asked)
     assert "its change differs by time (p = 0.0005)" in findings(found)
     assert "its change differs" not in findings(stated)
+
+
+@pytest.mark.parametrize(
+    ("shares", "asked", "stays", "given_up"),
+    [
+        ({3: (0.5, 0.4, 0.3)}, [3], (0.5, 0.4, 0.3), ()),
+        # The third goes, the two before it are tested again without it.
+        ({3: (0.5, 0.4, 6e-4), 2: (0.2, 0.3)}, [3, 2], (0.2, 0.3), (6e-4,)),
+        # The second goes with the third, though that is constant beside it.
+        ({3: (0.5, 5e-4, 0.4), 1: (0.3,)}, [3, 1], (0.3,), (5e-4,)),
+        ({3: (0.5, 0.4, 5e-4), 2: (0.4, 6e-4), 1: (7e-4,)}, [3, 2, 1], (7e-4,), (6e-4, 5e-4)),
+        # Without the first there is nothing to test.
+        ({3: (7e-4, 0.4, 5e-4)}, [3], (7e-4, 0.4, 5e-4), ()),
+    ],
+)
+def test_a_later_cause_that_is_not_constant_is_given_up_with_those_after_it(
+    shares, asked, stays, given_up, monkeypatch
+):
+    searched = []
+
+    def search(target, screen, thresholds, most):
+        searched.append(most)
+        return SimpleNamespace(target=None, final=shares[most])
+
+    def parts(target, final, *rest):
+        left = AfterFit(np.zeros(1), np.zeros((10_000, 1)), np.zeros((0, 1)))
+        drawn = [np.r_[0.0, np.where(np.arange(10_000) < 1e4 * share, 1.0, -1.0)] for share in final]
+        return [FittedPart("layer", (), left, None, [("time", one)], number) for number, one in enumerate(drawn)]
+
+    monkeypatch.setattr(run, "search", search)
+    monkeypatch.setattr(run, "fitted_parts", parts)
+    rules = replace(DEFAULT, search=replace(DEFAULT.search, most_causes=3))
+    believed = SimpleNamespace(target=SimpleNamespace(bench=SimpleNamespace(settings=rules)), null=None)
+    found, ready, tested, gone = run._constant(believed, None, SimpleNamespace(thresholds={}, residuals=None), 0)
+    assert searched == asked
+    assert len(ready) == len(found.final) == len(stays)
+    assert [one.p for one in tested] == pytest.approx(stays, abs=5e-5)
+    assert [one.p for one in gone] == pytest.approx(given_up, abs=5e-5)

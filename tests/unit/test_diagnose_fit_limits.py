@@ -111,6 +111,24 @@ def test_a_fit_is_not_given_up_before_its_own_jacobian_is_known(of_two):
     np.testing.assert_allclose(ended.jacobian, exact, atol=1e-6 * np.abs(exact).max())
 
 
+def test_a_jacobian_that_a_step_has_shown_to_be_right_suffices_to_give_up(of_two):
+    parts = [part(of_two, "poisson"), part(of_two, "latency")]
+    found = fit(of_two, parts)
+    # The first cause's row is known; a step of the second gains what is predicted, and nothing is left to gain.
+    moved = found.x + np.array([0.0, 0.0, 3.0 * np.sqrt(found.covariance[2, 2])])
+    near = Near(moved[:2], found.jacobian[:2])
+    counts = {}
+    for lacking in (1.0, 40.0):
+        least = found.log_evidence + lacking
+        again, counts[lacking] = predictions_of(
+            of_two, lambda least=least: fit(of_two, parts, near=near, start=moved, least=least)
+        )
+        assert again.log_evidence == pytest.approx(found.log_evidence, abs=0.5)
+    # By little, within what the known rows may hide, all rows are evaluated in the end; by much they are not.
+    assert counts[40.0] == 1 + 1 + 1
+    assert counts[1.0] >= counts[40.0] + 2
+
+
 def with_iterations(target, most):
     """Return the same target with another number of iterations of its fits, at most."""
     bench = copy(target.bench)

@@ -111,7 +111,7 @@ def both_found(monkeypatch, target, names=("latency", "poisson")):
 def test_of_two_that_fail_beside_each_other_and_alone_the_first_stays_as_it_was_accepted(monkeypatch):
     target = target_of(Poisson(poisson=0.38), Latency(latency_s=0.15))
     screen = both_found(monkeypatch, target)
-    found = search(target, screen, {"latency": 1e9, "poisson": 1e9})
+    found = search(target, screen, {"latency": 1e9, "poisson": 1e9}, 3)
     assert found.final.ids == ("latency",)
     first, *others = found.steps
     assert first.found.gain == pytest.approx(found.final.log_evidence - found.base.log_evidence, rel=0.02)
@@ -146,7 +146,7 @@ def test_of_two_that_fail_the_first_does_not_stay_where_the_data_tell_it_from_th
         return replace(known, steps=tuple(judged)), failed
 
     monkeypatch.setattr(search_module._Bodies, "tested", failing)
-    found = search(target, screen, {"latency": 6.0, "poisson": 6.0})
+    found = search(target, screen, {"latency": 6.0, "poisson": 6.0}, 3)
     assert found.final.ids == (("latency",) if stays else ())
     named = ["poisson"] if stays else ["latency", "poisson"]
     assert sorted(one["id"] for one in possible_of(found)) == named
@@ -180,13 +180,13 @@ def test_a_cause_without_which_there_is_no_equilibrium_stays_or_takes_all_with_i
     rest = search_module.without
     monkeypatch.setattr(search_module, "without", lambda target, fit, part: None if part else rest(target, fit, part))
     limits = {"latency": 6.0, "poisson": 6.0}
-    kept = search(target, screen, limits)
+    kept = search(target, screen, limits, 3)
     assert kept.final.ids == ("latency", "poisson")
     second = next(step for step in kept.steps if step.found is not None and step.found.id == "poisson")
     assert second.found.fit is kept.final
     assert second.found.gain > 0.0
     screen = both_found(monkeypatch, target)
-    gone = search(target, screen, {**limits, "poisson": 1e9})
+    gone = search(target, screen, {**limits, "poisson": 1e9}, 3)
     assert gone.final is gone.base
     assert gone.target is None
     assert [one["id"] for one in possible_of(gone)] == ["poisson"]
@@ -228,7 +228,7 @@ def test_of_two_that_fail_the_one_with_less_evidence_is_taken_out_and_the_other_
         return known, failed if len(tested) == 1 else {}
 
     monkeypatch.setattr(search_module._Bodies, "tested", failing)
-    found = search(target, screen, {"latency": 6.0, "poisson": 6.0})
+    found = search(target, screen, {"latency": 6.0, "poisson": 6.0}, 3)
     assert found.final.ids == (named,)
     assert tested == [("latency", "poisson"), (named,)]
     (step,) = [step for step in found.steps if step.found is not None]

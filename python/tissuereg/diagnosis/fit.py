@@ -202,7 +202,7 @@ def fit(
     objective, reduced = solver.objective(x, prediction)
     # The derivative by a modulus that only scales forces is known exactly.
     exact = near is None or len(near.x) <= int(solver.scales)
-    jacobian, own = solver.jacobian(x, prediction, near), exact
+    jacobian, own, shown = solver.jacobian(x, prediction, near), exact, False
     slopes = solver.reduced(jacobian)
     for remaining in reversed(range(limits.most_iterations)):
         step = solver.step(x, slopes, reduced)
@@ -211,8 +211,8 @@ def fit(
         if exact and excess > limits.further_gains * solver.predicted_decrease(step, slopes):
             break
         step *= min(1.0, limits.longest / max(float(np.abs(step / solver.deviation).max()), 1e-12))
-        gained, was_exact = 0.0, exact
-        for share in limits.shares if solver.predicted_decrease(step, slopes) > limits.least_predicted else ():
+        gained, expected, was_exact = 0.0, solver.predicted_decrease(step, slopes), exact
+        for share in limits.shares if expected > limits.least_predicted else ():
             trial = solver.predict(x + share * step)
             if trial is None:
                 continue
@@ -228,17 +228,22 @@ def fit(
                 # A shorter step would hardly decrease it further.
                 break
         excess -= gained
+        right = was_exact or abs(gained - expected) <= limits.as_expected * max(expected, limits.least_gain)
+        shown = shown or (right and gained >= limits.least_gain)
+        # What a Jacobian that is in part that of the similar model may hide, once a step has shown that it is right.
+        hidden = 0.0 if own else limits.borrowed + expected if shown else np.inf
         if gained < limits.least_gain:
-            if exact or (own and excess > 0.0):
+            if exact or excess > hidden:
                 break
             jacobian, exact, own = solver.jacobian(x, prediction), True, True
         elif excess > min(remaining, limits.further_gains) * gained:
-            # Gains decrease from step to step: after a step with an exact Jacobian the fit will not reach the limit.
-            if was_exact or (own and excess > remaining * gained):
+            # Gains decrease from step to step: after a step with an exact Jacobian, or one that gained what its
+            # Jacobian predicts, the fit will not reach the limit.
+            if excess > hidden + (min(remaining, limits.further_gains) if right else remaining) * gained:
                 break
             jacobian, exact, own = solver.jacobian(x, prediction), True, True
         slopes = solver.reduced(jacobian)
-    if not own:
+    if not own and excess <= 0.0:
         jacobian = solver.jacobian(x, prediction)
         slopes = solver.reduced(jacobian)
     covariance = np.asarray(np.linalg.inv(solver.information(slopes)), np.float64)

@@ -17,7 +17,7 @@ from tissuereg.diagnosis.answer import BodyDiagnosis, DiagnosisDetails, Finding,
 from tissuereg.diagnosis.bank import Bank, make_bank, make_outside
 from tissuereg.diagnosis.bench import Bench, Targets
 from tissuereg.diagnosis.candidates import without
-from tissuereg.diagnosis.constancy import Constancy, fitted_parts
+from tissuereg.diagnosis.constancy import Constancy, FittedPart, fitted_parts
 from tissuereg.diagnosis.correction import Correction, make_correction
 from tissuereg.diagnosis.discrepancy import describe, nearest_cause, next_check, residual_summary
 from tissuereg.diagnosis.evidence import Null, rms
@@ -184,15 +184,12 @@ def _judged(bank: Bank, believed: "BelievedModel", outside: Callable[[], Bank], 
     bench.progress("screening")
     screen = Screen(bank, generic, noise, layout, target.correction, null)
     nulls = draw_nulls(screen, null, noise, layout, list(believed.mesh_errors), seed, settings)
-    found = search(target, screen, nulls.thresholds)
+    found, parts, tested, given_up = _constant(believed, screen, nulls, seed)
     battery = Battery(layout, smooth_subspaces(layout, bench.base, bench.extent, noise, settings))
     before = target.null.reduced(found.base.residual)
     misfit = battery.judge(before, found.reduced, nulls.residuals)
     findings = findings_of(target, screen, found, nulls.thresholds)
-    best, last = found.final, found.target or target
-    rules = settings.constancy
-    parts = fitted_parts(last, best, null, nulls.residuals, seed, rules) if findings else []
-    tested = [one for one in (part.constancy(rules.level) for part in parts) if one is not None]
+    best, last, rules = found.final, found.target or target, settings.constancy
     members = memberships(parts, screen, rules)
     # A modulus beyond its prior, which then is the first finding, is no part of the fit.
     first = len(findings) - len(best.parts)
@@ -213,7 +210,27 @@ def _judged(bank: Bank, believed: "BelievedModel", outside: Callable[[], Bank], 
         misfit = battery.judge(before, found.reduced, nulls.residuals)
     beaten = {one.id for one in beside if not one.holds}
     possible = [asdict(finding.as_possible()) for finding in weak if finding.id not in beaten]
-    return _Judged(screen, nulls, found, best, findings, misfit, withdrawn, tested, beside, possible)
+    return _Judged(screen, nulls, found, best, findings, misfit, withdrawn, [*tested, *given_up], beside, possible)
+
+
+def _constant(
+    believed: "BelievedModel", screen: Screen, nulls: Nulls, seed: int
+) -> tuple[Search, list[FittedPart], list[Constancy], list[Constancy]]:
+    """Return the search, its fitted causes, and the constancy tests of these and of causes given up.
+
+    A cause that is not constant is given up with those found after it, and the search ends before it; the first one is
+    kept for the verdict.
+    """
+    target, rules = believed.target, believed.target.bench.settings.constancy
+    most, given_up = target.bench.settings.search.most_causes, list[Constancy]()
+    while True:
+        found = search(target, screen, nulls.thresholds, most)
+        parts = fitted_parts(found.target or target, found.final, believed.null, nulls.residuals, seed, rules)
+        tested = [(part.number, one) for part in parts if (one := part.constancy(rules.level)) is not None]
+        failed = [(number, one) for number, one in tested if not one.holds]
+        if not failed or failed[0][0] == 0:
+            return found, parts, [one for _, one in tested], given_up
+        most, given_up = failed[0][0], [*(one for _, one in failed), *given_up]
 
 
 def _beside(finding: Finding, outside: Outside) -> Finding:

@@ -136,8 +136,8 @@ class Search:
     """All rounds of the search for causes.
 
     `base`, `final`: fits of the believed model and with all causes found; `steps`: rounds in order; the last one
-    accepted nothing, unless there are `most_causes`; `reduced` (size,): residual of the final model, whitened by noise,
-    nuisances and the model's own parameters; `target`: of the last fit; None where no cause was found.
+    accepted nothing, unless there are as many as asked for; `reduced` (size,): residual of the final model, whitened by
+    noise, nuisances and the model's own parameters; `target`: of the last fit; None where no cause was found.
     """
 
     base: Fit
@@ -152,18 +152,15 @@ class Search:
         return Search(self.base, self.base, steps, target.null.reduced(self.base.residual))
 
 
-def search(target: FitTarget, screen: Screen, thresholds: Mapping[str, float]) -> Search:
+def search(target: FitTarget, screen: Screen, thresholds: Mapping[str, float], most: int) -> Search:
     """Return the causes that the data show, with all rounds of the search for them.
 
-    `thresholds`: log Bayes factor that each cause must exceed, nats, by id. There are no causes where none is accepted.
+    `thresholds`: log Bayes factor that each cause must exceed, nats, by id; `most`: number of causes at most. There are
+    no causes where none is accepted.
     """
     base = fit(target, [])
     assert base is not None  # the believed model has an equilibrium: it was solved before
-    found = selected(
-        _Bodies(target, screen, base, thresholds),
-        _FoundCauses(target, target, base),
-        target.bench.settings.search.most_causes,
-    )
+    found = selected(_Bodies(target, screen, base, thresholds), _FoundCauses(target, target, base), most)
     reduced = _null_after(found.target, found.fit).reduced(found.fit.residual)
     return Search(base, found.fit, list(found.steps), reduced, found.target if found.ids else None)
 

@@ -262,6 +262,10 @@ class FitSettings:
     least_predicted: float = 0.02
     #: The iterations that remain are expected to gain at most this many times the last gain, all together.
     further_gains: int = 3
+    #: A step whose gain is that predicted, within this share, shows that its Jacobian is right.
+    as_expected: float = 0.5
+    #: Nats by which the evidence may be off where the Jacobian is in part that of a similar model (0.1 in examples).
+    borrowed: float = 2.0
     #: Shares of a step that the line search tries.
     shares: tuple[float, ...] = (1.0, 0.4, 0.15, 0.05)
     #: A step moves no parameter by more than this many prior deviations.

@@ -6,7 +6,7 @@ use super::prony::{Decay, Term};
 use super::softening::Softened;
 use super::tensor::{
     ZERO, det_f_minus_one, green_strain, inverse_transposed, plus, plus_identity, plus_scalar,
-    product, scaled, spectral, transposed,
+    product, scaled, transposed,
 };
 use crate::material::Matrix3;
 
@@ -135,14 +135,8 @@ impl Common {
     /// `Fp⁻¹ / s`
     fn pull(&self, row: &[f64]) -> Option<Matrix3> {
         let shrink = 1.0 / self.stretch;
-        let largest = self.layout.largest_strain.map_or(ZERO, |first| matrix(row, first));
-        let moved = largest.as_flattened().iter().any(|&v| v != 0.0);
-        match self.set.filter(|_| moved) {
-            Some(fraction) => {
-                let stays = scaled(fraction, &largest);
-                let back = spectral(&stays, |e| (-e).exp());
-                Some(scaled(shrink, &back))
-            }
+        match self.layout.set.filter(|&place| row[place] > 0.0) {
+            Some(place) => Some(scaled(shrink, &matrix(row, place + 1))),
             None if self.stretch == 1.0 => None,
             None => Some(plus_scalar(&ZERO, shrink)),
         }

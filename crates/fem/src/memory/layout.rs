@@ -18,8 +18,8 @@ pub(super) struct Layout {
     pub(super) series: [Option<Range<usize>>; 2],
     /// Displacement gradient at the end of the last step.
     pub(super) gradient: Option<usize>,
-    /// Logarithmic strain of the largest norm so far.
-    pub(super) largest_strain: Option<usize>,
+    /// Squared norm of the largest logarithmic strain so far, then what the set takes off it: `Fp⁻¹`.
+    pub(super) set: Option<usize>,
     /// Largest energy so far that softens, kPa.
     pub(super) largest_energy: Option<usize>,
 }
@@ -36,7 +36,7 @@ impl Layout {
         });
         let flows = behaviour.viscosity_kpa_s != 0.0;
         layout.gradient = layout.take(if flows { NINE } else { 0 });
-        layout.largest_strain = layout.take(if behaviour.set.is_some() { NINE } else { 0 });
+        layout.set = layout.take(if behaviour.set.is_some() { 1 + NINE } else { 0 });
         layout.largest_energy = layout.take(usize::from(behaviour.softening.is_some()));
         layout
     }

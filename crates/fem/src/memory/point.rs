@@ -13,11 +13,11 @@
 
 use super::behaviour::SofteningForm;
 use super::common::{Common, PointStep, Weights};
-use super::layout::{matrix, set_matrix};
+use super::layout::set_matrix;
 use super::softening::Softened;
 use super::tensor::{
-    ZERO, add_scaled, contracted, det_f_minus_one, green_strain, inverse_transposed, log_strain,
-    minus, plus_identity, plus_scalar, product, scaled, transposed,
+    ZERO, add_scaled, contracted, det_f_minus_one, green_strain, inverse_transposed,
+    log_strain_beyond, minus, plus_identity, plus_scalar, product, scaled, spectral, transposed,
 };
 use crate::material::{Matrix3, Response, Tangent};
 
@@ -239,11 +239,15 @@ impl Common {
 
     /// The part of [`update`](Self::update) that does not depend on the law.
     pub(super) fn update_strains(&self, h: &Matrix3, row: &mut [f64]) {
-        if let Some(first) = self.layout.largest_strain {
-            let strain = log_strain(&self.without_swelling(h));
-            let square = |strain: &Matrix3| contracted(strain, strain);
-            if square(&strain) > square(&matrix(row, first)) {
-                set_matrix(row, first, &strain);
+        if let Some((place, fraction)) = self.layout.set.zip(self.set) {
+            let strain = log_strain_beyond(row[place].sqrt(), &self.without_swelling(h));
+            if let Some((values, axes)) = strain {
+                let square = values.iter().map(|value| value * value).sum();
+                if square > row[place] {
+                    row[place] = square;
+                    let back = values.map(|value| (-fraction * value).exp());
+                    set_matrix(row, place + 1, &spectral(&back, &axes));
+                }
             }
         }
         if let Some(first) = self.layout.gradient {

@@ -94,14 +94,20 @@ pub(super) fn inverse_transposed(f: &Matrix3) -> Matrix3 {
     cofactor.map(|row| row.map(|v| v / det))
 }
 
-/// Apply a function to the eigenvalues of a symmetric matrix.
-pub(super) fn spectral(symmetric: &Matrix3, function: impl Fn(f64) -> f64) -> Matrix3 {
-    let (values, axes) = eigen(*symmetric);
-    let values = values.map(function);
+/// Symmetric matrix of these eigenvalues and eigenvectors, its columns.
+pub(super) fn spectral(values: &[f64; 3], axes: &Matrix3) -> Matrix3 {
     matrix(|i, j| (0..3).map(|k| values[k] * axes[i][k] * axes[j][k]).sum())
 }
 
-/// Logarithmic strain `½ ln C` of a displacement gradient.
-pub(super) fn log_strain(h: &Matrix3) -> Matrix3 {
-    spectral(&green_strain(h), |e| 0.5 * (2.0 * e).ln_1p())
+/// Logarithmic strain `½ ln C` of a displacement gradient: eigenvalues, and eigenvectors as columns. None where its norm
+/// is at most the one given, as far as a bound tells.
+pub(super) fn log_strain_beyond(norm: f64, h: &Matrix3) -> Option<([f64; 3], Matrix3)> {
+    let strain = green_strain(h);
+    let size = contracted(&strain, &strain).sqrt();
+    // No eigenvalue is below −size, where the logarithm is the steepest.
+    if size < 0.5 && -0.5 * (-2.0 * size).ln_1p() <= norm {
+        return None;
+    }
+    let (values, axes) = eigen(strain);
+    Some((values.map(|e| 0.5 * (2.0 * e).ln_1p()), axes))
 }

@@ -172,6 +172,40 @@ fn an_inverted_point_has_no_energy() {
     }
 }
 
+#[test]
+fn a_set_keeps_its_share_of_the_largest_logarithmic_strain() {
+    let material = Material::neo_hookean(9.0, 0.4).expect("sound");
+    let fraction = 0.3;
+    let behaviour = Behaviour { set: Some(Set { fraction }), ..Behaviour::default() };
+    let (sin, cos) = 0.6_f64.sin_cos();
+    let turn = [[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]];
+    let mut states = Arc::new(fresh_states(&behaviour, 1));
+    let mut largest = [1.0; 3];
+    let norm = |stretches: &[f64; 3]| stretches.iter().map(|v| v.ln() * v.ln()).sum::<f64>();
+    let mut grown = 0;
+    // Pulled and compressed by turns, so that the norms are close; the last two are far beyond.
+    for one in [1.1_f64, 1.2, 1.199, 1.201, 0.84, 0.83, 1.2, 1.204, 1.205, 1.0, 1.206, 0.3, 3.4] {
+        let stretches = [one, 1.0 / one.sqrt(), 1.01];
+        if norm(&stretches) > norm(&largest) {
+            (largest, grown) = (stretches, grown + 1);
+        }
+        let h: Matrix3 = std::array::from_fn(|i| {
+            std::array::from_fn(|j| turn[i][j] * stretches[j] - f64::from(u8::from(i == j)))
+        });
+        let step = StepState::new(&material, &behaviour, &states, 1, 1.0, 1.0, false);
+        states = Arc::new(step.updated(&material, &[h], Vec::new(), false).expect("upright"));
+        // At rest there is no stress in what remains: F = exp(fraction · ln U).
+        let step = StepState::new(&material, &behaviour, &states, 1, 1.0, 2.0, false);
+        let model = StepModel { elastic: &material, step: &step };
+        let stays: Matrix3 = std::array::from_fn(|i| {
+            std::array::from_fn(|j| if i == j { largest[i].powf(fraction) - 1.0 } else { 0.0 })
+        });
+        let rest = model.response(0, 0, &stays).expect("upright");
+        assert!(rest.stress.as_flattened().iter().all(|v| v.abs() < 1e-12), "{one}: {rest:?}");
+    }
+    assert_eq!(grown, 8);
+}
+
 /// Nineteen tets on a ring of corners: packs of eight, the last one not full.
 fn ring() -> Body {
     let corner = |k: usize| {

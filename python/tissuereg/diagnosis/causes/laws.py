@@ -165,7 +165,11 @@ class AsymmetryCause(LawCause):
 #: Laws by which a body stiffens with strain, which are tried in material tests, and values of their first shape
 #: parameter at which changes of a rig are simulated: exponents of Fung's law (skin has some tens), a ratio of Yeoh's. A
 #: law without values is not tried in rigs.
-STIFFENING: dict[str, tuple[float, ...]] = {"fung": (1.0, 4.0, 16.0), "veronda-westmann": (), "yeoh": (2.0,)}
+STIFFENING: dict[str, tuple[float, ...]] = {
+    "fung": (1.0, 4.0, 16.0),
+    "veronda-westmann": (),
+    "yeoh": (2.0,),
+}
 
 
 @dataclass(frozen=True)
