@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
@@ -14,11 +13,8 @@ from tissuereg.experiment.effects import Rate
 
 
 @dataclass(frozen=True)
-class RateCause(Cause):
+class RateCause(Cause, id="rate", family="memory"):
     """A viscous stress in addition to the elastic one."""
-
-    id: ClassVar[str] = "rate"
-    family: ClassVar[str] = "memory"
 
     #: Viscosity over modulus and the time between frames at which the change is simulated.
     size: float = 0.2

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import ClassVar
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.bench import Bench
@@ -12,11 +11,8 @@ from tissuereg.experiment.effects import Set
 
 
 @dataclass(frozen=True)
-class SetCause(Cause):
+class SetCause(Cause, id="set", family="memory"):
     """Permanent set."""
-
-    id: ClassVar[str] = "set"
-    family: ClassVar[str] = "memory"
 
     #: Share at which the change is simulated.
     size: float = 0.1

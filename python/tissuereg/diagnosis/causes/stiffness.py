@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar
 
 import numpy as np
 
@@ -15,12 +14,8 @@ from tissuereg.simulation.sensitivity import Parameter
 
 
 @dataclass(frozen=True)
-class StiffnessCause(Cause):
+class StiffnessCause(Cause, id="stiffness", family="law", absolute=True):
     """Another Young's modulus; every fit has it as a nuisance, a finding is named where it lies far from its prior."""
-
-    id: ClassVar[str] = "stiffness"
-    family: ClassVar[str] = "law"
-    absolute: ClassVar[bool] = True
 
     #: Prior deviation of the logarithm of the factor on the modulus, in addition to that of the believed modulus.
     spread: float = 1.0
@@ -46,11 +41,8 @@ class StiffnessCause(Cause):
 
 
 @dataclass(frozen=True)
-class PoissonCause(Cause):
+class PoissonCause(Cause, id="poisson", family="law"):
     """Poisson's ratio."""
-
-    id: ClassVar[str] = "poisson"
-    family: ClassVar[str] = "law"
 
     #: Prior deviation of the ratio.
     spread: float = 0.06

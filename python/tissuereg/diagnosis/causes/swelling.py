@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import ClassVar
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.bench import Bench
@@ -14,25 +13,16 @@ HOLD = "hold"
 
 
 @dataclass(frozen=True)
-class SwellingCause(Cause):
+class SwellingCause(Cause, id="swelling", family="memory", discrete=("window", "pads")):
     """Growth of all lengths at a constant rate, over the whole session or a half of it."""
-
-    id: ClassVar[str] = "swelling"
-    family: ClassVar[str] = "memory"
-    discrete: ClassVar[tuple[str, ...]] = ("window", "pads")
 
     #: Linear strain at which changes are simulated, the prior deviation in screening.
     size: float = 0.01
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return one hypothesis for each window of time: the whole session, its first and its second half.
-
-        There is none where no time passes, or where swelling is already believed.
-        """
-        if self.believed(bench):
-            return
+        """Return hypotheses for the whole session and each half; none where no time passes or swelling is believed."""
         begin, end = bench.first_time, bench.last_time
-        if end <= begin:
+        if end <= begin or self.believed(bench):
             return
         middle = 0.5 * (begin + end)
         windows = ((begin, end), (begin, middle), (middle, end))
