@@ -44,8 +44,8 @@ class DetachmentCause(Cause, id="detachment", family="support", discrete=("bound
         A node is free or held, so that simulations change in jumps: the prediction is interpolated between the two
         whose edges lie at the nodes next to the detachment's edge.
         """
-        name, share = str(variant.settings["boundary"]), float(variant.settings["share"])
-        azimuth = float(variant.settings["azimuth"])
+        name = str(variant.settings["boundary"])
+        share, azimuth = float(variant.settings["share"]), float(variant.settings["azimuth"])
         boundary = Detachment(boundary=name, azimuth_deg=azimuth, share=share).held_by(bench.experiment)
         width = float(np.sqrt(node_areas(bench.experiment.mesh, boundary.nodes).mean()))
         # The change grows faster than the detached area.

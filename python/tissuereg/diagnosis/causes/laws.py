@@ -6,7 +6,6 @@ volumetric response, similar to another Poisson's ratio. The bank holds the nest
 too.
 """
 
-from abc import abstractmethod
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
@@ -18,7 +17,7 @@ from tissuereg.diagnosis.bench import Bench
 from tissuereg.diagnosis.causes.base import Cause, FreeParameters, Scene, Values, Variant, curve_form, free_parameters
 from tissuereg.diagnosis.causes.numbers import exponential, inner_share, logistic, logit
 from tissuereg.diagnosis.settings import MaterialSettings
-from tissuereg.experiment.effects import Asymmetry, Effect, Mooney, Stiffening
+from tissuereg.experiment.effects import EFFECTS, Asymmetry, Effect, Mooney, Stiffening
 from tissuereg.experiment.effects.elastic import OtherLaw
 
 
@@ -26,16 +25,19 @@ from tissuereg.experiment.effects.elastic import OtherLaw
 class LawCause(Cause, discrete=("law",)):
     """Laws that contain the believed one at a shape parameter of zero; changes are simulated at one or more values."""
 
-    #: Laws and values of the shape parameter at which changes are simulated.
+    #: Laws and values of the shape parameter at which changes are simulated. Mooney's is the share of the second
+    #: invariant in the energy.
     tried: tuple[tuple[str, float], ...]
 
-    @abstractmethod
     def effect(self, law: str, size: float, form: str) -> Effect:
         """Return the effect that puts another law in place of the believed one.
 
-        `size`: shape parameter, dimensionless, 0 for the neo-Hookean law; `form` {"coupled", "log", "quadratic"}:
-        energy of volume change, as `Material.volumetric`.
+        `size`: first shape parameter, dimensionless, 0 for the neo-Hookean law, all others zero; `form` {"coupled",
+        "log", "quadratic"}: energy of volume change, as `Material.volumetric`.
         """
+        kind = EFFECTS[self.id]
+        assert issubclass(kind, OtherLaw)
+        return kind(law=law, volumetric=form, **shape_of(law, size))
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
         """Return one hypothesis for each law and shape parameter tried; none unless the believed law is neo-Hookean."""
@@ -79,10 +81,6 @@ class MooneyCause(LawCause, id="mooney", family="law"):
 
     tried: tuple[tuple[str, float], ...] = ((MOONEY, 0.5),)
 
-    def effect(self, law: str, size: float, form: str) -> Effect:
-        """Return the Mooney-Rivlin law in which the second invariant has the share `size` of the energy."""
-        return Mooney(law=law, volumetric=form, **shape_of(law, size))
-
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
         """Return one free parameter: the logit of the share of the energy that follows the second invariant."""
         return self._of_size((logit(0.5 * float(amplitudes[0])), 0.0, 1.5, 0.1), variant, logistic)
@@ -116,7 +114,7 @@ class AsymmetryCause(LawCause, id="asymmetry", family="law"):
     def effect(self, law: str, size: float, form: str) -> Effect:
         """Return a bimodular law of excess `size` in tension, or Ogden's law of the exponent 2 plus `size`."""
         if law == "bimodular":
-            return Asymmetry(law=law, volumetric=form, **shape_of(law, size))
+            return super().effect(law, size, form)
         exponent = EVEN + size
         # Ogden's law has no exponent of zero.
         if abs(exponent) < 0.1:
@@ -168,10 +166,6 @@ class StiffeningCause(LawCause, id="stiffening", family="law"):
     #: Largest logarithm of a shape parameter; a strain of 0.1 then multiplies the modulus by some thousands.
     largest: float = 7.0
     tried: tuple[tuple[str, float], ...] = tuple((law, size) for law, sizes in STIFFENING.items() for size in sizes)
-
-    def effect(self, law: str, size: float, form: str) -> Effect:
-        """Return the law `law` with its first shape parameter equal to `size` and all others zero."""
-        return Stiffening(law=law, volumetric=form, **shape_of(law, size))
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
         """Return one free parameter: the logarithm of the law's first shape parameter, which is dimensionless."""

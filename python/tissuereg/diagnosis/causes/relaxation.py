@@ -27,10 +27,7 @@ class RelaxationCause(Cause, id="relaxation", family="memory", discrete=("part",
     times: int = 6
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return hypotheses for several time constants, of the whole stress and of its isochoric part.
-
-        There is none where no time passes, or where relaxation is already believed.
-        """
+        """Return hypotheses for several times, of all stress or its isochoric part; none without time or if known."""
         if bench.longest_case == 0.0 or self.believed(bench):
             return []
         # The two parts differ little; every second time constant suffices for the isochoric one.

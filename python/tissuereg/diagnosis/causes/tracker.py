@@ -54,8 +54,7 @@ class ScaleCause(Cause, id="scale", family="tracker"):
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
         """Return one hypothesis, with columns (4, size): a wrong scale about the mean place, and three shifts."""
-        middle = _middle(bench)
-        scale = changed_by(bench, Scale(scale=1.01, origin_mm=three(middle))) * 100.0 * self.scale
+        scale = changed_by(bench, Scale(scale=1.01, origin_mm=three(_middle(bench)))) * 100.0 * self.scale
         shifts = [self.shift_mm * changed_by(bench, Frame(shift_mm=three(axis))) for axis in np.eye(3)]
         return [Variant("scale", np.array([scale, *shifts]))]
 

@@ -5,6 +5,7 @@ Threshold and p-value come from simulated null experiments, which have noise but
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict
 
 import numpy as np
@@ -24,39 +25,79 @@ from tissuereg.diagnosis.material.answer import (
 )
 from tissuereg.diagnosis.material.bench import CurveBench, bench_of
 from tissuereg.diagnosis.material.data import scene_of
-from tissuereg.diagnosis.material.fit import (
-    MaterialFit,
-    held_out_errors,
-    null_hypothesis,
-    plain_fit,
-    unknown,
-)
+from tissuereg.diagnosis.material.fit import MaterialFit, held_out_errors, null_hypothesis, plain_fit, unknown
 from tissuereg.diagnosis.material.noise import Weights
 from tissuereg.diagnosis.material.refine import refined
 from tissuereg.diagnosis.material.search import MaterialSearch
-from tissuereg.diagnosis.settings import DiagnoseSettings, MaterialSettings
+from tissuereg.diagnosis.settings import DEFAULT, DiagnoseSettings, MaterialSettings
 from tissuereg.errors import TissueRegError
 from tissuereg.experiment.material_experiment import MaterialExperiment
 
 
-def diagnosis_of(
-    experiment: MaterialExperiment, seed: int, progress: Callable[[str], None], settings: DiagnoseSettings
+def diagnose_material(
+    experiment: MaterialExperiment,
+    *,
+    seed: int = 0,
+    progress: Callable[[str], None] | None = None,
+    settings: DiagnoseSettings = DEFAULT,
 ) -> MaterialDiagnosis:
-    """Return the diagnosis of a material test; `seed`: of the null experiments; `progress`: called with each step."""
+    """Return the diagnosis of a material test.
+
+    Parameters
+    ----------
+    experiment : MaterialExperiment
+        Believed law and measured curves, from `tissuereg.io.material_experiments.read_material_experiment` or made in
+        Python.
+    seed : int
+        Seed of the simulated null experiments; the result is the same at each call.
+    progress : callable, optional
+        Called with the name of the step that begins.
+    settings : DiagnoseSettings
+        All numbers that may change the result.
+
+    Returns
+    -------
+    MaterialDiagnosis
+        Answer and extended model.
+
+    Notes
+    -----
+    Takes seconds for a few curves, and up to half a minute where holds at several rates make relaxation a candidate.
+
+    Examples
+    --------
+    A shear stress with a cubic term, which no neo-Hookean solid has:
+
+    >>> from pathlib import Path
+    >>> import numpy as np
+    >>> import tissuereg as tr
+    >>> from tissuereg.experiment.material_experiment import Curve, MaterialExperiment
+    >>> shear, unknown = np.linspace(0.02, 1.0, 40), np.full(40, np.nan)
+    >>> curves = tuple(
+    ...     Curve(name, "simple-shear", np.nan, unknown, shear, stiff * (shear + shear**3))
+    ...     for name, stiff in (("a", 1.0), ("b", 1.05))
+    ... )
+    >>> gel = MaterialExperiment("gel", Path("."), tr.Material(3.0, 0.49), None, None, curves)
+    >>> [finding.id for finding in diagnose_material(gel).findings]
+    ['stiffening']
+    """
+    said = progress or (lambda message: None)
     rng, rules = np.random.default_rng(seed), settings.nulls
     bench, scene = bench_of(experiment, settings), scene_of(experiment, settings.material)
     none = null_hypothesis(bench)
     tried = {id: cause.in_curves(scene) for id, cause in CAUSES.items() if id not in settings.left_out}
     forms = {id: forms for id, forms in tried.items() if forms}
-    progress("threshold from null experiments")
-    search = MaterialSearch(bench, none, forms, _threshold(bench, none.fit, forms, rng), progress)
+    said("threshold from null experiments")
+    search = MaterialSearch(bench, none, forms, _threshold(bench, none.fit, forms, rng), said)
     known, believed = search.run(), plain_fit(bench)
     before, after = (bench.data.residual(fit.model) for fit in (believed, known.fit))
     p_misfit = _misfit_probability(bench.weights, after, rng, settings.material)
-    explained = _explained(bench, before, after) if known.ids else math.nan
+    beyond = [float(np.sum(bench.weights.whitened(error) ** 2)) - len(error) for error in (before, after)]
+    explained = 1.0 - max(beyond[1], 0.0) / beyond[0] if beyond[0] > 0 else 0.0
+    explained = explained if known.ids else math.nan
     stated = known.ids and (p_misfit >= rules.misfit or explained > settings.material.explained)
     accepted = search.findings if stated else ()
-    progress("form and weights that predict best")
+    said("form and weights that predict best")
     reported = refined(search, known) if accepted else None
     base = held_out_errors(bench, believed)
     named = base if reported is None else reported.held_out
@@ -66,7 +107,7 @@ def diagnosis_of(
     worst, fit = discrepancy_of(bench, believed), None if reported is None else reported.fit
     findings = () if fit is None else tuple(finding_of(outcome, fit, one) for one in accepted)
     verdict = verdict_of(findings, p_misfit, level=rules.misfit)
-    repeat = verdict == "unexplained"
+    further = next_test(bench, experiment, known, accepted) if verdict != "unexplained" else repeated(experiment, worst)
     return MaterialDiagnosis(
         verdict=verdict,
         findings=findings,
@@ -74,7 +115,7 @@ def diagnosis_of(
         p_misfit=p_misfit,
         discrepancy=worst,
         extended=experiment if fit is None else extended_by(experiment, fit),
-        next_experiment=repeated(experiment, worst) if repeat else next_test(bench, experiment, known, accepted),
+        next_experiment=further,
         seed=seed,
         versions=versions_now(),
         possible=tuple(asdict(one) for one in search.possible),
@@ -82,11 +123,6 @@ def diagnosis_of(
         experiment=experiment,
         outcome=outcome,
     )
-
-
-def _explained(bench: CurveBench, before: FloatArray, after: FloatArray) -> float:
-    sizes = [float(np.sum(bench.weights.whitened(error) ** 2)) - len(error) for error in (before, after)]
-    return 1.0 - max(sizes[1], 0.0) / sizes[0] if sizes[0] > 0 else 0.0
 
 
 def _threshold(
@@ -101,12 +137,10 @@ def _threshold(
     change = (bench.data.modelled(bench.model((), known.x + np.array([1e-3]))) - plain) / 1e-3
     young = bench.weights.whitened(change * float(bench.prior(())[1][0]))
     best = -Blocks(young[None, None]).log_bayes_factors(draws)[:, 0]
-    found = [np.full(len(draws), -np.inf)]
-    for part in (FittedCause(cause, form) for cause, kinds in forms.items() for form in kinds):
-        if columns := [*_columns(bench, known.x, plain, part)]:
-            pairs = np.array([[young, column] for column in columns])
-            found.append(log_mean_exp(Blocks(pairs).log_bayes_factors(draws)))
-    best += np.max(found, axis=0)
+    parts = (FittedCause(cause, form) for cause, kinds in forms.items() for form in kinds)
+    pairs = ([[young, column] for column in _columns(bench, known.x, plain, part)] for part in parts)
+    found = [log_mean_exp(Blocks(np.array(one)).log_bayes_factors(draws)) for one in pairs if one]
+    best += np.max([np.full(len(draws), -np.inf), *found], axis=0)
     return max(numbers.least_threshold, float(np.quantile(best, numbers.quantile)))
 
 
@@ -114,12 +148,10 @@ def _columns(bench: CurveBench, x: FloatArray, plain: FloatArray, part: FittedCa
     """Yield the whitened changes (n,) of stresses `plain` (n,) by a cause at its first guesses and its prior mean."""
     for start in (*part.free_parameters.guesses, part.free_parameters.mean):
         if len(start):
-            try:
+            with suppress(TissueRegError):
                 changed = bench.data.modelled(bench.model((part,), np.concatenate([x, start])))
-            except TissueRegError:
-                continue
-            if np.isfinite(changed).all():
-                yield bench.weights.whitened(changed - plain)
+                if np.isfinite(changed).all():
+                    yield bench.weights.whitened(changed - plain)
 
 
 def _misfit_probability(

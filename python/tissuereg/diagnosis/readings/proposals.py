@@ -116,9 +116,10 @@ def _both(one: RecordingReading, other: RecordingReading) -> RecordingReading:
 def _reading(
     kind: str, cost: float, text: str, write: str, group: Sequence[_Channel], turn: FloatArray
 ) -> RecordingReading:
-    *most, last = files = tuple(channel.file for channel in group)
+    files = tuple(channel.file for channel in group)
+    *first, last = files
     whose = f" of {group[0].pads[0]}" if len(group) == 1 and len(group[0].pads) == 1 else ""
-    named = f"{', '.join(most)} and {last}{whose}" if most else f"{last}{whose}"
+    named = f"{', '.join(first)} and {last}{whose}" if first else f"{last}{whose}"
     places, markers = (turn if file in files else _ONE for file in ("[markers.reference]", "markers.csv"))
     commands = {pad: turn for channel in group if channel.file != "forces.csv" for pad in channel.pads}
     felt = {pad: turn for channel in group if channel.file == "forces.csv" for pad in channel.pads}
