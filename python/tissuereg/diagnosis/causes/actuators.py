@@ -38,10 +38,8 @@ class GainCause(Cause, id="actuator_gain", family="actuator", discrete=("actuato
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
         """Return the one free parameter of the nonlinear fit: the gain minus one."""
         name = str(variant.settings["actuator"])
-        return free_parameters(
-            [(self.spread * float(amplitudes[0]), 0.0, self.spread, 0.01)],
-            lambda x, young: (ActuatorGain(actuator=name, gain=1.0 + float(x[0])),),
-        )
+        excess = (self.spread * float(amplitudes[0]), 0.0, self.spread, 0.01)
+        return free_parameters([excess], lambda x, young: (ActuatorGain(actuator=name, gain=1.0 + float(x[0])),))
 
     def sentence(self, values: Values) -> str:
         """Return the finding as a sentence; `values` has the fitted `gain` (a factor) of the named `actuator`."""
@@ -114,15 +112,11 @@ class OffsetCause(Cause, id="actuator_offset", family="actuator", discrete=("act
         """Return the offset of the motion (three parameters), or the shift along the surface (two), in mm."""
         name = str(variant.settings["actuator"])
         if variant.settings["kind"] == "motion":
-            return free_parameters(
-                [(self.spread_mm * float(a), 0.0, self.spread_mm, 0.05) for a in amplitudes],
-                lambda x, young: (ActuatorOffset(actuator=name, offset_mm=three(x)),),
-            )
+            offset = [(self.spread_mm * float(a), 0.0, self.spread_mm, 0.05) for a in amplitudes]
+            return free_parameters(offset, lambda x, young: (ActuatorOffset(actuator=name, offset_mm=three(x)),))
         along = np.asarray(variant.settings["along"])
-        moved = free_parameters(
-            [(self.patch_mm * float(a), 0.0, self.patch_mm, 0.5 * self.patch_mm) for a in amplitudes[:2]],
-            lambda x, young: (ActuatorOffset(actuator=name, shift_mm=three(x @ along)),),
-        )
+        shifts = [(self.patch_mm * float(a), 0.0, self.patch_mm, 0.5 * self.patch_mm) for a in amplitudes[:2]]
+        moved = free_parameters(shifts, lambda x, young: (ActuatorOffset(actuator=name, shift_mm=three(x @ along)),))
         # On the user's mesh a patch can be shifted by whole nodes only.
         return replace(moved, columns=variant.columns[:2] / self.patch_mm)
 

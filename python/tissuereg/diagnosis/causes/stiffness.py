@@ -26,10 +26,8 @@ class StiffnessCause(Cause, id="stiffness", family="law", absolute=True):
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
         """Return one free parameter: the logarithm of a factor on Young's modulus."""
-        return free_parameters(
-            [(self.spread * float(amplitudes[0]), 0.0, self.spread, 0.02)],
-            lambda x, young: (Stiffness(young_kpa=young * float(np.exp(x[0]))),),
-        )
+        factor = (self.spread * float(amplitudes[0]), 0.0, self.spread, 0.02)
+        return free_parameters([factor], lambda x, young: (Stiffness(young_kpa=young * float(np.exp(x[0]))),))
 
     def in_curves(self, scene: Scene) -> Sequence[FreeParameters]:
         """Return one form without parameters of its own: the modulus is the first one of every fit."""
@@ -62,10 +60,8 @@ class PoissonCause(Cause, id="poisson", family="law"):
         """Return one free parameter: the logit of twice Poisson's ratio."""
         believed = _ratio(bench)
         start = min(max(believed + self.spread * float(amplitudes[0]), 0.05), 0.495)
-        return free_parameters(
-            [(logit(2.0 * start, 0.005), logit(2.0 * believed, 0.005), 1.5, 0.05)],
-            lambda x, young: (Poisson(poisson=0.5 * logistic(x[0])),),
-        )
+        ratio = (logit(2.0 * start, 0.005), logit(2.0 * believed, 0.005), 1.5, 0.05)
+        return free_parameters([ratio], lambda x, young: (Poisson(poisson=0.5 * logistic(x[0])),))
 
     def in_curves(self, scene: Scene) -> Sequence[FreeParameters]:
         """Return one form: the logit of twice the ratio; none without shear and bars."""
@@ -73,7 +69,7 @@ class PoissonCause(Cause, id="poisson", family="law"):
         if "simple-shear" not in scene.modes or len(scene.modes) < 2:
             return []
         believed = min(max(2.0 * scene.poisson, 0.02), 0.999)
-        mean = float(np.log(believed / (1.0 - believed)))
+        mean = logit(believed, 0.001)
 
         def effect(x: FloatArray) -> Poisson:
             return Poisson(poisson=0.5 * inner_share(min(float(x[0]), 8.0)))

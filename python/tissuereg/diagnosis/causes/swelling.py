@@ -39,15 +39,13 @@ class SwellingCause(Cause, id="swelling", family="memory", discrete=("window", "
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
         """Return one free parameter: the linear strain at the end of the window, in units of `size` (0.01)."""
         window, pads = variant.settings["window"], str(variant.settings["pads"])
-        return free_parameters(
-            [(float(amplitudes[0]), 0.0, 1.5, 0.1)], lambda x, young: (_effect(self.size * float(x[0]), window, pads),)
-        )
+        strain = (float(amplitudes[0]), 0.0, 1.5, 0.1)
+        return free_parameters([strain], lambda x, young: (_effect(self.size * float(x[0]), window, pads),))
 
     def sentence(self, values: Values) -> str:
         """Return the finding as a sentence; `values` has the fitted `linear_strain` (dimensionless)."""
-        strain = values["linear_strain"]
-        verb = "swells" if strain > 0 else "shrinks"
-        return f"The body {verb} by {abs(100 * strain):.2g} % in length during the measurement."
+        verb, percent = "swells" if values["linear_strain"] > 0 else "shrinks", abs(100 * values["linear_strain"])
+        return f"The body {verb} by {percent:.2g} % in length during the measurement."
 
 
 def _effect(strain: float, window: tuple[float, float], pads: str) -> Effect:

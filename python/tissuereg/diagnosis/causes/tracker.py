@@ -33,10 +33,8 @@ class FrameCause(Cause, id="frame", family="tracker"):
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
         """Return six free parameters: shifts in mm, then a rotation vector in degrees about the mean marker place."""
         scale = np.array([self.shift_mm] * 3 + [self.turn_deg] * 3)
-        return free_parameters(
-            [(float(s * a), 0.0, float(s), 0.05) for s, a in zip(scale, amplitudes, strict=True)],
-            lambda x, young: (_frame(bench, x),),
-        )
+        pose = [(s * a, 0.0, s, 0.05) for s, a in zip(scale, amplitudes, strict=True)]
+        return free_parameters(pose, lambda x, young: (_frame(bench, x),))
 
     def sentence(self, values: Values) -> str:
         """Return the finding as a sentence; `values` has the fitted rotation vector `rotation_deg`."""
@@ -91,9 +89,8 @@ class LatencyCause(Cause, id="latency", family="tracker"):
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
         """Return one free parameter: the delay in units of half the time between frames."""
         unit = self.delay * bench.frame_step
-        return free_parameters(
-            [(float(amplitudes[0]), 0.0, 1.0, 0.1)], lambda x, young: (Latency(latency_s=unit * float(x[0])),)
-        )
+        delay = (float(amplitudes[0]), 0.0, 1.0, 0.1)
+        return free_parameters([delay], lambda x, young: (Latency(latency_s=unit * float(x[0])),))
 
     def sentence(self, values: Values) -> str:
         """Return the finding as a sentence; `values` has the fitted delay `latency_s` (s)."""

@@ -211,17 +211,14 @@ def discrepancy_of(bench: CurveBench, believed: MaterialFit) -> dict[str, Any]:
 def _names(curves: Sequence[Curve]) -> list[str]:
     """Return the name of each curve; curves of the same name are numbered from 1 on."""
     names = [curve.name for curve in curves]
-    return [
-        name if names.count(name) == 1 else f"{name}, number {names[: i + 1].count(name)}"
-        for i, name in enumerate(names)
-    ]
+    numbered = [f"{name}, number {names[: i + 1].count(name)}" for i, name in enumerate(names)]
+    return [name if names.count(name) == 1 else other for name, other in zip(names, numbered, strict=True)]
 
 
 def _largest(chi: FloatArray, parts: Mapping[str, BoolArray], least: int) -> list[str]:
     """Return the parts (masks of rows, by name) of at least so many rows, those with the largest mean square first."""
-    return sorted(
-        (name for name, rows in parts.items() if rows.sum() >= least), key=lambda name: -rms(chi[parts[name]])
-    )
+    many = [name for name, rows in parts.items() if rows.sum() >= least]
+    return sorted(many, key=lambda name: -rms(chi[parts[name]]))
 
 
 def _times(data: Data) -> dict[str, BoolArray]:

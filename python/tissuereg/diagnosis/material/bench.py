@@ -75,8 +75,9 @@ def _blocks(experiment: MaterialExperiment, data: Data, settings: MaterialSettin
         if len(sets) > 1:
             if unit == "specimen" and len(values) > settings.most_folds:
                 sets = [values[i :: settings.most_folds] for i in range(settings.most_folds)]
-            own = data.names(unit)
-            return unit, {_named(unit, one): np.isin(own, [str(value) for value in one]) for one in sets}
+            names = [", ".join(f"{float(one):g}/s" if unit == "rate" else str(one) for one in each) for each in sets]
+            masks = [np.isin(data.names(unit), [str(one) for one in each]) for each in sets]
+            return unit, dict(zip(names, masks, strict=True))
     return "part", {"the last part of the load history": data.arc > settings.part}
 
 
@@ -88,7 +89,3 @@ def _alike(rates: Sequence[str | float], same: float) -> list[list[str | float]]
             sets.append([])
         sets[-1].append(rate)
     return sets
-
-
-def _named(unit: str, values: Sequence[str | float]) -> str:
-    return ", ".join(f"{float(value):g}/s" if unit == "rate" else str(value) for value in values)

@@ -71,16 +71,14 @@ def _descent(bench: CurveBench, parts: Sequence[FittedCause], start: FloatArray,
         return np.concatenate([white, z])
 
     z, value, jacobian = _levenberg(residuals, (start - mean) / std, bench.settings.material.step)
-    curvature = jacobian.T @ jacobian
-    log_posterior = -0.5 * float(value @ value) - bench.weights.log_size(share)
+    x, curvature = mean + std * z, jacobian.T @ jacobian
+    top = -0.5 * float(value @ value) - bench.weights.log_size(share)
     # With the prior every eigenvalue is at least 1, but for rounding errors where the stress becomes huge.
     occam = 0.5 * max(0.0, float(np.linalg.slogdet(curvature)[1]))
     # Keeps it regular against the same rounding errors.
     rounding = 1e-13 * float(np.trace(curvature)) * np.eye(len(z))
     covariance = std[:, None] * np.linalg.inv(curvature + rounding) * std[None, :]
-    x = mean + std * z
-    model = bench.model(parts, x)
-    return MaterialFit(tuple(parts), x, covariance, share, log_posterior - occam, log_posterior, model)
+    return MaterialFit(tuple(parts), x, covariance, share, top - occam, top, bench.model(parts, x))
 
 
 def _levenberg(residuals: Residuals, z: FloatArray, h: float) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -66,8 +66,8 @@ def refined(search: MaterialSearch, known: Hypothesis) -> Refined:
         # In a single curve only the noise model separates correlated errors from memory; other laws need none.
         del benches["rows alike" if known.fit.model.memory else "lasting errors"]
     best, least = min(_weighted(benches, known.fit), key=lambda one: one.decides), search.bench.settings.material.worth
-    for place, cause in enumerate(known.ids):
-        for fit in _in_each_form(search, replace(known, fit=best.fit), cause) if CAUSES[cause].is_law else ():
+    for place in [place for place, cause in enumerate(known.ids) if CAUSES[cause].is_law]:
+        for fit in _in_each_form(search, replace(known, fit=best.fit), known.ids[place]):
             if fit.parts[place].free_parameters.label == best.fit.parts[place].free_parameters.label:
                 continue
             for tried in _weighted(benches, fit):

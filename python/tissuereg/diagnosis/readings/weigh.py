@@ -69,9 +69,7 @@ class _Compared:
         power = np.asarray(moved**2 * mm + 2.0 * moved * pulled * mp + pulled**2 * pp)
         return np.maximum(yy - 2.0 * (moved * ym + pulled * yp) + power, 0.0), power
 
-    def log_likelihood(
-        self, noise: float, moved: FloatArray, pulled: FloatArray, errors: Sequence[float]
-    ) -> FloatArray:
+    def nats(self, noise: float, moved: FloatArray, pulled: FloatArray, errors: Sequence[float]) -> FloatArray:
         """Return the log likelihood (n_factors, n_shares); `noise`: standard deviation, mm or mN."""
         rest, power = self.at(moved, pulled)
         variance = noise**2 + np.square(errors) * power[:, None] / self.n
@@ -114,7 +112,7 @@ class Weigher:
             (felt, self._force_std, self._factors, ones),
         ):
             if parts:
-                each = [one.log_likelihood(noise, moved, pulled, self._settings.errors) for one in parts]
+                each = [one.nats(noise, moved, pulled, self._settings.errors) for one in parts]
                 nats += np.logaddexp.reduce(sum(each), axis=1)
         factor = float(self._factors[np.argmax(nats)])
         return WeighedReading(
@@ -131,7 +129,7 @@ class Weigher:
             places = self._experiment.marker_reference @ turn.T
             outside = np.maximum(skin_of(self._experiment.mesh).closest(places).distance, 0.0)
             off = float(np.mean((outside / standoff(self._extent)) ** 2))
-            near = -min(0.5 * _counted(places, self._settings.markers) * off, self._settings.most_nats)
+            near = -min(0.5 * min(len(places), self._settings.markers) * off, self._settings.most_nats)
             self._seen[key] = near, self._observed(places) if near > -self._settings.most_nats else None
         return self._seen[key]
 
@@ -156,7 +154,7 @@ class Weigher:
             off = off[np.isfinite(case.rest).all(axis=1)]
             if len(off):
                 mean = float(np.mean((off / size) ** 2))
-                worst = max(worst, 1.5 * _counted(off, self._settings.markers) * mean)
+                worst = max(worst, 1.5 * min(len(off), self._settings.markers) * mean)
         return -min(worst, self._settings.most_nats)
 
 
@@ -167,7 +165,7 @@ def _markers(
     seen = np.isfinite(measured)
     if not seen.any():
         return []
-    counted = 3.0 * _counted(measured[0][seen.any(axis=(0, 2))], most)
+    counted = 3.0 * min(int(seen.any(axis=(0, 2)).sum()), most)
     if field is None:
         # Markers off the body move for no reason that the model knows.
         power = float(measured[seen] @ measured[seen])
@@ -212,7 +210,3 @@ def _agreement(parts: Sequence[_Compared], noise: float, moved: float, pulled: f
 
 def _log_factor(turn: FloatArray) -> float:
     return float(np.log(abs(np.linalg.det(turn)))) / 3.0
-
-
-def _counted(places: FloatArray, most: int) -> float:
-    return float(min(len(places), most))
