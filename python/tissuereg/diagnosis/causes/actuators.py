@@ -1,9 +1,8 @@
 """Errors of actuators: gain, direction and offset of the motion, position of the patch."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import ClassVar
 
 import numpy as np
 
@@ -15,16 +14,11 @@ from tissuereg.diagnosis.causes.numbers import three
 from tissuereg.diagnosis.tangents import State
 from tissuereg.experiment.effects import ActuatorDirection, ActuatorGain, ActuatorOffset
 from tissuereg.experiment.experiment import Actuator
-from tissuereg.simulation.sensitivity import Cause as Moved
 
 
 @dataclass(frozen=True)
-class GainCause(Cause):
+class GainCause(Cause, id="actuator_gain", family="actuator", discrete=("actuator",)):
     """One actuator's motion is scaled."""
-
-    id: ClassVar[str] = "actuator_gain"
-    family: ClassVar[str] = "actuator"
-    discrete: ClassVar[tuple[str, ...]] = ("actuator",)
 
     #: Prior deviation of the gain.
     spread: float = 0.08
@@ -33,7 +27,7 @@ class GainCause(Cause):
         """Return one hypothesis for each actuator that a case uses: its motion or force is multiplied by a gain."""
         for pad in present_pads(bench):
             if bench.is_elastic and pad.kind == "displacement":
-                columns = bench.by(partial(_gains, pad), 1)
+                columns = bench.by(partial(_moved, pad, lambda motion: motion[None]), 1)
             else:
                 changed = bench.change(ActuatorGain(actuator=pad.name, gain=1.05))
                 if changed is None:
@@ -44,10 +38,8 @@ class GainCause(Cause):
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
         """Return the one free parameter of the nonlinear fit: the gain minus one."""
         name = str(variant.settings["actuator"])
-        return free_parameters(
-            [(self.spread * float(amplitudes[0]), 0.0, self.spread, 0.01)],
-            lambda x, young: (ActuatorGain(actuator=name, gain=1.0 + float(x[0])),),
-        )
+        excess = (self.spread * float(amplitudes[0]), 0.0, self.spread, 0.01)
+        return free_parameters([excess], lambda x, young: (ActuatorGain(actuator=name, gain=1.0 + float(x[0])),))
 
     def sentence(self, values: Values) -> str:
         """Return the finding as a sentence; `values` has the fitted `gain` (a factor) of the named `actuator`."""
@@ -55,12 +47,8 @@ class GainCause(Cause):
 
 
 @dataclass(frozen=True)
-class DirectionCause(Cause):
+class DirectionCause(Cause, id="actuator_direction", family="actuator", discrete=("actuator",)):
     """One actuator's motion has another direction."""
-
-    id: ClassVar[str] = "actuator_direction"
-    family: ClassVar[str] = "actuator"
-    discrete: ClassVar[tuple[str, ...]] = ("actuator",)
 
     #: Prior deviation of each angle, degrees.
     spread_deg: float = 3.0
@@ -70,10 +58,10 @@ class DirectionCause(Cause):
         for pad in present_pads(bench):
             across = _across(bench, pad)
             if bench.is_elastic and pad.kind == "displacement":
-                columns = bench.by(partial(_turns, pad, across), 2)
+                columns = bench.by(partial(_moved, pad, partial(np.cross, np.deg2rad(across))), 2)
             else:
                 turns = [ActuatorDirection(actuator=pad.name, rotation_deg=three(axis)) for axis in across]
-                changes = [bench.change(turn) for turn in turns]
+                changes = bench.changes([[turn] for turn in turns])
                 if any(change is None for change in changes):
                     continue
                 columns = np.array(changes)
@@ -94,12 +82,8 @@ class DirectionCause(Cause):
 
 
 @dataclass(frozen=True)
-class OffsetCause(Cause):
+class OffsetCause(Cause, id="actuator_offset", family="actuator", discrete=("actuator", "kind")):
     """One actuator's motion has a constant offset, or its patch has another position."""
-
-    id: ClassVar[str] = "actuator_offset"
-    family: ClassVar[str] = "actuator"
-    discrete: ClassVar[tuple[str, ...]] = ("actuator", "kind")
 
     #: Prior deviations of each offset of the motion and of each shift of the patch, mm.
     spread_mm: float = 0.7
@@ -113,7 +97,7 @@ class OffsetCause(Cause):
         """
         for pad in present_pads(bench):
             if pad.kind == "displacement" and bench.is_elastic:
-                columns = bench.by(partial(_offsets, pad), 3)
+                columns = bench.by(partial(_moved, pad, lambda motion: np.eye(3)), 3)
                 yield Variant(f"{pad.name} motion", self.spread_mm * columns, {"actuator": pad.name, "kind": "motion"})
             tangents = _along_surface(bench, pad)
             ends = [side * self.patch_mm * axis for axis in tangents for side in (-1.0, 1.0)]
@@ -128,47 +112,31 @@ class OffsetCause(Cause):
         """Return the offset of the motion (three parameters), or the shift along the surface (two), in mm."""
         name = str(variant.settings["actuator"])
         if variant.settings["kind"] == "motion":
-            return free_parameters(
-                [(self.spread_mm * float(a), 0.0, self.spread_mm, 0.05) for a in amplitudes],
-                lambda x, young: (ActuatorOffset(actuator=name, offset_mm=three(x)),),
-            )
+            offset = [(self.spread_mm * float(a), 0.0, self.spread_mm, 0.05) for a in amplitudes]
+            return free_parameters(offset, lambda x, young: (ActuatorOffset(actuator=name, offset_mm=three(x)),))
         along = np.asarray(variant.settings["along"])
-        moved = free_parameters(
-            [(self.patch_mm * float(a), 0.0, self.patch_mm, 0.5 * self.patch_mm) for a in amplitudes[:2]],
-            lambda x, young: (ActuatorOffset(actuator=name, shift_mm=three(x @ along)),),
-        )
+        shifts = [(self.patch_mm * float(a), 0.0, self.patch_mm, 0.5 * self.patch_mm) for a in amplitudes[:2]]
+        moved = free_parameters(shifts, lambda x, young: (ActuatorOffset(actuator=name, shift_mm=three(x @ along)),))
         # On the user's mesh a patch can be shifted by whole nodes only.
         return replace(moved, columns=variant.columns[:2] / self.patch_mm)
 
     def sentence(self, values: Values) -> str:
         """Return the finding as a sentence; `values` has the fitted `offset_mm` or `shift_mm` of an `actuator`."""
+        size = float(np.linalg.norm(np.asarray(values["offset_mm" if "offset_mm" in values else "shift_mm"])))
         if "offset_mm" in values:
-            size = float(np.linalg.norm(np.asarray(values["offset_mm"])))
             return f"The motion of actuator '{values['actuator']}' has a constant offset of {size:.2f} mm."
-        size = float(np.linalg.norm(np.asarray(values["shift_mm"])))
         return f"The patch of actuator '{values['actuator']}' is {size:.1f} mm from its believed position."
 
 
 def present_pads(bench: Bench) -> list[Actuator]:
     """Return the actuators that a case uses."""
-    cases = bench.experiment.cases.values()
-    return [
-        pad
-        for pad in bench.experiment.actuators
-        if any(pad.name in case.displacements or pad.name in case.applied_forces for case in cases)
-    ]
+    used = {name for case in bench.experiment.cases.values() for name in (*case.displacements, *case.applied_forces)}
+    return [pad for pad in bench.experiment.actuators if pad.name in used]
 
 
-def _gains(pad: Actuator, state: State) -> Sequence[Moved]:
-    return [load_of(state, pad, motion_of(state, pad))]
-
-
-def _turns(pad: Actuator, across: FloatArray, state: State) -> Sequence[Moved]:
-    return [load_of(state, pad, np.cross(np.deg2rad(axis), motion_of(state, pad))) for axis in across]
-
-
-def _offsets(pad: Actuator, state: State) -> Sequence[Moved]:
-    return [load_of(state, pad, axis) for axis in np.eye(3)]
+def _moved(pad: Actuator, changes: Callable[[FloatArray], FloatArray], state: State) -> Sequence[Load]:
+    """Return the loads of `changes` (k, 3) of the motion of a pad, which are a function of the motion (3,)."""
+    return [load_of(state, pad, change) for change in changes(motion_of(state, pad))]
 
 
 def motion_of(state: State, pad: Actuator) -> FloatArray:

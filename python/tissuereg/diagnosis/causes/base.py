@@ -111,27 +111,27 @@ class Scene:
 class Cause(ABC):
     """One physical error of a simulation that a diagnosis can name as the cause of a misfit.
 
-    Fields of an instance are its numbers: sizes, prior deviations, counts.
+    Fields of an instance are its numbers: sizes, prior deviations, counts. What a class states of itself, as keywords
+    behind its bases: `id` in answers and in ``[[effect]]`` tables; `family`, the kind of error that it is one of
+    (`tissuereg.diagnosis.families`); `discrete`, keys of `Variant.settings` that the free parameters cannot change;
+    `constant`, whether its change has one size in all parts of the data (that of a contact that opens, or of what
+    slips, has not); `absolute`, whether what it changes is no multiple of Young's modulus, as its free parameters have
+    it.
     """
 
-    #: Id in answers and in ``[[effect]]`` tables.
     id: ClassVar[str]
-
-    #: Kind of error that it is one of (`tissuereg.diagnosis.families`).
     family: ClassVar[str]
-
-    #: Keys of `Variant.settings` that the free parameters cannot change.
     discrete: ClassVar[tuple[str, ...]] = ()
-
-    #: Whether its change has one size in all parts of the data. That of a contact that opens, or of what slips, has
-    #: not.
     constant: ClassVar[bool] = True
-
-    #: Whether what it changes is no multiple of Young's modulus, as its free_parameters have it.
     absolute: ClassVar[bool] = False
 
-    def __init_subclass__(cls) -> None:
-        """Refuse a cause without a family, which a diagnosis would miss when it names the cause."""
+    def __init_subclass__(cls, **stated: str | bool | tuple[str, ...]) -> None:
+        """Keep what a cause states; refuse one without a family, which a diagnosis would miss when it names it."""
+        for key, value in stated.items():
+            if key not in Cause.__annotations__:
+                message = f"a cause states no `{key}`"
+                raise TypeError(message)
+            setattr(cls, key, value)
         if "id" in vars(cls) and not hasattr(cls, "family"):
             message = f"the cause '{cls.id}' must state its `family`"
             raise TypeError(message)

@@ -1,8 +1,8 @@
 """Partial detachment of a support from the body, from its rim inwards."""
 
+import itertools
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import ClassVar
 
 import numpy as np
 
@@ -15,13 +15,8 @@ from tissuereg.experiment.effects.supports import freeing_shares, node_areas
 
 
 @dataclass(frozen=True)
-class DetachmentCause(Cause):
+class DetachmentCause(Cause, id="detachment", family="support", discrete=("boundary", "azimuth"), constant=False):
     """A part of a boundary, from its rim in one direction, is free."""
-
-    id: ClassVar[str] = "detachment"
-    family: ClassVar[str] = "support"
-    discrete: ClassVar[tuple[str, ...]] = ("boundary", "azimuth")
-    constant: ClassVar[bool] = False
 
     #: Share of the boundary's area and number of directions: small shares need more, to cover the whole rim.
     directions: tuple[tuple[float, int], ...] = ((0.012, 16), (0.04, 8), (0.15, 8))
@@ -37,11 +32,10 @@ class DetachmentCause(Cause):
         """Return one hypothesis for each support, direction of the detached rim and detached share of the area."""
         azimuths = [(share, 360.0 * turn / count) for share, count in self.directions for turn in range(count)]
         tried = []
-        for name in (boundary.name for boundary in bench.experiment.boundaries):
-            for share, azimuth in azimuths:
-                effect = Detachment(boundary=name, azimuth_deg=azimuth, share=share)
-                settings = {"boundary": name, "azimuth": azimuth, "share": share}
-                tried.append((f"{name} {azimuth:.0f} deg {share:g}", effect, settings))
+        for boundary, (share, azimuth) in itertools.product(bench.experiment.boundaries, azimuths):
+            settings = {"boundary": boundary.name, "azimuth": azimuth, "share": share}
+            effect = Detachment(boundary=boundary.name, azimuth_deg=azimuth, share=share)
+            tried.append((f"{boundary.name} {azimuth:.0f} deg {share:g}", effect, settings))
         return self.simulated(bench, tried)
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
@@ -50,18 +44,18 @@ class DetachmentCause(Cause):
         A node is free or held, so that simulations change in jumps: the prediction is interpolated between the two
         whose edges lie at the nodes next to the detachment's edge.
         """
-        name, share = str(variant.settings["boundary"]), float(variant.settings["share"])
-        azimuth = float(variant.settings["azimuth"])
+        name = str(variant.settings["boundary"])
+        share, azimuth = float(variant.settings["share"]), float(variant.settings["azimuth"])
         boundary = Detachment(boundary=name, azimuth_deg=azimuth, share=share).held_by(bench.experiment)
         width = float(np.sqrt(node_areas(bench.experiment.mesh, boundary.nodes).mean()))
         # The change grows faster than the detached area.
         start = logit(share * float(np.clip(amplitudes[0], 0.1, 4.0)) ** 0.5, self.least_share)
 
-        def effect(x: FloatArray) -> Detachment:
-            return Detachment(boundary=name, azimuth_deg=float(x[0]), share=logistic(x[1]))
+        def effect(azimuth: float, share: float) -> Detachment:
+            return Detachment(boundary=name, azimuth_deg=azimuth, share=share)
 
         def between(x: FloatArray, young: float) -> Mixture:
-            places, areas = effect(x).edges(bench.experiment.mesh, boundary.nodes)
+            places, areas = effect(float(x[0]), logistic(x[1])).edges(bench.experiment.mesh, boundary.nodes)
             # Each node's area is spread over its width, so that the edge moves continuously as the share grows.
             depths = np.linspace(-0.5 * width, places[-1] + 0.5 * width, self.depths)
             covered = np.clip((depths[:, None] - places) / width + 0.5, 0.0, 1.0) @ areas
@@ -71,24 +65,18 @@ class DetachmentCause(Cause):
             n_free = min(int((places <= edge).sum()), len(places) - 1) - 1
             more = (edge - places[n_free]) / max(float(places[n_free + 1] - places[n_free]), 1e-12)
             more = float(np.clip(more, 0.0, 1.0))
-            sets: Mixture = []
-            for weight, count in ((1.0 - more, n_free), (more, n_free + 1)):
-                # Midway to the share at which the next node would be free.
-                own = 0.5 * float(shares[count] + shares[count + 1])
-                freed = Detachment(boundary=name, azimuth_deg=float(x[0]), share=own)
-                sets.append((weight, (freed,) if count else ()))
-            return sets
+            # Midway to the share at which the next node would be free.
+            freed = [(effect(float(x[0]), 0.5 * float(shares[n] + shares[n + 1])),) for n in (n_free, n_free + 1)]
+            return [(1.0 - more, freed[0] if n_free else ()), (more, freed[1])]
 
-        turns, shares = azimuth + np.array(self.turns_deg), [logit(share, self.least_share) for share in self.starts]
         found = free_parameters(
-            [(azimuth, azimuth, 60.0, 5.0), (start, logit(0.08), 1.5, 0.2)], lambda x, young: (effect(x),)
+            [(azimuth, azimuth, 60.0, 5.0), (start, logit(0.08), 1.5, 0.2)],
+            lambda x, young: (effect(float(x[0]), logistic(x[1])),),
         )
-        return replace(found, between=between, starts=np.array([(turn, share) for turn in turns for share in shares]))
+        turns, shares = azimuth + np.array(self.turns_deg), [logit(share, self.least_share) for share in self.starts]
+        return replace(found, between=between, starts=np.array([*itertools.product(turns, shares)]))
 
     def sentence(self, values: Values) -> str:
         """Return the finding as a sentence; `values` has the fitted `share` and `azimuth_deg` on a `boundary`."""
-        share = values["share"]
-        return (
-            f"About {100 * share:.0f} % of boundary '{values['boundary']}' has detached, "
-            f"on the side at {values['azimuth_deg']:.0f} degrees."
-        )
+        part = f"{100 * values['share']:.0f} % of boundary '{values['boundary']}'"
+        return f"About {part} has detached, on the side at {values['azimuth_deg']:.0f} degrees."

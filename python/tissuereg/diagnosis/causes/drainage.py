@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
@@ -15,11 +14,8 @@ from tissuereg.experiment.effects import Drainage
 
 
 @dataclass(frozen=True)
-class DrainageCause(Cause):
+class DrainageCause(Cause, id="drainage", family="memory"):
     """A share of the volumetric stress relaxes with one time constant."""
-
-    id: ClassVar[str] = "drainage"
-    family: ClassVar[str] = "memory"
 
     #: Share of the volumetric stress at which changes are simulated.
     share: float = 0.5
@@ -30,10 +26,8 @@ class DrainageCause(Cause):
         """Return one hypothesis for each of three time constants; none where no time passes or drainage is believed."""
         if bench.longest_case == 0.0 or self.believed(bench):
             return []
-        times = times_of(bench, self.times)[1::2]
-        return self.simulated(
-            bench, ((f"{tau:.2g} s", Drainage(share=self.share, tau_s=float(tau)), {"tau": tau}) for tau in times)
-        )
+        tried = ((tau, Drainage(share=self.share, tau_s=float(tau))) for tau in times_of(bench, self.times)[1::2])
+        return self.simulated(bench, ((f"{tau:.2g} s", effect, {"tau": tau}) for tau, effect in tried))
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
         """Return two free parameters: logit of the share that relaxes, and logarithm of the time constant in s."""
@@ -45,8 +39,5 @@ class DrainageCause(Cause):
 
     def sentence(self, values: Values) -> str:
         """Return the finding as a sentence; `values` has the fitted `share` and time constant `tau_s` (s)."""
-        share = values["share"]
-        return (
-            f"The body loses volume under load: {100 * share:.0f} % of its pressure relaxes with a time constant of "
-            f"{values['tau_s']:.2g} s."
-        )
+        share = f"{100 * values['share']:.0f} % of its pressure"
+        return f"The body loses volume under load: {share} relaxes with a time constant of {values['tau_s']:.2g} s."

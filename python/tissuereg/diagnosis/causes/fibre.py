@@ -1,9 +1,9 @@
 """Fibre reinforcement: one family of fibres that stiffens the body along one direction."""
 
 import itertools
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from functools import partial
 
 import numpy as np
 
@@ -15,12 +15,8 @@ from tissuereg.experiment.effects import Effect, Fibre
 
 
 @dataclass(frozen=True)
-class FibreCause(Cause):
+class FibreCause(Cause, id="fibre", family="law", discrete=("direction",)):
     """One family of fibres of any direction, which carry tension only."""
-
-    id: ClassVar[str] = "fibre"
-    family: ClassVar[str] = "law"
-    discrete: ClassVar[tuple[str, ...]] = ("direction",)
 
     #: Stiffness over the shear modulus at which changes are simulated.
     size: float = 0.5
@@ -29,14 +25,13 @@ class FibreCause(Cause):
         """Return one hypothesis for each of 13 directions, lines in a cubic lattice; none where fibres are believed."""
         if bench.experiment.material.fibre is not None:
             return []
-        named = ((f"along {' '.join(f'{x:.2f}' for x in direction)}", direction) for direction in _lines())
+        named = ((f"along {' '.join(f'{x:.2f}' for x in way)}", way) for way in _lines())
         return self.simulated(bench, ((name, _effect(self.size, way), {"direction": way}) for name, way in named))
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
         """Return three free parameters: the logarithm of the stiffness over the shear modulus, and two rotations.
 
-        The rotations are tangents of the angles by which the fibres deviate from the direction of the hypothesis,
-        towards two perpendicular axes.
+        These are tangents of the angles between the fibres and those of the hypothesis, about two perpendicular axes.
         """
         along = np.asarray(variant.settings["direction"])
         sides = np.linalg.svd(along[None])[2][1:]
@@ -54,14 +49,14 @@ class FibreCause(Cause):
 
     def in_curves(self, scene: Scene) -> Sequence[FreeParameters]:
         """Return fibres along the pull (the x axis) and across it; none for one mode, which a stiffer law fits too."""
+        if len(scene.modes) == 1:
+            return []
 
-        def along(towards: tuple[float, float, float]) -> Callable[[FloatArray], Fibre]:
-            return lambda x: Fibre(
-                k1_over_mu=exponential(float(x[0])), k2=exponential(min(float(x[1]), 6.0)), direction=towards
-            )
+        def fibre(towards: tuple[float, float, float], x: FloatArray) -> Fibre:
+            return Fibre(k1_over_mu=exponential(x[0]), k2=exponential(min(x[1], 6.0)), direction=towards)
 
-        ways = {"along the pull": (1.0, 0.0, 0.0), "across the pull": (0.0, 1.0, 0.0)} if len(scene.modes) > 1 else {}
-        return [curve_form(label, [(0.0, 1.5), (0.0, 1.5)], along(way)) for label, way in ways.items()]
+        ways = {"along the pull": (1.0, 0.0, 0.0), "across the pull": (0.0, 1.0, 0.0)}
+        return [curve_form(label, [(0.0, 1.5)] * 2, partial(fibre, way)) for label, way in ways.items()]
 
     def sentence(self, values: Values) -> str:
         """Return the finding as a sentence; `values` has the fitted `direction` (3,) and `k1_over_mu`."""

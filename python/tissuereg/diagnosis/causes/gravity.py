@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
@@ -20,31 +19,23 @@ from tissuereg.simulation.solve import Simulator
 
 
 @dataclass(frozen=True)
-class GravityCause(Cause):
+class GravityCause(Cause, id="gravity", family="rest", absolute=True):
     """Three components of the body's weight."""
-
-    id: ClassVar[str] = "gravity"
-    family: ClassVar[str] = "rest"
-    absolute: ClassVar[bool] = True
 
     #: Prior deviation of each component, over standard gravity, without and with a believed weight.
     unknown: float = 0.6
     known: float = 0.2
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return one hypothesis, whose columns (3, size) are by the components of the change of the body's weight.
-
-        There is none where a simulation with a changed weight has no equilibrium.
-        """
+        """Return one hypothesis, with columns (3, size) by the components of the body's weight; none without answer."""
         spread = self.unknown if bench.experiment.gravity is None else self.known
         if bench.is_elastic:
             columns = self._by_tangents(bench)
         else:
-            believed, step = _believed(bench), 0.05
-            changes = [bench.change(_effect(believed + step * axis)) for axis in np.eye(3)]
+            changes = [bench.change(_effect(_believed(bench) + 0.05 * axis)) for axis in np.eye(3)]
             if any(change is None for change in changes):
                 return []
-            columns = np.array(changes) / step
+            columns = np.array(changes) / 0.05
         return [Variant("weight", spread * columns, {"spread": spread})]
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
@@ -61,20 +52,16 @@ class GravityCause(Cause):
 
     def sentence(self, values: Values) -> str:
         """Return the finding as a sentence; `values` has the fitted `direction` (3,) and `g_mm_per_s2`."""
-        along, size = values["direction"], values["g_mm_per_s2"]
-        axis = ", ".join(f"{x:.2f}" for x in along)
-        over = size / GRAVITY_MM_PER_S2
+        axis, over = ", ".join(f"{x:.2f}" for x in values["direction"]), values["g_mm_per_s2"] / GRAVITY_MM_PER_S2
         return f"Gravity acts along ({axis}) with {over:.2g} g, unlike in the simulation."
 
     def _by_tangents(self, bench: Bench) -> FloatArray:
         """Return the derivatives (3, size) by the weight along each axis, over standard gravity, in mm and mN."""
-        worked, tangents = bench.tangents.worked, bench.tangents
+        worked, weight, threads = bench.tangents.worked, bench.tangents.worked.gravity, bench.predictor.threads
         unit = [worked.material.weight(axis) for axis in np.eye(3)]
         free = Simulator(worked.mesh, element=bench.predictor.element)
-        weight = worked.gravity
         pull = np.zeros(3) if weight is None else worked.material.weight(weight.direction, weight.g_mm_per_s2)
         rest = Load(body_force=pull)
-        threads = bench.predictor.threads
         # Pads are attached to the shape that has sagged under the weight, so that they move with it.
         standing = free.solve(rest, worked.material, threads=threads).all_displacement
         tangent = Linearised(free, rest, worked.material, standing, threads=threads)
@@ -89,7 +76,7 @@ class GravityCause(Cause):
                 loads.append(Load(body_force=unit[axis], prescribed=prescribed))
             return loads
 
-        return tangents.columns(direction, 3)
+        return bench.by(direction, 3)
 
 
 def _believed(bench: Bench) -> FloatArray:

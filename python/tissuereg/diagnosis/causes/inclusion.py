@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 from scipy import sparse
@@ -20,11 +19,8 @@ Ball = tuple[float, tuple[float, float, float]]
 
 
 @dataclass(frozen=True)
-class InclusionCause(Cause):
+class InclusionCause(Cause, id="inclusion", family="region"):
     """A ball of another modulus, at any place."""
-
-    id: ClassVar[str] = "inclusion"
-    family: ClassVar[str] = "region"
 
     #: Radii of the hypotheses, over the extent of the body.
     radii: tuple[float, ...] = (0.045, 0.075, 0.115)
@@ -42,9 +38,8 @@ class InclusionCause(Cause):
         balls = balls_in(bench.experiment.mesh, self.radii, self.spacing)
         columns = bench.by_fields(shares_of_balls(bench.experiment.mesh, balls))
         for (radius, centre), column in zip(balls, columns, strict=True):
-            name = " ".join(f"{x:.0f}" for x in centre)
-            settings = {"centre": centre, "radius": radius}
-            yield Variant(f"at {name} radius {radius:.1f}", self.spread * column[None], settings)
+            label = f"at {' '.join(f'{x:.0f}' for x in centre)} radius {radius:.1f}"
+            yield Variant(label, self.spread * column[None], {"centre": centre, "radius": radius})
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
         """Return five free parameters: centre (3,) in mm, logarithm of the radius in mm, and strength of the contrast.
@@ -63,31 +58,19 @@ class InclusionCause(Cause):
         excess = linear / max(1.0 - 0.4 * linear, 0.2)
         strength = float(np.log(max(excess, self.least_excess))) if excess > 0.0 else logit(-excess)
 
-        def contrast_of(x: FloatArray) -> float:
-            return 1.0 + float(np.exp(x[4])) if excess > 0.0 else 1.0 - logistic(float(x[4]))
-
         def effect(x: FloatArray, young: float) -> tuple[Inclusion]:
-            size = float(np.exp(x[3]))
-            return (Inclusion(centre_mm=three(x[:3]), semi_axes_mm=(size, size, size), contrast=contrast_of(x)),)
+            size, contrast = float(np.exp(x[3])), 1.0 + (float(np.exp(x[4])) if excess > 0.0 else -logistic(x[4]))
+            return (Inclusion(centre_mm=three(x[:3]), semi_axes_mm=(size, size, size), contrast=contrast),)
 
-        return free_parameters(
-            [
-                *((float(centre[i]), float(middle[i]), float(wide[i]), float(step[i])) for i in range(3)),
-                (float(np.log(radius)), float(np.log(0.065 * extent)), 0.4, 0.05),
-                (strength, 0.0, 1.0, 0.05),
-            ],
-            effect,
-        )
+        places = zip(centre, middle, wide, step, strict=True)
+        size = (np.log(radius), np.log(0.065 * extent), 0.4, 0.05)
+        return free_parameters([*places, size, (strength, 0.0, 1.0, 0.05)], effect)
 
     def sentence(self, values: Values) -> str:
         """Return the finding as a sentence; `values` has the fitted `centre_mm`, `semi_axes_mm` and `contrast`."""
-        centre, axes, contrast = values["centre_mm"], values["semi_axes_mm"], values["contrast"]
-        kind = "stiff" if contrast > 1 else "soft"
-        place = ", ".join(f"{x:.1f}" for x in centre)
-        return (
-            f"A {kind} inclusion of {axes[0]:.1f} mm radius lies at ({place}) mm, "
-            f"{contrast:.2g} times as stiff as its surroundings."
-        )
+        place, contrast = ", ".join(f"{x:.1f}" for x in values["centre_mm"]), values["contrast"]
+        ball = f"{'stiff' if contrast > 1 else 'soft'} inclusion of {values['semi_axes_mm'][0]:.1f} mm radius"
+        return f"A {ball} lies at ({place}) mm, {contrast:.2g} times as stiff as its surroundings."
 
 
 def shares_of_balls(mesh: Mesh, balls: Sequence[Ball]) -> "sparse.csr_array":

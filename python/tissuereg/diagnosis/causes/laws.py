@@ -6,10 +6,8 @@ volumetric response, similar to another Poisson's ratio. The bank holds the nest
 too.
 """
 
-from abc import abstractmethod
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar
 
 import numpy as np
 
@@ -19,36 +17,46 @@ from tissuereg.diagnosis.bench import Bench
 from tissuereg.diagnosis.causes.base import Cause, FreeParameters, Scene, Values, Variant, curve_form, free_parameters
 from tissuereg.diagnosis.causes.numbers import exponential, inner_share, logistic, logit
 from tissuereg.diagnosis.settings import MaterialSettings
-from tissuereg.experiment.effects import Asymmetry, Effect, Mooney, Stiffening
+from tissuereg.experiment.effects import EFFECTS, Asymmetry, Effect, Mooney, Stiffening
 from tissuereg.experiment.effects.elastic import OtherLaw
 
 
 @dataclass(frozen=True)
-class LawCause(Cause):
+class LawCause(Cause, discrete=("law",)):
     """Laws that contain the believed one at a shape parameter of zero; changes are simulated at one or more values."""
 
-    discrete: ClassVar[tuple[str, ...]] = ("law",)
-
-    #: Laws and values of the shape parameter at which changes are simulated.
+    #: Laws and values of the shape parameter at which changes are simulated. Mooney's is the share of the second
+    #: invariant in the energy.
     tried: tuple[tuple[str, float], ...]
 
-    @abstractmethod
     def effect(self, law: str, size: float, form: str) -> Effect:
         """Return the effect that puts another law in place of the believed one.
 
-        `size`: shape parameter, dimensionless, 0 for the neo-Hookean law; `form` {"coupled", "log", "quadratic"}:
-        energy of volume change, as `Material.volumetric`.
+        `size`: first shape parameter, dimensionless, 0 for the neo-Hookean law, all others zero; `form` {"coupled",
+        "log", "quadratic"}: energy of volume change, as `Material.volumetric`.
         """
+        kind = EFFECTS[self.id]
+        assert issubclass(kind, OtherLaw)
+        return kind(law=law, volumetric=form, **shape_of(law, size))
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
         """Return one hypothesis for each law and shape parameter tried; none unless the believed law is neo-Hookean."""
-        return self.simulated(
-            bench,
-            (
-                (f"{law} {size:g}", self.effect(law, size, form), {"law": law, "size": size, "volumetric": form})
-                for form in _forms(bench)[:1]
-                for law, size in self.tried
-            ),
+        tried = [
+            (f"{law} {size:g}", self.effect(law, size, form), {"law": law, "size": size, "volumetric": form})
+            for form in _forms(bench)[:1]
+            for law, size in self.tried
+        ]
+        return self.simulated(bench, tried)
+
+    def _of_size(
+        self, coordinate: tuple[float, float, float, float], variant: Variant, size: Callable[[float], float]
+    ) -> FreeParameters:
+        """Return one free parameter, of which the shape parameter `size` is a function, in the law of a variant."""
+        law, form = str(variant.settings["law"]), str(variant.settings["volumetric"])
+        return free_parameters(
+            [coordinate],
+            lambda x, young: (self.effect(law, size(x[0]), form),),
+            lambda x, young: {"law": law, main_key(law): size(x[0]), "volumetric": form},
         )
 
     def alternatives(self, bench: Bench, variant: Variant) -> tuple[Variant, ...]:
@@ -68,25 +76,14 @@ MOONEY = "mooney-rivlin"
 
 
 @dataclass(frozen=True)
-class MooneyCause(LawCause):
+class MooneyCause(LawCause, id="mooney", family="law"):
     """The Mooney-Rivlin law."""
 
-    id: ClassVar[str] = "mooney"
-    family: ClassVar[str] = "law"
     tried: tuple[tuple[str, float], ...] = ((MOONEY, 0.5),)
-
-    def effect(self, law: str, size: float, form: str) -> Effect:
-        """Return the Mooney-Rivlin law in which the second invariant has the share `size` of the energy."""
-        return Mooney(law=law, volumetric=form, **shape_of(law, size))
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
         """Return one free parameter: the logit of the share of the energy that follows the second invariant."""
-        form = str(variant.settings["volumetric"])
-        return free_parameters(
-            [(logit(0.5 * float(amplitudes[0])), 0.0, 1.5, 0.1)],
-            lambda x, young: (self.effect(MOONEY, logistic(x[0]), form),),
-            lambda x, young: {"law": MOONEY, main_key(MOONEY): logistic(x[0]), "volumetric": form},
-        )
+        return self._of_size((logit(0.5 * float(amplitudes[0])), 0.0, 1.5, 0.1), variant, logistic)
 
     def in_curves(self, scene: Scene) -> Sequence[FreeParameters]:
         """Return one form: the logit of the share; none in simple shear, where both invariants are equal."""
@@ -107,11 +104,9 @@ EVEN = 2.0
 
 
 @dataclass(frozen=True)
-class AsymmetryCause(LawCause):
+class AsymmetryCause(LawCause, id="asymmetry", family="law"):
     """Ogden's law with one term, or a bimodular law, whose tension and compression differ at the smallest strain."""
 
-    id: ClassVar[str] = "asymmetry"
-    family: ClassVar[str] = "law"
     #: Distances of Ogden's exponent from the even one, excesses of a bimodular law. Ogden's law is stiffer in
     #: compression for negative exponents, in tension for large positive ones.
     tried: tuple[tuple[str, float], ...] = (("ogden", -12.0), ("ogden", 10.0), ("bimodular", -0.4), ("bimodular", 0.7))
@@ -119,7 +114,7 @@ class AsymmetryCause(LawCause):
     def effect(self, law: str, size: float, form: str) -> Effect:
         """Return a bimodular law of excess `size` in tension, or Ogden's law of the exponent 2 plus `size`."""
         if law == "bimodular":
-            return Asymmetry(law=law, volumetric=form, **shape_of(law, size))
+            return super().effect(law, size, form)
         exponent = EVEN + size
         # Ogden's law has no exponent of zero.
         if abs(exponent) < 0.1:
@@ -130,16 +125,12 @@ class AsymmetryCause(LawCause):
         """Return one free parameter: Ogden's exponent minus 2, or the logarithm of the ratio of a bimodular law."""
         form, law = str(variant.settings["volumetric"]), str(variant.settings["law"])
         start = float(variant.settings["size"]) * min(max(float(amplitudes[0]), 0.1), 2.0)
-        if law == "ogden":
-            return free_parameters(
-                [(start, 0.0, 12.0, 0.5)],
-                lambda x, young: (self.effect(law, float(x[0]), form),),
-                lambda x, young: {"law": law, "alpha": [EVEN + float(x[0])], "volumetric": form},
-            )
+        if law == "bimodular":
+            return self._of_size((np.log1p(start), 0.0, 0.7, 0.05), variant, lambda x: float(np.expm1(x)))
         return free_parameters(
-            [(float(np.log1p(start)), 0.0, 0.7, 0.05)],
-            lambda x, young: (self.effect(law, float(np.expm1(x[0])), form),),
-            lambda x, young: {"law": law, main_key(law): float(np.expm1(x[0])), "volumetric": form},
+            [(start, 0.0, 12.0, 0.5)],
+            lambda x, young: (self.effect(law, float(x[0]), form),),
+            lambda x, young: {"law": law, "alpha": [EVEN + float(x[0])], "volumetric": form},
         )
 
     def alternatives(self, bench: Bench, variant: Variant) -> tuple[Variant, ...]:
@@ -173,30 +164,17 @@ STIFFENING: dict[str, tuple[float, ...]] = {
 
 
 @dataclass(frozen=True)
-class StiffeningCause(LawCause):
+class StiffeningCause(LawCause, id="stiffening", family="law"):
     """A law that stiffens with strain in place of the neo-Hookean one."""
-
-    id: ClassVar[str] = "stiffening"
-    family: ClassVar[str] = "law"
 
     #: Largest logarithm of a shape parameter; a strain of 0.1 then multiplies the modulus by some thousands.
     largest: float = 7.0
     tried: tuple[tuple[str, float], ...] = tuple((law, size) for law, sizes in STIFFENING.items() for size in sizes)
 
-    def effect(self, law: str, size: float, form: str) -> Effect:
-        """Return the law `law` with its first shape parameter equal to `size` and all others zero."""
-        return Stiffening(law=law, volumetric=form, **shape_of(law, size))
-
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
         """Return one free parameter: the logarithm of the law's first shape parameter, which is dimensionless."""
-        law, size = str(variant.settings["law"]), float(variant.settings["size"])
-        form = str(variant.settings["volumetric"])
-        start = float(np.log(size * np.clip(amplitudes[0], 0.1, 3.0)))
-        return free_parameters(
-            [(start, float(np.log(2.0)), 1.2, 0.05)],
-            lambda x, young: (self.effect(law, _shape(x, self.largest), form),),
-            lambda x, young: {"law": law, main_key(law): _shape(x, self.largest), "volumetric": form},
-        )
+        start = np.log(float(variant.settings["size"]) * np.clip(amplitudes[0], 0.1, 3.0))
+        return self._of_size((start, np.log(2.0), 1.2, 0.05), variant, lambda x: float(np.exp(min(x, self.largest))))
 
     def in_curves(self, scene: Scene) -> Sequence[FreeParameters]:
         """Return a form of each law that is tried in curves; Ogden's too where pull or push alone was tested."""
@@ -211,10 +189,6 @@ class StiffeningCause(LawCause):
         return f"The modulus changes with strain, as in a law of the kind {values['law']} ({_shape_words(values)})."
 
 
-def _shape(x: FloatArray, largest: float) -> float:
-    return float(np.exp(min(x[0], largest)))
-
-
 def _shape_words(values: Values) -> str:
     def text(value: float | list[float]) -> str:
         return ", ".join(f"{v:.3g}" for v in value) if isinstance(value, list) else f"{value:.3g}"
@@ -226,11 +200,8 @@ def _shape_words(values: Values) -> str:
 
 def _by_rate(law: str, invariant: float) -> FreeParameters:
     """Return the form of a law with one rate of stiffening; its prior median matters at the `invariant` (I1 - 3)."""
-
-    def effect(x: FloatArray) -> Stiffening:
-        return Stiffening(law=law, **shape_of(law, exponential(float(x[0]))))
-
-    return curve_form(law, [(float(np.log(0.5 / invariant)), 1.5)], effect)
+    median = float(np.log(0.5 / invariant))
+    return curve_form(law, [(median, 1.5)], lambda x: Stiffening(law=law, **shape_of(law, exponential(float(x[0])))))
 
 
 def _by_ratios(law: str, invariant: float) -> FreeParameters:

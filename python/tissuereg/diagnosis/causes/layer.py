@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 from scipy import sparse
@@ -15,11 +14,8 @@ from tissuereg.experiment.effects.regions import OuterLayer, share_inside
 
 
 @dataclass(frozen=True)
-class LayerCause(Cause):
+class LayerCause(Cause, id="layer", family="region"):
     """A layer of constant thickness below the free surface, with another modulus."""
-
-    id: ClassVar[str] = "layer"
-    family: ClassVar[str] = "region"
 
     #: Thicknesses of the hypotheses, over the extent of the body.
     thicknesses: tuple[float, ...] = (0.01, 0.02, 0.04, 0.08)
@@ -43,16 +39,9 @@ class LayerCause(Cause):
         """Return two free parameters: logarithms of the thickness in mm and of the modulus ratio of layer and core."""
         contrast = 1.0 + float(np.clip(self.spread * amplitudes[0], -0.85, 20.0))
         thickness = float(variant.settings["thickness"])
-
-        def effect(x: FloatArray, young: float) -> tuple[Layer]:
-            return (Layer(thickness_mm=float(np.exp(x[0])), contrast=float(np.exp(x[1]))),)
-
         return free_parameters(
-            [
-                (float(np.log(thickness)), float(np.log(0.025 * bench.extent)), 0.7, 0.1),
-                (float(np.log(contrast)), 0.0, 1.2, 0.05),
-            ],
-            effect,
+            [(np.log(thickness), np.log(0.025 * bench.extent), 0.7, 0.1), (np.log(contrast), 0.0, 1.2, 0.05)],
+            lambda x, young: (Layer(thickness_mm=float(np.exp(x[0])), contrast=float(np.exp(x[1]))),),
         )
 
     def sentence(self, values: Values) -> str:

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
@@ -14,11 +13,8 @@ from tissuereg.experiment.effects import Rate
 
 
 @dataclass(frozen=True)
-class RateCause(Cause):
+class RateCause(Cause, id="rate", family="memory"):
     """A viscous stress in addition to the elastic one."""
-
-    id: ClassVar[str] = "rate"
-    family: ClassVar[str] = "memory"
 
     #: Viscosity over modulus and the time between frames at which the change is simulated.
     size: float = 0.2
@@ -33,10 +29,8 @@ class RateCause(Cause):
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
         """Return one free parameter: the logarithm of the viscosity over Young's modulus, in s."""
         unit = self.size * bench.frame_step
-        return free_parameters(
-            [(float(np.log(unit * np.clip(amplitudes[0], 0.05, 20.0))), float(np.log(unit)), 1.5, 0.05)],
-            lambda x, young: (Rate(viscosity_kpa_s=float(np.exp(x[0])) * young),),
-        )
+        time = (np.log(unit * np.clip(amplitudes[0], 0.05, 20.0)), np.log(unit), 1.5, 0.05)
+        return free_parameters([time], lambda x, young: (Rate(viscosity_kpa_s=float(np.exp(x[0])) * young),))
 
     def in_curves(self, scene: Scene) -> Sequence[FreeParameters]:
         """Return one form: the logarithm of the viscosity in kPa s; none where curves cannot show effects of time."""

@@ -1,7 +1,6 @@
 """Reference shape: whether the mesh is the body deformed by gravity, or the unloaded body."""
 
 from collections.abc import Iterable
-from typing import ClassVar
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.bench import Bench
@@ -9,12 +8,8 @@ from tissuereg.diagnosis.causes.base import Cause, FreeParameters, Values, Varia
 from tissuereg.experiment.effects import Reference
 
 
-class ReferenceCause(Cause):
+class ReferenceCause(Cause, id="reference", family="rest", absolute=True):
     """Whether the mesh is already deformed by the believed gravity."""
-
-    id: ClassVar[str] = "reference"
-    family: ClassVar[str] = "rest"
-    absolute: ClassVar[bool] = True
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
         """Return one hypothesis, the opposite of what is believed; none where no gravity is believed."""

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
@@ -14,17 +13,13 @@ from tissuereg.experiment.effects import Relaxation
 
 
 def times_of(bench: Bench, count: int) -> FloatArray:
-    """Return time constants of relaxation, shape (6,), in s, from the time between frames to twice the longest case."""
+    """Return `count` time constants of relaxation, s, from the time between frames to twice the longest case."""
     return np.geomspace(max(bench.frame_step, 1e-3), max(2.0 * bench.longest_case, 2e-3), count)
 
 
 @dataclass(frozen=True)
-class RelaxationCause(Cause):
+class RelaxationCause(Cause, id="relaxation", family="memory", discrete=("part",)):
     """A share of the whole stress, or of its isochoric part, relaxes with one time constant."""
-
-    id: ClassVar[str] = "relaxation"
-    family: ClassVar[str] = "memory"
-    discrete: ClassVar[tuple[str, ...]] = ("part",)
 
     #: Share that relaxes at which changes are simulated.
     share: float = 0.25
@@ -32,35 +27,25 @@ class RelaxationCause(Cause):
     times: int = 6
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return hypotheses for several time constants, of the whole stress and of its isochoric part.
-
-        There is none where no time passes, or where relaxation is already believed.
-        """
+        """Return hypotheses for several times, of all stress or its isochoric part; none without time or if known."""
         if bench.longest_case == 0.0 or self.believed(bench):
             return []
         # The two parts differ little; every second time constant suffices for the isochoric one.
         tried = [("whole", float(tau)) for tau in times_of(bench, self.times)]
         tried += [("isochoric", float(tau)) for tau in times_of(bench, self.times)[1::2]]
-        effects = [Relaxation(g=(self.share,), tau_s=(tau,), part=part) for part, tau in tried]
-        return self.simulated(
-            bench,
-            [(f"{one.part} {one.tau_s[0]:.2g} s", one, {"tau": one.tau_s[0], "part": one.part}) for one in effects],
-        )
+        effects = [
+            (f"{part} {tau:.2g} s", Relaxation(g=(self.share,), tau_s=(tau,), part=part), {"tau": tau, "part": part})
+            for part, tau in tried
+        ]
+        return self.simulated(bench, effects)
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
         """Return two free parameters: logit of the share that relaxes, and logarithm of the time constant in s."""
         part, tau = str(variant.settings["part"]), float(variant.settings["tau"])
-        middle = float(np.log(times_of(bench, self.times)).mean())
-
-        def effect(x: FloatArray, young: float) -> tuple[Relaxation]:
-            return (Relaxation(g=(logistic(x[0]),), tau_s=(float(np.exp(x[1])),), part=part),)
-
+        share, middle = self.share * min(float(amplitudes[0]), 3.5), np.log(times_of(bench, self.times)).mean()
         return free_parameters(
-            [
-                (logit(self.share * min(float(amplitudes[0]), 3.5)), logit(0.2), 1.2, 0.1),
-                (float(np.log(tau)), middle, 1.5, 0.1),
-            ],
-            effect,
+            [(logit(share), logit(0.2), 1.2, 0.1), (np.log(tau), middle, 1.5, 0.1)],
+            lambda x, young: (Relaxation(g=(logistic(x[0]),), tau_s=(float(np.exp(x[1])),), part=part),),
         )
 
     def in_curves(self, scene: Scene) -> Sequence[FreeParameters]:

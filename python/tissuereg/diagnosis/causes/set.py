@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import ClassVar
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.bench import Bench
@@ -12,11 +11,8 @@ from tissuereg.experiment.effects import Set
 
 
 @dataclass(frozen=True)
-class SetCause(Cause):
+class SetCause(Cause, id="set", family="memory"):
     """Permanent set."""
-
-    id: ClassVar[str] = "set"
-    family: ClassVar[str] = "memory"
 
     #: Share at which the change is simulated.
     size: float = 0.1
@@ -27,15 +23,13 @@ class SetCause(Cause):
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
         """Return one free parameter: the logit of the share of the largest strain that remains."""
-        return free_parameters(
-            [(logit(self.size * float(amplitudes[0]), 0.005), logit(self.size), 1.2, 0.1)],
-            lambda x, young: (Set(fraction=logistic(x[0])),),
-        )
+        start = logit(self.size * float(amplitudes[0]), 0.005)
+        return free_parameters([(start, logit(self.size), 1.2, 0.1)], lambda x, young: (Set(fraction=logistic(x[0])),))
 
     def in_curves(self, scene: Scene) -> Sequence[FreeParameters]:
         """Return one form: the logit of the share of the largest strain that remains; none without unloading."""
-        effect = curve_form("set", [(-2.5, 1.2)], lambda x: Set(fraction=inner_share(float(x[0]))))
-        return [effect] if scene.unloaded else []
+        form = curve_form("set", [(-2.5, 1.2)], lambda x: Set(fraction=inner_share(float(x[0]))))
+        return [form] if scene.unloaded else []
 
     def sentence(self, values: Values) -> str:
         """Return the finding as a sentence; `values` has the fitted `fraction` of the strain that remains."""

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
@@ -13,13 +12,8 @@ from tissuereg.experiment.effects import Sliding
 
 
 @dataclass(frozen=True)
-class SlidingCause(Cause):
+class SlidingCause(Cause, id="sliding", family="support", discrete=("boundary", "kind"), constant=False):
     """A boundary on tangential springs, or one that slips where the tangential stress exceeds friction."""
-
-    id: ClassVar[str] = "sliding"
-    family: ClassVar[str] = "support"
-    discrete: ClassVar[tuple[str, ...]] = ("boundary", "kind")
-    constant: ClassVar[bool] = False
 
     #: Compliances of springs, times modulus over extent, at which changes are simulated.
     compliances: tuple[float, ...] = (0.03, 0.3)
@@ -36,44 +30,38 @@ class SlidingCause(Cause):
                 continue
             own = [("springs", size, _springs(bench, name, size, bench.young)) for size in self.compliances]
             own += [("friction", c, _friction(name, self.coefficient, c * bench.young)) for c in self.cohesions]
-            yield from self.simulated(
-                bench,
-                (
-                    (f"{name} {kind} {size:g}", effect, {"boundary": name, "kind": kind, "size": size})
-                    for kind, size, effect in own
-                ),
-            )
+            tried = [
+                (f"{name} {kind} {size:g}", effect, {"boundary": name, "kind": kind, "size": size})
+                for kind, size, effect in own
+            ]
+            yield from self.simulated(bench, tried)
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
         """Return the logarithm of the compliance of springs, or the logarithms of friction coefficient and cohesion.
 
-        The compliance is Young's modulus over spring stiffness and extent of the body; the cohesion is over the
-        modulus.
+        The compliance is Young's modulus over spring stiffness and extent of the body, the cohesion over the modulus.
         """
         name, size = str(variant.settings["boundary"]), float(variant.settings["size"])
         more = float(np.clip(amplitudes[0], 0.1, 10.0))
         if variant.settings["kind"] == "springs":
             return free_parameters(
-                [(float(np.log(size * more)), float(np.log(0.1)), 1.5, 0.1)],
+                [(np.log(size * more), np.log(0.1), 1.5, 0.1)],
                 lambda x, young: (_springs(bench, name, float(np.exp(x[0])), young),),
             )
         # A smaller cohesion slips more.
+        cohesion, likely = size / np.sqrt(more), np.log(self.coefficient)
         return free_parameters(
-            [
-                (float(np.log(self.coefficient)), float(np.log(self.coefficient)), 0.7, 0.1),
-                (float(np.log(size / np.sqrt(more))), float(np.log(0.05)), 1.0, 0.1),
-            ],
+            [(likely, likely, 0.7, 0.1), (np.log(cohesion), np.log(0.05), 1.0, 0.1)],
             lambda x, young: (_friction(name, float(np.exp(x[0])), float(np.exp(x[1])) * young),),
         )
 
     def sentence(self, values: Values) -> str:
         """Return the finding as a sentence; `values` has the fitted springs or friction of a `boundary`."""
+        name = f"Boundary '{values['boundary']}'"
         if "friction" in values:
-            return (
-                f"Boundary '{values['boundary']}' slips against friction (coefficient {values['friction']:.2g}, "
-                f"cohesion {values['cohesion_kpa']:.2g} kPa)."
-            )
-        return f"Boundary '{values['boundary']}' slides, as if on springs of {values['spring_kpa_per_mm']:.2g} kPa/mm."
+            friction = f"coefficient {values['friction']:.2g}, cohesion {values['cohesion_kpa']:.2g} kPa"
+            return f"{name} slips against friction ({friction})."
+        return f"{name} slides, as if on springs of {values['spring_kpa_per_mm']:.2g} kPa/mm."
 
 
 def _springs(bench: Bench, boundary: str, compliance: float, young: float) -> Sliding:

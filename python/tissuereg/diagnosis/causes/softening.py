@@ -1,8 +1,8 @@
 """Softening by the first large load: the Mullins effect, or damage."""
 
+import itertools
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
@@ -14,12 +14,8 @@ from tissuereg.experiment.effects import Softening
 
 
 @dataclass(frozen=True)
-class SofteningCause(Cause):
+class SofteningCause(Cause, id="softening", family="memory", discrete=("form",)):
     """Softening by the largest strain energy so far: on reloading only (Mullins), or on first loading too (damage)."""
-
-    id: ClassVar[str] = "softening"
-    family: ClassVar[str] = "memory"
-    discrete: ClassVar[tuple[str, ...]] = ("form",)
 
     #: Values of r, and of m over the modulus, at which changes are simulated.
     size: float = 1.5
@@ -32,29 +28,24 @@ class SofteningCause(Cause):
         if self.believed(bench):
             return []
         tried = []
-        for form, beta in self.forms:
-            for energy in self.energies:
-                effect = Softening(r=self.size, m_kpa=energy * bench.young, beta=beta, form=form)
-                tried.append((f"{form}, energy {energy:g}", effect, {"form": form, "energy": energy}))
+        for (form, beta), energy in itertools.product(self.forms, self.energies):
+            effect = Softening(r=self.size, m_kpa=energy * bench.young, beta=beta, form=form)
+            tried.append((f"{form}, energy {energy:g}", effect, {"form": form, "energy": energy}))
         return self.simulated(bench, tried)
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
         """Return two free parameters: the logarithms of r - 1 and of m over Young's modulus, both dimensionless."""
-        betas = dict(self.forms)
         # At most a share of (1 - 1/r) of the stress is lost.
         lost = min((1.0 - 1.0 / self.size) * float(np.clip(amplitudes[0], 0.05, 2.8)), 0.9)
         energy, form = float(variant.settings["energy"]), str(variant.settings["form"])
 
         def effect(x: FloatArray, young: float) -> tuple[Softening]:
             r, m_kpa = 1.0 + float(np.exp(x[0])), float(np.exp(x[1])) * young
-            return (Softening(r=r, m_kpa=m_kpa, beta=betas[form], form=form),)
+            return (Softening(r=r, m_kpa=m_kpa, beta=dict(self.forms)[form], form=form),)
 
+        loss = 1.0 / (1.0 - lost) - 1.0
         return free_parameters(
-            [
-                (float(np.log(1.0 / (1.0 - lost) - 1.0)), float(np.log(0.5)), 1.0, 0.1),
-                (float(np.log(energy)), float(np.log(0.01)), 1.5, 0.1),
-            ],
-            effect,
+            [(np.log(loss), np.log(0.5), 1.0, 0.1), (np.log(energy), np.log(0.01), 1.5, 0.1)], effect
         )
 
     def in_curves(self, scene: Scene) -> Sequence[FreeParameters]:

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar
 
 import numpy as np
 
@@ -15,12 +14,8 @@ from tissuereg.simulation.sensitivity import Parameter
 
 
 @dataclass(frozen=True)
-class StiffnessCause(Cause):
+class StiffnessCause(Cause, id="stiffness", family="law", absolute=True):
     """Another Young's modulus; every fit has it as a nuisance, a finding is named where it lies far from its prior."""
-
-    id: ClassVar[str] = "stiffness"
-    family: ClassVar[str] = "law"
-    absolute: ClassVar[bool] = True
 
     #: Prior deviation of the logarithm of the factor on the modulus, in addition to that of the believed modulus.
     spread: float = 1.0
@@ -31,10 +26,8 @@ class StiffnessCause(Cause):
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
         """Return one free parameter: the logarithm of a factor on Young's modulus."""
-        return free_parameters(
-            [(self.spread * float(amplitudes[0]), 0.0, self.spread, 0.02)],
-            lambda x, young: (Stiffness(young_kpa=young * float(np.exp(x[0]))),),
-        )
+        factor = (self.spread * float(amplitudes[0]), 0.0, self.spread, 0.02)
+        return free_parameters([factor], lambda x, young: (Stiffness(young_kpa=young * float(np.exp(x[0]))),))
 
     def in_curves(self, scene: Scene) -> Sequence[FreeParameters]:
         """Return one form without parameters of its own: the modulus is the first one of every fit."""
@@ -46,11 +39,8 @@ class StiffnessCause(Cause):
 
 
 @dataclass(frozen=True)
-class PoissonCause(Cause):
+class PoissonCause(Cause, id="poisson", family="law"):
     """Poisson's ratio."""
-
-    id: ClassVar[str] = "poisson"
-    family: ClassVar[str] = "law"
 
     #: Prior deviation of the ratio.
     spread: float = 0.06
@@ -70,10 +60,8 @@ class PoissonCause(Cause):
         """Return one free parameter: the logit of twice Poisson's ratio."""
         believed = _ratio(bench)
         start = min(max(believed + self.spread * float(amplitudes[0]), 0.05), 0.495)
-        return free_parameters(
-            [(logit(2.0 * start, 0.005), logit(2.0 * believed, 0.005), 1.5, 0.05)],
-            lambda x, young: (Poisson(poisson=0.5 * logistic(x[0])),),
-        )
+        ratio = (logit(2.0 * start, 0.005), logit(2.0 * believed, 0.005), 1.5, 0.05)
+        return free_parameters([ratio], lambda x, young: (Poisson(poisson=0.5 * logistic(x[0])),))
 
     def in_curves(self, scene: Scene) -> Sequence[FreeParameters]:
         """Return one form: the logit of twice the ratio; none without shear and bars."""
@@ -81,7 +69,7 @@ class PoissonCause(Cause):
         if "simple-shear" not in scene.modes or len(scene.modes) < 2:
             return []
         believed = min(max(2.0 * scene.poisson, 0.02), 0.999)
-        mean = float(np.log(believed / (1.0 - believed)))
+        mean = logit(believed, 0.001)
 
         def effect(x: FloatArray) -> Poisson:
             return Poisson(poisson=0.5 * inner_share(min(float(x[0]), 8.0)))

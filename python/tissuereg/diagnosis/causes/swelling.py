@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import ClassVar
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.bench import Bench
@@ -14,25 +13,16 @@ HOLD = "hold"
 
 
 @dataclass(frozen=True)
-class SwellingCause(Cause):
+class SwellingCause(Cause, id="swelling", family="memory", discrete=("window", "pads")):
     """Growth of all lengths at a constant rate, over the whole session or a half of it."""
-
-    id: ClassVar[str] = "swelling"
-    family: ClassVar[str] = "memory"
-    discrete: ClassVar[tuple[str, ...]] = ("window", "pads")
 
     #: Linear strain at which changes are simulated, the prior deviation in screening.
     size: float = 0.01
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return one hypothesis for each window of time: the whole session, its first and its second half.
-
-        There is none where no time passes, or where swelling is already believed.
-        """
-        if self.believed(bench):
-            return
+        """Return hypotheses for the whole session and each half; none where no time passes or swelling is believed."""
         begin, end = bench.first_time, bench.last_time
-        if end <= begin:
+        if end <= begin or self.believed(bench):
             return
         middle = 0.5 * (begin + end)
         windows = ((begin, end), (begin, middle), (middle, end))
@@ -49,15 +39,13 @@ class SwellingCause(Cause):
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
         """Return one free parameter: the linear strain at the end of the window, in units of `size` (0.01)."""
         window, pads = variant.settings["window"], str(variant.settings["pads"])
-        return free_parameters(
-            [(float(amplitudes[0]), 0.0, 1.5, 0.1)], lambda x, young: (_effect(self.size * float(x[0]), window, pads),)
-        )
+        strain = (float(amplitudes[0]), 0.0, 1.5, 0.1)
+        return free_parameters([strain], lambda x, young: (_effect(self.size * float(x[0]), window, pads),))
 
     def sentence(self, values: Values) -> str:
         """Return the finding as a sentence; `values` has the fitted `linear_strain` (dimensionless)."""
-        strain = values["linear_strain"]
-        verb = "swells" if strain > 0 else "shrinks"
-        return f"The body {verb} by {abs(100 * strain):.2g} % in length during the measurement."
+        verb, percent = "swells" if values["linear_strain"] > 0 else "shrinks", abs(100 * values["linear_strain"])
+        return f"The body {verb} by {percent:.2g} % in length during the measurement."
 
 
 def _effect(strain: float, window: tuple[float, float], pads: str) -> Effect:

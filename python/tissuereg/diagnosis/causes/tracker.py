@@ -6,7 +6,6 @@ All of them change the predicted places in closed form; nothing is solved.
 import itertools
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import ClassVar
 
 import numpy as np
 
@@ -15,14 +14,12 @@ from tissuereg.diagnosis.bench import Bench
 from tissuereg.diagnosis.causes.base import Cause, FreeParameters, Values, Variant, free_parameters
 from tissuereg.diagnosis.causes.numbers import three
 from tissuereg.experiment.effects import Effect, Frame, Latency, MarkerSlip, MarkerSwap, Scale, seen_markers
+from tissuereg.experiment.effects.base import rotation_from_vector
 
 
 @dataclass(frozen=True)
-class FrameCause(Cause):
+class FrameCause(Cause, id="frame", family="tracker"):
     """The tracker's frame is shifted and rotated, by more than its prior as a nuisance allows."""
-
-    id: ClassVar[str] = "frame"
-    family: ClassVar[str] = "tracker"
 
     #: Prior deviations of the shift, mm, and of the rotation, degrees.
     shift_mm: float = 0.5
@@ -30,17 +27,14 @@ class FrameCause(Cause):
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
         """Return one hypothesis, with columns (6, size): the frame is shifted, and rotated about the mean place."""
-        shifts = [changed_by(bench, _frame(bench, np.eye(6)[i])) for i in range(6)]
         scale = np.array([self.shift_mm] * 3 + [self.turn_deg] * 3)
-        return [Variant("frame", scale[:, None] * np.array(shifts))]
+        return [Variant("frame", scale[:, None] * [changed_by(bench, _frame(bench, axis)) for axis in np.eye(6)])]
 
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
         """Return six free parameters: shifts in mm, then a rotation vector in degrees about the mean marker place."""
         scale = np.array([self.shift_mm] * 3 + [self.turn_deg] * 3)
-        return free_parameters(
-            [(float(s * a), 0.0, float(s), 0.05) for s, a in zip(scale, amplitudes, strict=True)],
-            lambda x, young: (_frame(bench, x),),
-        )
+        pose = [(s * a, 0.0, s, 0.05) for s, a in zip(scale, amplitudes, strict=True)]
+        return free_parameters(pose, lambda x, young: (_frame(bench, x),))
 
     def sentence(self, values: Values) -> str:
         """Return the finding as a sentence; `values` has the fitted rotation vector `rotation_deg`."""
@@ -49,11 +43,8 @@ class FrameCause(Cause):
 
 
 @dataclass(frozen=True)
-class ScaleCause(Cause):
+class ScaleCause(Cause, id="scale", family="tracker"):
     """The tracker's lengths have a wrong scale, about any origin."""
-
-    id: ClassVar[str] = "scale"
-    family: ClassVar[str] = "tracker"
 
     #: Prior deviations of the scale, and of the shift, mm.
     scale: float = 0.01
@@ -61,8 +52,7 @@ class ScaleCause(Cause):
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
         """Return one hypothesis, with columns (4, size): a wrong scale about the mean place, and three shifts."""
-        middle = _middle(bench)
-        scale = changed_by(bench, Scale(scale=1.01, origin_mm=three(middle))) * 100.0 * self.scale
+        scale = changed_by(bench, Scale(scale=1.01, origin_mm=three(_middle(bench)))) * 100.0 * self.scale
         shifts = [self.shift_mm * changed_by(bench, Frame(shift_mm=three(axis))) for axis in np.eye(3)]
         return [Variant("scale", np.array([scale, *shifts]))]
 
@@ -70,28 +60,21 @@ class ScaleCause(Cause):
         """Return four free parameters: the scale minus one, about the mean marker place, then three shifts in mm."""
         spread = np.array([self.scale, self.shift_mm, self.shift_mm, self.shift_mm])
 
-        def effect(x: FloatArray) -> Scale:
+        def effect(x: FloatArray, young: float) -> tuple[Scale]:
             # A scale 1 + s about the middle m with a shift d is a scale about m - d / s.
             stretch = float(x[0]) if abs(x[0]) > 1e-6 else 1e-6
-            return Scale(scale=1.0 + stretch, origin_mm=three(_middle(bench) - x[1:] / stretch))
+            return (Scale(scale=1.0 + stretch, origin_mm=three(_middle(bench) - x[1:] / stretch)),)
 
-        return free_parameters(
-            [(float(s * a), 0.0, float(s), 0.1 * float(s)) for s, a in zip(spread, amplitudes, strict=True)],
-            lambda x, young: (effect(x),),
-        )
+        return free_parameters([(s * a, 0.0, s, 0.1 * s) for s, a in zip(spread, amplitudes, strict=True)], effect)
 
     def sentence(self, values: Values) -> str:
         """Return the finding as a sentence; `values` has the fitted factor `scale` on all lengths."""
-        scale = values["scale"]
-        return f"The tracker's lengths are wrong by {100 * (scale - 1):+.2f} %."
+        return f"The tracker's lengths are wrong by {100 * (values['scale'] - 1):+.2f} %."
 
 
 @dataclass(frozen=True)
-class LatencyCause(Cause):
+class LatencyCause(Cause, id="latency", family="tracker"):
     """Markers are recorded with a delay."""
-
-    id: ClassVar[str] = "latency"
-    family: ClassVar[str] = "tracker"
 
     #: Prior deviation of the delay, in frames.
     delay: float = 0.5
@@ -106,24 +89,17 @@ class LatencyCause(Cause):
     def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
         """Return one free parameter: the delay in units of half the time between frames."""
         unit = self.delay * bench.frame_step
-        return free_parameters(
-            [(float(amplitudes[0]), 0.0, 1.0, 0.1)], lambda x, young: (Latency(latency_s=unit * float(x[0])),)
-        )
+        delay = (float(amplitudes[0]), 0.0, 1.0, 0.1)
+        return free_parameters([delay], lambda x, young: (Latency(latency_s=unit * float(x[0])),))
 
     def sentence(self, values: Values) -> str:
         """Return the finding as a sentence; `values` has the fitted delay `latency_s` (s)."""
-        delay = values["latency_s"]
-        return f"Markers are delayed by {1000 * delay:.0f} ms against the actuators' clock."
+        return f"Markers are delayed by {1000 * values['latency_s']:.0f} ms against the actuators' clock."
 
 
 @dataclass(frozen=True)
-class SlipCause(Cause):
+class SlipCause(Cause, id="marker_slip", family="tracker", discrete=("marker", "onset"), constant=False):
     """One marker is displaced on the body from some time on."""
-
-    id: ClassVar[str] = "marker_slip"
-    family: ClassVar[str] = "tracker"
-    discrete: ClassVar[tuple[str, ...]] = ("marker", "onset")
-    constant: ClassVar[bool] = False
 
     #: Prior deviation of a slip, mm.
     slip_mm: float = 1.0
@@ -132,11 +108,8 @@ class SlipCause(Cause):
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
         """Return one hypothesis, with columns (3, size), for each marker and each of several times of its slip."""
-        return (
-            self._slip(bench, marker, onset)
-            for onset in _onsets(bench, self.onsets)
-            for marker in bench.layout.marker_names
-        )
+        slips = itertools.product(_onsets(bench, self.onsets), bench.layout.marker_names)
+        return (self._slip(bench, marker, onset) for onset, marker in slips)
 
     def alternatives(self, bench: Bench, variant: Variant) -> tuple[Variant, ...]:
         """Return the hypotheses that the marker slips at another frame between the neighbouring screened times."""
@@ -171,12 +144,8 @@ class SlipCause(Cause):
 
 
 @dataclass(frozen=True)
-class SwapCause(Cause):
+class SwapCause(Cause, id="marker_swap", family="tracker", discrete=("pair", "onset")):
     """Two markers are mistaken for each other from some time on."""
-
-    id: ClassVar[str] = "marker_swap"
-    family: ClassVar[str] = "tracker"
-    discrete: ClassVar[tuple[str, ...]] = ("pair", "onset")
 
     #: Number of pairs of markers with a hypothesis of exchange.
     pairs: int = 15
@@ -228,8 +197,6 @@ def changed_by(bench: Bench, effect: Effect) -> FloatArray:
 
 def _frame(bench: Bench, x: FloatArray) -> Frame:
     """Return the tracker's frame shifted by x[:3] mm and rotated by x[3:] degrees about the markers' mean place."""
-    from tissuereg.experiment.effects.base import rotation_from_vector
-
     turn, middle = rotation_from_vector(three(x[3:])), _middle(bench)
     return Frame(rotation_deg=three(x[3:]), shift_mm=three(x[:3] + middle - turn @ middle))
 
@@ -239,8 +206,7 @@ def _middle(bench: Bench) -> FloatArray:
 
 
 def _onsets(bench: Bench, per_case: int) -> list[float]:
-    found = []
+    found: set[float] = set()
     for part in bench.layout.parts:
-        rows = np.unique(np.linspace(0, part.n_frames - 1, per_case + 1).astype(int)[:-1])
-        found += [float(t) for t in part.times[rows]]
-    return sorted(set(found))
+        found |= {*part.times[np.linspace(0, part.n_frames - 1, per_case + 1).astype(int)[:-1]].tolist()}
+    return sorted(found)

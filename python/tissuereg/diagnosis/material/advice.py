@@ -21,14 +21,14 @@ from tissuereg.experiment.material_experiment import Curve, MaterialExperiment
 
 def repeated(experiment: MaterialExperiment, worst: dict[str, Any]) -> dict[str, Any]:
     """Return, for the answer, the advice to repeat the mode and the part of a curve with the largest residual."""
-    mode = worst["under"].replace("-", " ")
-    others = len({curve.specimen for curve in experiment.curves if curve.mode == worst["under"]}) > 1
-    with_what = "a further specimen" if others else "another specimen"
+    mode, where, when = worst["under"], worst["where"], worst["when"]
+    several = len({curve.specimen for curve in experiment.curves if curve.mode == mode}) > 1
     action = (
-        f"measure {mode} again with {with_what}, with more rows {worst['when']}: the residual is largest there, worst "
-        f"in {' and '.join(worst['where'])}; a deviation that does not repeat is no property of the material"
+        f"measure {mode.replace('-', ' ')} again with {'a further' if several else 'another'} specimen, with more "
+        f"rows {when}: the residual is largest there, worst in {' and '.join(where)}; a deviation that does not repeat "
+        "is no property of the material"
     )
-    return to_check(action, "mode", worst["under"], where=worst["where"], when=worst["when"])
+    return to_check(action, "mode", mode, where=where, when=when)
 
 
 def next_test(
@@ -38,14 +38,14 @@ def next_test(
     settings = bench.settings.material
     for finding in findings:
         for rival, other in finding.rivals.items():
-            tests = []
+            tests = {}
             for action, curve in _stock(experiment, settings.advised_rows):
                 first, second = (stress_of(fit.model, curve) for fit in (known.fit, other.fit))
                 if np.isfinite(first).all() and np.isfinite(second).all():
-                    tests.append((_separability(experiment, curve, first, second, settings), action))
+                    tests[action] = _separability(experiment, curve, first, second, settings)
             if tests:
-                size, action = max(tests, key=lambda test: test[0])
-                return {"action": action, "separates": [[finding.id, rival]], "separability": size}
+                best = max(tests, key=lambda action: tests[action])
+                return {"action": best, "separates": [[finding.id, rival]], "separability": tests[best]}
     return None
 
 
@@ -67,10 +67,10 @@ def _separability(
 def _stock(experiment: MaterialExperiment, n_rows: int) -> Iterator[tuple[str, Curve]]:
     """Yield usual tests, in words and as curves: other modes, a hold, another rate, unloading, larger strains."""
     curves, tested = experiment.curves, dict.fromkeys(curve.mode for curve in experiment.curves)
+    sheared = max((float(np.abs(c.strains).max()) for c in curves if c.mode == "simple-shear"), default=0.0)
     bars = [float(np.abs(c.strains).max()) for c in curves if c.mode != "simple-shear"]
-    shears = [float(np.abs(c.strains).max()) for c in curves if c.mode == "simple-shear"]
-    bar = min(max(bars), 0.6) if bars else min(0.5 * max(shears), 0.3)
-    largest = {"tension": bar, "compression": -bar, "simple-shear": max(shears) if shears else 1.5 * bar}
+    bar = min(max(bars), 0.6) if bars else min(0.5 * sheared, 0.3)
+    largest = {"tension": bar, "compression": -bar, "simple-shear": sheared or 1.5 * bar}
     rate = min((c.rate for c in curves if not np.isnan(c.rate)), default=0.01)
 
     def curve(mode: str, times: FloatArray, strains: FloatArray) -> Curve:
@@ -81,9 +81,8 @@ def _stock(experiment: MaterialExperiment, n_rows: int) -> Iterator[tuple[str, C
         strains = np.linspace(0.0, far, n_rows)
         return curve(mode, np.abs(strains) / (faster * rate), strains)
 
-    for mode, far in largest.items():
-        if mode not in tested:
-            yield f"{mode.replace('-', ' ')} to a strain of {abs(far):.2g}", ramp(mode, far)
+    for mode in [mode for mode in largest if mode not in tested]:
+        yield f"{mode.replace('-', ' ')} to a strain of {abs(largest[mode]):.2g}", ramp(mode, largest[mode])
     first = curves[0].mode
     named, far = first.replace("-", " "), largest[first]
     up = ramp(first, far)

@@ -87,12 +87,10 @@ class MaterialDiagnosis(Diagnosis):
         if self.verdict == "consistent":
             return (f"The believed law explains these curves within their noise (p = {self.p_misfit:.2g}).",)
         if outcome.refined is None:
+            none = "The believed law does not explain these curves, nor does any cause of the catalogue"
             nearest = [c["id"] for c in self.candidates if c["id"] != "unknown"][:2]
             share = f" The best of them explain {outcome.explained:.0%} of the misfit." if outcome.known.ids else ""
-            return (
-                "The believed law does not explain these curves, nor does any cause of the catalogue; "
-                f"the nearest are {' and '.join(nearest) or 'none'}.{share}",
-            )
+            return (f"{none}; the nearest are {' and '.join(nearest) or 'none'}.{share}",)
         base, named, unit = outcome.held_out["base"], outcome.held_out["named"], outcome.bench.unit
         what = "the last part of each curve" if unit == "part" else f"a {unit}"
         change = f"from {base.rms_all:.3g} to {named.rms_all:.3g} kPa"
@@ -134,11 +132,8 @@ class MaterialDiagnosis(Diagnosis):
 
 def extended_by(experiment: MaterialExperiment, fit: MaterialFit) -> MaterialExperiment:
     """Return the experiment with the causes found; the modulus is the fitted one, unless it is itself a finding."""
-
-    def replaced(old: Effect) -> bool:
-        return any(old.id == new.id or (isinstance(old, OtherLaw) and isinstance(new, OtherLaw)) for new in fit.effects)
-
-    kept = [old for old in experiment.effects if not replaced(old)]
+    ids, law = {effect.id for effect in fit.effects}, any(isinstance(effect, OtherLaw) for effect in fit.effects)
+    kept = [old for old in experiment.effects if old.id not in ids and not (law and isinstance(old, OtherLaw))]
     changed = replace(experiment, effects=(*kept, *fit.effects))
     if any(effect.id == "stiffness" for effect in changed.effects):
         return changed
@@ -165,14 +160,12 @@ def parameters_of(fit: MaterialFit) -> dict[str, dict[str, list[float]]]:
     def numbers(x: FloatArray) -> list[dict[str, float]]:
         return [_numbers(effect) for effect in effects_of(fit.parts, x, float(np.exp(x[0])))]
 
-    plain, steps = numbers(fit.x), 1e-3 * np.sqrt(np.diag(fit.covariance))
+    steps = 1e-3 * np.sqrt(np.diag(fit.covariance))
     moved = [numbers(fit.x + row) for row in np.diag(steps)]
     parameters = {}
-    for number, (id, before) in enumerate(zip(fit.ids, plain, strict=True)):
-        columns = [
-            [(after[number][key] - before[key]) / h for key in before] for after, h in zip(moved, steps, strict=True)
-        ]
-        slopes = np.stack(columns, axis=1)
+    for number, (id, before) in enumerate(zip(fit.ids, numbers(fit.x), strict=True)):
+        columns = [[after[number][key] - value for key, value in before.items()] for after in moved]
+        slopes = np.stack(columns, axis=1) / steps
         spread = np.sqrt(np.einsum("pi,ij,pj->p", slopes, fit.covariance, slopes))
         parameters[id] = {key: [value, float(s)] for (key, value), s in zip(before.items(), spread, strict=True)}
     return parameters
@@ -203,60 +196,53 @@ def _held_out(outcome: SelectionOutcome) -> dict[str, Any]:
 
 def discrepancy_of(bench: CurveBench, believed: MaterialFit) -> dict[str, Any]:
     """Return, in JSON's types, the believed law's misfit (kPa, noise deviations), and where and when it is largest."""
-    data = bench.data
-    residual = data.residual(believed.model)
-    chi = residual / np.sqrt(np.diag(bench.noise))
-    sizes = {
-        name: rms(chi[data.curve_of == i]) for i, name in enumerate(_names(data.curves)) if (data.curve_of == i).any()
-    }
-    modes = data.names("mode")
+    data, residual = bench.data, bench.data.residual(believed.model)
+    chi, modes = residual / np.sqrt(np.diag(bench.noise)), data.names("mode")
+    curves = {name: data.curve_of == i for i, name in enumerate(_names(data.curves))}
     return {
         "rms_kpa": rms(residual),
         "in_sigma": rms(chi),
-        "where": sorted(sizes, key=lambda name: -sizes[name])[:2],
-        "when": _largest(chi, _times(data), 3),
-        "under": _largest(chi, {mode: modes == mode for mode in dict.fromkeys(modes.tolist())}, 1),
+        "where": _largest(chi, curves, 1)[:2],
+        "when": _largest(chi, _times(data), 3)[0],
+        "under": _largest(chi, {mode: modes == mode for mode in dict.fromkeys(modes.tolist())}, 1)[0],
     }
 
 
 def _names(curves: Sequence[Curve]) -> list[str]:
     """Return the name of each curve; curves of the same name are numbered from 1 on."""
     names = [curve.name for curve in curves]
-    return [
-        name if names.count(name) == 1 else f"{name}, number {names[: i + 1].count(name)}"
-        for i, name in enumerate(names)
-    ]
+    numbered = [f"{name}, number {names[: i + 1].count(name)}" for i, name in enumerate(names)]
+    return [name if names.count(name) == 1 else other for name, other in zip(names, numbered, strict=True)]
 
 
-def _largest(chi: FloatArray, parts: Mapping[str, BoolArray], least: int) -> str:
-    """Return the part (a mask of rows, by name) of at least so many rows with the largest mean square."""
-    seen = {name: float(np.mean(chi[rows] ** 2)) for name, rows in parts.items() if rows.sum() >= least}
-    return max(seen, key=lambda name: seen[name])
+def _largest(chi: FloatArray, parts: Mapping[str, BoolArray], least: int) -> list[str]:
+    """Return the parts (masks of rows, by name) of at least so many rows, those with the largest mean square first."""
+    many = [name for name, rows in parts.items() if rows.sum() >= least]
+    return sorted(many, key=lambda name: -rms(chi[parts[name]]))
 
 
 def _times(data: Data) -> dict[str, BoolArray]:
     """Return masks (n,) of the rows of each kind, in words that say when a residual is largest."""
-    held, back, size = [], [], np.abs(data.strain)
+    still, back, size = [], [], np.abs(data.strain)
     for curve, rows in zip(data.curves, data.rows, strict=True):
-        moves = np.diff(np.abs(curve.strains), prepend=0.0)
-        still = np.abs(moves) < 1e-3 * np.abs(curve.strains).max()
-        held.append(still[rows])
-        back.append((moves < 0)[rows] & ~still[rows])
+        moves = np.diff(np.abs(curve.strains), prepend=0.0)[rows]
+        still.append(np.abs(moves) < 1e-3 * np.abs(curve.strains).max())
+        back.append(moves < 0)
+    held = np.concatenate(still)
     return {
         "at small strain": size < 1 / 3,
         "at middle strain": (size >= 1 / 3) & (size < 2 / 3),
         "at large strain": size >= 2 / 3,
-        "while the strain is held": np.concatenate(held),
-        "while unloading": np.concatenate(back),
+        "while the strain is held": held,
+        "while unloading": np.concatenate(back) & ~held,
     }
 
 
 def _sentence(outcome: SelectionOutcome, fit: MaterialFit, finding: MaterialFinding) -> str:
-    place = fit.ids.index(finding.id)
-    effect = fit.effects[place]
+    part, effect = next(pair for pair in zip(fit.parts, fit.effects, strict=True) if pair[0].id == finding.id)
     sentence = CAUSES[finding.id].sentence(effect.table())
     if isinstance(effect, Fibre):
-        sentence += f" They lie {fit.parts[place].free_parameters.label}."
+        sentence += f" They lie {part.free_parameters.label}."
     if isinstance(effect, Relaxation):
         sentence += f" Instantaneous Young's modulus: {np.exp(fit.x[0]):.3g} kPa."
     if len(finding.group) > 1:

@@ -63,9 +63,8 @@ def bench_of(experiment: MaterialExperiment, settings: DiagnoseSettings = DEFAUL
     base = Model(experiment.material).with_effects(experiment.effects)
     young = float(base.material.young_array[0])
     std = numbers.young_spread if experiment.young_std is None else math.log1p(experiment.young_std / young)
-    unit, blocks = _blocks(experiment, data, numbers)
-    weights = weights_of(own, generic)
-    return CurveBench(base, data, math.log(young), std, own, generic, own, weights, errors, unit, blocks, settings)
+    weights, held_out = weights_of(own, generic), _blocks(experiment, data, numbers)
+    return CurveBench(base, data, math.log(young), std, own, generic, own, weights, errors, *held_out, settings)
 
 
 def _blocks(experiment: MaterialExperiment, data: Data, settings: MaterialSettings) -> tuple[str, dict[str, BoolArray]]:
@@ -76,8 +75,9 @@ def _blocks(experiment: MaterialExperiment, data: Data, settings: MaterialSettin
         if len(sets) > 1:
             if unit == "specimen" and len(values) > settings.most_folds:
                 sets = [values[i :: settings.most_folds] for i in range(settings.most_folds)]
-            own = data.names(unit)
-            return unit, {_named(unit, one): np.isin(own, [str(value) for value in one]) for one in sets}
+            names = [", ".join(f"{float(one):g}/s" if unit == "rate" else str(one) for one in each) for each in sets]
+            masks = [np.isin(data.names(unit), [str(one) for one in each]) for each in sets]
+            return unit, dict(zip(names, masks, strict=True))
     return "part", {"the last part of the load history": data.arc > settings.part}
 
 
@@ -85,12 +85,7 @@ def _alike(rates: Sequence[str | float], same: float) -> list[list[str | float]]
     """Return strain rates (1/s) in ascending order, in sets of which each rate is below `same` times the one before."""
     sets: list[list[str | float]] = []
     for rate in sorted(float(rate) for rate in rates):
-        if sets and rate < same * float(sets[-1][-1]):
-            sets[-1].append(rate)
-        else:
-            sets.append([rate])
+        if not sets or rate >= same * float(sets[-1][-1]):
+            sets.append([])
+        sets[-1].append(rate)
     return sets
-
-
-def _named(unit: str, values: Sequence[str | float]) -> str:
-    return ", ".join(f"{float(value):g}/s" if unit == "rate" else str(value) for value in values)

@@ -44,8 +44,8 @@ class Data:
 
     def modelled(self, model: Model) -> FloatArray:
         """Return the nominal stresses (n,) that a model predicts at the rows, kPa; NaN where it has no solution."""
-        parts = [stress_of(model, c, rows) for c, rows in zip(self.curves, self.rows, strict=True) if len(rows)]
-        return np.concatenate(parts)
+        pairs = zip(self.curves, self.rows, strict=True)
+        return np.concatenate([stress_of(model, curve, rows) for curve, rows in pairs if len(rows)])
 
     def residual(self, model: Model) -> FloatArray:
         """Return measured minus modelled stresses (n,), kPa."""
@@ -63,11 +63,11 @@ def data_of(experiment: MaterialExperiment, max_rows: int) -> Data:
     for index, curve in enumerate(curves):
         arc = path_arc(curve)
         kept = _thinned(curve, arc, share)
-        stress, strain, one = curve.stress[kept], curve.strains[kept] / largest[curve.mode], np.ones(len(kept))
+        stress, strain = curve.stress[kept], curve.strains[kept] / largest[curve.mode]
         level = np.abs(stress) + 0.1 * float(np.nanmax(np.abs(curve.stress)))
         rate = 0.0 if np.isnan(curve.rate) else float(np.log10(curve.rate))
         rows.append(kept)
-        parts.append((stress, index * one.astype(np.int64), level, arc[kept], strain, rate * one))
+        parts.append((stress, np.full(len(kept), index), level, arc[kept], strain, np.full(len(kept), rate)))
     columns: list[Any] = [np.concatenate(column) for column in zip(*parts, strict=True)]
     return Data(curves, tuple(rows), *columns)
 
@@ -96,38 +96,36 @@ def _thinned(curve: Curve, arc: FloatArray, share: int) -> IntArray:
 
 def scene_of(experiment: MaterialExperiment, settings: MaterialSettings = DEFAULT.material) -> Scene:
     """Return the modes and the ranges of strain, time and stress of an experiment's curves."""
-    curves = experiment.curves
+    curves, timed = experiment.curves, [curve for curve in experiment.curves if curve.timed]
     bars = np.concatenate([np.zeros(1), *(c.strains for c in curves if c.mode != "simple-shear")])
-    timed = [curve for curve in curves if curve.timed]
     steps = np.concatenate([np.zeros(0), *(np.diff(curve.clock) for curve in timed)])
-    longest = max((float(curve.clock[-1] - curve.clock[0]) for curve in timed), default=0.0)
     positive = steps[steps > 0]
+    longest = max((float(curve.clock[-1] - curve.clock[0]) for curve in timed), default=0.0)
     rates = [curve.rate for curve in curves if not np.isnan(curve.rate)]
     two_rates = bool(rates) and max(rates) > 1.2 * min(rates)
+    held, speeds = zip(*(_pace(curve) for curve in timed), strict=True) if timed else ((), (0.0,))
     peaks = [float(np.nanmax(np.abs(curve.stress))) for curve in curves]
-    energies = [0.5 * p * float(np.abs(c.strains).max()) for p, c in zip(peaks, curves, strict=True)]
     unloaded = any(_unloaded(curve) for curve in curves)
     return Scene(
         modes=tuple(dict.fromkeys(curve.mode for curve in curves)),
         poisson=float(experiment.material.poisson_array[0]),
-        invariant=max(float(_invariant(curve).max()) for curve in curves),
+        invariant=max(_invariant(curve) for curve in curves),
         two_sided=bool(bars.max() > 0.01 and bars.min() < -0.01),
-        paced=bool(timed) and (unloaded or two_rates or any(_holds(curve) for curve in timed)),
+        paced=bool(timed) and (unloaded or two_rates or any(held)),
         unloaded=unloaded,
         shortest_s=max(float(np.median(positive)) if len(positive) else 0.0, longest * 1e-4),
         longest_s=longest,
         peak=max(peaks),
-        peak_energy=max(energies),
+        peak_energy=max(0.5 * p * float(np.abs(c.strains).max()) for p, c in zip(peaks, curves, strict=True)),
+        fastest=max(speeds),
         settings=settings,
-        fastest=max((_fastest(curve) for curve in timed), default=0.0),
     )
 
 
-def _invariant(curve: Curve) -> FloatArray:
-    """Return I1 - 3 at preserved volume of every row (n,)."""
-    if curve.mode == "simple-shear":
-        return np.asarray(curve.amounts**2)
-    return np.asarray(curve.amounts**2 + 2.0 / curve.amounts - 3.0)
+def _invariant(curve: Curve) -> float:
+    """Return the largest I1 - 3 of a curve, at preserved volume."""
+    squared = curve.amounts**2
+    return float((squared if curve.mode == "simple-shear" else squared + 2.0 / curve.amounts - 3.0).max())
 
 
 def _unloaded(curve: Curve) -> bool:
@@ -140,13 +138,9 @@ def _unloaded(curve: Curve) -> bool:
     return bool(falls.any() and not sweeps)
 
 
-def _holds(curve: Curve) -> bool:
+def _pace(curve: Curve) -> tuple[bool, float]:
+    """Return whether the strain is held for more than a tenth of the time, and its largest rate, 1/s."""
     steps, moves = np.diff(curve.clock), np.abs(np.diff(curve.strains))
-    still = moves < 1e-3 * np.abs(curve.strains).max()
-    return bool(steps[still].sum() > 0.1 * steps.sum())
-
-
-def _fastest(curve: Curve) -> float:
-    steps, moves = np.diff(curve.clock), np.abs(np.diff(curve.strains))
-    moving = steps > 0
-    return float(np.quantile(moves[moving] / steps[moving], 0.95)) if moving.any() else 0.0
+    still, moving = moves < 1e-3 * np.abs(curve.strains).max(), steps > 0
+    fastest = float(np.quantile(moves[moving] / steps[moving], 0.95)) if moving.any() else 0.0
+    return bool(steps[still].sum() > 0.1 * steps.sum()), fastest

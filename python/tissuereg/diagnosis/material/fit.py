@@ -10,6 +10,7 @@ finite differences at every step, and that what is held out is predicted by a fi
 
 import math
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -62,25 +63,22 @@ def _descent(bench: CurveBench, parts: Sequence[FittedCause], start: FloatArray,
     failed = np.full(len(bench.data.stress), bench.settings.material.no_stress)
 
     def residuals(z: FloatArray) -> FloatArray:
-        try:
+        white = failed
+        with suppress(TissueRegError):
             residual = bench.data.residual(bench.model(parts, mean + std * z))
-        except TissueRegError:
-            return np.concatenate([failed, z])
-        if not np.isfinite(residual).all():
-            return np.concatenate([failed, z])
-        return np.concatenate([np.clip(bench.weights.whitened(residual, share), -1e8, 1e8), z])
+            if np.isfinite(residual).all():
+                white = np.clip(bench.weights.whitened(residual, share), -1e8, 1e8)
+        return np.concatenate([white, z])
 
     z, value, jacobian = _levenberg(residuals, (start - mean) / std, bench.settings.material.step)
-    curvature = jacobian.T @ jacobian
-    log_posterior = -0.5 * float(value @ value) - bench.weights.log_size(share)
+    x, curvature = mean + std * z, jacobian.T @ jacobian
+    top = -0.5 * float(value @ value) - bench.weights.log_size(share)
     # With the prior every eigenvalue is at least 1, but for rounding errors where the stress becomes huge.
     occam = 0.5 * max(0.0, float(np.linalg.slogdet(curvature)[1]))
     # Keeps it regular against the same rounding errors.
     rounding = 1e-13 * float(np.trace(curvature)) * np.eye(len(z))
     covariance = std[:, None] * np.linalg.inv(curvature + rounding) * std[None, :]
-    x = mean + std * z
-    model = bench.model(parts, x)
-    return MaterialFit(tuple(parts), x, covariance, share, log_posterior - occam, log_posterior, model)
+    return MaterialFit(tuple(parts), x, covariance, share, top - occam, top, bench.model(parts, x))
 
 
 def _levenberg(residuals: Residuals, z: FloatArray, h: float) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -93,9 +91,7 @@ def _levenberg(residuals: Residuals, z: FloatArray, h: float) -> tuple[FloatArra
     value = residuals(z)
     jacobian, damping = differences(), 1e-2
     for _ in range(40):
-        gradient = jacobian.T @ value
-        curvature = jacobian.T @ jacobian
-        cost = float(value @ value)
+        gradient, curvature, cost = jacobian.T @ value, jacobian.T @ jacobian, float(value @ value)
         while damping < 1e8:
             damped = curvature + damping * np.diag(np.diag(curvature)) + 1e-13 * np.trace(curvature) * np.eye(len(z))
             step = -np.linalg.solve(damped, gradient)
@@ -106,11 +102,9 @@ def _levenberg(residuals: Residuals, z: FloatArray, h: float) -> tuple[FloatArra
             damping *= 4.0
         else:
             break
-        gain = cost - float(new @ new)
-        z, value = tried, new
-        damping = max(damping / 8.0, 1e-9)
+        z, value, damping = tried, new, max(damping / 8.0, 1e-9)
         jacobian = differences()
-        if gain < 1e-3:
+        if cost - float(value @ value) < 1e-3:
             break
     return z, value, jacobian
 
@@ -144,8 +138,7 @@ def plain_fit(bench: CurveBench) -> MaterialFit:
 
 def unknown(bench: CurveBench, known: Hypothesis) -> Hypothesis:
     """Return the generic rival ``unknown``: the causes found so far, and a smooth misfit, of its likeliest size."""
-    shares = bench.settings.material.misfit_shares
-    fits = [fitted(bench, known.fit.parts, [known.fit.x], share) for share in shares]
+    fits = [fitted(bench, known.fit.parts, [known.fit.x], size) for size in bench.settings.material.misfit_shares]
     best = max(fits, key=lambda fit: fit.evidence)
     return Hypothesis((*known.ids, "unknown"), best, _mean([fit.evidence for fit in fits]))
 
@@ -153,18 +146,16 @@ def unknown(bench: CurveBench, known: Hypothesis) -> Hypothesis:
 def with_cause(bench: CurveBench, known: Hypothesis, cause: str, forms: Sequence[FreeParameters]) -> Hypothesis:
     """Return the hypothesis with one more cause, in the best of its forms; those of the others are kept."""
     found: list[tuple[MaterialFit, float]] = []
-    x = known.fit.x
     for form in forms:
         # The fit of a simpler form gives a first guess for a richer one.
-        starts = [np.concatenate([x, start]) for start in (*form.guesses, *_grown(form, found))]
+        starts = [np.concatenate([known.fit.x, start]) for start in (*form.guesses, *_grown(form, found))]
         found.append(refitted(bench, (*known.fit.parts, FittedCause(cause, form)), starts))
-    # Of forms with about the same evidence, that with the fewest parameters.
-    highest = max(evidence for _, evidence in found)
-    as_good = [pair for pair in found if pair[1] >= highest - bench.settings.material.simpler]
-    best = min(as_good, key=lambda pair: (len(pair[0].x), -pair[1]))
-    ordered = sorted(found, key=lambda pair: -pair[1])
     evidence = _mean([evidence for _, evidence in found])
-    return Hypothesis((*known.ids, cause), best[0], evidence, tuple(fit for fit, _ in ordered))
+    found.sort(key=lambda pair: -pair[1])
+    # Of forms with about the same evidence, that with the fewest parameters.
+    as_good = [fit for fit, own in found if own >= found[0][1] - bench.settings.material.simpler]
+    best = min(as_good, key=lambda fit: len(fit.x))
+    return Hypothesis((*known.ids, cause), best, evidence, tuple(fit for fit, _ in found))
 
 
 def refitted(
@@ -189,8 +180,8 @@ def refitted(
 
 def chances_of_sizes(settings: MaterialSettings) -> dict[float, float]:
     """Return the prior probability of each size of a generic misfit beside the causes, over the stress; 0 for none."""
-    shares, none = settings.misfit_shares, settings.no_misfit
-    return {0.0: none, **dict.fromkeys(shares, (1.0 - none) / len(shares))}
+    shares = settings.misfit_shares
+    return {0.0: settings.no_misfit, **dict.fromkeys(shares, (1.0 - settings.no_misfit) / len(shares))}
 
 
 def excluded(cause: str, known: Sequence[str]) -> bool:
@@ -243,22 +234,18 @@ def held_out_errors(bench: CurveBench, fit: MaterialFit, *, patch_share: float |
     for name, mask in bench.blocks.items():
         if not mask.any() or (~mask).sum() <= len(fit.x):
             continue
-        known, left_out = np.ix_(~mask, ~mask), np.ix_(mask, mask)
-        fitting, generic = bench.fitting[known], bench.generic[known]
+        known, data, aside = np.ix_(~mask, ~mask), bench.data.part(~mask), bench.data.part(mask)
+        fitting, generic, own = bench.fitting[known], bench.generic[known], bench.noise[np.ix_(mask, mask)]
         if not fit.parts and patch_share is None:
             # The believed law is fitted as a user would do: correlated errors would fit a wrong law to slopes alone.
             fitting = np.diag(np.diag(fitting))
-        data = bench.data.part(~mask)
         again = fitted(replace(bench, data=data, weights=weights_of(fitting, generic)), fit.parts, [fit.x], share)
-        aside = bench.data.part(mask)
         error = aside.residual(again.model)
         if patch_share is not None:
-            own = bench.noise[known] + share**2 * generic
             across = share**2 * bench.generic[np.ix_(mask, ~mask)]
-            error = error - across @ np.linalg.solve(own, data.residual(again.model))
+            error -= across @ np.linalg.solve(bench.noise[known] + share**2 * generic, data.residual(again.model))
         # Where the law has no stress, the prediction is zero.
         errors[name] = error = np.where(np.isfinite(error), error, aside.stress)
-        own = bench.noise[left_out]
         white = np.linalg.solve(np.linalg.cholesky(own), error)
         misfits[name] = 0.5 * float(white @ white)
         chi[name] = error / np.sqrt(np.diag(own))

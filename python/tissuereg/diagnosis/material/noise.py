@@ -38,16 +38,13 @@ class CurveNoise:
 def noise_of(experiment: MaterialExperiment, settings: MaterialSettings = DEFAULT.material) -> CurveNoise:
     """Return the noise of an experiment's curves: as repeated curves show it, weighed with typical values."""
     std = np.array([_white(curve, experiment.stress_std, settings.least_noise) for curve in experiment.curves])
-    factors, rests, repeats = 0.0, 0.0, 0
+    sums, repeats, prior = np.zeros(2), 0, settings.prior_repeats
     for group in _repeated(experiment.curves):
-        spread, rest = _spread([experiment.curves[i] for i in group], std[group])
-        factors += spread * (len(group) - 1)
-        rests += rest * (len(group) - 1)
+        sums += np.array(_spread([experiment.curves[i] for i in group], std[group])) * (len(group) - 1)
         repeats += len(group) - 1
-    weight = repeats + settings.prior_repeats
-    factor = np.sqrt((factors + settings.prior_repeats * settings.usual_factor**2) / weight)
-    along = np.sqrt((rests + settings.prior_repeats * settings.usual_along**2) / weight)
-    return CurveNoise(std, float(factor), float(along), repeats)
+    usual = np.array([settings.usual_factor**2, settings.usual_along**2])
+    factor, along = np.sqrt((sums + prior * usual) / (repeats + prior)).tolist()
+    return CurveNoise(std, factor, along, repeats)
 
 
 def covariance(data: Data, noise: CurveNoise, settings: MaterialSettings) -> FloatArray:
@@ -130,22 +127,18 @@ def _white(curve: Curve, given: float | None, least: float) -> float:
 
 def _cubic_weights(offsets: FloatArray) -> FloatArray:
     """Return the weights (4,) of the values at four `offsets` (4,) in the cubic through them, evaluated at 0."""
-    weights = np.empty(4)
-    for i in range(4):
-        others = np.delete(offsets, i)
-        weights[i] = np.prod(-others / (offsets[i] - others))
-    return weights
+    others = [np.delete(offsets, i) for i in range(4)]
+    return np.array([np.prod(-rest / (one - rest)) for one, rest in zip(offsets, others, strict=True)])
 
 
 def _repeated(curves: Sequence[Curve]) -> list[list[int]]:
     """Return sets of indices of curves that repeat each other; curves without a repeat are left out."""
     sets: list[list[int]] = []
     for index, curve in enumerate(curves):
-        members = next((one for one in sets if _repeats(curves[one[0]], curve)), None)
-        if members is None:
-            sets.append([index])
-        else:
-            members.append(index)
+        members = next((one for one in sets if _repeats(curves[one[0]], curve)), [])
+        if not members:
+            sets.append(members)
+        members.append(index)
     return [members for members in sets if len(members) > 1]
 
 
@@ -169,16 +162,13 @@ def _spread(curves: Sequence[Curve], std: FloatArray) -> tuple[float, float]:
     factors = stresses @ mean / (mean @ mean)
     rest = (stresses - factors[:, None] * mean) / level
     white = np.mean(std**2) * np.mean(1.0 / level**2)
-    n = len(curves)
-    along = max(float((rest**2).mean()) * n / (n - 1) - float(white), 0.0)
-    return float(factors.var(ddof=1)), along
+    return float(factors.var(ddof=1)), max(float((rest**2).mean()) * len(curves) / (len(curves) - 1) - white, 0.0)
 
 
 def _at(curve: Curve, places: FloatArray, strains: FloatArray) -> FloatArray:
     """Return a curve's stresses (k,) at progress `places` (k,), moved along its slope to `strains` (k,)."""
     measured = np.isfinite(curve.stress)
     arc = path_arc(curve)[measured]
-    stress = np.interp(places, arc, curve.stress[measured])
-    own = np.interp(places, path_arc(curve), curve.strains)
+    stress, own = np.interp(places, arc, curve.stress[measured]), np.interp(places, path_arc(curve), curve.strains)
     slope = np.gradient(stress, own) if np.all(np.diff(own) > 0) or np.all(np.diff(own) < 0) else np.zeros(len(places))
     return np.asarray(stress + slope * (strains - own))

@@ -65,11 +65,9 @@ def refined(search: MaterialSearch, known: Hypothesis) -> Refined:
     if search.bench.unit == "part":
         # In a single curve only the noise model separates correlated errors from memory; other laws need none.
         del benches["rows alike" if known.fit.model.memory else "lasting errors"]
-    best = min(_weighted(benches, known.fit), key=lambda one: one.decides)
-    least = search.bench.settings.material.worth
-    for cause in (cause for cause in known.ids if CAUSES[cause].is_law):
-        place = known.ids.index(cause)
-        for fit in _in_each_form(search, replace(known, fit=best.fit), cause):
+    best, least = min(_weighted(benches, known.fit), key=lambda one: one.decides), search.bench.settings.material.worth
+    for place in [place for place, cause in enumerate(known.ids) if CAUSES[cause].is_law]:
+        for fit in _in_each_form(search, replace(known, fit=best.fit), known.ids[place]):
             if fit.parts[place].free_parameters.label == best.fit.parts[place].free_parameters.label:
                 continue
             for tried in _weighted(benches, fit):
@@ -82,11 +80,10 @@ def refined(search: MaterialSearch, known: Hypothesis) -> Refined:
 
 def _in_each_form(search: MaterialSearch, known: Hypothesis, cause: str) -> list[MaterialFit]:
     """Return fits of the causes found with one of them in each of its forms, likeliest first."""
-    rest = search.lacking(known, cause)
+    rest, fits = search.lacking(known, cause), []
     places = [[*rest.ids, cause].index(id) for id in known.ids]
-    fits = []
     for fit in search.joined(rest, cause).forms:
-        index = np.concatenate([[0], *(np.arange(len(fit.x))[fit.slices()[i]] for i in places)]).astype(np.int64)
+        index = np.r_[(0, *(fit.slices()[i] for i in places))]
         parts, covariance = tuple(fit.parts[i] for i in places), fit.covariance[np.ix_(index, index)]
         fits.append(replace(fit, parts=parts, x=fit.x[index], covariance=covariance))
     return fits

@@ -41,8 +41,7 @@ def material_page(found: "MaterialDiagnosis", folder: Path) -> str:
     of_findings = {finding.sentence for finding in found.findings}
     named = {name for finding in found.findings for name in finding.group}
     thresholds = {row["id"]: found.outcome.threshold for row in found.candidates if row["id"] != "unknown"}
-    shown = [(_MEASURED, "measured"), (svg.BEFORE, "believed law, fitted")]
-    shown += [(svg.AFTER, "with the findings")] if found.findings else []
+    shown = [(_MEASURED, "measured"), (svg.BEFORE, "believed law, fitted"), (svg.AFTER, "with the findings")]
     tone = "yes" if answer["verdict"] == "consistent" else "no"
     parts = [
         f"<h1>What the law of {escape(found.experiment.name)} gets wrong</h1>",
@@ -52,7 +51,7 @@ def material_page(found: "MaterialDiagnosis", folder: Path) -> str:
         *(finding_section(finding) for finding in found.findings),
         *(f"<p>{escape(possible_words(one))}</p>" for one in answer["possible"]),
         "<h2>Curves</h2>",
-        f"<p class='key'>{''.join(svg.swatch(colour, said) for colour, said in shown)}</p>",
+        f"<p class='key'>{''.join(svg.swatch(*one) for one in shown[: 3 if found.findings else 2])}</p>",
         *_charts(found),
         "<h2>All causes that were tried</h2>",
         "<p>The log Bayes factor (in nats) measures how much better a cause predicts the curves than the law without "
@@ -84,23 +83,20 @@ def _discrepancy(answer: dict[str, Any]) -> str:
 def _charts(found: "MaterialDiagnosis") -> list[str]:
     """Return one HTML chart for each mode, with the measured and modelled stresses (kPa) of all of its curves."""
     curves = found.experiment.curves
-    believed = [stress_of(found.outcome.believed.model, curve) for curve in curves]
-    after = predicted_stresses(found.extended) if found.findings else None
-    charts = []
-    for mode in dict.fromkeys(curve.mode for curve in curves):
-        mine = [i for i, curve in enumerate(curves) if curve.mode == mode]
-        drawn = [(curves[i], believed[i], None if after is None else after[i]) for i in mine]
-        charts.append(f"<h3>{escape(mode)}</h3>{_chart(mode, drawn)}")
-    return charts
+    models = [[stress_of(found.outcome.believed.model, curve) for curve in curves]]
+    models += [predicted_stresses(found.extended)] if found.findings else []
+    drawn = list(zip(curves, zip(*models, strict=True), strict=True))
+    modes = dict.fromkeys(curve.mode for curve in curves)
+    return [f"<h3>{escape(mode)}</h3>{_chart(mode, [one for one in drawn if one[0].mode == mode])}" for mode in modes]
 
 
-def _chart(mode: str, drawn: Sequence[tuple["Curve", FloatArray, FloatArray | None]]) -> str:
-    amounts = np.concatenate([curve.amounts for curve, *_ in drawn])
-    stresses = np.concatenate([row for curve, *models in drawn for row in (curve.stress, *models) if row is not None])
+def _chart(mode: str, drawn: Sequence[tuple["Curve", Sequence[FloatArray]]]) -> str:
+    """Return the chart of a mode's curves, each with the stresses (n_rows,), kPa, of one model or two."""
+    amounts = np.concatenate([curve.amounts for curve, _ in drawn])
+    stresses = np.concatenate([row for curve, models in drawn for row in (curve.stress, *models)])
     known = stresses[np.isfinite(stresses)]
-    low, high = float(known.min()), float(known.max())
     across = svg.PixelScale(float(amounts.min()), float(amounts.max()), _LEFT, _WIDTH - _RIGHT)
-    up = svg.PixelScale(min(low, 0.0), max(high, 0.0), _HEIGHT - 40.0, 20.0)
+    up = svg.PixelScale(min(float(known.min()), 0.0), max(float(known.max()), 0.0), _HEIGHT - 40.0, 20.0)
     parts = [
         svg.level(up(tick), _LEFT, _WIDTH - _RIGHT, "#e3e6ea")
         + svg.text(_LEFT - 6.0, up(tick) + 4.0, f"{tick:g}", "end", more="font-size='11'")
@@ -109,18 +105,16 @@ def _chart(mode: str, drawn: Sequence[tuple["Curve", FloatArray, FloatArray | No
     parts += [
         svg.text(across(tick), _HEIGHT - 24.0, f"{tick:g}", "middle", more="font-size='11'") for tick in across.ticks(8)
     ]
-    parts.append(svg.text(_LEFT, 12.0, "nominal stress, kPa", more="font-size='12'"))
     what = "amount of shear" if mode == "simple-shear" else "stretch"
+    parts.append(svg.text(_LEFT, 12.0, "nominal stress, kPa", more="font-size='12'"))
     parts.append(svg.text(_WIDTH - _RIGHT, _HEIGHT - 6.0, what, "end", more="font-size='12'"))
-    for curve, *models in drawn:
+    for curve, models in drawn:
         rows = slice(None, None, -(-len(curve.amounts) // _MOST_POINTS))
         x = np.array([across(amount) for amount in curve.amounts[rows]])
         dots = zip(x, (up(stress) for stress in curve.stress[rows]), strict=True)
         parts += [f"<circle cx='{a:.1f}' cy='{b:.1f}' r='1.6' fill='{_MEASURED}'/>" for a, b in dots if np.isfinite(b)]
-        for stress, colour in zip(models, (svg.BEFORE, svg.AFTER), strict=True):
-            if stress is not None:
-                y = np.array([up(value) for value in stress[rows]])
-                parts.append(svg.line(x, y, colour, "stroke-width='1.6'"))
+        for stress, colour in zip(models, (svg.BEFORE, svg.AFTER), strict=False):
+            parts.append(svg.line(x, np.array([up(value) for value in stress[rows]]), colour, "stroke-width='1.6'"))
     return svg.picture(_WIDTH, _HEIGHT, parts, f"Curves in {mode}")
 
 
@@ -146,11 +140,11 @@ def _advice(advice: dict[str, Any] | None) -> str:
 
 def _assumed(answer: dict[str, Any]) -> str:
     noise = answer["noise"]
-    items = [f"{name}: noise of one stress {std:.2g} kPa." for name, std in noise["std_kpa"].items()]
-    items.append(
+    items = [
+        *(f"{name}: noise of one stress {std:.2g} kPa." for name, std in noise["std_kpa"].items()),
         f"Specimens differ by {100 * noise['specimen_factor']:.1f} %; correlated errors along a curve: "
-        f"{100 * noise['along_curve']:.1f} %; curves that repeat another: {noise['repeats']}."
-    )
-    items.append(f"Seed of all random draws: {answer['seed']}.")
-    items.append("Versions: " + ", ".join(f"{name} {version}" for name, version in answer["versions"].items()) + ".")
+        f"{100 * noise['along_curve']:.1f} %; curves that repeat another: {noise['repeats']}.",
+        f"Seed of all random draws: {answer['seed']}.",
+        f"Versions: {', '.join(f'{name} {version}' for name, version in answer['versions'].items())}.",
+    ]
     return "<ul>" + "".join(f"<li>{escape(item)}</li>" for item in items) + "</ul>"

@@ -80,8 +80,7 @@ class MaterialSearch:
         """Return the hypothesis with one more cause that is accepted, or a pair; `known` where none is."""
         self.progress(f"fits of all causes given {', '.join(known.ids) or 'none'}")
         racers, generic = self.race(known), unknown(self.bench, known)
-        if not self.first_race:
-            self.first_race = _candidates(known, [*racers, generic])
+        self.first_race = self.first_race or _candidates(known, [*racers, generic])
         if not racers:
             return known
         near = racers[0].evidence - 0.5 * self.rules.separable**2
@@ -137,10 +136,9 @@ class MaterialSearch:
         if worth < self.threshold or len(first.ids) == self.rules.most_causes:
             return None
         self.progress(f"pairs with {first.ids[-1]}")
-        racers = self.race(first)
-        if racers and racers[0].evidence - first.evidence > self.required(first, racers[0]):
-            return racers[0] if self.is_proved(known, racers[0], generic) else None
-        return None
+        best = next(iter(self.race(first)), first)
+        enough = best.evidence - first.evidence > self.required(first, best)
+        return best if enough and self.is_proved(known, best, generic) else None
 
     def is_proved(self, known: Hypothesis, grown: Hypothesis, generic: Hypothesis) -> bool:
         """Return whether `grown` predicts held-out data better than `known` and than a generic misfit.
@@ -176,12 +174,10 @@ class MaterialSearch:
         clear = gains.size == 1 or gains.mean() > 2.0 * gains.std(ddof=1) / np.sqrt(gains.size)
         if not (gains.min() > 0 or clear or gains.sum() > self.numbers.most_of_misfit * before.total):
             return False
-        if self.bench.unit in ("specimen", "rate"):
-            # A patch that copies other specimens or nearby rates is close to the best possible prediction.
-            possible = before.chi - patch.chi
-            if before.chi - after.chi > self.numbers.share_of_patch * possible:
-                return True
-        return bool(after.chi < patch.chi or after.rms_all < patch.rms_all)
+        # A patch that copies other specimens or nearby rates is close to the best possible prediction.
+        needed = self.numbers.share_of_patch * (before.chi - patch.chi)
+        close = self.bench.unit in ("specimen", "rate") and before.chi - after.chi > needed
+        return bool(close or after.chi < patch.chi or after.rms_all < patch.rms_all)
 
     def lacking(self, known: Hypothesis, cause: str) -> Hypothesis:
         """Return the hypothesis `known` without one cause (an id), fitted again; `none` where no cause is left."""
@@ -220,10 +216,10 @@ def _candidates(known: Hypothesis, tried: Sequence[Hypothesis]) -> list[dict[str
     """Return every cause that was tried alone, and the generic misfit, as plain data for the answer."""
     gains = {one.ids[-1]: one.evidence - known.evidence for one in tried}
     chances = probabilities(gains, 1.0)
-    rows = [(one.ids[-1], _separability(one, known)) for one in tried]
+    sizes = {one.ids[-1]: _separability(one, known) for one in tried}
     return [
-        {"id": name, "probability": chances[name], "log_bayes_factor": gains[name], "detectability": size}
-        for name, size in rows
+        {"id": name, "probability": chances[name], "log_bayes_factor": gain, "detectability": sizes[name]}
+        for name, gain in gains.items()
     ]
 
 

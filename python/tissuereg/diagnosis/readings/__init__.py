@@ -5,7 +5,7 @@
 and of the forces under the linear response of the believed model to the commands.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -60,29 +60,23 @@ def suspect_recording(
     if element == "tet4" and (experiment.simulated is None or experiment.simulated.model != "plain"):
         # Linear tets that lock have forces that are off by a factor, as those in another unit are.
         element = "tet4-averaged"
-    cases = recorded(
-        experiment, layout, responses(experiment, element=element, threads=threads, settings=settings), settings
-    )
+    known = responses(experiment, element=element, threads=threads, settings=settings)
+    cases = recorded(experiment, layout, known, settings)
     if not cases:
         return []
     weigher = Weigher(experiment, cases, settings)
     plain = weigher.weigh(AS_GIVEN)
-    kinds = {
-        name: kind for case in cases for name, kind in zip(case.response.pads, case.is_motion.tolist(), strict=True)
-    }
-    felt = tuple(dict.fromkeys(pad for case in cases for pad in case.felt if pad in plain.forces))
-    moved = [name for name, kind in kinds.items() if kind]
-    others = [weigher.weigh(one) for one in proposals(moved, [name for name in kinds if name not in moved], felt)]
+    kinds = {pad: kind for case in cases for pad, kind in zip(case.response.pads, case.is_motion, strict=True)}
+    moved, pulled = ([pad for pad, kind in kinds.items() if kind == motion] for motion in (True, False))
+    felt = list(dict.fromkeys(pad for case in cases for pad in case.felt if pad in plain.forces))
+    others = [weigher.weigh(one) for one in proposals(moved, pulled, felt)]
     best = max(others, key=lambda one: one.total)
     if best.total > plain.total + COSTS.margin and _explains(best, settings):
         return [_misread(plain, best, others, settings)]
     noise = experiment.force_std or 1.0
-    quiet = [
-        pad
-        for pad, one in plain.forces.items()
-        if one.predicted > settings.loud * noise and one.measured < settings.quiet * noise
-    ]
-    return [_silent(quiet, plain, noise)] if quiet else []
+    loud = {pad: one for pad, one in plain.forces.items() if one.predicted > settings.loud * noise}
+    quiet = {pad: one for pad, one in loud.items() if one.measured < settings.quiet * noise}
+    return [_silent(quiet, noise)] if quiet else []
 
 
 def _explains(one: WeighedReading, settings: RecordingSettings) -> bool:
@@ -95,38 +89,27 @@ def _explains(one: WeighedReading, settings: RecordingSettings) -> bool:
 
 
 def _misread(
-    plain: WeighedReading,
-    best: WeighedReading,
-    others: Sequence[WeighedReading],
-    settings: RecordingSettings,
+    plain: WeighedReading, best: WeighedReading, others: Sequence[WeighedReading], settings: RecordingSettings
 ) -> RecordingSuspicion:
     """Return the suspicion that the reading `best` is right, with those of the `others` that fit equally well."""
     reading = best.reading
-    facts = []
+    changes = [(f"the force on {pad}", plain.forces[pad], new) for pad, new in best.forces.items()]
     if best.markers is not None and plain.markers is not None:
-        facts.append(_fact("the markers' motion", plain.markers, best.markers, settings.nothing))
-    facts += [
-        _fact(f"the force on {pad}", plain.forces[pad], new, settings.nothing) for pad, new in best.forces.items()
-    ]
-    facts = [fact for fact in facts if fact] or ["the places without a command are then those at rest"]
+        changes.insert(0, ("the markers' motion", plain.markers, best.markers))
+    facts = [fact for change in changes if (fact := _fact(*change, settings.nothing))]
+    facts = facts or ["the places without a command are then those at rest"]
     gain = best.total - plain.total
-    digits = int(gain / np.log(10.0))
-    odds = (
-        f"odds more than 10^{settings.most_digits} to 1"
-        if digits > settings.most_digits
-        else f"odds about 10^{digits} to 1"
-    )
-    ties = sorted(
-        (one for one in others if one is not best and one.total > best.total - COSTS.tie), key=lambda one: one.total
-    )
-    also = f"; as good: {ties[-1].reading.words}" if ties else ""
+    digits, most = int(gain / np.log(10.0)), settings.most_digits
+    odds = f"odds more than 10^{most} to 1" if digits > most else f"odds about 10^{digits} to 1"
+    ties = [one for one in others if one is not best and one.total > best.total - COSTS.tie]
+    also = f"; as good: {sorted(ties, key=lambda one: one.total)[-1].reading.words}" if ties else ""
     sentence = f"{reading.kind}: {reading.words} fits better: {'; '.join(facts)} ({odds}){also}"
     return RecordingSuspicion(reading.kind, sentence, reading.write, reading.files, gain)
 
 
-def _silent(pads: Sequence[str], plain: WeighedReading, noise: float) -> RecordingSuspicion:
+def _silent(pads: Mapping[str, Agreement], noise: float) -> RecordingSuspicion:
     """Return the suspicion that pads felt nothing, for no other reading explains it; `noise`: of a force, mN."""
-    predicted = max(plain.forces[pad].predicted for pad in pads)
+    predicted = max(one.predicted for one in pads.values())
     sentence = (
         f"silent: the measured force on {', '.join(pads)} is no larger than its noise ({noise:.3g} mN), where the "
         f"believed model predicts {predicted:.3g} mN (rms); no modulus follows from it"

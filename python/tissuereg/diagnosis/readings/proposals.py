@@ -1,7 +1,7 @@
 """Readings (ways to interpret the recording): other units, axes and signs of its channels, each with its prior cost."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import product
 
 import numpy as np
@@ -64,26 +64,21 @@ def proposals(moved: Sequence[str], pulled: Sequence[str], felt: Sequence[str]) 
         _Channel("forces.csv", "x_mN, y_mN, z_mN", FORCES, tuple(felt)),
     ]
     channels = [channel for channel in channels if channel.pads]
-    parts = [
-        _Channel(channel.file, channel.columns, channel.units, (pad,))
-        for channel in channels
-        if len(channel.pads) > 1
-        for pad in channel.pads
-    ]
+    parts = [replace(one, pads=(pad,)) for one in channels if len(one.pads) > 1 for pad in one.pads]
     groups = [[markers], [reference, markers], [reference], *([channel] for channel in (*channels, *parts))]
     moving, pulling = ([one for one in channels if one.units is units] for units in (LENGTHS, FORCES))
     every = [reference, markers, *moving]
-    lengths = [*groups, *([every, [markers, *moving]] if moving else [])]
-    for group in lengths:
-        yield from _in_units(group, COSTS.alone + (np.log(len(parts)) if group[0] in parts else 0.0))
+
+    def alone(group: Sequence[_Channel]) -> float:
+        return COSTS.alone + (np.log(len(parts)) if group[0] in parts else 0.0)
+
+    for group in [*groups, *([every, [markers, *moving]] if moving else [])]:
+        yield from _in_units(group, alone(group))
     for group in [every, moving] if moving else [every]:
         for length, force in product(_in_units(group, COSTS.alone), _in_units(pulling, COSTS.alone)):
             yield _both(length, force)
-    together = [[markers, *channels], [reference, markers, *channels]]
-    if len(channels) > 1:
-        together.append(channels)
+    together = [[markers, *channels], [reference, markers, *channels], *([channels] if len(channels) > 1 else [])]
     for group in (*groups, *together):
-        own = COSTS.alone + (np.log(len(parts)) if group[0] in parts else 0.0)
         for turn, _, title in signed_permutations():
             signs = np.diag(turn)
             exchanged = not signs.all()
@@ -92,7 +87,7 @@ def proposals(moved: Sequence[str], pulled: Sequence[str], felt: Sequence[str]) 
             one = not exchanged and int((signs < 0).sum()) in (1, 3)
             kind = "mirrored" if np.linalg.det(turn) < 0 else "frame"
             kind = "sign" if one and group[0].pads and len(group) == 1 else kind
-            cost = (COSTS.axes if exchanged else COSTS.flip) + own
+            cost = (COSTS.axes if exchanged else COSTS.flip) + alone(group)
             write = f"write the columns {group[0].columns.split(',')[0]}, ... as {title}"
             yield _reading(kind, cost, f"read as {title}", write, group, turn)
 
@@ -106,17 +101,15 @@ def _in_units(group: Sequence[_Channel], cost: float) -> Iterator[RecordingReadi
 
 
 def _both(one: RecordingReading, other: RecordingReading) -> RecordingReading:
-    """Return the reading that makes the changes of two, of different channels."""
-    return RecordingReading(
-        one.kind,
-        one.cost + other.cost,
-        f"{one.words}, {other.words}",
-        f"{one.write}, {other.write}",
-        (*one.files, *other.files),
-        one.places,
-        one.markers,
-        {**one.commands, **other.commands},
-        {**one.forces, **other.forces},
+    """Return the reading that makes the changes of two: `other` changes no markers."""
+    return replace(
+        one,
+        cost=one.cost + other.cost,
+        words=f"{one.words}, {other.words}",
+        write=f"{one.write}, {other.write}",
+        files=(*one.files, *other.files),
+        commands={**one.commands, **other.commands},
+        forces={**one.forces, **other.forces},
     )
 
 
@@ -124,21 +117,12 @@ def _reading(
     kind: str, cost: float, text: str, write: str, group: Sequence[_Channel], turn: FloatArray
 ) -> RecordingReading:
     files = tuple(channel.file for channel in group)
+    *first, last = files
     whose = f" of {group[0].pads[0]}" if len(group) == 1 and len(group[0].pads) == 1 else ""
-    commands = [pad for channel in group if channel.file != "forces.csv" for pad in channel.pads]
-    felt = [pad for channel in group if channel.file == "forces.csv" for pad in channel.pads]
+    named = f"{', '.join(first)} and {last}{whose}" if first else f"{last}{whose}"
+    places, markers = (turn if file in files else _ONE for file in ("[markers.reference]", "markers.csv"))
+    commands = {pad: turn for channel in group if channel.file != "forces.csv" for pad in channel.pads}
+    felt = {pad: turn for channel in group if channel.file == "forces.csv" for pad in channel.pads}
     return RecordingReading(
-        kind,
-        cost,
-        f"{_listed(files)}{whose} {text}",
-        f"{write} in {_listed(files)}{whose}",
-        files,
-        turn if "[markers.reference]" in files else _ONE,
-        turn if "markers.csv" in files else _ONE,
-        dict.fromkeys(commands, turn),
-        dict.fromkeys(felt, turn),
+        kind, cost, f"{named} {text}", f"{write} in {named}", files, places, markers, commands, felt
     )
-
-
-def _listed(names: Sequence[str]) -> str:
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"

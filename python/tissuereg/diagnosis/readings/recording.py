@@ -12,7 +12,7 @@ import numpy as np
 from tissuereg._base.arrays import BoolArray, FloatArray
 from tissuereg._base.choices import Element
 from tissuereg.diagnosis.settings import RecordingSettings
-from tissuereg.diagnosis.signals import CasePart, SignalLayout
+from tissuereg.diagnosis.signals import SignalLayout
 from tissuereg.errors import TissueRegError
 from tissuereg.experiment.effects import extended
 from tissuereg.experiment.experiment import Case, Experiment
@@ -48,9 +48,8 @@ def responses(
     cases = {str(i): _unit_case(plain, str(i), pads, settings) for i, pads in enumerate(sets) if pads}
     try:
         worked = extended(replace(plain, cases=cases, rest_case=None), element)
-        solved = solve_cases(
-            worked, list(worked.cases.values()), settings=FrameSettings(element, settings.tolerance, threads)
-        )
+        frames = FrameSettings(element, settings.tolerance, threads)
+        solved = solve_cases(worked, list(worked.cases.values()), settings=frames)
         if any(one.failed for one in solved.values()):
             return {}
     except TissueRegError:
@@ -58,13 +57,9 @@ def responses(
     found = {}
     for i, pads in enumerate(sets):
         if pads:
-            units = np.repeat([_unit(plain, pad, settings) for pad in pads], 3)
-            answer = solved[str(i)]
-            fields = (answer.displacement[1:] - answer.displacement[0]) / units[:, None, None]
-            forces = {
-                pad: ((values[1:] - values[0]) / units[:, None]).reshape(len(pads), 3, 3)
-                for pad, values in answer.forces.items()
-            }
+            answer, units = solved[str(i)], np.repeat([_unit(plain, pad, settings) for pad in pads], 3)[:, None]
+            fields = (answer.displacement[1:] - answer.displacement[0]) / units[:, None]
+            forces = {pad: ((f[1:] - f[0]) / units).reshape(len(pads), 3, 3) for pad, f in answer.forces.items()}
             found[pads] = Response(pads, fields.reshape(len(pads), 3, -1, 3), forces)
     return found
 
@@ -86,10 +81,7 @@ def _unit(experiment: Experiment, name: str, settings: RecordingSettings) -> flo
 def _unit_case(experiment: Experiment, name: str, pads: Sequence[str], settings: RecordingSettings) -> Case:
     """Return a case whose first frame is at rest, followed by a small command of every pad along each axis."""
     n_frames = 1 + 3 * len(pads)
-    given: dict[str, FloatArray] = {}
-    for i, pad in enumerate(pads):
-        given[pad] = np.zeros((n_frames, 3))
-        given[pad][1 + 3 * i : 4 + 3 * i] = _unit(experiment, pad, settings) * np.eye(3)
+    given = {pad: _unit(experiment, pad, settings) * np.eye(n_frames, 3, -1 - 3 * i) for i, pad in enumerate(pads)}
     moves = {pad: values for pad, values in given.items() if experiment.actuator(pad).kind == "displacement"}
     return Case(
         name,
@@ -130,36 +122,30 @@ def recorded(
     for part in layout.parts:
         case = experiment.cases[part.name]
         response = known.get(present(experiment, case))
-        if response is not None:
-            one = _case(experiment, layout, part, case, response, settings.frames)
-            if one is not None:
-                found.append(one)
+        if response is None:
+            continue
+        given = {**case.applied_forces, **case.displacements}
+        commands = np.array([given[pad] for pad in response.pads])
+        acts = np.abs(commands).max(axis=(0, 2)) > 0.0
+        frames = np.flatnonzero(acts)
+        if not len(frames):
+            continue
+        frames = frames[
+            np.unique(np.linspace(0, len(frames) - 1, min(len(frames), settings.frames)).round().astype(int))
+        ]
+        motion, forces = part.markers(layout.measured), part.forces(layout.measured)
+        rest = _mean(motion[~acts])
+        one = Recorded(
+            response,
+            commands[:, frames],
+            np.array([pad in case.displacements for pad in response.pads]),
+            motion[frames] - np.nan_to_num(rest),
+            experiment.marker_reference + rest,
+            part.pads,
+            forces[frames] - np.nan_to_num(_mean(forces[~acts])),
+        )
+        found.append(one)
     return found
-
-
-def _case(
-    experiment: Experiment, layout: SignalLayout, part: CasePart, case: Case, response: Response, most: int
-) -> Recorded | None:
-    commands = np.array(
-        [case.displacements[pad] if pad in case.displacements else case.applied_forces[pad] for pad in response.pads]
-    )
-    acts = np.abs(commands).max(axis=(0, 2)) > 0.0
-    frames = np.flatnonzero(acts)
-    if not len(frames):
-        return None
-    frames = frames[np.unique(np.linspace(0, len(frames) - 1, min(len(frames), most)).round().astype(int))]
-    measured = layout.measured
-    motion, forces = part.markers(measured), part.forces(measured)
-    rest = _mean(motion[~acts])
-    return Recorded(
-        response,
-        commands[:, frames],
-        np.array([pad in case.displacements for pad in response.pads]),
-        motion[frames] - np.nan_to_num(rest),
-        experiment.marker_reference + rest,
-        part.pads,
-        forces[frames] - np.nan_to_num(_mean(forces[~acts])),
-    )
 
 
 def _mean(values: FloatArray) -> FloatArray:

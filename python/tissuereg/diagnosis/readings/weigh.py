@@ -53,26 +53,23 @@ class WeighedReading:
 
 @dataclass(frozen=True, eq=False)
 class _Compared:
-    """One channel of one case as sums: numbers, and products of measured (y), moved (m) and pulled (p) predictions."""
+    """One channel of one case as sums over its `n` numbers, which count as `weight`.
+
+    `products`: of measured (y), moved (m) and pulled (p) predictions: yy, ym, yp, mm, mp, pp.
+    """
 
     n: int
     weight: float
     log_factor: float
-    yy: float
-    ym: float
-    yp: float
-    mm: float
-    mp: float
-    pp: float
+    products: tuple[float, ...]
 
-    def at(self, moved: FloatArray, pulled: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def at(self, moved: FloatArray | float, pulled: FloatArray | float) -> tuple[FloatArray, FloatArray]:
         """Return squares of measured minus predicted, and of predicted, for factors on both predictions."""
-        power = moved**2 * self.mm + 2.0 * moved * pulled * self.mp + pulled**2 * self.pp
-        return np.maximum(self.yy - 2.0 * (moved * self.ym + pulled * self.yp) + power, 0.0), power
+        yy, ym, yp, mm, mp, pp = self.products
+        power = np.asarray(moved**2 * mm + 2.0 * moved * pulled * mp + pulled**2 * pp)
+        return np.maximum(yy - 2.0 * (moved * ym + pulled * yp) + power, 0.0), power
 
-    def log_likelihood(
-        self, noise: float, moved: FloatArray, pulled: FloatArray, errors: Sequence[float]
-    ) -> FloatArray:
+    def nats(self, noise: float, moved: FloatArray, pulled: FloatArray, errors: Sequence[float]) -> FloatArray:
         """Return the log likelihood (n_factors, n_shares); `noise`: standard deviation, mm or mN."""
         rest, power = self.at(moved, pulled)
         variance = noise**2 + np.square(errors) * power[:, None] / self.n
@@ -101,15 +98,10 @@ class Weigher:
         markers: list[_Compared] = []
         forces: dict[str, list[_Compared]] = {}
         for number, case in enumerate(self._cases):
-            commands = np.stack(
-                [
-                    given @ reading.commands[pad].T if pad in reading.commands else given
-                    for pad, given in zip(case.response.pads, case.commands, strict=True)
-                ]
-            )
-            markers += _markers(
-                case, commands, None if fields is None else fields[number], reading.markers, self._settings.markers
-            )
+            pairs = zip(case.response.pads, case.commands, strict=True)
+            turned = [given @ reading.commands[pad].T if pad in reading.commands else given for pad, given in pairs]
+            field, commands = None if fields is None else fields[number], np.stack(turned)
+            markers += _markers(case, commands, field, reading.markers, self._settings.markers)
             for pad, one in _forces(case, commands, reading):
                 forces.setdefault(pad, []).append(one)
         nats, ones = self._prior.copy(), np.ones_like(self._factors)
@@ -120,10 +112,9 @@ class Weigher:
             (felt, self._force_std, self._factors, ones),
         ):
             if parts:
-                each = [one.log_likelihood(noise, moved, pulled, self._settings.errors) for one in parts]
+                each = [one.nats(noise, moved, pulled, self._settings.errors) for one in parts]
                 nats += np.logaddexp.reduce(sum(each), axis=1)
-        best = int(np.argmax(nats))
-        factor = float(self._factors[best])
+        factor = float(self._factors[np.argmax(nats)])
         return WeighedReading(
             reading,
             float(np.logaddexp.reduce(nats)) + near + self._resting(reading) - reading.cost,
@@ -138,7 +129,7 @@ class Weigher:
             places = self._experiment.marker_reference @ turn.T
             outside = np.maximum(skin_of(self._experiment.mesh).closest(places).distance, 0.0)
             off = float(np.mean((outside / standoff(self._extent)) ** 2))
-            near = -min(0.5 * _counted(places, self._settings.markers) * off, self._settings.most_nats)
+            near = -min(0.5 * min(len(places), self._settings.markers) * off, self._settings.most_nats)
             self._seen[key] = near, self._observed(places) if near > -self._settings.most_nats else None
         return self._seen[key]
 
@@ -148,8 +139,7 @@ class Weigher:
         except MarkerError:
             return None
         found = []
-        for case in self._cases:
-            fields = case.response.fields
+        for fields in (case.response.fields for case in self._cases):
             # The motion of a marker off the surface is linear for small commands alone.
             small = 1e-6 * self._extent / max(float(np.abs(fields).max()), 1e-300)
             flat = (small * fields).reshape(-1, *fields.shape[2:])
@@ -158,14 +148,13 @@ class Weigher:
 
     def _resting(self, reading: RecordingReading) -> float:
         """Return the log likelihood of the measured places without a command."""
-        size = self._settings.places * self._extent
-        worst = 0.0
+        size, worst = self._settings.places * self._extent, 0.0
         for case in self._cases:
-            seen = np.isfinite(case.rest).all(axis=1)
-            if seen.any():
-                off = case.rest @ reading.markers.T - self._experiment.marker_reference @ reading.places.T
-                mean = float(np.mean((off[seen] / size) ** 2))
-                worst = max(worst, 1.5 * _counted(off[seen], self._settings.markers) * mean)
+            off = case.rest @ reading.markers.T - self._experiment.marker_reference @ reading.places.T
+            off = off[np.isfinite(case.rest).all(axis=1)]
+            if len(off):
+                mean = float(np.mean((off / size) ** 2))
+                worst = max(worst, 1.5 * min(len(off), self._settings.markers) * mean)
         return -min(worst, self._settings.most_nats)
 
 
@@ -176,11 +165,11 @@ def _markers(
     seen = np.isfinite(measured)
     if not seen.any():
         return []
-    counted = 3.0 * _counted(measured[0][seen.any(axis=(0, 2))], most)
+    counted = 3.0 * min(int(seen.any(axis=(0, 2)).sum()), most)
     if field is None:
         # Markers off the body move for no reason that the model knows.
         power = float(measured[seen] @ measured[seen])
-        return [_Compared(int(seen.sum()), counted, _log_factor(turn), power, 0.0, 0.0, power, 0.0, 0.0)]
+        return [_Compared(int(seen.sum()), counted, _log_factor(turn), (power, 0.0, 0.0, power, 0.0, 0.0))]
     return [_compared(case, measured, np.einsum("pfa,pamx->pfmx", commands, field), counted, turn)]
 
 
@@ -200,21 +189,18 @@ def _compared(case: Recorded, measured: FloatArray, by_pad: FloatArray, counted:
     seen = np.isfinite(measured)
     y = measured[seen]
     m, p = (by_pad[rows].sum(axis=0)[seen] for rows in (case.is_motion, ~case.is_motion))
-    products = (float(a @ b) for a, b in ((y, y), (y, m), (y, p), (m, m), (m, p), (p, p)))
-    return _Compared(y.size, counted, _log_factor(turn), *products)
+    products = tuple(float(a @ b) for a, b in ((y, y), (y, m), (y, p), (m, m), (m, p), (p, p)))
+    return _Compared(y.size, counted, _log_factor(turn), products)
 
 
 def _agreement(parts: Sequence[_Compared], noise: float, moved: float, pulled: float) -> Agreement:
-    n = sum(one.n for one in parts)
-    measured = sum(one.yy for one in parts)
-    pairs = [one.at(np.array([moved]), np.array([pulled])) for one in parts]
-    rest, power = (float(sum(pair[i][0] for pair in pairs)) for i in (0, 1))
-    at_believed = float(sum(one.at(np.ones(1), np.ones(1))[1][0] for one in parts))
-    common = sum(one.ym + one.yp for one in parts)
-    beyond = measured - n * noise**2
+    n, measured = sum(one.n for one in parts), sum(one.products[0] for one in parts)
+    rest, power = (float(sum(each)) for each in zip(*(one.at(moved, pulled) for one in parts), strict=True))
+    at_believed = float(sum(one.at(1.0, 1.0)[1] for one in parts))
+    common = sum(one.products[1] + one.products[2] for one in parts)
     above = measured > 4.0 * n * noise**2
     return Agreement(
-        1.0 - max(rest - n * noise**2, 0.0) / beyond if above else 0.0,
+        1.0 - max(rest - n * noise**2, 0.0) / (measured - n * noise**2) if above else 0.0,
         float(np.sqrt(rest / power)) if power > 0.0 else np.inf,
         common / at_believed if at_believed > 0.0 else np.inf,
         float(np.sqrt(power / n)),
@@ -224,7 +210,3 @@ def _agreement(parts: Sequence[_Compared], noise: float, moved: float, pulled: f
 
 def _log_factor(turn: FloatArray) -> float:
     return float(np.log(abs(np.linalg.det(turn)))) / 3.0
-
-
-def _counted(places: FloatArray, most: int) -> float:
-    return float(min(len(places), most))
