@@ -61,8 +61,9 @@ def test_oracle_and_without_have_their_catalogues(monkeypatch):
     assert candidates._repeats("inclusion", twice.search.repeated)
     lacking = settings_of(monkeypatch, variants.without, ("stiffness",))
     assert lacking.left_out == ("stiffness",)
-    assert modulus_finding(SimpleNamespace(bench=SimpleNamespace(settings=lacking)), None,
-                           SimpleNamespace(target=None, final=None)) is None  # fmt: skip
+    believed = SimpleNamespace(bench=SimpleNamespace(settings=lacking))
+    found = SimpleNamespace(target=None, final=SimpleNamespace(ids=()))
+    assert modulus_finding(believed, None, found) is None
 
 
 def test_without_a_judge_every_cause_passes():
