@@ -119,18 +119,11 @@ class Bench:
         return Tangents(self.predictor)
 
     def by(self, direction: Callable[[State], Sequence[Cause]], count: int) -> FloatArray:
-        """Return the derivatives of the prediction by `count` parameters, (count, size), in mm and mN per unit.
-
-        `direction`: returns, for an equilibrium, the derivatives of load or material by the parameters.
-        """
+        """Return the derivatives of the prediction by `count` parameters (`Tangents.columns`)."""
         return self.tangents.columns(direction, count)
 
     def by_fields(self, shares: "sparse.csr_array") -> FloatArray:
-        """Return the derivatives of the prediction by the modulus in parts of the body, (n_fields, size), mm and mN.
-
-        `shares` (n_tets, n_fields): share of every tet that belongs to each part. The derivatives are by the relative
-        change of the modulus: extrapolated linearly, they are the changes for a doubled modulus.
-        """
+        """Return the derivatives of the prediction by the modulus in parts of the body (`Tangents.by_fields`)."""
         return self.tangents.by_fields(shares)
 
     @cached_property
@@ -151,7 +144,7 @@ class Bench:
         It is None where an effect of the set does not apply, or the body has no equilibrium with it. Several sets are
         simulated in parallel, the frames of each history one after another on one thread.
         """
-        base = self.base
+        base = self.base  # solved once, not by every worker
 
         def one(effects: Sequence[Effect]) -> FloatArray | None:
             try:

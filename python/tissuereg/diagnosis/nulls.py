@@ -17,10 +17,16 @@ import numpy as np
 from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.evidence import Null, tail_probability
 from tissuereg.diagnosis.noise import Noise
-from tissuereg.diagnosis.patterns import force_columns, histories, marker_columns, orthonormal, smooth_patterns
 from tissuereg.diagnosis.screen import UNKNOWN, Screen
 from tissuereg.diagnosis.settings import DEFAULT, DiagnoseSettings, NullSettings
-from tissuereg.diagnosis.signals import SignalLayout
+from tissuereg.diagnosis.signals import (
+    SignalLayout,
+    force_columns,
+    histories,
+    marker_columns,
+    orthonormal,
+    smooth_patterns,
+)
 
 
 @dataclass(frozen=True, eq=False)

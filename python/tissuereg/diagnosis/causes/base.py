@@ -117,7 +117,7 @@ class Cause(ABC):
     #: Id in answers and in ``[[effect]]`` tables.
     id: ClassVar[str]
 
-    #: Kind of error that it is one of (`tissuereg.diagnosis.families`).
+    #: Kind of error that it is one of (`tissuereg.diagnosis.constancy`).
     family: ClassVar[str]
 
     #: Keys of `Variant.settings` that the free parameters cannot change.
