@@ -232,7 +232,7 @@ def test_charts_of_later_rounds_show_the_thresholds_that_were_required():
     screened = {"layer": Screened(9.0, None, np.ones(1)), "fibre": Screened(1.0, None, np.ones(1))}
     steps = [search_module.Step(screened, [one], one, held, held) for one in (body, slip)]
     findings = [SimpleNamespace(id=one.id, group=(one.id,), threshold=6.0) for one in (body, slip)]
-    details = DiagnosisDetails(SimpleNamespace(steps=steps), None, None, {"layer": 6.0, "fibre": 44.0})
+    details = DiagnosisDetails(search_module.Search(None, None, steps), None, None, {"layer": 6.0, "fibre": 44.0})
     drawn = rankings(SimpleNamespace(details=details, findings=findings, candidates=(), numbers=DEFAULT))
     first, _, later = drawn.partition("Round 2")
     assert "threshold 44.0" in later

@@ -46,36 +46,40 @@ def describe(layout: SignalLayout, base: Fit, final: Fit, settings: AdviceSettin
     markers = layout.of_markers() & seen
     cases = {part.name: rms(part.markers(white)[part.markers(seen)]) for part in layout.parts}
     forces = {part.name: rms(part.forces(white)[part.forces(seen)]) for part in layout.parts if part.pads}
-    per_marker = {name: rms(values) for name, values in _by_place(layout, white, pads=False).items()}
+    per_marker = _sizes(layout, white, pads=False)
     worst_case = max(cases, key=lambda name: max(cases[name], forces.get(name, 0.0)))
-    order = sorted(per_marker, key=lambda name: -per_marker[name])[: settings.most_markers]
     part = layout[worst_case]
     top = int(np.argmax((part.markers(white) ** 2).mean(axis=(1, 2))))
+
+    def size(of: Fit) -> dict[str, float]:
+        return {"rms_mm": rms((layout.measured - of.prediction)[markers]), "in_sigma": rms(of.residual[markers])}
+
     return {
-        "rms_mm": rms((layout.measured - base.prediction)[markers]),
-        "in_sigma": rms(white[markers]),
-        "where": [name for name in order if per_marker[name] > settings.above],
+        **size(base),
+        "where": _largest(per_marker, settings.above)[: settings.most_markers],
         "when": f"most at {part.times[top]:.4g} s ({part.times[top] - part.times[0]:.3g} s into the case)",
         "under": worst_case,
         "chi_by_case": cases,
         "chi_forces_by_case": forces,
         "chi_by_marker": per_marker,
-        "after": {
-            "rms_mm": rms((layout.measured - final.prediction)[markers]),
-            "in_sigma": rms(final.residual[markers]),
-        },
+        "after": size(final),
     }
 
 
-def _by_place(layout: SignalLayout, white: FloatArray, *, pads: bool) -> dict[str, FloatArray]:
-    """Return what was measured of a whitened residual (size,) at each marker, and at each pad with `pads`, by name."""
+def _sizes(layout: SignalLayout, white: FloatArray, *, pads: bool) -> dict[str, float]:
+    """Return the root mean square of a whitened residual (size,) at each marker, and at each pad if `pads`, by name."""
     found: dict[str, list[FloatArray]] = {name: [] for name in layout.marker_names}
     for part in layout.parts:
         for names, of in ((layout.marker_names, part.markers), (part.pads if pads else (), part.forces)):
             values, seen = of(white), of(layout.seen)
             for i, name in enumerate(names):
                 found.setdefault(name, []).append(values[:, i][seen[:, i]])
-    return {name: np.concatenate(parts) for name, parts in found.items()}
+    return {name: rms(np.concatenate(parts)) for name, parts in found.items()}
+
+
+def _largest(sizes: dict[str, float], above: float) -> list[str]:
+    """Return the names of the sizes above a bound, the largest first."""
+    return sorted((name for name in sizes if sizes[name] > above), key=lambda name: -sizes[name])
 
 
 def residual_summary(
@@ -86,7 +90,7 @@ def residual_summary(
     The result has the p-value ``p`` of the misfit test, ``where`` (names of markers and pads), the text ``when``,
     ``looks_like`` (an id, or ``"unknown"``), and the text ``sentence``.
     """
-    where = _largest(layout, found.reduced, settings)
+    where = _largest(_sizes(layout, found.reduced, pads=True), settings.above)[: settings.most_places]
     case, time = _worst_frame(layout, found.reduced)
     alike = nearest_cause(screen, found, settings.looks_like)[0]
     when = f"most at {time:.4g} s, under case {case}"
@@ -94,13 +98,6 @@ def residual_summary(
     like = "no cause of the catalogue" if alike == UNKNOWN else f"'{alike}' more than any other cause"
     sentence = f"A misfit remains after the findings (p = {misfit.p:.2g}) {places}, {when}; it resembles {like}."
     return {"p": misfit.p, "where": where, "when": when, "looks_like": alike, "sentence": sentence}
-
-
-def _largest(layout: SignalLayout, reduced: FloatArray, settings: AdviceSettings) -> list[str]:
-    """Return the names of the markers and pads with the largest root mean squares in a whitened residual (size,)."""
-    chi = {name: rms(values) for name, values in _by_place(layout, reduced, pads=True).items()}
-    worst = sorted((name for name in chi if chi[name] > settings.above), key=lambda name: -chi[name])
-    return worst[: settings.most_places]
 
 
 def _worst_frame(layout: SignalLayout, reduced: FloatArray) -> tuple[str, float]:
@@ -115,9 +112,8 @@ def _worst_frame(layout: SignalLayout, reduced: FloatArray) -> tuple[str, float]
 
 def nearest_cause(screen: Screen, found: Search, least: float) -> tuple[str, float]:
     """Return the id of the further cause most like the residual, `UNKNOWN` below `least`, and its evidence, nats."""
-    gains = {name: one.log_bayes_factor for name, one in screen.of(found.reduced).items()}
-    named = set(found.final.ids)
-    others = {name: gain for name, gain in gains.items() if name not in named and name != UNKNOWN}
+    known = (*found.final.ids, UNKNOWN)
+    others = {name: one.log_bayes_factor for name, one in screen.of(found.reduced).items() if name not in known}
     best = max(others, key=lambda name: others[name], default=UNKNOWN)
     gain = others.get(best, -np.inf)
     return (best if gain >= least else UNKNOWN), gain
@@ -158,7 +154,7 @@ def next_check(bench: Bench, residual: FloatArray, like: str = "") -> dict[str, 
     chosen = max(components, key=lambda one: _gain(residual, one.proximity, layout, settings) - np.log(count[one.kind]))
     share = _share(residual, chosen.proximity, layout, settings)
     case, time = _worst_frame(layout, residual * np.sqrt(chosen.proximity))
-    where = _largest(layout, residual, settings)
+    where = _largest(_sizes(layout, residual, pads=True), settings.above)[: settings.most_places]
     elements = "" if chosen.name == "tet10" else "diagnose again with the elements tet10; if the misfit remains, "
     action = _ACTIONS[chosen.kind].format(name=chosen.name, elements=elements)
     worst = f", worst at {', '.join(where)}" if where and chosen.kind not in ("marker", "case") else ""
@@ -273,10 +269,15 @@ def _actions(experiment: Experiment, settings: AdviceSettings = DEFAULT.report) 
     """Return the load cases that could be measured next, each in words and as an experiment without data."""
     # Pushes and pulls as far as each pad has moved, its own motion with a long hold, and with its force if not known.
     actions: list[tuple[str, Experiment]] = []
-    known = experiment.force_std is not None
+    known, up, rest = experiment.force_std is not None, settings.ramp_s, experiment.marker_reference
+    begin = max(float(case.times[-1]) for case in experiment.cases.values()) + 10.0
+    shares = np.array([0.0, 0.5, 1.0, 1.0, 1.0, 1.0, 1.0, 0.5, 0.0])
 
     def add(words: str, pad: Actuator, motion: FloatArray, hold: float, *, force: bool) -> None:
-        case = _case(experiment, pad, motion, hold, settings.ramp_s, force=force)
+        held = up + hold * np.array([0.25, 0.5, 0.75, 1.0])
+        times = begin + np.array([0.0, up / 2, up, *held, up + hold + up / 2, 2 * up + hold])
+        markers, forces = np.broadcast_to(rest, (len(times), *rest.shape)), {pad.name: np.zeros((len(times), 3))}
+        case = Case("next", times, markers, {pad.name: shares[:, None] * motion}, forces=forces if force else {})
         actions.append((f"{words}, hold {hold:.0f} s", replace(experiment, cases={"next": case}, rest_case=None)))
 
     for pad in experiment.actuators:
@@ -294,16 +295,6 @@ def _actions(experiment: Experiment, settings: AdviceSettings = DEFAULT.report) 
             words = f"measure the force at {pad.name} to {settings.measured_to:g} mN"
             add(words, pad, along, settings.hold_s, force=True)
     return actions
-
-
-def _case(experiment: Experiment, pad: Actuator, motion: FloatArray, hold: float, up: float, *, force: bool) -> Case:
-    begin = max(float(case.times[-1]) for case in experiment.cases.values()) + 10.0
-    shares = np.array([0.0, 0.5, 1.0, 1.0, 1.0, 1.0, 1.0, 0.5, 0.0])
-    held = up + hold * np.array([0.25, 0.5, 0.75, 1.0])
-    times = begin + np.array([0.0, up / 2, up, *held, up + hold + up / 2, 2 * up + hold])
-    markers = np.broadcast_to(experiment.marker_reference, (len(times), *experiment.marker_reference.shape))
-    given = {pad.name: shares[:, None] * motion}
-    return Case("next", times, markers, given, forces={pad.name: np.zeros((len(times), 3))} if force else {})
 
 
 def _prediction(target: FitTarget, fit: Fit, rig: Experiment) -> FloatArray:

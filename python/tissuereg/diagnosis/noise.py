@@ -116,10 +116,9 @@ def estimate_noise(experiment: Experiment, layout: SignalLayout, settings: Noise
             message = "`[forces]` must state `std_mN` where forces were measured"
             raise NoiseError(message, where="forces")
         force_std = 1.0
-    white = Noise(stated, 0.0, 0.0, 0.0, 1.0, force_std, False)
     still = _still(experiment, layout, settings.least_hold)
     if sum(len(values) for values, _ in still) < settings.least_frames or n_markers < 2:
-        return white
+        return Noise(stated, 0.0, 0.0, 0.0, 1.0, force_std, False)
     axes = float(still[0][0].shape[-1])
     means = [values.mean(axis=1, keepdims=True) for values, _ in still]
     own = [values - mean for (values, _), mean in zip(still, means, strict=True)]

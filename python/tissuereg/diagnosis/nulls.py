@@ -72,8 +72,7 @@ def draw_nulls(
     residuals = null.reduced(draws)
     found = screen.many(residuals)
     found.pop(UNKNOWN)
-    required = rules.required
-    given = None if required is None else dict.fromkeys(found, required)
+    given = {} if rules.required is None else dict.fromkeys(found, rules.required)
     return Nulls(residuals, given or _thresholds(found, rules))
 
 

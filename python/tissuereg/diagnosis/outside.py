@@ -16,7 +16,7 @@ from scipy.special import softmax
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.body.load import Load
-from tissuereg.diagnosis.bench import Bench
+from tissuereg.diagnosis.bench import Bench, State, per_tet
 from tissuereg.diagnosis.causes import CAUSES, Variant
 from tissuereg.diagnosis.causes.actuators import load_of, motion_of, present_pads
 from tissuereg.diagnosis.causes.inclusion import balls_in, shares_of_balls
@@ -25,7 +25,6 @@ from tissuereg.diagnosis.fit import Fit, FitTarget
 from tissuereg.diagnosis.nuisances import effect_nuisances
 from tissuereg.diagnosis.settings import DiagnoseSettings, OutsideSettings
 from tissuereg.diagnosis.signals import thinned_patterns
-from tissuereg.diagnosis.tangents import State, per_tet
 from tissuereg.simulation.sensitivity import Adjoints
 from tissuereg.simulation.solve import Simulator
 

@@ -72,7 +72,7 @@ def linear_model(target: FitTarget, fit: Fit, extra: FloatArray | None = None) -
     slopes = target.slopes(fit)
     # The model is linear about the fit; x = 0 is the prior mean.
     residual = fit.residual + slopes.T @ ((fit.x - fit.mean) / fit.deviation)
-    parts = [target.null.nuisances, slopes] + ([] if extra is None else [extra])
+    parts = [target.null.nuisances, slopes, *([] if extra is None else [extra])]
     return LinearModel(residual, np.concatenate(parts))
 
 
@@ -208,9 +208,7 @@ def frame_blocks(
     blocks = {}
     for number in range(min(n_blocks, part.n_frames)):
         mask = np.zeros(layout.size, bool)
-        part_mask = np.zeros(part.n_frames, bool)
-        part_mask[number::n_blocks] = True
-        part.put(mask, part_mask)
+        part.put(mask, np.arange(part.n_frames) % n_blocks == number)
         whole = part.n_frames == 1
         blocks[part.name if whole else f"{part.name}, every {n_blocks}th frame from {number}"] = mask
     return blocks

@@ -159,10 +159,8 @@ class Screen:
             variants = self.bank[name]
             each = self._each(name, residual[None])[0]
             top = int(np.argmax(each))
-            if variants[top].fixed:
-                amplitudes = np.ones(1)
-            else:
-                amplitudes = fit_amplitudes(residual, blocks.columns[top].astype(np.float64))[1]
+            columns = blocks.columns[top].astype(np.float64)
+            amplitudes = np.ones(1) if variants[top].fixed else fit_amplitudes(residual, columns)[1]
             found[name] = Screened(float(log_mean_exp(each)), variants[top], amplitudes)
         each = np.array([block.log_bayes_factors(residual[None])[0, 0] for block in self.generic])
         found[UNKNOWN] = Screened(float(log_mean_exp(each)), None, np.empty(0))

@@ -145,6 +145,10 @@ class Search:
     reduced: FloatArray = field(default_factory=lambda: np.empty(0))
     target: FitTarget | None = None
 
+    def rounds(self) -> dict[int, tuple[Step, Candidate]]:
+        """Return the rounds that accepted a cause, in order and by number, each with the cause."""
+        return {i: (step, step.found) for i, step in enumerate(self.steps) if step.found is not None}
+
     def withdrawn(self, target: FitTarget) -> "Search":
         """Return the same rounds with all findings withdrawn, so that the final model is the believed one."""
         steps = [step.bare() for step in self.steps]
@@ -334,20 +338,18 @@ def findings_of(target: FitTarget, screen: Screen, found: Search, thresholds: Ma
     the errors at inner targets, which are added later.
     """
     findings = []
-    young = target.bench.young
-    rounds = [(step, step.found) for step in found.steps if step.found is not None]
+    rounds = found.rounds().values()
     named = {top.id for _, top in rounds}
     for part, (step, top) in enumerate(rounds):
         # Parameters are those of the model with all causes found.
-        values, deviations = found.final.values(part, young)
-        chances = step.chances()
+        values, deviations = found.final.values(part, target.bench.young)
         assert step.proof is not None  # found causes were proved
         assert step.figures is not None
         findings.append(
             Finding(
                 id=top.id,
                 group=step.group(thresholds[top.id], named),
-                probability=chances.get(top.id, 0.0),
+                probability=step.chances().get(top.id, 0.0),
                 log_bayes_factor=top.gain,
                 threshold=thresholds[top.id],
                 parameters=values,
@@ -363,7 +365,7 @@ def findings_of(target: FitTarget, screen: Screen, found: Search, thresholds: Ma
 
 def possible_of(found: Search) -> tuple[dict[str, Any], ...]:
     """Return the causes that came close to a finding and are none, likeliest first, as plain data for the answer."""
-    named = {step.found.id for step in found.steps if step.found is not None}
+    named = {top.id for _, top in found.rounds().values()}
     best: dict[str, PossibleCause] = {}
     for one in (one for step in found.steps for one in step.possible if one.id not in named):
         if one.id not in best or one.probability > best[one.id].probability:

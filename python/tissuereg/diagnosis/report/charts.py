@@ -105,9 +105,9 @@ def rankings(found: "BodyDiagnosis") -> str:
     """Return the chart of causes in the first round, and those of later rounds in collapsed sections, as HTML."""
     thresholds = {} if found.details is None else found.details.thresholds
     steps = [] if found.details is None else found.details.search.steps
-    # Findings are in the order of the steps; only the modulus may precede them.
-    first = max(0, len(found.findings) - sum(step.found is not None for step in steps))
-    rounds = [number for number, step in enumerate(steps) if step.found is not None]
+    rounds = {} if found.details is None else found.details.search.rounds()
+    # Findings are in the order of the rounds; only the modulus may precede them.
+    first = max(0, len(found.findings) - len(rounds))
     groups = {number: set(one.group) for number, one in zip(rounds, found.findings[first:], strict=False)}
     early = {name for finding in found.findings[: first if steps else None] for name in finding.group}
     parts = [ranking(found.candidates, thresholds, early | groups.get(0, set()), "First round")]
@@ -195,17 +195,15 @@ def proved(found: "BodyDiagnosis") -> str:
         proof = proofs.get(number)
         by_case = "" if details is None or proof is None else _by_case(proof, details.target.bench.layout)
         parts.append(title + _overall(finding) + by_case)
-    if not parts:
-        return "<p>No finding was proved on data held out.</p>"
-    return "\n".join(parts)
+    return "\n".join(parts) or "<p>No finding was proved on data held out.</p>"
 
 
 def proofs_of(found: "BodyDiagnosis") -> dict[int, "HeldOut"]:
     """Return the held-out predictions of every finding by its number; a finding of the modulus has none."""
-    steps = [] if found.details is None else [step for step in found.details.search.steps if step.found is not None]
-    # Findings are in the order of the steps; only the modulus may precede them.
-    first = len(found.findings) - len(steps)
-    return {first + i: step.figures for i, step in enumerate(steps) if step.figures is not None}
+    rounds = {} if found.details is None else found.details.search.rounds()
+    # Findings are in the order of the rounds; only the modulus may precede them.
+    first = len(found.findings) - len(rounds)
+    return {first + i: step.figures for i, (step, _) in enumerate(rounds.values()) if step.figures is not None}
 
 
 def gain_words(finding: "Finding") -> str:
@@ -253,10 +251,8 @@ def _overall(finding: "Finding") -> str:
     rows = [(name, f"{held[f'rms_{key}_mm']:.3f}", f"{held[f'chi_{key}']:.2f}") for key, name, _ in _MODELS]
     rows.append(("noise floor", f"{held['noise_mm']:.3f}", "1.00"))
     head = ("held out", "markers, rms of a coordinate, mm", "markers and forces, noise deviations")
-    log_density = (
-        f"<p>Held-out data are e<sup>{held['log_density_gain']:.1f}</sup> times as likely with the cause as without "
-        "it.</p>"
-    )
+    times = f"e<sup>{held['log_density_gain']:.1f}</sup> times"
+    log_density = f"<p>Held-out data are {times} as likely with the cause as without it.</p>"
     bars = [(name, float(held[f"chi_{key}"]), colour) for key, name, colour in _MODELS]
     return _bars([("all", bars)]) + table(head, rows) + log_density
 
@@ -269,9 +265,8 @@ def _by_case(proof: "HeldOut", layout: "SignalLayout") -> str:
             continue
         chi = np.sqrt((proof.residuals[[BELIEVED, NAMED, GENERIC]][:, mine] ** 2).mean(axis=1))
         rows.append((escape(part.name), str(int(mine.sum())), *(f"{x:.2f}" for x in chi)))
-        groups.append(
-            (part.name, [(name, float(x), colour) for (_, name, colour), x in zip(_MODELS, chi, strict=True)])
-        )
+        bars = [(name, float(x), colour) for (_, name, colour), x in zip(_MODELS, chi, strict=True)]
+        groups.append((part.name, bars))
     if len(rows) < 2:
         return ""
     head = ("case held out, noise deviations", "numbers", *(name for _, name, _ in _MODELS))
@@ -395,9 +390,8 @@ def _panel(curve: ChannelCurve, across: svg.PixelScale, top: float, height: floa
     up = svg.PixelScale(0.0, 1.08 * largest, top + height, top + 16.0)
     x = np.array([across(t) for t in curve.times])
     if len(x) == 1:
-        band = svg.bar(
-            x[0] - 8.0, up(curve.high[0]), 16.0, up(curve.low[0]) - up(curve.high[0]), svg.FLOOR, "opacity='.2'"
-        )
+        high, low = up(curve.high[0]), up(curve.low[0])
+        band = svg.bar(x[0] - 8.0, high, 16.0, low - high, svg.FLOOR, "opacity='.2'")
     else:
         edge = [f"{a:.1f},{up(b):.1f}" for a, b in zip(x, curve.high, strict=True)]
         edge += [f"{a:.1f},{up(b):.1f}" for a, b in zip(x[::-1], curve.low[::-1], strict=True)]
@@ -426,7 +420,6 @@ def _load_panel(load: dict[str, FloatArray], times: FloatArray, across: svg.Pixe
     ]
     dashes = ("", "stroke-dasharray='6 3'", "stroke-dasharray='2 3'")
     for i, share in enumerate(load.values()):
-        parts.append(
-            svg.line(x, np.array([up(y) for y in share[::stride]]), "#444", f"stroke-width='1.4' {dashes[i % 3]}")
-        )
+        y = np.array([up(size) for size in share[::stride]])
+        parts.append(svg.line(x, y, "#444", f"stroke-width='1.4' {dashes[i % 3]}"))
     return "".join(parts)

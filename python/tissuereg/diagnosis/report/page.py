@@ -7,23 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tissuereg.diagnosis.noise import UNDERSTATED
-from tissuereg.diagnosis.report import EXTENDED_FILE, STYLE
-from tissuereg.diagnosis.report.charts import (
-    SHARE,
-    chance,
-    family_words,
-    gain_words,
-    gloss,
-    histories,
-    inconstant_words,
-    outside_words,
-    plain_name,
-    possible_words,
-    probable,
-    proved,
-    rankings,
-    separated,
-)
+from tissuereg.diagnosis.report import EXTENDED_FILE, STYLE, charts
 from tissuereg.diagnosis.report.scene import scene
 from tissuereg.errors import ExperimentError
 from tissuereg.io.experiment_out import experiment_text
@@ -42,7 +26,7 @@ def page(found: "BodyDiagnosis", folder: Path) -> str:
     parts = [summary(found), "<h2>Findings</h2>", findings(found)]
     if found.details is not None:
         parts += [_body(found, found.details), _history(found, found.details)]
-    parts += [_ranking(found), "<h2>Prediction of what was not fitted</h2>", proved(found)]
+    parts += [_ranking(found), "<h2>Prediction of what was not fitted</h2>", charts.proved(found)]
     parts += ["<h2>Causes that cannot be distinguished, and what to measure next</h2>", ties(found)]
     parts += ["<h2>What was assumed</h2>", assumed(found), _model(found, folder)]
     parts.append(provenance_section(found.provenance.to_json(found.settings)))
@@ -67,9 +51,9 @@ def _history(found: "BodyDiagnosis", details: "DiagnosisDetails") -> str:
     lines = swatch(BEFORE, "before") + after
     return f"""<h2>When, and under which load</h2>
 <p>Root mean square residual of every frame in noise deviations, whitened by noise and nuisance parameters. Noise alone
-lies in the green band in {100 * SHARE:.0f} % of all frames.</p>
+lies in the green band in {100 * charts.SHARE:.0f} % of all frames.</p>
 <p class='key'>{lines}{swatch(FLOOR, "noise")}</p>
-{histories(found.extended, details)}"""
+{charts.histories(found.extended, details)}"""
 
 
 def _ranking(found: "BodyDiagnosis") -> str:
@@ -79,7 +63,7 @@ includes the penalty for the cause's free parameters. Red lines are the threshol
 effect exceed rarely. The axis is linear near 0 and logarithmic beyond; bars end at -10. "Size" is the norm of the
 change that the cause makes, in noise deviations: about 8 are needed for detection.</p>
 <p class='key'>{swatch(AFTER, "found, or tied with what was found")}{swatch(GENERIC, "not accepted")}</p>
-{rankings(found)}"""
+{charts.rankings(found)}"""
 
 
 def _model(found: "BodyDiagnosis", folder: Path) -> str:
@@ -111,10 +95,8 @@ def verdict_sentence(found: "BodyDiagnosis") -> str:
             "The simulation does not explain the measurements; the cause is known up to a group that these data cannot "
             f"distinguish: {_listed(names)}."
         )
-    what = "one cause" if len(names) == 1 else f"{len(names)} causes together"
-    return f"The simulation does not explain the measurements; {what} does: {_listed(names)}.".replace(
-        "together does", "together do"
-    )
+    what = "one cause does" if len(names) == 1 else f"{len(names)} causes together do"
+    return f"The simulation does not explain the measurements; {what}: {_listed(names)}."
 
 
 def summary(found: "BodyDiagnosis") -> str:
@@ -138,11 +120,11 @@ def summary(found: "BodyDiagnosis") -> str:
 
 def findings(found: "BodyDiagnosis") -> str:
     """Return every finding with its parameters and evidence, as HTML."""
-    parts = [finding_section(finding, gain_words(finding)) for finding in found.findings]
+    parts = [finding_section(finding, charts.gain_words(finding)) for finding in found.findings]
     parts = parts or ["<p>No cause was accepted.</p>"]
-    said = [inconstant_words(one.to_json()) for one in found.constancy if not one.holds]
-    said += [outside_words(one.to_json()) for one in found.outside if not one.holds]
-    said += [possible_words(one) for one in found.possible]
+    said = [charts.inconstant_words(one.to_json()) for one in found.constancy if not one.holds]
+    said += [charts.outside_words(one.to_json()) for one in found.outside if not one.holds]
+    said += [charts.possible_words(one) for one in found.possible]
     return "\n".join([*parts, *(f"<p>{escape(sentence)}</p>" for sentence in said)])
 
 
@@ -154,7 +136,8 @@ def ties(found: "BodyDiagnosis") -> str:
         return f"<p>{distinct if found.findings else 'There is no tie.'}</p>"
     parts = []
     for finding in groups:
-        meant = "".join(f"<li><b>{escape(plain_name(name))}</b>: {escape(gloss(name))}</li>" for name in finding.group)
+        named = ((charts.plain_name(name), charts.gloss(name)) for name in finding.group)
+        meant = "".join(f"<li><b>{escape(name)}</b>: {escape(gloss)}</li>" for name, gloss in named)
         parts.append(
             "<p>These causes explain the data about equally well; the likeliest is listed first, and only that one is "
             f"in the extended model.</p><ul>{meant}</ul>"
@@ -164,8 +147,8 @@ def ties(found: "BodyDiagnosis") -> str:
         parts.append("<p>No further push, hold or force of the present rig was found that would distinguish them.</p>")
     else:
         parts.append(
-            f"<p><b>Next experiment: {escape(advice['action'])}.</b> It separates {escape(separated(advice))}: the "
-            f"predictions of the fitted models differ by {advice['separability']:.1f} noise deviations, given the "
+            f"<p><b>Next experiment: {escape(advice['action'])}.</b> It separates {escape(charts.separated(advice))}: "
+            f"the predictions of the fitted models differ by {advice['separability']:.1f} noise deviations, given the "
             "uncertainty of the tracker's frame, the modulus and the forces "
             f"({found.numbers.search.separable:.0f} are needed to distinguish two causes).</p>"
         )
@@ -206,9 +189,8 @@ def _discrepancy(found: "BodyDiagnosis") -> str:
         f"The residual of the believed model with fitted modulus is {discrepancy['rms_mm']:.3f} mm in a marker's "
         f"coordinate (rms), {discrepancy['in_sigma']:.1f} times the noise"
     )
-    where = discrepancy.get("where") or []
-    if where:
-        text += f"; worst at {_listed([str(name) for name in where])}"
+    if discrepancy.get("where"):
+        text += f"; worst at {_listed([str(name) for name in discrepancy['where']])}"
     text += f"; largest under case {discrepancy['under']}, {discrepancy['when']}."
     after = discrepancy.get("after")
     if after and found.findings:
@@ -218,7 +200,7 @@ def _discrepancy(found: "BodyDiagnosis") -> str:
 
 def _left(found: "BodyDiagnosis") -> str:
     given = "With the findings in the model, data" if found.findings else "Data"
-    text = f"{given} without further effects would misfit as much with probability {chance(found.p_misfit)}."
+    text = f"{given} without further effects would misfit as much with probability {charts.chance(found.p_misfit)}."
     return text if found.left is None else f"{text} {found.left['sentence']}"
 
 
@@ -227,16 +209,16 @@ def finding_section(finding: "Finding", gain: str = "") -> str:
     rows = [(escape(key), _pair(value, finding.deviations.get(key))) for key, value in finding.parameters.items()]
     tied = ""
     if len(finding.group) > 1:
-        others = _listed([plain_name(name) for name in finding.group[1:]], "or")
+        others = _listed([charts.plain_name(name) for name in finding.group[1:]], "or")
         tied = f"<p>These data cannot distinguish it from: {escape(others)}.</p>"
     if finding.membership is not None and not finding.membership.holds:
-        tied += f"<p>{escape(family_words(finding.membership.to_json()))}</p>"
+        tied += f"<p>{escape(charts.family_words(finding.membership.to_json()))}</p>"
     figures = (
-        f"{probable(finding.probability, finding.group_probability, len(finding.group))}; log Bayes factor "
+        f"{charts.probable(finding.probability, finding.group_probability, len(finding.group))}; log Bayes factor "
         f"{finding.log_bayes_factor:.1f} (threshold {finding.threshold:.1f})."
     )
     return (
-        f"<section class='finding'><h3>{escape(plain_name(finding.id))} <code>{escape(finding.id)}</code></h3>"
+        f"<section class='finding'><h3>{escape(charts.plain_name(finding.id))} <code>{escape(finding.id)}</code></h3>"
         f"<p>{escape(finding.sentence)}</p><p>{figures}</p>{tied}"
         + table(("parameter", "value \u00b1 standard deviation"), rows)
         + (f"<p>{escape(gain)}</p>" if gain else "")
@@ -284,7 +266,7 @@ def _nuisances(names: Sequence[str]) -> list[str]:
 
 def _name(finding: "Finding") -> str:
     """Return the cause that a finding states, its group, or its family with the best member."""
-    names = [plain_name(name) for name in finding.group]
+    names = [charts.plain_name(name) for name in finding.group]
     name = names[0] if len(names) == 1 else f"either {_listed(names, 'or')}"
     if finding.membership is None or finding.membership.holds:
         return name
