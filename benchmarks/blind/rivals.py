@@ -14,17 +14,16 @@ import numpy as np
 from scipy.stats import chi2
 
 from blind.heldout import by_block
-from tissuereg.diagnosis.bank import make_bank
 from tissuereg.diagnosis.bench import Bench
 from tissuereg.diagnosis.correction import Correction, make_correction
 from tissuereg.diagnosis.evidence import Null, fit_amplitudes
 from tissuereg.diagnosis.noise import Noise, estimate_noise
 from tissuereg.diagnosis.nuisances import make_nuisances
-from tissuereg.diagnosis.patterns import generic_columns
 from tissuereg.diagnosis.proof import LinearModel
 from tissuereg.diagnosis.refined import entry_of, refined_predictions
+from tissuereg.diagnosis.screen import make_bank
 from tissuereg.diagnosis.settings import DEFAULT
-from tissuereg.diagnosis.signals import SignalLayout
+from tissuereg.diagnosis.signals import SignalLayout, generic_columns
 from tissuereg.experiment.effects import EFFECTS
 from tissuereg.io.experiments import read_experiment
 

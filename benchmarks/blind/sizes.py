@@ -22,10 +22,9 @@ from tissuereg.diagnosis.bench import Bench
 from tissuereg.diagnosis.evidence import fit_amplitudes
 from tissuereg.diagnosis.fit import fit
 from tissuereg.diagnosis.noise import estimate_noise
-from tissuereg.diagnosis.patterns import load_history
 from tissuereg.diagnosis.refined import solvable
 from tissuereg.diagnosis.run import make_believed
-from tissuereg.diagnosis.signals import SignalLayout
+from tissuereg.diagnosis.signals import SignalLayout, load_history
 from tissuereg.io.experiments import read_experiment
 from tissuereg.io.json import write_json
 from tissuereg.simulation.fine.meshing import rim_of

@@ -16,7 +16,7 @@ from tissuereg.diagnosis.constancy import AfterFit, FittedPart, fitted_parts, pa
 from tissuereg.diagnosis.evidence import Null, tail_probability
 from tissuereg.diagnosis.fit import fit
 from tissuereg.diagnosis.nuisances import effect_nuisances
-from tissuereg.diagnosis.report.words import findings
+from tissuereg.diagnosis.report.page import findings
 from tissuereg.diagnosis.settings import DEFAULT, ConstancySettings
 from tissuereg.diagnosis.signals import SignalLayout
 from tissuereg.experiment.effects import Latency, Poisson

@@ -15,11 +15,10 @@ from tissuereg.cli.common import Stopwatch
 from tissuereg.diagnosis.answer import verdict_of
 from tissuereg.diagnosis.causes import CAUSES
 from tissuereg.diagnosis.causes.base import Cause
-from tissuereg.diagnosis.constancy import AfterFit, FittedPart, fitted_parts
+from tissuereg.diagnosis.constancy import FAMILIES, AfterFit, FittedPart, Membership, fitted_parts, memberships
 from tissuereg.diagnosis.evidence import Blocks, Null, log_mean_exp, tail_probability
-from tissuereg.diagnosis.families import FAMILIES, Membership, memberships
 from tissuereg.diagnosis.fit import fit
-from tissuereg.diagnosis.report.words import finding_section, verdict_sentence
+from tissuereg.diagnosis.report.page import finding_section, verdict_sentence
 from tissuereg.diagnosis.screen import Screen
 from tissuereg.diagnosis.settings import DEFAULT
 from tissuereg.experiment.effects import Poisson

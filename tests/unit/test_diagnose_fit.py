@@ -15,13 +15,12 @@ from tissuereg.diagnosis.causes import CAUSES
 from tissuereg.diagnosis.causes.base import free_parameters
 from tissuereg.diagnosis.correction import make_correction
 from tissuereg.diagnosis.evidence import Null
-from tissuereg.diagnosis.findings import _pinned, modulus_finding
 from tissuereg.diagnosis.fit import FitTarget, FittedCause, at_believed_modulus, fit, near_to
 from tissuereg.diagnosis.nuisances import other_forms
 from tissuereg.diagnosis.proof import figure_blocks, proof_blocks
 from tissuereg.diagnosis.refined import correctable, corrected_fit, recorrected, refined_effects
 from tissuereg.diagnosis.screen import UNKNOWN, Screen, Screened
-from tissuereg.diagnosis.search import Search, Step, _with_finding
+from tissuereg.diagnosis.search import Search, Step, _Bodies, _pinned, modulus_finding
 from tissuereg.diagnosis.settings import DEFAULT
 from tissuereg.diagnosis.signals import SignalLayout
 from tissuereg.experiment.effects import (
@@ -431,7 +430,8 @@ def test_the_other_forms_of_a_found_cause_are_nuisances_for_further_causes(of_tw
     screen = Screen(bank, np.zeros((1, 1, layout.size)), noise, layout, of_two.correction, of_two.null)
     base = fit(of_two, [])
     found = fit(of_two, [part(of_two, "swelling", 1.0)])
-    plain, beyond, _ = _with_finding(of_two, screen, base, base, Candidate("swelling", found, 10.0, of_two))
+    top = Candidate("swelling", found, 10.0, of_two)
+    plain, beyond, _ = _Bodies(of_two, screen, base, {}).with_finding(of_two, base, top)
     change = of_two.white(found.prediction - base.prediction)
     expected = other_forms(screen.white_columns("swelling"), change)
     assert len(expected)
@@ -449,6 +449,7 @@ def test_the_other_forms_of_a_found_cause_are_nuisances_for_further_causes(of_tw
         of_two.correction,
         of_two.null,
     )
-    further, _, _ = _with_finding(plain, screen, base, found, Candidate("latency", both, 10.0, of_two))
+    top = Candidate("latency", both, 10.0, of_two)
+    further, _, _ = _Bodies(of_two, screen, base, {}).with_finding(plain, found, top)
     own = of_two.white(both.prediction - found.prediction)
     np.testing.assert_allclose(further.null.nuisances[len(plain.null.nuisances) :] @ own, 0.0, atol=1e-6)

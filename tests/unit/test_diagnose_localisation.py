@@ -8,7 +8,7 @@ import pytest
 import tissuereg as tr
 from support.rigs import rig
 from support.targets import target_of
-from tissuereg.diagnosis.discrepancy import components_of, next_check
+from tissuereg.diagnosis.advice import components_of, next_check
 
 
 @pytest.fixture(scope="module")

@@ -14,7 +14,6 @@ from support.targets import finding_of, part, target_of
 from tissuereg.body.load import Load
 from tissuereg.cli import diagnose as command
 from tissuereg.cli.common import Stopwatch
-from tissuereg.diagnosis.bank import make_bank, make_outside
 from tissuereg.diagnosis.bench import Bench
 from tissuereg.diagnosis.candidates import without
 from tissuereg.diagnosis.causes import CAUSES
@@ -33,7 +32,7 @@ from tissuereg.diagnosis.outside import (
     outside_variants,
 )
 from tissuereg.diagnosis.run import _beside
-from tissuereg.diagnosis.screen import Screen
+from tissuereg.diagnosis.screen import Screen, make_bank, make_outside
 from tissuereg.diagnosis.settings import DEFAULT
 from tissuereg.diagnosis.signals import SignalLayout
 from tissuereg.experiment.effects import ActuatorDirection, ActuatorGain, Inclusion, Latency, Swelling

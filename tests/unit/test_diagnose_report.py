@@ -21,19 +21,16 @@ from tissuereg.diagnosis.candidates import Candidate
 from tissuereg.diagnosis.correction import Correction
 from tissuereg.diagnosis.evidence import Null
 from tissuereg.diagnosis.fit import Fit, FitTarget, FittedCause
-from tissuereg.diagnosis.noise import estimate_noise
+from tissuereg.diagnosis.noise import UnderstatedNoise, estimate_noise
 from tissuereg.diagnosis.nuisances import Nuisances
 from tissuereg.diagnosis.proof import HeldOut
-from tissuereg.diagnosis.report.history import curves
-from tissuereg.diagnosis.report.proved import blocks_words
-from tissuereg.diagnosis.report.ranking import ranking
+from tissuereg.diagnosis.report.charts import blocks_words, curves, ranking
+from tissuereg.diagnosis.report.page import summary
 from tissuereg.diagnosis.report.scene import drawn_surface, scene
-from tissuereg.diagnosis.report.words import summary
 from tissuereg.diagnosis.screen import Screened
 from tissuereg.diagnosis.search import Search, Step
 from tissuereg.diagnosis.settings import DEFAULT
 from tissuereg.diagnosis.signals import SignalLayout
-from tissuereg.diagnosis.understated import UnderstatedNoise
 from tissuereg.experiment.effects import Inclusion, MarkerSlip
 from tissuereg.report.viewer import script_text
 

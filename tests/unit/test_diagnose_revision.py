@@ -8,12 +8,12 @@ import pytest
 
 from support.targets import part, screen_of, target_of
 from tissuereg.diagnosis import search as search_module
-from tissuereg.diagnosis.findings import possible_of
+from tissuereg.diagnosis.evidence import Null
 from tissuereg.diagnosis.fit import fit
 from tissuereg.diagnosis.nuisances import effect_nuisances
 from tissuereg.diagnosis.proof import HeldOut
 from tissuereg.diagnosis.screen import UNKNOWN, Screened
-from tissuereg.diagnosis.search import search
+from tissuereg.diagnosis.search import possible_of, search
 from tissuereg.diagnosis.settings import DEFAULT
 from tissuereg.experiment.effects import Latency, Poisson
 
@@ -34,7 +34,7 @@ def test_what_stays_after_a_revision_passes_its_threshold_again(monkeypatch, sha
     steps = []
     for before, found in ((base, first), (first, both)):
         top = search_module.Candidate(found.parts[-1].id, found, 1e3, target)
-        screened = screen.of(search_module._as_screened(screen, target, before))
+        screened = screen.of(search_module._Bodies(target, screen, base, limits).left(target, before))
         steps.append(search_module.Step(screened, [top], top, proof, proof))
     alone = search_module._FoundCauses(target, target, first, (steps[0],))
     known = search_module._FoundCauses(target, target, both, tuple(steps), settled=False, first=alone)
@@ -45,6 +45,11 @@ def test_what_stays_after_a_revision_passes_its_threshold_again(monkeypatch, sha
     assert set(final.ids) == named
     assert {step.found.id for step in steps if step.found is not None} == named
     assert [one.id for step in steps for one in step.possible] == [name for name in ("poisson",) if name not in named]
+
+
+def null_after(target, current):
+    """Return the covariance of noise and nuisances, the parameters of a fit among them."""
+    return Null(np.concatenate([target.null.nuisances, target.slopes(current)]))
 
 
 def of_round(unknown=-50.0, proof=None):
@@ -91,20 +96,21 @@ def test_a_retested_cause_has_the_probability_of_its_evidence_in_the_model_of_al
 def both_found(monkeypatch, target, names=("latency", "poisson")):
     """Let the search find two causes in this order, whatever their evidence, and nothing more."""
     monkeypatch.setattr(import_module("tissuereg.diagnosis.refined"), "correctable", lambda *_: False)
-    order, rounds = iter(names), search_module._round
+    order, rounds = iter(names), search_module._Bodies.round
 
-    def found(target, screen, base, current, thresholds):
-        name, nothing = next(order, None), dict.fromkeys(thresholds, 1e9)
-        step = rounds(target, screen, base, current, nothing)
+    def found(bodies, target, current):
+        name, nothing = next(order, None), dict.fromkeys(bodies.thresholds, 1e9)
+        step = rounds(replace(bodies, thresholds=nothing), target, current)
         if name is None:
             return step
         parts = [*current.parts, part(target, name)]
         fitted = fit(target, parts, start=np.concatenate([current.x, parts[-1].free_parameters.start]))
         top = search_module.Candidate(name, fitted, fitted.log_evidence - current.log_evidence, target)
-        proof = search_module.prove(target, search_module.references_of(target, screen, base, current), current, fitted)
+        references = search_module.references_of(target, bodies.screen, bodies.base, current)
+        proof = search_module.prove(target, references, current, fitted)
         return replace(step, candidates=[top], found=top, proof=proof, figures=proof)
 
-    monkeypatch.setattr(search_module, "_round", found)
+    monkeypatch.setattr(search_module._Bodies, "round", found)
     return screen_of(target, names)
 
 
@@ -120,7 +126,7 @@ def test_of_two_that_fail_beside_each_other_and_alone_the_first_stays_as_it_was_
     # Nothing of the other's error is left in the model.
     own = effect_nuisances(found.target.bench, found.final.prediction - found.base.prediction)
     assert len(found.target.null.nuisances) - len(own) <= DEFAULT.nuisances.most_forms
-    null = search_module._null_after(found.target, found.final)
+    null = null_after(found.target, found.final)
     np.testing.assert_allclose(found.reduced, null.reduced(found.final.residual))
 
 
@@ -153,7 +159,7 @@ def test_of_two_that_fail_the_first_does_not_stay_where_the_data_tell_it_from_th
     if not stays:
         assert found.target is None
         # Nuisances for the errors of causes that are not stated would explain a part of the misfit.
-        null = search_module._null_after(target, found.base)
+        null = null_after(target, found.base)
         np.testing.assert_allclose(found.reduced, null.reduced(found.base.residual))
 
 
@@ -203,7 +209,8 @@ def test_the_causes_of_a_round_keep_their_distance_where_its_finding_is_tested_a
 
     def judged(lead=0.0):
         step = search_module.Step({}, [top], top, proof, proof, lead=lead)
-        return search_module._judged(target, screen, base, both, alone, 0, step)
+        known = search_module._FoundCauses(target, target, both)
+        return search_module._Bodies(target, screen, base, {}).judged(known, alone, 0, step)
 
     # It leads the one that was accepted first, which had 500 nats in the round.
     assert judged(5.0).shift == pytest.approx(judged().shift - 5.0)

@@ -10,17 +10,16 @@ import pytest
 from support.rigs import rig
 from support.targets import part, screen_of, target_of
 from tissuereg.diagnosis import search as search_module
-from tissuereg.diagnosis.discrepancy import residual_summary
+from tissuereg.diagnosis.advice import residual_summary
 from tissuereg.diagnosis.evidence import Null
-from tissuereg.diagnosis.findings import modulus_finding
 from tissuereg.diagnosis.fit import fit
 from tissuereg.diagnosis.noise import Noise, estimate_noise
 from tissuereg.diagnosis.nuisances import effect_nuisances
 from tissuereg.diagnosis.nulls import Misfit, draw_nulls
 from tissuereg.diagnosis.proof import BEFORE, BELIEVED, GENERIC, NAMED, HeldOut, held_out_figures, linear_model
-from tissuereg.diagnosis.report.words import ties
+from tissuereg.diagnosis.report.page import ties
 from tissuereg.diagnosis.screen import UNKNOWN, Screen
-from tissuereg.diagnosis.search import Search, search
+from tissuereg.diagnosis.search import Search, modulus_finding, search
 from tissuereg.diagnosis.settings import DEFAULT
 from tissuereg.diagnosis.signals import SignalLayout
 from tissuereg.experiment.effects import Latency, MarkerSlip, Poisson
@@ -136,11 +135,11 @@ def test_a_cause_that_a_later_one_makes_redundant_is_removed(of_two, monkeypatch
     screen = screen_of(target, ("latency", "poisson"))
     base = fit(target, [])
     order = iter(("poisson", "latency"))
-    rounds = search_module._round
+    rounds = search_module._Bodies.round
 
-    def misled(target, screen, base, current, thresholds):
+    def misled(bodies, target, current):
         name = next(order, None)
-        step = rounds(target, screen, base, current, {"latency": 1e9, "poisson": 1e9})
+        step = rounds(replace(bodies, thresholds={"latency": 1e9, "poisson": 1e9}), target, current)
         if name is None:
             return step
         parts = [*current.parts, part(target, name)]
@@ -149,7 +148,7 @@ def test_a_cause_that_a_later_one_makes_redundant_is_removed(of_two, monkeypatch
         candidate = search_module.Candidate(name, found, gain, target)
         return replace(step, candidates=[candidate], found=candidate, proof=None, figures=None)
 
-    monkeypatch.setattr(search_module, "_round", misled)
+    monkeypatch.setattr(search_module._Bodies, "round", misled)
     found = search(target, screen, {"latency": 6.0, "poisson": 6.0})
     assert found.final.ids == ("latency",)
     assert [step.found.id for step in found.steps if step.found is not None] == ["latency"]
@@ -197,7 +196,8 @@ def test_a_cause_is_named_above_its_threshold_alone(of_two, monkeypatch, share, 
     found = fit(target, [part(target, "latency")])
     candidate = search_module.Candidate("latency", found, 20.0, target)
     monkeypatch.setattr(search_module, "refitted", lambda *_: [candidate])
-    step = search_module._round(target, screen_of(target, ("latency",)), base, base, {"latency": 20.0 / share})
+    limits, screen = {"latency": 20.0 / share}, screen_of(target, ("latency",))
+    step = search_module._Bodies(target, screen, base, limits).round(target, base)
     assert (step.found is not None) == named
 
 
@@ -212,7 +212,7 @@ def test_a_cause_less_likely_than_not_is_possible_and_not_stated(monkeypatch):
     monkeypatch.setattr(HeldOut, "proves", lambda proof, rules: next(held))
     target.bench.settings = replace(DEFAULT, search=replace(DEFAULT.search, most_in_group=1))
     monkeypatch.setattr(search_module, "refitted", lambda *_: [wrong, true])
-    step = search_module._round(target, screen, base, base, {"latency": 6.0, "scale": 6.0})
+    step = search_module._Bodies(target, screen, base, {"latency": 6.0, "scale": 6.0}).round(target, base)
     assert step.found is None
     (listed,) = step.possible
     assert (listed.id, listed.log_bayes_factor, listed.threshold) == ("latency", 150.0, 6.0)

@@ -14,11 +14,11 @@ from support.rigs import rig
 from tissuereg._base.provenance import recorded
 from tissuereg.body.material import Material
 from tissuereg.diagnosis import predictor, readings, run
-from tissuereg.diagnosis.bank import make_bank
 from tissuereg.diagnosis.bench import Bench
 from tissuereg.diagnosis.causes import CAUSES
 from tissuereg.diagnosis.predictor import Predictor
 from tissuereg.diagnosis.run import _own_modulus
+from tissuereg.diagnosis.screen import make_bank
 from tissuereg.diagnosis.signals import SignalLayout
 from tissuereg.errors import LockingWarning
 from tissuereg.experiment.effects import Poisson, Relaxation, Set, Stiffness, Swelling

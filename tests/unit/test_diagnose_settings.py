@@ -14,19 +14,17 @@ from support.rigs import rig
 from support.targets import hidden, part, screen_of, target_of
 from tissuereg.diagnosis import search as search_module
 from tissuereg.diagnosis.answer import DiagnosisDetails
-from tissuereg.diagnosis.bank import numbers_of
 from tissuereg.diagnosis.bench import Bench
 from tissuereg.diagnosis.causes import CAUSES
 from tissuereg.diagnosis.fit import fit
 from tissuereg.diagnosis.material import diagnose_material
 from tissuereg.diagnosis.noise import estimate_noise
 from tissuereg.diagnosis.nulls import smooth_subspaces
-from tissuereg.diagnosis.patterns import generic_columns
 from tissuereg.diagnosis.proof import HeldOut
-from tissuereg.diagnosis.report.ranking import rankings
-from tissuereg.diagnosis.screen import Screened
+from tissuereg.diagnosis.report.charts import rankings
+from tissuereg.diagnosis.screen import Screened, numbers_of
 from tissuereg.diagnosis.settings import DEFAULT, DiagnoseSettings
-from tissuereg.diagnosis.signals import SignalLayout
+from tissuereg.diagnosis.signals import SignalLayout, generic_columns
 from tissuereg.errors import ArgumentError
 from tissuereg.experiment.effects import Latency, Poisson, Relaxation
 
@@ -216,7 +214,7 @@ def test_rounds_judge_by_the_settings_of_the_bench():
     def round_of(monkeypatch, **changed):
         target.bench.settings = of_groups(**changed)
         monkeypatch.setattr(search_module, "refitted", lambda *_: [found])
-        return search_module._round(target, screen, base, base, {"latency": 6.0})
+        return search_module._Bodies(target, screen, base, {"latency": 6.0}).round(target, base)
 
     with pytest.MonkeyPatch.context() as patched:
         assert round_of(patched).found is found
@@ -234,7 +232,7 @@ def test_charts_of_later_rounds_show_the_thresholds_that_were_required():
     screened = {"layer": Screened(9.0, None, np.ones(1)), "fibre": Screened(1.0, None, np.ones(1))}
     steps = [search_module.Step(screened, [one], one, held, held) for one in (body, slip)]
     findings = [SimpleNamespace(id=one.id, group=(one.id,), threshold=6.0) for one in (body, slip)]
-    details = DiagnosisDetails(SimpleNamespace(steps=steps), None, None, {"layer": 6.0, "fibre": 44.0})
+    details = DiagnosisDetails(search_module.Search(None, None, steps), None, None, {"layer": 6.0, "fibre": 44.0})
     drawn = rankings(SimpleNamespace(details=details, findings=findings, candidates=(), numbers=DEFAULT))
     first, _, later = drawn.partition("Round 2")
     assert "threshold 44.0" in later

@@ -7,8 +7,9 @@ import pytest
 
 import tissuereg as tr
 from support.rigs import rig
-from tissuereg.diagnosis import predictor, shape, tangents
-from tissuereg.diagnosis.bench import Bench
+from tissuereg.diagnosis import bench as bench_module
+from tissuereg.diagnosis import predictor, shape
+from tissuereg.diagnosis.bench import Bench, Tangents
 from tissuereg.diagnosis.correction import make_correction
 from tissuereg.diagnosis.noise import Noise
 from tissuereg.diagnosis.nuisances import make_nuisances
@@ -17,7 +18,6 @@ from tissuereg.diagnosis.run import make_believed
 from tissuereg.diagnosis.settings import DEFAULT
 from tissuereg.diagnosis.shape import shape_columns, shape_directions, shape_nuisances
 from tissuereg.diagnosis.signals import SignalLayout
-from tissuereg.diagnosis.tangents import Tangents
 from tissuereg.experiment.effects import Relaxation
 from tissuereg.experiment.experiment import Actuator
 from tissuereg.simulation.experiment import believed_case
@@ -70,12 +70,12 @@ def test_derivatives_by_the_shape_are_those_of_bodies_that_are_solved_anew(name)
 def test_tangents_are_factored_once_a_state_however_many_are_kept(monkeypatch, keep):
     believed, made = hill(), []
 
-    class Counted(tangents.Linearised):
+    class Counted(bench_module.Linearised):
         def __init__(self, *given, **how):
             made.append(1)
             super().__init__(*given, **how)
 
-    monkeypatch.setattr(tangents, "Linearised", Counted)
+    monkeypatch.setattr(bench_module, "Linearised", Counted)
     motion = named(believed)["size of side"].motion
     found = Tangents(predictor.Predictor(believed, SignalLayout(believed)), keep=keep)
     first = found.by_shapes([motion])

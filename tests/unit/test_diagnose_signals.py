@@ -15,10 +15,9 @@ from tissuereg.diagnosis.causes.tracker import changed_by
 from tissuereg.diagnosis.correction import Correction, make_correction
 from tissuereg.diagnosis.noise import Noise, estimate_noise
 from tissuereg.diagnosis.nuisances import make_nuisances
-from tissuereg.diagnosis.patterns import load_history
 from tissuereg.diagnosis.predictor import fingerprint
 from tissuereg.diagnosis.settings import DEFAULT
-from tissuereg.diagnosis.signals import SignalLayout
+from tissuereg.diagnosis.signals import SignalLayout, load_history
 from tissuereg.errors import ExperimentError, NoiseError
 from tissuereg.experiment.effects import ActuatorDirection, ActuatorGain, ActuatorOffset, Gravity, Latency, Poisson
 from tissuereg.experiment.effects.regions import Ellipsoid, share_inside

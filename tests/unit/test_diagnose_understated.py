@@ -12,10 +12,9 @@ from support.targets import FORCE_STD, MARKER_STD, target_of
 from tissuereg.cli import main
 from tissuereg.diagnosis.evidence import Null
 from tissuereg.diagnosis.fit import fit
-from tissuereg.diagnosis.noise import scale_evidence
-from tissuereg.diagnosis.report.words import summary
+from tissuereg.diagnosis.noise import larger_noise, scale_evidence, understated
+from tissuereg.diagnosis.report.page import summary
 from tissuereg.diagnosis.settings import DEFAULT
-from tissuereg.diagnosis.understated import larger_noise, understated
 
 
 @pytest.fixture(scope="module")

@@ -8,12 +8,12 @@ import pytest
 
 from blind import variants
 from blind.materialise import CASES, case_names, materialise
-from tissuereg.diagnosis import bank, candidates
+from tissuereg.diagnosis import candidates, screen
 from tissuereg.diagnosis.causes import CAUSES, Variant
 from tissuereg.diagnosis.constancy import Constancy
-from tissuereg.diagnosis.findings import modulus_finding
 from tissuereg.diagnosis.predictor import fingerprint
 from tissuereg.diagnosis.proof import HeldOut
+from tissuereg.diagnosis.search import modulus_finding
 from tissuereg.diagnosis.settings import DEFAULT
 from tissuereg.diagnosis.signals import SignalLayout
 from tissuereg.io.experiments import read_experiment
@@ -103,7 +103,7 @@ def test_another_catalogue_leaves_stored_banks_valid(experiment, tmp_path, monke
         bench = SimpleNamespace(
             experiment=experiment, predictor=predictor, base=np.zeros(3), settings=settings, progress=lambda _: None
         )
-        return {name: float(several[0].columns[0, 0]) for name, several in bank.make_bank(bench).items()}
+        return {name: float(several[0].columns[0, 0]) for name, several in screen.make_bank(bench).items()}
 
     with monkeypatch.context() as patched:
         for name in list(CAUSES):

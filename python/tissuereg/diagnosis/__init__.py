@@ -105,12 +105,7 @@ def diagnose(
     A body of 4,000 nodes with three load cases takes some minutes the first time, most of them for the bank.
     """
     of_kind("experiment", experiment, (Experiment, MaterialExperiment))
-    check_running(seed=seed, threads=threads)
-    flag("keep", keep)
-    called("progress", progress)
-    if element is not None:
-        check_choice("element", element, ELEMENTS, ArgumentError)
-    numbers = check_settings(settings)
+    numbers = check_asked(settings, seed=seed, threads=threads, keep=keep, element=element, progress=progress)
     given = {"seed": seed, "element": element}
     with recorded(call_text("tissuereg.diagnose", experiment=experiment, **given)), BlasThreads().one():
         note_origins(experiment)
@@ -127,13 +122,27 @@ def diagnose(
         return replace(found, provenance=provenance_now(), settings=given)
 
 
-def check_settings(settings: "DiagnoseSettings | None") -> "DiagnoseSettings":
-    """Return the settings of a diagnosis, the default ones for None, after checking that they name known causes.
+def check_asked(
+    settings: "DiagnoseSettings | None",
+    *,
+    seed: int,
+    threads: int,
+    keep: bool,
+    element: Element | None,
+    progress: Callable[..., None] | None,
+) -> "DiagnoseSettings":
+    """Return the settings of a diagnosis, the default ones for None, after checking all that is asked of it.
 
-    Raises `ArgumentError` if they are of another type, or name a cause that the catalogue lacks.
+    Raises `ArgumentError` if an argument has the wrong type or is out of range, or `settings` name a cause that the
+    catalogue lacks.
     """
     from tissuereg.diagnosis.settings import DEFAULT, DiagnoseSettings
 
+    check_running(seed=seed, threads=threads)
+    flag("keep", keep)
+    called("progress", progress)
+    if element is not None:
+        check_choice("element", element, ELEMENTS, ArgumentError)
     numbers = DEFAULT if settings is None else of_kind("settings", settings, DiagnoseSettings)
     if numbers.left_out or numbers.causes or numbers.search.repeated:
         from tissuereg.diagnosis.causes import CAUSES, Cause

@@ -4,7 +4,7 @@ import os
 import platform
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,13 +14,12 @@ from tissuereg._base.arguments import place
 from tissuereg._base.provenance import Provenance
 from tissuereg._version import __version__
 from tissuereg.diagnosis.causes import Values, catalogue
-from tissuereg.diagnosis.constancy import Constancy
-from tissuereg.diagnosis.families import Membership
+from tissuereg.diagnosis.constancy import Constancy, Membership
+from tissuereg.diagnosis.noise import UnderstatedNoise
 from tissuereg.diagnosis.outside import Outside
 from tissuereg.diagnosis.readings import RecordingSuspicion
 from tissuereg.diagnosis.report import EXTENDED_FILE
 from tissuereg.diagnosis.settings import DEFAULT, DiagnoseSettings
-from tissuereg.diagnosis.understated import UnderstatedNoise
 from tissuereg.experiment.experiment import Experiment
 from tissuereg.experiment.material_experiment import MaterialExperiment
 
@@ -45,20 +44,20 @@ class Accepted:
     probability : float
         Posterior probability of the id among all causes tried, no cause, and the generic rival (a smooth change without
         a physical cause).
+    group_probability : float
+        Posterior probability of all ids of the group together; of a finding it is at least `stated`.
     log_bayes_factor : float
         Log Bayes factor of the model with the cause against the model without it, nats.
     threshold : float
         Log Bayes factor that was required, nats.
-    group_probability : float
-        Posterior probability of all ids of the group together; of a finding it is at least `stated`.
     """
 
     id: str
     group: tuple[str, ...]
     probability: float
+    group_probability: float
     log_bayes_factor: float
     threshold: float
-    group_probability: float
 
     def as_possible(self) -> "PossibleCause":
         """Return the cause as one that is not stated."""
@@ -98,13 +97,10 @@ class Finding(Accepted):
 
     def to_json(self) -> dict[str, Any]:
         """Return the finding as plain data for JSON; a number with a standard deviation becomes a pair of both."""
+        of_cause = {key.name: getattr(self, key.name) for key in fields(Accepted)}
         return {
-            "id": self.id,
+            **of_cause,
             "group": list(self.group),
-            "probability": self.probability,
-            "group_probability": self.group_probability,
-            "log_bayes_factor": self.log_bayes_factor,
-            "threshold": self.threshold,
             "parameters": _pairs(self.parameters, self.deviations),
             "held_out": dict(self.held_out),
             "sentence": self.sentence,

@@ -47,15 +47,9 @@ def refitted(
     must exceed, nats, by id.
     """
     settings = target.bench.settings
-    taken = set(current.ids)
-    order = sorted(
-        (
-            name
-            for name in screened
-            if name != UNKNOWN and (name not in taken or _repeats(name, settings.search.repeated))
-        ),
-        key=lambda name: -screened[name].log_bayes_factor,
-    )
+    used = {UNKNOWN, *(name for name in current.ids if not _repeats(name, settings.search.repeated))}
+    others = (name for name in screened if name not in used)
+    order = sorted(others, key=lambda name: -screened[name].log_bayes_factor)
     best = screened[order[0]].log_bayes_factor if order else -np.inf
     # Given a fitted cause, residuals are small and the linear evidence is close to that of a fit.
     likely = settings.search.likely_further if current.parts else settings.search.likely

@@ -28,11 +28,8 @@ class Null:
 
     def __init__(self, nuisances: FloatArray) -> None:
         self.nuisances = nuisances
-        if len(nuisances):
-            _, spread, self._modes = np.linalg.svd(nuisances, full_matrices=False)
-            self._shrink = 1.0 - 1.0 / np.sqrt(1.0 + spread**2)
-        else:
-            self._modes, self._shrink = np.zeros((0, nuisances.shape[1])), np.zeros(0)
+        _, spread, self._modes = np.linalg.svd(nuisances, full_matrices=False)
+        self._shrink = 1.0 - 1.0 / np.sqrt(1.0 + spread**2)
 
     def reduced(self, white: FloatArray) -> FloatArray:
         """Return whitened vectors (..., size) times C0^-1/2, where C0 is the covariance of noise and nuisances."""

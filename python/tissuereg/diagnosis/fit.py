@@ -43,6 +43,11 @@ class FitTarget:
         """Return differences (..., size) of data and predictions, given in mm and mN, whitened by the noise alone."""
         return self.noise.whitened(flat, self.bench.layout)
 
+    def residual(self, prediction: FloatArray) -> FloatArray:
+        """Return measured minus predicted numbers (size,), whitened by the noise alone; 0 where none was measured."""
+        layout = self.bench.layout
+        return self.white(np.where(layout.seen, layout.measured - prediction, 0.0))
+
     def slopes(self, found: "Fit") -> FloatArray:
         """Return the changes (k, size) by one prior deviation of each parameter of a fit, whitened by the noise."""
         return self.white(found.jacobian) * found.deviation[:, None]
@@ -132,20 +137,16 @@ class Fit(FittedModel):
         principal axis of the fitted covariance is followed by one deviation to both sides; half the sum of the squared
         changes is the variance.
         """
-        part, mine = self.parts[number], self.slices()[number]
-        young = self.young(believed)
-        centre = part.free_parameters.values(self.x[mine], young)
-        axes = _principal_axes(self.covariance[mine, mine], self.deviation[mine])
-        moved = [part.free_parameters.values(self.x[mine] + axis, young) for axis in (*axes, *-axes)]
+        values, mine, young = self.parts[number].free_parameters.values, self.slices()[number], self.young(believed)
+        centre, units = values(self.x[mine], young), self.deviation[mine]
+        power, axes = np.linalg.eigh(self.covariance[mine, mine] / np.outer(units, units))
+        axes = (np.sqrt(np.maximum(power, 0.0)) * axes * units[:, None]).T
+        moved = [values(self.x[mine] + axis, young) for axis in (*axes, *-axes)]
         spread: Values = {}
         for key, value in centre.items():
-            if _is_text(value):
-                continue
-            power = np.zeros(np.shape(value))
-            for other in moved:
-                power = power + 0.5 * (np.asarray(other[key], float) - np.asarray(value, float)) ** 2
-            deviation = np.sqrt(power)
-            spread[key] = deviation.tolist() if np.ndim(value) else float(deviation)
+            if not _is_text(value):
+                changes = (np.asarray(other[key], float) - np.asarray(value, float) for other in moved)
+                spread[key] = np.sqrt(sum((0.5 * one**2 for one in changes), np.zeros(np.shape(value)))).tolist()
         return centre, spread
 
 
@@ -247,20 +248,9 @@ def fit(
         jacobian = solver.jacobian(x, prediction)
         slopes = solver.reduced(jacobian)
     covariance = np.asarray(np.linalg.inv(solver.information(slopes)), np.float64)
-    residual = target.white(np.where(target.bench.layout.seen, target.bench.layout.measured - prediction, 0.0))
-    return Fit(
-        solver.parts,
-        x,
-        covariance,
-        solver.mean,
-        solver.deviation,
-        prediction,
-        jacobian,
-        residual,
-        objective,
-        solver.log_evidence(objective, slopes, choices),
-        choices,
-    )
+    residual, evidence = target.residual(prediction), solver.log_evidence(objective, slopes, choices)
+    prior = (solver.mean, solver.deviation)
+    return Fit(solver.parts, x, covariance, *prior, prediction, jacobian, residual, objective, evidence, choices)
 
 
 def best_start(target: FitTarget, parts: Sequence[FittedCause], near: Near) -> FloatArray:
@@ -323,15 +313,11 @@ class _FitSolver:
         if near is not None:
             self.start[: len(near.x)] = near.x
         self.mean = np.concatenate([[0.0], *(part.free_parameters.mean for part in parts)])
-        self.deviation = np.concatenate(
-            [[target.bench.young_spread], *(part.free_parameters.deviation for part in parts)]
-        )
+        spread = target.bench.young_spread
+        self.deviation = np.concatenate([[spread], *(part.free_parameters.deviation for part in parts)])
         self.steps = np.concatenate([[0.02], *(part.free_parameters.step for part in parts)])
         self.scales = target.scales_forces(part.id for part in parts)
-        layout = target.bench.layout
-        self.measured = np.where(layout.seen, layout.measured, 0.0)
-        self.seen = layout.seen
-        self.force = ~layout.of_markers()
+        self.force = ~target.bench.layout.of_markers()
         self.near: Solved | None = None if near is None else near.solved
 
     def predict(self, x: FloatArray) -> FloatArray | None:
@@ -344,7 +330,7 @@ class _FitSolver:
     def uncorrected(self, x: FloatArray) -> FloatArray:
         """Return the prediction (size,) on the user's mesh for parameters (k,), mm and mN."""
         factor = self.factor(x)
-        total = np.zeros(len(self.measured))
+        total = np.zeros(len(self.force))
         for part, mine in zip(self.parts, self.slices, strict=True):
             if part.free_parameters.columns is not None:
                 total += x[mine] @ part.free_parameters.columns
@@ -381,15 +367,13 @@ class _FitSolver:
             self.near = self.target.bench.predictor.solved(effects, young=young, threads=threads, near=self.near)
 
     def objective(self, x: FloatArray, prediction: FloatArray) -> tuple[float, FloatArray]:
-        white = self.target.white(np.where(self.seen, self.measured - prediction, 0.0))
-        reduced = self.target.null.reduced(white)
+        reduced = self.target.null.reduced(self.target.residual(prediction))
         prior = (x - self.mean) / self.deviation
         return float(0.5 * reduced @ reduced + 0.5 * prior @ prior), reduced
 
     def jacobian(self, x: FloatArray, prediction: FloatArray, near: Near | None = None) -> FloatArray:
         """Return the derivative (k, size) of the corrected prediction, mm and mN, its first rows from `near`."""
-        rows = np.zeros((len(x), len(prediction)))
-        first = 1 if self.scales else 0
+        rows, first = np.zeros((len(x), len(prediction))), int(self.scales)
         if near is not None:
             rows[: len(near.x)] = near.jacobian
             first = max(first, len(near.x))
@@ -412,9 +396,8 @@ class _FitSolver:
     def updated(self, jacobian: FloatArray, step: FloatArray, change: FloatArray) -> FloatArray:
         """Return Broyden's update of a Jacobian (k, size) by a step (k,) and the change (size,) that it made."""
         along = step / self.deviation
-        unpredicted = change - step @ jacobian
-        update = np.outer(along / (self.deviation * float(along @ along)), unpredicted)
-        return np.asarray(jacobian + update)
+        weights = along / (self.deviation * float(along @ along))
+        return np.asarray(jacobian + np.outer(weights, change - step @ jacobian))
 
     def reduced(self, rows: FloatArray) -> FloatArray:
         """Return derivatives (k, size) of predictions, given in mm and mN, whitened by noise and nuisances."""
@@ -422,8 +405,7 @@ class _FitSolver:
 
     def predicted_decrease(self, step: FloatArray, slopes: FloatArray) -> float:
         """Return the decrease of the objective, nats, that whitened derivatives (k, size) predict for a step (k,)."""
-        prior = step / self.deviation
-        along = step @ slopes
+        prior, along = step / self.deviation, step @ slopes
         return float(0.5 * along @ along + 0.5 * prior @ prior)
 
     def information(self, slopes: FloatArray) -> FloatArray:
@@ -438,12 +420,6 @@ class _FitSolver:
     def step(self, x: FloatArray, slopes: FloatArray, reduced: FloatArray) -> FloatArray:
         gradient = slopes @ reduced - (x - self.mean) / self.deviation**2
         return np.asarray(np.linalg.solve(self.information(slopes), gradient))
-
-
-def _principal_axes(covariance: FloatArray, deviation: FloatArray) -> FloatArray:
-    """Return principal axes (k, k) of a covariance in units of prior deviations (k,), as rows one deviation long."""
-    power, axes = np.linalg.eigh(covariance / np.outer(deviation, deviation))
-    return np.asarray((np.sqrt(np.maximum(power, 0.0)) * axes * deviation[:, None]).T)
 
 
 def _is_text(value: object) -> bool:

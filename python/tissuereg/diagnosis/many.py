@@ -9,11 +9,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tissuereg._base.arguments import called, check_choice, check_running, flag, found, of_kind, place
-from tissuereg._base.choices import ELEMENTS, Element
+from tissuereg._base.arguments import found, of_kind, place
+from tissuereg._base.choices import Element
 from tissuereg._base.machine import machine, versions
 from tissuereg._version import __version__
-from tissuereg.diagnosis import check_settings, diagnose
+from tissuereg.diagnosis import check_asked, diagnose
 from tissuereg.errors import ArgumentError
 from tissuereg.io.atomic import OutputError, check_folder_target
 from tissuereg.io.experiments import is_material_test, read_experiment
@@ -104,31 +104,26 @@ def diagnose_many(
     ClusterError
         If the executor loses its workers.
     """
-    check_running(seed=seed, threads=0 if threads is None else threads)
-    flag("keep", keep)
-    called("progress", progress)
-    if element is not None:
-        check_choice("element", element, ELEMENTS, ArgumentError)
-    numbers = check_settings(settings)
-    if executor is not None:
-        of_kind("executor", executor, Executor)
+    default = 0 if executor is None else 1
+    n_threads = default if threads is None else threads
+    numbers = check_asked(settings, seed=seed, threads=n_threads, keep=keep, element=element, progress=progress)
+    runs = InProcess() if executor is None else of_kind("executor", executor, Executor)
     if isinstance(experiments, str | bytes) or not isinstance(experiments, Iterable):
         message = f"`experiments` must be a list of paths, got {found(experiments)}"
         raise ArgumentError(message, where="experiments")
     paths = [place("experiments", one).absolute() for one in experiments]
     target = place("out", out, error=OutputError).absolute()
     check_folder_target(target)
-    n_threads = (0 if executor is None else 1) if threads is None else threads
     names = [_name(path) for path in paths]
-    if len(set(names)) < len(names):
-        twice = sorted({name for name in names if names.count(name) > 1})
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
         message = f"`experiments` must have names that differ, as their results have; twice: {', '.join(twice)}"
         raise ArgumentError(message, where="experiments")
     tasks = [
         _DiagnosisTask(path, name, target / name, seed, n_threads, keep, element, numbers)
         for path, name in zip(paths, names, strict=True)
     ]
-    return _diagnosed(tasks, InProcess() if executor is None else executor, progress)
+    return _diagnosed(tasks, runs, progress)
 
 
 @dataclass(frozen=True)

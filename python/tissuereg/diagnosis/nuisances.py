@@ -13,10 +13,9 @@ from tissuereg._base.arrays import BoolArray, FloatArray
 from tissuereg.diagnosis.bench import Bench
 from tissuereg.diagnosis.correction import Correction
 from tissuereg.diagnosis.evidence import rms
-from tissuereg.diagnosis.patterns import force_columns, load_history, marker_columns, smooth_patterns
 from tissuereg.diagnosis.settings import DEFAULT, NuisanceSettings
 from tissuereg.diagnosis.shape import shape_nuisances
-from tissuereg.diagnosis.signals import SignalLayout
+from tissuereg.diagnosis.signals import SignalLayout, force_columns, load_history, marker_columns, smooth_patterns
 from tissuereg.experiment.effects.base import rotation_from_vector
 
 #: Directions shorter than this share of the change are dropped.

@@ -17,10 +17,16 @@ import numpy as np
 from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.evidence import Null, tail_probability
 from tissuereg.diagnosis.noise import Noise
-from tissuereg.diagnosis.patterns import force_columns, histories, marker_columns, orthonormal, smooth_patterns
 from tissuereg.diagnosis.screen import UNKNOWN, Screen
 from tissuereg.diagnosis.settings import DEFAULT, DiagnoseSettings, NullSettings
-from tissuereg.diagnosis.signals import SignalLayout
+from tissuereg.diagnosis.signals import (
+    SignalLayout,
+    force_columns,
+    histories,
+    marker_columns,
+    orthonormal,
+    smooth_patterns,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,8 +72,7 @@ def draw_nulls(
     residuals = null.reduced(draws)
     found = screen.many(residuals)
     found.pop(UNKNOWN)
-    required = rules.required
-    given = None if required is None else dict.fromkeys(found, required)
+    given = {} if rules.required is None else dict.fromkeys(found, rules.required)
     return Nulls(residuals, given or _thresholds(found, rules))
 
 

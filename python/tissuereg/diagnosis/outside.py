@@ -7,7 +7,7 @@ the probability of all, which is its `Outside.probability`.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -16,16 +16,15 @@ from scipy.special import softmax
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.body.load import Load
-from tissuereg.diagnosis.bench import Bench
+from tissuereg.diagnosis.bench import Bench, State, per_tet
 from tissuereg.diagnosis.causes import CAUSES, Variant
 from tissuereg.diagnosis.causes.actuators import load_of, motion_of, present_pads
 from tissuereg.diagnosis.causes.inclusion import balls_in, shares_of_balls
 from tissuereg.diagnosis.evidence import Blocks, Null, log_mean_exp
 from tissuereg.diagnosis.fit import Fit, FitTarget
 from tissuereg.diagnosis.nuisances import effect_nuisances
-from tissuereg.diagnosis.patterns import thinned_patterns
 from tissuereg.diagnosis.settings import DiagnoseSettings, OutsideSettings
-from tissuereg.diagnosis.tangents import State, per_tet
+from tissuereg.diagnosis.signals import thinned_patterns
 from tissuereg.simulation.sensitivity import Adjoints
 from tissuereg.simulation.solve import Simulator
 
@@ -73,16 +72,9 @@ class Outside:
     def to_json(self) -> dict[str, Any]:
         """Return the comparison as plain data for JSON."""
         nearest = self.nearest
-        return {
-            "id": self.id,
-            "log_bayes_factor": self.log_bayes_factor,
-            "kinds": dict(self.kinds),
-            "probability": self.probability,
-            "family_probability": self.family_probability,
-            "nearest": OUTSIDE[nearest][0] if nearest else None,
-            "nearest_id": nearest,
-            "holds": self.holds,
-        }
+        tested = {one.name: getattr(self, one.name) for one in fields(self) if one.name != "settings"}
+        words = OUTSIDE[nearest][0] if nearest else None
+        return {**tested, "nearest": words, "nearest_id": nearest, "holds": self.holds}
 
 
 def nearest_of(kinds: Mapping[str, float]) -> str | None:

@@ -193,15 +193,13 @@ def fingerprint(experiment: Experiment, of: str) -> str:
     digest = hashlib.sha256(f"{__version__} {of}".encode())
     mesh = experiment.mesh
     parts = [mesh.nodes, mesh.tets, mesh.fixed_nodes, experiment.marker_reference]
-    parts += [boundary.nodes for boundary in experiment.boundaries]
-    parts += [pad.nodes for pad in experiment.actuators]
+    parts += [*(boundary.nodes for boundary in experiment.boundaries), *(pad.nodes for pad in experiment.actuators)]
     for case in experiment.cases.values():
         digest.update(f"{case.name} {sorted(case.forces)}".encode())
         parts.append(case.times)
-        for given in (case.displacements, case.applied_forces):
-            for name in sorted(given):
-                digest.update(name.encode())
-                parts.append(given[name])
+        for name, motion in (*sorted(case.displacements.items()), *sorted(case.applied_forces.items())):
+            digest.update(name.encode())
+            parts.append(motion)
     for part in parts:
         array = np.ascontiguousarray(part)
         digest.update(f"{array.shape} {array.dtype}".encode() + array.tobytes())
@@ -210,9 +208,6 @@ def fingerprint(experiment: Experiment, of: str) -> str:
     patches = [f"{pad.name} {pad.kind} {pad.rule}" for pad in experiment.actuators]
     patches += [boundary.name for boundary in experiment.boundaries]
     effects = [dumps(effect.table()) for effect in experiment.effects]
-    digest.update(
-        "\n".join(
-            [experiment.material.digest(), f"{experiment.material.density}", gravity, *patches, *effects]
-        ).encode()
-    )
+    lines = [experiment.material.digest(), f"{experiment.material.density}", gravity, *patches, *effects]
+    digest.update("\n".join(lines).encode())
     return digest.hexdigest()[:32]

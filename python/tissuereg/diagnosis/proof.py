@@ -8,15 +8,16 @@ rival: an empirical discrepancy term interpolates well but extrapolates badly, a
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import norm
 
 from tissuereg._base.arrays import BoolArray, FloatArray
-from tissuereg.diagnosis.evidence import rms
+from tissuereg.diagnosis.evidence import fit_amplitudes, rms
 from tissuereg.diagnosis.fit import Fit, FitTarget
 from tissuereg.diagnosis.noise import Noise
+from tissuereg.diagnosis.screen import Screen
 from tissuereg.diagnosis.settings import DEFAULT, SearchSettings
 from tissuereg.diagnosis.signals import CasePart, SignalLayout
 
@@ -71,8 +72,50 @@ def linear_model(target: FitTarget, fit: Fit, extra: FloatArray | None = None) -
     slopes = target.slopes(fit)
     # The model is linear about the fit; x = 0 is the prior mean.
     residual = fit.residual + slopes.T @ ((fit.x - fit.mean) / fit.deviation)
-    parts = [target.null.nuisances, slopes] + ([] if extra is None else [extra])
+    parts = [target.null.nuisances, slopes, *([] if extra is None else [extra])]
     return LinearModel(residual, np.concatenate(parts))
+
+
+def prove(
+    target: FitTarget,
+    references: list[LinearModel],
+    current: Fit,
+    found: Fit,
+    part: int | None = -1,
+    *,
+    stated: bool = False,
+) -> HeldOut:
+    """Return the predictions of the compared models on held-out blocks: of a proof, or those whose errors are stated.
+
+    `references`: as `references_of`; `current`, `found`: fits without and with the cause; `part`: its number in the
+    latter; None for the modulus; `stated`: whether the blocks are those whose errors are stated (`figure_blocks`).
+    """
+    # Whitened changes: by one prior deviation of each parameter, and by the whole cause.
+    slopes = target.slopes(found)[slice(1) if part is None else found.slices()[part]]
+    change = target.white(found.prediction - current.prediction)
+    slopes = slopes if len(slopes) else change[None]
+    layout, rules = target.bench.layout, target.bench.settings.search
+    blocks = figure_blocks(layout, slopes, change, rules) if stated else proof_blocks(layout, slopes, rules)
+    before, *others = references
+    named = linear_model(target, found)
+    made = held_out([before, named, *others], blocks)
+    if stated:
+        return made
+    # Data that the fit predicts exactly, as each model sees them.
+    would = replace(before, residual=before.residual - current.residual + change)
+    exact = replace(named, residual=named.residual - found.residual)
+    return replace(made, expected_gain=-float(np.subtract(*held_out([would, exact], blocks).log_density.sum(axis=1))))
+
+
+def references_of(target: FitTarget, screen: Screen, base: Fit, current: Fit) -> list[LinearModel]:
+    """Return three models to compare a cause with: one without it, that plus the generic rival, the believed one.
+
+    `base`, `current`: fits of the believed model and without the cause. The rival has the size of most evidence.
+    """
+    reduced = target.null.reduced(current.residual)
+    gains = [fit_amplitudes(reduced, target.null.reduced(columns))[0] for columns in screen.generic_white]
+    rival = linear_model(target, current, np.asarray(screen.generic_white[int(np.argmax(gains))]))
+    return [linear_model(target, current), rival, linear_model(target, base)]
 
 
 def held_out(models: list[LinearModel], blocks: dict[str, BoolArray]) -> HeldOut:
@@ -165,9 +208,7 @@ def frame_blocks(
     blocks = {}
     for number in range(min(n_blocks, part.n_frames)):
         mask = np.zeros(layout.size, bool)
-        part_mask = np.zeros(part.n_frames, bool)
-        part_mask[number::n_blocks] = True
-        part.put(mask, part_mask)
+        part.put(mask, np.arange(part.n_frames) % n_blocks == number)
         whole = part.n_frames == 1
         blocks[part.name if whole else f"{part.name}, every {n_blocks}th frame from {number}"] = mask
     return blocks

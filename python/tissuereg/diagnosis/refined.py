@@ -14,6 +14,7 @@ again. The error is assumed proportional to the effect; where the new fit is ano
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -86,8 +87,7 @@ def solvable(bench: Bench, *, keep: bool = True) -> Bench:
         # A case of one frame is at rest.
         first = int(frames[0])
         n_kept = first if first > 1 else 0
-        for values in (part.markers(kept), part.forces(kept)):
-            values[n_kept:] = False
+        part.put(kept, np.arange(part.n_frames) < n_kept)
         cases[part.name] = _until(cases[part.name], n_kept)
         targets[part.name] = _cut(targets[part.name], n_kept)
         if not n_kept:
@@ -111,15 +111,9 @@ def solvable(bench: Bench, *, keep: bool = True) -> Bench:
 
 def _until(case: Case, frame: int) -> Case:
     """Return a case up to a frame, without it."""
-    return replace(
-        case,
-        times=case.times[:frame],
-        markers=case.markers[:frame],
-        displacements=_cut(case.displacements, frame),
-        applied_forces=_cut(case.applied_forces, frame),
-        forces=_cut(case.forces, frame),
-        targets=_cut(case.targets, frame),
-    )
+    named = ("displacements", "applied_forces", "forces", "targets")
+    shorter: dict[str, Any] = {name: _cut(getattr(case, name), frame) for name in named}
+    return replace(case, times=case.times[:frame], markers=case.markers[:frame], **shorter)
 
 
 def _cut(of: Mapping[str, FloatArray], frame: int) -> dict[str, FloatArray]:

@@ -12,30 +12,31 @@ from tissuereg._base.arrays import FloatArray
 from tissuereg._base.choices import Element
 from tissuereg._base.machine import give_back
 from tissuereg._base.provenance import warn
-from tissuereg.diagnosis.advice import advise
+from tissuereg.diagnosis.advice import advise, describe, nearest_cause, next_check, residual_summary
 from tissuereg.diagnosis.answer import BodyDiagnosis, DiagnosisDetails, Finding, to_check, verdict_of, versions_now
-from tissuereg.diagnosis.bank import Bank, make_bank, make_outside
 from tissuereg.diagnosis.bench import Bench, Targets
 from tissuereg.diagnosis.candidates import without
-from tissuereg.diagnosis.constancy import Constancy, FittedPart, fitted_parts
+from tissuereg.diagnosis.constancy import Constancy, FittedPart, Membership, fitted_parts, memberships
 from tissuereg.diagnosis.correction import Correction, make_correction
-from tissuereg.diagnosis.discrepancy import describe, nearest_cause, next_check, residual_summary
 from tissuereg.diagnosis.evidence import Null, rms
-from tissuereg.diagnosis.families import Membership, memberships
-from tissuereg.diagnosis.findings import candidates_of, findings_of, possible_of
 from tissuereg.diagnosis.fit import Fit, FitTarget, fit
-from tissuereg.diagnosis.noise import Noise, estimate_noise
+from tissuereg.diagnosis.noise import (
+    UNDERSTATED,
+    Noise,
+    UnderstatedNoise,
+    estimate_noise,
+    larger_noise,
+    understated,
+)
 from tissuereg.diagnosis.nuisances import Nuisances, make_nuisances
 from tissuereg.diagnosis.nulls import Battery, Misfit, Nulls, draw_nulls, smooth_subspaces
 from tissuereg.diagnosis.outside import OUTSIDE, Outside, OutsideBank, nearest_of, outside_tests
-from tissuereg.diagnosis.patterns import generic_columns
 from tissuereg.diagnosis.readings import RecordingSuspicion, suspect_recording
 from tissuereg.diagnosis.refined import entry_of, refined_predictions, refined_targets, solvable
-from tissuereg.diagnosis.screen import UNKNOWN, Screen
-from tissuereg.diagnosis.search import Search, search
+from tissuereg.diagnosis.screen import UNKNOWN, Bank, Screen, make_bank, make_outside
+from tissuereg.diagnosis.search import Search, candidates_of, findings_of, possible_of, search
 from tissuereg.diagnosis.settings import DEFAULT, DiagnoseSettings, NullSettings
-from tissuereg.diagnosis.signals import SignalLayout
-from tissuereg.diagnosis.understated import UNDERSTATED, UnderstatedNoise, larger_noise, understated
+from tissuereg.diagnosis.signals import SignalLayout, generic_columns
 from tissuereg.errors import LockingWarning, UnitWarning
 from tissuereg.experiment.effects import Effect, Stiffness
 from tissuereg.experiment.experiment import Experiment

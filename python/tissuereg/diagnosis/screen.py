@@ -1,26 +1,111 @@
-"""Screening: the exact linear-Gaussian evidence of every hypothesis in the bank, and of the generic rival.
+"""Screening: the bank of all hypotheses of all causes, and the exact linear-Gaussian evidence of each of them.
 
-The log Bayes factor of a cause is averaged over its hypotheses: the penalty for having searched in many places.
+A bank holds the columns of the hypotheses. It depends on the believed model and on what the rig does, not on what was
+measured, so that further experiments with the same mesh and rig reuse it: files in the cache folder of the package
+(`tissuereg.io.cache`) are named by a hash of all that they depend on.
+
+The log Bayes factor of a cause is averaged over its hypotheses: the penalty for having searched in many places. The
+generic rival is a hypothesis of its own.
 """
 
-from collections.abc import Callable
+import json
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray
-from tissuereg.diagnosis.bank import Bank
-from tissuereg.diagnosis.causes import Variant
+from tissuereg.diagnosis.bench import Bench
+from tissuereg.diagnosis.causes import CAUSES, Variant, catalogue
 from tissuereg.diagnosis.correction import Correction
 from tissuereg.diagnosis.evidence import Blocks, Null, fit_amplitudes, log_mean_exp
 from tissuereg.diagnosis.noise import Noise
+from tissuereg.diagnosis.outside import outside_variants
+from tissuereg.diagnosis.predictor import fingerprint
+from tissuereg.diagnosis.settings import DiagnoseSettings
 from tissuereg.diagnosis.signals import SignalLayout
+from tissuereg.io.cache import keep_arrays, read_arrays
+from tissuereg.io.json import dumps
+
+#: To be increased when columns change their meaning, so that older files are not read.
+SCHEMA = 11
+
+#: Hypotheses by id of the cause; causes without a hypothesis in an experiment are left out.
+Bank = dict[str, list[Variant]]
 
 #: Id of the generic rival.
 UNKNOWN = "unknown"
 
 #: Columns that are reduced at a time, to bound memory.
 _AT_A_TIME = 400
+
+
+def make_bank(bench: Bench, *, keep: bool = True) -> Bank:
+    """Return the bank: for every hypothesis of every cause, the change that it makes to the predicted data.
+
+    `keep`: whether to read and write the cache, from which the believed model's prediction is taken too. The columns
+    (p, size) of a hypothesis are changes by one prior standard deviation of each of its p amplitudes, in mm and mN,
+    single precision. Hypotheses that change a number without bounds (`largest_change`) are left out. Raises
+    `ConvergenceError` if the believed model itself has no equilibrium.
+    """
+    entry = f"bank_{fingerprint(bench.experiment, f'{bench.predictor.element} {SCHEMA} {numbers_of(bench.settings)}')}"
+    base, bank = _read(entry) if keep else (None, {})
+    if base is not None:
+        bench.base = base
+    wanted = {name: one for name, one in catalogue(bench.settings).items() if name not in bench.settings.left_out}
+    # A law may grow without bounds under large strains: no amplitude of such a hypothesis would be seen.
+    most = bench.settings.model.largest_change * max(float(np.abs(bench.base).max()), 1.0)
+    new = [name for name in wanted if name not in bank]
+    for name in new:
+        bench.progress(name)
+        bank[name] = _single(v for v in wanted[name].variants(bench) if np.abs(v.columns).max() < most)
+    if keep and not all(wanted[name].closed_form for name in new):
+        _write(entry, bench.base, bank)
+    return {name: bank[name] for name in wanted if bank[name]}
+
+
+def make_outside(bench: Bench, *, keep: bool = True) -> Bank:
+    """Return the hypotheses of every kind of effect outside the catalogue (`outside_variants`), as `make_bank` does."""
+    settings = replace(bench.settings.outside, variations=(), holds=(), strains=(), motions=()), bench.settings.model
+    entry = f"outside_{fingerprint(bench.experiment, f'{bench.predictor.element} {SCHEMA} {settings}')}"
+    bank = _read(entry)[1] if keep else {}
+    if not bank and bench.is_elastic:
+        bench.progress("effects outside the catalogue")
+        bank = {kind: _single(several) for kind, several in outside_variants(bench).items()}
+        if keep:
+            _write(entry, bench.base, bank)
+    return bank
+
+
+def numbers_of(settings: DiagnoseSettings) -> str:
+    """Return the numbers of all causes and of solutions as text, on which the columns of a bank depend."""
+    return dumps([[repr(cause) for cause in catalogue(settings).values()], repr(settings.model)])
+
+
+def _single(variants: Iterable[Variant]) -> list[Variant]:
+    return [replace(one, columns=one.columns.astype(np.float32)) for one in variants]
+
+
+def _write(entry: str, base: FloatArray, bank: Bank) -> None:
+    lasting = {name: several for name, several in bank.items() if name not in CAUSES or not CAUSES[name].closed_form}
+    keys = ("label", "settings", "positive", "fixed")
+    card = {name: [{key: getattr(v, key) for key in keys} for v in several] for name, several in lasting.items()}
+    columns = {
+        f"columns_{name}": np.stack([v.columns for v in several]) for name, several in lasting.items() if several
+    }
+    keep_arrays(entry, {"base": base, **columns, "card": np.array(dumps(card))})
+
+
+def _read(entry: str) -> tuple[FloatArray | None, Bank]:
+    """Return the cached prediction (size,) of the believed model, mm and mN, and the bank; None and {} without any."""
+    kept = read_arrays(entry)
+    if kept is None:
+        return None, {}
+    bank: Bank = {}
+    for name, rows in json.loads(str(kept["card"])).items():
+        columns = kept[f"columns_{name}"] if rows else []
+        bank[name] = [Variant(columns=column, **row) for row, column in zip(rows, columns, strict=True)]
+    return kept["base"], bank
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,10 +138,7 @@ class Screen:
         self.white: Callable[[FloatArray], FloatArray] = lambda columns: noise.whitened(
             correction.of_columns(columns), layout
         )
-        believed = replace(correction, modulus=1.0)
-        self.generic_white: FloatArray = np.stack(
-            [noise.whitened(believed.of_columns(block), layout) for block in generic]
-        )
+        self.generic_white: FloatArray = noise.whitened(replace(correction, modulus=1.0).of_columns(generic), layout)
 
         def reduced(columns: FloatArray) -> FloatArray:
             flat = columns.reshape(-1, columns.shape[-1])
@@ -77,10 +159,8 @@ class Screen:
             variants = self.bank[name]
             each = self._each(name, residual[None])[0]
             top = int(np.argmax(each))
-            if variants[top].fixed:
-                amplitudes = np.ones(1)
-            else:
-                amplitudes = fit_amplitudes(residual, blocks.columns[top].astype(np.float64))[1]
+            columns = blocks.columns[top].astype(np.float64)
+            amplitudes = np.ones(1) if variants[top].fixed else fit_amplitudes(residual, columns)[1]
             found[name] = Screened(float(log_mean_exp(each)), variants[top], amplitudes)
         each = np.array([block.log_bayes_factors(residual[None])[0, 0] for block in self.generic])
         found[UNKNOWN] = Screened(float(log_mean_exp(each)), None, np.empty(0))

@@ -3,30 +3,29 @@
 Each round screens all causes on the residual of the current model, fits the likely ones, and accepts the first that
 passes its threshold and the held-out proof (`proof`) and is likelier than not. The found cause joins the model together
 with nuisances for its own error (`nuisances.effect_nuisances`, `nuisances.other_forms`).
+
+A finding is a cause that was found with its group: those that the data cannot distinguish from it. The modulus is
+fitted in every model, and named where it lies far from its prior mean. Its log Bayes factor is half the square of its
+distance from that, in the logarithm of the modulus and in prior standard deviations; like any cause, it must predict
+held-out data better than the believed value and the generic rival.
 """
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field, replace
+from copy import copy
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray
-from tissuereg.diagnosis.answer import PossibleCause
+from tissuereg.diagnosis.answer import Finding, PossibleCause
+from tissuereg.diagnosis.bench import Bench
 from tissuereg.diagnosis.candidates import Candidate, exchanged, refitted, without
 from tissuereg.diagnosis.causes import CAUSES
-from tissuereg.diagnosis.evidence import Null, fit_amplitudes, probabilities
+from tissuereg.diagnosis.evidence import Null, probabilities
 from tissuereg.diagnosis.fit import Fit, FitTarget, fit
 from tissuereg.diagnosis.nuisances import effect_nuisances, other_forms
-from tissuereg.diagnosis.proof import (
-    GENERIC,
-    NAMED,
-    HeldOut,
-    LinearModel,
-    figure_blocks,
-    held_out,
-    linear_model,
-    proof_blocks,
-)
+from tissuereg.diagnosis.proof import GENERIC, NAMED, HeldOut, held_out_figures, prove, references_of
 from tissuereg.diagnosis.refined import corrected_fit
 from tissuereg.diagnosis.screen import UNKNOWN, Screen, Screened
 from tissuereg.diagnosis.selection import selected
@@ -146,6 +145,10 @@ class Search:
     reduced: FloatArray = field(default_factory=lambda: np.empty(0))
     target: FitTarget | None = None
 
+    def rounds(self) -> dict[int, tuple[Step, Candidate]]:
+        """Return the rounds that accepted a cause, in order and by number, each with the cause."""
+        return {i: (step, step.found) for i, step in enumerate(self.steps) if step.found is not None}
+
     def withdrawn(self, target: FitTarget) -> "Search":
         """Return the same rounds with all findings withdrawn, so that the final model is the believed one."""
         steps = [step.bare() for step in self.steps]
@@ -160,9 +163,12 @@ def search(target: FitTarget, screen: Screen, thresholds: Mapping[str, float], m
     """
     base = fit(target, [])
     assert base is not None  # the believed model has an equilibrium: it was solved before
-    found = selected(_Bodies(target, screen, base, thresholds), _FoundCauses(target, target, base), most)
-    reduced = _null_after(found.target, found.fit).reduced(found.fit.residual)
-    return Search(base, found.fit, list(found.steps), reduced, found.target if found.ids else None)
+    bodies, none = _Bodies(target, screen, base, thresholds), _FoundCauses(target, target, base)
+    found = selected(bodies, none, most)
+    # The parameters of the causes found are nuisances too.
+    null = Null(np.concatenate([found.target.null.nuisances, found.target.slopes(found.fit)]))
+    last = found.target if found.ids else None
+    return Search(base, found.fit, list(found.steps), null.reduced(found.fit.residual), last)
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,13 +212,59 @@ class _Bodies:
 
     def grown(self, known: _FoundCauses) -> _FoundCauses:
         """Return what was found with the cause that the next round accepts."""
-        step = _round(known.target, self.screen, self.base, known.fit, self.thresholds)
+        step = self.round(known.target, known.fit)
         steps = (*known.steps, step)
         if step.found is None:
             return replace(known, steps=steps)
-        plain, target, fitted = _with_finding(known.plain, self.screen, self.base, known.fit, step.found)
+        plain, target, fitted = self.with_finding(known.plain, known.fit, step.found)
         grown = _FoundCauses(target, plain, fitted, steps, not known.ids, first=known.first)
         return replace(grown, first=known.first or grown)
+
+    def round(self, target: FitTarget, current: Fit) -> Step:
+        """Return one round: the candidates for a further cause, and the likeliest that passes the held-out proof."""
+        screened = self.screen.of(self.left(target, current))
+        candidates = refitted(target, self.screen, screened, current, self.thresholds)
+        step = Step(screened, candidates, None, None, settings=target.bench.settings, given=current.ids)
+        passing = [candidate for candidate in candidates if candidate.gain >= self.thresholds[candidate.id]]
+        references = references_of(target, self.screen, self.base, current) if passing else []
+        for candidate in passing:
+            tried = prove(target, references, current, candidate.fit)
+            step = replace(step, proof=step.proof or tried)
+            if tried.proves(target.bench.settings.search):
+                figures = prove(target, references, current, candidate.fit, stated=True)
+                accepted = replace(step, found=candidate, proof=tried, figures=figures)
+                failed = accepted.failed(self.thresholds[candidate.id], current.ids)
+                if failed is None:
+                    return accepted
+                step = replace(step, possible=(*step.possible, failed))
+        return step
+
+    def left(self, target: FitTarget, current: Fit) -> FloatArray:
+        """Return a fit's residual (size,) as it is screened: reduced, orthogonal to its parameters' changes."""
+        residual = self.screen.null.reduced(current.residual)
+        if not current.parts:
+            return residual
+        slopes = self.screen.null.reduced(target.white(current.jacobian[1:]))
+        modes = np.linalg.svd(slopes, full_matrices=False)[2]
+        return np.asarray(residual - (residual @ modes.T) @ modes)
+
+    def with_finding(self, plain: FitTarget, before: Fit, found: Candidate) -> tuple[FitTarget, FitTarget, Fit]:
+        """Return the targets with a cause, without and with nuisances for its size, and the fit to the last."""
+        # A found cause has a model error of its own. Its discretisation error was corrected; what remains of that, and
+        # the error of its form, are nuisances when further causes are tested.
+        null = Null(np.concatenate([plain.null.nuisances, self.forms(found.id, found.fit, before)]))
+        plain = replace(plain, correction=found.target.correction, null=null)
+        target = replace(plain, null=Null(np.concatenate([null.nuisances, self.errors(found.fit)])))
+        return plain, target, fit(target, found.fit.parts, near=found.fit.near) or found.fit
+
+    def forms(self, name: str, found: Fit, before: Fit) -> FloatArray:
+        """Return whitened nuisances for the form of a cause, by its id, given the fits with and without it."""
+        change = self.given.white(found.prediction - before.prediction)
+        return other_forms(self.screen.white_columns(name), change, self.given.bench.settings.nuisances)
+
+    def errors(self, found: Fit) -> FloatArray:
+        """Return whitened nuisances for the size of all causes of a fit."""
+        return self.given.white(effect_nuisances(self.given.bench, found.prediction - self.base.prediction))
 
     def exchanged(self, known: _FoundCauses) -> _FoundCauses:
         """Return what was found with causes exchanged for their closest rivals."""
@@ -232,20 +284,29 @@ class _Bodies:
         """Return what was found with evidence and proofs in the model of all causes, and what fails them."""
         if known.settled:
             return known, {}
-        target, current = known.target, known.fit
-        rests = tuple(without(target, current, part) for part in range(len(current.parts)))
-        changed = {
-            number: _judged(target, self.screen, self.base, current, rests[part], part, known.steps[number])
-            for part, number in enumerate(known.rounds())
-        }
-        shortcomings = (
-            step.failed(self.thresholds[name], current.ids)
-            for step, name in zip(changed.values(), current.ids, strict=True)
-        )
-        failed = {part: short for part, short in enumerate(shortcomings) if short is not None}
+        rests = tuple(without(known.target, known.fit, part) for part in range(len(known.ids)))
+        changed, failed = {}, {}
+        for part, number in enumerate(known.rounds()):
+            changed[number] = self.judged(known, rests[part], part, known.steps[number])
+            short = changed[number].failed(self.thresholds[known.ids[part]], known.ids)
+            if short is not None:
+                failed[part] = short
         # Causes without which there is no equilibrium wait for the others.
         removable = {part: short for part, short in failed.items() if rests[part] is not None}
         return replace(known, rests=rests, steps=known.with_steps(changed)), removable or failed
+
+    def judged(self, known: _FoundCauses, rest: Fit | None, part: int, step: Step) -> Step:
+        """Return the round of a finding with evidence and proof in the model of all causes; `rest`: fit without it."""
+        assert step.found is not None
+        target, current = known.target, known.fit
+        # The evidence that the removal of the cause costs; without an equilibrium that of its round.
+        gain = step.found.gain + step.lead if rest is None else current.log_evidence - rest.log_evidence
+        step = step.retested(Candidate(current.parts[part].id, current, gain, target))
+        if rest is None:
+            return step
+        references = references_of(target, self.screen, self.base, rest)
+        proof, figures = (prove(target, references, rest, current, part, stated=stated) for stated in (False, True))
+        return replace(step, proof=proof, figures=figures)
 
     def without(self, known: _FoundCauses, part: int, failed: PossibleCause) -> _FoundCauses:
         """Return what was found without a cause, and without the nuisances for its error."""
@@ -263,135 +324,124 @@ class _Bodies:
                 return _FoundCauses(self.given, self.given, self.base, bare)
             alone = replace(first.steps[0], possible=bare[0].possible)
             return replace(first, steps=(alone, *bare[1:]), first=first)
-        target, current = corrected_fit(*self._refitted(known, rest, part))
+        others_of = [pair for at, pair in enumerate(zip(known.ids, known.rests, strict=True)) if at != part]
+        forms = [self.forms(name, known.fit, before) for name, before in others_of if before is not None]
+        null = Null(np.concatenate([self.given.null.nuisances, *forms, self.errors(rest)]))
+        target = replace(known.target, null=null)
+        target, current = corrected_fit(target, fit(target, rest.parts, near=rest.near) or rest)
         return replace(known, target=target, fit=current, steps=steps, rests=(), first=first)
 
-    def _refitted(self, known: _FoundCauses, rest: Fit, part: int) -> tuple[FitTarget, Fit]:
-        """Return target and fit after a cause was taken out, given its number and the fit `rest` without it."""
-        others = [pair for at, pair in enumerate(zip(known.ids, known.rests, strict=True)) if at != part]
-        forms = [
-            _forms(self.given, self.screen, name, known.fit.prediction - before.prediction)
-            for name, before in others
-            if before is not None
-        ]
-        errors = self.given.white(effect_nuisances(self.given.bench, rest.prediction - self.base.prediction))
-        null = Null(np.concatenate([self.given.null.nuisances, *forms, errors]))
-        target = replace(known.target, null=null)
-        return target, fit(target, rest.parts, near=rest.near) or rest
 
+def findings_of(target: FitTarget, screen: Screen, found: Search, thresholds: Mapping[str, float]) -> list[Finding]:
+    """Return the findings of a search; the modulus is one of them where it lies beyond its prior.
 
-def _round(target: FitTarget, screen: Screen, base: Fit, current: Fit, thresholds: Mapping[str, float]) -> Step:
-    """Return one round: the candidates for a further cause, and the likeliest that passes the held-out proof."""
-    screened = screen.of(_as_screened(screen, target, current))
-    candidates = refitted(target, screen, screened, current, thresholds)
-    step = Step(screened, candidates, None, None, settings=target.bench.settings, given=current.ids)
-    passing = [candidate for candidate in candidates if candidate.gain >= thresholds[candidate.id]]
-    references = references_of(target, screen, base, current) if passing else []
-    for candidate in passing:
-        tried = prove(target, references, current, candidate.fit)
-        step = replace(step, proof=step.proof or tried)
-        if tried.proves(target.bench.settings.search):
-            figures = prove(target, references, current, candidate.fit, stated=True)
-            accepted = replace(step, found=candidate, proof=tried, figures=figures)
-            failed = accepted.failed(thresholds[candidate.id], current.ids)
-            if failed is None:
-                return accepted
-            step = replace(step, possible=(*step.possible, failed))
-    return step
-
-
-def _with_finding(
-    plain: FitTarget, screen: Screen, base: Fit, before: Fit, found: Candidate
-) -> tuple[FitTarget, FitTarget, Fit]:
-    """Return the targets after a cause was found, without and with nuisances for its size, and the fit to the last."""
-    # A found cause has a model error of its own. Its discretisation error was corrected; what remains of that, and the
-    # error of its form, are nuisances when further causes are tested.
-    forms = _forms(plain, screen, found.id, found.fit.prediction - before.prediction)
-    null = Null(np.concatenate([plain.null.nuisances, forms]))
-    plain = replace(plain, correction=found.target.correction, null=null)
-    errors = plain.white(effect_nuisances(plain.bench, found.fit.prediction - base.prediction))
-    target = replace(plain, null=Null(np.concatenate([null.nuisances, errors])))
-    alone = found.fit
-    return plain, target, fit(target, alone.parts, near=alone.near) or alone
-
-
-def _forms(target: FitTarget, screen: Screen, name: str, change: FloatArray) -> FloatArray:
-    """Return nuisances for the form of a cause, by its id, that was found to make a change (size,), mm and mN."""
-    return other_forms(screen.white_columns(name), target.white(change), target.bench.settings.nuisances)
-
-
-def _judged(
-    target: FitTarget, screen: Screen, base: Fit, current: Fit, before: Fit | None, part: int, step: Step
-) -> Step:
-    """Return the round of a finding with evidence and proof in the model of all causes; `before`: fit without it."""
-    assert step.found is not None
-    # The evidence that the removal of the cause costs; without an equilibrium that of its round.
-    gain = step.found.gain + step.lead if before is None else current.log_evidence - before.log_evidence
-    step = step.retested(Candidate(current.parts[part].id, current, gain, target))
-    if before is None:
-        return step
-    references = references_of(target, screen, base, before)
-    proof = prove(target, references, before, current, part)
-    figures = prove(target, references, before, current, part, stated=True)
-    return replace(step, proof=proof, figures=figures)
-
-
-def prove(
-    target: FitTarget,
-    references: list[LinearModel],
-    current: Fit,
-    found: Fit,
-    part: int | None = -1,
-    *,
-    stated: bool = False,
-) -> HeldOut:
-    """Return the predictions of the compared models on held-out blocks: of a proof, or those whose errors are stated.
-
-    `references`: as `references_of`; `current`, `found`: fits without and with the cause; `part`: its number in the
-    latter; None for the modulus; `stated`: whether the blocks are those whose errors are stated (`figure_blocks`).
+    `target`: of the first fit; `thresholds`: log Bayes factor required of every cause, nats, by id. The findings lack
+    the errors at inner targets, which are added later.
     """
-    slopes, change = _columns_and_change(target, current, found, part)
-    layout, rules = target.bench.layout, target.bench.settings.search
-    blocks = figure_blocks(layout, slopes, change, rules) if stated else proof_blocks(layout, slopes, rules)
-    before, *others = references
-    named = linear_model(target, found)
-    made = held_out([before, named, *others], blocks)
-    if stated:
-        return made
-    # Data that the fit predicts exactly, as each model sees them.
-    would = replace(before, residual=before.residual - current.residual + change)
-    exact = replace(named, residual=named.residual - found.residual)
-    return replace(made, expected_gain=-float(np.subtract(*held_out([would, exact], blocks).log_density.sum(axis=1))))
+    findings = []
+    rounds = found.rounds().values()
+    named = {top.id for _, top in rounds}
+    for part, (step, top) in enumerate(rounds):
+        # Parameters are those of the model with all causes found.
+        values, deviations = found.final.values(part, target.bench.young)
+        assert step.proof is not None  # found causes were proved
+        assert step.figures is not None
+        findings.append(
+            Finding(
+                id=top.id,
+                group=step.group(thresholds[top.id], named),
+                probability=step.chances().get(top.id, 0.0),
+                log_bayes_factor=top.gain,
+                threshold=thresholds[top.id],
+                parameters=values,
+                deviations=deviations,
+                held_out=held_out_figures(target.bench.layout, target.noise, step.proof, step.figures),
+                sentence=CAUSES[top.id].sentence(values),
+                group_probability=step.probability(thresholds[top.id], named),
+            )
+        )
+    stiff = modulus_finding(target, screen, found)
+    return findings if stiff is None else [stiff, *findings]
 
 
-def _columns_and_change(target: FitTarget, current: Fit, found: Fit, part: int | None) -> tuple[FloatArray, FloatArray]:
-    """Return whitened changes: by one prior deviation of each parameter (k, size), and by the whole cause (size,)."""
-    slopes = target.slopes(found)[slice(1) if part is None else found.slices()[part]]
-    change = target.white(found.prediction - current.prediction)
-    return (slopes if len(slopes) else change[None]), change
+def possible_of(found: Search) -> tuple[dict[str, Any], ...]:
+    """Return the causes that came close to a finding and are none, likeliest first, as plain data for the answer."""
+    named = {top.id for _, top in found.rounds().values()}
+    best: dict[str, PossibleCause] = {}
+    for one in (one for step in found.steps for one in step.possible if one.id not in named):
+        if one.id not in best or one.probability > best[one.id].probability:
+            best[one.id] = one
+    return tuple(asdict(one) for one in sorted(best.values(), key=lambda one: -one.probability))
 
 
-def references_of(target: FitTarget, screen: Screen, base: Fit, current: Fit) -> list[LinearModel]:
-    """Return three models to compare a cause with: one without it, that plus the generic rival, the believed one.
+def candidates_of(screen: Screen, first: Step) -> tuple[dict[str, Any], ...]:
+    """Return every cause that was tried in the first round, likeliest first, as plain data for the answer.
 
-    `base`, `current`: fits of the believed model and without the cause. The rival has the size of most evidence.
+    Each entry has ``id``, ``probability``, ``log_bayes_factor`` in nats, and ``detectability``, the norm of the change
+    that the cause makes, in noise deviations.
     """
-    reduced = target.null.reduced(current.residual)
-    gains = [fit_amplitudes(reduced, target.null.reduced(columns))[0] for columns in screen.generic_white]
-    rival = linear_model(target, current, np.asarray(screen.generic_white[int(np.argmax(gains))]))
-    return [linear_model(target, current), rival, linear_model(target, base)]
+    chances, gains = first.chances(), first.gains()
+    rows: list[dict[str, Any]] = []
+    for name in [*CAUSES, UNKNOWN]:
+        if name in gains:
+            best = first.screened[name].best
+            seen = screen.detectability(name, best, first.screened[name].amplitudes) if best is not None else 0.0
+            numbers = {"log_bayes_factor": gains[name], "detectability": seen}
+            rows.append({"id": name, "probability": chances.get(name, 0.0), **numbers})
+    return tuple(sorted(rows, key=lambda row: -float(row["log_bayes_factor"])))
 
 
-def _null_after(target: FitTarget, current: Fit) -> Null:
-    """Return the covariance of noise and nuisances given the causes found, whose parameters are nuisances in it too."""
-    return Null(np.concatenate([target.null.nuisances, target.slopes(current)]))
+def modulus_finding(target: FitTarget, screen: Screen, found: Search) -> Finding | None:
+    """Return the modulus as a finding where it lies far from its prior mean, the data determine it, and it is proved.
+
+    `found`: the search with the causes found; the modulus is the first parameter of their fit. The proof compares
+    predictions of held-out data with those of the model whose modulus is fixed at the believed value. The result is
+    None where one of the three fails, where its probability is less than `stated`, and where that model has no
+    equilibrium.
+    """
+    target = found.target or target
+    final, bench = found.final, target.bench
+    if "stiffness" in (*bench.settings.left_out, *final.ids):
+        return None
+    rules, evidence = bench.settings.search, bench.settings.evidence
+    excess = float(abs(final.x[0])) / bench.young_spread
+    deviation = float(np.sqrt(final.covariance[0, 0]))
+    if excess < rules.far_modulus or deviation > rules.determined_modulus * bench.young_spread:
+        return None
+    pinned = replace(target, bench=_pinned(bench))
+    start = final.x.copy()
+    start[0] = 0.0
+    before = fit(pinned, final.parts, start=start) or fit(pinned, final.parts)
+    believed = fit(pinned, []) if final.parts else before
+    if before is None or believed is None:
+        return None
+    references = references_of(target, screen, believed, before)
+    proof = prove(target, references, before, final, None)
+    if not proof.proves(rules):
+        return None
+    young = final.young(bench.young)
+    values = {"young_kpa": young}
+    odds = np.exp(-0.5 * (excess**2 - rules.far_modulus**2) / evidence.temper)
+    chance = float((1.0 - evidence.look_alike) / (1.0 + odds))
+    if chance < rules.stated:
+        return None
+    figures = prove(target, references, before, final, None, stated=True)
+    return Finding(
+        id="stiffness",
+        group=("stiffness",),
+        probability=chance,
+        log_bayes_factor=0.5 * excess**2,
+        threshold=0.5 * rules.far_modulus**2,
+        parameters=values,
+        deviations={"young_kpa": young * deviation},
+        held_out=held_out_figures(bench.layout, target.noise, proof, figures),
+        sentence=CAUSES["stiffness"].sentence(values),
+        group_probability=chance,
+    )
 
 
-def _as_screened(screen: Screen, target: FitTarget, current: Fit) -> FloatArray:
-    """Return the residual (size,) of a fit, whitened by noise and nuisances, orthogonal to its parameters' changes."""
-    residual = screen.null.reduced(current.residual)
-    if not current.parts:
-        return residual
-    slopes = screen.null.reduced(target.white(current.jacobian[1:]))
-    modes = np.linalg.svd(slopes, full_matrices=False)[2]
-    return np.asarray(residual - (residual @ modes.T) @ modes)
+def _pinned(bench: Bench) -> Bench:
+    """Return a copy of the believed model whose modulus is fixed at the believed value; computed results are shared."""
+    other = copy(bench)
+    other.young_spread = 1e-9  # in the modulus' logarithm: fixed at the believed value
+    return other

@@ -19,12 +19,11 @@ import numpy as np
 from tissuereg._base.arrays import FloatArray, IntArray
 from tissuereg.body.mesh import Mesh, node_normals
 from tissuereg.body.observe import MarkerObservation
-from tissuereg.diagnosis.bench import Bench
+from tissuereg.diagnosis.bench import Bench, Tangents
 from tissuereg.diagnosis.correction import make_correction
-from tissuereg.diagnosis.patterns import thinned_patterns
 from tissuereg.diagnosis.predictor import FINE_SCHEMA, Predictor, fingerprint
 from tissuereg.diagnosis.settings import DEFAULT, ShapeSettings
-from tissuereg.diagnosis.tangents import Tangents
+from tissuereg.diagnosis.signals import thinned_patterns
 from tissuereg.experiment.experiment import Actuator, Boundary, Experiment
 from tissuereg.io.cache import keep_arrays, read_arrays
 from tissuereg.simulation.fine import rough_element, without_time

@@ -8,10 +8,9 @@ import numpy as np
 
 from tissuereg._base.arrays import FloatArray
 from tissuereg.body.load import Load
-from tissuereg.diagnosis.bench import Bench
+from tissuereg.diagnosis.bench import Bench, State
 from tissuereg.diagnosis.causes.base import Cause, FreeParameters, Values, Variant, free_parameters
 from tissuereg.diagnosis.causes.numbers import three
-from tissuereg.diagnosis.tangents import State
 from tissuereg.experiment.effects import ActuatorDirection, ActuatorGain, ActuatorOffset
 from tissuereg.experiment.experiment import Actuator
 

@@ -113,7 +113,7 @@ class Cause(ABC):
 
     Fields of an instance are its numbers: sizes, prior deviations, counts. What a class states of itself, as keywords
     behind its bases: `id` in answers and in ``[[effect]]`` tables; `family`, the kind of error that it is one of
-    (`tissuereg.diagnosis.families`); `discrete`, keys of `Variant.settings` that the free parameters cannot change;
+    (`tissuereg.diagnosis.constancy`); `discrete`, keys of `Variant.settings` that the free parameters cannot change;
     `constant`, whether its change has one size in all parts of the data (that of a contact that opens, or of what
     slips, has not); `absolute`, whether what it changes is no multiple of Young's modulus, as its free parameters have
     it.

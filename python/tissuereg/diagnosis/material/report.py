@@ -9,8 +9,8 @@ import numpy as np
 from tissuereg._base.arrays import FloatArray
 from tissuereg.diagnosis.material.model import predicted_stresses, stress_of
 from tissuereg.diagnosis.report import STYLE
-from tissuereg.diagnosis.report.ranking import chance, possible_words, ranking, separated
-from tissuereg.diagnosis.report.words import finding_section
+from tissuereg.diagnosis.report.charts import chance, possible_words, ranking, separated
+from tissuereg.diagnosis.report.page import finding_section
 from tissuereg.io.experiment_out import experiment_text
 from tissuereg.report import svg
 from tissuereg.report.markup import document, escape, table

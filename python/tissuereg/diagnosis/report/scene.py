@@ -32,11 +32,9 @@ def scene(found: "BodyDiagnosis", details: "DiagnosisDetails", most: int = MOST_
     layout, body = details.target.bench.layout, found.extended
     stride = max(1, -(-2 * sum(part.n_frames * part.n_markers for part in layout.parts) // most))
     cases = [ShownCase(part.name, np.round(part.times[::stride], 4).tolist()) for part in layout.parts]
-    residuals = [
-        _residuals(body, layout, fit.prediction, stride) for fit in (details.search.base, details.search.final)
-    ]
-    forces = [[pair[1] for pair in one] for one in residuals]
-    markers = [[pair[0] for pair in one] for one in residuals]
+    fits = (details.search.base, details.search.final)
+    pairs = [_residuals(body, layout, fit.prediction, stride) for fit in fits]
+    markers, forces = ([[pair[i] for pair in one] for one in pairs] for i in (0, 1))
     case, frame = _worst(markers[0])
     believed = details.target.bench.experiment.effects
     new = [effect for effect in body.effects if not any(effect is other for other in believed)]
@@ -59,9 +57,8 @@ def drawn_surface(experiment: "Experiment", most: int | None = None) -> DrawnBod
     """Return the surface of a body at rest as it is drawn; its patches: free, held, those of actuators in order."""
     mesh = experiment.mesh
     held = [boundary.nodes for boundary in experiment.boundaries] or [mesh.fixed_nodes]
-    patch = np.concatenate(held)
     limit = {} if most is None else {"most": most}
-    return DrawnBody.of(mesh, [patch, *(actuator.nodes for actuator in experiment.actuators)], **limit)
+    return DrawnBody.of(mesh, [np.concatenate(held), *(actuator.nodes for actuator in experiment.actuators)], **limit)
 
 
 def _residuals(
@@ -92,15 +89,11 @@ def _body_layers(body: "Experiment", new: Sequence[Effect]) -> list[Signs]:
         if some:
             places = np.array([one.centre_mm for one in some])
             axes = np.array([np.diag(one.semi_axes_mm).ravel() for one in some])
-            names = [f"{title}: contrast {one.contrast:g}" for one in some]
-            layers.append(
-                Signs(kind="ellipsoids", title=title, colour=colour, places=places, by=axes, names=names, behind=0.8)
-            )
+            more: dict[str, Any] = {"by": axes, "names": [f"{title}: contrast {one.contrast:g}" for one in some]}
+            layers.append(Signs(kind="ellipsoids", title=title, colour=colour, places=places, behind=0.8, **more))
     if body.targets:
-        places, names = np.array(list(body.targets.values())), list(body.targets)
-        layers.append(
-            Signs(kind="points", title="targets", colour=TARGET, places=places, names=names, labels=True, behind=0.8)
-        )
+        more = {"places": np.array(list(body.targets.values())), "names": list(body.targets), "labels": True}
+        layers.append(Signs(kind="points", title="targets", colour=TARGET, behind=0.8, **more))
     return layers
 
 
@@ -117,11 +110,8 @@ def _marker_layers(layout: "SignalLayout", new: Sequence[Effect], residuals: lis
     ]
     if accused:
         rows = [names.index(name) for name in accused]
-        ring: dict[str, Any] = {"shape": "ring", "size": 8.0, "behind": 0.8}
-        named: dict[str, Any] = {"names": accused, "labels": True}
-        layers.append(
-            Signs(kind="points", title="named by a finding", colour=WRONG, places=places[rows], **named, **ring)
-        )
+        ring: dict[str, Any] = {"names": accused, "labels": True, "shape": "ring", "size": 8.0, "behind": 0.8}
+        layers.append(Signs(kind="points", title="named by a finding", colour=WRONG, places=places[rows], **ring))
     return layers
 
 
