@@ -107,7 +107,7 @@ def test_a_fit_is_not_given_up_before_its_own_jacobian_is_known(of_two):
             assert abs(again.objective - found.objective) < 0.5
     # Nor is it in the end, if all iterations gain.
     ended = fit(with_iterations(of_two, 1), parts, near=wrong)
-    exact = fit(with_iterations(of_two, 0), parts, start=ended.x).jacobian
+    exact = fit(with_iterations(of_two, 0), parts, start=ended.x, near=wrong).jacobian
     np.testing.assert_allclose(ended.jacobian, exact, atol=1e-6 * np.abs(exact).max())
 
 

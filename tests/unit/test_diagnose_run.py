@@ -17,6 +17,7 @@ from tissuereg.diagnosis import predictor, readings, run
 from tissuereg.diagnosis.bench import Bench
 from tissuereg.diagnosis.causes import CAUSES
 from tissuereg.diagnosis.predictor import Predictor
+from tissuereg.diagnosis.report.charts import proofs_of
 from tissuereg.diagnosis.run import _own_modulus
 from tissuereg.diagnosis.screen import make_bank
 from tissuereg.diagnosis.signals import SignalLayout
@@ -56,6 +57,7 @@ def test_of_forces_below_their_noise_no_modulus_is_stated_that_the_search_found(
     assert found.details.search.final.ids == ("stiffness",)
     assert [one.id for one in found.outside] == ["stiffness"]
     assert found.findings == ()
+    assert proofs_of(found) == {}
 
 
 @pytest.mark.parametrize("threads", [1, 2, 4])

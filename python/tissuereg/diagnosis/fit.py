@@ -203,7 +203,7 @@ def fit(
     objective, reduced = solver.objective(x, prediction)
     # The derivative by a modulus that only scales forces is known exactly.
     exact = near is None or len(near.x) <= int(solver.scales)
-    jacobian, own, shown = solver.jacobian(x, prediction, near), exact, False
+    jacobian, own, shown, excess = solver.jacobian(x, prediction, near), exact, False, -np.inf
     slopes = solver.reduced(jacobian)
     for remaining in reversed(range(limits.most_iterations)):
         step = solver.step(x, slopes, reduced)

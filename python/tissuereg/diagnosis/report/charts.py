@@ -105,11 +105,9 @@ def rankings(found: "BodyDiagnosis") -> str:
     """Return the chart of causes in the first round, and those of later rounds in collapsed sections, as HTML."""
     thresholds = {} if found.details is None else found.details.thresholds
     steps = [] if found.details is None else found.details.search.steps
-    rounds = {} if found.details is None else found.details.search.rounds()
-    # Findings are in the order of the rounds; only the modulus may precede them.
-    first = max(0, len(found.findings) - len(rounds))
-    groups = {number: set(one.group) for number, one in zip(rounds, found.findings[first:], strict=False)}
-    early = {name for finding in found.findings[: first if steps else None] for name in finding.group}
+    stated = _stated(found)
+    groups = {number: set(found.findings[finding].group) for number, finding in stated.items()}
+    early = {name for i, finding in enumerate(found.findings) if i not in stated.values() for name in finding.group}
     parts = [ranking(found.candidates, thresholds, early | groups.get(0, set()), "First round")]
     for number, step in enumerate(steps[1:], start=1):
         title = f"Round {number + 1}: further causes, given {', '.join(map(plain_name, step.given))}"
@@ -200,10 +198,17 @@ def proved(found: "BodyDiagnosis") -> str:
 
 def proofs_of(found: "BodyDiagnosis") -> dict[int, "HeldOut"]:
     """Return the held-out predictions of every finding by its number; a finding of the modulus has none."""
+    figures = {} if found.details is None else {i: step.figures for i, step in enumerate(found.details.search.steps)}
+    return {finding: held for number, finding in _stated(found).items() if (held := figures[number]) is not None}
+
+
+def _stated(found: "BodyDiagnosis") -> dict[int, int]:
+    """Return the numbers of the findings by those of the rounds that found them."""
     rounds = {} if found.details is None else found.details.search.rounds()
+    ids = [finding.id for finding in found.findings]
+    stated = [number for number, (_, top) in rounds.items() if top.id in ids]
     # Findings are in the order of the rounds; only the modulus may precede them.
-    first = len(found.findings) - len(rounds)
-    return {first + i: step.figures for i, (step, _) in enumerate(rounds.values()) if step.figures is not None}
+    return {number: len(ids) - len(stated) + i for i, number in enumerate(stated)}
 
 
 def gain_words(finding: "Finding") -> str:
