@@ -17,7 +17,7 @@ from tissuereg.cli.common import Stopwatch
 from tissuereg.diagnosis.bench import Bench
 from tissuereg.diagnosis.candidates import without
 from tissuereg.diagnosis.causes import CAUSES
-from tissuereg.diagnosis.causes.inclusion import balls_in, shares_of_balls
+from tissuereg.diagnosis.causes.regions import balls_in, shares_of_balls
 from tissuereg.diagnosis.evidence import Null
 from tissuereg.diagnosis.fit import FittedCause, fit
 from tissuereg.diagnosis.nuisances import effect_nuisances

@@ -19,7 +19,7 @@ from tissuereg.body.load import Load
 from tissuereg.diagnosis.bench import Bench, State, per_tet
 from tissuereg.diagnosis.causes import CAUSES, Variant
 from tissuereg.diagnosis.causes.actuators import load_of, motion_of, present_pads
-from tissuereg.diagnosis.causes.inclusion import balls_in, shares_of_balls
+from tissuereg.diagnosis.causes.regions import balls_in, shares_of_balls
 from tissuereg.diagnosis.evidence import Blocks, Null, log_mean_exp
 from tissuereg.diagnosis.fit import Fit, FitTarget
 from tissuereg.diagnosis.nuisances import effect_nuisances

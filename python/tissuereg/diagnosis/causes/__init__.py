@@ -2,20 +2,17 @@
 
 from tissuereg.diagnosis.causes.actuators import DirectionCause, GainCause, OffsetCause
 from tissuereg.diagnosis.causes.base import Cause, FreeParameters, Values, Variant
-from tissuereg.diagnosis.causes.detachment import DetachmentCause
 from tissuereg.diagnosis.causes.drainage import DrainageCause
 from tissuereg.diagnosis.causes.fibre import FibreCause
-from tissuereg.diagnosis.causes.gravity import GravityCause
-from tissuereg.diagnosis.causes.inclusion import InclusionCause
+from tissuereg.diagnosis.causes.gravity import GravityCause, ReferenceCause
 from tissuereg.diagnosis.causes.laws import AsymmetryCause, MooneyCause, StiffeningCause
-from tissuereg.diagnosis.causes.layer import LayerCause
 from tissuereg.diagnosis.causes.rate import RateCause
-from tissuereg.diagnosis.causes.reference import ReferenceCause
+from tissuereg.diagnosis.causes.regions import InclusionCause, LayerCause
 from tissuereg.diagnosis.causes.relaxation import RelaxationCause
 from tissuereg.diagnosis.causes.set import SetCause
-from tissuereg.diagnosis.causes.sliding import SlidingCause
 from tissuereg.diagnosis.causes.softening import SofteningCause
 from tissuereg.diagnosis.causes.stiffness import PoissonCause, StiffnessCause
+from tissuereg.diagnosis.causes.supports import DetachmentCause, SlidingCause
 from tissuereg.diagnosis.causes.swelling import SwellingCause
 from tissuereg.diagnosis.causes.tracker import FrameCause, LatencyCause, ScaleCause, SlipCause, SwapCause
 from tissuereg.diagnosis.settings import DiagnoseSettings

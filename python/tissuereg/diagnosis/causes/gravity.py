@@ -1,4 +1,4 @@
-"""Gravity: the body's weight has another direction or size than believed, or was left out."""
+"""Weight: gravity of another direction or size than believed, or left out, and the shape that the mesh has under it."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ from tissuereg.body.material import GRAVITY_MM_PER_S2
 from tissuereg.diagnosis.bench import Bench, State
 from tissuereg.diagnosis.causes.base import Cause, FreeParameters, Values, Variant, free_parameters
 from tissuereg.diagnosis.causes.numbers import three
-from tissuereg.experiment.effects import Effect, Gravity
+from tissuereg.experiment.effects import Effect, Gravity, Reference
 from tissuereg.simulation.sensitivity import Cause as Moved
 from tissuereg.simulation.sensitivity import Linearised
 from tissuereg.simulation.solve import Simulator
@@ -90,3 +90,27 @@ def _effect(over_standard: FloatArray) -> Effect:
     size = max(float(np.linalg.norm(over_standard)), 1e-6)
     towards = over_standard / size if np.any(over_standard) else np.array([0.0, 0.0, -1.0])
     return Gravity(direction=three(towards), g_mm_per_s2=size * GRAVITY_MM_PER_S2)
+
+
+class ReferenceCause(Cause, id="reference", family="rest", absolute=True):
+    """Whether the mesh is already deformed by the believed gravity."""
+
+    def variants(self, bench: Bench) -> Iterable[Variant]:
+        """Return one hypothesis, the opposite of what is believed; none where no gravity is believed."""
+        weight = bench.experiment.gravity
+        if weight is None:
+            return
+        hangs = not weight.in_reference
+        changed = bench.change(Reference(in_reference=hangs))
+        if changed is not None:
+            yield Variant("hangs" if hangs else "does not hang", changed[None], {"hangs": hangs}, fixed=True)
+
+    def free_parameters(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> FreeParameters:
+        """Return no free parameters (k = 0): the effect is the opposite of what is believed about the mesh."""
+        opposite = Reference(in_reference=bool(variant.settings["hangs"]))
+        return free_parameters([], lambda x, young: (opposite,))
+
+    def sentence(self, values: Values) -> str:
+        """Return the finding as a sentence; `values` has the fitted `in_reference` (a bool)."""
+        how = "is already deformed by gravity" if values["in_reference"] else "is the shape without gravity"
+        return f"The mesh {how}, contrary to what is believed."
